@@ -1,8 +1,7 @@
-"""The ablations of the paper (Tables 5 to 9) and ours, as settings over a recipe: which runs a table is made of.
+"""Ablations (the paper's Tables 5 to 9, and ours) as settings over a recipe.
 
-A variant is one training; tables share them, so the paper's full model is trained once for all five. The paper's
-tables are about its own layout of z, `global`; rows of the `local` layout (ours) stand beside them where the question
-makes sense there too.
+A variant is one training run. Tables share variants, so the paper's full model is trained once for all five. The
+paper's tables use its own layout of z, `global`; rows of our layout, `local`, are added where they apply.
 """
 
 from motionkit.training.ablations import Ablation, Ablations, Entry, Sweep, Variant, check_unchanged
@@ -11,7 +10,7 @@ from nerm.recipes import RECIPES, NermConfig
 from nerm.settings import LatentLayout
 from nerm.stages import CODEBOOK, DENOISER, FIELD
 
-# What a recipe that was made for the other layout needs; its own layout needs nothing.
+# Overrides for a recipe made for the other layout.
 LAYOUTS: dict[LatentLayout, tuple[str, ...]] = {
     "global": (
         "field.latents.layout=global",
@@ -27,7 +26,7 @@ BOTH_STAGES = ("field", "denoiser")
 
 
 def _variant(layout: LatentLayout, name: str = "", *change: str) -> Variant:
-    """A training with a layout of z, in a recipe that has the other layout too."""
+    """A variant with this layout of z, whichever layout the recipe has."""
 
     def needs(recipe: NermConfig) -> tuple[str, ...]:
         return () if recipe.field.latents.layout == layout else LAYOUTS[layout]
@@ -40,7 +39,7 @@ GLOBAL, LOCAL = _variant("global"), _variant("local")
 
 
 def _both(label: str, name: str, change: str, reported: str = "") -> tuple[Entry, Entry]:
-    """The same change to either layout."""
+    """The same change to both layouts."""
     return (
         Entry(f"global: {label}", _variant("global", name, change), reported),
         Entry(f"local: {label}", _variant("local", name, change)),
@@ -140,10 +139,10 @@ CODEBOOK_SEED = 0
 
 
 def share_codebook(sweep: Sweep, run: RunFolder, config: NermConfig) -> None:
-    """Give a run the codebook of RUNS/PREFIX, which is trained first where there is none.
+    """Give a run the codebook of RUNS/PREFIX, trained first if it is missing.
 
-    The variants differ in how the codes are used, not in the codes, so they have the same ones. One that uses none gets
-    none.
+    Variants differ in how the codes are used, not in the codes, so they share one codebook. A variant without codes
+    gets none.
     """
     if config.field.encoder.kind != "codebook":
         return

@@ -1,8 +1,8 @@
-"""What the motions of a batch are conditioned on: a text, an action or nothing, and a duration.
+"""Conditions of a batch: a text, an action or nothing, and a duration.
 
-"Nothing" is a zero mask, as in the paper: the embedding of the text or action is replaced by zeros, so that its token
-holds the projection's bias alone. The duration is not a condition that guidance may drop: the field has to know how
-long the motion lasts, so both passes of Eq. 6 see it (`nerm.conditions`).
+The null condition is a zero mask, as in the paper: the embedding of the text or action is replaced by zeros, so that
+its token is the projection's bias alone. Guidance never drops the duration: the field needs it to decode the motion,
+so both passes of Eq. 6 see it.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ NO_ACTION = -1
 
 @dataclass(frozen=True)
 class ConditionLayout:
-    """What a denoiser can be conditioned on: the size of a text embedding and the names of the actions."""
+    """The conditions of a denoiser: the size of a text embedding and the names of the actions."""
 
     text_dimension: int
     actions: tuple[str, ...]
@@ -95,8 +95,8 @@ def guided(
 ) -> Float[Tensor, "batch latent"]:
     """r·ε(z, k, c) + (1 − r)·ε(z, k, ∅) (Eq. 6), both passes in one batch.
 
-    At a given z_k the same combination of predicted latents, or of velocities, is the same guidance. One pass is enough
-    where r is 1 or no row has a condition.
+    Valid for predicted latents and velocities too, since they are linear in ε at a given z_k. A single pass is done if
+    r is 1 or no row has a condition.
     """
     nothing_given = bool((conditions.action < 0).all()) and not bool(conditions.text.any())
     if guidance_scale == 1.0 or nothing_given:
@@ -124,7 +124,7 @@ class ConditionEmbedding(nn.Module):
         self.frequencies: Tensor
 
     def forward(self, conditions: Conditions) -> Float[Tensor, "batch 3 width"]:
-        """One token each; text is brought to a root mean square of 1 before its projection."""
+        """One token each; text embeddings are scaled to a root mean square of 1 before the projection."""
         text = self.text_in(conditions.text * conditions.text.shape[1] ** 0.5)
         known = (conditions.action >= 0)[:, None].to(text.dtype)
         action = self.actions(conditions.action.clamp(min=0)) * known

@@ -1,4 +1,4 @@
-"""From seconds to what a network reads: coordinates t, the framerate, Fourier features, attention (paper §3.1)."""
+"""Network inputs from times: coordinates t, the framerate, Fourier features, codebook attention (paper §3.1)."""
 
 import math
 
@@ -26,9 +26,9 @@ def frame_numbers(
 def distinct(
     values: Float64[torch.Tensor, "*shape"],
 ) -> tuple[Float64[torch.Tensor, "distinct"], Int64[torch.Tensor, "*shape"]]:
-    """The distinct values and, for every place, which of them it holds.
+    """The distinct values and the index of each value among them, as `torch.unique` with `return_inverse`.
 
-    Values are rounded to 2⁻⁴⁰ first, so that one instant reached through two framerates counts once.
+    Values are rounded to 2⁻⁴⁰ first, so that an instant shared by two framerates counts once.
     """
     rounded = torch.round(values * 2.0**40) / 2.0**40
     unique, inverse = torch.unique(rounded, return_inverse=True)
@@ -36,10 +36,10 @@ def distinct(
 
 
 def rounded_up(values: Float64[torch.Tensor, "distinct"]) -> Float64[torch.Tensor, "padded"]:
-    """The values, the last one repeated until there are m · 2ⁿ of them with m ≤ 16: at most an eighth more.
+    """Pad the values with the last one to a length m · 2ⁿ with m ≤ 16: at most an eighth more.
 
-    How many distinct coordinates a batch has differs from step to step, the more the higher the framerates, and
-    libraries keep what they prepare for each shape of a matrix: few shapes make a step's memory the same at all rates.
+    The number of distinct coordinates differs from step to step, and libraries cache their plans per matrix shape: few
+    shapes keep a step's memory the same at all framerates.
     """
     count = len(values)
     step = 1 << max(0, (count - 1).bit_length() - 4)
@@ -89,7 +89,7 @@ class AttentionBlock(nn.Module):
     def forward(
         self, tokens: Float[torch.Tensor, "tokens width"], context: Float[torch.Tensor, "context width"]
     ) -> Float[torch.Tensor, "tokens width"]:
-        """The tokens, enriched by the context."""
+        """The tokens after attention to the context."""
         keys, values = self.keys_values(self.norm_context(context)).chunk(2, dim=-1)
         heads = [
             each.unflatten(-1, (self.heads, -1)).transpose(0, 1).unsqueeze(0)
@@ -102,7 +102,7 @@ class AttentionBlock(nn.Module):
 
 
 class CodebookCoordinateAttention(nn.Module):
-    """γ(t) → γ(t) + what it finds among the prototypes.
+    """γ(t) → γ(t) + attention over the prototypes.
 
     `codebook` [N, d] is a buffer: it is frozen and travels with the weights. `width` must equal that of γ(t).
     """
@@ -121,7 +121,7 @@ class CodebookCoordinateAttention(nn.Module):
         self.to_prototypes = AttentionBlock(width, heads)
 
     def prototypes(self) -> Float[torch.Tensor, "queries width"]:
-        """The queries after attending to the codebook and to one another."""
+        """The queries after cross-attention to the codebook and self-attention."""
         tokens: torch.Tensor = self.to_codebook(self.query_embeddings, self.project_codes(self.codebook))
         for block in self.refine:
             tokens = block(tokens, tokens)

@@ -1,6 +1,6 @@
-"""NeRM as other packages find it: a generative model (`motionkit.models`) and a motion encoder (`motionkit.encoders`).
+"""Entry points of NeRM: a generative model (`motionkit.models`) and a motion encoder (`motionkit.encoders`).
 
-Nothing heavy is imported before something is loaded.
+Heavy imports are deferred until one is loaded.
 """
 
 from motionkit.complete.encoders import EncoderLoader

@@ -26,7 +26,7 @@ from motionkit.training.precision import resolve_device
 from motionkit.training.run import RunError, RunFolder
 from motionkit.training.text import TextEncoder, load_text_encoder
 from nerm.conditions import Conditions, unit_rows
-from nerm.denoiser.constrained import sample_held
+from nerm.denoiser.constrained import sample_constrained
 from nerm.denoiser.trained import TrainedDenoiser, load_denoiser
 from nerm.field.trained import TrainedField, load_field
 from nerm.names import row_name
@@ -60,7 +60,7 @@ class LatentField(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class NermModel:
-    """A `motionkit.generate.models.GenerativeModel`: a trained field and a denoiser; `name` is that of its rows."""
+    """A `motionkit.generate.models.GenerativeModel`: a trained field and a denoiser; `name` is its row in tables."""
 
     field: LatentField
     denoiser: TrainedDenoiser
@@ -68,7 +68,7 @@ class NermModel:
 
     @property
     def skeleton(self) -> Skeleton:
-        """The field's: the 22-joint layout, or SMPL's joints where it has learnt rotations."""
+        """The field's skeleton: the 22-joint layout, or SMPL's joints if it has learnt rotations."""
         return self.field.skeleton
 
     @property
@@ -83,9 +83,9 @@ class NermModel:
 
     @cached_property
     def text_encoder(self) -> TextEncoder:
-        """The encoder it was trained with, loaded when the first text comes.
+        """The encoder it was trained with, loaded on first use.
 
-        Raises `UsageError` where it was trained without texts, `RunError` where the encoder's weights have changed.
+        Raises `UsageError` if it was trained without texts, `RunError` if the encoder's weights have changed.
         """
         if not self.denoiser.text_fingerprint:
             raise UsageError(NO_TEXTS)
@@ -105,10 +105,10 @@ class NermModel:
         sampling: SamplingOptions = SamplingOptions(),
         first: int = 0,
     ) -> list[MotionField]:
-        """One field per request, in order; request i follows from (seed, `first` + i) and itself alone.
+        """One field per request, in order; field i depends on (seed, `first` + i) and request i alone.
 
-        Raises `UsageError` for a duration outside (0, l_max], an unknown action, a text alone where it was trained
-        without texts, sampling options that there are not, or constraints that it cannot follow.
+        Raises `UsageError` for a duration outside (0, l_max], an unknown action, a text without an action if it was
+        trained without texts, unsupported sampling options, or constraints that it cannot follow.
         """
         if not requests:
             return []
@@ -125,7 +125,7 @@ class NermModel:
         if not any(request.constraints for request in requests):
             latents = self.denoiser.sample(conditions, seed=seed, sampling=sampling, first=first)
             return [self.field.as_motion_field(*drawn) for drawn in zip(latents, durations, strict=True)]
-        # One by one, so that a motion doesn't depend on how many are asked for together.
+        # One by one, so that a motion doesn't depend on the batch.
         assert isinstance(self.field, TrainedField)
         made: list[MotionField] = []
         for row, request in enumerate(requests):
@@ -134,7 +134,7 @@ class NermModel:
                 latent = self.denoiser.sample(own, seed=seed, sampling=sampling, first=first + row)[0]
                 made.append(self.field.as_motion_field(latent, durations[row]))
                 continue
-            held = sample_held(
+            held = sample_constrained(
                 *(self.denoiser, self.field, own, request.constraints),
                 seed=seed,
                 number=first + row,
@@ -149,19 +149,19 @@ class NermModel:
 
     @property
     def constraint_kinds(self) -> frozenset[ConstraintKind]:
-        """All, where its field's joints are a differentiable function of the latent at each instant; else none."""
+        """All kinds if the field's joints are a differentiable function of the latent at each instant; else none."""
         return KINDS if isinstance(self.field, TrainedField) and self.field.has_joints else frozenset()
 
     def check(self, request: GenerationRequest, sampling: SamplingOptions = SamplingOptions()) -> None:
-        """Raise `UsageError` for a duration outside (0, l_max], an unknown action, a text where it knows no texts, or
-        sampling options that there are not."""
+        """Raise `UsageError` for a duration outside (0, l_max], an unknown action, a text if it was trained without
+        texts, or unsupported sampling options."""
         self.denoiser.with_sampling(sampling)
         check_constraints(self, request)
         seconds = request.duration_seconds
         if seconds is not None and not 0 < seconds <= self.max_duration_seconds + 1e-9:
             raise UsageError(
-                f"{seconds:g} s is outside what one generation covers: more than 0 and up to "
-                f"{self.max_duration_seconds:g} s (the longest motion this model was trained on)"
+                f"this model generates more than 0 and up to {self.max_duration_seconds:g} s (its longest training "
+                f"window), not {seconds:g} s"
             )
         if not self._uses_text(request):
             self.denoiser.layout.action_index(request.action)
@@ -176,7 +176,7 @@ class NermModel:
         return bool(request.text) and (bool(self.denoiser.text_fingerprint) or not request.action)
 
     def _durations(self, requests: Sequence[GenerationRequest], seed: int, first: int) -> list[float]:
-        """Seconds of each request, drawn from the training windows' where none are asked for."""
+        """Seconds of each request, drawn from the training windows' if the request has none."""
         drawn = self.denoiser.draw_durations(len(requests), seed=seed, first=first) * self.max_duration_seconds
         return [
             float(own) if request.duration_seconds is None else float(request.duration_seconds)
@@ -200,7 +200,7 @@ RATES = (Fraction(20), Fraction(30), Fraction(60), Fraction(120))
 
 @dataclass(frozen=True)
 class FramerateShift:
-    """Distances of joints between answers at two framerates: mean and largest over pairs, instants, joints, motions."""
+    """Distances of joints between decodings at two framerates: mean and maximum over all pairs, instants and joints."""
 
     rates: tuple[Fraction, ...]
     mean_mm: float
@@ -220,13 +220,13 @@ class FramerateShift:
 
 
 def common_fps(rates: Sequence[Fraction]) -> Fraction:
-    """The framerate whose instants are those that all `rates` have in common: their greatest common divisor."""
+    """The framerate of the instants that all `rates` share: their greatest common divisor."""
     denominator = math.lcm(*(rate.denominator for rate in rates))
     return Fraction(math.gcd(*(int(rate * denominator) for rate in rates)), denominator)
 
 
 def framerate_shift(fields: Iterable[MotionField], rates: Sequence[Fraction] = RATES) -> FramerateShift:
-    """How far joints move between `rates`; a field that doesn't know of framerates moves by nothing.
+    """How far joints move between `rates`; 0 for a field that ignores the framerate.
 
     Raises `ValueError` for fewer than two rates or no field.
     """
@@ -250,9 +250,9 @@ def framerate_shift(fields: Iterable[MotionField], rates: Sequence[Fraction] = R
 
 
 def load(run: Path) -> NermModel:
-    """Load a run's field and denoiser (entry point `nerm` of `motionkit.models`), onto a GPU where there is one.
+    """Load a run's field and denoiser (entry point `nerm` of `motionkit.models`), onto a GPU if there is one.
 
-    Raises `RunError` where a stage is missing, or where the field was trained again after the denoiser.
+    Raises `RunError` if a stage is missing, or if the field was trained again after the denoiser.
     """
     folder = RunFolder(run)
     device = resolve_device("auto")

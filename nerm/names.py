@@ -1,4 +1,4 @@
-"""What rows of NeRM are called in tables: by the settings that it was trained with, not by the recipe's name."""
+"""Names of NeRM's rows in tables: by its training settings, not by the recipe's name."""
 
 from motionkit.training.config import ConfigLike, flatten
 from nerm.settings import DenoiserConfig, FieldConfig
@@ -7,8 +7,8 @@ LOCAL = "NeRM, local latents (ours)"
 PUBLISHED = "NeRM as published"
 OTHERWISE = "NeRM, global latent (our settings)"
 
-# What the paper leaves to whoever trains: the data, the texts' encoder, how long, on what machine. NeRM-fixed is the
-# paper's own.
+# Settings that the paper leaves open: data, text encoder, duration of the training, machine. NeRM-fixed is in the
+# paper.
 _FREE = (
     *("where", "pose_vectors", "windows.", "clips.fixed_fps", "conditions.text_", "conditions.action_share"),
     *("schedule.steps", "schedule.epochs", "schedule.batch_size", "precision", "compile"),
@@ -16,7 +16,7 @@ _FREE = (
 
 
 def row_name(field: FieldConfig, denoiser: DenoiserConfig | None = None) -> str:
-    """The name of a row; "as published" where every setting that the paper has or that is decided for it is its own."""
+    """The name of a row; "as published" if every setting that the paper determines is the paper's."""
     if field.latents.layout == "local":
         return LOCAL
     published = field.pose_vectors in ("native", "rotations") and _differs_freely(field, FieldConfig())

@@ -1,5 +1,5 @@
-"""NeRM's named recipes: `paper` (the paper's figures), `base` (an hour on a GPU), `small` (an hour and a half on two
-cores), `nano` and `demo` (minutes there); what their settings mean stands in `nerm/settings.py`.
+"""NeRM's recipes: `paper` (the paper's settings), `base` (an hour on a GPU), `small` (an hour and a half on two
+cores), `nano` and `demo` (minutes there). `nerm/settings.py` documents the settings.
 """
 
 from collections.abc import Callable
@@ -38,9 +38,9 @@ class NermConfig:
 
 
 def paper() -> NermConfig:
-    """The paper's figures (§3, B.1, D) and its 263 numbers; where it is silent, what ../docs/deviations.md says.
+    """The paper's settings (§3, B.1, D) and its 263 numbers; where it is silent, those of docs/deviations.md.
 
-    Its action task (§4.2, A) is field.pose_vectors=rotations and denoiser.conditions.text_encoder=none besides.
+    Its action task (§4.2, A) needs field.pose_vectors=rotations and denoiser.conditions.text_encoder=none too.
     """
     return NermConfig(
         field=FieldConfig(pose_vectors="native"),
@@ -49,7 +49,7 @@ def paper() -> NermConfig:
 
 
 def nano() -> NermConfig:
-    """Two CPU cores and minutes: smaller networks, local latents, the settings that docs/results measured."""
+    """Minutes on two CPU cores: smaller networks, local latents, the settings measured in docs/results."""
     return NermConfig(
         codebook=CodebookConfig(
             network=CodebookNetworkConfig(width=128, code_dimension=128, num_codes=256),
@@ -61,7 +61,7 @@ def nano() -> NermConfig:
 
 
 def small() -> NermConfig:
-    """Two CPU cores and an hour and a half: `nano` with mirrored windows, a wider denoiser and more steps."""
+    """An hour and a half on two CPU cores: `nano` with mirrored windows, a wider denoiser and more steps."""
     field, denoiser = nano().field, nano().denoiser
     return replace(
         nano(),
@@ -80,7 +80,7 @@ def small() -> NermConfig:
 
 
 def base() -> NermConfig:
-    """One GPU of the H100's kind for an hour: `nano` at the paper's widths; docs/nerm.md counts the FLOPs."""
+    """An hour on an H100: `nano` at the paper's widths; docs/nerm.md counts the FLOPs."""
     field, denoiser = nano().field, nano().denoiser
     return NermConfig(
         codebook=CodebookConfig(schedule=CodebookScheduleConfig(steps=20_000, drop_at=13_000), precision="auto"),
@@ -138,8 +138,7 @@ def _local_field(*, steps: int, stride_seconds: float = 2.0) -> FieldConfig:
             batch_size=256,
             learning_rate=8e-3,
             kind="cosine",
-            # At full rate the first steps undo the start from the linear model, which the next hundred have to win
-            # back.
+            # At full learning rate the first steps undo the linear initialisation; recovering it takes a hundred.
             warmup_fraction=0.05,
         ),
         optimizer=FieldOptimizerConfig(attention_learning_rate=1e-3, latent_learning_rate=1e-2, weight_decay=0.0),

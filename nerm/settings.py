@@ -13,8 +13,8 @@ from motionkit.training.diffusion.settings import DiffusionConfig
 
 @dataclass(frozen=True)
 class CodebookNetworkConfig:
-    """Sizes of the VQ-VAE; codes are moving averages of decay `ema_decay`, and one whose averaged count falls under
-    `reset_below` is drawn again."""
+    """Sizes of the VQ-VAE; codes are moving averages of decay `ema_decay`, and one whose averaged count falls below
+    `reset_below` is reset."""
 
     width: int = 512
     code_dimension: int = 512
@@ -26,7 +26,7 @@ class CodebookNetworkConfig:
 
 @dataclass(frozen=True)
 class CodebookLossConfig:
-    """Weights of the error of the joint positions and of the commitment, beside that of all numbers."""
+    """Weights of the joint position error and of the commitment loss, relative to the reconstruction error."""
 
     position_weight: float = 0.5
     commitment_weight: float = 0.02
@@ -34,7 +34,7 @@ class CodebookLossConfig:
 
 @dataclass(frozen=True)
 class CodebookScheduleConfig:
-    """Steps, windows a step, and the learning rate, which is multiplied by `drop` at step `drop_at`."""
+    """Steps, windows per step, and the learning rate, which is multiplied by `drop` at step `drop_at`."""
 
     steps: int = 300_000
     batch_size: int = 256
@@ -49,7 +49,7 @@ class CodebookScheduleConfig:
 
 @dataclass(frozen=True)
 class PublishedConfig:
-    """`weights`: T2M-GPT's own checkpoint, which is then taken instead of trained, whatever the sizes here;
+    """`weights`: T2M-GPT's own checkpoint, used instead of training; overrides the sizes here.
     `statistics`: the folder of its mean.npy and std.npy (the evaluator's), which the field doesn't need."""
 
     weights: str = ""
@@ -102,11 +102,11 @@ class WindowsConfig:
 
 @dataclass(frozen=True)
 class ClipsConfig:
-    """Which poses of a window a step draws.
+    """Which poses of a window a training step samples.
 
-    During the first `warmup_fraction` of the steps they are taken at `warmup_fps`, then at native framerates or whole
-    fractions of them down to `lowest_fps`. `fixed_fps` is Table 1's "NeRM-fixed": every pose of the training is taken
-    at that framerate (an integer, a decimal or a fraction such as 30000/1001), and slower sequences are left out.
+    During the first `warmup_fraction` of the steps poses are sampled at `warmup_fps`, then at native framerates or
+    integer fractions of them down to `lowest_fps`. `fixed_fps` is Table 1's "NeRM-fixed": all poses are sampled at that
+    framerate (an integer, a decimal or a fraction such as 30000/1001), and slower sequences are dropped.
     """
 
     num_poses: int = 32
@@ -125,17 +125,17 @@ class ClipsConfig:
 
     @property
     def fixed_framerate(self) -> Fraction | None:
-        """The one framerate of the whole training, exactly; None where it is continuous-framerate training."""
+        """`fixed_fps` as an exact fraction; None for continuous-framerate training."""
         return None if self.fixed_fps is None else parse_fps(self.fixed_fps)
 
 
 @dataclass(frozen=True)
 class LatentsConfig:
-    """N(μ, Σ) of each window, of `dimension` numbers (d).
+    """Latents N(μ, Σ) of the windows, of `dimension` numbers (d).
 
     The layout `local` reads z as banks of knots along time (nerm/latents/local.py): bank i has knots[i] knots of
     knot_numbers[i] pose components each; `path_knots` knots hold the body's path (0: no such bank). `kernel`, `radius`
-    and `modes` say how knots are read. `initialisation` is the start of μ, `ridge` that of the linear model's fit.
+    and `modes` define the basis functions. `initialisation` is that of μ, `ridge` is used in the linear model's fit.
     """
 
     layout: LatentLayout = "global"
@@ -154,10 +154,12 @@ class LatentsConfig:
     def __post_init__(self) -> None:
         if self.layout == "global":
             if self.initialisation == "ridge":
-                raise ValueError("initialisation=ridge belongs to a linear model of local latents")
+                raise ValueError("initialisation=ridge needs layout=local")
             return
         if len(self.knots) != len(self.knot_numbers) or not self.knots:
-            raise ValueError(f"knots and knot_numbers name one bank each: not {self.knots} and {self.knot_numbers}")
+            raise ValueError(
+                f"knots and knot_numbers need one value per bank, not {self.knots} and {self.knot_numbers}"
+            )
         banks = zip((*self.knots, self.path_knots), (*self.knot_numbers, 3), strict=True)
         total = sum(knots * numbers for knots, numbers in banks)
         if self.dimension != total:
@@ -168,16 +170,16 @@ class LatentsConfig:
 
     @property
     def has_path(self) -> bool:
-        """Whether z holds a path of the body."""
+        """Whether z has a path bank."""
         return self.layout == "local" and self.path_knots > 0
 
 
 @dataclass(frozen=True)
 class EncoderConfig:
-    """How coordinates enter: the time encoding (`kind`) and the framerate's scale.
+    """The time encoding (`kind`) and the framerate's scale.
 
-    `raw` is t itself (Table 5's "no time encoding"), `none` no coordinate; `coordinates=frames` counts frames (Table
-    9). `num_queries`, `num_heads` and `num_layers` are those of the attention to the codebook (CCA).
+    `raw` is t itself (Table 5's "no time encoding"), `none` no coordinate; `coordinates=frames` uses frame numbers
+    (Table 9). `num_queries`, `num_heads` and `num_layers` belong to the codebook-coordinate attention (CCA).
     """
 
     kind: TimeEncoding = "codebook"
@@ -191,7 +193,7 @@ class EncoderConfig:
 
     @property
     def query_width(self) -> int:
-        """Width of CCA's queries: that of γ(t), which its output joins by addition (the paper's 128 for R = 64)."""
+        """Width of CCA's queries: that of γ(t), to which its output is added (the paper's 128 for R = 64)."""
         return 2 * self.num_frequencies
 
 
@@ -199,7 +201,7 @@ class EncoderConfig:
 class DecoderConfig:
     """The network from a latent and a coordinate to a pose; a transformer has as many heads as the encoder.
 
-    With `linear_path` it begins as the linear model that local latents are fitted with.
+    With `linear_path` it is initialised as the linear model of the local latents.
     """
 
     kind: Literal["mlp", "transformer"] = "mlp"
@@ -211,7 +213,7 @@ class DecoderConfig:
 
 @dataclass(frozen=True)
 class FieldLossConfig:
-    """The weight of the KL term, and the scale in which errors of poses are squared (`measure_scaling`)."""
+    """The weight of the KL term, and the scaling of pose errors (`measure_scaling`)."""
 
     kl_weight: float = 1e-4
     scaling: Literal["number", "group"] = "number"
@@ -222,8 +224,7 @@ class FieldLossConfig:
 class ContactsConfig:
     """Contact as an output of the field (`nerm.field.contact`), trained after it in `steps` steps; 0: no such output.
 
-    It is read of knots, so there is none with latents of the layout global. Latents get noise of up to `noise`
-    deviations of the numbers that the denoiser works on.
+    It needs local latents. Latents get noise of up to `noise` standard deviations of the denoiser's space.
     """
 
     steps: int = 0
@@ -240,7 +241,7 @@ class ContactsConfig:
 
 @dataclass(frozen=True)
 class FieldOptimizerConfig:
-    """What AdamW has besides the schedule's learning rate: those of attention and of the latents (μ and log Σ)."""
+    """Further learning rates of AdamW: for attention and for the latents (μ and log Σ)."""
 
     attention_learning_rate: float = 1e-4
     latent_learning_rate: float = 1e-4
@@ -251,8 +252,8 @@ class FieldOptimizerConfig:
 class FieldConfig:
     """The variational implicit representation (paper §3.1, B, D); lengths in seconds, rates in frames a second.
 
-    `pose_vectors` is what is learnt at each instant (motionkit/clips/pose_vectors/): positions, the published 263
-    numbers, SMPL's rotations.
+    `pose_vectors` is the representation of a pose (motionkit/clips/pose_vectors/): positions, the published 263
+    numbers, or SMPL's rotations.
     """
 
     where: str = "split = 'train'"
@@ -287,16 +288,18 @@ class FieldConfig:
     def __post_init__(self) -> None:
         latents = self.latents
         if latents.layout == "local" and self.encoder.coordinates == "frames":
-            raise ValueError("knots lie at normalised coordinates: frame numbers (Table 9) need latents.layout=global")
+            raise ValueError(
+                "local latents need normalised coordinates: frame numbers (Table 9) need latents.layout=global"
+            )
         if latents.layout == "global" and self.decoder.linear_path:
-            raise ValueError("decoder.linear_path belongs to a linear model of local latents")
+            raise ValueError("decoder.linear_path needs latents.layout=local")
         if latents.has_path and self.pose_vectors != "field":
             raise ValueError(
-                f"a path of the body is a path of positions: pose_vectors={self.pose_vectors} needs "
-                f"latents.path_knots=0, and latents.dimension={latents.dimension - 3 * latents.path_knots} then"
+                f"a path bank needs positions: pose_vectors={self.pose_vectors} needs latents.path_knots=0 and "
+                f"latents.dimension={latents.dimension - 3 * latents.path_knots}"
             )
         if latents.has_path and self.loss.scaling != "group":
-            raise ValueError("a path of the body turns poses, so x and z need one scale: loss.scaling=group")
+            raise ValueError("a path bank rotates poses, so x and z need the same scale: loss.scaling=group")
 
 
 PathNumbers = Literal["places", "steps"]
@@ -307,8 +310,8 @@ LatentScale = Literal["number", "component"]
 class TransformerConfig:
     """Sizes of the denoiser; the defaults are the `paper` recipe's.
 
-    `latent_tokens` cuts z into that many tokens of equal size: 1 as in the paper, or more where the field reads z as
-    knots in time: z goes by time, so each token is then a stretch of the motion.
+    `latent_tokens` splits z into that many tokens of equal size: 1 as in the paper, or more with local latents, which
+    are ordered by time, so that each token is a stretch of the motion.
     """
 
     num_layers: int = 9
@@ -327,10 +330,10 @@ class TransformerConfig:
 
 @dataclass(frozen=True)
 class LatentSpaceConfig:
-    """Where the field reads z as knots (`nerm.denoiser.latent_space`).
+    """The space of the diffusion for local latents (`nerm.denoiser.latent_space`).
 
-    `path` says whether the diffusion sees the body's path as places or as the steps between them, `scale` whether each
-    number of z is standardised by itself or each component by its values at all knots.
+    `path` represents the body's path as positions or as the steps between them; `scale` standardises each number of z
+    by itself, or each component over all knots.
     """
 
     path: PathNumbers = "places"
@@ -339,13 +342,12 @@ class LatentSpaceConfig:
 
 @dataclass(frozen=True)
 class ConditionsConfig:
-    """What the denoiser is trained on.
+    """The conditions of the denoiser.
 
-    `text_encoder` is what `motionkit.training.text.load_text_encoder` takes, or "none" to train without texts;
-    `text_dimension` the size its embeddings must have (None: any). A share `drop` of the batch is trained
-    unconditionally; of the windows that have a caption and an action, `action_share` are trained on the action. Of a
-    caption as many as `paraphrases` other wordings by rule are drawn once (`motionkit.clips.paraphrases`), and half of
-    its visits are of these.
+    `text_encoder` is a name for `motionkit.training.text.load_text_encoder`, or "none" to train without texts;
+    `text_dimension` is the required size of its embeddings (None: any). Conditions are dropped with probability `drop`;
+    windows with a caption and an action get the action with probability `action_share`. Up to `paraphrases` rule-based
+    rewordings of each caption are drawn once (`motionkit.clips.paraphrases`) and stand for it in half of its uses.
     """
 
     text_encoder: str = "minilm"
@@ -364,7 +366,7 @@ class ConditionsConfig:
 
 @dataclass(frozen=True)
 class DenoiserConfig:
-    """The stage `denoiser`; its weights are averaged with a decay of `ema_decay` (0: the last ones)."""
+    """The stage `denoiser`; `ema_decay` is the decay of the weights' moving average (0: none)."""
 
     network: TransformerConfig = field(default_factory=TransformerConfig)
     diffusion: DiffusionConfig = field(default_factory=DiffusionConfig)

@@ -1,6 +1,6 @@
-"""The paper's ablations (Table 4, Figures 5 and 6) as settings over a recipe: which runs each is made of.
+"""The paper's ablations (Table 4, Figures 5 and 6) as settings over a recipe.
 
-Tables share trainings: the full model (ζ = 16, own activations, λ = 0.5, S = 3) is trained once for all three.
+They share runs: the full model (ζ = 16, own activations, λ = 0.5, S = 3) is trained once for all three.
 """
 
 from motionkit.training.ablations import Ablation, Ablations, Entry, Variant
@@ -9,11 +9,11 @@ from pahires.stage import STAGE
 
 SINES = (1, 2, 4, 8, 16, 32)
 VELOCITY_WEIGHTS = ("0", "0.1", "0.5", "1", "2")
-# N_s of each number of scales: the finest and the coarsest of the recipes' three, and what lies between.
+# N_s for each number of scales, from the recipes' finest to their coarsest.
 FRAMES_PER_SCALE = {1: (2,), 2: (2, 6), 3: (2, 6, 14), 4: (2, 6, 10, 14), 5: (2, 4, 6, 10, 14)}
 
 
-# The paper's own values, said once more: a recipe may have others.
+# The paper's own values, set explicitly since a recipe may have others.
 FULL_SETTINGS = (
     "network.num_sines=16",
     "network.shared_activation=false",

@@ -45,10 +45,10 @@ ValueAndSlope = Callable[
 def apply_by_table(
     function: ValueAndSlope, x: Float[torch.Tensor, "*n"], spacing: float, most_points: int
 ) -> Float[torch.Tensor, "*n"] | None:
-    """function(x) by cubic Hermite pieces between points `spacing` apart; None where x spans more of them than allowed.
+    """function(x) by cubic Hermite interpolation on a grid of this spacing; None if x spans more than allowed.
 
-    The grid spans the numbers that are there. Gradients are those of the piecewise function: to x by its slope, to what
-    the function depends on by summing the incoming gradient onto the pieces.
+    The grid spans the values of x. Gradients are those of the interpolant: with respect to x its slope, with respect to
+    the function's parameters by summing the incoming gradient onto the pieces.
     """
     lowest, highest = (float(end) for end in torch.aminmax(x.detach())) if x.numel() else (0.0, 0.0)
     points = (highest - lowest) / spacing + 3
@@ -71,7 +71,7 @@ class _PiecewiseCubic(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, x: torch.Tensor, pieces: torch.Tensor, start: float, spacing: float) -> torch.Tensor:
         place = ((x.float() - start) / spacing).flatten()
-        # Rounding may put the outermost numbers a hair outside.
+        # Rounding may put the outermost values just outside.
         piece = place.to(torch.int32).clamp_(0, len(pieces) - 1)
         u = place.sub_(piece)
         c0, c1, c2, c3 = pieces.index_select(0, piece).unbind(1)
@@ -100,8 +100,8 @@ class _PiecewiseCubic(torch.autograd.Function):
 
 # E σ′² of SIREN's sin(√2 …) layers under unit variance (spec: the value that keeps gradients over layers).
 SLOPE_SQUARE = 1.3
-# Most draws reach that slope with slow sines of amplitudes up to 1e5 that cancel each other almost wholly: then every
-# step of an optimiser throws the function about. Of unit variance, those up to this are a fourth of all draws.
+# Most random initialisations reach that slope with slow sines of amplitudes up to 1e5 that nearly cancel, so any
+# optimiser step changes the function wildly. A quarter of all draws stay below this amplitude at unit variance.
 LARGEST_AMPLITUDE = 3.0
 _POINTS_PER_RADIAN = 4.0
 _MOST_POINTS = 1 << 15
@@ -109,9 +109,9 @@ _FEWEST_NUMBERS = 4096
 
 
 class FourierActivation(torch.nn.Module):
-    """One scalar function with ζ amplitudes, frequencies and phases, learnt; applied to every number alike.
+    """An elementwise activation with ζ learnable amplitudes, frequencies and phases.
 
-    `offset` is the mean under N(0, 1) at initialisation, taken away so that layers start centred; it isn't learnt.
+    `offset` is its mean under N(0, 1) at initialisation, subtracted so that layers start centred; it is not learnt.
     """
 
     offset: torch.Tensor
@@ -129,7 +129,7 @@ class FourierActivation(torch.nn.Module):
         self.register_buffer("offset", torch.tensor(offset, dtype=torch.float32))
 
     def forward(self, x: Float[torch.Tensor, "*n"]) -> Float[torch.Tensor, "*n"]:
-        """σ of every number, by a table where there are many of them on a CPU."""
+        """σ elementwise; by interpolation for large inputs on a CPU."""
         if x.numel() >= _FEWEST_NUMBERS and x.device.type == "cpu":
             fastest = max(1.0, float(self.frequencies.detach().abs().max()))
             looked_up = apply_by_table(self.value_and_slope, x, 1.0 / (_POINTS_PER_RADIAN * fastest), _MOST_POINTS)
@@ -138,7 +138,7 @@ class FourierActivation(torch.nn.Module):
         return self.direct(x)
 
     def direct(self, x: Float[torch.Tensor, "*n"]) -> Float[torch.Tensor, "*n"]:
-        """σ by ζ sines for each number: the definition."""
+        """σ by its definition, with ζ sines per element."""
         total = -self.offset
         for amplitude, frequency, phase in zip(self.amplitudes, self.frequencies, self.phases, strict=True):
             total = total + amplitude * torch.sin(frequency * x + phase)
@@ -147,7 +147,7 @@ class FourierActivation(torch.nn.Module):
     def value_and_slope(
         self, x: Float32[torch.Tensor, "points"]
     ) -> tuple[Float32[torch.Tensor, "points"], Float32[torch.Tensor, "points"]]:
-        """σ and σ′ at some points."""
+        """σ and σ′ at these points."""
         angle = x[:, None] * self.frequencies + self.phases
         value = torch.sin(angle) @ self.amplitudes - self.offset
         return value, torch.cos(angle) @ (self.amplitudes * self.frequencies)
@@ -192,7 +192,7 @@ def _slope_factor(
 
 
 def _staf(num_sines: int) -> _Start:
-    """What STAF's code draws: Ω = 30·U(0, 1), Φ ~ U(−π, π), |Ψ|² ~ Laplace of b = 1 / (2ζ) (arXiv 2502.00869)."""
+    """STAF's initialisation: Ω = 30·U(0, 1), Φ ~ U(−π, π), |Ψ|² ~ Laplace of b = 1 / (2ζ) (arXiv 2502.00869)."""
     laplace = torch.distributions.Laplace(0.0, 1 / (2 * num_sines)).sample((num_sines,)).double()
     amplitudes = laplace.sign() * laplace.abs().sqrt()
     phases = math.pi * (2 * torch.rand(num_sines, dtype=torch.float64) - 1)
@@ -200,7 +200,7 @@ def _staf(num_sines: int) -> _Start:
 
 
 def _siren(num_sines: int) -> _Start:
-    """sin(x) on the first term; the others have no amplitude yet, and frequencies that they may grow at."""
+    """sin(x) as the first term; the others start with zero amplitude."""
     amplitudes = torch.zeros(num_sines, dtype=torch.float64)
     amplitudes[0] = 1.0
     frequencies = torch.cat((torch.ones(1, dtype=torch.float64), torch.linspace(0.5, 8.0, num_sines - 1).double()))

@@ -1,4 +1,4 @@
-"""PA-HiRes as other packages find it: a motion encoder (`motionkit.encoders`)."""
+"""Entry point of PA-HiRes: a motion encoder (`motionkit.encoders`)."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ NAME = "PA-HiRes"
 
 
 def load(run: Path) -> MotionEncoder:
-    """A run's trained PA-HiRes; raises `RunError` or `CheckpointError` where there is none."""
+    """Load a run's trained PA-HiRes; raises `RunError` or `CheckpointError` if there is none."""
     return load_encoder(run, STAGE.name, PaHiResConfig, make_network, NAME)
 
 

@@ -1,7 +1,7 @@
 """PA-HiRes: multi-scale temporal encoding, parametric activations, progressive cross-scale attention, one decoder.
 
-What does not depend on the query, the frames' part of every scale's encoder, is computed once for each segment between
-observed frames; a query adds its own times to it.
+The frames' part of every scale's encoder does not depend on the query: it is computed once per segment between observed
+frames, and a query adds its own times.
 """
 
 import math
@@ -15,13 +15,13 @@ from motionkit.clips.temporal.network import ObservedWindow
 from pahires.activation import FourierActivation, linear
 from pahires.recipes import NetworkSettings
 
-# Signed times enter as asinh(Δt · 30 / s): in frames near by, in octaves far away.
+# Signed times enter as asinh(Δt · 30 / s): linear in frames nearby, logarithmic far away.
 _FRAME_SECONDS = 1 / 30
 _TINY = 1e-3
 
 
 class PaHiRes(torch.nn.Module):
-    """The network of Eq. 2 to 7: a `TemporalNetwork`; `num_answers` numbers a query, or a row's."""
+    """The network of Eq. 2 to 7, a `TemporalNetwork`, with `num_answers` outputs per query (default: `num_numbers`)."""
 
     time_frequencies: torch.Tensor
 
@@ -38,13 +38,13 @@ class PaHiRes(torch.nn.Module):
         self.attentions = torch.nn.ModuleList(
             CrossScaleAttention(settings.code, settings.attention_tokens) for _ in settings.frames_per_scale[1:]
         )
-        # The decoder's first layer in two parts, of which what frames give is the same for a whole segment.
+        # The decoder's first layer in two parts; the frames' part is shared by a segment.
         self.context = linear(settings.code * len(settings.frames_per_scale), settings.hidden, settings.initialisation)
         self.when = linear(num_times, settings.hidden, settings.initialisation)
         widths = [settings.hidden] * settings.decoder_layers
         self.decoder = torch.nn.Sequential(activations.next(), *_layers(widths, settings, activations))
         self.answer = torch.nn.Linear(settings.hidden, num_answers or num_numbers)
-        # A start from no answer: the mean pose, or the interpolation as it is.
+        # Initial output zero: the mean pose, or the unchanged interpolation.
         torch.nn.init.zeros_(self.answer.weight)
         torch.nn.init.zeros_(self.answer.bias)
 
@@ -67,7 +67,7 @@ class PaHiRes(torch.nn.Module):
     def _time_features(
         self, window: ObservedWindow
     ) -> tuple[Int64[torch.Tensor, "batch queries"], Float[torch.Tensor, "batch queries times"]]:
-        """The segment of each query; the place in it as Fourier features of [−1, 1], and its length."""
+        """The segment of each query, its position in it as Fourier features of [−1, 1], and the segment's length."""
         segment, fraction = located(window)
         angle = (2 * fraction - 1)[..., None] * self.time_frequencies
         last = window.times_seconds.shape[1] - 1
@@ -97,7 +97,7 @@ class ScaleEncoder(torch.nn.Module):
     def forward(
         self, window: ObservedWindow, row: Int64[torch.Tensor, "segments"], segment: Int64[torch.Tensor, "segments"]
     ) -> Float[torch.Tensor, "segments code"]:
-        """z_s of segments, each of a window (`row`) between two of its frames."""
+        """z_s of segments between two frames of the windows `row`."""
         half = self.count // 2
         around = torch.arange(1 - half, 1 + half, device=segment.device)
         slots = (segment[:, None] + around).clamp(0, window.frames.shape[1] - 1)
@@ -115,10 +115,10 @@ class ScaleEncoder(torch.nn.Module):
 
 
 class CrossScaleAttention(torch.nn.Module):
-    """Att_s(z_s, z_{s+1}, z_{s+1}) (Eq. 5) over the tokens that codes are cut into, added to z_{s+1}.
+    """Att_s(z_s, z_{s+1}, z_{s+1}) (Eq. 5) over tokens of the codes, added to z_{s+1}.
 
-    A code is one vector, and attention over one key is no attention; so both codes are cut into tokens, and each token
-    of the finer scale asks which of the coarser one's it belongs with.
+    A code is one vector, and attention over a single key is trivial; so both codes are split into tokens, and tokens of
+    the finer scale attend to those of the coarser one.
     """
 
     def __init__(self, code: int, tokens: int) -> None:
@@ -142,7 +142,7 @@ class CrossScaleAttention(torch.nn.Module):
 
 
 class _Activations:
-    """Hands out the layers' activations: each its own, or one for all."""
+    """Creates the layers' activations: one per layer, or one shared by all."""
 
     def __init__(self, settings: NetworkSettings) -> None:
         self.settings = settings

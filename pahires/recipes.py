@@ -1,4 +1,4 @@
-"""PA-HiRes's settings and named recipes (`nano`, `base`, `paper`, `demo`); imports nothing heavy."""
+"""PA-HiRes's settings and recipes (`nano`, `base`, `paper`, `demo`); imports nothing heavy."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -38,12 +38,14 @@ class NetworkSettings:
     def __post_init__(self) -> None:
         scales = self.frames_per_scale
         if not scales or any(count < 2 or count % 2 for count in scales) or any(a >= b for a, b in pairwise(scales)):
-            raise ValueError(f"frames_per_scale are even and grow from scale to scale, such as 2,6,14, not {scales}")
+            raise ValueError(f"frames_per_scale must be even and increasing, such as 2,6,14, not {scales}")
         if self.code % self.attention_tokens:
-            raise ValueError(f"attention_tokens must divide code, and {self.attention_tokens} not {self.code}")
+            raise ValueError(
+                f"attention_tokens must divide code, but {self.attention_tokens} does not divide {self.code}"
+            )
         for name in ("code", "encoder_layers", "hidden", "decoder_layers", "num_sines", "time_features"):
             if getattr(self, name) < 1:
-                raise ValueError(f"{name} is 1 at least, not {getattr(self, name)}")
+                raise ValueError(f"{name} must be 1 or more, not {getattr(self, name)}")
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ class PaHiResConfig:
 
 
 def paper() -> PaHiResConfig:
-    """The paper's figures (§4.1), with what ../docs/deviations.md says where it is silent."""
+    """The paper's settings (§4.1); where it is silent, those of docs/deviations.md."""
     return PaHiResConfig(
         network=NetworkSettings(code=256, embedding=128),
         training=TemporalSettings(schedule=Schedule(epochs=1000, batch_size=256, learning_rate=1e-4, kind="steps")),
@@ -63,18 +65,18 @@ def paper() -> PaHiResConfig:
 
 
 def nano() -> PaHiResConfig:
-    """One CPU core, a quarter of an hour: every task, corrections of an interpolation that leave given frames alone."""
+    """A quarter of an hour on one CPU core: all tasks, as corrections to an interpolation that keep given frames."""
     network = NetworkSettings(code=96, hidden=192, decoder_layers=4)
     return PaHiResConfig(network, _with_steps(_with_curves(nano_training()), 12_000))
 
 
 def base() -> PaHiResConfig:
-    """One GPU of the H100's kind for an hour: `nano` at the paper's widths."""
+    """An hour on an H100: `nano` at the paper's widths."""
     return PaHiResConfig(network=NetworkSettings(code=256, embedding=128), training=_with_curves(base_training()))
 
 
 def _with_curves(training: TemporalSettings) -> TemporalSettings:
-    """What PA-HiRes alone has: weights of other curves, and corrections sized by the motion."""
+    """PA-HiRes' additions: weights of other curves, and corrections scaled by the motion."""
     return replace(
         training,
         answer=replace(training.answer, sizing="motion", blended=("catmull-rom", "linear")),

@@ -1,4 +1,4 @@
-"""A-LIIF and LMF in one dimension: LIIF whose MLP is mixed from a few, or modulated."""
+"""A-LIIF and LMF in one dimension: LIIF with an MLP that is a mixture of a few, or modulated."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -14,7 +14,7 @@ from peers.settings import ALiifNetworkConfig, LmfNetworkConfig
 
 
 class ALiif(nn.Module):
-    """A-LIIF (Li et al. 2022; LeeHW-THU/A-LIIF) over time: an expansion network says how basis MLPs are mixed.
+    """A-LIIF (Li et al. 2022; LeeHW-THU/A-LIIF) over time: an expansion network weights the basis MLPs.
 
     Its coefficients have unit L2 norm and mix weights and biases of all layers alike. Everything else is LIIF's.
     """
@@ -37,14 +37,14 @@ class ALiif(nn.Module):
         return torch.sum(near.weights[..., None] * answers, dim=0)
 
     def coefficients(self, inputs: Float[Tensor, "*some inputs"]) -> Float[Tensor, "*some basis"]:
-        """How much of each basis MLP there is, of unit L2 norm (the authors' code; the paper says nothing of it)."""
+        """Weights of the basis MLPs, of unit L2 norm (as in the authors' code; not in the paper)."""
         return normalize(self.expansion(inputs), dim=-1)
 
 
 class MixedMlp(nn.Module):
     """An MLP with the weights Σ_k c_k·W_k and the biases Σ_k c_k·b_k in every layer, c given with each input.
 
-    All W_k are applied and their results mixed, which is the same and makes no matrix for each instant.
+    Equivalently all W_k are applied and their outputs mixed, so no matrix is built per instant.
     """
 
     def __init__(self, inputs: int, hidden: Sequence[int], outputs: int, basis: int) -> None:
@@ -56,7 +56,7 @@ class MixedMlp(nn.Module):
     def forward(
         self, inputs: Float[Tensor, "*some inputs"], coefficients: Float[Tensor, "*some basis"]
     ) -> Float[Tensor, "*some outputs"]:
-        """The mixed network's answers."""
+        """The mixed network's outputs."""
         hidden = self._mixed(self.layers[0], inputs, coefficients)
         for layer in list(self.layers)[1:]:
             hidden = self._mixed(layer, torch.relu(hidden), coefficients)
@@ -70,9 +70,9 @@ class MixedMlp(nn.Module):
 class Lmf(nn.Module):
     """LMF on LIIF (He & Jin 2024; HeZongyao/LMF) over time.
 
-    A latent MLP emits for each frame the scales and shifts of the render MLP's layers and its small latent; the render
+    Per frame a latent MLP predicts scales and shifts of the render MLP's layers and its small latent; the render
     MLP takes latent, relative time and cell, with x ← x·(1 + scale) + shift before each ReLU; two neighbours are mixed
-    as LIIF does. Beyond the largest scale of the training both MLPs are given that scale's cell.
+    as LIIF does. Beyond the largest scale of the training both MLPs get that scale's cell.
     """
 
     def __init__(self, config: LmfNetworkConfig, numbers: int) -> None:

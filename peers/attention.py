@@ -1,4 +1,4 @@
-"""Transformer encoder layers whose attention knows the signed distance in time between any two rows."""
+"""Transformer encoder layers with attention relative to the signed distance in time between rows."""
 
 import math
 from dataclasses import dataclass
@@ -15,11 +15,11 @@ STEPS_A_FRAME = 1000
 
 @dataclass(frozen=True, eq=False)
 class Distances:
-    """Learned vectors of whole distances, and which two of them each pair of row and key lies between.
+    """A table of learned vectors for whole distances, and each pair's position between two of them.
 
-    A pair at `below` + `share` has the mixture of both vectors: at whole distances, which a frame-based model knows
-    alone, it is the learned one, and where all pairs are at such the second is not looked up. The table is small, where
-    a vector for each pair would be most of the work.
+    A pair at `below` + `share` gets the linear interpolation of both vectors. At whole distances, as in a frame-based
+    model, that is the learned vector; if all pairs are at such, the second is not looked up. The table is small; a
+    vector per pair would dominate the cost.
     """
 
     table: Float[Tensor, "distances head_width"]
@@ -55,7 +55,7 @@ class RelativeAttention(nn.Module):
         distances: Distances,
         visible: Bool[Tensor, "batch keys"],
     ) -> Float[Tensor, "batch rows width"]:
-        """What each row takes from the keys that are visible."""
+        """Attention of each row over the visible keys."""
         query, key, value = (
             layer(what).unflatten(-1, (self.heads, -1)).transpose(1, 2)
             for layer, what in ((self.query, rows), (self.key, keys), (self.value, keys))
@@ -109,9 +109,9 @@ class RelativeEncoder(nn.Module):
         visible: Bool[Tensor, "batch keys"],
         added: Float[Tensor, "batch rows width"] | None = None,
     ) -> Float[Tensor, "batch rows outputs"]:
-        """An answer for each row; the first rows, as many as `visible` is long, are what all attend to.
+        """An output per row; the first rows, as many as `visible` is long, are the keys that all attend to.
 
-        A row's answer depends on itself and on the keys, not on other rows. `added` is added after the input MLP.
+        A row's output depends on itself and the keys, not on other rows. `added` is added after the input MLP.
         """
         num_keys = visible.shape[1]
         rows = self.enter(inputs)
@@ -119,14 +119,14 @@ class RelativeEncoder(nn.Module):
         distances = self._distances(positions[:, None, :num_keys] - positions[:, :, None])
         for layer in self.layers:
             rows = layer(rows, num_keys, distances, visible)
-        answers: Tensor = self.leave(self.norm(rows))
-        return answers
+        outputs: Tensor = self.leave(self.norm(rows))
+        return outputs
 
     def _distances(self, apart: Float[Tensor, "batch rows keys"]) -> Distances:
         """Distances in frames, and the learned vectors of all whole ones up to the farthest."""
         farthest = int(apart.detach().abs().max().ceil()) + 1
         whole = torch.arange(-farthest, farthest + 1, device=apart.device, dtype=apart.dtype)
-        # Times are rounded, so a distance that is almost whole is.
+        # Times are rounded: an almost whole distance is whole.
         apart = torch.round(apart * STEPS_A_FRAME) / STEPS_A_FRAME
         below = apart.floor()
         share = apart - below
@@ -146,10 +146,10 @@ class Gap:
 
 
 def longest_gap(window: ObservedWindow) -> Gap:
-    """Where the longest gap of each window lies."""
+    """The longest gap of each window."""
     times = window.times_seconds
     last = times.shape[1] - 1
-    # A rounding of times must not decide which of equal gaps is taken: frames are milliseconds apart.
+    # Rounding of times must not decide between equal gaps: frames are milliseconds apart.
     gaps = torch.round(torch.diff(times, dim=1, append=times[:, -1:]) * 1e4)
     before = torch.argmax(gaps, dim=1)
     after = (before + 1).clamp(max=last)

@@ -1,4 +1,4 @@
-"""Δ-Interp: given frames attend to each other, missing ones to the given, all relative to the last frame known."""
+"""Δ-Interp: given frames attend to each other, missing ones to the given, all relative to the last given frame."""
 
 import torch
 from jaxtyping import Float
@@ -14,8 +14,8 @@ class DeltaInterp(nn.Module):
 
     Given frames enter relative to the last one before the gap, missing ones as zeros, both with learned embeddings of
     their position and of the gap's length. Every block has one attention and one residual MLP for both: the given
-    frames attend to themselves, the missing ones to the given. The answer is meant as a correction of an interpolation
-    (the `residual` setting of the training). A time between two frames has the mixture of their embeddings.
+    frames attend to themselves, the missing ones to the given. The output is meant as a correction to an interpolation
+    (the `residual` setting of the training). A time between two frames gets their interpolated embedding.
     """
 
     def __init__(self, config: DeltaInterpNetworkConfig, numbers: int) -> None:
@@ -48,12 +48,12 @@ class DeltaInterp(nn.Module):
         for block in self.blocks:
             given = block(given, given)
             missing = block(missing, given)
-        answers: Tensor = self.output(missing)
-        return answers
+        outputs: Tensor = self.output(missing)
+        return outputs
 
 
 class PositionTable(nn.Module):
-    """A learned vector for each whole position; between two of them their mixture, outside the table its end."""
+    """A learned vector per whole position, interpolated linearly in between and clamped outside the table."""
 
     def __init__(self, positions: int, numbers: int) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""What the one-dimensional networks share: the EDSR-baseline encoder, local MLPs, neighbouring frames."""
+"""Shared layers of the one-dimensional networks: the EDSR-baseline encoder, local MLPs, neighbouring frames."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,10 +14,10 @@ KERNEL = 3
 
 
 class EdsrEncoder(nn.Module):
-    """One feature vector a frame: head, `blocks` residual blocks, tail, and the head's output added (EDSR, Lim 2017).
+    """One feature vector per frame: head, `blocks` residual blocks, tail, and a skip from the head (EDSR, Lim 2017).
 
-    As in EDSR-baseline there is no normalisation and no scaling of residuals. Ends are padded by replication, since a
-    pose of zeros is no pose; images are padded with zeros.
+    As in EDSR-baseline, without normalisation or residual scaling. Padding is by replication, since zeros are not a
+    valid pose; EDSR pads images with zeros.
     """
 
     def __init__(self, numbers: int, features: int, blocks: int) -> None:
@@ -68,9 +68,9 @@ def mlp(inputs: int, hidden: Sequence[int], outputs: int) -> nn.Sequential:
     return nn.Sequential(*layers, nn.Linear(widths[-1], outputs))
 
 
-# An instant this close to a frame, in frames, is that frame: times are rounded.
+# An instant this close to a frame, in frames, counts as that frame: times are rounded.
 SNAP_FRAMES = 1e-4
-# Every s-th real frame, s not whole, has gaps of ⌊s⌋ and ⌈s⌉; and times are rounded.
+# Every s-th frame, s not whole, gives gaps of ⌊s⌋ and ⌈s⌉; and times are rounded.
 LARGEST_GAP_RATIO = 2.01
 
 
@@ -90,23 +90,23 @@ class Neighbours:
 
 
 def even_neighbours(window: ObservedWindow) -> Neighbours:
-    """Both neighbours of each query of windows whose frames lie on a grid; raises `ValueError` where they do not.
+    """Both neighbours of each query in windows of evenly spaced frames; raises `ValueError` for others.
 
-    Convolutions know frames by their number only. Gaps may differ by a factor of two, as those of every 1.2-th frame.
+    Convolutions only see frame indices. Gaps may differ by a factor of two, as those of every 1.2-th frame do.
     """
     gaps = torch.diff(window.times_seconds, dim=1)
     if gaps.numel() and float((gaps.amax(dim=1) / gaps.amin(dim=1)).max()) > LARGEST_GAP_RATIO:
         worst = int(torch.argmax(gaps.amax(dim=1) / gaps.amin(dim=1)))
         raise ValueError(
-            f"this model needs frames at even times, but gaps between those given go from "
-            f"{float(gaps[worst].min()):.4f} to {float(gaps[worst].max()):.4f} s: give it frames of one framerate, or "
-            f"take a model that knows their times (pahires, delta-interp, ts-former)"
+            f"this model needs evenly spaced frames, but the gaps between those given range from "
+            f"{float(gaps[worst].min()):.4f} to {float(gaps[worst].max()):.4f} s: use frames of one framerate, or "
+            f"a model that reads their times (pahires, delta-interp, ts-former)"
         )
     return neighbours(window)
 
 
 def neighbours(window: ObservedWindow) -> Neighbours:
-    """Both neighbours of each query of a window; a single frame's spacing is that of the queries."""
+    """Both neighbours of each query; with a single frame the spacing is the queries'."""
     times, queries = window.times_seconds, window.queries_seconds
     last = times.shape[1] - 1
     spacing = frame_spacing_seconds(window)
@@ -124,7 +124,7 @@ def neighbours(window: ObservedWindow) -> Neighbours:
 
 
 def frame_spacing_seconds(window: ObservedWindow) -> Float[Tensor, "batch"]:
-    """Mean spacing of the observed frames; of a single one the queries' spacing."""
+    """Mean spacing of the observed frames; with a single frame the queries' spacing."""
     times = window.times_seconds
     if times.shape[1] == 1:
         return window.query_spacing_seconds
@@ -134,7 +134,7 @@ def frame_spacing_seconds(window: ObservedWindow) -> Float[Tensor, "batch"]:
 def gathered(
     codes: Float[Tensor, "batch frames features"], rows: Int[Tensor, "*two batch queries"]
 ) -> Float[Tensor, "*two batch queries features"]:
-    """The code of each of these rows."""
+    """Gather the codes of these rows."""
     batch = torch.arange(codes.shape[0], device=codes.device)[:, None]
     return codes[batch, rows]
 
@@ -142,5 +142,5 @@ def gathered(
 def per_query(
     values: Float[Tensor, "batch"], rows: Int[Tensor, "*two batch queries"]
 ) -> Float[Tensor, "*two batch queries"]:
-    """A window's number at all its queries."""
+    """Broadcast a per-window value to its queries."""
     return values[:, None].expand(rows.shape)

@@ -1,4 +1,4 @@
-"""LIIF and Meta-SR in one dimension: local networks around each frame, asked at every instant."""
+"""LIIF and Meta-SR in one dimension: local networks around each frame, evaluated at any instant."""
 
 import torch
 from jaxtyping import Float, Int
@@ -12,8 +12,8 @@ from peers.settings import LiifNetworkConfig, MetaSrNetworkConfig
 class Liif(nn.Module):
     """LIIF (Chen et al. 2021; yinboc/liif) over time: unfolded features, relative time, relative cell → MLP → pose.
 
-    Relative time is 2·(t − t_i)/Δ and the cell 2·dt/Δ, as on LIIF's grid of [−1, 1]; the answers of both neighbours
-    are mixed by the opposite distance. Nothing is done about cells smaller than in training.
+    Relative time is 2·(t − t_i)/Δ and the cell 2·dt/Δ, as on LIIF's grid of [−1, 1]; the outputs of both neighbours
+    are weighted by the opposite distance. Cells smaller than in training get no special treatment.
     """
 
     def __init__(self, config: LiifNetworkConfig, numbers: int) -> None:
@@ -27,19 +27,19 @@ class Liif(nn.Module):
         near = even_neighbours(window)
         codes = gathered(unfolded(self.encoder(window.frames)), near.rows)
         place = torch.stack((2 * near.relative, 2 * per_query(near.cell, near.rows)), dim=-1)
-        answers = self.decoder(torch.cat((codes, place), dim=-1))
-        return torch.sum(near.weights[..., None] * answers, dim=0)
+        outputs = self.decoder(torch.cat((codes, place), dim=-1))
+        return torch.sum(near.weights[..., None] * outputs, dim=0)
 
 
-# Places nearer than this, in frames, share their weights.
+# Positions closer than this, in frames, share their weights.
 PLACES_A_FRAME = 10_000
 
 
 class MetaSr(nn.Module):
-    """Meta-SR (Hu et al. 2019, as re-implemented in yinboc/liif) over time: no ensemble, the frame before counts.
+    """Meta-SR (Hu et al. 2019, as re-implemented in yinboc/liif) over time: no ensemble, only the previous frame.
 
-    (relative time from the frame before, 1/s) → `hidden` → a matrix from unfolded features to the pose. Instants at
-    the same place between their frames share one matrix, so a batch at one scale needs few of them.
+    (relative time from the previous frame, 1/s) → `hidden` → a matrix from unfolded features to the pose. Instants at
+    the same relative time share one matrix, so a batch at one scale needs few of them.
     """
 
     def __init__(self, config: MetaSrNetworkConfig, numbers: int) -> None:
@@ -64,7 +64,7 @@ def _each_by_its_matrix(
     matrices: Float[Tensor, "places features numbers"],
     which: Int[Tensor, "queries"],
 ) -> Float[Tensor, "queries numbers"]:
-    """codes[q] @ matrices[which[q]]: queries are laid out by place, padded to the fullest, and multiplied together."""
+    """codes[q] @ matrices[which[q]]: queries are grouped by matrix, padded, and multiplied as a batch."""
     order = torch.argsort(which, stable=True)
     counts = torch.bincount(which, minlength=len(matrices))
     starts = torch.cumsum(counts, 0) - counts

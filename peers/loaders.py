@@ -1,4 +1,4 @@
-"""The peers as motion encoders, registered under `motionkit.encoders`, each for its own task; imports nothing heavy."""
+"""The peers as motion encoders for their tasks, registered under `motionkit.encoders`; imports nothing heavy."""
 
 from pathlib import Path
 

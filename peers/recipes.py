@@ -1,10 +1,10 @@
-"""The peers: a row each with what it is called, the class of its network, and its recipes. Imports nothing heavy.
+"""The peers, each with its names, the class of its network, and its recipes. Imports nothing heavy.
 
-`nano` and `base` train as PA-HiRes' recipes of these names do (windows, batch, form of the answer), each on its
-own task alone; `base` as many steps as PA-HiRes spends on it, `nano` two thirds of them. Weights of curves, and
-corrections sized by the motion, are PA-HiRes's alone. `paper` has each peer's published sizes, schedule and form.
-`base` has the published sizes too, but for widths of 16, which both make 64 (docs/pahires.md), and in-betweening for
-half the width. Networks of `nano` are small.
+`nano` and `base` train as PA-HiRes' recipes of the same names (windows, batch, form of the output), each on its own
+task alone: `base` for as many steps as PA-HiRes spends on it, `nano` for two thirds of them. Blended curves and
+corrections scaled by the motion are PA-HiRes' alone. `paper` has each peer's published sizes, schedule and form.
+`base` has the published sizes too, except that widths of 16 become 64 (docs/pahires.md) and in-betweening has half
+the width. Networks of `nano` are small.
 """
 
 from collections.abc import Callable, Mapping
@@ -41,8 +41,8 @@ if TYPE_CHECKING:
 class Peer:
     """A published method.
 
-    `name` and `order` are its stage's, `title` names its rows in tables; `network` is the class that is made of sizes,
-    as "module:Class"; `recipes` are the sizes of the network and the training, by name.
+    `name` and `order` are its stage's, `title` names its rows in tables; `network` is "module:Class", built from sizes;
+    `recipes` are the sizes of the network and the training settings, by name.
     """
 
     name: str
@@ -73,34 +73,34 @@ class Peer:
         return {name: partial(make, *parts) for name, parts in self.recipes.items()}
 
     def make_network(self, config: Any, num_numbers: int) -> "torch.nn.Module":
-        """The network for rows of so many numbers, its weights drawn from torch's generator."""
+        """Build the network for rows of `num_numbers`, initialised by torch's global generator."""
         module, _, name = self.network.partition(":")
         made: torch.nn.Module = getattr(import_module(module), name)(config.network, num_numbers)
         return made
 
 
 def _check(config: TemporalConfig) -> None:
-    """Raise `ValueError` for blended curves, whose weights no peer answers."""
+    """Raise `ValueError` for blended curves, whose weights no peer predicts."""
     if config.training.answer.curves:
-        raise ValueError("peers answer rows alone, not weights of curves: leave training.answer.blended empty")
+        raise ValueError("peers predict rows only, no weights of curves: leave training.answer.blended empty")
 
 
 def _check_on_grids(config: TemporalConfig) -> None:
-    """Raise `ValueError` for tasks whose frames lie at no even times, too."""
+    """As `_check`, and raise `ValueError` for tasks with unevenly spaced frames."""
     _check(config)
     if config.training.tasks.gap or config.training.tasks.scattered:
         raise ValueError(
-            "this model needs frames at even times: training.tasks.gap and training.tasks.scattered must be 0"
+            "this model needs evenly spaced frames: training.tasks.gap and training.tasks.scattered must be 0"
         )
 
 
-# Every s-th frame observed, s ~ U(1, 4): what Tables 1 and 2 ask. A gap in the frames: what Table 3 asks.
+# Every s-th frame observed, s ~ U(1, 4), for Tables 1 and 2; a gap in the frames for Table 3.
 INTERPOLATION = TaskSettings(interpolate=1.0, gap=0.0, scattered=0.0, extend=0.0)
 IN_BETWEENING = TaskSettings(interpolate=0.0, gap=1.0, scattered=0.0, extend=0.0)
 
 
 def _on(task: TaskSettings, training: TemporalSettings, learning_rate: float | None = None) -> TemporalSettings:
-    """Those steps of a training of all tasks that are of one task."""
+    """The part of a training on all tasks that is on one task."""
     steps, shares = training.schedule.steps, training.tasks.shares
     assert steps is not None
     kept = sum(share for share, wanted in zip(shares, task.shares, strict=True) if wanted)
@@ -158,7 +158,7 @@ PEERS = (
         "meta-sr",
         71,
         "Meta-SR",
-        "Meta-SR over time: weights for every place between frames",
+        "Meta-SR over time: predicted weights for every position between frames",
         "interpolation",
         "peers.liif:MetaSr",
         {
@@ -171,7 +171,7 @@ PEERS = (
         "a-liif",
         72,
         "A-LIIF",
-        "A-LIIF over time: LIIF with an MLP mixed at every instant",
+        "A-LIIF over time: LIIF with a mixture of MLPs at every instant",
         "interpolation",
         "peers.a_liif:ALiif",
         {
@@ -188,7 +188,7 @@ PEERS = (
         "interpolation",
         "peers.a_liif:Lmf",
         {
-            # At 1e-3 scales that multiply through six layers run away: the plain form is lost within 500 steps.
+            # At 1e-3 the scales, multiplied through six layers, diverge: the plain form fails within 500 steps.
             "nano": (LmfNetworkConfig(SMALL_ENCODER, width=FAIR_WIDTH), _on(INTERPOLATION, nano_training(), 4e-4)),
             "base": (LmfNetworkConfig(width=FAIR_WIDTH), BASE),
             "paper": (LmfNetworkConfig(), IMAGE_PAPER),

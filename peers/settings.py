@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class EdsrConfig:
-    """The shared encoder: EDSR-baseline's 16 residual blocks of 64 features (69 frames are seen)."""
+    """The shared encoder: EDSR-baseline's 16 residual blocks of 64 features (receptive field: 69 frames)."""
 
     blocks: int = 16
     features: int = 64
@@ -22,7 +22,7 @@ class LiifNetworkConfig:
 
 @dataclass(frozen=True)
 class MetaSrNetworkConfig:
-    """Meta-SR: one hidden layer before the weights."""
+    """Meta-SR: one hidden layer that predicts the weights."""
 
     encoder: EdsrConfig = field(default_factory=EdsrConfig)
     hidden: int = 256
@@ -32,7 +32,7 @@ class MetaSrNetworkConfig:
 class ALiifNetworkConfig:
     """A-LIIF: `basis` MLPs of `layers` hidden layers of `width`, and the expansion network that mixes them.
 
-    16 wide as published, for three colours; as wide as the features (64) for pose vectors of 135 numbers.
+    Published width 16, for three colour channels; 64, the width of the features, for pose vectors of 135 numbers.
     """
 
     encoder: EdsrConfig = field(default_factory=EdsrConfig)
@@ -47,8 +47,8 @@ class ALiifNetworkConfig:
 class LmfNetworkConfig:
     """LMF: a render MLP of `layers` hidden layers of `width`; `largest_scale` is the training's.
 
-    16 wide as published, for three colours; as wide as the features (64) for pose vectors of 135 numbers. The latent
-    MLP has one hidden layer of `latent_hidden`; it emits (2·layers + 1)·width numbers, 208 as published.
+    Published width 16, for three colour channels; 64, the width of the features, for pose vectors of 135 numbers. The
+    latent MLP has one hidden layer of `latent_hidden` and (2·layers + 1)·width outputs, 208 as published.
     """
 
     encoder: EdsrConfig = field(default_factory=EdsrConfig)

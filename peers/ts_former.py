@@ -17,12 +17,12 @@ _ROUNDING_FRAMES = 1e-3
 class TsFormer(nn.Module):
     """TS-Former (Qin et al. 2022, doi 10.1145/3550454.3555454; victorqin/motion_inbetweening).
 
-    Context: missing frames enter as zeros with the root on a straight line, with a mark of what is given and an
-    embedding of the distances to both ends of the gap, and attend to given frames only. Detail: given frames and the
-    drafts of all missing ones attend to each other, and its answer is added to the draft.
+    Context: missing frames enter as zeros with the root on a straight line, a flag for given frames and an embedding
+    of the distances to both ends of the gap, and attend to given frames only. Detail: given frames and the drafts of
+    all missing ones attend to each other, and its output is added to the draft.
 
-    Missing frames are those of a grid of `frames_per_second` from the window's first frame to its last; instants that
-    are asked for attend to them and are attended to by none, so an answer does not depend on what else is asked for.
+    Missing frames lie on a grid of `frames_per_second` from the window's first frame to its last. Queried instants
+    attend to them but are not attended to, so an output does not depend on the other queries.
     """
 
     def __init__(self, config: TsFormerNetworkConfig, numbers: int) -> None:
@@ -45,18 +45,18 @@ class TsFormer(nn.Module):
         """Normalised pose vectors at the queries."""
         given = window.frames.shape[1]
         grid, on_grid = missing_instants(window, self.frames_per_second)
-        asked = torch.cat((grid, window.queries_seconds), dim=1)
-        positions = self._positions(window, torch.cat((window.times_seconds, asked), dim=1))
+        instants = torch.cat((grid, window.queries_seconds), dim=1)
+        positions = self._positions(window, torch.cat((window.times_seconds, instants), dim=1))
         seen = torch.ones_like(window.times_seconds, dtype=torch.bool)
 
-        entered = _marked(torch.cat((window.frames, _placeholders(window, asked)), dim=1), given)
-        draft = self.context(entered, positions, seen, added=self._keyframe_positions(window, asked))[:, given:]
+        entered = _marked(torch.cat((window.frames, _placeholders(window, instants)), dim=1), given)
+        draft = self.context(entered, positions, seen, added=self._keyframe_positions(window, instants))[:, given:]
         refined = self.detail(
             _marked(torch.cat((window.frames, draft), dim=1), given), positions, torch.cat((seen, on_grid), dim=1)
         )
         queries = slice(grid.shape[1], None)
-        answers: Tensor = draft[:, queries] + refined[:, given:][:, queries]
-        return answers
+        outputs: Tensor = draft[:, queries] + refined[:, given:][:, queries]
+        return outputs
 
     def _positions(
         self, window: ObservedWindow, times_seconds: Float[Tensor, "batch rows"]
@@ -64,9 +64,9 @@ class TsFormer(nn.Module):
         return (times_seconds - window.times_seconds[:, :1]) * self.frames_per_second
 
     def _keyframe_positions(
-        self, window: ObservedWindow, asked_seconds: Float[Tensor, "batch asked"]
+        self, window: ObservedWindow, times_seconds: Float[Tensor, "batch instants"]
     ) -> Float[Tensor, "batch rows width"]:
-        gap, times = longest_gap(window), torch.cat((window.times_seconds, asked_seconds), dim=1)
+        gap, times = longest_gap(window), torch.cat((window.times_seconds, times_seconds), dim=1)
         ends = torch.stack((times - gap.before_seconds[:, None], gap.after_seconds[:, None] - times), dim=-1)
         embedded: Tensor = self.keyframe_position(ends * self.frames_per_second)
         return embedded
@@ -75,10 +75,10 @@ class TsFormer(nn.Module):
 def missing_instants(
     window: ObservedWindow, frames_per_second: float
 ) -> tuple[Float[Tensor, "batch grid"], Bool[Tensor, "batch grid"]]:
-    """Those instants t_0 + k/fps of each window that lie in its span and at no observed frame.
+    """The instants t_0 + k/fps of each window that lie in its span and at no observed frame.
 
-    An instant less than half a frame from an observed one counts as observed. Windows that miss fewer than others are
-    filled up with instants that are not missing; the second answer says which are.
+    An instant less than half a frame from an observed one counts as observed. Windows with fewer missing instants than
+    others are padded; the second output is the mask of missing ones.
     """
     times = window.times_seconds
     span_frames = (times[:, -1] - times[:, 0]) * frames_per_second
@@ -92,16 +92,16 @@ def missing_instants(
 
 
 def _placeholders(
-    window: ObservedWindow, asked_seconds: Float[Tensor, "batch asked"]
-) -> Float[Tensor, "batch asked numbers"]:
+    window: ObservedWindow, times_seconds: Float[Tensor, "batch instants"]
+) -> Float[Tensor, "batch instants numbers"]:
     """Zeros, with the root on straight lines between observed frames."""
-    near = neighbours(window.asked(asked_seconds))
+    near = neighbours(window.asked(times_seconds))
     lines = torch.sum(near.weights[..., None] * gathered(window.frames, near.rows), dim=0)
     root = torch.arange(lines.shape[-1], device=lines.device) < ROOT_NUMBERS
     return lines * root
 
 
 def _marked(poses: Float[Tensor, "batch rows numbers"], given: int) -> Float[Tensor, "batch rows inputs"]:
-    """The poses with a number beside them: 1 for the first `given`, which are known, 0 for the others."""
+    """Append a flag to the poses: 1 for the first `given`, which are known, 0 for the others."""
     mark = (torch.arange(poses.shape[1], device=poses.device) < given).to(poses.dtype)
     return torch.cat((poses, mark[:, None].expand(*poses.shape[:2], 1)), dim=-1)

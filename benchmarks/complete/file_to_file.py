@@ -62,11 +62,11 @@ def measure(command: list[str]) -> dict[str, float]:
     started = time.perf_counter()
     script = "import resource, subprocess, sys; subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL, "
     script += "stderr=subprocess.DEVNULL); print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)"
-    told = subprocess.run([sys.executable, "-c", script, *command], check=True, capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", script, *command], check=True, capture_output=True, text=True)
     wall = time.perf_counter() - started
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return {"wall_seconds": wall, "cpu_seconds": cpu, "peak_megabytes": int(told.stdout) / 1000}
+    return {"wall_seconds": wall, "cpu_seconds": cpu, "peak_megabytes": int(done.stdout) / 1000}
 
 
 def main() -> None:

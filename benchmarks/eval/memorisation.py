@@ -205,7 +205,7 @@ def copies(store: Store, real: RealMotion, number: int) -> dict[str, list[np.nda
 
 def judged(found: Sequence[Nearest], first: int, number: int, limits: Limits) -> dict[str, Any]:
     """What the table says of motions `first` to `first + number`."""
-    told = verdicts(found, int(max(each.motion.max() for each in found)) + 1, limits)
+    result = verdicts(found, int(max(each.motion.max() for each in found)) + 1, limits)
     some = slice(first, first + number)
     stretches = {}
     for nearest in found:
@@ -220,9 +220,9 @@ def judged(found: Sequence[Nearest], first: int, number: int, limits: Limits) ->
                 "share_of_movement": [round(float(each), 4) for each in share],
             }
     return {
-        "motions": len(told.told[some]),
-        "still": int((~told.told[some]).sum()),
-        "accused": int(told.accused[some].sum()),
+        "motions": len(result.decidable[some]),
+        "still": int((~result.decidable[some]).sum()),
+        "accused": int(result.accused[some].sum()),
         "stretches": stretches,
     }
 
@@ -319,10 +319,10 @@ def rows(head: str, judged_by_name: Mapping[str, Any]) -> Iterator[str]:
     yield HEAD.format(head)
     yield "|---|---|---|---|---|---|"
     for name, row in judged_by_name.items():
-        told = max(row["motions"] - row["still"], 1)
+        decided = max(row["motions"] - row["still"], 1)
         stretches = row["stretches"]
         copied_shares = ", ".join(f"{100 * each['copied']:.0f} %" for each in stretches.values())
-        accused = f"{row['accused']} ({100 * row['accused'] / told:.1f} %)"
+        accused = f"{row['accused']} ({100 * row['accused'] / decided:.1f} %)"
         median = f"{stretches['1 s']['millimetres'][2]:.1f} mm"
         yield f"| {name} | {row['motions']} | {row['still']} | {accused} | {copied_shares} | {median} |"
 

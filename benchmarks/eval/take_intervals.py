@@ -7,7 +7,7 @@ another one, scores both by the Fréchet distance of all clips, and resamples ta
 case: the mean score; its standard deviation over trials and the mean of what a bootstrap makes of it; how often score ±
 interval holds the mean score of other draws of as many takes; the same of the interval of drawing clips alone; how
 often the true distance lies in it (not often where takes are few, for these push the score up); how often two
-generators are told apart, where one is as good as the other (wrongly) and where it is better.
+generators differ significantly, where one is as good as the other (wrongly) and where it is better.
 """
 
 import argparse

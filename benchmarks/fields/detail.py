@@ -329,8 +329,8 @@ def shown(row: dict[str, Any], score: str) -> str:
     said = f"{found['score']:.2f} ± {found['ci95']:.2f}"
     if score == "kinematic":
         said += f" ({row['follows']:.2f})"
-    told = less is not None and abs(less["value"]) > less["ci95"]
-    return f"{said} *{less['value']:+.2f} ± {less['ci95']:.2f}*" if told else said
+    significant = less is not None and abs(less["value"]) > less["ci95"]
+    return f"{said} *{less['value']:+.2f} ± {less['ci95']:.2f}*" if significant else said
 
 
 if __name__ == "__main__":

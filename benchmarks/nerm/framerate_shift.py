@@ -1,8 +1,8 @@
-"""How far a trained field's motions move when it is told another framerate, in millimetres.
+"""How far a trained field's motions move when conditioned on another framerate, in millimetres.
 
     python benchmarks/nerm/model.py runs/nano [--windows 256] [--json]
 
-Each window's posterior mean is decoded told 20, 30, 60 and 120 fps, at the instants that all of these share; distances
+Each window's posterior mean is decoded with s = 20, 30, 60 and 120 fps at the instants that these share; distances
 of joints over every pair of framerates. Needs the stage `field` alone.
 """
 
@@ -35,7 +35,7 @@ def main() -> None:
         print_json(found.plain(), runs=[arguments.run])
         return
     rates = ", ".join(str(rate) for rate in found.rates)
-    print(f"{found.num_motions} windows, {found.num_instants} instants, told {rates} fps")
+    print(f"{found.num_motions} windows, {found.num_instants} instants, at {rates} fps")
     print(f"mean {found.mean_mm:.3f} mm, largest {found.max_mm:.3f} mm")
 
 

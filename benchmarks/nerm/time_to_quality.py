@@ -168,9 +168,9 @@ def main() -> None:
         return
     for name, points in curves.items():
         when = reached(points)
-        told = f"{TARGET_MM:g} mm after {when:.0f} CPU s" if when is not None else f"{TARGET_MM:g} mm not reached"
+        result = f"{TARGET_MM:g} mm after {when:.0f} CPU s" if when is not None else f"{TARGET_MM:g} mm not reached"
         last = points[-1]
-        print(f"{name:22} {told}; {last.aligned_mm:.1f} mm after {last.cpu_seconds:.0f} CPU s, {last.steps} steps")
+        print(f"{name:22} {result}; {last.aligned_mm:.1f} mm after {last.cpu_seconds:.0f} CPU s, {last.steps} steps")
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@
 
 Asks for the test split's captions, and for another wording of each (columns `caption` and `wording`; by default the 118
 of the pack of docs/results/real-pack.md, written by hand), at 20 fps and as long as the real motions, planted. Both are
-told from real motion by the run's own evaluator under the protocol `native`, which is asked with the captions: it has
+measured by the run's own evaluator under the protocol `native` with the original captions: it has
 not read the wordings either. Real motion stands beside, with the evaluator asked with the captions and the wordings.
 """
 

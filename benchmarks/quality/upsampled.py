@@ -1,4 +1,4 @@
-"""Upsampling: how often the framerate of a capture is told after it was brought to another one, and false alarms.
+"""Upsampling: how often a capture's original framerate is detected after resampling, and false alarms.
 
     python -m benchmarks.quality.upsampled FOLDER… [--takes 40] [--seconds 6]
 
@@ -105,14 +105,14 @@ def captured_at(motions: list[Motion], fps: int, count: int, seconds: float) -> 
 
 
 def detection(motions: list[Motion], count: int, seconds: float) -> dict[str, dict[str, dict[str, float]]]:
-    """Per pair of rates and method: share of takes that are flagged, and whose rate is told exactly."""
+    """Per pair of rates and method: share of takes that are flagged, and whose rate is detected exactly."""
     found: dict[str, dict[str, dict[str, float]]] = {}
     for captured, stated in PAIRS:
         takes = captured_at(motions, captured, count, seconds)
         for name, upsample in METHODS.items():
             usable = [take for take in takes if name != "SLERP" or take.local_rotations is not None]
-            told = [measure(upsample(take, Fraction(stated))).effective_fps for take in usable]
-            known = [rate for rate in told if rate is not None]
+            detected = [measure(upsample(take, Fraction(stated))).effective_fps for take in usable]
+            known = [rate for rate in detected if rate is not None]
             found.setdefault(f"{captured} → {stated}", {})[name] = {
                 "takes": len(known),
                 "flagged": float(np.mean([rate < stated for rate in known])),
@@ -152,7 +152,7 @@ def main() -> None:
         },
         "detection": detection(sound, arguments.takes, arguments.seconds),
     }
-    table = Table("captured → stated fps", *METHODS, title="flagged / rate told exactly, % of takes")
+    table = Table("captured → stated fps", *METHODS, title="flagged / rate detected exactly, % of takes")
     for pair, methods in report["detection"].items():
         table.add_row(pair, *(f"{100 * each['flagged']:.0f} / {100 * each['exact']:.0f}" for each in methods.values()))
     print_table_and_json(table, report)

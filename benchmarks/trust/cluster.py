@@ -66,9 +66,9 @@ def ray_case(drill: Drill, generator: np.random.Generator) -> Case:
         with running(command, place) as process:
             seconds = float(generator.uniform(0.0, 1.0))
             killed += kill_one(process, lambda pid: RAY_TASK in command_line(pid), seconds)
-            code, told = end_of(process)
+            code, message = end_of(process)
         if code != 0:
-            failures.append(f"a worker killed after {seconds:.3f} s: exit code {code}: {told}")
+            failures.append(f"a worker killed after {seconds:.3f} s: exit code {code}: {message}")
         elif differing := difference(tree(place / name), expected):
             failures.append(f"a worker killed after {seconds:.3f} s: another store: {differing}")
     return Case("ingest by Ray, a worker killed", NUM_TRIALS, tuple(failures), {"killed": killed})
@@ -80,9 +80,9 @@ def ranks_case(drill: Drill, generator: np.random.Generator) -> Case:
     whole, place = drill.folder / "ranks-whole", drill.folder / "ranks"
     copy(start, whole)
     with running(ranks_command(), whole) as process:
-        code, told = end_of(process)
+        code, message = end_of(process)
     if code != 0:
-        return Case("one of two ranks killed", 0, (f"undisturbed: exit code {code}: {told}",))
+        return Case("one of two ranks killed", 0, (f"undisturbed: exit code {code}: {message}",))
     saved = place / "runs" / "drill" / "field" / "checkpoint.safetensors"
     killed = 0
     for _ in range(NUM_TRIALS):
@@ -96,10 +96,10 @@ def ranks_case(drill: Drill, generator: np.random.Generator) -> Case:
             killed += kill_one(process, is_wanted, seconds)
             end_of(process)
         with running(ranks_command("--resume"), place) as process:
-            code, told = end_of(process)
+            code, message = end_of(process)
         if code != 0:
             failures.append(
-                f"rank {rank} killed {seconds:.3f} s after the first save: resumed, exit code {code}: {told}"
+                f"rank {rank} killed {seconds:.3f} s after the first save: resumed, exit code {code}: {message}"
             )
         elif differing := difference(tree(place, DIGITS), tree(whole, DIGITS)):
             failures.append(f"rank {rank} killed {seconds:.3f} s after the first save: resumed, {differing}")
@@ -131,10 +131,10 @@ def running(command: list[str], folder: Path) -> "Iterator[subprocess.Popen[str]
 def end_of(process: "subprocess.Popen[str]") -> tuple[int | None, str]:
     """A process's exit code, None for a hang, and the last line of what it said."""
     try:
-        told = process.communicate(timeout=PATIENCE_SECONDS)[1].strip().splitlines()
+        message = process.communicate(timeout=PATIENCE_SECONDS)[1].strip().splitlines()
     except subprocess.TimeoutExpired:
         return None, "it hangs"
-    return process.returncode, (told or [""])[-1]
+    return process.returncode, (message or [""])[-1]
 
 
 def kill_one(process: "subprocess.Popen[str]", wanted: Callable[[int], bool], seconds: float) -> bool:

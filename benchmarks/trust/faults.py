@@ -43,7 +43,7 @@ class Fault:
     number: float = 0.0
 
     def __str__(self) -> str:
-        told = {
+        descriptions = {
             "none": "undisturbed",
             "operation": f"killed before file operation {self.number:.0f}",
             "bytes": f"killed when a file would be longer than {self.number:.0f} bytes",
@@ -55,7 +55,7 @@ class Fault:
             "full": f"a disk with {self.number:.0f} bytes free",
             "read-only": "a read-only disk",
         }
-        return told[self.kind]
+        return descriptions[self.kind]
 
     @property
     def seconds(self) -> float | None:

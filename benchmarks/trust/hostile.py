@@ -118,7 +118,7 @@ def _make_outside(good: Path, outside: Path) -> None:
 
 def ending_fault(outcome: Outcome) -> str:
     """What is wrong with how a command ended and with what it printed."""
-    told = outcome.out + outcome.err
+    output = outcome.out + outcome.err
     if outcome.code is None:
         return f"no end within {TIMEOUT_SECONDS:g} s"
     if outcome.left:
@@ -131,10 +131,10 @@ def ending_fault(outcome: Outcome) -> str:
     longest = max(map(len, outcome.err.splitlines()), default=0)
     if longest > LONGEST_MESSAGE:
         return f"a message of {longest:,} letters: {outcome.err[:SHOWN_CHARACTERS]}"
-    control = CONTROL.search(told.replace("\r\n", "\n"))
+    control = CONTROL.search(output.replace("\r\n", "\n"))
     if control:
-        return f"prints {control[0]!r}: {told[max(0, control.start() - 60) : control.start() + 60]!r}"
-    return "shows what lies outside of its folder" if SECRET in told else ""
+        return f"prints {control[0]!r}: {output[max(0, control.start() - 60) : control.start() + 60]!r}"
+    return "shows what lies outside of its folder" if SECRET in output else ""
 
 
 def snapshot(folder: Path, without: Path) -> dict[str, tuple[object, ...]]:

@@ -93,5 +93,5 @@ def fault_of(outcome: Outcome) -> str:
         return f"a traceback: {outcome.last_line}"
     if outcome.code not in (0, 1, 2):
         return f"exit code {outcome.code}: {outcome.last_line}"
-    told = outcome.last_line.startswith("motionkit: ") or "is missing" in outcome.out
-    return "" if outcome.code == 0 or told else f"exit code {outcome.code} without a word: {outcome.last_line}"
+    explained = outcome.last_line.startswith("motionkit: ") or "is missing" in outcome.out
+    return "" if outcome.code == 0 or explained else f"exit code {outcome.code} without a message: {outcome.last_line}"

@@ -27,7 +27,7 @@ def tree(folder: Path, digits: int | None = None) -> dict[str, str]:
 
 def difference(found: Mapping[str, str], expected: Mapping[str, str]) -> str:
     """What differs between two trees, in a few words; empty where nothing does."""
-    told = []
+    lines = []
     for words, names in (
         ("left over", sorted(found.keys() - expected.keys())),
         ("missing", sorted(expected.keys() - found.keys())),
@@ -35,8 +35,8 @@ def difference(found: Mapping[str, str], expected: Mapping[str, str]) -> str:
     ):
         if names:
             more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-            told.append(f"{words}: {', '.join(names[:SHOWN])}{more}")
-    return "; ".join(told)
+            lines.append(f"{words}: {', '.join(names[:SHOWN])}{more}")
+    return "; ".join(lines)
 
 
 def copy(source: Path, target: Path) -> None:

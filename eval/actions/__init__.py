@@ -1,1 +1,1 @@
-"""Motions whose actions a recogniser knows, and the recognisers that there are."""
+"""Action recognisers, and the motions that they are evaluated on."""

@@ -1,8 +1,8 @@
 """Action2Motion's GRU recognisers: HumanAct12's, which NeRM's Table 3 uses, and the one for the CMU database.
 
 Two GRU layers of 128 over joint positions, Linear to 30 and tanh (the features of FID and Diversity), Linear to the
-actions. The hidden state begins at zero; the published evaluation draws it anew from N(0, 1) for every batch, so that
-its numbers differ from run to run (docs/deviations.md). Source: https://github.com/EricGuo5513/action-to-motion
+actions. The initial hidden state is zero; the published evaluation draws it from N(0, 1) for every batch, so that its
+numbers differ between runs (docs/deviations.md). Source: https://github.com/EricGuo5513/action-to-motion
 (models/motion_gan.py, eval_scripts/load_classifier.py).
 """
 
@@ -45,7 +45,7 @@ Clips = Float32[np.ndarray, "clips frames _joints 3"]
 
 @dataclass(frozen=True)
 class GruKind:
-    """One published recogniser: `joints` turns clips of SMPL's joints (metres, y up) into what its network saw.
+    """A published recogniser: `joints` maps clips of SMPL's joints (metres, y up) to the network's input.
 
     A motion is a clip of `clip_length` frames at `fps`, the root of its first frame at the origin.
     """
@@ -60,16 +60,16 @@ class GruKind:
 
 
 def humanact12_joints(clips: Clips) -> Clips:
-    """SMPL's 24 joints as HumanAct12's camera saw them: y down, z away from it, metres.
+    """SMPL's 24 joints in HumanAct12's camera frame: y down, z away from it, metres.
 
-    22 joints get hands that go on along the forearm. Raises `MotionkitError` for other numbers of joints.
+    22 joints get hands that extend the forearm. Raises `MotionkitError` for other numbers of joints.
     """
     if clips.shape[2] == SMPL22.num_joints:
         elbows, wrists = clips[:, :, list(ELBOWS)], clips[:, :, list(WRISTS)]
         clips = np.concatenate((clips, wrists + np.float32(HAND_PER_FOREARM) * (wrists - elbows)), axis=2)
     if clips.shape[2] != NUM_SMPL_JOINTS:
         raise MotionkitError(
-            f"HumanAct12's recogniser sees SMPL's {NUM_SMPL_JOINTS} joints, or {SMPL22.num_joints} without hands; "
+            f"HumanAct12's recogniser needs SMPL's {NUM_SMPL_JOINTS} joints, or {SMPL22.num_joints} without hands; "
             f"these motions have {clips.shape[2]}"
         )
     return clips * np.array([1, -1, -1], np.float32)
@@ -137,7 +137,7 @@ class GruNetwork(nn.Module):
     def forward(
         self, poses: Float[Tensor, "clips frames numbers"]
     ) -> tuple[Float[Tensor, "clips features"], Float[Tensor, "clips actions"]]:
-        """Features and scores after the last frame."""
+        """Features and logits after the last frame."""
         states, _ = self.recurrent(poses)
         features = torch.tanh(self.linear1(states[:, -1]))
         return features, self.linear2(features)
@@ -187,7 +187,7 @@ class GruRecogniser:
 def load_gru(path: Path, kind: GruKind) -> GruRecogniser:
     """Read action-to-motion's `model_file/action_recognition_model_….tar` without running its pickle.
 
-    Raises `CheckpointError` for a file that is no such checkpoint, or one of another recogniser.
+    Raises `CheckpointError` for any other file, or another recogniser's checkpoint.
     """
     tensors = foreign_tensors(read_foreign(path), KEY, path, kind.title)
     network = GruNetwork(3 * kind.num_joints, len(kind.actions)).eval().requires_grad_(False)

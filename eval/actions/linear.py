@@ -1,8 +1,8 @@
 """A recogniser of any store's actions: linear discriminants of fixed statistics of a motion, fitted in a second.
 
 The published recognisers know three data sets' actions. This one is fitted on a store's training split, in closed form
-and without chance, so that Table 3 can be had for any motions with actions; how well it does on held-out motions stands
-in the table. Its numbers compare with no other store's. Source of the method: Fisher 1936; Hastie, Tibshirani &
+and deterministically, so that Table 3 works for any motions with actions; the table shows its accuracy on held-out
+motions. Its numbers are not comparable between stores. Source of the method: Fisher 1936; Hastie, Tibshirani &
 Friedman 2009, §4.3.
 """
 
@@ -73,10 +73,10 @@ def _root_motion(positions: Float64[np.ndarray, "frames 22 3"], fps: float) -> F
 
 
 LEAST_TRAINING = 10
-"""An action with fewer training motions is not learnt: its mean would be its few motions'."""
+"""Actions with fewer training motions are dropped: their means would be unreliable."""
 
 SHRINKAGE = 0.1
-"""How far the covariance within actions is drawn towards a multiple of the identity."""
+"""Shrinkage of the within-class covariance towards a multiple of the identity."""
 
 LEAST_SPREAD = 0.01
 
@@ -146,7 +146,7 @@ def _directions(
     means: Float64[np.ndarray, "actions numbers"],
     labels: np.ndarray,
 ) -> Float64[np.ndarray, "numbers features"]:
-    """What tells the means apart best, measured by the spread within actions; signs by each one's largest number."""
+    """Directions of linear discriminant analysis; signs are fixed by each one's largest coefficient."""
     within = standard - means[labels]
     covariance = within.T @ within / len(standard)
     size = len(covariance)

@@ -1,4 +1,4 @@
-"""What accuracy and the action task's FID, Diversity and MultiModality need of a recogniser of actions."""
+"""The interface of an action recogniser, used by accuracy and the action task's FID, Diversity and MultiModality."""
 
 from dataclasses import dataclass
 from fractions import Fraction
@@ -13,7 +13,7 @@ from motionkit.core.errors import MotionkitError
 
 @dataclass(frozen=True, eq=False)
 class Recognition:
-    """What a recogniser says of motions: a feature vector and a score per action for each, in the set's order."""
+    """A recogniser's output: features and a score per action for each motion, in the set's order."""
 
     features: Float64[np.ndarray, "sequences features"]
     scores: Float64[np.ndarray, "sequences actions"]
@@ -21,7 +21,7 @@ class Recognition:
 
 @runtime_checkable
 class ActionRecogniser(Protocol):
-    """Tells which of its actions a motion shows; a motion's row depends on that motion alone."""
+    """Classifies motions by action; a motion's row depends on that motion alone."""
 
     @property
     def name(self) -> str:
@@ -35,7 +35,7 @@ class ActionRecogniser(Protocol):
 
     @property
     def fps(self) -> Fraction | None:
-        """The only framerate at which motions may be given; None where any may."""
+        """The only framerate that it accepts; None for any."""
         ...
 
     @property
@@ -44,23 +44,23 @@ class ActionRecogniser(Protocol):
         ...
 
     def recognise(self, samples: SampleSet) -> Recognition:
-        """Features and scores of every sequence. Raises `MotionkitError` for a framerate or skeleton it cannot take."""
+        """Features and scores of every sequence. Raises `MotionkitError` for an unsupported framerate or skeleton."""
         ...
 
 
 def check_fps(recogniser: ActionRecogniser, samples: SampleSet) -> None:
-    """Raise `MotionkitError` for motions of another framerate than the recogniser's only one."""
+    """Raise `MotionkitError` for motions at a framerate that the recogniser does not accept."""
     if recogniser.fps not in (None, samples.fps):
         raise MotionkitError(
             f"{samples.name}: motions at {samples.fps} fps, but the recogniser {recogniser.name!r} was trained at "
-            f"{recogniser.fps} fps and has no notion of time; resample them first"
+            f"{recogniser.fps} fps only; resample them first"
         )
 
 
 def clip_frames(num_frames: int, clip_length: int) -> Int64[np.ndarray, "clip"]:
-    """Which frames of a motion make its clip: the middle ones, or all of them and then the last one again and again.
+    """Frame indices of a motion's clip: its middle, or all frames padded with the last one.
 
-    The published evaluations take a random stretch of a longer motion; the middle makes a motion's numbers its own.
+    The published evaluations take a random stretch of a longer motion; the middle is deterministic.
     Sources: action-to-motion, dataProcessing/dataset.py; ACTOR, src/datasets/dataset.py.
     """
     first = max(0, num_frames - clip_length) // 2

@@ -1,4 +1,4 @@
-"""The recognisers of actions that can be had, by name: fitted on the store, or published with weights of the user's."""
+"""The available action recognisers by name: fitted on the store, or published ones with the user's weights."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -15,10 +15,10 @@ LINEAR_FPS = Fraction(20)
 
 @dataclass(frozen=True)
 class RecogniserSource:
-    """A kind of recogniser: `make` gives it from the training motions at `fps` and the file of weights.
+    """A kind of recogniser; `make` builds it from the training motions at `fps` or the file of weights.
 
-    `dataset` is what the paper calls the data that it knows, "" where it knows the store's own; `needs_rotations` says
-    that it sees joint rotations, not positions.
+    `dataset` is the paper's name of its data set, "" for the store's own; `needs_rotations`: it takes joint rotations,
+    not positions.
     """
 
     name: str
@@ -31,7 +31,7 @@ class RecogniserSource:
 
 
 def find_recogniser(name: str) -> RecogniserSource:
-    """A recogniser by name. Raises `UsageError` with the names there are."""
+    """A recogniser by name. Raises `UsageError` that lists the known names."""
     sources = _sources()
     if name not in sources:
         raise UsageError(f"there is no recogniser of actions {name!r}: {', '.join(sources)}")
@@ -76,7 +76,7 @@ def _sources() -> Mapping[str, RecogniserSource]:
             _loaded("uestc", load_uestc),
             dataset="UESTC",
             needs_rotations=True,
-            note="It sees joint rotations alone; heading counts.",
+            note="It takes joint rotations only, and depends on the heading.",
         ),
     )
     return {source.name: source for source in sources}
@@ -85,7 +85,7 @@ def _sources() -> Mapping[str, RecogniserSource]:
 def _fitted(train: Callable[[], SampleSet], weights: Path | None) -> ActionRecogniser:
     if weights is not None:
         raise UsageError(
-            "--weights belongs to a published recogniser, and 'linear' is fitted on the store: name one with "
+            "--weights needs a published recogniser ('linear' is fitted on the store): choose one with "
             "--evaluator humanact12, uestc or cmu-mocap"
         )
     return fit_linear(train())

@@ -1,4 +1,4 @@
-"""The action task's numbers from what a recogniser says of real and generated motions."""
+"""The action task's metrics from a recogniser's output on real and generated motions."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -33,12 +33,11 @@ from motionkit.core.errors import UsageError
 
 @dataclass(frozen=True)
 class ActionProtocol:
-    """One way to turn a recogniser's features and scores into a table's numbers.
+    """An evaluation protocol: how metrics are computed from a recogniser's features and scores.
 
-    `num_motions`: how many generated motions count in a replication, None for all. `pairs` "different" draws Diversity
-    without repetition (NeRM Eq. 7) and MultiModality from two different motions; "with replacement" draws both sides of
-    either with replacement, as action-to-motion does. `spread`: what the source prints after "±"; ACTOR's is no
-    interval.
+    `num_motions`: generated motions per replication, None for all. `pairs` "different" draws Diversity without
+    repetition (NeRM Eq. 7) and MultiModality from two different motions; "with replacement" draws both sides with
+    replacement, as action-to-motion does. `spread`: what the source prints after "±"; ACTOR's is no interval.
     """
 
     name: str
@@ -70,7 +69,7 @@ ACTION_PROTOCOLS = (NATIVE, A2M, ACTOR, MDM)
 
 
 def find_action_protocol(name: str) -> ActionProtocol:
-    """A protocol by name. Raises `UsageError` with the names there are."""
+    """A protocol by name. Raises `UsageError` that lists the known names."""
     for protocol in ACTION_PROTOCOLS:
         if protocol.name == name:
             return protocol
@@ -80,7 +79,7 @@ def find_action_protocol(name: str) -> ActionProtocol:
 
 @dataclass(frozen=True, eq=False)
 class LabelledRecognition:
-    """What a recogniser says of motions whose actions are known: `labels` index its actions."""
+    """A recogniser's output for motions with known actions; `labels` index its actions."""
 
     recognition: Recognition
     labels: Int[np.ndarray, "labels"]
@@ -108,10 +107,10 @@ def score_actions(
     """Accuracy, FID, Diversity and MultiModality of generated (or real) motions under a protocol.
 
     `references` are features of real motions by set: "train" and "test" give `fid_train` and `fid_test`, "" gives
-    `fid`. `draws` are independent sets of motions, each with its own seed; replication r takes draw r modulo their
-    number, so with fewer draws than replications the interval holds less than the protocol means, and a remark says so.
-    Where a draw holds more motions than the protocol counts, each replication takes a random choice of them. Raises
-    `ValueError` where nothing is given, numbers of features differ, or something is not finite.
+    `fid`. `draws` are independent sets of motions, each with its own seed; replication r uses draw r modulo their
+    number. With fewer draws than replications the interval covers less than the protocol intends, which a remark
+    states. If a draw has more motions than the protocol uses, each replication takes a random subset. Raises
+    `ValueError` without any motions, for different numbers of features, or for non-finite values.
     """
     if not draws:
         raise ValueError("there is no set of motions to score")
@@ -157,7 +156,7 @@ def _resampled(
     draws: Sequence[LabelledRecognition],
     protocol: ActionProtocol,
 ) -> dict[str, Resampled]:
-    """Every metric's values with other motions, numbered alike in all sets; those of several draws go together."""
+    """Every metric's bootstrap values; motions are resampled jointly in all sets, and with them their draws."""
     takes = [str(row) for draw in draws for row in range(len(draw.labels))]
     number = [which for which, draw in enumerate(draws) for _ in draw.labels]
 

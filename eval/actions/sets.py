@@ -1,4 +1,4 @@
-"""Motions whose actions a recogniser knows: real ones, and what a model generates for their actions and durations."""
+"""Motions of actions that a recogniser knows: real ones, and generated ones for their actions and durations."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -11,8 +11,8 @@ from jaxtyping import Float32, Int64
 
 from eval.actions.recogniser import ActionRecogniser
 from eval.actions.scores import LabelledRecognition
-from eval.sets.found import Found
 from eval.sets.generated import as_known
+from eval.sets.partial import PartialResult
 from eval.sets.planted import PLANTED
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.errors import MotionkitError
@@ -27,10 +27,10 @@ if TYPE_CHECKING:
     from motionkit.store.reader import Store
 
 LEAST_FRAMES = 10
-"""Shorter motions show no action, and are left out."""
+"""Shorter motions are dropped: they show no action."""
 
 LEAST_MOTIONS = 2
-"""An action with a single motion has no MultiModality, and is left out."""
+"""Actions with fewer motions are dropped: they have no MultiModality."""
 
 
 class NoActionsError(MotionkitError):
@@ -39,29 +39,27 @@ class NoActionsError(MotionkitError):
 
 @dataclass(frozen=True, eq=False)
 class ActionSet:
-    """Motions with the index of each one's action among the recogniser's, and what was left out, for people."""
+    """Motions with the indices of their actions, and a message for everything left out."""
 
     samples: SampleSet
     labels: Int64[np.ndarray, "sequences"]
     left_out: tuple[str, ...] = ()
 
     def recognised(self, recogniser: ActionRecogniser) -> LabelledRecognition:
-        """What the recogniser says of them."""
+        """The recogniser's output for these motions."""
         return LabelledRecognition(recogniser.recognise(self.samples), self.labels)
 
     def at_most(self, limit: int, seed: int) -> "ActionSet":
-        """All, or a random choice of `limit` in their order without actions of which a single motion was chosen.
+        """All motions, or a random subset of `limit` in their order, without actions with a single motion in it.
 
-        Raises `NoActionsError` where that leaves none.
+        Raises `NoActionsError` if none remain.
         """
         if self.samples.num_sequences <= limit:
             return self
         chosen = np.sort(np.random.default_rng((seed, 3)).choice(self.samples.num_sequences, limit, replace=False))
         kept = _of_several(self.labels, chosen)
         if not len(kept):
-            raise NoActionsError(
-                f"{limit:,} motions chosen at random have no action in common: --motions asks for more"
-            )
+            raise NoActionsError(f"{limit:,} randomly chosen motions have no action in common: increase --motions")
         return ActionSet(self.samples.select(kept), self.labels[kept])
 
 
@@ -71,14 +69,14 @@ def _of_several(labels: Int64[np.ndarray, "motions"], rows: Int64[np.ndarray, "s
 
 
 def plain_name(action: str) -> str:
-    """An action's name without the differences that spelling makes: lower case, words separated by one space."""
+    """An action's normalised name: lower case, words separated by single spaces."""
     return " ".join(action.lower().replace("_", " ").replace("-", " ").split())
 
 
 def known_actions(samples: SampleSet, actions: Sequence[str]) -> ActionSet:
-    """The motions whose action is one of `actions` (`plain_name` decides), at least two of each.
+    """The motions whose action is one of `actions` (compared by `plain_name`), at least two of each.
 
-    Raises `NoActionsError` where none is left.
+    Raises `NoActionsError` if none remain.
     """
     index = {plain_name(action): label for label, action in enumerate(actions)}
     found = np.array([index.get(plain_name(action), -1) for action in samples.actions or [""] * samples.num_sequences])
@@ -87,7 +85,7 @@ def known_actions(samples: SampleSet, actions: Sequence[str]) -> ActionSet:
     left_out = _left_out(samples, found, long_enough, actions)
     if not len(kept):
         raise NoActionsError(
-            f"{samples.name}: no motion's action is one that the recogniser knows ({', '.join(actions)}); "
+            f"{samples.name}: no motion has an action that the recogniser knows ({', '.join(actions)}); "
             + ("; ".join(left_out) or "they have no actions")
         )
     return ActionSet(samples.select(kept), found[kept], left_out)
@@ -119,16 +117,16 @@ def _left_out(
 
 
 def with_rotations(store: "Store", samples: SampleSet) -> SampleSet:
-    """The same motions with the store's true local rotations at their framerate, resampled where their own is another.
+    """The same motions with the store's true local rotations, resampled to their framerate if needed.
 
-    Raises `NoActionsError` where a motion has none.
+    Raises `NoActionsError` if a motion has none.
     """
     rotations: list[Float32[np.ndarray, "_frames _joints 4"]] = []
     for index, sequence_id in enumerate(samples.sequence_ids):
         motion = store.read(sequence_id)
         if motion.local_rotations is None or motion.skeleton.joint_names[: SMPL22.num_joints] != SMPL22.joint_names:
             raise NoActionsError(
-                f"{sequence_id} has no rotations of SMPL's joints, and this recogniser sees nothing else: narrow the "
+                f"{sequence_id} has no rotations of SMPL's joints, which this recogniser needs: narrow the "
                 'motions (--where "has_rotations") or ingest UESTC or AMASS'
             )
         made = motion if motion.fps == samples.fps else resample(motion, samples.fps)
@@ -140,7 +138,7 @@ def with_rotations(store: "Store", samples: SampleSet) -> SampleSet:
     return replace(samples, local_rotations=np.concatenate([each[:, :joints] for each in rotations]))
 
 
-def known_to_all(real: ActionSet, models: Mapping[str, GenerativeModel]) -> Found[ActionSet]:
+def known_to_all(real: ActionSet, models: Mapping[str, GenerativeModel]) -> PartialResult[ActionSet]:
     """The motions of the actions that every model knows, at least two of each, so that rows are of the same motions.
 
     Models that know no action, or no condition at all, are not asked. Where that leaves no motion, all of them.
@@ -154,17 +152,16 @@ def known_to_all(real: ActionSet, models: Mapping[str, GenerativeModel]) -> Foun
     left_out = set(chain.from_iterable(unknown.values()))
     kept = _of_several(real.labels, np.flatnonzero([action not in left_out for action in real.samples.actions]))
     if not left_out or not len(kept):
-        return Found(real)
-    told = tuple(f"{name} knows no {', '.join(each)}: no model is asked for that" for name, each in unknown.items())
-    return Found(ActionSet(real.samples.select(kept), real.labels[kept]), told)
+        return PartialResult(real)
+    notes = tuple(f"{name} knows no {', '.join(each)}: no model is asked for that" for name, each in unknown.items())
+    return PartialResult(ActionSet(real.samples.select(kept), real.labels[kept]), notes)
 
 
 def generated_like(real: ActionSet, model: GenerativeModel, draw: int, seed: int) -> dict[str, ActionSet]:
-    """For every real motion one with its action and duration (l_max where that is longer): the model's row and, under
-    its name, that of the same motions planted.
+    """Generate a motion for every real one's action and duration (at most l_max): rows of the model, and of it planted.
 
-    A model that knows no conditions is asked for the durations alone. Draw d has seeds of its own. What the model
-    raises for an action that it does not know goes through.
+    A model that knows no conditions gets the durations alone. Every draw has its own seed. Errors of the model for
+    unknown actions propagate.
     """
     durations = (real.samples.sequences.num_frames - 1) / float(real.samples.fps)
     requests = [

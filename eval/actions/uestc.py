@@ -1,8 +1,8 @@
 """UESTC's recogniser as ACTOR published it: ST-GCN on SMPL's rotations, 60 frames at 30 fps, 40 actions.
 
-It sees no positions: each joint's local rotation as the first two *rows* of its matrix, the root's in the camera's
-frame (y down), with no translation. So it needs motions with true rotations (`SampleSet.local_rotations`); rotations
-made from positions by inverse kinematics have lost the bones' twist and are another thing. Source:
+Its input is each joint's local rotation as the first two *rows* of its matrix, the root's in the camera's frame (y
+down), without positions or translation. So it needs motions with true rotations (`SampleSet.local_rotations`);
+rotations from inverse kinematics lack the bones' twist. Source:
 https://github.com/Mathux/ACTOR (src/evaluate/stgcn_eval.py, src/datasets/uestc.py).
 """
 
@@ -32,10 +32,10 @@ NUM_PARTITIONS = 3
 
 
 def spatial_graph(parents: tuple[int, ...]) -> Float32[np.ndarray, "partitions joints joints"]:
-    """The body's graph in three parts: each joint itself, neighbours level with it or further from the root, nearer.
+    """The body's graph, partitioned into each joint itself, neighbours not nearer to the root, and nearer ones.
 
-    [k, v, w] is what joint v gives to joint w, divided by the number of w's neighbours, itself included. Distances are
-    known up to one bone, as in the source: all joints that are further away count as level with one another.
+    [k, v, w] is the weight from joint v to joint w, divided by the number of w's neighbours, itself included. As in the
+    source, distances are known up to one bone: joints further away count as equally far.
     """
     joints = len(parents)
     linked = np.eye(joints, dtype=bool)
@@ -52,7 +52,7 @@ def spatial_graph(parents: tuple[int, ...]) -> Float32[np.ndarray, "partitions j
 
 
 class GraphConvolution(nn.Module):
-    """Mixes channels once for each part of the graph, then joints along it."""
+    """Spatial graph convolution: mixes channels per partition, then joints along the graph."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
@@ -67,7 +67,7 @@ class GraphConvolution(nn.Module):
 
 
 class Block(nn.Module):
-    """Graph convolution, convolution over time, and what goes past both."""
+    """Graph convolution, temporal convolution, and a residual connection."""
 
     def __init__(self, inputs: int, outputs: int, stride: int, *, residual: bool) -> None:
         super().__init__()
@@ -187,7 +187,7 @@ def rotation_rows(
 def load_uestc(path: Path) -> UestcRecogniser:
     """Read ACTOR's `models/actionrecognition/uestc_rot6d_stgcn.tar` without running its pickle.
 
-    Raises `CheckpointError` for a file that is no such checkpoint: names missing or too many, other shapes.
+    Raises `CheckpointError` for any other file: missing or unexpected names, other shapes.
     """
     network = StgcnNetwork(SMPL.parents, NUM_CHANNELS, len(uestc.ACTIONS)).eval().requires_grad_(False)
     found = read_foreign(path)

@@ -1,7 +1,7 @@
-"""Calibration of a feature set: does clip-FID rise with every kind of damage, and stay flat where nothing changed?
+"""Calibration of a feature set: clip-FID must rise with every corruption, and stay flat under harmless transforms.
 
-And does it stay as high where the damage is hidden? A feature set has to pass before its clip-FID may be quoted: a
-network trained to match text and motion does not, nor does one that noise deceives.
+It must also not drop when the corruption is disguised. A feature set must pass before its clip-FID may be quoted; a
+network trained to match text and motion does not pass, nor does one that noise deceives.
 """
 
 from collections.abc import Callable, Mapping
@@ -21,19 +21,19 @@ VERSION = "calibration/3"
 CLEAN = "clean (absolute)"
 DISJOINT = "disjoint halves of the takes (P2)"
 FLAT = "flat: "
-"""Names of rows in a result: the same-take floor, the floor of disjoint takes, what harmless transforms begin with."""
+"""Row names in a result: the same-take floor, the floor of disjoint takes, the prefix of harmless transforms."""
 MIN_SPEARMAN = 0.95
 MAX_FLAT_RATIO = 1.5
-"""A transform that changes nothing may raise the score to this multiple of the same-take floor."""
+"""A harmless transform may raise the score to this multiple of the same-take floor."""
 
 
 MIN_GAME_RATIO = 0.8
-"""What hides damage may lower the score to this share of that of the damage alone, no further."""
+"""A disguise may lower the score to no less than this share of the undisguised one."""
 
 
 @dataclass(frozen=True)
 class Game:
-    """Scores of motion that was damaged, and of the same with what hides it; `cheats` by their names."""
+    """Scores of corrupted motion, and of the same with disguises; `cheats` by their names."""
 
     parent: str
     honest: Estimate
@@ -41,12 +41,12 @@ class Game:
 
     @property
     def ratios(self) -> dict[str, float]:
-        """Of every cheat: its score as a share of the honest one's."""
+        """Each cheat's score as a share of the honest one."""
         return {name: score.mean / self.honest.mean for name, score in self.cheats.items()}
 
     @property
     def passes(self) -> bool:
-        """Whether nothing is won by cheating."""
+        """Whether no cheat lowers the score too much."""
         return min(self.ratios.values(), default=1.0) >= MIN_GAME_RATIO
 
 
@@ -69,11 +69,11 @@ class Graded:
 
     @property
     def first_visible(self) -> float | None:
-        """The mildest strength above clean motion of the same takes at 95 %, and all severer ones; None if none."""
+        """The mildest strength from which on scores exceed clean motion of the same takes at 95 %; None if none."""
         return self.first_above(self.scores[0])
 
     def first_above(self, floor: Estimate) -> float | None:
-        """The mildest strength whose interval lies above a floor's, and all severer ones' too; None if none does."""
+        """The mildest strength from which on the intervals lie above a floor's; None if none."""
         ceiling = floor.mean + floor.ci95
         visible: float | None = None
         for strength, score in zip(reversed(self.strengths), reversed(self.scores[1:]), strict=True):
@@ -90,10 +90,10 @@ class Graded:
 
 @dataclass(frozen=True)
 class Calibration:
-    """How one feature set behaves at one framerate; `flat` are scores of transforms that change nothing.
+    """The calibration of a feature set at one framerate; `flat` are scores of harmless transforms.
 
-    `floor` is what other draws from the same takes score (P1), `disjoint_floor` what other takes do (P2), which tables
-    quote.
+    `floor` is the score of other draws from the same takes (P1), `disjoint_floor` that of other takes (P2), which
+    tables quote.
     """
 
     fps: Fraction
@@ -109,7 +109,7 @@ class Calibration:
 
     @property
     def passes(self) -> bool:
-        """Whether every family rises, every flat test stays near the floor, and no game is won."""
+        """Whether every family rises, every harmless transform stays near the floor, and no cheat works."""
         steady = all(score.mean <= MAX_FLAT_RATIO * self.floor.mean for score in self.flat.values())
         rising = all(family.passes for family in self.graded)
         return steady and rising and all(game.passes for game in self.games)
@@ -120,13 +120,13 @@ def calibrate(
 ) -> Calibration:
     """Score every corruption of the real set, and every harmless transform, against the real set itself.
 
-    `shifted` is the real set made from native frames that start one later, where there is one. Corrupted sets have the
-    same sequences as the clean one and share its draws, so levels differ by the corruption alone. `on_replication` is
-    called after each replication of the rows, of the disjoint halves and of each kind of damage in the games. Raises
-    `ClipError` where the takes are too few or too short.
+    `shifted` is the real set from native frames that start one later, if available. Corrupted sets have the same
+    sequences as the clean one and share its draws, so levels differ by the corruption alone. `on_replication` is called
+    after each replication of the rows, of the disjoint halves and of each corruption in the games. Raises `ClipError`
+    if the takes are too few or too short.
     """
     real, seed = comparison.real, comparison.protocol.seed
-    # Levels are compared with the clean set of the same takes: other takes would move both.
+    # Levels are compared with the clean set of the same takes, which removes the variation between takes.
     protocol = replace(comparison.protocol, detailed_replications=0, resamplings=0)
     plain = replace(comparison, protocol=protocol, parts={})
     rows: dict[str, SampleSet] = {"clean": real}
@@ -174,7 +174,7 @@ def calibrate(
 
 
 def level_name(family: Family, strength: float) -> str:
-    """What a level's row is called."""
+    """The row name of a level."""
     return f"{family.name} {strength:g} {family.unit}"
 
 

@@ -1,8 +1,8 @@
-"""Numbers of every pose of a motion, which clips are averages of: slow motion, and power by frequency band.
+"""Per-pose channels of a motion, of which clip features are averages: slow motion, and power by frequency band.
 
-Slow motion (below 6 Hz) is what a body does. What lies above 12 Hz is impacts, and the capture's noise. Powers are
-those of acceleration, and their logarithms have floors of so much white noise in the positions: a floor means the same
-at every framerate, and what lies below it counts for little.
+Slow motion (below 6 Hz) is the body's movement; above 12 Hz are impacts and the capture's noise. Powers are those of
+acceleration. Floors under their logarithms correspond to white noise of a fixed amplitude in the positions, so a floor
+means the same at every framerate, and power below it counts for little.
 """
 
 from collections.abc import Mapping
@@ -47,7 +47,7 @@ PAD_SECONDS = 1.0
 SPEED_FLOOR = 0.03
 FOOT_SPEED_FLOOR = 0.01
 VELOCITY_SCALE, ACCELERATION_SCALE = 0.5, 10.0
-"""Metres per second, and per second squared, at which signed predictors are half way to their limit."""
+"""Metres per second, and per second squared, at which signed predictors reach half of their limit."""
 FOOT_JOINTS = tuple(joint for foot in FEET for joint in foot)
 STEADY_JOINTS = (*FOOT_JOINTS, 0, 20, 21)
 
@@ -155,7 +155,7 @@ def channels(positions: Float[np.ndarray, "frames joints 3"], fps: Fraction) -> 
 
 @dataclass(frozen=True, eq=False)
 class _Spectrum:
-    """The Fourier transform of a motion that was continued at both ends, its linear trend apart."""
+    """The Fourier transform of a motion extended at both ends, and its linear trend."""
 
     values: npt.NDArray[np.complex128]
     frequencies_hz: npt.NDArray[np.float64]
@@ -165,7 +165,7 @@ class _Spectrum:
 
     @classmethod
     def of(cls, signal: Signal, rate: float) -> "_Spectrum":
-        """Ends are continued by point reflection, which keeps the velocity there."""
+        """Extend the ends by point reflection, which keeps their velocity."""
         pad = min(len(signal) - 1, round(PAD_SECONDS * rate))
         before, after = 2 * signal[:1] - signal[pad:0:-1], 2 * signal[-1:] - signal[-2 : -2 - pad : -1]
         whole = np.concatenate((before, signal, after))
@@ -175,7 +175,7 @@ class _Spectrum:
         return cls(values, scipy.fft.rfftfreq(len(whole), 1 / rate), trend, pad, rate)
 
     def below(self, cutoff_hz: float) -> Signal:
-        """The signal low-passed without delay."""
+        """Zero-phase low-pass."""
         signal: Signal = self._inverse(_low_gain(self.frequencies_hz, cutoff_hz)) + self._own(self.trend)
         return signal
 
@@ -236,7 +236,7 @@ def _rate_of_change(values: npt.NDArray[np.float64], rate: float) -> npt.NDArray
 
 
 def _log_foot_speed(velocity: Float64[np.ndarray, "frames joints 3"]) -> Float64[np.ndarray, "frames 2"]:
-    """Log horizontal speed of the steadier foot, then of the other; a foot is as fast as the slower of its joints."""
+    """Log horizontal speed of the slower foot, then of the other; a foot's speed is that of its slower joint."""
     speed = np.linalg.norm(velocity[..., [0, 2]], axis=-1)
     feet = np.sort(np.stack([speed[:, list(foot)].min(axis=-1) for foot in FEET], axis=-1), axis=-1)
     log_speed: Float64[np.ndarray, "frames 2"] = np.log(feet + FOOT_SPEED_FLOOR)
@@ -244,7 +244,7 @@ def _log_foot_speed(velocity: Float64[np.ndarray, "frames joints 3"]) -> Float64
 
 
 def local_poses(positions: Float64[np.ndarray, "clips poses joints 3"]) -> Float64[np.ndarray, "clips poses 63"]:
-    """Joints 1 … 21 relative to the root, turned so that hips and shoulders face +Z at every instant."""
+    """Joints 1 … 21 relative to the root, rotated so that hips and shoulders face +Z at every instant."""
     across = positions[:, :, 2] - positions[:, :, 1] + positions[:, :, 17] - positions[:, :, 16]
     length = np.hypot(across[..., 0], across[..., 2])
     safe = np.where(length > 0, length, 1.0)[..., None]

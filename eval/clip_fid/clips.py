@@ -1,4 +1,4 @@
-"""Clips of a sample set: their random sizes and places, and what a feature set makes of them."""
+"""Random clips of a sample set, and the interface of the features computed on them."""
 
 import typing
 from dataclasses import dataclass, field, replace
@@ -18,9 +18,9 @@ REAL, OTHER = 0, 1
 
 @typing.runtime_checkable
 class FeatureSet(typing.Protocol):
-    """What is needed of a feature extractor, learned or not: it turns clips of one framerate into feature vectors.
+    """A feature extractor, learned or not: maps clips of one framerate to feature vectors.
 
-    The same clips give the same numbers in any batch.
+    A clip's features do not depend on its batch.
     """
 
     @property
@@ -42,14 +42,14 @@ class FeatureSet(typing.Protocol):
 
 @typing.runtime_checkable
 class MotionFeatures(FeatureSet, typing.Protocol):
-    """A feature set that reads whole motions before clips are cut, and has a score of its own.
+    """A feature set computed on whole motions before clips are cut, with its own score.
 
-    Its clips are of what `frames` gives. Without a score of its own, a feature set's is the Fréchet distance.
+    Clips are cut from the output of `frames`. Other feature sets use the Fréchet distance as the score.
     """
 
     @property
     def num_distance(self) -> int:
-        """How many features are compared by their distribution; those after them are for the score alone."""
+        """Number of leading features that are compared by their distribution; the others are for the score alone."""
         ...
 
     def frames(self, samples: SampleSet) -> Ragged:
@@ -57,12 +57,12 @@ class MotionFeatures(FeatureSet, typing.Protocol):
         ...
 
     def score(self, real: Gaussian, other: Gaussian) -> float:
-        """A number of the means and covariances of two sets' features: what is printed, and what a bootstrap draws."""
+        """The score of two sets from the means and covariances of their features; also computed by the bootstrap."""
         ...
 
 
 class ClipError(MotionkitError):
-    """A sample set from which the clips that were asked for cannot be cut."""
+    """A sample set that is too short for the requested clips."""
 
 
 @dataclass(frozen=True)
@@ -105,9 +105,9 @@ DETAILED_COST = 30
 
 @dataclass(frozen=True)
 class Protocol:
-    """How many clips, of which sizes, how often; `detailed_replications` of them also get KID and PRDC.
+    """Number and sizes of clips, and replications; `detailed_replications` of them also get KID and PRDC.
 
-    `resamplings` is how often takes are drawn anew for the interval; 0 leaves that of the drawing of clips alone.
+    `resamplings` is the number of bootstrap samples over takes for the interval; with 0 it covers clip sampling only.
     """
 
     sizes: PoseRange | SecondsRange = field(default_factory=PoseRange)
@@ -126,7 +126,7 @@ class Protocol:
 
 @dataclass(frozen=True, eq=False)
 class ClipList:
-    """Clips before they meet a sample set: sizes m, and quantiles in [0, 1) of centre v and of sequence."""
+    """Clips independent of a sample set: sizes m, and quantiles in [0, 1) of centre v and of sequence."""
 
     num_poses: Int64[np.ndarray, "clips"]
     centre_quantile: Float64[np.ndarray, "clips"]
@@ -155,7 +155,7 @@ def check_lengths(samples: SampleSet, protocol: Protocol) -> None:
 def draw_clips(protocol: Protocol, fps: Fraction, replication: int, side: int) -> ClipList:
     """The clip list of one replication: both sides share sizes and centres; each side draws its own sequences.
 
-    Were the sequences shared too, a copy of the real set would score 0 instead of the floor that sampling leaves.
+    If sequences were shared too, a copy of the real set would score 0 instead of the sampling floor.
     """
     stream = (protocol.seed, fps.numerator, fps.denominator, replication)
     shared = np.random.default_rng((*stream, 0))
@@ -168,7 +168,7 @@ def draw_clips(protocol: Protocol, fps: Fraction, replication: int, side: int) -
 
 
 def place_clips(clips: ClipList, samples: SampleSet, among: Int64[np.ndarray, "chosen"] | None = None) -> ClipPlaces:
-    """Cut the clips from a set's sequences (those `among`, where given), drawn in proportion to their duration.
+    """Cut the clips from a set's sequences (only `among`, if given), drawn in proportion to their duration.
 
     Only sequences that hold the whole clip are drawn from; the centre is uniform over the positions on the frame grid.
     Raises `ClipError` where no sequence is long enough.
@@ -189,14 +189,14 @@ def place_clips(clips: ClipList, samples: SampleSet, among: Int64[np.ndarray, "c
 
 
 def readable(samples: SampleSet, features: FeatureSet) -> SampleSet:
-    """The sample set with what the features read of every pose: positions, or rows of their own."""
+    """The sample set with the features' input per pose: positions, or the feature set's own rows."""
     if not isinstance(features, MotionFeatures) or samples.sequences.values.ndim != 3:  # or they are read already
         return samples
     return replace(samples, sequences=features.frames(samples), local_rotations=None)
 
 
 def num_features(features: FeatureSet, samples: SampleSet, num_poses: int) -> int:
-    """How many features of clips of so many poses are compared by their distribution."""
+    """Number of features that are compared by their distribution."""
     if isinstance(features, MotionFeatures):
         return features.num_distance
     described = features.describe(samples.sequences.clips(np.zeros(1, dtype=np.int64), num_poses), samples.fps)
@@ -206,7 +206,7 @@ def num_features(features: FeatureSet, samples: SampleSet, num_poses: int) -> in
 def describe_clips(
     samples: SampleSet, places: ClipPlaces, features: FeatureSet
 ) -> Float64[np.ndarray, "clips features"]:
-    """Features of placed clips of what `readable` gives, in the order of the places, in groups of one size."""
+    """Features of clips of the output of `readable`, in the order of the places, batched by size."""
     order = np.argsort(places.num_poses, kind="stable")
     sizes, starts = np.unique(places.num_poses[order], return_index=True)
     parts = [

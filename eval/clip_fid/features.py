@@ -1,4 +1,4 @@
-"""The feature sets that can be had: the kinematic descriptor always, the learned evaluator where a run holds one."""
+"""The available feature sets: always the kinematic descriptor, and the learned evaluator of a run that has one."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -22,25 +22,25 @@ from eval.clip_fid.clips import (
 )
 from eval.clip_fid.kinematic import VERSION, KinematicDescriptor, fit_kinematic, standardised
 from eval.clip_fid.score import ClipFid, score_disjoint_halves, score_rows
-from eval.sets.found import Found, each_found
+from eval.sets.partial import PartialResult, collect
 from eval.sets.sets import SampleSet
 from eval.text_motion.guo.kind import GuoFiles
 from motionkit.core.errors import MotionkitError, UsageError
 
 OLD = "kinematic/1"
-"""Features that are computed only where they are asked for by name."""
+"""Features that are computed only if requested by name."""
 FIT_CLIPS = 8192
 FIT_FRAMES = 100_000
 NATIVE_REPLICATIONS = 5
 FIT_REPLICATION = 1_000_000
-"""The descriptor's fit draws from a stream that no replication of an evaluation uses."""
+"""The seed of the descriptor's fit, different from those of all replications."""
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """What every set of one framerate is compared with, and how: the one way from motions to clip-FID.
+    """The comparison of sample sets with the real set at one framerate.
 
-    `parts` names slices of the features whose own FID is wanted too.
+    `parts` names slices of the features whose own FID is computed too.
     """
 
     real: SampleSet
@@ -69,10 +69,10 @@ class Comparison:
 
 @dataclass(frozen=True)
 class FeatureSource:
-    """A kind of features; `fit` gives the feature set for one framerate from the real training set at it.
+    """A kind of features; `fit` returns the feature set for one framerate, fitted on the real training set.
 
-    `parts` are slices of its features whose own FID is worth printing beside the total; `max_replications` bounds what
-    slow features cost; `remark_at` is what a table must say of them at a framerate, empty for nothing.
+    `parts` are slices of its features whose own FID is printed beside the total; `max_replications` bounds the cost of
+    slow features; `remark_at` is a note for tables at a framerate, or empty.
     """
 
     name: str
@@ -84,7 +84,7 @@ class FeatureSource:
     remark_at: Callable[[Fraction], str] = lambda fps: ""
 
     def protocol(self, asked: Protocol) -> Protocol:
-        """The protocol as asked for, with no more replications than these features can afford."""
+        """The requested protocol, with at most `max_replications`."""
         if self.max_replications is None or asked.replications <= self.max_replications:
             return asked
         return replace(asked, replications=self.max_replications)
@@ -92,7 +92,7 @@ class FeatureSource:
     def comparison(self, real: SampleSet, train: SampleSet, asked: Protocol) -> Comparison:
         """A comparison with the real set, on features fitted on the training set at its framerate.
 
-        Raises `ClipError` where a set has no sequence for the largest clips, and what fitting raises.
+        Raises `ClipError` if a set has no sequence for the largest clips, and what fitting raises.
         """
         protocol = self.protocol(asked)
         check_lengths(real, protocol)
@@ -101,11 +101,11 @@ class FeatureSource:
 
 def feature_sources(
     run: Path | None, wanted: Sequence[str] | None, guo: GuoFiles | None = None
-) -> Found[list[FeatureSource]]:
-    """All feature sets there are, or the `wanted` ones.
+) -> PartialResult[list[FeatureSource]]:
+    """All available feature sets, or the `wanted` ones.
 
-    Guo's evaluator is there where its files are named. Raises `UsageError` for a name that is unknown, and for `guo`
-    without files, and what the last of the `wanted` raised where none is there.
+    Guo's evaluator is available if its files are given. Raises `UsageError` for an unknown name and for `guo` without
+    files; if none of the `wanted` is available, raises the last one's error.
     """
     known: dict[str, Callable[[], FeatureSource]] = {
         "kinematic": kinematic_source,
@@ -120,10 +120,10 @@ def feature_sources(
     if unknown:
         raise UsageError(f"there is no feature set {unknown[0]!r}: {', '.join(known)}")
     chosen = [name for name in known if (name != OLD if wanted is None else name in wanted)]
-    found = each_found(chosen, lambda name: known[name](), "features {!r}".format)
+    found = collect(chosen, lambda name: known[name](), "features {!r}".format)
     if wanted and not found.value:
         known[chosen[-1]]()
-    return Found(list(found.value.values()), found.missing)
+    return PartialResult(list(found.value.values()), found.missing)
 
 
 def kinematic_source() -> FeatureSource:
@@ -155,7 +155,7 @@ def kinematic1_source() -> FeatureSource:
 
 
 def native_source(run: Path | None) -> FeatureSource:
-    """The learned evaluator of a run. Raises `RunError` where the run has none."""
+    """The learned evaluator of a run. Raises `RunError` if the run has none."""
     from eval.native_evaluator.evaluator import load_native
 
     if run is None:
@@ -177,7 +177,7 @@ def native_source(run: Path | None) -> FeatureSource:
 
 
 def guo_source(files: GuoFiles) -> FeatureSource:
-    """A published evaluator at its own framerate. Raises `MotionkitError` where its files are not what they must be."""
+    """A published evaluator at its own framerate. Raises `MotionkitError` if its files are invalid."""
     from eval.text_motion.guo.evaluator import load_guo
 
     evaluator = load_guo(files)

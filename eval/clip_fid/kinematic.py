@@ -41,7 +41,7 @@ from motionkit.core.files import whole_file
 VERSION = "kinematic/2"
 NUM_POSE_COMPONENTS = 10
 NUM_SLOW = 2
-"""Bands whose power counts above the smallest floor; those above them have that of the middle band."""
+"""Number of bands with the smallest floor; higher ones have that of the middle band."""
 NUM_TIMING = 2
 """Means over a clip of the product of log power and its prediction, and of the squared prediction."""
 
@@ -57,17 +57,17 @@ WEIGHTS: Mapping[str, float] = {
     "slip": 1.3,
 }
 TIMING_WEIGHT = 0.25
-"""What a set whose fast motion does not follow its slow motion at all scores."""
+"""The timing score of a set whose fast motion does not follow its slow motion at all."""
 
 SPREAD_FLOOR_METRES = 0.005
 LEAST_LOG_SPREAD = 0.25
 LEAST_POSE_SPREAD = 0.02
-"""Least standard deviations that numbers are divided by."""
+"""Minimum standard deviations for the standardisation."""
 RIDGE = 0.003
 PREDICTION_FLOOR = 0.05
 """Added to a set's squared prediction, as a share of that of training motion: a set that stands still has no timing."""
 LEAST_FOLLOWING = 0.25
-"""Where real motion follows by less, the share that is lost is of this: nothing where nothing lies above 12 Hz."""
+"""The minimum of real motion's timing, of which losses are a share: motion without power above 12 Hz loses none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +107,7 @@ class KinematicDescriptor:
 
     @property
     def blocks(self) -> dict[str, slice]:
-        """Where the features of each kind are."""
+        """Slices of the features of each kind."""
         return _blocks(Bands.at(self.fps))
 
     def frames(self, samples: SampleSet) -> Ragged:
@@ -125,7 +125,7 @@ class KinematicDescriptor:
     def describe(
         self, clips: Float[np.ndarray, "clips poses numbers"], fps: Fraction
     ) -> Float64[np.ndarray, "clips features"]:
-        """Features of clips of what `frames` gives, timing last. Raises `ValueError` for another framerate."""
+        """Features of clips of the output of `frames`, timing last. Raises `ValueError` for another framerate."""
         if fps != self.fps:
             raise ValueError(f"this descriptor was fitted at {self.fps} fps; clips at {fps} fps need one of their own")
         raw = _raw_features(clips, Bands.at(fps))
@@ -134,10 +134,10 @@ class KinematicDescriptor:
         return raw
 
     def score(self, real: Gaussian, other: Gaussian) -> float:
-        """Fréchet distance of the features, and the squared share by which fast motion follows slow motion less.
+        """Fréchet distance of the features, plus the squared relative loss of how well fast motion follows slow motion.
 
-        Following it more closely than real motion does counts for nothing: what kinks and filters win there, noise
-        would take away.
+        Following it more closely than real motion is not rewarded: kinks and filters could win that, and added noise
+        would hide it.
         """
         features = slice(0, self.num_distance)
         follows = max(self.following(real), LEAST_FOLLOWING)
@@ -145,7 +145,7 @@ class KinematicDescriptor:
         return frechet_distance(real.part(features), other.part(features)) + TIMING_WEIGHT * lost**2
 
     def following(self, of: Gaussian) -> float:
-        """By how much log power rises where the predictor says it rises by 1: near 1 for real motion, 0 for noise."""
+        """The regression slope of log power on its prediction: near 1 for real motion, 0 for noise."""
         product, square = of.mean[self.num_distance :]
         return float(product / max(square + self.least_prediction[0], 1e-12))
 
@@ -172,7 +172,7 @@ class KinematicDescriptor:
 def load_kinematic(path: Path) -> KinematicDescriptor:
     """Read a descriptor that `save` wrote.
 
-    Raises `DamagedFileError` where it is not what was written, and `ValueError` where it is of another version.
+    Raises `DamagedFileError` for a damaged file, and `ValueError` for another version.
     """
     try:
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
@@ -185,7 +185,7 @@ def load_kinematic(path: Path) -> KinematicDescriptor:
     if descriptor is None:
         raise ValueError(f"{path} holds a descriptor of version {version}, this is {VERSION}: fit it again")
     if written != descriptor.fingerprint:
-        raise DamagedFileError(path, "its numbers are not those of its fingerprint", "fit it again")
+        raise DamagedFileError(path, "its numbers do not match its fingerprint", "fit it again")
     return descriptor
 
 
@@ -218,7 +218,7 @@ def fit_kinematic(motions: Iterable[Float[np.ndarray, "_frames joints 3"]], fps:
 
 
 def standardised(fitted: KinematicDescriptor, described: Float64[np.ndarray, "clips features"]) -> KinematicDescriptor:
-    """The descriptor that centres and weighs features by what an unstandardised one gives for training clips."""
+    """The descriptor with centre and weights measured on training clips."""
     raw = described[:, : fitted.num_distance]
     least = np.full(fitted.num_distance, LEAST_LOG_SPREAD)
     least[fitted.blocks["pose"]] = LEAST_POSE_SPREAD
@@ -265,9 +265,9 @@ def _inputs(motion: Channels) -> Float64[np.ndarray, "frames channels"]:
 
 
 def _fit_predictor(motions: list[Channels]) -> Float64[np.ndarray, "channels timing"]:
-    """Ridge regression of log power on what the sudden channels have beside the steady ones.
+    """Ridge regression of log power on the residual of the sudden channels given the steady ones.
 
-    Speed alone would do as a predictor, and noise that is added where joints are fast follows speed.
+    Speed alone would be a good predictor, but noise that is added where joints are fast follows speed too.
     """
     steady, sudden, timing = (
         np.concatenate([getattr(motion, name) for motion in motions]) for name in ("steady", "sudden", "timing")

@@ -3,7 +3,7 @@
 Fixed float64 statistics of its poses, accelerations, speeds and foot slip.
 
 It needs no weights. A network trained to match text and motion scores upsampled or smoothed motion like clean motion;
-this descriptor sees both, because accelerations in bands of the clip's own Nyquist frequency are part of it.
+this descriptor detects both by accelerations in bands relative to the clip's Nyquist frequency.
 Every quantity is per second or relative, so its meaning does not change with the framerate.
 """
 
@@ -36,13 +36,13 @@ ACCELERATION_FLOOR = 0.05
 SPEED_FLOOR = 0.01
 SLIP_FLOOR = 0.005
 
-# Least standard deviations that numbers are divided by. Real captures lie above them (logarithms 0.5 … 2, pose means
-# 0.06 … 0.6 m); without them a corpus of perfectly planted feet would blow any slip up to hundreds of deviations.
+# Minimum standard deviations for the standardisation. Real captures lie above them (logarithms 0.5 … 2, pose means
+# 0.06 … 0.6 m); without them, in a corpus of perfectly planted feet any slip would be hundreds of deviations.
 LEAST_LOG_SPREAD = 0.25
 LEAST_POSE_SPREAD = 0.02
 
 CHUNK_CLIPS = 256
-"""Clips handled at once: their accelerations then stay in a processor's cache."""
+"""Clips per batch, so that their accelerations stay in the processor's cache."""
 
 BLOCKS: Mapping[str, slice] = {
     "pose": slice(0, 20),
@@ -199,9 +199,9 @@ def _acceleration_block(acceleration: Float64[np.ndarray, "clips samples 66"]) -
 def _level_block(acceleration: Float64[np.ndarray, "clips samples 66"]) -> Float64[np.ndarray, "clips 10"]:
     """Log quartiles over the clip of each group's root-mean-square acceleration, two frames averaged (m/s²).
 
-    Quartiles, not peaks: between two known poses an upsampled motion hardly accelerates, and the fewer they are the
-    longer it doesn't, while its kinks soon reach their full height. The mean of two frames has no gain at the Nyquist
-    frequency, where what a native capture holds depends on where the frames fell.
+    Quartiles, not peaks: an upsampled motion hardly accelerates between two known poses, for longer the fewer they are,
+    while its kinks soon reach their full height. Averaging two frames removes the Nyquist frequency, whose power in a
+    native capture depends on the sampling phase.
     """
     smooth = 0.5 * (acceleration[:, 1:] + acceleration[:, :-1])
     group = np.sort(np.square(smooth) @ GROUP_MEANS, axis=1)

@@ -1,4 +1,4 @@
-"""clip-FID of two sets of motions that are in memory: the project's definition, in one call."""
+"""clip-FID of two sets of motions in memory, in one call."""
 
 from collections.abc import Sequence
 from fractions import Fraction
@@ -66,7 +66,7 @@ def clip_fid(
 
 
 def comparison_with(real: SampleSet, train: SampleSet, protocol: Protocol, features: str | Path) -> Comparison:
-    """What `clip_fid` compares motions with, fitted once for any number of sets; raises what it raises."""
+    """The real side of `clip_fid`, fitted once for any number of sets; raises what it raises."""
     source = kinematic_source() if features == "kinematic" else native_source(Path(features))
     return source.comparison(real, train, protocol)
 

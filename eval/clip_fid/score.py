@@ -2,8 +2,8 @@
 
 The NeRM paper (§4.2) compares random clips of m poses at framerate s around a centre v, real against generated, without
 resampling either; m, the number of clips, the extractor and the real set at a target rate are this project's choices,
-and `VERSION` is raised whenever one of them changes. Not to be mistaken for the FID of images on CLIP features that
-other tools call clip-FID.
+and `VERSION` is raised whenever one of them changes. Not the FID of images on CLIP features that other tools call
+clip-FID.
 """
 
 import os
@@ -62,12 +62,12 @@ PART = "part "
 class ClipFid:
     """One comparison: clip-FID, the FID of named parts of the features, and further metrics on the same features.
 
-    The interval of `clip_fid` is over takes (and over generations, where there are several) and holds the drawing of
-    clips; that of `drawing` holds the drawing of clips alone. `resampled` are the scores of resampled takes: empty
-    where the protocol asks for none, or either side has a single take.
+    The interval of `clip_fid` is over takes (and generations, if there are several) and includes clip sampling; that of
+    `drawing` covers clip sampling alone. `resampled` are the scores of resampled takes: empty if the protocol has none,
+    or either side has a single take.
 
-    `details` holds fid_infinity, kid, precision, recall, density and coverage; it is empty where the protocol asks for
-    no detailed replications, and has no fid_infinity where there are too few clips to extrapolate from.
+    `details` holds fid_infinity, kid, precision, recall, density and coverage; it is empty without detailed
+    replications, and has no fid_infinity with too few clips to extrapolate from.
     """
 
     clip_fid: Estimate
@@ -96,10 +96,9 @@ def score_rows(
     """clip-FID of every row's sample set against the real one at the same framerate.
 
     `parts` names slices of the features whose own FID is wanted; `on_replication` is called after each replication.
-    Of rows in `subset_sizes` every replication takes another random subset of so many sequences, and their interval is
-    1.96 standard deviations of single subsets: how far one is from another, not how well their mean is known.
-    Raises `ClipError` where clips do not fit or the real set's features are constant, and `ValueError` where framerates
-    differ.
+    For rows in `subset_sizes` every replication takes another random subset of that many sequences; their interval is
+    1.96 standard deviations of single subsets, not of their mean. Raises `ClipError` if clips do not fit or the real
+    set's features are constant, and `ValueError` for different framerates.
     """
     subsets = subset_sizes or {}
     for samples in rows.values():
@@ -158,7 +157,7 @@ def score_disjoint_halves(
     parts: Mapping[str, slice] | None = None,
     on_replication: Callable[[], None] = lambda: None,
 ) -> ClipFid:
-    """clip-FID between disjoint halves of the real takes (P2), split anew in every replication.
+    """clip-FID between random disjoint halves of the real takes (P2), one split per replication.
 
     The interval is 1.96 standard deviations of single splits.
     """
@@ -176,13 +175,13 @@ def score_disjoint_halves(
 
 
 def score_of(features: FeatureSet) -> Callable[[Gaussian, Gaussian], float]:
-    """What is printed of two sets on these features: their own score, or the Fréchet distance."""
+    """The score of two sets on these features: their own, or the Fréchet distance."""
     return features.score if isinstance(features, MotionFeatures) else frechet_distance
 
 
 @dataclass(frozen=True, eq=False)
 class _Described:
-    """Features of clips, and of which sequence each clip is."""
+    """Features of clips, and each clip's sequence."""
 
     features: Float64[np.ndarray, "clips features"]
     sequence: Int64[np.ndarray, "clips"]
@@ -197,7 +196,7 @@ class _Replication:
 
 
 class _Takes:
-    """What is known of the takes of a comparison's sets, the real one first, from the clips of all replications."""
+    """Statistics of each take of a comparison's sets, the real one first, from the clips of all replications."""
 
     def __init__(self, sets: list[SampleSet], protocol: Protocol) -> None:
         self._sets, self._resampling = sets, Resampling(protocol.resamplings, protocol.seed)
@@ -217,7 +216,7 @@ class _Takes:
             sums.add(clips.features, units.unit[clips.sequence])
 
     def scores(self, features: FeatureSet) -> list[Resampled]:
-        """Every row's score in every resampling; empty where the real set or the row has a single take."""
+        """Every row's bootstrap scores; empty if the real set or the row has a single take."""
         from threadpoolctl import threadpool_limits
 
         score = features.score if isinstance(features, MotionFeatures) else quick_frechet_distance
@@ -233,9 +232,9 @@ T = typing.TypeVar("T")
 
 
 def _run(replicate: Callable[[int], T], replications: int, on_replication: Callable[[], None]) -> Iterator[T]:
-    """Run replications on as many threads as there are processors (numpy releases the interpreter's lock).
+    """Run replications on one thread per processor (numpy releases the GIL).
 
-    The linear algebra library gets one thread in each: its own threads would only get in their way.
+    BLAS gets one thread in each, to avoid oversubscription.
     """
     from threadpoolctl import threadpool_limits
 
@@ -269,7 +268,7 @@ def _split_takes(samples: SampleSet, rng: np.random.Generator) -> tuple[npt.NDAr
 
 
 def _subset(samples: SampleSet, size: int, protocol: Protocol, replication: int) -> Int64[np.ndarray, "chosen"]:
-    """Random sequences that hold the largest clips: `size` of them, or all that there are."""
+    """Up to `size` random sequences that are long enough for the largest clips."""
     largest = int(protocol.sizes.sizes(samples.fps).max())
     long_enough = np.flatnonzero(samples.sequences.num_frames >= largest)
     rng = np.random.default_rng((protocol.seed, replication, 6))
@@ -292,7 +291,7 @@ def _compare(
     if replication < protocol.detailed_replications:
         rng = np.random.default_rng((protocol.seed, replication, 4))
         neighbours = prdc(real, other, protocol.num_neighbours)
-        # Clips that are no more than four times the features have no such limit.
+        # FID∞ needs more than four clips per feature.
         with suppress(ValueError):
             scores["fid_infinity"] = fid_infinity(real, other, rng).limit
         scores["kid"] = kid(real, other)
@@ -311,6 +310,6 @@ def _summarise(replications: list[Scores], resampled: Resampled = ()) -> ClipFid
 
 
 def _of_single_sets(found: ClipFid) -> ClipFid:
-    """With the interval of one replication in place of their mean's: each had takes of its own."""
+    """With the interval of a single replication instead of the mean's: each had its own takes."""
     width = found.drawing.ci95 * np.sqrt(found.drawing.replications)
     return replace(found, clip_fid=replace(found.drawing, ci95=float(width)))

@@ -58,7 +58,7 @@ SMALLEST = DemoSize(
 
 
 class DemoFolder:
-    """Where everything of a demo lies: what is made of what, and the picture of Table 2 as curves above skeletons."""
+    """Paths of a demo's files and folders."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -68,20 +68,20 @@ class DemoFolder:
 
 @dataclass(frozen=True)
 class DemoOutcome:
-    """What a demo left behind, and how many seconds each step took."""
+    """A finished demo's folder, and the seconds of each step."""
 
     folder: DemoFolder
     seconds: dict[str, float]
 
 
 def run_demo(folder: DemoFolder, size: DemoSize, seed: int) -> DemoOutcome:
-    """Run the whole chain into a folder, in place of what an earlier demo left there.
+    """Run the whole chain into a folder, replacing an earlier demo.
 
-    The steps print what their commands print. Raises `UsageError` for a folder with something else in it, and
+    The steps print what their commands print. Raises `UsageError` for a folder with other content, and
     `MissingExtraError` without the extra `text`.
     """
     settings = flatten(registered_stages()["denoiser"].recipe(RECIPE))
-    load_text_encoder(str(settings["denoiser.conditions.text_encoder"]))  # asked for now, not after minutes of training
+    load_text_encoder(str(settings["denoiser.conditions.text_encoder"]))  # fail now, not after minutes of training
     _prepare(folder)
     seconds: dict[str, float] = {}
     with _step("corpus", seconds):
@@ -124,7 +124,7 @@ def run_demo(folder: DemoFolder, size: DemoSize, seed: int) -> DemoOutcome:
             seed=seed,
         )
     with _step("picture", seconds):
-        # A model that has barely begun to learn makes bodies of no human size: the unit can't be told from them.
+        # A barely trained model makes bodies of no human size, from which the unit cannot be guessed.
         options = ReadOptions(unit_metres=0.01)
         generated = [read_bvh(path, options) for path in sorted(folder.generated.glob("*.bvh"))]
         draw_picture(folder, real, generated)
@@ -132,7 +132,7 @@ def run_demo(folder: DemoFolder, size: DemoSize, seed: int) -> DemoOutcome:
 
 
 def pictured_motions(store: Store, count: int) -> list[Motion]:
-    """Motions of the training split to set beside generated ones: one per pictured action, the longest first."""
+    """Training motions to show beside generated ones: the longest of each pictured action."""
     found = store.sequences
     known = found[(found["split"] == "train") & (found["duration_seconds"] >= 0.75 * PICTURED_SECONDS)]
     chosen = []
@@ -154,12 +154,12 @@ def draw_picture(folder: DemoFolder, real: list[Motion], generated: list[Motion]
 
 
 def _prepare(folder: DemoFolder) -> None:
-    """Clear away an earlier demo; anything else is somebody's and stays. Raises `LinkError` where a part is a link."""
+    """Delete an earlier demo and nothing else. Raises `LinkError` for links."""
     marker = folder.path / MARKER
     there = set(folder.path.iterdir()) - {temporary_name(marker)} if folder.path.is_dir() else set()
-    # Demos of before had no marker.
+    # Demos of earlier versions had no marker.
     if there and not marker.is_file() and not (folder.corpus / "LICENSE").is_file():
-        raise UsageError(f"{folder.path} holds something else than an earlier demo; name another with --folder")
+        raise UsageError(f"{folder.path} has other content than an earlier demo; choose another folder with --folder")
     parts = (folder.corpus, folder.store, folder.runs, folder.generated, folder.results)
     for part in parts:
         require_no_link(part, "delete the link, or name another folder with --folder")

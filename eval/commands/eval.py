@@ -70,7 +70,7 @@ def evaluate(
 
 
 def _build_all(request: "TableRequest", numbers: Sequence[str | None], paper: str, as_json: bool) -> None:
-    """Build every table in turn; raises `UsageError` at the end, with the reasons, where some could not be built."""
+    """Build every table in turn; raises `UsageError` at the end, with reasons, if some could not be built."""
     from dataclasses import asdict
 
     results, lacking = [], []
@@ -91,7 +91,7 @@ def _build_all(request: "TableRequest", numbers: Sequence[str | None], paper: st
 
 
 def _refuse_rowless(request: "TableRequest", result: "Result") -> None:
-    """End with exit code 1 where samples that were given have no row in the table, with the reason."""
+    """Raise if samples have no row in the table, with the reason."""
     from eval.sample_folder import SampleFolderError
     from eval.tables.nerm.copies import TITLE as COPIES
 
@@ -106,7 +106,7 @@ def _refuse_rowless(request: "TableRequest", result: "Result") -> None:
 
 
 def _refuse_broken(request: "TableRequest") -> None:
-    """Name every sample that the table does without, and end with exit code 1."""
+    """Print every sample that was left out, and raise."""
     from eval.sample_folder import SampleFolderError
 
     incomplete = [folder for folder in request.sample_folders if folder.left_out]
@@ -121,7 +121,7 @@ def _refuse_broken(request: "TableRequest") -> None:
 
 
 def _say_what_is_lacking(table: "Table", request: "TableRequest") -> None:
-    """The command that trains all systems without a row, where there are any."""
+    """Print the command that trains all systems without a row, if any."""
     from motionkit.training.systems import options_for
 
     run = request.evaluated.run
@@ -132,7 +132,7 @@ def _say_what_is_lacking(table: "Table", request: "TableRequest") -> None:
             f"figure:{number}" if number else f"table:{kind}", None if table.is_default else table.paper
         )
         named = "" if run is None or run.name == "nano" else f" --run {shlex.quote(run.name)}"
-        stderr.print(f"no rows of {', '.join(lacking)}: motionkit train {options}{named} trains what is lacking")
+        stderr.print(f"no rows of {', '.join(lacking)}: motionkit train {options}{named} trains the missing ones")
 
 
 def _build(request: "TableRequest", table: str | None, paper: str) -> "Result":
@@ -177,7 +177,7 @@ def _show(result: "Result", as_json: bool = False) -> None:
 
 
 def _print_tables(result: "Result") -> None:
-    """The numbers of a result for a terminal; notes and further metrics stand in the file."""
+    """The numbers of a result for a terminal; notes and further metrics are in the file."""
     from eval.report.render import format_cell
     from motionkit.cli.tables import print_table
 

@@ -1,4 +1,4 @@
-"""The options of `motionkit eval`, by what they are about, as the command line says them and as tables take them."""
+"""The options of `motionkit eval`, in groups, and their conversion to the requests that tables take."""
 
 import inspect
 from collections.abc import Callable
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from eval.clip_fid.clips import PoseRange, SecondsRange
     from eval.tables.registry import ClipFidSettings, Evaluated, Evaluators, PublishedProtocol, RealMotions
 
-# Where options stand in --help.
+# Panels of --help.
 REAL = "Real motion"
 EVALUATED = "What is evaluated"
 CLIPS = "clip-FID (table 2, figures, --calibrate)"
@@ -80,7 +80,7 @@ AllowBroken = Annotated[
     bool,
     typer.Option(
         "--allow-broken",
-        help="Exit with 0 although samples that cannot be read, or hold NaN, were left out.",
+        help="Exit with 0 even if unreadable samples, or samples with NaN, were left out.",
         rich_help_panel=EVALUATED,
     ),
 ]
@@ -137,7 +137,7 @@ MotionClipFolder = Annotated[
     ),
 ]
 MostMotions = Annotated[
-    int, typer.Option(min=2, help="Most motions that a model generates.", rich_help_panel=EVALUATED)
+    int, typer.Option(min=2, help="Maximum number of motions that a model generates.", rich_help_panel=EVALUATED)
 ]
 ProtocolName = Annotated[
     str,
@@ -156,17 +156,17 @@ Draws = Annotated[
     int,
     typer.Option(
         min=1,
-        help="How often a model generates the whole set; 20 as published protocols do.",
+        help="How often a model generates the whole set; published protocols: 20.",
         rich_help_panel=EVALUATED,
     ),
 ]
-Seed = Annotated[int, typer.Option(min=0, help="Everything random follows from it.")]
+Seed = Annotated[int, typer.Option(min=0, help="Random seed.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
 
 @dataclass(frozen=True)
 class OutputOptions:
-    """Where the result goes, and what everything random follows from."""
+    """Where the result goes, and the random seed."""
 
     results: ResultsFolder = None
     seed: Seed = 0
@@ -184,7 +184,7 @@ class TableOptions:
 
     @property
     def numbers(self) -> tuple[str | None, ...]:
-        """The tables' numbers as they are registered; None for the calibration. Raises `UsageError` for no choice."""
+        """The chosen tables' registered numbers; None for the calibration. Raises `UsageError` without a choice."""
         from eval.tables.registry import installed_tables
 
         if sum((self.table is not None, self.figure is not None, self.calibrate)) != 1:
@@ -228,7 +228,7 @@ class EvaluatedOptions:
     draws: Draws = 1
 
     def chosen(self) -> "Evaluated":
-        """As tables take it; raises `UsageError` for what names nothing."""
+        """As tables take it; raises `UsageError` for unknown names."""
         from eval.sample_folder import SampleOptions
         from eval.tables.registry import Evaluated
 
@@ -265,7 +265,7 @@ class ClipOptions:
             raise UsageError(f"--fps {self.fps}: {error}") from None
 
     def chosen(self, seed: int) -> "ClipFidSettings":
-        """As tables take it; raises `UsageError` for sizes that are none."""
+        """As tables take it; raises `UsageError` for invalid sizes."""
         from eval.clip_fid.clips import Protocol
         from eval.tables.registry import ClipFidSettings
 
@@ -284,15 +284,13 @@ class EvaluatorOptions:
     motion_clip: MotionClipFolder = None
 
     def chosen(self) -> "Evaluators":
-        """As tables take it; raises `UsageError` for files of no evaluator."""
+        """As tables take it; raises `UsageError` for files that no evaluator uses."""
         from eval.tables.registry import Evaluators
         from eval.text_motion.guo.kind import GuoFiles
 
         unused = [name for name, path in (("--glove", self.glove), ("--statistics", self.statistics)) if path]
         if self.weights is None and unused:
-            raise UsageError(
-                f"{unused[0]} belongs to a published evaluator: name its weights with --weights finest.tar"
-            )
+            raise UsageError(f"{unused[0]} needs a published evaluator: give its weights with --weights finest.tar")
         return Evaluators(
             tuple(self.evaluator.split(",")) if self.evaluator else None,
             None if self.weights is None else GuoFiles(self.weights, self.glove, self.statistics),
@@ -315,7 +313,7 @@ class ProtocolOptions:
 
 
 def in_groups(command: Callable[..., None]) -> Callable[..., None]:
-    """A command whose parameters are dataclasses of options, as one that takes every option by its own name."""
+    """Flatten a command whose parameters are dataclasses of options into one with each option as a parameter."""
     parameters = inspect.signature(command).parameters
     groups: dict[str, Any] = {name: each.annotation for name, each in parameters.items()}
     flat = [

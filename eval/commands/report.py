@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from eval.report.results import Result
     from motionkit.core.progress import OnProgress
 
-# Of a run's motions in the page.
+# Motions of a run in the page.
 NUM_CAPTIONS, FPS, SHORTEST_SHOWN_SECONDS, LONGEST_SHOWN_SECONDS = 2, Fraction(60), 2.0, 6.0
 
 
@@ -43,7 +43,7 @@ def report(
     With --store the page begins with what the store holds, with --run it says how runs were trained, and with both it
     shows what their models answer to held-out captions.
 
-    Results that cannot be read are named, and the exit code is 1.
+    Unreadable results are listed, and the exit code is 1.
 
     Example: motionkit report --store store --run nano
     """
@@ -58,7 +58,7 @@ def report(
         stderr.print(f"left out: {fault}")
     if there.others:
         names = ", ".join(path.name for path in there.others)
-        stderr.print(f"not results, and not shown: {names}")
+        stderr.print(f"skipped, not results: {names}")
     found = list(there.results)
     if not found and not there.faults and not run:
         raise UsageError(f"there is no result in {str(folder)!r}: motionkit eval --table 2 makes one")
@@ -108,7 +108,7 @@ def _run_card(run: Path, store: Path | None, show: "OnProgress") -> str:
 
 
 def _motions(run: Path, store: Path, show: "OnProgress") -> Iterator[tuple[str, str]]:
-    """For some held-out captions a page of the real motion and of what each model of a run makes of it, planted."""
+    """For some held-out captions, a page of the real motion beside each model's planted one."""
     import numpy as np
 
     from eval.sets.real import real_motion
@@ -147,7 +147,7 @@ def _motions(run: Path, store: Path, show: "OnProgress") -> Iterator[tuple[str, 
 
 
 def _pictures(results: "list[Result]", folder: Path) -> list[Path]:
-    """Draw the calibration and every result with columns of framerates, or of seconds and a quality; what was drawn."""
+    """Draw the calibration and every result over framerates, or of seconds and a quality; returns what was drawn."""
     from eval.report.curves import figure_of
     from eval.report.figures import save
 

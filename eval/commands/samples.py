@@ -1,4 +1,4 @@
-"""`motionkit samples`: what a folder of samples holds, before a table is built from it."""
+"""`motionkit samples`: inspect a folder of samples before building a table from it."""
 
 from pathlib import Path
 from typing import Annotated
@@ -62,18 +62,18 @@ def samples(
 
 
 def _write_manifest(folder: Path, stated: dict[str, object]) -> None:
-    """Write `samples.toml` where there is none, with the statistics' files beside it."""
+    """Write a new `samples.toml`, with the statistics' files beside it."""
     from eval.sample_folder.manifest import MANIFEST, NORMALISED, RAW, manifest_text
 
     if not folder.is_dir():
-        raise UsageError(f"--init writes into a folder, and {str(folder)!r} is none")
+        raise UsageError(f"--init needs a folder, and {str(folder)!r} is not one")
     path = folder / MANIFEST
     if path.exists() and path.stat().st_size:
         raise UsageError(f"{path} is there already: edit it, or remove it first")
     if stated.get("statistics") not in (None, RAW, NORMALISED):
         raise UsageError(f"--statistics {stated['statistics']}: expected {RAW} or {NORMALISED}")
     if not (stated.get("statistics") == NORMALISED) == ("mean" in stated) == ("std" in stated):
-        raise UsageError("--statistics normalised goes with --mean FILE and --std FILE, and they with it")
+        raise UsageError("--statistics normalised needs --mean FILE and --std FILE, and they need it")
     for key, name in STATISTICS_FILES.items():
         source = stated.get(key)
         if isinstance(source, Path):

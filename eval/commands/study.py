@@ -27,25 +27,25 @@ STUDY = typer.Typer(
 Samples = Annotated[
     list[str] | None,
     typer.Option(
-        metavar="NAME=DIR", help="A system's motions, two or more; the first is compared with each other one."
+        metavar="NAME=DIR", help="A system's motions; give two or more. The first is compared with each other one."
     ),
 ]
 SamplesFps = Annotated[
     str | None, typer.Option(metavar="FPS", help="Framerate of samples whose files do not say it.", show_default=False)
 ]
 RunName = Annotated[
-    str | None, typer.Option(help="A run whose model answers the others' captions; it is the first then.")
+    str | None, typer.Option(help="A run whose model generates for the others' captions; it then comes first.")
 ]
-ModelName = Annotated[str | None, typer.Option(help="Which of the run's models, where it holds several.")]
+ModelName = Annotated[str | None, typer.Option(help="Which of the run's models, if it has several.")]
 RunsFolder = Annotated[Path | None, typer.Option(help="Folder of all runs.", show_default="./runs")]
 StorePath = Annotated[
-    Path | None, typer.Option(help="Real motion of this store is a system too, up to its own framerates.")
+    Path | None, typer.Option(help="Add real motion of this store as a system, up to its own framerates.")
 ]
-Split = Annotated[str, typer.Option(help="Which of it: a split, or all.")]
+Split = Annotated[str, typer.Option(help="Split of the real motion, or all.")]
 Fps = Annotated[str, typer.Option(metavar="FPS,FPS", help="Framerates; the paper's are 20 and 40,60,100,120.")]
 Cases = Annotated[int, typer.Option(min=1, help="Pairs of motions for each question, framerate and pair of systems.")]
-Seconds = Annotated[float, typer.Option(min=0.1, help="Of longer motions the middle is shown.")]
-Seed = Annotated[int, typer.Option(min=0, help="Motions, sides and order follow from it.")]
+Seconds = Annotated[float, typer.Option(min=0.1, help="Longer motions are cut to their middle.")]
+Seed = Annotated[int, typer.Option(min=0, help="Random seed of motions, sides and order.")]
 OutPage = Annotated[Path, typer.Option(help="The page's file; the key lies beside it, as NAME.key.json.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the page and the key if they exist.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")]
@@ -131,9 +131,9 @@ def score(
     key: Annotated[Path, typer.Option(help="The study's key.")] = Path("study.key.json"),
     as_json: AsJson = False,
 ) -> None:
-    """Say how often the first system was preferred to each other one: per cent, 95 % interval, binomial test.
+    """Print how often the first system was preferred to each other one: per cent, 95 % interval, binomial test.
 
-    Files that cannot be used are named, and the exit code is 1.
+    Unusable files are listed, and the exit code is 1.
 
     Example: motionkit study score answers-*.json --key study.key.json
     """

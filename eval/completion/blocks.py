@@ -1,4 +1,4 @@
-"""Blocks of the completion tables: rows by the form of their answer, on every data set and on all of them together."""
+"""Blocks of the completion tables: rows by the form of their output, on each data set and pooled."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -12,16 +12,16 @@ from eval.metrics.resampling import Difference, half_width, paired_difference
 from eval.report.differences import Differences, differences_block, pairs_of
 from eval.report.results import Block, Cell, Measure, Row, measure
 
-# Metrics that are shown in another unit than their own: how many of it make one of theirs, and its name.
+# Metrics shown in another unit than their own: the factor, and the unit's name.
 UNITS = {"mpjpe_global": (100.0, "cm")}
 PLAIN = "plain"
-# What a title says of the rows of a form; corrections stand with what they correct.
+# Suffix of a block's title for each form; corrections share a block with interpolators.
 FORMS = {"": "", PLAIN: ", plain answers"}
 
 
 @dataclass(frozen=True)
 class Shown:
-    """What a table shows of its rows: blocks by metric, with their titles, and further metrics of a block by title."""
+    """The layout of a table: blocks by metric, with their titles, and further metrics of a block by title."""
 
     columns: tuple[str, ...]
     metrics: Mapping[str, str]
@@ -30,7 +30,7 @@ class Shown:
 
 @dataclass(frozen=True, eq=False)
 class Scope:
-    """Clips that figures are means over: a data set's, or those of several."""
+    """The clips that figures are averaged over: of one data set, or of several."""
 
     label: str
     fps: Fraction
@@ -39,7 +39,7 @@ class Scope:
 
 
 def with_pools(scopes: Sequence[Scope], noun: str) -> list[Scope]:
-    """Before all others those of a framerate together, wherever several have it; `noun` is what is pooled (clips)."""
+    """Add pooled scopes, first, for framerates that several data sets have; `noun` is what is pooled (clips)."""
     pools = []
     for fps in dict.fromkeys(scope.fps for scope in scopes):
         same = [scope for scope in scopes if scope.fps == fps]
@@ -52,10 +52,10 @@ def with_pools(scopes: Sequence[Scope], noun: str) -> list[Scope]:
 
 
 def blocks_of(scopes: Iterable[Scope], completers: Sequence[Completer], shown: Shown) -> list[Block]:
-    """Blocks of every scope, and which of their rows differ; what the rows are is said in the first block of each form.
+    """Blocks of every scope, with paired differences; rows are described in the first block of each form.
 
-    Trained rows whose answer is a pose as it is (form `plain`) stand in blocks of their own. Rows that need no training
-    are in both.
+    Trained rows that predict poses directly (form `plain`) have their own blocks. Rows that need no training are in
+    both.
     """
     blocks: list[Block] = []
     noted: set[str] = set()
@@ -77,14 +77,14 @@ def blocks_of(scopes: Iterable[Scope], completers: Sequence[Completer], shown: S
                     )
                 )
                 found = _differences(scope, of_form, metric, shown)
-                told = differences_block(blocks[-1], found)
-                blocks += [] if told is None else [told]
+                tests = differences_block(blocks[-1], found)
+                blocks += [] if tests is None else [tests]
             noted.add(form)
     return blocks
 
 
 def _by_form(completers: Sequence[Completer]) -> dict[str, list[Completer]]:
-    """Rows of each form's blocks; corrections and rows of unknown form share theirs, which is there in any case."""
+    """Rows of each form's blocks; corrections and rows of unknown form share one, which always exists."""
     forms: dict[str, list[Completer]] = {"": [each for each in completers if each.form != PLAIN]}
     if any(each.form == PLAIN for each in completers):
         forms[PLAIN] = [each for each in completers if not each.trained or each.form == PLAIN]
@@ -103,7 +103,7 @@ def _cells(scores: Scores, metric: str, shown: Shown) -> dict[str, Cell]:
 
 
 def _differences(scope: Scope, completers: Sequence[Completer], metric: str, shown: Shown) -> Differences:
-    """Of trained rows with one another, and with the untrained row that is best in most columns."""
+    """Differences between trained rows, and from the untrained row that is best in most columns."""
     trained = [each.name for each in completers if each.trained]
     untrained = [each.name for each in completers if not each.trained]
     best = [_best_of(untrained, scope, metric, shown.columns)] if untrained else []
@@ -130,11 +130,11 @@ def _best_of(names: Sequence[str], scope: Scope, metric: str, columns: Sequence[
 
 
 def value(scores: Scores, metric: str, column: str) -> float:
-    """A figure in the unit that tables show it in."""
+    """A value in the unit shown in tables."""
     factor, _ = UNITS.get(metric, (1.0, ""))
     return factor * scores[metric][column].mean
 
 
 def shown_measure(metric: str) -> Measure:
-    """What a block says of a metric."""
+    """A metric's description in a block."""
     return measure(metric, unit=UNITS[metric][1] if metric in UNITS else None)

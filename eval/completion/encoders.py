@@ -1,4 +1,4 @@
-"""The rows of the completion tables: what needs no training, and the trained encoders of runs."""
+"""The rows of the completion tables: interpolators, and the trained encoders of runs."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from eval.sets.found import Found
+from eval.sets.partial import PartialResult
 from motionkit.complete.encoders import (
     EncoderLoader,
     Task,
@@ -35,8 +35,8 @@ from motionkit.training.stage import recorded_settings
 class RowCurves:
     """An encoder by curves through root position and two columns of each rotation, made perpendicular again.
 
-    Beyond the observed span numbers go on at constant velocity. It does not depend on what else is asked, but on the
-    skeleton's rest pose, for a joint's first column counts for more than its second.
+    Beyond the observed span values continue at constant velocity. Results depend on the skeleton's rest pose, since
+    orthonormalisation favours a joint's first column.
     """
 
     name: str
@@ -96,10 +96,10 @@ CUBIC = RowCurves("row-cubic", "cubic")
 
 @dataclass(frozen=True)
 class Completer:
-    """A row: an encoder, what it is, and what its figures depend on beside the protocol.
+    """A row: an encoder, its description, and a fingerprint of everything its figures depend on beside the protocol.
 
-    `form` is what a trained network's answer is (`Form` of its settings): rows of different forms are not compared by
-    their networks alone. It is empty where nothing says so. `facts` tell how it was trained.
+    `form` is the form of a trained network's output (`Form` of its settings), or empty: rows of different forms are
+    not a comparison of networks alone. `facts` describe its training.
     """
 
     name: str
@@ -127,11 +127,13 @@ INTERPOLATION = (
 )
 
 
-def trained_completers(task: Task, run: Path | None, more: Sequence[tuple[str, Path]]) -> Found[list[Completer]]:
-    """The installed encoders for a task that `run` holds, then (name, run) pairs asked for, which must be there.
+def trained_completers(
+    task: Task, run: Path | None, more: Sequence[tuple[str, Path]]
+) -> PartialResult[list[Completer]]:
+    """The installed encoders for a task that `run` holds, then requested (name, run) pairs, which must exist.
 
-    What is missing in `run` is named with the runs that have it. Raises `UsageError` for a name that no installed
-    package has, `DamagedFileError`, and what loading an encoder that was asked for raises.
+    Encoders missing in `run` are reported with the runs that have them. Raises `UsageError` for an unknown name,
+    `DamagedFileError`, and what loading a requested encoder raises.
     """
     found: list[Completer] = []
     missing: list[str] = []
@@ -152,11 +154,11 @@ def trained_completers(task: Task, run: Path | None, more: Sequence[tuple[str, P
             raise UsageError(f"--encoder {name}={folder.name}: trained encoders are {names}")
         row = completer_of(name, folder)
         found.append(replace(row, name=f"{row.name} ({folder.name})"))
-    return Found(found, tuple(missing))
+    return PartialResult(found, tuple(missing))
 
 
 def completer_of(name: str, run: Path) -> Completer:
-    """The row of a run's trained encoder, by the encoder's own name; raises what loading it raises."""
+    """The row of a run's trained encoder; raises what loading it raises."""
     loader = encoder_loader(name)
     encoder = loader.load(run)
     stage = RunFolder(run).stage(loader.stages[-1])
@@ -167,7 +169,7 @@ def completer_of(name: str, run: Path) -> Completer:
         encoder.name,
         encoder,
         _described_training(run, training),
-        # What a network answers depends on the code that asks it: another commit's figures are not this one's.
+        # Figures depend on the code too, so they are cached per commit.
         f"{name}-{digest}-{code_version()}",
         trained=True,
         form=str(training.get("answer", {}).get("form", "")),
@@ -176,7 +178,7 @@ def completer_of(name: str, run: Path) -> Completer:
 
 
 def _described_training(run: Path, training: Mapping[str, Any]) -> str:
-    """The run with its steps and the form of the answer, where its settings say them."""
+    """A description of the run: steps and form of the output, if known."""
     described, schedule, answer = [f"run {run.name!r}"], training.get("schedule", {}), training.get("answer", {})
     if schedule.get("steps") is not None:
         described.append(f"{schedule['steps']:,} steps of {schedule.get('batch_size')}")
@@ -189,7 +191,7 @@ def _described_training(run: Path, training: Mapping[str, Any]) -> str:
 
 @cache
 def code_version() -> str:
-    """The commit of this code, or the package's version where there is no checkout."""
+    """The commit of this code, or the package's version outside a checkout."""
     return commit() or versions()["motionkit"]
 
 

@@ -1,4 +1,4 @@
-"""How well encoders fill gaps and go on beyond ends: L2P, L2Q, NPSS and MPJPE of whole windows."""
+"""Errors of encoders in in-betweening and extrapolation: L2P, L2Q, NPSS and MPJPE of whole windows."""
 
 from collections.abc import Callable, Sequence
 
@@ -25,8 +25,8 @@ def measure_windows(
 ) -> Scores:
     """An encoder's figures by metric and question; `advance` is called `num_batches` times.
 
-    Only local rotations and the root's position are taken from its answer: bones are the windows' skeleton's, as for
-    the truth. Raises `MotionkitError` or `ValueError` where the encoder cannot answer, or knows positions only.
+    Only local rotations and the root's position of its output are used: bones are those of the windows' skeleton, as
+    for the truth. Raises `MotionkitError` or `ValueError` if the encoder fails, or has positions only.
     """
     streams = {question.label: TakeStreams(METRICS) for question in questions}
     times = np.arange(windows.root_translation.shape[1], dtype=np.float64) / float(FPS)
@@ -60,17 +60,17 @@ def measure_windows(
 
 
 def num_batches(windows: PoseWindows) -> int:
-    """How often `measure_windows` advances."""
+    """Number of calls of `advance` in `measure_windows`."""
     return -(-windows.num_windows // WINDOWS_AT_ONCE)
 
 
 def _taken(
     made: Sequence[Poses], given: Float32[np.ndarray, "windows frames joints 4"], question: Question
 ) -> tuple[Float32[np.ndarray, "windows asked 3"], Float32[np.ndarray, "windows asked joints 4"]]:
-    """Root and local rotations of an answer, signs running on from the given pose beside the first asked one."""
+    """Root and local rotations of an output, with continuous quaternion signs from the adjacent given pose on."""
     answered = [poses.local_rotations for poses in made if poses.local_rotations is not None]
     if len(answered) < len(made):
-        raise ValueError("its motion has positions only, and this table is about rotations")
+        raise ValueError("its motion has positions only, but this table needs rotations")
     roots = np.stack(
         [poses.joint_positions[:, 0] if poses.root_translation is None else poses.root_translation for poses in made]
     )

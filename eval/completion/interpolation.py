@@ -1,4 +1,4 @@
-"""How well encoders put back the frames that a scale left out: PA-HiRes' Tables 1 and 2, measured."""
+"""Errors of encoders in interpolating dropped frames: PA-HiRes' Tables 1 and 2, measured."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from motionkit.features.rotation_rows import rows_of_poses, two_columns
 from motionkit.fields.completion import query_many
 from motionkit.fields.motion_field import Poses
 
-# A body that stands still is put back exactly: a clip counts with at most so many dB, which is float32's resolution.
+# A still body is reconstructed exactly: dB per clip are capped, at about float32's resolution.
 CEILING_DB = 100.0
 CLIPS_AT_ONCE = 32
 
@@ -29,7 +29,7 @@ def timed_metrics() -> list[str]:
 
 
 def measured_metrics() -> tuple[str, ...]:
-    """What is measured of every answer."""
+    """The metrics of an output."""
     return ("psnr", "ssim", "mpjpe_global", "rotation_angle_error", *timed_metrics())
 
 
@@ -48,7 +48,7 @@ def measure_interpolation(
     completers: Sequence[Completer],
     advance: Callable[[], None] = lambda: None,
 ) -> tuple[dict[str, Scores], dict[str, str]]:
-    """For each completer's name its figures, by metric and by scale; and why a completer has none.
+    """Figures by completer, metric and scale; and why a completer has none.
 
     `advance` is called once for each batch of clips (`num_batches`).
     """
@@ -81,13 +81,13 @@ def measure_interpolation(
 
 
 def num_batches(clips: TrueClips) -> int:
-    """How often `measure_interpolation` advances."""
+    """Number of calls of `advance` in `measure_interpolation`."""
     return -(-clips.num_clips // CLIPS_AT_ONCE)
 
 
 @dataclass(frozen=True, eq=False)
 class _Answered:
-    """What was made of some clips beside the truth: numbers in the unit range, positions, local rotations."""
+    """Predicted and true clips: numbers in the unit range, positions, local rotations."""
 
     fps: float
     predicted: Float64[np.ndarray, "clips frames numbers"]
@@ -134,7 +134,7 @@ def _add(streams: Mapping[str, MeanStream], protocol: InterpolationProtocol, sca
 
 
 def _with_rotations(poses: Poses) -> Poses:
-    """Poses of fields that know positions only get the rotations that all rows have: those of inverse kinematics."""
+    """Poses with positions only get rotations by inverse kinematics, as all rows have."""
     return poses if poses.local_rotations is not None else rows_of_poses(poses, SMPL22).poses()
 
 

@@ -1,4 +1,4 @@
-"""What is given of a window and what is scored: in-betweening (PA-HiRes, Table 3; LaFAN1), and extrapolation.
+"""Given and scored frames of a window: in-betweening (PA-HiRes, Table 3; LaFAN1), and extrapolation.
 
 Source of the in-betweening protocol: Harvey et al. 2020 (ubisoft-laforge-animation-dataset), spans and framerate those
 of its benchmark. Extrapolation has no published protocol; this is motionkit's own (docs/metrics.md).
@@ -19,7 +19,7 @@ EXTRAPOLATION_VERSION = "extrapolation/1"
 
 @dataclass(frozen=True)
 class Question:
-    """Frames of a window: those that are given and those that are asked for, and the table's name for it."""
+    """Given and requested frames of a window, and the table's name for them."""
 
     label: str
     given: Int64[np.ndarray, "given"]
@@ -27,12 +27,12 @@ class Question:
 
     @property
     def last(self) -> int:
-        """The last frame of the window that this needs."""
+        """The last frame of the window that is used."""
         return int(max(self.given.max(), self.asked.max()))
 
 
 def gaps(lengths: Sequence[int] = (5, 15, 30, 45)) -> tuple[Question, ...]:
-    """10 past frames and the first future one given, the n between them asked for."""
+    """10 past frames and the first future one are given, the n between them requested."""
     return tuple(
         Question(
             f"{length} frames",
@@ -44,7 +44,7 @@ def gaps(lengths: Sequence[int] = (5, 15, 30, 45)) -> tuple[Question, ...]:
 
 
 def continuations(lengths: Sequence[int] = (5, 15, 30), num_given: int = 30) -> tuple[Question, ...]:
-    """A second at 30 fps given, the n frames after it asked for; then a second given and the n frames before it.
+    """A second at 30 fps is given, the n frames after it requested; and likewise backwards.
 
     The given second is the first one of the window, or the last one of the same 60 frames.
     """
@@ -69,8 +69,8 @@ OTHER_SCALES = tuple(Fraction(scale) for scale in ("1.2", "2.4", "3.6", "4.8"))
 class InterpolationProtocol:
     """Clips of `num_kept` given frames; at scale s frame ⌊i·s⌋ is the i-th given one, at its true time.
 
-    Clips start at every multiple of the span of the largest scale, `clip_frames`, so that every scale of both tables
-    sees the same places of the same takes, and what is given of them is always as many frames.
+    Clips start at every multiple of the span of the largest scale, `clip_frames`, so that all scales of both tables
+    use the same parts of the same takes, with the same number of given frames.
     """
 
     num_kept: int = 16
@@ -78,21 +78,21 @@ class InterpolationProtocol:
 
     @property
     def clip_frames(self) -> int:
-        """Frames from one clip's start to the next one's: those that the largest scale spans."""
+        """Frames between the starts of neighbouring clips: the span of the largest scale."""
         return self.span_frames(self.largest_scale)
 
     def kept_frames(self, scale: Fraction) -> Int64[np.ndarray, "kept"]:
-        """⌊i·s⌋ for i = 0 … N − 1, exactly; scales below 1 raise `ValueError`, for they would keep a frame twice."""
+        """⌊i·s⌋ for i = 0 … N − 1, exactly; raises `ValueError` for scales outside (1, `largest_scale`]."""
         if not 1 < scale <= self.largest_scale:
             raise ValueError(f"scales lie above 1 and up to {self.largest_scale}, not at {scale}")
         return np.array([index * scale.numerator // scale.denominator for index in range(self.num_kept)])
 
     def span_frames(self, scale: Fraction) -> int:
-        """⌊(N − 1)·s⌋ + 1: the frames from the first given one to the last, all of which are asked for."""
+        """⌊(N − 1)·s⌋ + 1: the requested frames, from the first given one to the last."""
         return (self.num_kept - 1) * scale.numerator // scale.denominator + 1
 
     def synthesised(self, scale: Fraction) -> Bool[np.ndarray, "span"]:
-        """Which frames of the span are not given."""
+        """Mask of the frames of the span that are not given."""
         marks = np.ones(self.span_frames(scale), dtype=bool)
         marks[self.kept_frames(scale)] = False
         return marks

@@ -1,4 +1,4 @@
-"""What a row scores: means by metric and by column, and the scale that they are measured in."""
+"""Scores of a row: means by metric and column, and the scaling of pose vectors."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -48,12 +48,12 @@ class TakeMeans:
         return tuple(total / size if size else None for total, size in pairs)
 
 
-# By metric, then by what was asked (a scale, a length).
+# By metric, then by column (a scale, a length).
 Scores = Mapping[str, Mapping[str, TakeMeans]]
 
 
 class TakeStreams:
-    """Some metrics, measured take by take."""
+    """Accumulates metrics per take."""
 
     def __init__(self, metrics: Sequence[str]) -> None:
         self._metrics = metrics
@@ -67,12 +67,12 @@ class TakeStreams:
             yield np.array([place for place, each in enumerate(takes) if each == take]), self._of_take[take]
 
     def means(self, metric: str) -> TakeMeans:
-        """What a metric's streams have seen."""
+        """The accumulated sums of a metric."""
         return TakeMeans({take: streams[metric].sums for take, streams in self._of_take.items()})
 
 
 def scores_of(streams: Mapping[str, TakeStreams], metrics: Sequence[str]) -> Scores:
-    """What the streams have seen; they are by column."""
+    """The accumulated sums by column."""
     return {name: {column: of_column.means(name) for column, of_column in streams.items()} for name in metrics}
 
 
@@ -95,17 +95,17 @@ def _joined(first: Scores, second: Scores) -> Scores:
 
 ROOT_PATH, ROOT_HEIGHT, ROOT_ROTATION, JOINT_ROTATIONS = slice(0, 3, 2), slice(1, 2), slice(3, 9), slice(9, None)
 GROUPS = (ROOT_PATH, ROOT_HEIGHT, ROOT_ROTATION, JOINT_ROTATIONS)
-# No number counts for more than one of this share of its group's deviation: the noise of joints that hardly turn would
-# be worth as much as a leg's swing.
+# Deviations are at least this share of their group's: otherwise the noise of joints that hardly turn would count as
+# much as a leg's swing.
 FLOOR_SHARE = 0.25
-# Less is no deviation but the rounding of float32: a leaf of the skeleton, which has no bone to turn.
+# A smaller deviation is float32 rounding: a leaf of the skeleton, which has no bone to rotate.
 CONSTANT = 1e-5
 CLIPS_AT_ONCE = 512
 
 
 @dataclass(frozen=True, eq=False)
 class PoseScale:
-    """Mean and deviation of the numbers that vary; the others are left out of every figure."""
+    """Mean and deviation of the numbers that vary; the others are ignored."""
 
     mean: Float64[np.ndarray, "numbers"]
     std: Float64[np.ndarray, "numbers"]
@@ -120,7 +120,7 @@ class PoseScale:
 
 @dataclass(frozen=True, eq=False)
 class ClipFrames:
-    """Where clips' own frames lie: under the root at the first frame, which faces Z+ there."""
+    """The clips' own frames: origin under the root at the first frame, which faces Z+."""
 
     yaw: Float64[np.ndarray, "clips"]
     origin: Float64[np.ndarray, "clips 2"]
@@ -166,11 +166,11 @@ if TYPE_CHECKING:
 
 
 def split_remark(store: "Store", clips: TrueClips, split: str) -> str:
-    """How many performers the takes of these clips have, and how many of them are in the training split too."""
+    """A remark on the performers of these clips, and how many of them are in the training split too."""
     rows = store.columns("source", "subject", "split")
     chosen = rows.loc[sorted(set(clips.sequence_index.tolist()))]
     if (chosen["subject"] == "").all():
-        return "the store does not know who performs, so the same people may be in the training split."
+        return "the store does not name performers, so the same people may be in the training split."
     performers = set(zip(chosen["source"], chosen["subject"], strict=True))
     training = rows[rows["split"] == "train"]
     shared = performers & set(zip(training["source"], training["subject"], strict=True))

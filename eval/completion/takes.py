@@ -1,4 +1,4 @@
-"""Data sets of a store as PA-HiRes' tables see them: real frames at the table's framerate, nothing interpolated."""
+"""Data sets of a store for PA-HiRes' tables: real frames at the table's framerate, nothing interpolated."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
 
 class NoTakesError(MotionkitError):
-    """A data set without what a table needs of it."""
+    """A data set without takes for a table."""
 
 
 def shared_reason(missing: Sequence[str]) -> str:
-    """Why no data set can be had, from "data set: reason" of each; a reason that all share is said once."""
+    """Merge reasons of the form "data set: reason"; a common reason is stated once."""
     reasons = dict.fromkeys(line.partition(": ")[2] for line in missing)
     return next(iter(reasons)) if len(reasons) == 1 else "; ".join(missing)
 
@@ -80,7 +80,7 @@ def data_sets_of(store: "Store", fps: Sequence[Fraction] | None = None) -> list[
 
 @dataclass(frozen=True, eq=False)
 class TrueClips:
-    """Clips of B places in takes, all of one length: frames of the table's framerate from each one's first on.
+    """B clips of equal length at the table's framerate.
 
     Positions are the capture's in the 22-joint layout; rotations are the takes' rows (`rotation_rows`).
     """
@@ -107,7 +107,7 @@ class TrueClips:
 
     @property
     def takes(self) -> tuple[str, ...]:
-        """The take of each clip, named by its place in the store."""
+        """The take of each clip, named by its index in the store."""
         return tuple(map(str, self.sequence_index.tolist()))
 
     def read(self, clips: slice) -> "TruePoses":
@@ -148,7 +148,7 @@ class TruePoses:
 def observations(
     poses: TruePoses, rotations: Float32[np.ndarray, "clips frames joints 4"], given: Int64[np.ndarray, "given"]
 ) -> list[Observation]:
-    """What an encoder is given of each clip: the given frames at their true times."""
+    """The encoder's input for each clip: the given frames at their true times."""
     times = poses.times_seconds[given]
     return [
         Observation(times, Poses(positions[given], turned[given], positions[given, 0]), SMPL22)

@@ -29,11 +29,11 @@ CLIPS_AT_ONCE = 512
 
 @dataclass(frozen=True, eq=False)
 class PoseWindows:
-    """W test windows and what training windows say of them.
+    """W test windows, and statistics of training windows.
 
-    `skeleton` has the offsets of the first training window's first frame, by which every pose is put together, the true
-    ones too. `position_std` [J, 3] is the deviation of training windows' global positions, metres. `remark` says of
-    whom the windows are.
+
+    `skeleton` has the offsets of the first training window's first frame, used for all poses, the true ones too.
+    `position_std` [J, 3] is the deviation of training windows' global positions, metres. `remark` names the subjects.
     """
 
     name: str
@@ -82,7 +82,7 @@ _TRAIN = {"window_frames": lafan1.TRAIN_WINDOW_FRAMES, "step_frames": lafan1.TRA
 
 
 def num_lafan1_takes(store: "Store") -> int:
-    """How often `lafan1_windows` advances."""
+    """Number of calls of `advance` in `lafan1_windows`."""
     subjects = (*lafan1.TRAIN_SUBJECTS, *lafan1.TEST_SUBJECTS)
     return len(store.select(_of_subjects(subjects)))
 
@@ -149,7 +149,7 @@ def data_set_windows(store: "Store", data_set: DataSet, split: str, where: str |
     Statistics are of the training split's windows, of the compared ones where there is none. Raises `NoTakesError`
     where the compared split has no window.
     """
-    # The benchmark wants a frame behind each window (strict i + window < T): a clip of one frame more says the same.
+    # The benchmark needs a frame after each window (strict i + window < T): equivalent to clips of one frame more.
     test = open_clips(store, data_set, split, where, lafan1.TEST_WINDOW_FRAMES + 1, lafan1.TEST_STEP_FRAMES)
     remark = split_remark(store, test, split)
     try:
@@ -207,7 +207,7 @@ def _turned_positions(
 def _bones(
     positions: Float32[np.ndarray, "1 joints 3"], rotations: Float32[np.ndarray, "1 joints 4"]
 ) -> Float32[np.ndarray, "joints 3"]:
-    """Every joint's place in its parent's frame; the root's is the origin."""
+    """Every joint's position in its parent's frame; the root's is the origin."""
     world = kinematics.global_rotations(rotations.astype(np.float64), SMPL22)
     parents = list(SMPL22.parents[1:])
     bones = np.zeros((SMPL22.num_joints, 3), np.float32)
@@ -220,7 +220,7 @@ def _bones(
 def _continuous(
     rotations: Float32[np.ndarray, "windows frames joints 4"],
 ) -> Float32[np.ndarray, "windows frames joints 4"]:
-    """Signs that run on through each window."""
+    """Make quaternion signs continuous within each window."""
     windows, frames, joints, _ = rotations.shape
     side_by_side = rotations.transpose(1, 0, 2, 3).reshape(frames, windows * joints, 4)
     smooth = kinematics.continuous_quaternions(side_by_side).reshape(frames, windows, joints, 4)

@@ -1,4 +1,4 @@
-"""Motions in numpy files as other systems write them: any order of axes that cannot be mistaken, batches, dictionaries.
+"""Motions in other systems' numpy files: any unambiguous order of axes, batches, dictionaries.
 
 An array is joint positions (21, 22, 24 or 52 joints) with frames first (`[T, J, 3]`) or last (`[J, 3, T]`), or pose
 vectors of 263 or 251 numbers (`[T, D]`, or `[D, 1, T]`), or a batch of these. J · 3 beside the 3 tells joint axes
@@ -33,10 +33,10 @@ EXPECTED = (
 
 @dataclass(frozen=True, eq=False)
 class StoredMotion:
-    """One motion as it lies in a file: `numbers` are joints [T, J, 3] or pose vectors [T, D], a view where it can be.
+    """One motion of a file: `numbers` are joints [T, J, 3] or pose vectors [T, D], a view if possible.
 
-    `index` is its place in a batch, None where the file holds one motion; `padding` is what follows the motion where
-    the file says how long it is.
+    `index` is its index in a batch, None for a file with one motion; `padding` are the frames after the motion if the
+    file states its length.
     """
 
     numbers: np.ndarray
@@ -54,7 +54,7 @@ class StoredMotion:
 
 
 def read_stored(path: Path) -> list[StoredMotion]:
-    """All motions of a .npy or .npz file. Raises `FormatError` for what holds none; NaN is let through."""
+    """All motions of a .npy or .npz file. Raises `FormatError` for files without any; NaN is not checked."""
     if path.suffix.lower() == ".npz":
         return _of_dictionary(_archive(path), path)
     if is_pickled(path):
@@ -99,7 +99,7 @@ def _motions(array: np.ndarray) -> list[np.ndarray] | None:
 
 
 def _archive(path: Path) -> dict[str, Any]:
-    """The members of an .npz file that are of use here: arrays as they are, texts as lists."""
+    """The known members of an .npz file: arrays unchanged, texts as lists."""
     archive = npz_archive.open_archive(path, source_file.read_bytes(path))
     found: dict[str, Any] = {}
     for key in archive.members:
@@ -116,11 +116,11 @@ def _of_dictionary(found: Mapping[str, Any], path: Path) -> list[StoredMotion]:
     """Motions of a dictionary such as MDM's: a batch under `motion`, with lengths, texts and repetitions beside it.
 
     Repetitions follow one another: motion r · num_samples + s is repetition r of prompt s (motion-diffusion-model,
-    sample/generate.py). What lies beyond a motion's length is padding.
+    sample/generate.py). Frames beyond a motion's length are padding.
     """
     array = next((found[key] for key in MOTION_KEYS if isinstance(found.get(key), np.ndarray)), None)
     if array is None:
-        held = ", ".join(sorted(map(str, found)))[:200] or "nothing that is known"
+        held = ", ".join(sorted(map(str, found)))[:200] or "no known key"
         raise FormatError(
             f"no array 'motion'; it holds {held} (docs/samples.md says how to export)", path=path, reason="missing-key"
         )

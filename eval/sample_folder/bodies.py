@@ -1,4 +1,4 @@
-"""Whether positions are those of a human body in metres that stands along y: units, axes, padding."""
+"""Plausibility checks of joint positions: units, axes, joint order, padding."""
 
 import numpy as np
 from jaxtyping import Float, Float32, Int64
@@ -13,7 +13,7 @@ KIT_TRUNK_AND_LEGS = (
     *(("LA", "LK"), ("LK", "LH"), ("root", "BP"), ("BP", "BT"), ("BT", "BLN"), ("BLN", "BUN")),
     *(("RA", "RK"), ("RK", "RH")),
 )
-# Of all people about the same parts of their height: real ones' median lengths are within 1.3 of the layout's, those of
+# Limb proportions are similar for all people: real median lengths are within a factor of 1.3 of the layout's, those of
 # reversed joints off by 3 and more.
 LIMBS = tuple(
     (f"{side}_{joint}", f"{side}_{end}")
@@ -54,7 +54,7 @@ def bone_variation(joints: Float[np.ndarray, "poses joints 3"]) -> float:
 
 
 def is_body(joints: Float[np.ndarray, "poses joints 3"]) -> bool:
-    """Whether the typical pose measures what a person does in metres, within a factor of 2.2."""
+    """Whether the typical pose has a person's size in metres, within a factor of 2.2."""
     return _factor(standing_metres(joints)) <= PLAUSIBLE_FACTOR
 
 
@@ -72,7 +72,7 @@ def some_poses(folder: SampleFolder) -> Float32[np.ndarray, "motions poses joint
 
 
 def check_bodies(folder: SampleFolder) -> tuple[str, ...]:
-    """Remarks about bodies that are odd. Raises `SampleFolderError` where most are no human bodies in metres."""
+    """Remarks about implausible bodies. Raises `SampleFolderError` if most are no human bodies in metres."""
     poses = some_poses(folder)
     lengths = _bones(poses.reshape(-1, SMPL22.num_joints, 3)).reshape(*poses.shape[:2], -1)
     metres = np.median(lengths.sum(axis=2), axis=1)
@@ -96,7 +96,7 @@ def check_bodies(folder: SampleFolder) -> tuple[str, ...]:
 
 
 def _limb_factor(joints: Float[np.ndarray, "poses joints 3"]) -> float:
-    """How far the limb that fits the layout's proportions least is off them."""
+    """The largest deviation of a limb from the layout's proportions, as a factor."""
     first, second = np.array(_chain(SMPL22, LIMBS)).T
     lengths = np.median(np.linalg.norm(joints[:, first] - joints[:, second], axis=-1), axis=0)
     shares = lengths / np.linalg.norm(SMPL22.offsets[second], axis=-1)
@@ -111,16 +111,16 @@ def _size_message(metres: float) -> str:
     if _factor(metres * unit) > PLAUSIBLE_FACTOR:
         needed = TYPICAL_HEIGHT_METRES / metres if metres > 0 else np.inf
         return (
-            f"{found}, and no usual unit mends it (unit_metres = {needed:.3g} in {MANIFEST} would): are these "
+            f"{found}, which no usual unit explains (unit_metres = {needed:.3g} in {MANIFEST} would): are these "
             "positions of the 22 SMPL joints?"
         )
     return f"{found}; write unit_metres = {unit:.6g} into {MANIFEST} if they are in {name} ({metres * unit:.2f} m)"
 
 
 def turn_upright(positions: Float32[np.ndarray, "rows joints 3"], starts: Int64[np.ndarray, "motions"], up: str) -> str:
-    """Turn motions in place so that most bodies stand along +y, and say so; `up` states the axis, "" asks the bodies.
+    """Rotate motions in place so that most bodies stand along +y, with a remark; `up` is the axis, or "" to detect it.
 
-    All motions are turned alike, because a body that lies down says nothing about the axes.
+    All motions are rotated alike, since a lying body does not show the axes.
     """
     if not len(starts):
         return ""
@@ -146,7 +146,7 @@ def turn_upright(positions: Float32[np.ndarray, "rows joints 3"], starts: Int64[
 
 
 def padding_remark(folder: SampleFolder) -> tuple[str, ...]:
-    """A remark where motions end in a pose that stands still for half a second or more: padding, perhaps."""
+    """A remark if motions end in a pose that is frozen for half a second or more, which may be padding."""
     seconds = []
     for sequence, fps in zip(folder.sequences, folder.fps, strict=True):
         still = _still_frames(sequence)
@@ -161,7 +161,7 @@ def padding_remark(folder: SampleFolder) -> tuple[str, ...]:
 
 
 def _still_frames(sequence: Float32[np.ndarray, "frames joints 3"]) -> int:
-    """Over how many last steps nothing but the root moves."""
+    """Number of last steps in which only the root moves."""
     tail = len(sequence)
     for length in (3, 32, tail):
         poses = sequence[-length:]

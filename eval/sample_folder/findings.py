@@ -1,4 +1,4 @@
-"""What a folder of samples was found to hold, for people and as plain values."""
+"""A summary of a folder of samples, for people and as plain values."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -14,11 +14,11 @@ SHOWN_SIZES = 4
 
 @dataclass(frozen=True)
 class Findings:
-    """Counts and sizes of the motions that were read, and what is wrong with those that were not.
+    """Counts and sizes of the motions that were read, and problems of those that were not.
 
-    `frames` are the least, the median and the most; `framerates` count motions, `prompt_sizes` prompts by the number of
-    motions that answer them. `body_metres` is a typical length from ankle to head, `reach_metres` how far the root of
-    the widest-ranging motion gets from where it starts.
+    `frames` are minimum, median and maximum; `framerates` counts motions, `prompt_sizes` prompts by their number of
+    motions. `body_metres` is the median length from ankle to head, `reach_metres` the largest distance of a root from
+    its start.
     """
 
     name: str
@@ -38,7 +38,7 @@ class Findings:
 
 
 def summarise(folder: SampleFolder) -> Findings:
-    """What there is to say about motions that were read."""
+    """Summarise motions that were read."""
     poses = some_poses(folder)
     path = poses[:, :, 0, ::2] - poses[:, :1, 0, ::2]
     prompts = Counter(Counter(folder.groups).values())
@@ -65,7 +65,7 @@ def summarise(folder: SampleFolder) -> Findings:
 
 
 def lines(found: Findings) -> Iterator[tuple[str, str]]:
-    """Findings line by line: what it is about, and the line."""
+    """The summary as lines: a label, and the text."""
     low, middle, high = found.frames
     yield (
         "motions",

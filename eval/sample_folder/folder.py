@@ -24,7 +24,7 @@ class SampleFolderError(MotionkitError):
 
 @dataclass(frozen=True)
 class SampleText:
-    """What is known of one motion beside its poses; motions of one `group` answer the same prompt."""
+    """Metadata of one motion; motions of one `group` share a prompt."""
 
     sequence_id: str
     caption: str = ""
@@ -34,15 +34,14 @@ class SampleText:
 
 @dataclass(frozen=True, eq=False)
 class SampleFolder:
-    """Motions of one system in the 22-joint layout (metres, y up), each at the framerate that is stated for it.
+    """Motions of one system in the 22-joint layout (metres, y up), each at its stated framerate.
 
-    Motions of one group answer the same prompt (MultiModality); where nothing says so, each is its own group.
-    `left_out` are the motions that could not be read or hold NaN, `remarks` what was found and done, for people.
+    Motions of one group share a prompt (for MultiModality); by default each is its own group. `left_out` are motions
+    that could not be read or hold NaN, `remarks` messages about what was found and done.
 
-    `vectors` are the pose vectors of every motion, in their own units, as many frames as its positions and up to 3 of
-    the padding that was stored after them: where all came as vectors of one size and were to be kept
-    (`SampleOptions.keep_published`); else empty. `kit_joints` are KIT-ML's
-    21 joints in metres, likewise: where all motions came as these or as vectors of them.
+    `vectors` are the pose vectors of every motion in their own units, with up to 3 stored frames of padding, if all
+    came as vectors of one size and `SampleOptions.keep_published` is set; else empty. `kit_joints` are KIT-ML's 21
+    joints in metres, if all motions came as these or as vectors of them.
     """
 
     name: str
@@ -77,9 +76,9 @@ class SampleFolder:
         return digest.hexdigest()[:16]
 
     def at(self, fps: Fraction, on_motion: Callable[[], None] = lambda: None) -> SampleSet:
-        """All motions at one framerate: those that are slower are upsampled by SLERP, faster ones are anti-aliased.
+        """All motions at one framerate: slower ones are upsampled by SLERP, faster ones anti-aliased.
 
-        Motions that are all at that framerate are handed on as they lie in memory. `on_motion` is called after each.
+        If all are at that framerate, nothing is copied. `on_motion` is called after each motion.
         """
         sequences = self.sequences
         if any(own != fps for own in self.fps):
@@ -100,15 +99,15 @@ class SampleFolder:
                 yield from (resample_positions(sequence, own, fps) for sequence in run)
 
     def require_captions(self) -> None:
-        """Raise `SampleFolderError` where a motion has no caption: text metrics need them all."""
+        """Raise `SampleFolderError` if a motion has no caption: text metrics need all."""
         self._require(self.captions, "caption", "text metrics compare each motion with its caption")
 
     def require_actions(self) -> None:
-        """Raise `SampleFolderError` where a motion has no action: action metrics need them all."""
+        """Raise `SampleFolderError` if a motion has no action: action metrics need all."""
         self._require(self.actions, "action", "accuracy compares each motion with its action")
 
     def describe(self) -> str:
-        """How many motions there are, how long, at which framerates, and what was remarkable."""
+        """A summary: number, duration and framerates of motions, and remarks."""
         rates = Counter(self.fps)
         listed = ", ".join(
             f"{float(fps):.5g} fps" + (f" ({rates[fps]:,})" if len(rates) > 1 else "") for fps in sorted(rates)
@@ -131,7 +130,7 @@ class SampleFolder:
 
 
 def left_out_line(left_out: Sequence[FormatError], num_kept: int) -> str:
-    """How many motions are missing and why, the first one in full."""
+    """How many motions were left out and why, the first one in full."""
     reasons = ", ".join(
         f"{count:,} {reason}" for reason, count in Counter(one.reason for one in left_out).most_common()
     )
@@ -159,7 +158,7 @@ class Packer:
         vectors: Float32[np.ndarray, "_frames numbers"] | None = None,
         kit_joints: Float32[np.ndarray, "_frames 21 3"] | None = None,
     ) -> None:
-        """Copy one motion to the end; its pose vectors and KIT joints, where there are any, are kept as they are."""
+        """Append a copy of one motion; its pose vectors and KIT joints, if any, are kept unchanged."""
         self._sequences.add(positions)
         self._fps.append(fps)
         self._texts.append(text)
@@ -169,7 +168,7 @@ class Packer:
             self._kit_joints.append(kit_joints)
 
     def finish(self, name: str, left_out: Sequence[FormatError], remarks: Sequence[str]) -> SampleFolder:
-        """Everything that was added; nothing can be added afterwards."""
+        """All motions that were added; nothing can be added afterwards."""
         return SampleFolder(
             name,
             self._sequences.finish(),

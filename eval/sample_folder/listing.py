@@ -1,7 +1,7 @@
-"""What lies in a folder of samples: its arrays, its motions of known formats, the table beside them."""
+"""Lists a folder of samples: its arrays, its motions of known formats, the CSV files beside them."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,17 +24,17 @@ REFERENCE_ENDINGS, CORRECTED_ENDINGS = ("_gt", "_ref"), ("_ik",)
 GENERATED_ENDING = "_pred"
 PROGRAMS = frozenset({".pkl", ".pickle", ".pt", ".pth", ".joblib"})
 SHOWN_KINDS = 3
-# All other formats say everything themselves; these may be normalised, and state no framerate.
+# Other formats are self-contained; these may be normalised, and state no framerate.
 PLAIN_ARRAYS = frozenset({"joints-npy", "pose-vectors"})
-# Problems of a scan that are said here in other words, or are none.
+# Problems of a scan that are reported differently here, or are none.
 HANDLED_HERE = ("caption-without-motion", "empty-folder", "unknown-format")
 
 
 @dataclass(frozen=True)
 class Listing:
-    """The files of one folder of samples: `arrays` are read here, `items` by the formats that motionkit knows.
+    """The files of one folder of samples: `arrays` are read here, `items` by motionkit's formats.
 
-    `rows` is what the CSV files beside them say, by file; `problems` are files that cannot be listed or recognised.
+    `rows` are the CSV files' rows by file; `problems` are files that cannot be listed or recognised.
     """
 
     root: Path
@@ -47,19 +47,19 @@ class Listing:
 
     @property
     def num_files(self) -> int:
-        """Number of files (of sequences, where a format's folder holds them) to read."""
+        """Number of files to read (of sequences, for formats of whole folders)."""
         return len(self.arrays) + len(self.items)
 
     def place(self, path: Path) -> str:
-        """A file's path from the folder, without suffix: the id of the motion that it holds."""
+        """A motion's id: its file's path relative to the folder, without suffix."""
         return path.relative_to(self.root).with_suffix("").as_posix()
 
 
 def list_samples(name: str, source: Path) -> Listing:
-    """What a folder (or one file) of samples holds.
+    """List a folder (or one file) of samples.
 
-    Raises `SampleFolderError` where there is nothing, `FormatError` for a broken manifest, `DamagedFileError` for a
-    generated folder whose table is not what was written.
+    Raises `SampleFolderError` for an empty one, `FormatError` for a broken manifest, `DamagedFileError` for a
+    generated folder with a damaged table.
     """
     if not source.exists():
         raise SampleFolderError(f"--samples {name}: there is no folder {str(source)!r}")
@@ -84,8 +84,8 @@ def list_samples(name: str, source: Path) -> Listing:
         for path in files
         if path.suffix.lower() in ARRAY_SUFFIXES and path not in taken | damaged and _may_be_motion(path, manifest)
     ]
-    wanted = _Wanted(root, manifest)
-    arrays, items = wanted.among(arrays), [item for item in items if wanted(item.path)]
+    selects = _FileFilter(root, manifest)
+    arrays, items = [path for path in arrays if selects(path)], [item for item in items if selects(item.path)]
     arrays, items, remarks = _without_copies(arrays, items, manifest)
     if not arrays and not items and not problems:
         raise SampleFolderError(f"--samples {name}: {_nothing(source, folders, manifest)}")
@@ -96,8 +96,8 @@ def list_samples(name: str, source: Path) -> Listing:
     return Listing(root, manifest, tuple(arrays), tuple(items), rows, tuple(problems), tuple(remarks))
 
 
-class _Wanted:
-    """Whether the manifest's `files` and `exclude` let a file in."""
+class _FileFilter:
+    """Selects files by the manifest's `files` and `exclude`."""
 
     def __init__(self, root: Path, manifest: Manifest) -> None:
         self._root = root
@@ -109,9 +109,6 @@ class _Wanted:
         included = not self._files or any(glob.fits(place) for glob in self._files)
         return included and not any(glob.fits(place) for glob in self._exclude)
 
-    def among(self, paths: Iterable[Path]) -> list[Path]:
-        return [path for path in paths if self(path)]
-
 
 def _is_claimed(folder: Path) -> bool:
     return any(entry.claims is not None and entry.claims(folder) for entry in readers().values())
@@ -120,7 +117,7 @@ def _is_claimed(folder: Path) -> bool:
 def _rows(
     folders: Sequence[tuple[Path, list[Path]]],
 ) -> tuple[dict[Path, Annotation], list[FormatError], list[FormatError]]:
-    """All rows of the CSV files in these folders, problems and warnings; one nearer to a file has the last word."""
+    """All rows of the CSV files in these folders, problems and warnings; the CSV nearest to a file wins."""
     rows: dict[Path, Annotation] = {}
     problems: list[FormatError] = []
     warnings: list[FormatError] = []
@@ -135,7 +132,7 @@ def _rows(
 
 
 def _damaged(folders: Sequence[tuple[Path, list[Path]]], only: Path | None) -> list[tuple[FormatError, Sequence[Path]]]:
-    """Motions in generated folders that are not what was written: what is wrong, and the files of each."""
+    """Damaged motions in generated folders: the problem, and the files of each."""
     return [
         (
             FormatError(
@@ -158,7 +155,7 @@ def _may_be_motion(path: Path, manifest: Manifest) -> bool:
 def _without_copies(
     arrays: list[Path], items: list[SourceItem], manifest: Manifest
 ) -> tuple[list[Path], list[SourceItem], list[str]]:
-    """Leave out what published code writes beside each sample, unless the manifest's `files` asks for it."""
+    """Drop extra files that published code writes beside each sample, unless the manifest's `files` selects them."""
     remarks: list[str] = []
     if manifest.files:
         return arrays, items, remarks
@@ -190,7 +187,7 @@ def _nothing(source: Path, folders: Sequence[tuple[Path, list[Path]]], manifest:
     there = ", ".join(f"{count:,} {kind}" for kind, count in kinds.most_common(SHOWN_KINDS)) or "no files"
     if manifest.files or manifest.exclude:
         there += f"; files and exclude in {MANIFEST} choose among them"
-    pickles = " (a .pkl or .pt is a program: export its arrays, docs/samples.md)" if kinds.keys() & PROGRAMS else ""
+    pickles = " (a .pkl or .pt can execute code: export its arrays, docs/samples.md)" if kinds.keys() & PROGRAMS else ""
     return (
         f"no motion was found in {str(source)!r}: it has {there}{pickles}; expected .npy, .npz, .bvh or another format"
     )

@@ -1,4 +1,4 @@
-"""`samples.toml`: what a folder of samples cannot say by itself (docs/samples.md)."""
+"""`samples.toml`: metadata that the files of a folder of samples lack (docs/samples.md)."""
 
 import json
 import os
@@ -16,25 +16,24 @@ from motionkit.formats.scan.globs import parse_glob
 from motionkit.formats.source import source_file
 
 ANY = "any"
-# A field takes as few letters as it can; those of digits, all that there are.
+# Fields are non-greedy; numeric ones are greedy.
 TEXT_FIELDS, DIGIT_FIELDS = ("group", "caption", "action"), ("repeat", "num_frames")
 FIELDS = (*TEXT_FIELDS, *DIGIT_FIELDS, ANY)
-# Longer than any name that a system allows.
+# Longer than any file name.
 LONGEST_PATTERN = 1000
 
 
 @dataclass(frozen=True)
 class NamePattern:
-    """Literal text and fields by turns: `literals[k]`, then `fields[k]`, …, then the last literal."""
+    """Alternating literals and fields: `literals[k]`, then `fields[k]`, …, then the last literal."""
 
     literals: tuple[str, ...]
     fields: tuple[str, ...]
 
     def match(self, name: str) -> dict[str, str] | None:
-        """The fields of a name; None where it does not fit as a whole.
+        """The fields of a name; None if it does not match.
 
-        The first field is as short as the rest allows (digits: as long), then the second, and so on: what a regular
-        expression finds, without trying all ways there are.
+        The same result as a regular expression with non-greedy fields (numeric ones greedy), without backtracking.
         """
         length = len(name)
         # open_at[k][i]: the name from letter i on fits the pattern from field k on; starts[k]: from literal k on.
@@ -74,7 +73,7 @@ class NamePattern:
 
 
 def parse_name_pattern(text: str) -> NamePattern:
-    """The pattern of a text; raises `ValueError` for unknown fields, fields twice, and more than 1,000 letters."""
+    """Parse a pattern; raises `ValueError` for unknown or repeated fields, and more than 1,000 letters."""
     if len(text) > LONGEST_PATTERN:
         raise ValueError(f"{len(text):,} letters, expected at most {LONGEST_PATTERN:,}")
     parts = re.split(r"\{(\w*)\}", text)
@@ -83,7 +82,7 @@ def parse_name_pattern(text: str) -> NamePattern:
         if field not in FIELDS:
             raise ValueError(f"unknown field {{{field}}}, expected {', '.join(f'{{{name}}}' for name in FIELDS)}")
         if field != ANY and field in fields[:number]:
-            raise ValueError(f"the field {{{field}}} stands in it twice")
+            raise ValueError(f"the field {{{field}}} occurs twice")
     return NamePattern(tuple(literals), tuple(fields))
 
 
@@ -93,10 +92,10 @@ RAW, NORMALISED = "raw", "normalised"
 
 @dataclass(frozen=True)
 class SampleOptions:
-    """What the command line says about all folders of samples: `fps` where nothing else does.
+    """Options for all folders of samples; `fps` is the default framerate.
 
-    `fps_option` is the option that says it, for messages. `keep_published` keeps pose vectors and KIT-ML's 21 joints
-    beside the 22 joints made of them, for evaluators that read these: up to five times the memory.
+    `fps_option` is the name of its option, for messages. `keep_published` keeps pose vectors and KIT-ML's 21 joints
+    beside the 22 joints, for evaluators that read these: up to five times the memory.
     """
 
     fps: Fraction | None = None
@@ -106,11 +105,12 @@ class SampleOptions:
 
 @dataclass(frozen=True)
 class Manifest:
-    """What a folder's `samples.toml` says; every key may be left out where the files say it.
+    """A folder's `samples.toml`; every key is optional if the files state it.
 
-    `files` and `exclude` are globs below the folder. `fps` and `unit_metres` replace what files say; `up` is the axis
-    that bodies stand along. `statistics` is `raw` or `normalised` for pose vectors, `mean` and `std` the .npy files
-    they were normalised with. `name` says what a file's name holds: `"sample{group}_repeat{repeat}_len{num_frames}"`.
+
+    `files` and `exclude` are globs below the folder. `fps` and `unit_metres` override the files; `up` is the vertical
+    axis. `statistics` is `raw` or `normalised` for pose vectors, `mean` and `std` the .npy files they were normalised
+    with. `name` is the pattern of file names: `"sample{group}_repeat{repeat}_len{num_frames}"`.
     `prompts` is a text file whose line k (from 0) is the caption of group k.
     """
 
@@ -127,9 +127,9 @@ class Manifest:
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """Read `folder/samples.toml`; an absent or empty one says nothing. Raises `FormatError` (`manifest`).
+    """Read `folder/samples.toml`; an absent one is like an empty one. Raises `FormatError` (`manifest`).
 
-    Paths in it count from the folder and may not leave it.
+    Paths in it are relative to the folder and may not leave it.
     """
     path = folder / MANIFEST
     if not path.is_file() or not path.stat().st_size:
@@ -154,8 +154,8 @@ def read_manifest(folder: Path) -> Manifest:
     manifest = Manifest(**values)
     if (manifest.statistics == NORMALISED) != (manifest.mean is not None and manifest.std is not None):
         raise FormatError(
-            'statistics = "normalised" goes with mean = "….npy" and std = "….npy", the files that the model was '
-            "trained with, and only that goes with them",
+            'statistics = "normalised" needs mean = "….npy" and std = "….npy", the files that the model was '
+            "trained with, and they need it",
             path=path,
             reason="manifest",
         )
@@ -205,7 +205,7 @@ def _file(value: Any, folder: Path) -> Path:
 
 
 def _relative(name: str) -> PurePosixPath:
-    # A path from a file's content is used only where it stays inside the folder.
+    # Paths from a file's content must stay inside the folder.
     relative = PurePosixPath(name.replace("\\", "/"))
     if "\0" in name or relative.is_absolute() or ".." in relative.parts:
         raise ValueError("leaves the folder; expected a path inside it")
@@ -234,7 +234,7 @@ assert READERS.keys() == {field.name for field in fields(Manifest)}
 
 
 def manifest_text(values: Mapping[str, object]) -> str:
-    """A `samples.toml` with these values; every other key stands in it as a comment that says what it is for."""
+    """A `samples.toml` with these values; every other key is included as an explained comment."""
     rows = []
     for key, (example, purpose) in EXPLAINED.items():
         stated = f"{key} = {_toml(values[key])}" if key in values else f"# {key} = {example}"
@@ -272,7 +272,7 @@ assert EXPLAINED.keys() == READERS.keys()
 
 @dataclass(frozen=True)
 class NamedParts:
-    """What a file's name says."""
+    """The fields of a file's name."""
 
     caption: str = ""
     action: str = ""
@@ -285,7 +285,7 @@ PUBLISHED_NAME = re.compile(r"sample_?(?P<group>\d+)_rep(?:eat)?_?\d+(?:_len\d+)
 
 
 def named_parts(stem: str, manifest: Manifest) -> NamedParts | None:
-    """What a name says by the manifest's `name`, or by a published one; None where it does not fit the manifest's."""
+    """The fields of a name by the manifest's pattern, or a published one; None if the manifest's does not match."""
     if manifest.name is None:
         published = PUBLISHED_NAME.fullmatch(stem)
         return NamedParts(group=published["group"]) if published else NamedParts()
@@ -298,6 +298,6 @@ def named_parts(stem: str, manifest: Manifest) -> NamedParts | None:
 
 
 def read_prompts(path: Path) -> tuple[str, ...]:
-    """Captions of a text file, one a line; what follows a `#` (a length, HumanML3D's tokens) is dropped."""
+    """Captions of a text file, one per line; text after a `#` (a length, HumanML3D's tokens) is dropped."""
     lines = source_file.decode(source_file.read_bytes(path), path).splitlines()
     return tuple(line.split("#")[0].strip() for line in lines)

@@ -44,8 +44,8 @@ def read_sample_folder(
 ) -> SampleFolder:
     """Read every motion of a folder, or of one file; those that cannot be read or hold NaN are in `left_out`.
 
-    Raises `SampleFolderError` where there is no motion at all, or a thing that must be known is not (framerate,
-    statistics of pose vectors, unit of length), and `FormatError` for a broken `samples.toml`.
+    Raises `SampleFolderError` without any motion, or for missing metadata (framerate, statistics of pose vectors, unit
+    of length), and `FormatError` for a broken `samples.toml`.
     """
     listing = list_samples(name, source)
     reader = _Reader(name, listing, options or SampleOptions())
@@ -69,13 +69,13 @@ def read_sample_folder(
 
 
 def _checked(folder: SampleFolder, num_of_arrays: int, listing: Listing) -> SampleFolder:
-    """The folder turned upright; raises `SampleFolderError` where bodies are none."""
+    """The folder with upright bodies; raises `SampleFolderError` if these are no human bodies."""
     end = int(folder.sequences.num_frames[:num_of_arrays].sum())
     starts = folder.sequences.start_row[:num_of_arrays]
     turned = turn_upright(folder.sequences.values[:end], starts, listing.manifest.up)
     remarks = (*folder.remarks, *([turned] if turned else []), *check_bodies(folder), *padding_remark(folder))
     if turned:
-        # Vectors stand along y by definition: of bodies that had to be turned they mean something else.
+        # Pose vectors have y up by definition: if bodies had to be rotated, their vectors follow another convention.
         folder = replace(folder, vectors=(), kit_joints=())
     return replace(folder, remarks=remarks)
 
@@ -87,7 +87,7 @@ Read = tuple[Float32[np.ndarray, "frames joints 3"], Fraction, SampleText, Vecto
 
 @dataclass
 class _Reader:
-    """Reads files of one listing; owns what is the same for all of them: statistics, prompts, framerates of folders."""
+    """Reads files of one listing; owns what they share: statistics, prompts, framerates of folders."""
 
     name: str
     listing: Listing
@@ -101,7 +101,7 @@ class _Reader:
         self._beside = cache(lambda folder: joints_npy.read_manifest(folder / joints_npy.MANIFEST))
 
     def motions(self, source: Path | SourceItem) -> Iterator[Read | FormatError]:
-        """The motions of one file with their framerates and texts, and what is wrong with the others."""
+        """The motions of one file with their framerates and texts, and problems of the others."""
         try:
             if isinstance(source, SourceItem):
                 yield self._of_format(source)
@@ -164,7 +164,7 @@ class _Reader:
         return positions, fps, self._with_prompt(text), vectors, kit_joints
 
     def _trimmed(self, numbers: np.ndarray, path: Path) -> np.ndarray:
-        """Without last frames that are all zeros, which are no pose but what short motions were filled up with."""
+        """Drop last frames that are all zeros, which are padding."""
         if numbers[-1].any():
             return numbers
         kept = np.flatnonzero(numbers.reshape(len(numbers), -1).any(axis=1))
@@ -201,7 +201,7 @@ class _Reader:
         return fps
 
     def _stated(self, vectors: np.ndarray) -> Statistics | None:
-        """The statistics of vectors like these, once a few files agree with them. Raises `SampleFolderError`."""
+        """The stated statistics, checked against a few files. Raises `SampleFolderError`."""
         width = vectors.shape[1]
         if width not in self._statistics:
             try:
@@ -221,7 +221,7 @@ class _Reader:
             try:
                 motions = read_stored(arrays[index])[:LOOKED_AT_FILES]
             except FormatError:
-                continue  # counted when all are read
+                continue  # reported when all are read
             alike = [motion.numbers for motion in motions if motion.numbers.shape[1:] == vectors.shape[1:]]
             found += [numbers for numbers in alike if _is_plausible(numbers)]
         return np.concatenate(found).astype(np.float32)
@@ -233,7 +233,7 @@ class _Reader:
         return parts
 
     def _with_prompt(self, text: SampleText) -> SampleText:
-        """The caption of the text's group, where it has none and there are prompts."""
+        """Add the caption of its group from the prompts, if it has none."""
         group = whole_number(text.group)
         if text.caption or group is None or group >= len(self._prompts):
             return text
@@ -241,7 +241,7 @@ class _Reader:
 
 
 def _is_plausible(numbers: np.ndarray) -> bool:
-    """Whether all are finite, and of a size that a body's can have."""
+    """Whether all values are finite, and plausible for a body."""
     if numbers.dtype == np.float16:
         numbers = numbers.astype(np.float32)  # a million is beyond what float16 can be compared with
     with np.errstate(invalid="ignore", over="ignore"):
@@ -250,7 +250,7 @@ def _is_plausible(numbers: np.ndarray) -> bool:
 
 
 def _check_finite(numbers: np.ndarray, path: Path, index: int | None) -> None:
-    """Raise `FormatError` (`nan`, `range`) with the first frame that is no pose."""
+    """Raise `FormatError` (`nan`, `range`) for the first invalid frame."""
     if _is_plausible(numbers):
         return
     with np.errstate(invalid="ignore"):
@@ -264,7 +264,7 @@ def _check_finite(numbers: np.ndarray, path: Path, index: int | None) -> None:
 
 
 def _following(stored: StoredMotion, num_frames: int) -> np.ndarray:
-    """The few frames after a motion that an evaluator's convolutions may see; none where they are no numbers."""
+    """The few frames after a motion that an evaluator's convolutions may see; none if they are not finite."""
     parts = (stored.numbers[num_frames:], *([] if stored.padding is None else [stored.padding]))
     following = np.concatenate([part[:REACH_FRAMES] for part in parts])[:REACH_FRAMES]
     return following if np.isfinite(following).all() else following[:0]

@@ -1,4 +1,4 @@
-"""For which real take each sample of another system was made: by its name, or by its caption."""
+"""Matches samples of another system to real takes, by name or by caption."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from eval.sets.sets import SampleSet
 
 
 def rows_by_name(sample_ids: Sequence[str], real_ids: Sequence[str]) -> list[int | None]:
-    """The row of the real sequence whose id is a sample's name, or its file's name without folder and ending."""
+    """The row of the real sequence whose id is a sample's name, or its file's stem."""
     by_name = {name: row for row, name in enumerate(real_ids)}
     stems = [name.rsplit("/", 1)[-1].rsplit(".", 1)[0] for name in sample_ids]
     return [by_name.get(name, by_name.get(stem)) for name, stem in zip(sample_ids, stems, strict=True)]
@@ -18,19 +18,19 @@ def rows_by_name(sample_ids: Sequence[str], real_ids: Sequence[str]) -> list[int
 
 @dataclass(frozen=True)
 class TakesOfSamples:
-    """The real take of each motion of a folder, "" for none; all are "" where neither names nor captions say it."""
+    """The real take of each motion of a folder, "" for none; all "" if neither names nor captions match."""
 
     takes: tuple[str, ...]
 
     @property
     def num_without(self) -> int:
-        """How many motions have no real take, in a folder where others have one."""
+        """Number of motions without a real take, in a folder where others have one."""
         return self.takes.count("") if any(self.takes) else 0
 
     def of_column(self, samples: SampleSet, real: SampleSet) -> SampleSet | None:
-        """The samples for a column's takes, each with its take and generation; None where there are none.
+        """The samples for a column's takes, each with its take and generation; None if there are none.
 
-        Where nothing says whose they are, all of them, the answers to one prompt drawn together.
+        Without known takes, all samples; those of one prompt are then resampled together.
         """
         if not any(self.takes):
             return replace(samples, takes=samples.groups)
@@ -49,10 +49,10 @@ class TakesOfSamples:
 
 
 def takes_of_samples(folder: SampleFolder, real: RealMotion) -> TakesOfSamples:
-    """Match by names where most of them are a real sequence's, else by captions.
+    """Match by names if most of them are real sequences', else by captions.
 
-    Prompts of one caption go to its takes in turn, the fastest first, so that a single answer to a caption counts at as
-    many framerates as its takes allow. Answers to one prompt have one take.
+    Prompts with the same caption are assigned to its takes in turn, the fastest first, so that a single sample of a
+    caption is used at as many framerates as possible. Samples of one prompt have one take.
     """
     named = rows_by_name(folder.sequence_ids, real.sequence_ids)
     if 2 * sum(row is not None for row in named) > len(named):

@@ -1,8 +1,8 @@
-"""Pose vectors of samples: back to metres with the statistics that are stated, and never with guessed ones.
+"""Pose vectors of samples: converted to metres with the stated statistics, which are checked and never guessed.
 
-A vector says where the root goes twice, by its own velocity and by its joint's. Statistics of another convention (the
+A vector contains the root's motion twice, as its own velocity and as its joint's. Statistics of another convention (the
 published evaluators weight root numbers 25-fold) make the two disagree; raw numbers taken for normalised ones, or the
-reverse, make no human body.
+reverse, give no human body.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ from motionkit.formats.arrays import npy
 from motionkit.formats.source import source_file
 
 JOINTS_BY_WIDTH = {12 * layout.skeleton.num_joints - 1: layout for layout in humanml3d.LAYOUTS.values()}
-# Velocities of the root that vary by less than this (metres a frame) say nothing.
+# Smaller variations of the root's velocity (metres per frame) are not used for the check.
 LEAST_STEP_METRES = 0.004
 MOST_DISAGREEMENT = 4.0
 # Normalised numbers have means near 0 and spreads near 1, whatever the model.
@@ -35,7 +35,7 @@ ASK = (
 
 @dataclass(frozen=True)
 class VectorLook:
-    """What pose vectors look like: as raw numbers a body of `metres` from ankle to head, or none; mean and spread."""
+    """What pose vectors look like: `metres` from ankle to head if raw, or None; mean and spread."""
 
     makes_body: bool
     metres: float
@@ -44,7 +44,7 @@ class VectorLook:
 
     @property
     def seems(self) -> str:
-        """`raw`, `normalised`, or nothing where they look like neither."""
+        """`raw`, `normalised`, or empty if they look like neither."""
         if self.makes_body:
             return RAW
         low, high = NORMALISED_SPREAD
@@ -83,11 +83,11 @@ def load_statistics(manifest: Manifest, width: int) -> Statistics | None:
 def check_vectors(
     name: str, vectors: Float[np.ndarray, "rows numbers"], manifest: Manifest, statistics: Statistics | None
 ) -> None:
-    """Raise `SampleFolderError` where nothing states the statistics, or the vectors contradict what is stated."""
+    """Raise `SampleFolderError` if the statistics are not stated, or contradict the vectors."""
     look = look_at(vectors)
     what = f"--samples {name}: {vectors.shape[1]}-number pose vectors"
     if not manifest.statistics:
-        raise SampleFolderError(f"{what}, and nothing says whether they are normalised: {look}; {ASK}")
+        raise SampleFolderError(f"{what}, and it is not stated whether they are normalised: {look}; {ASK}")
     if look.seems and look.seems != manifest.statistics:
         raise SampleFolderError(f"{what} are said to be {manifest.statistics}, but {look}; {ASK}")
     restored = vectors if statistics is None else statistics.restore(vectors)
@@ -107,9 +107,9 @@ def check_vectors(
 
 
 def root_disagreement(vectors: Float[np.ndarray, "rows numbers"]) -> float:
-    """How much the root's own horizontal velocity varies, as a multiple of how much its joint's does.
+    """The variation of the root's own horizontal velocity relative to its joint's.
 
-    1 for vectors in the units that they are meant to have, and where both vary too little to tell.
+    1 for vectors in the right units, and if both vary too little to tell.
     """
     part = layout_of(_num_joints(vectors)).vector
     unit = JOINTS_BY_WIDTH[vectors.shape[1]].unit_metres
@@ -130,7 +130,7 @@ def positions_of(
 
 
 def _local_joints(vectors: Float[np.ndarray, "rows numbers"]) -> Float32[np.ndarray, "rows joints 3"]:
-    """Poses without their path, in metres: what a vector says about one pose by itself."""
+    """Poses in metres, without their path."""
     layout = JOINTS_BY_WIDTH[vectors.shape[1]]
     joints = np.zeros((len(vectors), layout.skeleton.num_joints, 3), dtype=np.float32)
     part = layout_of(layout.skeleton.num_joints).vector

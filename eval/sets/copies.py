@@ -1,11 +1,11 @@
-"""The nearest training motion to every short stretch of a motion, whatever body, tempo, side and direction it has.
+"""The nearest training motion to every short stretch of a motion, invariant to body, tempo, mirroring and direction.
 
-Motions are compared at 20 fps, low-passed at 5 Hz. A pose is the bones of the 22-joint layout, each as long as in the
-reference body, so neither size nor proportions count; stretches are turned about the vertical as they fit best, so
-neither place nor heading counts. A motion is played at nine tempi, so that training motion of 0.8 to 1.25 times the
-tempo fits it, and each stretch is looked for as it is, mirrored, played backwards, and both. The distance of two
-stretches is the root mean square over poses and bones of the difference between two bones, in metres on the reference
-body.
+
+Motions are compared at 20 fps, low-passed at 5 Hz. A pose is the bones of the 22-joint layout with the reference body's
+lengths, so size and proportions do not matter; stretches are aligned by a rotation about the vertical, so place and
+heading do not matter. A motion is played at nine tempi, to match training motion at 0.8 to 1.25 times its tempo, and
+each stretch is searched for as it is, mirrored, reversed, and both. The distance of two stretches is the root mean
+square difference of bones over poses, in metres on the reference body.
 """
 
 from dataclasses import dataclass, field
@@ -34,15 +34,15 @@ TINY = 1e-12
 
 
 WAYS = ((False, False), (True, False), (False, True), (True, True))
-"""Mirrored, backwards: how a stretch is looked for."""
+"""(mirrored, reversed): the variants of a stretch that are searched for."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Stretches of one length, one every 0.1 s, on the principal components of some hundreds of them.
+    """Stretches of one length, one every 0.1 s, projected onto principal components.
 
-    Row i begins at frame `start[i]` of all, and is of sequence `sequence[i]`; `step` is the squared distance to the
-    next of the same sequence, 0 where it is the last.
+    Row i begins at frame `start[i]` of sequence `sequence[i]`; `step` is the squared distance to the next row of the
+    same sequence, 0 for the last.
     """
 
     num_poses: int
@@ -55,7 +55,7 @@ class Rows:
 
     @classmethod
     def of(cls, tracks: Tracks, num_poses: int) -> "Rows":
-        """Raises `ValueError` where no sequence holds a stretch."""
+        """Raises `ValueError` if no sequence holds a stretch."""
         start, sequence = tracks.starts(num_poses, POSE_EVERY)
         if not len(start):
             raise ValueError(f"no training sequence holds a stretch of {num_poses} poses at {FPS / POSE_EVERY} fps")
@@ -74,9 +74,9 @@ class Rows:
     def nearest(
         self, stretches: Stretches, apart: Bool[np.ndarray, "stretches sequences"] | None
     ) -> tuple[Float32[np.ndarray, "stretches kept"], Int64[np.ndarray, "stretches kept"]]:
-        """On the components, of the nearest blocks of rows the least squared distance and the row that has it.
+        """The nearest blocks of rows in the components' space: their minimum squared distances and rows.
 
-        The distance is to the segment from each row to the next, since motion goes on between them.
+        Distances are to the segment from each row to the next.
         """
         queries = (stretches.rows() - self.mean) @ self.components
         squares = np.einsum("rc,rc->r", self.values, self.values)
@@ -101,18 +101,18 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class TrainingMotion:
-    """Training motion to be searched; `rows` makes its stretches of a length once and keeps them."""
+    """Training motion to search in; `rows` caches its stretches by length."""
 
     tracks: Tracks
     _made: dict[int, Rows] = field(default_factory=dict)
 
     @classmethod
     def of(cls, training: SampleSet) -> "TrainingMotion":
-        """Of a set at any framerate."""
+        """From a sample set at any framerate."""
         return cls(Tracks.of(training.sequences, training.fps))
 
     def rows(self, num_poses: int) -> Rows:
-        """Raises `ValueError` where no sequence holds a stretch of so many poses."""
+        """The stretches of `num_poses`; raises `ValueError` if no sequence holds one."""
         if num_poses not in self._made:
             self._made[num_poses] = Rows.of(self.tracks, num_poses)
         return self._made[num_poses]
@@ -122,8 +122,8 @@ class TrainingMotion:
 class Nearest:
     """The nearest training stretch to each stretch of `seconds` seconds of the motions that hold one, in order.
 
-    `motion` and `start_seconds` say which stretch it is; `movement` is how far its bones leave their means, `distance`
-    how far the nearest training stretch is, both in metres; that is of `sequence`, played at about `tempo`.
+    `motion` and `start_seconds` identify the stretch; `movement` is the deviation of its bones from their means,
+    `distance` that from the nearest training stretch, both in metres; the latter is of `sequence`, at about `tempo`.
     """
 
     seconds: float
@@ -140,27 +140,26 @@ class Nearest:
 def nearest_training(
     samples: SampleSet, training: TrainingMotion, apart: Bool[np.ndarray, "motions sequences"] | None = None
 ) -> tuple[Nearest, ...]:
-    """The nearest training stretch to every stretch of 0.5, 1 and 2 s, one every half second; a set at any framerate.
+    """The nearest training stretch to every stretch of 0.5, 1 and 2 s, one every half second; at any framerate.
 
-    Motions `apart` from a training sequence are not compared with it. What a motion is compared with is as long in the
-    training motion, so of a motion at 1.25 times the tempo 0.8 of that. The nearest of each 256 training stretches, one
-    every 0.1 s, is found on 32 principal components; of the nearest of these, distances are exact, and the least over
-    times and tempi between. Raises `ValueError` where no training sequence holds a stretch of a length that motions
-    hold.
+    Motions `apart` from a training sequence are not compared with it. Lengths are those in the training motion: of a
+    motion at 1.25 times the tempo, 0.8 of that is compared. The nearest of each 256 training stretches, one every
+    0.1 s, is found on 32 principal components; for the nearest of these, distances are exact and minimised over times
+    and tempi in between. Raises `ValueError` if no training sequence holds a stretch of a length that motions hold.
     """
     played = [Tracks.of(samples.sequences, samples.fps / tempo) for tempo in TEMPI]
     found = []
     with threadpool_limits(1, "blas"):
         for seconds in STRETCH_SECONDS:
-            wanted = _Wanted.of(played, _num_poses(seconds))
-            if len(wanted.motion):
-                found.append(_found(seconds, wanted, training, apart))
+            queries = _Queries.of(played, _num_poses(seconds))
+            if len(queries.motion):
+                found.append(_nearest(seconds, queries, training, apart))
     return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)
-class _Wanted:
-    """The stretches that are looked for: `start` is the frame of its motion that each begins at."""
+class _Queries:
+    """The stretches to search for; `start` is the frame of its motion at which each begins."""
 
     played: list[Tracks]
     num_poses: int
@@ -168,36 +167,36 @@ class _Wanted:
     motion: Int64[np.ndarray, "stretches"]
 
     @classmethod
-    def of(cls, played: list[Tracks], num_poses: int) -> "_Wanted":
+    def of(cls, played: list[Tracks], num_poses: int) -> "_Queries":
         return cls(played, num_poses, *played[OWN_TEMPO].starts(num_poses, HOP_FRAMES))
 
     def held(self, some: Int64[np.ndarray, "some"], tempo: int) -> Bool[np.ndarray, "some"]:
-        """Whether the motion, played so that training motion at a tempo fits it, is long enough."""
+        """Whether the motion, played at a tempo, is long enough."""
         return np.asarray(self.played[tempo].last_starts(self.num_poses)[self.motion[some]] >= 0)
 
     def variant(self, some: Int64[np.ndarray, "some"], tempo: int, way: int) -> Stretches:
-        """Some of them, of motions that hold them, as training motion at a tempo fits them, in one of the four ways."""
+        """The stretches `rows` at a tempo, in one of the four variants."""
         tracks, motion = self.played[tempo], self.motion[some]
         start = np.rint(self.start[some] * float(TEMPI[tempo])).astype(np.int64)
         frame = tracks.first[motion] + np.minimum(start, tracks.last_starts(self.num_poses)[motion])
-        return tracks.track.stretches(frame, self.num_poses).looked_for(*WAYS[way])
+        return tracks.track.stretches(frame, self.num_poses).transformed(*WAYS[way])
 
 
-def _found(
-    seconds: float, wanted: _Wanted, training: TrainingMotion, apart: Bool[np.ndarray, "motions sequences"] | None
+def _nearest(
+    seconds: float, queries: _Queries, training: TrainingMotion, apart: Bool[np.ndarray, "motions sequences"] | None
 ) -> Nearest:
-    number = len(wanted.motion)
-    rows = training.rows(wanted.num_poses)
+    number = len(queries.motion)
+    rows = training.rows(queries.num_poses)
     blocks = np.array_split(np.arange(number), -(-number // BLOCK_QUERIES))
-    parts = [_best(some, wanted, training, apart) for some in blocks]
+    parts = [_best(some, queries, training, apart) for some in blocks]
     squared, row, variant = (np.concatenate(each) for each in zip(*parts, strict=True))
     tempo, way = np.divmod(variant, len(WAYS))
     mirrored, backwards = np.array(WAYS)[way].T
     return Nearest(
         seconds=seconds,
-        motion=wanted.motion,
-        start_seconds=wanted.start / float(FPS),
-        movement=wanted.variant(np.arange(number), OWN_TEMPO, 0).movement(),
+        motion=queries.motion,
+        start_seconds=queries.start / float(FPS),
+        movement=queries.variant(np.arange(number), OWN_TEMPO, 0).movement(),
         distance=np.sqrt(squared),
         sequence=rows.sequence[row],
         tempo=np.array([float(each) for each in TEMPI])[tempo],
@@ -208,22 +207,22 @@ def _found(
 
 def _best(
     some: Int64[np.ndarray, "some"],
-    wanted: _Wanted,
+    queries: _Queries,
     training: TrainingMotion,
     apart: Bool[np.ndarray, "motions sequences"] | None,
 ) -> tuple[Float64[np.ndarray, "some"], Int64[np.ndarray, "some"], Int64[np.ndarray, "some"]]:
-    """The least mean squared distance of some stretches, the row that has it, and tempo · ways + way."""
-    rows = training.rows(wanted.num_poses)
+    """The minimum mean squared distance per stretch, its row, and tempo · ways + way."""
+    rows = training.rows(queries.num_poses)
     variants = range(len(TEMPI) * len(WAYS))
     kept = min(BLOCKS_KEPT, -(-len(rows.start) // BLOCK_ROWS))
     near = np.full((len(some), len(variants), kept), np.inf, dtype=np.float32)
     place = np.zeros(near.shape, dtype=np.int64)
     for variant in variants:
         tempo, way = divmod(variant, len(WAYS))
-        held = wanted.held(some, tempo)
+        held = queries.held(some, tempo)
         if held.any():
-            own = None if apart is None else apart[wanted.motion[some[held]]]
-            near[held, variant], place[held, variant] = rows.nearest(wanted.variant(some[held], tempo, way), own)
+            own = None if apart is None else apart[queries.motion[some[held]]]
+            near[held, variant], place[held, variant] = rows.nearest(queries.variant(some[held], tempo, way), own)
     flat_near = near.reshape(len(some), -1)
     nearest = np.argsort(flat_near, axis=1)[:, :CANDIDATES]
     chosen = np.take_along_axis(place.reshape(len(some), -1), nearest, axis=1)
@@ -232,7 +231,7 @@ def _best(
     for variant in variants:
         which, rank = np.nonzero((nearest // kept == variant) & possible)
         if len(which):
-            ours = wanted.variant(some[which], *divmod(variant, len(WAYS)))
+            ours = queries.variant(some[which], *divmod(variant, len(WAYS)))
             squared[which, rank] = _least_squares(ours, training.tracks, rows, chosen[which, rank])
     best = squared.argmin(axis=1)
     each = np.arange(len(some))

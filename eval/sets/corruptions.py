@@ -1,8 +1,8 @@
-"""Graded corruptions of motion with continuous strengths, and transforms that change nothing.
+"""Graded corruptions of motion with continuous strengths, and harmless transforms.
 
 An evaluator is calibrated with them (its clip-FID must rise with every family and stay flat under the transforms) and
 the learned evaluator is trained to regress their strength. All act on joint positions [..., frames, joints, 3] in
-metres, y up, with one strength for all or one per clip, and return the dtype they were given.
+metres, y up, with one strength for all or one per clip, and preserve the dtype.
 """
 
 from collections.abc import Callable
@@ -28,11 +28,11 @@ KAISER_BETA = 7.857
 
 @dataclass(frozen=True)
 class Family:
-    """One way to spoil a motion, graded from `mildest` to `severest` strength.
+    """A family of corruptions, graded from `mildest` to `severest` strength.
 
-    `kind` says how strength reads: an "amplitude" is worse the larger (metres, metres per second), a "rate" is worse
-    the smaller (frames a second kept, cut-off in Hz) and harmless from `fps × clean_at` on. `levels` are those of the
-    calibration of clip-fid/1, mild to severe.
+    `kind`: an "amplitude" is worse the larger (metres, metres per second); a "rate" is worse the smaller (frames per
+    second kept, cut-off in Hz) and harmless from `fps × clean_at` on. `levels` are those of the calibration of
+    clip-fid/1, mild to severe.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Family:
     corrupt: Callable[[Array, float, float | npt.NDArray[np.float64], np.random.Generator], Array]
 
     def levels_at(self, fps: float) -> tuple[float, ...]:
-        """The calibration's levels that change anything at this framerate, mild to severe."""
+        """The calibration's levels that have an effect at this framerate, mild to severe."""
         if self.kind == "amplitude":
             return self.levels
         return tuple(level for level in self.levels if level < fps * self.clean_at)
@@ -60,7 +60,7 @@ class Family:
         return np.maximum(np.log(fps * self.clean_at / strength), 0.0)
 
     def draw(self, rng: np.random.Generator, fps: float, num: int) -> Float64[np.ndarray, "num"]:
-        """Strengths drawn log-uniformly between the mildest that changes anything at `fps` and the severest."""
+        """Strengths drawn log-uniformly between the mildest with an effect at `fps` and the severest."""
         mildest = self.mildest if self.kind == "amplitude" else min(self.mildest, fps * self.clean_at)
         low, high = sorted((mildest, self.severest))
         return np.exp(rng.uniform(np.log(low), np.log(high), num))
@@ -163,7 +163,7 @@ def low_pass(
 def turn(
     positions: Float[np.ndarray, "*batch frames joints 3"], yaw_radians: Strength
 ) -> Float[np.ndarray, "*batch frames joints 3"]:
-    """Turn the whole motion about the vertical axis through the origin; nothing that an evaluator may see changes."""
+    """Rotate the whole motion about the vertical axis through the origin; evaluators must be invariant to it."""
     flat, yaw = _flatten(positions, yaw_radians)
     sine, cosine = np.sin(yaw)[:, None, None], np.cos(yaw)[:, None, None]
     x, y, z = np.moveaxis(flat, -1, 0)
@@ -173,7 +173,7 @@ def turn(
 def translate(
     positions: Float[np.ndarray, "*batch frames joints 3"], offset: Float64[np.ndarray, "*batch 2"]
 ) -> Float[np.ndarray, "*batch frames joints 3"]:
-    """Move the whole motion by a horizontal (x, z) offset in metres; nothing that an evaluator may see changes."""
+    """Move the whole motion by a horizontal (x, z) offset in metres; evaluators must be invariant to it."""
     moved = positions.astype(np.float64)
     moved[..., (0, 2)] += offset[..., None, None, :]
     return moved.astype(positions.dtype)
@@ -184,8 +184,8 @@ def shift_between_frames(
 ) -> Float[np.ndarray, "*batch frames joints 3"]:
     """The motion `frames` (−1 … 1) later, by windowed-sinc interpolation: gain 1 up to 0.96 of the Nyquist frequency.
 
-    The kernel (Kaiser, 80 dB) reaches 64 frames: an unwindowed one rings on from a single frame's glitch through the
-    whole take, which is a change, not a shift.
+    The kernel (Kaiser, 80 dB) reaches 64 frames; without a window, a single frame's glitch would ring through the
+    whole take.
     """
     flat, delay = _flatten(positions, frames)
     reach = min(SHIFT_REACH_FRAMES, max(1, flat.shape[1] - 1))
@@ -233,7 +233,7 @@ def _restore(flat: npt.NDArray[np.float64], like: Array) -> Array:
 def _knots(
     flat: npt.NDArray[np.float64], fps: float, kept_fps: npt.NDArray[np.float64], rng: np.random.Generator
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """For every frame the kept poses before and after it, and how far it lies between them (0 … 1)."""
+    """The kept poses before and after every frame, and the frame's position between them (0 … 1)."""
     last = flat.shape[1] - 1
     spacing = np.maximum(fps / kept_fps, 1.0)[:, None]
     # At a spacing of one frame every pose is kept, so the knots must fall on the frames.
@@ -299,7 +299,7 @@ def _filter(
     head = 2 * flat[:, :1] - flat[:, pad:0:-1]
     tail = 2 * flat[:, -1:] - flat[:, -2::-1]
     padded = np.concatenate((head, flat, tail), axis=1)
-    # What the reflection leaves is a step between both ends of the padded motion: take the straight line out.
+    # After the reflection a step remains between both ends of the padded motion: remove the linear trend.
     slope = (padded[:, -1] - padded[:, 0]) / (padded.shape[1] - 1)
     line = padded[:, :1] + np.arange(padded.shape[1])[None, :, None, None] * slope[:, None]
     frequencies = scipy.fft.rfftfreq(padded.shape[1])

@@ -1,6 +1,6 @@
-"""Ways to win a score without moving better: damaged motion, and noise or the fast part of another take on it.
+"""Attempts to game a score: corrupted motion, with noise or the fast part of another take added.
 
-A score that any of them lowers much below that of the motion that was damaged honestly measures how a capture trembles.
+A score that any of them lowers far below that of the plain corruption measures a capture's jitter.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -25,7 +25,7 @@ Noise = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Games:
-    """One honest way to damage motion, and what is won by cheating on top of it: sets of the same takes, by name."""
+    """A plain corruption, and the same with cheats on top: sets of the same takes, by name."""
 
     parent: str
     honest: SampleSet
@@ -33,7 +33,7 @@ class Games:
 
 
 def games(real: SampleSet, seed: int = 0) -> Iterator[Games]:
-    """Upsampled and low-passed motion, each plain and with what hides it; one kind of damage at a time."""
+    """Upsampled and low-passed motion, each plain and disguised; one corruption at a time."""
     fps = float(real.fps)
     rng = np.random.default_rng((seed, 7))
     upsampled = _with(real, [upsample_slerp(take[None], fps, KEPT_FPS, rng)[0] for take in real.sequences])
@@ -96,10 +96,10 @@ def _speed(take: Take, like: SampleSet) -> Noise:
 
 
 def _borrowed(honest: SampleSet, real: SampleSet, seed: int) -> SampleSet:
-    """What other, random takes of the real ones have above 10 Hz, added; it is repeated where it is shorter.
+    """Add the motion above 10 Hz of other, random takes, repeated if shorter.
 
-    Every take is there `NUM_LENDERS` times, each time with another take's. By chance the fast part of one take fits the
-    motion of another: which one is drawn must not decide the game.
+    Every take is included `NUM_LENDERS` times with different lenders, since the fast part of one take may by chance fit
+    the motion of another.
     """
     rng, takes = np.random.default_rng((seed, 9)), list(real.sequences)
     fast = [take - low_pass(take[None], float(real.fps), TEXTURE_HZ)[0] for take in takes]

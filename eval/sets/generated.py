@@ -1,4 +1,4 @@
-"""What a generative model makes for the captions and durations of a real set, as sample sets at any framerate."""
+"""Motions that a model generates for the captions and durations of a real set, as sample sets at any framerate."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -29,9 +29,9 @@ class Window:
 
 
 def windows_of(real: SampleSet, max_duration_seconds: float) -> list[Window]:
-    """Requests with the captions, actions and durations of a real set: the model takes what it was trained with.
+    """Requests with the captions, actions and durations of a real set; the model uses those it was trained with.
 
-    A sequence longer than the model can make becomes several windows of equal length with its caption, so that a
+    A sequence longer than the model supports becomes several windows of equal length with its caption, so that a
     caption's share of the generated seconds is its share of the real ones.
     """
     windows: list[Window] = []
@@ -61,9 +61,9 @@ def generate_fields(
     draws: int = 1,
     on_motions: Callable[[int], None] = lambda count: None,
 ) -> dict[Window, MotionField]:
-    """A motion field per window and draw, or for a random choice of `limit` windows where there are more.
+    """A motion field per window and draw, or for a random subset of `limit` windows.
 
-    A model that knows no conditions is asked for the windows' durations alone. `on_motions` is told of each `AT_ONCE`.
+    An unconditional model gets the windows' durations alone. `on_motions` is called after each `AT_ONCE` motions.
     """
     chosen = list(windows)
     if len(windows) > limit:
@@ -81,7 +81,7 @@ def generate_fields(
 
 
 def is_framed(fields: Mapping[Window, MotionField]) -> bool:
-    """Whether a model makes frames, with interpolation between them, and nothing faster than its own framerate."""
+    """Whether a model generates frames at its own framerate, with interpolation in between."""
     return all(isinstance(field, InterpolatedField) for field in fields.values())
 
 

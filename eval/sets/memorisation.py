@@ -49,19 +49,19 @@ class Limits:
 
 @dataclass(frozen=True, eq=False)
 class Verdicts:
-    """Of each motion: how many stretches of each length move, which share of these is copied, and whether accused.
+    """Per motion: number of moving stretches of each length, the share of these that is copied, and whether accused.
 
-    Shares are 0 where no stretch moves; such a motion is not `told`: nothing can be said of it.
+    A motion without moving stretches is not `decidable`; its shares are 0.
     """
 
     num_moving: Mapping[float, Int64[np.ndarray, "motions"]]
     copied_share: Mapping[float, Float64[np.ndarray, "motions"]]
-    told: Bool[np.ndarray, "motions"]
+    decidable: Bool[np.ndarray, "motions"]
     accused: Bool[np.ndarray, "motions"]
 
 
 def moving(nearest: Nearest) -> Bool[np.ndarray, "stretches"]:
-    """Stretches that move enough to be told from others."""
+    """Stretches that move enough to be distinctive."""
     return np.asarray(nearest.movement >= STILL_BONES)
 
 
@@ -83,9 +83,9 @@ def verdicts(found: Sequence[Nearest], num_motions: int, limits: Limits) -> Verd
         hits = np.bincount(nearest.motion[copied(nearest, limits)], minlength=num_motions)
         numbers[nearest.seconds] = number
         shares[nearest.seconds] = hits / np.maximum(number, 1)
-    told = np.any([number > 0 for number in numbers.values()] or np.zeros((1, num_motions), bool), axis=0)
+    decidable = np.any([number > 0 for number in numbers.values()] or np.zeros((1, num_motions), bool), axis=0)
     accused = np.any([share > ACCUSED_SHARE for share in shares.values()] or np.zeros((1, num_motions), bool), axis=0)
-    return Verdicts(numbers, shares, told, accused)
+    return Verdicts(numbers, shares, decidable, accused)
 
 
 def least_factors(found: Sequence[Nearest], num_motions: int) -> Float64[np.ndarray, "motions"]:

@@ -1,4 +1,4 @@
-"""Rows of motion whose feet were made to stand, whoever made it: beside each as it is, by the same code."""
+"""Planted variants of rows: the same motions with foot sliding removed."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -24,12 +24,12 @@ def is_planted(name: str) -> bool:
 
 
 def planted_note(name: str) -> str:
-    """What a table says of a row of planted motion."""
+    """A table's note for a row of planted motion."""
     return DETAILED_NOTE if name.endswith(DETAILED.format("")) else PLANTED_NOTE
 
 
 def detailed_fields(fields: Mapping[Window, MotionField], detail: Detail, seed: int) -> dict[Window, MotionField]:
-    """Motion fields with what captures hold above 10 Hz, drawn anew for each, as `motionkit generate --detail` does."""
+    """Motion fields with detail above 10 Hz, sampled for each, as `motionkit generate --detail` does."""
     return {
         window: detailed(field, detail, seed=seed, number=number)
         for number, (window, field) in enumerate(fields.items())
@@ -37,12 +37,12 @@ def detailed_fields(fields: Mapping[Window, MotionField], detail: Detail, seed: 
 
 
 def planted_fields(fields: Mapping[Window, MotionField]) -> dict[Window, MotionField]:
-    """Generated motion fields with feet that stand, as `motionkit generate` writes them."""
+    """Planted generated motion fields, as `motionkit generate` writes them."""
     return {window: planted(field, "free") for window, field in fields.items()}
 
 
 def planted_set(samples: SampleSet) -> SampleSet:
-    """A set's motions with feet that stand, as `motionkit plant --path free` writes them; without rotations."""
+    """A set's motions planted, as `motionkit plant --path free` writes them; without rotations."""
     joints = samples.sequences.values.shape[1]
     skeleton = next(each for each in STANDARD_SKELETONS.values() if each.num_joints == joints)
     made = []

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class NoRealMotionError(MotionkitError):
-    """A store without real motion at the framerate that was asked for."""
+    """A store without real motion at the requested framerate."""
 
 
 @dataclass(eq=False)
@@ -38,9 +38,9 @@ class RealMotion:
     _made: dict[tuple[Fraction, int], SampleSet] = field(default_factory=dict)
 
     def indices_at(self, fps: Fraction, first_frame: int = 0) -> npt.NDArray[np.int64]:
-        """Sequences whose native framerate is at least `fps`, with two frames or more after the first ones.
+        """Sequences whose native framerate is at least `fps`, with at least two frames after the first ones.
 
-        Raises `NoRealMotionError` where fewer than two are.
+        Raises `NoRealMotionError` for fewer than two sequences.
         """
         lengths = self.sequences.num_frames
         chosen = [i for i, native in enumerate(self.fps) if native >= fps and lengths[i] > first_frame + 1]
@@ -73,7 +73,7 @@ class RealMotion:
         return self._made[key]
 
     def forget_all_but(self, fps: Fraction) -> None:
-        """Let go of what was made for other framerates: `at` makes it again."""
+        """Drop cached sets of other framerates; `at` computes them again."""
         for key in [key for key in self._made if key[0] != fps]:
             del self._made[key]
 
@@ -85,14 +85,14 @@ def of_split(split: str) -> str:
 
 
 def of_split_and(split: str, where: str | None) -> str | None:
-    """The SQL condition for the sequences of a split ("all": any) for which `where` holds too; None for all."""
+    """The SQL condition for the sequences of a split ("all": any) that match `where` too; None for all."""
     return conjunction(None if split == "all" else of_split(split), where) or None
 
 
 def real_motion(store: "Store", split: str, where: str | None = None, layout: str = SMPL22.name) -> RealMotion:
     """The sequences of one split of a store ("all": every one) for which `where` (SQL) holds, in a joint layout.
 
-    A sequence's caption is its first. Raises `UsageError` where the split is empty or its skeletons cannot be mapped.
+    A sequence's caption is its first. Raises `UsageError` if the split is empty or its skeletons cannot be mapped.
     """
     from motionkit.store.cache.positions import open_cache
 
@@ -106,7 +106,7 @@ def has_training(store: "Store") -> bool:
 
 
 def training_motion(store: "Store", compared: RealMotion) -> RealMotion:
-    """What features are fitted on: the training split, or the compared sequences where there is none."""
+    """The set to fit features on: the training split, or the compared sequences without one."""
     return real_motion(store, "train") if has_training(store) else compared
 
 

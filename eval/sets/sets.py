@@ -11,16 +11,16 @@ from jaxtyping import Float32, Int64
 
 FIRST_CAPACITY = 1 << 12
 ABOUT_EACH = ("captions", "actions", "groups", "takes", "generations")
-"""What a set may know of each of its sequences beside its id."""
+"""Optional metadata of each sequence of a set, beside its id."""
 Frames = Float32[np.ndarray, "_frames *_frame"]
 
 
 @dataclass(frozen=True, eq=False)
 class Ragged:
-    """Sequences of different lengths end to end: sequence i is `num_frames[i]` rows of `values` from `start_row[i]` on.
+    """Concatenated sequences of different lengths: sequence i is `num_frames[i]` rows of `values` from `start_row[i]`.
 
-    `values` [rows, …] are joint positions [rows, joints, 3] in metres, y up, wherever nothing else is said; they may be
-    a memory map, and hold rows of no sequence.
+    `values` [rows, …] are joint positions [rows, joints, 3] in metres, y up, unless stated otherwise; they may be a
+    memory map, and have unused rows.
     """
 
     values: Float32[np.ndarray, "rows *frame"]
@@ -31,7 +31,7 @@ class Ragged:
     def laid_out(
         cls, values: Float32[np.ndarray, "rows *frame"], num_frames: Sequence[int] | npt.NDArray[np.int64]
     ) -> "Ragged":
-        """Sequences of these lengths that fill the values. Raises `ValueError` where they do not."""
+        """Sequences of these lengths. Raises `ValueError` if they do not add up to the number of rows."""
         lengths = np.asarray(num_frames, dtype=np.int64)
         if int(lengths.sum()) != len(values):
             raise ValueError(f"{len(values)} rows for sequences of {int(lengths.sum())} frames in all")
@@ -39,7 +39,7 @@ class Ragged:
 
     @classmethod
     def of(cls, sequences: Sequence[Frames]) -> "Ragged":
-        """A copy of the sequences, one after another; raises `ValueError` for none."""
+        """Concatenate a copy of the sequences; raises `ValueError` for none."""
         return cls.laid_out(np.concatenate(sequences).astype(np.float32, copy=False), [len(each) for each in sequences])
 
     def __len__(self) -> int:
@@ -53,7 +53,7 @@ class Ragged:
         return (self[index] for index in range(len(self)))
 
     def clips(self, first_row: Int64[np.ndarray, "clips"], num_rows: int) -> Float32[np.ndarray, "clips rows *frame"]:
-        """Stretches of one length, each from a row of `values` on."""
+        """Stretches of one length that start at these rows of `values`."""
         return self.values[first_row[:, None] + np.arange(num_rows)]
 
 
@@ -66,7 +66,7 @@ class GrowingRagged:
         self._used = 0
 
     def add(self, sequence: Float32[np.ndarray, "_frames joints 3"]) -> None:
-        """Copy one sequence to the end."""
+        """Append a copy of one sequence."""
         needed = self._used + len(sequence)
         if needed > len(self._rows):
             # `resize` moves memory pages instead of copying them.
@@ -76,26 +76,26 @@ class GrowingRagged:
         self._used = needed
 
     def finish(self) -> Ragged:
-        """All of them; nothing can be added afterwards."""
+        """All sequences; nothing can be added afterwards."""
         self._rows.resize((self._used, *self._rows.shape[1:]), refcheck=False)
         return Ragged.laid_out(self._rows, self._lengths)
 
 
 def middle(frames: Frames, longest: int) -> Frames:
-    """The `longest` frames in the middle; all of them where there are no more."""
+    """At most `longest` frames from the middle."""
     first = max(0, (len(frames) - longest) // 2)
     return frames[first : first + longest]
 
 
 @dataclass(frozen=True, eq=False)
 class SampleSet:
-    """Sequences of joint positions at one framerate: 22 joints, or KIT-ML's 21 where its evaluator is to read them.
+    """Sequences of joint positions at one framerate: 22 joints, or KIT-ML's 21 for its evaluator.
 
-    `sequence_ids`, `captions` and `actions` have one entry for each ("" where there is none), and so have `groups`:
-    motions of one group answer the same prompt. `takes` name the real take that each is of, or is made for, where that
-    is not its own id; `generations` count the generations of a system from 0, where there are several.
-    `local_rotations`, where motions have true ones, are unit quaternions (w, x, y, z) of the same rows, relative to the
-    parent; SMPL's own skeleton may give 24 joints, the hands last.
+    `sequence_ids`, `captions`, `actions` ("" for none) and `groups` have one entry per sequence; motions of one group
+    share a prompt. `takes` name the real take of each sequence, or the one it was generated for, if that is not its own
+    id; `generations` number the generations of a system from 0, if there are several. `local_rotations`, if the motions
+    have true ones, are unit quaternions (w, x, y, z) of the same rows, relative to the parent; SMPL's own skeleton may
+    have 24 joints, the hands last.
     """
 
     name: str
@@ -130,7 +130,7 @@ class SampleSet:
 
     @property
     def take_names(self) -> tuple[str, ...]:
-        """The take of each sequence: its own id, where nothing else is known."""
+        """The take of each sequence, by default its own id."""
         return self.takes or self.sequence_ids
 
     @property
@@ -139,7 +139,7 @@ class SampleSet:
         return len(set(self.take_names))
 
     def select(self, indices: Sequence[int] | npt.NDArray[np.int64], name: str | None = None) -> "SampleSet":
-        """The sequences at `indices`, in that order, under another name where one is given."""
+        """The sequences at `indices`, in that order, optionally under another name."""
         chosen = [int(index) for index in indices]
         made = sample_set(
             name or self.name,
@@ -156,7 +156,7 @@ class SampleSet:
         return replace(made, local_rotations=np.concatenate([rotations[index] for index in chosen]))
 
     def rows_by_group(self) -> dict[str, list[int]]:
-        """Which sequences answer each prompt, prompts in order of appearance; without groups each its own."""
+        """The sequences of each prompt, prompts in order of appearance; without groups each is its own."""
         found: dict[str, list[int]] = {}
         for index, group in enumerate(self.groups or self.sequence_ids):
             found.setdefault(group, []).append(index)
@@ -184,7 +184,7 @@ def sample_set(
     actions: Sequence[str] = (),
     groups: Sequence[str] = (),
 ) -> SampleSet:
-    """Lay sequences one after another. Raises `ValueError` where there is none or one holds NaN."""
+    """Concatenate sequences into a set. Raises `ValueError` for none, or for NaN."""
     if not len(sequences):
         raise ValueError(f"sample set {name!r} would hold no sequence")
     laid_out = Ragged.of(sequences)

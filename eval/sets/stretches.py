@@ -1,4 +1,4 @@
-"""Motions as they are compared with one another: bones of one body at 20 fps, low-passed, whole or in stretches."""
+"""Normalised motions for comparison: bones of one reference body at 20 fps, low-passed, whole or in stretches."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -50,8 +50,8 @@ class Stretches:
     upright: Float32[np.ndarray, "stretches poses bones"]
     turn: Complex64[np.ndarray, "stretches"]
 
-    def looked_for(self, mirrored: bool, backwards: bool) -> "Stretches":
-        """The stretches in a mirror, played backwards, or both."""
+    def transformed(self, mirrored: bool, backwards: bool) -> "Stretches":
+        """The stretches, mirrored and reversed if set."""
         step = -1 if backwards else 1
         planar, upright = self.planar[:, ::step], self.upright[:, ::step]
         if not mirrored:
@@ -59,7 +59,7 @@ class Stretches:
         return Stretches(planar[..., OTHER_SIDE].conj(), upright[..., OTHER_SIDE], self.turn.conj())
 
     def rows(self) -> Float32[np.ndarray, "stretches numbers"]:
-        """All numbers of each, turned to face Z+ on the average."""
+        """Flattened stretches, rotated to face Z+ on average."""
         planar = flat(self.planar) * unit(self.turn).conj()[:, None]
         return np.concatenate((numbers(planar), flat(self.upright)), axis=1)
 
@@ -73,7 +73,7 @@ class Stretches:
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """What of a motion is compared: its bones at 20 fps, as in `Stretches`, and the direction that each pose faces."""
+    """A motion's bones at 20 fps, as in `Stretches`, and the direction that each pose faces."""
 
     planar: Complex64[np.ndarray, "frames bones"]
     upright: Float32[np.ndarray, "frames bones"]
@@ -81,7 +81,7 @@ class Track:
 
     @classmethod
     def of(cls, positions: Float32[np.ndarray, "frames joints 3"], fps: Fraction) -> "Track":
-        """Of joint positions of the 22-joint layout; given fps × tempo they are played at that tempo."""
+        """From joint positions of the 22-joint layout; with fps × tempo they are played at that tempo."""
         smooth = low_pass(resample_positions(positions, fps, FPS).astype(np.float64), float(FPS), SMOOTH_HZ)
         bones = smooth[:, 1:] - smooth[:, PARENTS]
         bones *= BONE_LENGTHS / np.maximum(np.linalg.norm(bones, axis=-1, keepdims=True), SHORTEST_BONE)
@@ -97,7 +97,7 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """Tracks one after another; sequence i begins at frame `first[i]`."""
+    """Concatenated tracks; sequence i begins at frame `first[i]`."""
 
     track: Track
     first: Int64[np.ndarray, "sequences"]
@@ -105,18 +105,18 @@ class Tracks:
 
     @classmethod
     def of(cls, sequences: Iterable[Float32[np.ndarray, "_frames joints 3"]], fps: Fraction) -> "Tracks":
-        """Of sequences at one framerate."""
+        """From sequences at one framerate."""
         tracks = [Track.of(each, fps) for each in sequences]
         lengths = np.array([len(each.facing) for each in tracks], dtype=np.int64)
         joined = (np.concatenate([getattr(each, name) for each in tracks]) for name in ("planar", "upright", "facing"))
         return cls(Track(*joined), np.cumsum(lengths) - lengths, lengths)
 
     def last_starts(self, num_poses: int) -> Int64[np.ndarray, "sequences"]:
-        """The frame of each sequence that its last stretch begins at; negative where it holds none."""
+        """The last start frame of a stretch in each sequence; negative if it holds none."""
         return self.num_frames - POSE_EVERY * (num_poses - 1) - 1
 
     def starts(self, num_poses: int, every: int) -> tuple[Int64[np.ndarray, "n"], Int64[np.ndarray, "n"]]:
-        """The frames of its sequence that stretches begin at, one every so many frames, and which sequence that is."""
+        """Start frames of stretches, one every so many frames, and their sequences."""
         numbers = np.maximum(0, self.last_starts(num_poses) // every + 1)
         whose = np.repeat(np.arange(len(numbers)), numbers)
         return every * (np.arange(len(whose)) - np.repeat(np.cumsum(numbers) - numbers, numbers)), whose
@@ -133,6 +133,6 @@ def flat(bones: Shaped[np.ndarray, "stretches poses bones"]) -> Shaped[np.ndarra
 
 
 def unit(values: Complex64[np.ndarray, "n"]) -> Complex64[np.ndarray, "n"]:
-    """Each over its size; 1 for 0."""
+    """Each divided by its absolute value; 1 for 0."""
     size = np.abs(values)
     return np.where(size > 0, values / np.where(size > 0, size, 1), 1).astype(np.complex64)

@@ -16,17 +16,17 @@ from motionkit.features.humanml3d import at_origin, facing_forward, on_floor
 from motionkit.fields.completion import SLERP, upsample
 from motionkit.fields.motion_field import MotionEncoder
 
-# So many frames are turned into rotations at once: below, what each call costs by itself outweighs the frames.
+# Frames converted to rotations at once: enough to amortise the cost of a call.
 FRAMES_AT_ONCE = 2048
-# Framerates whose common instants are farther apart than so many frames are not worth laying one after another.
+# Framerates whose common instants are further apart than this, in frames, are not worth batching.
 MOST_PADDING = 16
 
 
 def upsampled(samples: SampleSet, fps: Fraction, name: str, encoder: MotionEncoder = SLERP) -> SampleSet:
-    """Every sequence at a higher framerate; it keeps its id, so that it may be compared with the real one of that id.
+    """Upsample every sequence by SLERP; ids are kept, for comparison with the real sequences.
 
-    SLERP: joint rotations (from inverse kinematics) on great arcs, the root on straight lines, positions by forward
-    kinematics. Raises `ValueError` where `fps` is below the set's.
+    Joint rotations (from inverse kinematics) on great arcs, the root on straight lines, positions by forward
+    kinematics. Raises `ValueError` if `fps` is below the set's.
     """
     sequences = list(samples.sequences)
     if encoder is SLERP:
@@ -49,10 +49,10 @@ def upsampled_positions(
 def each_upsampled(
     sequences: Sequence[Float32[np.ndarray, "_frames joints 3"]], fps_from: Fraction, fps_to: Fraction
 ) -> Iterator[Float32[np.ndarray, "_new_frames joints 3"]]:
-    """Sequences of one framerate, each upsampled by SLERP as `upsampled_positions` does, but many at a time.
+    """As `upsampled_positions`, for many sequences of one framerate at a time.
 
-    They are laid one after another, each from an instant of both grids on. SLERP looks at the two neighbouring poses
-    only, so what lies between two sequences is computed for nothing, and nothing of it is handed on.
+    They are concatenated, each starting at an instant of both grids. SLERP is local to two neighbouring poses, so only
+    the gaps between sequences are wasted, and dropped.
     """
     step = (fps_to / fps_from).denominator
     start = 0
@@ -78,8 +78,8 @@ def each_upsampled(
 def upsample_as_vectors(samples: SampleSet, fps: Fraction, name: str) -> SampleSet:
     """HumanML3D vectors interpolated linearly, their per-frame root velocities left as they are, then recovered.
 
-    The root's path and turns grow by the upsampling factor: a handicap of the procedure, not of the motion. It would
-    explain how published baselines grow with the framerate, and is shown beside the fair way for that reason only.
+    The root's path and turns grow by the upsampling factor: a flaw of the procedure, not of the motion. It would
+    explain how published baselines grow with the framerate, and is shown beside SLERP for that reason only.
     """
     if fps < samples.fps:
         raise ValueError(f"{samples.name} is at {samples.fps} fps, which is more than {fps}")

@@ -1,4 +1,4 @@
-"""Which motions are shown beside each other: drawn from a seed, the sides even, the order shuffled."""
+"""Draws the pairs of motions of a study from a seed, with balanced sides and shuffled order."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from eval.sets.found import Found
+from eval.sets.partial import PartialResult
 from eval.study.systems import System
 from motionkit.core.errors import MotionkitError
 from motionkit.core.framerate import format_fps
@@ -21,7 +21,7 @@ QUESTIONS = {
 
 @dataclass(frozen=True)
 class Design:
-    """How many cases each question has at each framerate for each pair of systems."""
+    """The number of cases of each question, framerate and pair of systems."""
 
     fps: tuple[Fraction, ...] = (Fraction(20), Fraction(120))
     cases: int = 8
@@ -30,7 +30,7 @@ class Design:
 
 @dataclass(frozen=True)
 class Trial:
-    """One question about two motions: places of two systems in their list, a motion of each; A shows the first."""
+    """One question about two motions: indices of two systems and of a motion of each; A shows the first."""
 
     question: str
     fps: Fraction
@@ -39,11 +39,11 @@ class Trial:
     motions: tuple[int, int]
 
 
-def draw_trials(systems: Sequence[System], design: Design) -> Found[tuple[Trial, ...]]:
-    """The first system beside each of the others, as often on either side, in random order, and what could not be.
+def draw_trials(systems: Sequence[System], design: Design) -> PartialResult[tuple[Trial, ...]]:
+    """Trials of the first system against each of the others, in random order with balanced sides; and what is missing.
 
-    Two motions answer one caption; where one of the systems has no captions, they are any two, and the question about
-    the text is left out. Raises `MotionkitError` where no two motions can be shown.
+    Two motions share a caption; if one of the systems has no captions, they are any two, without the question about the
+    text. Raises `MotionkitError` if there are no pairs.
     """
     rng = np.random.default_rng(design.seed)
     trials: list[Trial] = []
@@ -55,17 +55,19 @@ def draw_trials(systems: Sequence[System], design: Design) -> Found[tuple[Trial,
     if not trials:
         raise MotionkitError("; ".join(missing))
     order = rng.permutation(len(trials)).tolist()
-    return Found(tuple(trials[number] for number in order), tuple(missing))
+    return PartialResult(tuple(trials[number] for number in order), tuple(missing))
 
 
-def _of_pair(systems: Sequence[System], other: int, design: Design, rng: np.random.Generator) -> Found[list[Trial]]:
+def _of_pair(
+    systems: Sequence[System], other: int, design: Design, rng: np.random.Generator
+) -> PartialResult[list[Trial]]:
     first, second = systems[0], systems[other]
     pair = f"{first.name} and {second.name}"
     captioned = any(first.captions) and any(second.captions)
     matched = list(_matched(first, second, captioned, rng))
     missing = [] if captioned else [f"{pair}: one of them has no captions: the question about the text is left out"]
     if not matched:
-        return Found([], (f"{pair}: no caption is common to both, nothing is compared",))
+        return PartialResult([], (f"{pair}: no caption is common to both, nothing is compared",))
     trials: list[Trial] = []
     used = 0
     for fps in design.fps:
@@ -81,7 +83,7 @@ def _of_pair(systems: Sequence[System], other: int, design: Design, rng: np.rand
                 trial = Trial(question, fps, first.captions[one] if captioned else "", (0, other), (one, two))
                 trials.append(_swapped(trial) if swapped else trial)
                 used += 1
-    return Found(trials, tuple(missing))
+    return PartialResult(trials, tuple(missing))
 
 
 def _swapped(trial: Trial) -> Trial:
@@ -89,7 +91,7 @@ def _swapped(trial: Trial) -> Trial:
 
 
 def _matched(first: System, second: System, captioned: bool, rng: np.random.Generator) -> Iterator[tuple[int, int]]:
-    """Motions that may be shown beside each other, in random order, each caption once."""
+    """Comparable pairs of motions in random order, each caption once."""
     if not captioned:
         yield from zip(
             rng.permutation(len(first.captions)).tolist(), rng.permutation(len(second.captions)).tolist(), strict=False

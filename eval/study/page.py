@@ -1,4 +1,4 @@
-"""A study's page, which does not say whose motions it shows, and its key, which does."""
+"""A study's blinded page, and its key, which tells the systems."""
 
 import json
 from collections.abc import Sequence
@@ -44,7 +44,7 @@ def write_study(
     longest_seconds: float,
     on_progress: OnProgress,
 ) -> WrittenStudy:
-    """Write the page and the key of some trials, of longer motions the middle `longest_seconds`.
+    """Write the page and the key of some trials; longer motions are cut to their middle `longest_seconds`.
 
     Raises `MotionkitError` for a page that is too large for a browser.
     """
@@ -72,7 +72,7 @@ def write_study(
 
 def _positions(system: System, motion: int, fps: Fraction, longest_seconds: float) -> Positions:
     shown = middle(system.positions(motion, fps), max(2, int(longest_seconds * fps)))
-    # All stand on their lowest joint: a capture's own height of the floor would tell whose it is.
+    # All stand on their lowest joint: a capture's floor height would reveal its system.
     return shown - np.array([0.0, shown[..., 1].min(), 0.0], dtype=np.float32)
 
 
@@ -105,7 +105,7 @@ def _page(data: dict[str, Any]) -> str:
         for name in ("study.css", "study.js", "study.html", "inside.css")
     )
     shell = player("", "__DATA__").replace("</style>", f"{inside}</style>", 1)
-    # In a script nothing may look like the end of one.
+    # A script must not contain anything like its closing tag.
     text = json.dumps({**data, "shell": shell}, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
     head, tail = page.replace("__STYLE__", style).replace("__SCRIPT__", script).split("__STUDY__")
     return head + text + tail

@@ -1,4 +1,4 @@
-"""What people preferred: their answers, read with the key, as shares with intervals."""
+"""Preferences of people: their answers, read with the key, as shares with intervals."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from typing import Any
 
 from scipy.stats import binomtest
 
-from eval.sets.found import Found
+from eval.sets.partial import PartialResult
 from eval.study.draw import QUESTIONS
 from eval.study.page import ANSWERS_FORMAT, KEY_FORMAT
 from motionkit.core.checksums import read_json
@@ -50,16 +50,16 @@ class Key:
 
 def read_key(path: Path) -> Key:
     """Read what `write_study` wrote; raises `DamagedFileError`, or `StudyError` for a file of another kind."""
-    document = read_json(path, "take it from a copy: without it nobody knows which side was which")
+    document = read_json(path, "restore it from a copy: without it the sides are unknown")
     if document.get("format") != KEY_FORMAT:
         raise StudyError(f"{path}: not the key of a study (format {shown(str(document.get('format')))})")
     return Key(document["study"], document["systems"][0], tuple(document["trials"]))
 
 
-def read_answers(paths: Iterable[Path], key: Key) -> Found[dict[str, dict[int, str]]]:
-    """Of each participant the choice ("a" or "b") of each trial that was answered, and what is wrong with other files.
+def read_answers(paths: Iterable[Path], key: Key) -> PartialResult[dict[str, dict[int, str]]]:
+    """Each participant's choices ("a" or "b") by trial, and problems of other files.
 
-    A participant who is there already counts once.
+    A participant counts once.
     """
     found: dict[str, dict[int, str]] = {}
     faults: list[str] = []
@@ -73,7 +73,7 @@ def read_answers(paths: Iterable[Path], key: Key) -> Found[dict[str, dict[int, s
             faults.append(f"{path}: the answers of participant {participant} are in another file already")
         else:
             found[participant] = choices
-    return Found(found, tuple(faults))
+    return PartialResult(found, tuple(faults))
 
 
 def _answers(path: Path, key: Key) -> tuple[str, dict[int, str]]:
@@ -97,9 +97,9 @@ def _answers(path: Path, key: Key) -> tuple[str, dict[int, str]]:
 
 
 def preferences(key: Key, answers: Iterable[Mapping[int, str]]) -> list[Preference]:
-    """For each question and pair of systems the preference for the study's first one, at each framerate.
+    """For each question and pair of systems, the preference for the study's first one, at each framerate.
 
-    Where there are three framerates or more, also of all above the lowest together. Every answer counts as independent.
+    With three or more framerates, also for all above the lowest together. Answers are treated as independent.
     """
     wins: dict[tuple[str, str], dict[Fraction, list[bool]]] = {}
     for choices in answers:

@@ -1,4 +1,4 @@
-"""Systems that are compared by people: folders of samples, real motion, the model of a run."""
+"""Systems of a study: folders of samples, real motion, the model of a run."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ Positions = Float32[np.ndarray, "frames 22 3"]
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """One system's motions: of each its id, caption ("" for none), seconds and the highest framerate that it may have.
+    """One system's motions: id, caption ("" for none), seconds and highest framerate of each.
 
     `positions(i, fps)` are motion i's 22 joints in metres, y up, at a framerate. `fastest` None is any framerate.
     """
@@ -34,12 +34,12 @@ class System:
     fastest: tuple[Fraction, ...] | None = None
 
     def has(self, index: int, fps: Fraction) -> bool:
-        """Whether motion `index` is shown at a framerate."""
+        """Whether motion `index` is available at a framerate."""
         return self.fastest is None or self.fastest[index] >= fps
 
 
 def of_folder(folder: SampleFolder) -> System:
-    """Samples: below a framerate they are upsampled by SLERP, above it anti-aliased, as tables have them."""
+    """Samples, upsampled by SLERP or anti-aliased, as in tables."""
 
     def positions(index: int, fps: Fraction) -> Positions:
         own, frames = folder.fps[index], folder.sequences[index]
@@ -49,7 +49,7 @@ def of_folder(folder: SampleFolder) -> System:
 
 
 def of_real(real: RealMotion) -> System:
-    """Real motion at framerates up to that of its capture: what is slower is not shown."""
+    """Real motion at framerates up to that of its capture."""
 
     def positions(index: int, fps: Fraction) -> Positions:
         return resample_positions(real.sequences[index], real.fps[index], fps)
@@ -58,9 +58,9 @@ def of_real(real: RealMotion) -> System:
 
 
 def of_model(model: GenerativeModel, beside: Sequence[System], seed: int, longest_seconds: float) -> System:
-    """What a model makes for the captions and lengths of other systems, planted, as `motionkit generate` does.
+    """A model's planted motions for the captions and lengths of other systems, as `motionkit generate` writes them.
 
-    Motions are generated when they are asked for.
+    Motions are generated lazily.
     """
     prompts: dict[str, float] = {}
     for system in beside:
@@ -92,4 +92,4 @@ def require_two(systems: Sequence[System]) -> None:
     if len(names) < 2:
         raise UsageError("a study compares two systems: name folders with --samples NAME=DIR, a --run, a --store")
     if len(set(names)) < len(names):
-        raise UsageError(f"two systems have one name ({', '.join(names)}): give every folder its own")
+        raise UsageError(f"two systems have the same name ({', '.join(names)}): give every folder its own")

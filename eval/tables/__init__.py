@@ -1,1 +1,1 @@
-"""One file a table."""
+"""Tables and figures, one file each."""

@@ -1,4 +1,4 @@
-"""The calibration table: how clip-FID on each feature set answers graded damage, and transforms that change nothing."""
+"""The calibration table: clip-FID of each feature set under graded corruptions and harmless transforms."""
 
 from collections.abc import Mapping
 from fractions import Fraction
@@ -22,7 +22,7 @@ from eval.clip_fid.features import FeatureSource, feature_sources
 from eval.clip_fid.score import CLIP_FID
 from eval.report.results import Block, Cell, Result, Row, measure
 from eval.sets.corruptions import families
-from eval.sets.found import Found, each_found
+from eval.sets.partial import PartialResult, collect
 from eval.sets.real import RealMotion, real_motion
 from eval.tables.registry import TableRequest
 from motionkit.core.progress import task
@@ -33,7 +33,7 @@ HONEST = ", plain (absolute)"
 
 
 def build_calibration(request: TableRequest) -> Result:
-    """Calibrate every feature set at every framerate on the request's split, which no fit has seen.
+    """Calibrate every feature set at every framerate on the request's split, which was not used for fitting.
 
     Raises `UsageError` or `StoreError` for a store that cannot be used.
     """
@@ -72,14 +72,14 @@ def build_calibration(request: TableRequest) -> Result:
 
 def _calibrate(
     source: FeatureSource, request: TableRequest, held_out: RealMotion, train: RealMotion
-) -> Found[dict[Fraction, Calibration]]:
+) -> PartialResult[dict[Fraction, Calibration]]:
     def calibration(fps: Fraction) -> Calibration:
         replications = source.protocol(request.clip_fid.protocol).replications
         with task(request.on_progress, f"{source.name}, {fps} fps", 5 * replications) as work:
             comparison = source.comparison(held_out.at(fps), train.at(fps), request.clip_fid.protocol)
             return calibrate(comparison, held_out.at(fps, first_frame=1), work.advance)
 
-    return each_found(request.fps or COLUMNS, calibration, lambda fps: f"{source.name}, {fps} fps")
+    return collect(request.fps or COLUMNS, calibration, lambda fps: f"{source.name}, {fps} fps")
 
 
 def _blocks(source: FeatureSource, request: TableRequest, calibrations: list[Calibration]) -> list[Block]:
@@ -128,7 +128,7 @@ def _blocks(source: FeatureSource, request: TableRequest, calibrations: list[Cal
 
 
 def _games_block(source: FeatureSource, by_column: list[tuple[str, Calibration]], provenance: dict[str, Any]) -> Block:
-    """Scores of damaged motion, and of what hides the damage as a share of them."""
+    """Scores of corrupted motion, and of its disguises as shares of them."""
     rows: dict[str, dict[str, Cell]] = {}
     for column, each in by_column:
         for game in each.games:
@@ -146,7 +146,7 @@ def _games_block(source: FeatureSource, by_column: list[tuple[str, Calibration]]
 
 
 def _visible(family: str, by_column: list[tuple[str, Calibration]]) -> str:
-    """From which level on a family's damage is told from real motion at 95 %, over either floor."""
+    """The lowest level at which a family's damage differs significantly (95 %) from real motion, over either floor."""
     over_same, over_disjoint = [], []
     for column, each in by_column:
         for graded in each.graded:
@@ -154,7 +154,7 @@ def _visible(family: str, by_column: list[tuple[str, Calibration]]) -> str:
                 over_same.append(f"{_level(graded, graded.first_visible)} ({column})")
                 over_disjoint.append(f"{_level(graded, graded.first_above(each.disjoint_floor))} ({column})")
     return (
-        f"told from real motion of the same takes from {', '.join(over_same)}; scores above other takes (P2) from "
+        f"differs from real motion of the same takes from {', '.join(over_same)}; scores above other takes (P2) from "
         f"{', '.join(over_disjoint)}"
     )
 
@@ -164,7 +164,7 @@ def _level(graded: Graded, strength: float | None) -> str:
 
 
 def _notes(calibrations: Mapping[str, list[Calibration]]) -> tuple[str, ...]:
-    """What every framerate's real set holds."""
+    """A remark on the size of every framerate's real set."""
     held = {each.fps: each for some in calibrations.values() for each in some}
     sets = (
         f"{fps} fps: {held[fps].num_sequences} sequences, {held[fps].duration_seconds:.0f} s" for fps in sorted(held)
@@ -173,6 +173,6 @@ def _notes(calibrations: Mapping[str, list[Calibration]]) -> tuple[str, ...]:
 
 
 def _row_order(names: list[str]) -> list[str]:
-    """Clean, harmless, then family by family from mild to severe, whichever framerates the levels exist at."""
+    """Row order: clean, harmless, then family by family from mild to severe."""
     levels = [level_name(family, level) for family in families() for level in family.levels]
     return [name for name in names if name not in levels] + [name for name in levels if name in names]

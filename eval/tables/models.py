@@ -1,4 +1,4 @@
-"""Which installed models and encoders a run holds: a table has a row for each."""
+"""The installed models and encoders in a run: a table has a row for each."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -6,8 +6,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from eval.sets.found import Found, each_found
 from eval.sets.generated import Window, generate_fields, is_framed, windows_of
+from eval.sets.partial import PartialResult, collect
 from eval.sets.planted import DETAILED, PLANTED, detailed_fields, planted_fields
 from eval.sets.sets import SampleSet
 from eval.tables.registry import TableRequest
@@ -30,19 +30,19 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class Trained(Generic[T]):
-    """What a loader loads from a run, once somebody asks for it."""
+    """A loader's object from a run, loaded on first use."""
 
     loader: Loader[T]
     run: Path
 
     @cached_property
     def loaded(self) -> T:
-        """The model itself; raises what loading it raises."""
+        """The model; raises what loading it raises."""
         return self.loader.load(self.run)
 
     @cached_property
     def identity(self) -> Mapping[str, str]:
-        """Hexadecimal sha256 of the result of each of its stages; raises `RunError` where one is not trained."""
+        """Hexadecimal sha256 of each of its stages' results; raises `RunError` if one is not trained."""
         found = {}
         for name in self.loader.stages:
             stage = RunFolder(self.run).stage(name)
@@ -56,15 +56,12 @@ class Trained(Generic[T]):
 TrainedModel = Trained[GenerativeModel]
 
 
-def trained_models(run: Path | None) -> Found[dict[str, TrainedModel]]:
-    """The installed models that a run holds, by the names of their rows, loaded.
-
-    Those that the run knows nothing of are named with the commands that train them.
-    """
+def trained_models(run: Path | None) -> PartialResult[dict[str, TrainedModel]]:
+    """The installed models in a run by their row names; missing ones are reported with commands that train them."""
     loaders = list(installed_models().values())
     if run is None or not run.is_dir():
         where = "no run was given" if run is None else f"there is no run {str(run)!r}"
-        return Found({}, tuple(f"{each.title}: {where} ({each.train_command(run)})" for each in loaders))
+        return PartialResult({}, tuple(f"{each.title}: {where} ({each.train_command(run)})" for each in loaders))
     begun = [loader for loader in loaders if loader.begun_in(run)]
     missing: list[str] = []
     missing += [
@@ -84,27 +81,27 @@ def trained_models(run: Path | None) -> Found[dict[str, TrainedModel]]:
             missing.append(f"{loader.title}: another model of the run is called {name!r} too")
         else:
             found[name] = model
-    return Found(found, tuple(missing))
+    return PartialResult(found, tuple(missing))
 
 
 def training_note(trained: Trained[Any]) -> str:
-    """How a model was trained, as far as its stages' summaries say: steps, parameters, processor time, framerate."""
-    told = []
+    """A note on a model's training from its stages' summaries: steps, parameters, processor time, framerate."""
+    notes = []
     for name in trained.loader.stages:
         effort = RunFolder(trained.run).stage(name).effort()
         facts = [
             f"{value} of {fact}" if fact == "processor time" else f"{value} {fact}" for fact, value in effort.items()
         ]
-        told += [f"{name}: {', '.join(facts)}"] if effort else []
+        notes += [f"{name}: {', '.join(facts)}"] if effort else []
     model = trained.loaded
     rate = f"trained at up to {float(model.max_training_fps):g} fps"
     if knows_no_conditions(model):
         rate += ", knows no texts and no actions"
-    return "; ".join((*told, rate)) if told else ""
+    return "; ".join((*notes, rate)) if notes else ""
 
 
-def require_models(run: Path) -> Found[dict[str, TrainedModel]]:
-    """As `trained_models`; raises `RunError` where there is none."""
+def require_models(run: Path) -> PartialResult[dict[str, TrainedModel]]:
+    """As `trained_models`; raises `RunError` if there is none."""
     begun = any(loader.begun_in(run) for loader in installed_models().values())
     found = trained_models(run)
     if not found.value:
@@ -124,11 +121,11 @@ class Generated:
     training: Mapping[str, str]
 
 
-def generated_fields(request: TableRequest, real: SampleSet) -> Found[Generated]:
-    """What each model of a request's run generates for the captions and durations of a real set.
+def generated_fields(request: TableRequest, real: SampleSet) -> PartialResult[Generated]:
+    """Motions that each model of a request's run generates for the captions and durations of a real set.
 
-    As the model gives it, planted, and where the run has learnt detail, planted with detail: of models that make
-    functions of time, for detail is part of those.
+    As generated, planted, and, if the run has a trained detail stage and the model is continuous in time, planted with
+    detail.
     """
     run, most, draws = request.evaluated.run, request.evaluated.max_motions, request.evaluated.draws
     models = trained_models(run)
@@ -145,16 +142,16 @@ def generated_fields(request: TableRequest, real: SampleSet) -> Found[Generated]
             rows[DETAILED.format(name)] = detailed_fields(standing, detail, request.seed)
         return rows
 
-    found = each_found(tracked(request.on_progress, "systems", models.value, len(models.value)), generated)
+    found = collect(tracked(request.on_progress, "systems", models.value, len(models.value)), generated)
     rows = {row: fields for of_model in found.value.values() for row, fields in of_model.items()}
     training = {name: training_note(model) for name, model in models.value.items()}
-    return Found(Generated(rows, training), (*models.missing, *found.missing))
+    return PartialResult(Generated(rows, training), (*models.missing, *found.missing))
 
 
 def trained_reconstructors(run: Path) -> dict[str, Trained[MotionEncoder]]:
-    """The installed encoders that a run holds and that reconstruct windows of motion, by name, loaded.
+    """The installed encoders in a run that reconstruct windows of motion, by name.
 
-    Raises `RunError` where there is none, and what loading them raises.
+    Raises `RunError` if there is none, and what loading them raises.
     """
     loaders = installed_encoders("reconstruction").values()
     held = [Trained(loader, run) for loader in loaders if loader.begun_in(run)]
@@ -167,7 +164,7 @@ def trained_reconstructors(run: Path) -> dict[str, Trained[MotionEncoder]]:
 def reconstructor(trained: Trained[MotionEncoder], store: "Store") -> ReconstructsWindows:
     """An encoder that reconstructs windows, trained on this store.
 
-    Raises `UsageError` for an encoder that doesn't, and for one that was trained on another state of the store.
+    Raises `UsageError` for other encoders, and for one that was trained on another state of the store.
     """
     encoder = trained.loaded
     if not isinstance(encoder, ReconstructsWindows):
@@ -181,6 +178,6 @@ def reconstructor(trained: Trained[MotionEncoder], store: "Store") -> Reconstruc
 
 
 def check_names(samples: Iterable[str], models: Iterable[str]) -> None:
-    """Raise `UsageError` for samples that are called as a row of the table's own."""
+    """Raise `UsageError` for samples with the name of one of the table's own rows."""
     for name in sorted(set(samples) & set(models)):
         raise UsageError(f"--samples {name}=…: the table has a row {name!r} of its own; choose another name")

@@ -24,8 +24,8 @@ from eval.metrics.resampling import (
 )
 from eval.report.differences import differences_block, of_interest, pairs_of
 from eval.report.results import Block, Cell, Result, Row, measure
-from eval.sets.found import Found, each_found
 from eval.sets.generated import sample_fields
+from eval.sets.partial import PartialResult, collect
 from eval.sets.real import NoRealMotionError, RealMotion, real_motion
 from eval.sets.sets import SampleSet
 from eval.tables.models import check_names, generated_fields
@@ -128,7 +128,7 @@ def build_physical(request: TableRequest) -> Result:
     store = request.open_store()
     folders = request.sample_folders
     real = real_motion(store, request.real.split, request.real.where)
-    rates = each_found(request.fps or COLUMNS, real.indices_at, framerate_label, (NoRealMotionError,))
+    rates = collect(request.fps or COLUMNS, real.indices_at, framerate_label, (NoRealMotionError,))
     if not rates.value:
         raise NoRealMotionError(rates.missing[-1])
     generated = generated_fields(request, real.at(min(rates.value)))
@@ -161,14 +161,16 @@ def build_physical(request: TableRequest) -> Result:
 TABLE = Table("nerm", "physical", "feet, floor and roughness", build_physical, shown=installed_models)
 
 
-def _sets(fps: Fraction, real: RealMotion, fields: ModelFields, request: TableRequest) -> Found[dict[str, SampleSet]]:
+def _sets(
+    fps: Fraction, real: RealMotion, fields: ModelFields, request: TableRequest
+) -> PartialResult[dict[str, SampleSet]]:
     """What the rows of one framerate are of: motions for its real takes."""
     reference = real.at(fps)
     samples = samples_at(request.sample_folders, real, fps, request.on_progress)
     generated = {name: sample_fields(own, reference.sequence_ids, fps, name) for name, own in fields.items()}
     made = {name: found for name, found in generated.items() if found is not None}
     slow = (f"{name}, {framerate_label(fps)}: {NOT_SO_FAST}" for name in generated if name not in made)
-    return Found({REAL: reference, **made, **samples.value}, (*slow, *samples.missing))
+    return PartialResult({REAL: reference, **made, **samples.value}, (*slow, *samples.missing))
 
 
 def _blocks(
@@ -205,7 +207,7 @@ def blocks_of(
         for name, row in means.items()
     )
     pairs = pairs_of((name for name in means if name != REAL), (REAL,))
-    told = {
+    paired = {
         (first, second): {
             column: difference
             for column, mean in means[first].items()
@@ -214,7 +216,7 @@ def blocks_of(
         for first, second in pairs
     }
     block = Block(title, columns, found, note=note, metrics=measures)
-    differences = differences_block(block, of_interest(block, told, _nearest(means)))
+    differences = differences_block(block, of_interest(block, paired, _nearest(means)))
     return [block, *([differences] if differences else [])]
 
 

@@ -7,7 +7,7 @@ from eval.native_evaluator.settings import NativeNetworkConfig
 
 @dataclass(frozen=True)
 class TmrTrainingConfig:
-    """What a step sees and how pairs are told apart.
+    """Batches of a training step, and which pairs are negatives.
 
     A step draws one framerate from `framerates` (those that the store reaches) and one duration between `min_seconds`
     and `max_seconds`, at most `max_poses` poses. Pairs whose sentences have a score above `same_above` (½ + ½ · cosine

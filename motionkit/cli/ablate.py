@@ -1,4 +1,4 @@
-"""`motionkit ablate`: train the variants that an ablation table is made of."""
+"""`motionkit ablate`: train the variants of an ablation table."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -51,13 +51,13 @@ def ablate(
     device: Annotated[str, typer.Option(help="auto, cpu, cuda, cuda:1 …")] = "auto",
     as_json: Annotated[bool, typer.Option("--json", help="Print the runs' summaries as JSON.")] = False,
 ) -> None:
-    """Train all variants of an ablation, a run each; what is complete is kept, what was stopped goes on.
+    """Train all variants of an ablation, a run each; complete ones are kept, stopped ones resumed.
 
     Example: motionkit ablate 5 --list
     """
     ablations = find_ablations(paper)
     chosen = [ablations.find(table) for table in _named(tables or [], ablations)]
-    # Runs of other models than the default one have its paper in their names.
+    # Runs of models other than the default one have the paper in their names.
     named = recipe if ablations.is_default else f"{ablations.paper}-{recipe}"
     folder, prefix = runs or default_path("runs"), run or named
     if listing:
@@ -73,7 +73,7 @@ def ablate(
     from motionkit.store.manifest import read_manifest
 
     store_path = store or default_path("store")
-    read_manifest(store_path)  # a store that is missing is found before anything heavy is imported
+    read_manifest(store_path)  # fail on a missing store before heavy imports
     sweep = Sweep(store_path, folder, prefix, recipe, seed=seed, overwrite=overwrite, device=device)
     with progress() as show:
         trained = _train_all(ablations, replace(sweep, on_progress=show), jobs, configs, as_json)
@@ -90,7 +90,7 @@ def _named(tables: list[str], ablations: Ablations) -> list[str]:
 def _jobs(
     ablations: Ablations, chosen: list[Ablation], only: str | None, stage: str
 ) -> list[tuple[Variant, tuple[str, ...]]]:
-    """Every variant of the tables once, with the stages that any of them needs."""
+    """Every variant of the tables once, with all required stages."""
     first = next(iter(ablations.stages))
     if stage not in ("all", first):
         raise UsageError(f"--stage {stage}: all or {first}")

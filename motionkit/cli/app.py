@@ -19,14 +19,14 @@ from motionkit.core import __version__, interrupts
 from motionkit.core.errors import MotionkitError, UsageError, describe
 from motionkit.core.settings import FILE
 
-# The exit code of what Ctrl-C has ended.
+# The exit code after Ctrl-C.
 INTERRUPTED = 130
-# And that of a command line that typer does not take.
+# The exit code of a usage error.
 USAGE = 2
 
 
 def build_app(only: str = "") -> typer.Typer:
-    """A typer app with every registered command, in alphabetical order, or with the one of that name if there is one.
+    """A typer app with every registered command in alphabetical order, or only the one of this name if it exists.
 
     Loading all of them takes a tenth of a second.
     """
@@ -53,7 +53,7 @@ def _paragraphs(command: Any) -> str:
 
 
 def _loaded(entry: EntryPoint) -> Any:
-    """What an entry point names; raises `MotionkitError`, for a repository's own package may hide that of the name."""
+    """Load an entry point; raises `MotionkitError`, since a repository's own package may shadow the installed one."""
     try:
         return entry.load()
     except Exception as error:
@@ -66,7 +66,7 @@ def _loaded(entry: EntryPoint) -> Any:
 
 
 def _print_version(wanted: bool) -> bool:
-    # What it returns becomes the option's value.
+    # The return value becomes the option's value.
     if wanted:
         stdout.print(f"motionkit {__version__}")
         raise typer.Exit
@@ -79,18 +79,18 @@ def _options(
         typer.Option("--version", is_eager=True, callback=_print_version, help="Print motionkit's version."),
     ] = False,
 ) -> None:
-    # What `motionkit` takes without a command; all of it is done by the options' callbacks.
+    # Options of `motionkit` itself; their callbacks do the work.
     pass
 
 
 def _resumes(app: typer.Typer, names: list[str]) -> bool:
-    """Whether the command of this name can go on where it was stopped."""
+    """Whether the command of this name has --resume."""
     commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
     return any("--resume" in each.opts for name in names if name in commands for each in commands[name].params)
 
 
 def main() -> None:
-    """Run the app; explained faults and the system's become one line on stderr and exit code 1 (2 for usage)."""
+    """Run the app; motionkit's errors and the system's become one line on stderr and exit code 1 (2 for usage)."""
     show_warnings()
     defaults: dict[str, Any] = {}
     try:
@@ -101,15 +101,15 @@ def main() -> None:
         app(default_map=defaults)
     except (MotionkitError, OSError) as error:
         if interrupts.was_stopped():
-            raise  # what a library or a reader made of the interrupt
+            raise  # not an interrupt that a library converted
         if isinstance(error, UsageError):
             stderr.print(f"motionkit: {error}")
             sys.exit(2)
-        # A folder that may not be written, a disk that is full: the system names the file and the reason.
+        # Such as missing permissions or a full disk: the system names the file and the reason.
         stderr.print(f"motionkit: {describe(error)}")
         sys.exit(1)
     except SystemExit as ended:
-        # All that typer makes of an interrupt.
+        # What typer raises for an interrupt.
         if ended.code == INTERRUPTED:
             stderr.print("motionkit: stopped: --resume goes on" if _resumes(app, names) else "motionkit: stopped")
         if ended.code == USAGE and defaults:

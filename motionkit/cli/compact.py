@@ -1,4 +1,4 @@
-"""`motionkit compact`: many small parts become few full ones."""
+"""`motionkit compact`: rewrite a store with few full parts."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -21,11 +21,11 @@ def compact(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and leave the store.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was done as JSON.")] = False,
 ) -> None:
-    """Write a store's parts anew, full and without removed sequences; interrupted, the store stays as it was.
+    """Rewrite a store's parts, full and without removed sequences; if interrupted, the store is unchanged.
 
-    Sequences are numbered 0, 1, 2 … again. Needs room for a second copy until it is done; whoever has the store open
-    opens it again. There is no way back to what was removed but its sources or a copy of the store; the store is
-    another one afterwards (its fingerprint changes), and its training caches are built anew.
+    Sequences are renumbered from 0. Needs disk space for a second copy until it is done; programs that have the store
+    open must reopen it. Removed sequences can then only be restored from their sources or a copy of the store. The
+    store's fingerprint changes, so its training caches are rebuilt.
 
     Example: motionkit compact --dry-run
     """

@@ -14,7 +14,7 @@ from motionkit.training.loaders import loader_names
 
 
 class ClipFormat(StrEnum):
-    """What a completed clip may be written as, where not as it came."""
+    """Output formats other than the clip's own."""
 
     BVH = "bvh"
     NPZ = "npz"
@@ -26,7 +26,7 @@ TargetFps = Annotated[
 ]
 KeptFrames = Annotated[
     str | None,
-    typer.Option(metavar="A:B,…", help="Frames to keep, [A, B) counted from 0; all others are made anew."),
+    typer.Option(metavar="A:B,…", help="Frames to keep, [A, B) counted from 0; all others are replaced."),
 ]
 Extension = Annotated[
     str | None,
@@ -58,10 +58,10 @@ ComparedNames = Annotated[
     typer.Option(metavar="NAME,…", help="Also write an HTML page with moving skeletons: slerp,spline."),
 ]
 SourceFps = Annotated[
-    str | None, typer.Option(help="Framerate of clips whose files say none or a wrong one (.amc, .npy).")
+    str | None, typer.Option(help="Framerate of clips whose files state none or a wrong one (.amc, .npy).")
 ]
 SkeletonMaps = Annotated[
-    list[Path] | None, typer.Option(help="TOML that says how a rig becomes the 22 joints (docs/formats.md).")
+    list[Path] | None, typer.Option(help="TOML that maps a rig to the 22 joints (docs/formats.md).")
 ]
 StorePath = Annotated[Path | None, typer.Option(help="Store of sequence ids.", show_default="./store")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")]
@@ -85,7 +85,7 @@ def complete(
     store: StorePath = None,
     as_json: AsJson = False,
 ) -> None:
-    """Complete clips: a higher framerate, gaps closed, ends continued; given frames and bones stay as they are.
+    """Complete clips: a higher framerate, gaps filled, ends continued; given frames and bone lengths are kept.
 
     Example: motionkit complete takes/walk.bvh --fps 120 --model cubic
     """

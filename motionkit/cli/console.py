@@ -14,14 +14,14 @@ from motionkit.core.errors import MotionkitWarning
 from motionkit.core.plain_text import UNSAFE_LETTERS, printable, shortened
 from motionkit.core.progress import OnProgress, Progress
 
-# Messages quote what files say, which may have any length.
+# Messages quote files' content, which may be long.
 LONGEST_MESSAGE = 3000
 
 
 class LineConsole(Console):
-    """A console on which a text is one line and nothing else: names of files may hold what a terminal would obey.
+    """A console that escapes control characters, since file names may contain terminal sequences.
 
-    Of a text of more than `longest` letters the middle is left out.
+    Texts longer than `longest` characters are shortened in the middle.
     """
 
     def __init__(self, longest: int | None = None, **options: Any) -> None:
@@ -29,7 +29,7 @@ class LineConsole(Console):
         self._longest = longest
 
     def print(self, *objects: Any, **options: Any) -> None:
-        """Print texts with control characters, line breaks among them, as their escapes; rich's objects as they are."""
+        """Print texts with control characters and line breaks escaped; rich's objects unchanged."""
         super().print(*(self._line(each) if isinstance(each, str) else each for each in objects), **options)
 
     def _line(self, text: str) -> str:
@@ -42,21 +42,21 @@ stderr = LineConsole(LONGEST_MESSAGE, stderr=True)
 
 
 def say_next(command: str) -> None:
-    """Say which command comes next on the way from captures to a table."""
+    """Print the next command on the way from captures to a table."""
     stdout.print(f"next: {command}")
 
 
 def print_text(text: str) -> None:
-    """Print lines on stdout as they are, but for what a terminal would obey."""
+    """Print lines on stdout, with control characters escaped."""
     for line in text.removesuffix("\n").split("\n"):
         print(printable(line))
 
 
 def print_json(value: Any) -> None:
-    """Print a value as JSON on stdout; NaN is refused (it is not JSON).
+    """Print a value as JSON on stdout; raises `ValueError` for NaN, which is not JSON.
 
-    What a terminal would obey stands there as JSON's own escape, a byte of a file's name that is no UTF-8 as the text
-    of its escape, for not every reader takes half a character.
+    Control characters use JSON's escapes; bytes of a file name that are not UTF-8 become the text of their escape,
+    since not every parser accepts lone surrogates.
     """
     text = json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False)
     print("\n".join(UNSAFE_LETTERS.sub(_json_escape, line) for line in text.split("\n")))
@@ -68,7 +68,7 @@ def _json_escape(found: re.Match[str]) -> str:
 
 
 def show_warnings() -> None:
-    """Print every warning of motionkit's own as a line on stderr from now on; others as Python does."""
+    """Print motionkit's own warnings as lines on stderr from now on; others as Python does."""
     others = warnings.showwarning
 
     def show(message: Warning | str, category: type[Warning], *place: Any, **options: Any) -> None:
@@ -82,27 +82,27 @@ def show_warnings() -> None:
 
 
 class ProgressLines:
-    """A callback: a line on stderr for all tasks that are under way, at most every `every_seconds` by `clock`.
+    """A progress callback that prints a line on stderr for all running tasks, at most every `every_seconds`.
 
-    What ends before that has no line.
+    Tasks that end before that have no line.
     """
 
     def __init__(self, every_seconds: float = 10.0, clock: Callable[[], float] = time.monotonic) -> None:
         self._every, self._clock = every_seconds, clock
-        self._told = clock()
-        # Each task's state, and when it had how many steps behind it first.
+        self._printed = clock()
+        # Each task's state, and the time and step at which it was first seen.
         self._tasks: dict[str, tuple[Progress, float, int]] = {}
 
     def __call__(self, progress: Progress) -> None:
-        """Take in a task's new state; print the line where it is time."""
+        """Record a task's new state; print the line if it is due."""
         now = self._clock()
         if progress.finished:
             self._tasks.pop(progress.name, None)
             return
         _, began, already = self._tasks.get(progress.name, (progress, now, progress.done))
         self._tasks[progress.name] = (progress, began, already)
-        if now - self._told >= self._every:
-            self._told = now
+        if now - self._printed >= self._every:
+            self._printed = now
             states = [_state(state, now - began, already) for state, began, already in self._tasks.values()]
             stderr.print("; ".join(states))
 
@@ -123,7 +123,7 @@ def _state(progress: Progress, seconds: float, already: int) -> str:
 
 @contextmanager
 def progress() -> Iterator[OnProgress]:
-    """A callback that draws progress bars on stderr; where that is no terminal, a line every ten seconds."""
+    """A callback that draws progress bars on stderr, or prints a line every ten seconds if it is no terminal."""
     if not stderr.is_terminal:
         yield ProgressLines()
         return

@@ -1,4 +1,4 @@
-"""Defaults of commands' options out of motionkit.toml: a table of the command's name, a key for each long option."""
+"""Defaults of commands' options from motionkit.toml: a table per command, a key for each long option."""
 
 import os
 from collections.abc import Collection, Mapping
@@ -12,10 +12,9 @@ from motionkit.core.settings import FILE, KEYS, OPTIONAL_KEYS, read_settings
 
 
 def defaults_of(app: typer.Typer, name: str, commands: Collection[str]) -> dict[str, Any]:
-    """What motionkit.toml says of the command `name` of the app, as click's `default_map` of the app takes it.
+    """The defaults of the command `name` in motionkit.toml, as click's `default_map` for the app.
 
-    `commands` are the names of all commands. Raises `UsageError` for keys that nobody knows, and for values that the
-    option does not take.
+    `commands` are the names of all commands. Raises `UsageError` for unknown keys and invalid values.
     """
     settings, known = read_settings(), (*KEYS, *OPTIONAL_KEYS, *commands)
     for key, value in settings.items():
@@ -45,14 +44,14 @@ def _defaults(name: str, command: Any, stated: Mapping[str, Any]) -> dict[str, A
             raise UsageError(
                 f"{FILE}: 'motionkit {name}' has no option {shown('--' + plain)}{suggestion(plain, options)}"
             )
-        # The environment goes before the file, in a command's table too.
+        # Environment variables take precedence over the file.
         if f"MOTIONKIT_{plain.upper()}" not in os.environ or plain not in KEYS:
             found[options[plain].name] = _value(f"{FILE}: [{name.replace(' ', '.')}] {key}", options[plain], value)
     return found
 
 
 def _of_part(name: str, parts: Mapping[str, Any], key: str, value: Any) -> dict[str, Any]:
-    """Defaults of one of a command's own commands, as of `study make`."""
+    """Defaults of a subcommand, such as `study make`."""
     if key not in parts or not isinstance(value, dict):
         tables = " and ".join(f"[{name}.{each}]" for each in parts)
         raise UsageError(f"{FILE}: options of 'motionkit {name}' stand in {tables}, and {shown(key)} is neither")
@@ -60,7 +59,7 @@ def _of_part(name: str, parts: Mapping[str, Any], key: str, value: Any) -> dict[
 
 
 def _value(place: str, option: Any, value: Any) -> Any:
-    """A value as the command line would give it."""
+    """A value as on the command line."""
     if option.is_flag:
         if not isinstance(value, bool):
             raise UsageError(f"{place} is true or false, not {shown(value)}")

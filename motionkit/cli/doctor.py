@@ -1,4 +1,4 @@
-"""`motionkit doctor`: is this machine, this installation, this store ready."""
+"""`motionkit doctor`: check the machine, the installation, the store and the runs."""
 
 import os
 from dataclasses import asdict
@@ -18,10 +18,10 @@ def doctor(
     runs: Annotated[Path | None, typer.Option(help="Folder of all runs.", show_default="./runs")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")] = False,
 ) -> None:
-    """Look at versions, devices, threads, disks, extras, store and runs, and say what to do about what is wrong.
+    """Check versions, devices, threads, disks, extras, store and runs, and say how to fix problems.
 
-    Cheap checks alone; 'motionkit validate' reads a whole store. Exit code 1 where there is a problem (!); what is
-    worth knowing is marked by a point.
+    Only quick checks; 'motionkit validate' reads a whole store. Exit code 1 if there is a problem (!); notes are
+    marked by a point.
 
     Example: motionkit doctor --store store
     """

@@ -1,4 +1,4 @@
-"""What becomes of clips one by one: `complete` and `plant`; one that fails loses no other."""
+"""Processes clips one by one, for `complete` and `plant`; a failure does not stop the others."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -23,9 +23,9 @@ def write_each(
     remarks: Callable[[Any], Iterable[str]],
     about: Mapping[str, Any] | None,
 ) -> None:
-    """Write a file for every clip that was found, and print its path, or JSON that begins with what it is `about`.
+    """Write a file for every clip, and print its path, or JSON that begins with `about`.
 
-    Exits with 1 where a clip cannot be read or made: messages are on stderr, as are the `remarks` on those written.
+    Exits with 1 if a clip cannot be read or processed; messages and `remarks` go to stderr.
     """
     sources, problems = found
     failures = [(str(problem.path), of_source(str(problem), problem)) for problem in problems]

@@ -44,9 +44,9 @@ def export(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")] = False,
 ) -> None:
-    """Write a store's motions as files that other tools read, and that `motionkit ingest` reads again.
+    """Write a store's motions as files for other tools, which `motionkit ingest` reads again.
 
-    The folder appears when it is complete. Sequences that a format cannot hold are left out and reported.
+    The folder appears once it is complete. Sequences that a format cannot represent are left out and reported.
 
     Example: motionkit export out --format npz --where "split = 'test'"
     """

@@ -13,38 +13,42 @@ from motionkit.core.settings import default_path
 
 FORMATS = "bvh, amass, joints-npy, npz, csv, robot-csv, gltf, humanml3d"
 
-Texts = Annotated[list[str] | None, typer.Argument(help="What the person does; several make a batch.")]
+Texts = Annotated[list[str] | None, typer.Argument(help="What the person does; give several for a batch.")]
 Actions = Annotated[list[str] | None, typer.Option(help="An action the model knows; may be repeated.")]
-Unconditional = Annotated[bool, typer.Option("--unconditional", help="Motions of no stated kind.")]
+Unconditional = Annotated[bool, typer.Option("--unconditional", help="Motions without a text or action.")]
 PromptsFile = Annotated[
-    Path | None, typer.Option(help="A .txt with a text a line, or a .csv or .jsonl of text, action, seconds.")
+    Path | None, typer.Option(help="A .txt with a text per line, or a .csv or .jsonl of text, action, seconds.")
 ]
 Framerate = Annotated[
     str | None,
     typer.Option(help="Any framerate: 144, 23.976, 24000/1001 (else the highest trained; 20 for humanml3d)."),
 ]
 Seconds = Annotated[
-    float | None, typer.Option(help="Length, of any motion; drawn from the training data's by default.")
+    float | None, typer.Option(help="Length of each motion; drawn from the training data's by default.")
 ]
-Join = Annotated[bool, typer.Option("--join", help="One motion of all texts or actions in a row, --seconds of each.")]
-Overlap = Annotated[
-    float, typer.Option(help="Seconds by which the parts of a joined or long motion go over into one another.")
+Join = Annotated[
+    bool, typer.Option("--join", help="One motion of all texts or actions in sequence, --seconds of each.")
 ]
+Overlap = Annotated[float, typer.Option(help="Seconds of overlap between the parts of a joined or long motion.")]
 PathFile = Annotated[
-    Path | None, typer.Option(help="A CSV of x, z in metres, perhaps seconds and heading_degrees: where the body goes.")
+    Path | None, typer.Option(help="The body's path: a CSV of x, z in metres, optionally seconds and heading_degrees.")
 ]
 PoseFiles = Annotated[
-    list[str] | None, typer.Option(metavar="S=FILE[@S]", help="A pose at a second (2.0=clip.bvh@1.5); may be repeated.")
+    list[str] | None,
+    typer.Option(metavar="S=FILE[@S]", help="A pose at a time in seconds (2.0=clip.bvh@1.5); may be repeated."),
 ]
 JointPlaces = Annotated[
     list[str] | None,
     typer.Option(metavar="NAME@S[-S]=X,Y,Z", help="A joint at a place in metres: left_foot@1=0,0,1. May be repeated."),
 ]
 PoseJoints = Annotated[
-    str | None, typer.Option(metavar="NAME,NAME,…", help="The joints of poses that count (else all).")
+    str | None, typer.Option(metavar="NAME,NAME,…", help="The constrained joints of poses (default: all).")
 ]
 PosePlaced = Annotated[
-    bool, typer.Option("--pose-placed", help="Poses stand and face where their files say, not anywhere on the floor.")
+    bool,
+    typer.Option(
+        "--pose-placed", help="Poses keep the position and heading of their files, instead of any on the floor."
+    ),
 ]
 Times = Annotated[str | None, typer.Option(metavar="S,S,…", help="Poses at these seconds only, instead of --fps.")]
 Count = Annotated[int, typer.Option("-n", "--count", min=1, help="Motions per text or action.")]
@@ -58,8 +62,8 @@ SamplingSteps = Annotated[
 Plant = Annotated[bool, typer.Option("--plant/--no-plant", help="Make sliding feet stand, on bones of one length.")]
 WithDetail = Annotated[bool, typer.Option("--detail", help="Add what captures hold above 10 Hz (docs/detail.md).")]
 Seed = Annotated[int, typer.Option(min=0, help="The same seed gives the same motions at every framerate.")]
-Resume = Annotated[bool, typer.Option("--resume", help="Go on with a call that was stopped.")]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace a former call's files.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Continue a stopped call.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an earlier call's files.")]
 ModelName = Annotated[str | None, typer.Option(help="Installed model.", show_default="the one that the run holds")]
 RunName = Annotated[str, typer.Option(help="Name of the run.")]
 RunsFolder = Annotated[Path | None, typer.Option(help="Folder of all runs.")]
@@ -134,17 +138,17 @@ def generate(
 
 
 def _check_together(resumed_and_replaced: bool, at_times_and_fps: bool, detail_as_bvh: bool) -> None:
-    """Raise `UsageError` for options that don't go together."""
+    """Raise `UsageError` for incompatible options."""
     if resumed_and_replaced:
         raise UsageError("--resume and --overwrite exclude each other")
     if at_times_and_fps:
         raise UsageError("--times and --fps exclude each other")
     if detail_as_bvh:
-        raise UsageError("--detail is for measuring and training: it trembles as captures do, and isn't written as BVH")
+        raise UsageError("--detail is for measuring and training: it adds captures' jitter, and isn't written as BVH")
 
 
 def _write_all(job: "Job", folder: "GeneratedFolder", as_json: bool) -> dict[str, Any]:
-    """Generate and write what is not there yet; names each file on stdout, or returns all of them for JSON."""
+    """Generate and write missing motions; print each file on stdout, or return all of them for JSON."""
     from motionkit.generate.models import DescribesMotions
 
     num_motions = len(job.request.motions)
@@ -164,7 +168,7 @@ def _write_all(job: "Job", folder: "GeneratedFolder", as_json: bool) -> dict[str
 
 
 def _say_beforehand(job: "Job") -> None:
-    """Warn of framerates above those of training, and say on stderr where motions are made in pieces."""
+    """Warn about framerates above those of training, and report motions that are joined from pieces."""
     from motionkit.generate.long_motions import goes_on
     from motionkit.generate.models import warn_above_training
 

@@ -1,4 +1,4 @@
-"""`motionkit info`: what is in a store, and how good it is."""
+"""`motionkit info`: a summary of a store, its quality, or a file's rig."""
 
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -32,7 +32,7 @@ def quality_lines(report: "QualityReport") -> Iterator[str]:
             yield f"  {_figure(offender.value)} {worst.unit}  {offender.sequence_id}{_place(offender)}"
     if report.upsampled:
         yield ""
-        yield "upsampled: captured at a lower framerate than is stated"
+        yield "upsampled: captured at a lower framerate than stated"
         for take in report.upsampled[:SHOWN_UPSAMPLED]:
             stated = f" (stated as {take.stated_fps})" if take.stated_fps else ""
             yield f"  {take.fps:g}{stated} → {take.effective_fps:g} fps  {take.sequence_id}"
@@ -79,7 +79,7 @@ def info(
     html: Annotated[Path | None, typer.Option(metavar="FILE", help="Write it as a page to this file instead.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
-    """Say what a store holds (sources, hours, framerates, splits, captions, size on disk), or what a file's rig is.
+    """Show what a store holds (sources, hours, framerates, splits, captions, size on disk), or a file's rig.
 
     Example: motionkit info --html corpus.html
     """
@@ -126,7 +126,7 @@ def _show_rig(file: Path, init: Path | None, as_json: bool) -> None:
     from motionkit.store.named_motions.reading import read_all
     from motionkit.store.reports.rig import rig_of
 
-    # Its framerate is of no matter here, and a few formats state none.
+    # The framerate is irrelevant here, and a few formats state none.
     skeleton = next(iter(read_all(file, fps=30))).skeleton
     text = None
     if init is not None:

@@ -1,4 +1,4 @@
-"""`motionkit ingest`: sources into a store."""
+"""`motionkit ingest`: read sources into a store."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -19,13 +19,13 @@ from motionkit.core.settings import default_path, optional_path
 
 
 class Compat(StrEnum):
-    """Whose frames are to be reproduced."""
+    """The frame convention to reproduce."""
 
     HUMANML3D_20FPS = "humanml3d-20fps"
 
 
 class OnError(StrEnum):
-    """What a bad file does."""
+    """What to do about a bad file."""
 
     SKIP = "skip"
     STOP = "stop"
@@ -35,8 +35,8 @@ Sources = Annotated[
     list[str],
     typer.Argument(help="Files and folders of motions; of the Hub: hf://datasets/OWNER/NAME.", show_default=False),
 ]
-StorePath = Annotated[Path | None, typer.Option(help="Store to make or to add to.", show_default="./store")]
-FormatName = Annotated[str, typer.Option(help="auto finds it by name and content; or one format's name.")]
+StorePath = Annotated[Path | None, typer.Option(help="Store to create or to add to.", show_default="./store")]
+FormatName = Annotated[str, typer.Option(help="auto detects it by name and content; or one format's name.")]
 CaptionsTable = Annotated[
     Path | None, typer.Option(help="CSV with a column 'file' and any of caption, action, split, fps …")
 ]
@@ -57,20 +57,20 @@ SplitsFolder = Annotated[
 Mirrored = Annotated[bool, typer.Option("--mirrored", help="The index's mirrored sequences too, M000000 …")]
 Published = Annotated[
     Compat | None,
-    typer.Option(help="Of the index's stretches the frames that HumanML3D published, not every native one."),
+    typer.Option(help="Only the frames that HumanML3D published of the index's stretches, not every native one."),
 ]
 GivenFps = Annotated[str | None, typer.Option(help="Framerate that replaces what files say: 120, 30000/1001.")]
 FpsRules = Annotated[
     list[Path] | None,
     typer.Option(
-        help="TOML of framerates that files state wrongly (docs/formats.md); goes before the shipped one. "
+        help="TOML of framerates that files state wrongly (docs/formats.md); takes precedence over the shipped one. "
         "May be given several times."
     ),
 ]
 UnitMetres = Annotated[float | None, typer.Option(help="Length of one file unit in metres: 0.01 for centimetres.")]
 SkeletonMaps = Annotated[
     list[Path] | None,
-    typer.Option(help="TOML that says how a rig becomes the 22 joints (docs/formats.md). May be given several times."),
+    typer.Option(help="TOML that maps a rig to the 22 joints (docs/formats.md). May be given several times."),
 ]
 BodyModels = Annotated[
     Path | None,
@@ -84,8 +84,8 @@ SkipFrames = Annotated[
     int,
     typer.Option(
         min=0,
-        help="Frames to leave out at the start of every file, such as a T-pose; the column skip_frames of --captions "
-        "says it of one.",
+        help="Frames to skip at the start of every file, such as a T-pose; the column skip_frames of --captions "
+        "sets it for one.",
     ),
 ]
 OnErrorChoice = Annotated[
@@ -113,7 +113,7 @@ if TYPE_CHECKING:
     from motionkit.formats.scan.items import IndexOptions
     from motionkit.store.ingest.ingest import DatasetCount, IngestReport, Listener
 
-# Of the files that were ignored.
+# Ignored files to show.
 SHOWN_KINDS = 5
 
 
@@ -141,8 +141,8 @@ def ingest(
 ) -> None:
     """Read motions of any known format into a store, at their native framerates.
 
-    A store that exists is added to: sequences that it holds from equal files are left alone, and the same id from
-    another file is refused. The store is the same whatever the engine and the number of workers.
+    An existing store is added to: sequences that it has from equal files are kept, and the same id from another file
+    is refused. The result does not depend on the engine or the number of workers.
 
     Example: motionkit ingest takes
     """
@@ -181,7 +181,7 @@ def ingest(
 
 @contextmanager
 def _fetched(sources: Sequence[str], show: OnProgress) -> Iterator[list[Path]]:
-    """Paths as they are; of a repository a folder of its files, called like it, while the block runs."""
+    """Local paths unchanged; a repository as a temporary folder of its files, with its name."""
     from motionkit.hub.repository import as_folder, is_address, look_up, parse_address
 
     with ExitStack() as stack:
@@ -248,7 +248,7 @@ def _index_options(
 
 
 class _FirstOfEachReason:
-    """Prints problems and warnings as they come, of each reason the first few: a corpus can have thousands."""
+    """Prints problems and warnings as they occur, the first few of each reason: a corpus can have thousands."""
 
     NUM_SHOWN = 5
 
@@ -256,7 +256,7 @@ class _FirstOfEachReason:
         self._num_met: Counter[str] = Counter()
 
     def print(self, problem: FormatError, kind: str = "") -> None:
-        """Print one problem behind its `kind`, or where the others of its reason are to be found."""
+        """Print one problem with its `kind`, or where to find the others of its reason."""
         self._num_met[problem.reason] += 1
         if self._num_met[problem.reason] <= self.NUM_SHOWN:
             stderr.print(f"{kind}{problem}")

@@ -1,4 +1,4 @@
-"""`motionkit merge`: stores, or what a condition chooses of them, into one."""
+"""`motionkit merge`: stores, or a selection of their sequences, into one."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class OnConflict(StrEnum):
-    """What to do where one id stands for two different files."""
+    """What to do if one id stands for two different files."""
 
     STOP = "stop"
     SKIP = "skip"
@@ -32,9 +32,9 @@ def merge(
     ] = OnConflict.STOP,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
-    """Copy stores into one, or a subset of a store into a new one: frames and figures as they are.
+    """Copy stores into one, or a subset of a store into a new one, unchanged.
 
-    Sequences that are there from equal files are left alone.
+    Sequences that the target has from equal files are kept.
 
     Example: motionkit merge tests store --where "split = 'test'"
     """

@@ -1,4 +1,4 @@
-"""`motionkit migrate`: a store of an earlier format version becomes one of the present version."""
+"""`motionkit migrate`: upgrade a store to the current format version."""
 
 from pathlib import Path
 from typing import Annotated
@@ -14,9 +14,9 @@ def migrate(
     store: Annotated[Path | None, typer.Option(help="Store to migrate.", show_default="./store")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was done as JSON.")] = False,
 ) -> None:
-    """Bring a store to the present format version, in its place; interrupted, it stays as it was.
+    """Upgrade a store to the current format version, in place; if interrupted, it is unchanged.
 
-    Needs room for a second copy until it is done.
+    Needs disk space for a second copy until it is done.
 
     Example: motionkit migrate --store store
     """

@@ -1,4 +1,4 @@
-"""What options of several commands say: framerates, and how files are read."""
+"""Parsing of options that several commands share: framerates, and how files are read."""
 
 import re
 import shlex
@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 
 
 def of_default(option: str, given: Path | None) -> str:
-    """An option as the next command of a user who gave it needs it; empty where the default was meant."""
+    """An option as text for a suggested command; empty for the default."""
     return "" if given is None else f" {option} {shlex.quote(str(given))}"
 
 
 def parse_rate(text: str | None, option: str = "--fps") -> Fraction | None:
-    """The framerate that an option gives; raises `UsageError` that names the option."""
+    """Parse an option's framerate; raises `UsageError` that names the option."""
     try:
         return None if text is None else parse_fps(text)
     except ValueError as error:
@@ -36,7 +36,7 @@ def parse_duration(text: str, option: str) -> float:
 
 
 def of_source(message: str, error: Exception) -> str:
-    """What a reader's error says, where `--fps` is the new framerate and `--source-fps` that of the file."""
+    """A reader's error for commands in which `--fps` is the new framerate and `--source-fps` that of the file."""
     return re.sub(r"--fps\b(?!-)", "--source-fps", message) if isinstance(error, FormatError) else message
 
 

@@ -1,4 +1,4 @@
-"""`motionkit plant`: feet that slide, made to stand."""
+"""`motionkit plant`: remove foot sliding."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -14,7 +14,7 @@ from motionkit.core.settings import default_path
 
 
 class BodyPath(StrEnum):
-    """Where a body may go whose feet stand."""
+    """How the body's path is treated."""
 
     NEAR = "near"
     FREE = "free"
@@ -24,7 +24,7 @@ Clips = Annotated[
     list[str] | None, typer.Argument(help="Files, folders, or ids of stored sequences.", show_default=False)
 ]
 Where = Annotated[
-    str | None, typer.Option(metavar="SQL", help="Stored sequences for which this holds: \"action = 'walk'\".")
+    str | None, typer.Option(metavar="SQL", help="Stored sequences that satisfy this condition: \"action = 'walk'\".")
 ]
 PathOfBody = Annotated[
     BodyPath, typer.Option("--path", help="Keep the body near its own path, or let the standing feet carry it.")
@@ -61,7 +61,7 @@ def plant(
     """
     from motionkit.complete.clips import clip_of_motion, find_clips
     from motionkit.complete.job import OutputPath
-    from motionkit.formats.scan.made import PLANTED
+    from motionkit.formats.scan.derived import PLANTED
     from motionkit.plant.job import Job
     from motionkit.store.named_motions.reading import find_stored
 

@@ -25,8 +25,8 @@ def pull(
 ) -> None:
     """Pull a store, or a run, from a repository of the Hugging Face Hub into a new folder.
 
-    The folder appears when all of it is there and its checksums agree. What was cut off goes on when the command is
-    given again: files wait in the Hub's cache ('hf cache' lists and frees it). Needs the extra 'hub'.
+    The folder appears once it is complete and its checksums match. An interrupted download continues when the command
+    is repeated: files are kept in the Hub's cache ('hf cache' lists and frees it). Needs the extra 'hub'.
 
     Example: motionkit pull hf://datasets/me/walks --store walks
     """
@@ -42,14 +42,14 @@ def pull(
             folder = store or default_path("store")
             manifest = pull_store(repository, folder, show)
             found = {"sequences": manifest.num_sequences, "frames": manifest.num_frames}
-            told = f"{manifest.num_sequences:,} sequences, {manifest.num_frames:,} frames"
+            summary = f"{manifest.num_sequences:,} sequences, {manifest.num_frames:,} frames"
         else:
             if store is not None:
                 raise UsageError(f"{address} is a run: --store is for stores, hf://datasets/OWNER/NAME")
             folder = (runs or default_path("runs")) / (run or repository.name.partition("/")[2])
             stages = pull_run(repository, folder, show)
-            found, told = {"stages": stages}, f"stages {', '.join(stages)}"
+            found, summary = {"stages": stages}, f"stages {', '.join(stages)}"
     if as_json:
         print_json({"repository": str(repository), "folder": str(folder), **found})
     else:
-        stdout.print(f"pulled {repository} to {folder}: {told}")
+        stdout.print(f"pulled {repository} to {folder}: {summary}")

@@ -29,11 +29,10 @@ def push(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be pushed; the Hub is not asked.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was pushed as JSON.")] = False,
 ) -> None:
-    """Push a store, or a run, with a card to a repository of the Hugging Face Hub, once it is found intact.
+    """Validate a store, or a run, and push it with a card to a repository of the Hugging Face Hub.
 
-    The repository changes by one commit, when all files are there; it is made where there is none. Whoever is logged
-    in pushes ('hf auth login'). config.json of a run says where its store lay, and on which platform it was trained.
-    Needs the extra 'hub'.
+    The push is a single commit; the repository is created if needed. Log in first ('hf auth login'). A run's
+    config.json contains its store's path, and the platform it was trained on. Needs the extra 'hub'.
 
     Example: motionkit push hf://datasets/me/walks --dry-run
     """
@@ -42,7 +41,7 @@ def push(
 
     repository = parse_address(address)
     if repository.folder:
-        raise UsageError(f"{address}: a push is to a whole repository, without /{repository.folder}")
+        raise UsageError(f"{address}: push to a whole repository, without /{repository.folder}")
     with progress() as show:
         upload = _upload(repository, store, runs, run, show)
         url = "" if dry_run else push_files(repository, upload.files, upload.replaces, public, show)

@@ -40,7 +40,7 @@ def query(
     if as_json:
         print_json(rows)
     elif as_csv:
-        # A file gets what is stored; a terminal would obey some of it.
+        # Control characters are only escaped on a terminal.
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(result.column_names)
@@ -54,7 +54,7 @@ def query(
 
 
 def _print_table(names: list[str], rows: list[dict[str, Any]]) -> None:
-    """A table where it fits the width, which without a terminal is 80 columns, else a block of lines for each row."""
+    """A table if it fits the width (80 columns without a terminal), else a block of lines for each row."""
     from rich.table import Table
     from rich.text import Text
 
@@ -83,7 +83,7 @@ def _block(names: list[str], cells: list[str], number: int, width: int) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """A value as JSON knows it: no NaN, no decimals, no dates, no bytes."""
+    """Convert NaN, decimals, dates and bytes to JSON values."""
     if isinstance(value, dict):
         return {str(name): _plain(each) for name, each in value.items()}
     if isinstance(value, list | tuple):

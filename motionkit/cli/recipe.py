@@ -1,4 +1,4 @@
-"""`motionkit recipe`: what a recipe sets, and where recipes differ."""
+"""`motionkit recipe`: show a recipe's settings, or the differences of several."""
 
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
@@ -15,7 +15,7 @@ def recipe(
     stage: Annotated[str, typer.Option(help="One installed stage, or all of the model's.")] = "all",
     as_json: Annotated[bool, typer.Option("--json", help="Print the settings as JSON.")] = False,
 ) -> None:
-    """Say what a recipe sets, each line as train's --set takes it; of several recipes, where they differ.
+    """Show a recipe's settings, each line as for train's --set; for several recipes, their differences.
 
     Example: motionkit recipe nano paper
     """
@@ -34,7 +34,7 @@ def recipe(
 
 
 def differing(settings: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """The keys whose values are not the same everywhere, or that not all have, in the order of the first that has."""
+    """The keys that differ or that not all recipes have, in order of first appearance."""
     keys = dict.fromkeys(key for values in settings.values() for key in values)
     first, *others = settings.values()
     return [

@@ -1,4 +1,4 @@
-"""`motionkit remove`: sequences leave a store."""
+"""`motionkit remove`: remove sequences from a store."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -27,9 +27,9 @@ def remove(
 ) -> None:
     """Remove sequences from a store, by id or by a condition.
 
-    They are gone from its tables at once; their frames leave the disk with 'motionkit compact'. The way back is
-    'motionkit ingest' of the same sources, which stores what the store lacks; splits that 'motionkit split' gave are
-    then given again. 'motionkit merge COPY STORE' beforehand keeps all of it.
+    They disappear from its tables at once; their frames are deleted by 'motionkit compact'. To undo it, run 'motionkit
+    ingest' on the same sources, which stores missing sequences, and 'motionkit split' again; or make a copy beforehand
+    with 'motionkit merge COPY STORE'.
 
     Example: motionkit remove --where "duration_seconds > 1" --dry-run
     """

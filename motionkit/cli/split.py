@@ -1,4 +1,4 @@
-"""`motionkit split`: which sequences of a store are for training and which are held out."""
+"""`motionkit split`: divide a store's sequences into training and held-out splits."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -38,10 +38,10 @@ def split(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and leave the store.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
-    """Split a store into train, val and test so that nobody who is held out is seen in training.
+    """Split a store into train, val and test so that held-out performers are not in training.
 
-    Splits that the sources came with are replaced. A store is another one afterwards (its fingerprint changes): runs
-    that were trained from it stay with the old one, so split before training, or split a copy ('motionkit merge').
+    The sources' own splits are replaced. The store's fingerprint changes, and runs trained on it no longer match:
+    split before training, or split a copy ('motionkit merge').
 
     Example: motionkit split --by sequence_id --shares train=0.6,test=0.4
     """
@@ -60,7 +60,7 @@ def split(
 
 
 def parse_shares(text: str) -> dict[str, float]:
-    """`train=0.8,test=0.2` as numbers by split; raises `UsageError` for anything else."""
+    """Parse `train=0.8,test=0.2`; raises `UsageError` for anything else."""
     found: dict[str, float] = {}
     for part in text.split(","):
         name, equals, number = (piece.strip() for piece in part.partition("="))

@@ -1,4 +1,4 @@
-"""What the script `motionkit` runs. It loads little of its own, for every process of workers loads it again."""
+"""The script `motionkit`. Its imports are few, since every worker process loads it."""
 
 import gc
 import sys
@@ -7,14 +7,14 @@ from motionkit.core import interrupts
 
 
 def main() -> None:
-    """Run the command line, then leave at once."""
+    """Run the command line, then exit at once."""
     try:
         interrupts.stop_by_signals()
         from motionkit.cli import app
 
         app.main()
     except SystemExit:
-        raise  # the app has said why
+        raise  # the app has printed the reason
     except BaseException:
         if not interrupts.was_stopped():
             raise

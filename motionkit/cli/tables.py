@@ -1,4 +1,4 @@
-"""Tables of numbers on a terminal, in several pieces where all columns do not fit beside each other."""
+"""Tables of numbers on a terminal, split into several if the columns do not fit."""
 
 from collections.abc import Iterator, Sequence
 
@@ -13,7 +13,7 @@ GAP = 2
 
 
 def print_table(columns: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]], console: Console = stdout) -> None:
-    """Print a name and a number (or a dash) for each column, of each row; a number breaks before its ± alone."""
+    """Print each row's name and a number (or a dash) per column; numbers only break before their ±."""
     names = [printable(name) for name, _ in rows]
     cells = [[printable(text).replace("± ", "±") for text in numbers] for _, numbers in rows]
     titles = [printable(column) for column in columns]
@@ -35,7 +35,7 @@ def print_table(columns: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]
 
 
 def _pieces(widths: Sequence[int], room: int) -> Iterator[list[int]]:
-    """Columns that fit beside each other, in order; one at least."""
+    """Groups of columns that fit the width, in order; at least one each."""
     piece: list[int] = []
     used = 0
     for at, width in enumerate(widths):

@@ -1,4 +1,4 @@
-"""Training curves for TensorBoard, beside metrics.jsonl, which stays the record."""
+"""Training curves for TensorBoard, in addition to metrics.jsonl."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -11,10 +11,9 @@ from motionkit.training.metrics_log import OnMetrics, ignore_metrics
 
 @contextmanager
 def tensorboard_events(folder: Path | None) -> Iterator[OnMetrics]:
-    """A callback that writes each stage's figures as events into `folder/STAGE`; without a folder it does nothing.
+    """A callback that writes each stage's metrics as events to `folder/STAGE`; without a folder it does nothing.
 
-    Of a stage that is resumed, events of steps that it takes again are hidden. Raises `MissingExtraError` without the
-    extra `track`.
+    When a stage is resumed, events of repeated steps are hidden. Raises `MissingExtraError` without the extra `track`.
     """
     if folder is None:
         yield ignore_metrics

@@ -1,4 +1,4 @@
-"""`motionkit train`: train the stages of a model, or of all that a table shows, from a store into a run folder."""
+"""`motionkit train`: train the stages of a model, or all systems of a table, from a store into a run folder."""
 
 import shlex
 from collections.abc import Callable, Iterable
@@ -63,7 +63,7 @@ def train(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the stages' summaries as JSON.")] = False,
 ) -> None:
-    """Train a model's stages from a store into a run folder; Ctrl-C saves, --resume goes on exactly.
+    """Train a model's stages from a store into a run folder; Ctrl-C saves, --resume continues exactly.
 
     Example: motionkit train --recipe nano --run nano"""
     if resume and overwrite:
@@ -89,7 +89,7 @@ def train(
 
 @dataclass(frozen=True)
 class Asked:
-    """What is to be trained: a stage or all of one's, or what a paper's table wants; changed how, on what, how long."""
+    """What to train: a stage, all stages, or a table's systems; with which settings, on which data, for how long."""
 
     stage: str
     wanted: str | None
@@ -100,7 +100,7 @@ class Asked:
 
 
 def planned(asked: Asked, context: StageContext) -> list[Job]:
-    """The jobs, in order; raises what can be told of them without opening the store."""
+    """The jobs, in order; raises errors that can be found without opening the store."""
     from motionkit.store.manifest import read_manifest
 
     if asked.wanted is not None:
@@ -109,7 +109,7 @@ def planned(asked: Asked, context: StageContext) -> list[Job]:
     kept = is_kept(context.run) if asked.wanted is not None and not context.overwrite else _nothing_kept
     needed = _needed(asked, context, kept)
     configs = _configs(needed, asked, context.recipe, kept)
-    # A store that is missing is found before anything heavy is imported.
+    # Fail on a missing store before heavy imports.
     fingerprint = read_manifest(context.store).fingerprint
     if asked.where:
         _check_condition(context.store, asked.where)
@@ -128,7 +128,7 @@ def _nothing_kept(name: str) -> bool:
 
 
 def _needed(asked: Asked, context: StageContext, kept: Callable[[str], bool]) -> Needed:
-    """What `--stage` or `--for` means."""
+    """The stages that `--stage` or `--for` selects."""
     stages = registered_stages()
     if asked.wanted is None:
         return Needed(choose_stages(asked.stage, stages), {asked.stage: 1.0})
@@ -144,9 +144,9 @@ def _needed(asked: Asked, context: StageContext, kept: Callable[[str], bool]) ->
 
 
 def _configs(needed: Needed, asked: Asked, recipe: str, kept: Callable[[str], bool]) -> dict[str, Any]:
-    """The configurations of all stages but those that are kept, by name.
+    """The configurations of all stages that are not kept, by name.
 
-    Settings may be those of kept ones too: the same command goes on.
+    Overrides may be of kept stages too, so that the same command can be repeated.
     """
     stages = tuple(each for each in needed.stages if recipe in each.recipes or not kept(each.name))
     configs = configure(stages, recipe, list(asked.overrides))
@@ -164,7 +164,7 @@ def _budget_seconds(asked: Asked) -> float | None:
 
 
 def _check_condition(store: Path, where: str) -> None:
-    # Some stages ask for their sequences late: after others have trained, or after minutes of their own.
+    # Check now: some stages select their sequences only after others have trained, or after minutes.
     from motionkit.store import Store
 
     if not Store.open(store).select(where).size:
@@ -172,7 +172,7 @@ def _check_condition(store: Path, where: str) -> None:
 
 
 def configure(stages: tuple[Stage[Any], ...], recipe: str, overrides: list[str]) -> list[Any]:
-    """Each stage's configuration; an override goes to every stage that has the setting, and one must have it."""
+    """Each stage's configuration; an override applies to every stage with the setting, of which there must be one."""
     configs = [_configured(stage, recipe, overrides) for stage in stages]
     for override in overrides:
         key, _ = parse_override(override)
@@ -183,16 +183,16 @@ def configure(stages: tuple[Stage[Any], ...], recipe: str, overrides: list[str])
 
 
 def _configured(stage: Stage[Any], recipe: str, overrides: list[str]) -> Any:
-    """A stage's configuration with those of the overrides whose settings it has."""
+    """A stage's configuration with the overrides of its settings."""
     config = stage.recipe(recipe)
     known = flatten(config)
     return apply_overrides(config, [override for override in overrides if parse_override(override)[0] in known])
 
 
 def narrowed(stages: tuple[Stage[Any], ...], configs: list[Any], where: str) -> list[Any]:
-    """Configurations whose settings called `where`, conditions on the store's sequences, hold the given one as well.
+    """Add a condition to the configurations' `where` settings, which select the store's sequences.
 
-    Raises `UsageError` where no stage has one of its own: nothing would be left out.
+    Raises `UsageError` if no stage has such a setting.
     """
     conditions = [
         {key: value for key, value in flatten(config).items() if key.rpartition(".")[2] == "where"}

@@ -1,4 +1,4 @@
-"""Stages trained one after another into a run: what `motionkit train` shows of it."""
+"""Trains stages one after another into a run, with the progress that `motionkit train` shows."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -14,8 +14,7 @@ from motionkit.training.stage import Stage, StageContext
 
 @dataclass(frozen=True)
 class Job:
-    """A stage with its configuration; without one it is complete and stays as it is. `weight` is what it takes beside
-    others."""
+    """A stage with its configuration, or None if it is complete and kept. `weight` is its cost relative to others."""
 
     stage: Stage[Any]
     config: Any | None
@@ -24,7 +23,7 @@ class Job:
 
 
 class TimeLeft:
-    """How long stages of known weights will still take, by what this session has done."""
+    """Estimates the time left for stages of known weights from the progress in this session."""
 
     def __init__(self, weights: Mapping[str, float], clock: Callable[[], float] = time.monotonic) -> None:
         self._weights, self._clock, self._started = weights, clock, clock()
@@ -32,7 +31,7 @@ class TimeLeft:
         self._now: dict[str, float] = {}
 
     def seconds(self, name: str, share: float) -> float | None:
-        """With this share of a stage done; None while too little is known. What was done before does not count."""
+        """Seconds left when this share of a stage is done; None while there is too little progress to tell."""
         self._begun.setdefault(name, share)
         self._now[name] = share
         worked = sum(self._weights[each] * (now - self._begun[each]) for each, now in self._now.items())
@@ -44,7 +43,7 @@ class TimeLeft:
 def train_all(
     jobs: Sequence[Job], context: StageContext, as_json: bool, title: str | None = None
 ) -> list[dict[str, Any]] | None:
-    """Train jobs in order; the summaries of all, on the first rank alone. With a title there is one bar over all."""
+    """Train jobs in order; returns their summaries, on the first rank only. With a title, show one bar for all."""
     from motionkit.store.manifest import read_manifest
     from motionkit.training.ranks import joined_ranks
 
@@ -66,13 +65,13 @@ def train_all(
                         overall.set_seconds_left(left.seconds(name, state.done / state.total))
 
                 of_job = _of_job(context, job, report)
-                # Again, since a stage that it builds on may just have been trained.
+                # Check again, since a stage that it builds on may just have been trained.
                 ranks.on_first(partial(_check_kept, job, of_job, fingerprint))
                 place = f" ({number} of {len(jobs)})" if title else ""
                 train_stage(job, replace(of_job, shared=job.stage.shared), is_first=ranks.is_first, place=place)
                 overall.advance(job.config is not None)
                 if job.stage.shared:
-                    ranks.wait()  # for what the first one saves at last: the next stage reads it
+                    ranks.wait()  # the next stage reads what the first rank saves last
                 if ranks.is_first:
                     summaries.append({"stage": name, **context.run.stage(name).read_summary()})
                     _tell(summaries[-1], as_json)
@@ -104,7 +103,7 @@ def _check_kept(job: Job, context: StageContext, store_fingerprint: str) -> None
 
 
 def train_stage(job: Job, context: StageContext, *, is_first: bool, place: str = "") -> None:
-    """Train one job, saying so on the first rank."""
+    """Train one job, with messages on the first rank only."""
     stage, folder = job.stage, context.run.stage(job.stage.name)
     complete = job.config is None or (context.resume and folder.is_complete)
     if is_first:

@@ -1,4 +1,4 @@
-"""`motionkit validate`: is a store intact."""
+"""`motionkit validate`: check a store's integrity."""
 
 from pathlib import Path
 from typing import Annotated
@@ -17,7 +17,7 @@ def validate(
 ) -> None:
     """Check every file of a store: checksums, counts, segments, finite frames, skeletons.
 
-    One line for each fault and exit code 1; exit code 0 where there is none.
+    Prints a line for each fault. Exit code 1 if there is any, else 0.
 
     Example: motionkit validate --deep
     """

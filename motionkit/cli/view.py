@@ -1,4 +1,4 @@
-"""`motionkit view`: moving skeletons in a page."""
+"""`motionkit view`: show motions as moving skeletons in a page."""
 
 from collections.abc import Sequence
 from fractions import Fraction
@@ -23,17 +23,19 @@ Clips = Annotated[
 ]
 StorePath = Annotated[Path | None, typer.Option(help="Store of sequence ids.", show_default="./store")]
 Where = Annotated[
-    str | None, typer.Option(metavar="SQL", help="Stored sequences for which this holds: \"action = 'walk'\".")
+    str | None, typer.Option(metavar="SQL", help="Stored sequences that satisfy this condition: \"action = 'walk'\".")
 ]
-Limit = Annotated[int, typer.Option(min=1, max=MOST_MOTIONS, help="Motions in the page; of more, the first are shown.")]
+Limit = Annotated[
+    int, typer.Option(min=1, max=MOST_MOTIONS, help="Maximum number of motions in the page; the first are shown.")
+]
 FromSeconds = Annotated[
-    float | None, typer.Option("--from", metavar="SECONDS", help="Show what comes from here on.", show_default=False)
+    float | None, typer.Option("--from", metavar="SECONDS", help="Start at this time.", show_default=False)
 ]
 ToSeconds = Annotated[
-    float | None, typer.Option("--to", metavar="SECONDS", help="Show what comes before this.", show_default=False)
+    float | None, typer.Option("--to", metavar="SECONDS", help="Stop before this time.", show_default=False)
 ]
 GivenFps = Annotated[
-    str | None, typer.Option(help="Framerate of files that say none or a wrong one (.amc, .npy).", show_default=False)
+    str | None, typer.Option(help="Framerate of files that state none or a wrong one (.amc, .npy).", show_default=False)
 ]
 UnitMetres = Annotated[
     float | None,
@@ -42,14 +44,14 @@ UnitMetres = Annotated[
 FormatName = Annotated[
     str,
     typer.Option(
-        help="mp4, gif, png (a strip of poses) or rrd in place of a page; else how files are read, as in ingest."
+        help="mp4, gif, png (a strip of poses) or rrd instead of a page; else the input format, as in ingest."
     ),
 ]
 Speed = Annotated[
-    float | None, typer.Option(help="How fast an mp4 or a gif plays: 0.25 is slowed four times.", show_default="1")
+    float | None, typer.Option(help="Playback speed of an mp4 or a gif: 0.25 is four times slower.", show_default="1")
 ]
 SkeletonMaps = Annotated[
-    list[Path] | None, typer.Option(help="TOML that says how a rig becomes the 22 joints (docs/formats.md).")
+    list[Path] | None, typer.Option(help="TOML that maps a rig to the 22 joints (docs/formats.md).")
 ]
 PathFile = Annotated[
     Path | None, typer.Option("--path", help="Draw this path on the floor: a CSV as for `motionkit generate --path`.")
@@ -58,7 +60,7 @@ PoseFiles = Annotated[
     list[str] | None, typer.Option("--pose", metavar="S=FILE[@S]", help="Draw this pose too; may be repeated.")
 ]
 PosePlaced = Annotated[
-    bool, typer.Option("--pose-placed", help="Poses are drawn where their files say, not where the motion is.")
+    bool, typer.Option("--pose-placed", help="Draw poses at the position in their files, not where the motion is.")
 ]
 OutPlace = Annotated[Path | None, typer.Option(help="File to write.", show_default="NAME.view.html here")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")]
@@ -86,12 +88,12 @@ def view(
     open_page: OpenPage = False,
     as_json: AsJson = False,
 ) -> None:
-    """Look at motions: one page with moving skeletons, each at its native framerate, on one clock in seconds.
+    """Show motions in one page with moving skeletons, each at its native framerate, on one clock in seconds.
 
-    It is one file that loads nothing from elsewhere; --format mp4, gif, png or rrd makes films, strips, Rerun's files.
+    The page is one self-contained file; --format mp4, gif, png or rrd makes films, strips, Rerun's files.
 
     Example: motionkit view takes/walk.bvh takes/jump.bvh"""
-    from motionkit.view.asked import drawing_asked
+    from motionkit.view.constraints import constraint_drawing
     from motionkit.view.job import Stretch, find_sources, read_takes, stored_where, write_view
 
     stretch = Stretch(from_seconds, to_seconds)
@@ -110,7 +112,7 @@ def view(
         sources = sources[:limit]
     failures = [(str(problem.path), str(problem)) for problem in problems]
     page = _place(out, sources, film, overwrite)
-    drawn = drawing_asked(path, pose or (), pose_placed)
+    drawn = constraint_drawing(path, pose or (), pose_placed)
     with progress() as show, task(show, "read", len(sources)) as work:
         takes, failed = read_takes(sources, stretch, work.advance, drawn)
     failures += failed
@@ -129,7 +131,7 @@ def view(
 
 
 def _film_asked(format: str, out: Path | None, speed: float | None) -> tuple[str, str]:
-    """The suffix of a film or strip that is asked for (empty: a page), and the format that files are read as."""
+    """The suffix of the requested film or strip (empty: a page), and the input format."""
     films = ("mp4", "gif", "png", "rrd")
     named = format if format in films else "" if out is None else out.suffix.lower()[1:]
     film = f".{named}" if named in films else ""

@@ -1,1 +1,1 @@
-"""Random clips at native framerates: windows of a corpus, their poses as torch batches, the order of a training."""
+"""Random clips at native framerates: windows of a corpus, batches of their poses, the order of training."""

@@ -1,4 +1,4 @@
-"""What is said of windows of motion: the store's captions and actions, in mirrored words where a window is mirrored."""
+"""Captions and actions of windows of motion, with left and right swapped for mirrored windows."""
 
 import math
 import re
@@ -21,7 +21,7 @@ def overlapping_captions(
     """The texts whose seconds overlap [window_start, window_end) by at least half of the shorter of the two.
 
     `captions` are rows of the store: text, start_seconds, end_seconds (None: to the end of the sequence). A caption of
-    HumanML3D may speak of a segment only; a window that touches it by a tenth of a second doesn't show what it says.
+    HumanML3D may describe a segment only, which a window that overlaps it by a tenth of a second doesn't show.
     Raises `ValueError` for an empty window.
     """
     if window_end <= window_start:
@@ -38,10 +38,9 @@ def overlapping_captions(
 
 
 def mirrored_text(text: str) -> str:
-    """The text of the motion seen in a mirror: left and right, clockwise and counterclockwise change places.
+    """The text of the mirrored motion: swaps left and right, clockwise and counterclockwise.
 
-    So do leftward(s), leftmost and their like; counter- and anti-clockwise may be written in one word, in two or with a
-    hyphen.
+    Also leftward(s), leftmost and similar; counter- and anti-clockwise may be one word, two, or hyphenated.
     """
     return SIDED_WORD.sub(_opposite, text)
 
@@ -57,7 +56,7 @@ def _opposite(found: re.Match[str]) -> str:
 
 
 def captions_of_windows(windows: Windows, sequences: pd.DataFrame) -> list[tuple[str, ...]]:
-    """Each window's captions, in mirrored words where the window is mirrored."""
+    """Each window's captions, mirrored for mirrored windows."""
     captions: dict[Any, Sequence[Any]] = sequences["captions"].to_dict()
     ends = windows.start_seconds + windows.duration_seconds
     found = []
@@ -70,7 +69,7 @@ def captions_of_windows(windows: Windows, sequences: pd.DataFrame) -> list[tuple
 
 
 def actions_of_windows(windows: Windows, sequences: pd.DataFrame) -> list[str]:
-    """Each window's action, "" where its sequence has none, in mirrored words where the window is mirrored."""
+    """Each window's action ("" for none), mirrored for mirrored windows."""
     actions: dict[Any, str] = sequences["action"].to_dict()
     return [
         mirrored_text(actions[int(sequence)]) if mirrored else actions[int(sequence)]

@@ -1,4 +1,4 @@
-"""Clips of a store for a training loop of your own: a map-style data set of torch."""
+"""Clips of a store as a map-style torch `Dataset`, for your own training loop."""
 
 from typing import Any
 
@@ -15,9 +15,9 @@ class ClipDataset(Dataset[dict[str, Any]]):
     """Clips of `num_frames` frames of a store's sequences, each at its sequence's own framerate, `stride` frames apart.
 
     An item holds `joint_positions` [num_frames, J, 3] (float32, metres) of the `layout`, `fps`, `start_seconds` of its
-    first frame in its sequence, and `sequence_index`, which leads back to the store; `DataLoader` batches them. Frames
-    come from the store's training cache, a memory map that workers share. `where` is a SQL condition over the table of
-    sequences. Raises `UsageError` where no sequence is long enough, and what `open_cache` raises.
+    first frame in its sequence, and `sequence_index`, its index in the store; `DataLoader` batches them. Frames come
+    from the store's training cache, a memory map that workers share. `where` is a SQL condition over the table of
+    sequences. Raises `UsageError` if no sequence is long enough, and what `open_cache` raises.
 
     >>> clips = mk.ClipDataset(mk.Store.open("store"), num_frames=32, where="fps = 60")
     >>> clips[0]["joint_positions"].shape, clips[0]["fps"]
@@ -35,7 +35,7 @@ class ClipDataset(Dataset[dict[str, Any]]):
     ) -> None:
         every = num_frames if stride is None else stride
         if num_frames < 1 or every < 1:
-            raise UsageError(f"num_frames and stride are 1 or more, not {num_frames} and {every}")
+            raise UsageError(f"num_frames and stride must be 1 or more, not {num_frames} and {every}")
         self.num_frames = num_frames
         self._cache = open_cache(store, layout=layout, where=where)
         counts = np.maximum(0, (self._cache.num_frames.astype(np.int64) - num_frames) // every + 1)
@@ -51,7 +51,7 @@ class ClipDataset(Dataset[dict[str, Any]]):
         return self.__getitems__([range(len(self))[index]])[0]
 
     def __getitems__(self, indices: list[int]) -> list[dict[str, Any]]:
-        """Several items, whose frames are gathered at once: what `DataLoader` asks for."""
+        """Several items at once, as `DataLoader` fetches them."""
         cache, sequence, start = self._cache, self._sequence[indices], self._start[indices]
         fps = cache.fps_numerator[sequence] / cache.fps_denominator[sequence]
         clips = torch.from_numpy(cache.gather_clips(sequence, start, self.num_frames))

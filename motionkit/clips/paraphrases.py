@@ -1,7 +1,7 @@
-"""Other wordings of a caption by rule: its subject, the form of its verbs, where an adverb or a clause stands.
+"""Rule-based paraphrases of captions: subject, verb forms, positions of adverbs and clauses.
 
-Words that say which side, which way, how often or not at all stay as they are: no rule adds or removes one. A caption
-that no rule knows has no other wording.
+Words for side, direction, number and negation are kept: no rule adds or removes one. A caption that no rule matches has
+no paraphrase.
 """
 
 import re
@@ -29,7 +29,7 @@ VerbForm = Literal["base", "third", "ing"]
 
 
 def paraphrases(text: str, count: int, rng: np.random.Generator) -> tuple[str, ...]:
-    """At most `count` wordings of a caption, drawn by `rng`, all different from it and from each other."""
+    """At most `count` paraphrases of a caption, drawn by `rng`, all different from it and from each other."""
     found: dict[str, None] = {}
     for _ in range(4 * count):
         if len(found) < count:
@@ -41,9 +41,9 @@ def paraphrases(text: str, count: int, rng: np.random.Generator) -> tuple[str, .
 def with_paraphrases(
     captions: Sequence[tuple[str, ...]], count: int, rng: np.random.Generator
 ) -> list[tuple[str, ...]]:
-    """Each window's captions among `count` paraphrases of each, half of them the captions themselves.
+    """Each window's captions with up to `count` paraphrases each; half of the entries are the captions themselves.
 
-    Captions stay equally likely among each other, also where one has fewer paraphrases than another or none.
+    Captions remain equally likely, even if they have different numbers of paraphrases.
     """
     if count == 0:
         return list(captions)
@@ -55,7 +55,7 @@ def with_paraphrases(
 
 
 def paraphrased(text: str, rng: np.random.Generator) -> str:
-    """The caption with one of its options by each rule, drawn by `rng`; perhaps as it was."""
+    """The caption with a random option of each rule; possibly unchanged."""
     for rule in RULES:
         options = rule(text)
         text = options[int(rng.integers(len(options)))]
@@ -85,19 +85,19 @@ BASE_OF: dict[VerbForm, dict[str, str]] = {
     "ing": {participle(verb): verb for verb in BASE_VERBS},
 }
 INFLECTED: dict[VerbForm, Callable[[str], str]] = {"base": str, "third": third_person, "ing": participle}
-# Where verbs of the same subject stand: first, and after a comma, "and" or "then".
+# Positions of verbs of the same subject: first, and after a comma, "and" or "then".
 VERB_PLACE = re.compile(r"((?:^|(?<=, )|(?<=\band )|(?<=\bthen ))(?:[a-z]+ly )*)([a-z]+)(?![\w/'-])", re.IGNORECASE)
 
 
 def _form_of(predicate: str) -> VerbForm | None:
-    """The form of the first verb; None where the predicate doesn't begin with a known one."""
+    """The form of the first verb; None if the predicate doesn't begin with a known one."""
     found = VERB_PLACE.match(predicate)
     word = found[2].lower() if found else ""
     return next((form for form, bases in BASE_OF.items() if word in bases), None)
 
 
 def _inflected(predicate: str, source: VerbForm, form: VerbForm) -> str:
-    """The predicate with each verb that stands in the form `source` brought into another one."""
+    """The predicate with each verb in the form `source` converted to another one."""
 
     def other(found: re.Match[str]) -> str:
         base = BASE_OF[source].get(found[2].lower())

@@ -16,15 +16,15 @@ from motionkit.features import field
 
 @runtime_checkable
 class FrameVectors(Protocol):
-    """How frames of a source become pose vectors: gathered by row, interpolated between rows, put into a window.
+    """Conversion of a source's frames to pose vectors: gather rows, interpolate, convert to a window's frame.
 
-    What is gathered may be any array with a row per frame; rows are those of the source's positions.
+    Gathered values may be any array with a row per frame; rows are those of the source's positions.
     """
 
     def gather(
         self, row: Int64[np.ndarray, "batch poses"], mirrored: Bool[np.ndarray, "batch"]
     ) -> Float32[np.ndarray, "batch poses *shape"]:
-        """The numbers of frames, mirrored where the window is; the caller may write to them."""
+        """The values of frames, mirrored for mirrored windows; the caller may modify them."""
         ...
 
     def between(
@@ -33,7 +33,7 @@ class FrameVectors(Protocol):
         after: Float32[np.ndarray, "batch poses *shape"],
         weight: Float32[np.ndarray, "batch poses"],
     ) -> Float32[np.ndarray, "batch poses *shape"]:
-        """Numbers between two frames."""
+        """Interpolate between two frames."""
         ...
 
     def encode(
@@ -95,16 +95,16 @@ class PoseBatch:
     vectors: Float32[torch.Tensor, "batch poses numbers"]
 
     def to(self, device: torch.device) -> "PoseBatch":
-        """The batch on another device."""
+        """Move to a device."""
         return PoseBatch(*(tensor.to(device) for tensor in (self.window, self.coordinates, self.fps, self.vectors)))
 
 
 @dataclass(frozen=True, eq=False)
 class WindowPoses:
-    """Poses of windows, gathered from their source: the one place where frames become pose vectors.
+    """Poses of windows, gathered from their source and converted to pose vectors.
 
-    With `fixed_fps` poses are taken at that framerate only, instead of at the native ones. `frames` says what vectors
-    they become (default: `field` vectors of the source's positions).
+    With `fixed_fps` poses are sampled at that framerate instead of the native ones. `frames` is the conversion to
+    vectors (default: `field` vectors of the source's positions).
     """
 
     source: PositionSource
@@ -126,7 +126,7 @@ class WindowPoses:
         frame: Int64[np.ndarray, "batch poses"],
         keep_every: Int64[np.ndarray, "batch"] | None = None,
     ) -> PoseBatch:
-        """A batch of poses at native frames; with `keep_every` at frames of what keeping every n-th frame leaves."""
+        """A batch of poses at native frames; with `keep_every`, at frames of the sequence of every n-th frame."""
         fps = self.windows.fps[window]
         if keep_every is not None:
             fps, frame = fps / keep_every, frame * keep_every[:, None]
@@ -159,10 +159,10 @@ class WindowPoses:
     ) -> PoseBatch:
         """`num_poses` random poses of each window, at its native framerate or at `fps` (default: `fixed_fps`).
 
-        `contiguous`: a clip of m neighbouring poses around a random centre v (NeRM §3.1), in a window with fewer poses
-        than m its last pose is repeated; else m independent instants. With `lowest_fps` each window's rate is its
-        native one or a random whole fraction of it that isn't lower ("random framerates", the paper's Fig. 2). With
-        `part` all is drawn alike, but only these rows of the batch are gathered.
+        `contiguous`: a clip of m neighbouring poses around a random centre v (NeRM §3.1), with the last pose
+        repeated in windows of fewer poses; else m independent instants. With `lowest_fps` each window's rate is
+        its native one or a random integer fraction of it that isn't lower ("random framerates", the paper's
+        Fig. 2). With `part` the random draws are the same, but only these rows of the batch are gathered.
         """
         rows, fps = window.numpy(), fps or self.fixed_fps
         keep_every = np.ones(len(rows), dtype=np.int64)

@@ -1,7 +1,7 @@
-"""What a trained model makes of windows of motion, beside the motion itself: the interface, and the truth.
+"""Reconstruction of windows of motion by a trained model: the interface, and the ground truth.
 
-The truth at s fps is the capture itself, brought down band-limited where its own framerate is higher; a take slower
-than s has no truth there and is left out.
+The ground truth at s fps is the capture, low-passed and downsampled if its framerate is higher; takes slower than s
+have none and are left out.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -23,10 +23,10 @@ from motionkit.store.reader import Store
 
 @dataclass(frozen=True, eq=False)
 class ModelWindows:
-    """Windows of sequences, and how a model describes them.
+    """Windows of sequences, and their reconstruction by a model.
 
-    `fields` makes a motion field on [0, duration] for each of some windows, by their numbers, in the window's own
-    frame; it may take long. `described` says how: "from their μ", "encoded by optimisation".
+    `fields` returns motion fields on [0, duration] for windows by their indices, in the window's own frame; it may be
+    slow. `described` is the method: "from their μ", "encoded by optimisation".
     """
 
     source: PositionSource
@@ -37,7 +37,7 @@ class ModelWindows:
 
 @runtime_checkable
 class ReconstructsWindows(Protocol):
-    """An encoder that describes whole windows of motion, those of its own training and others."""
+    """An encoder that reconstructs whole windows of motion, from its training and others."""
 
     @property
     def name(self) -> str:
@@ -50,11 +50,11 @@ class ReconstructsWindows(Protocol):
         ...
 
     def training_windows(self, store: Store) -> ModelWindows:
-        """The windows that it was trained on, as training left them described."""
+        """The training windows, from their trained latents."""
         ...
 
     def other_windows(self, store: Store, where: str | None) -> ModelWindows:
-        """Windows of the sequences for which this SQL holds; raises `UsageError` where there is none."""
+        """Windows of the sequences that match this SQL condition; raises `UsageError` if there are none."""
         ...
 
 
@@ -83,7 +83,7 @@ def window_truth(
 def reconstructions(
     source: PositionSource, windows: Windows, fields: Sequence[MotionField], fps: Fraction
 ) -> Iterator[Reconstruction]:
-    """Windows that have a truth at `fps`, one by one, each as its field gives it at that framerate."""
+    """Windows that have a ground truth at `fps`, each with its decoded motion at that framerate."""
     for row in np.flatnonzero(windows.fps >= float(fps) - 1e-6).tolist():
         truth = window_truth(source, windows, row, fps)
         found = to_motion(fields[row], fps).joint_positions[:, : truth.shape[1]]
@@ -108,5 +108,5 @@ def separate_windows(windows: Windows) -> Int64[np.ndarray, "chosen"]:
 
 
 def comparable(windows: Windows, rates: Sequence[Fraction]) -> Bool[np.ndarray, "windows"]:
-    """Which windows have a truth at every one of the framerates."""
+    """Mask of windows with a ground truth at every one of the framerates."""
     return np.asarray(windows.fps >= float(max(rates)) - 1e-6)

@@ -1,8 +1,7 @@
-"""Windows of a corpus: stretches of at most l_max seconds of one sequence, each what one latent stands for.
+"""Windows of a corpus: stretches of at most l_max seconds of one sequence, one latent each.
 
-A window's frame k lies at k / fps after its first, at the coordinate t = −1 + 2·(k / fps) / l_max (NeRM §3.1).
-Positions are read from the cache's file when they are asked for, so memory doesn't grow with the corpus; mirrored
-windows are mirrored then, not stored.
+A window's frame k is k / fps after its first, at the coordinate t = −1 + 2·(k / fps) / l_max (NeRM §3.1). Positions
+are read lazily from the cache's file, so memory doesn't grow with the corpus; mirroring is done then too.
 """
 
 from collections.abc import Iterator
@@ -22,11 +21,11 @@ from motionkit.store.cache.row_file import RowFile
 
 @runtime_checkable
 class PositionSource(Protocol):
-    """What clips need from `motionkit.store.cache.positions.PositionCache`."""
+    """The interface of `motionkit.store.cache.positions.PositionCache` that clips use."""
 
     @property
     def positions(self) -> Float32[np.ndarray, "total_frames joints 3"]:
-        """Positions of all sequences, one after the other, metres."""
+        """Concatenated positions of all sequences, metres."""
         ...
 
     @property
@@ -57,7 +56,7 @@ class PositionSource(Protocol):
 
 @runtime_checkable
 class ReadsRows(Protocol):
-    """A source whose frames can be read one by one, so that a training does not come to hold all that it has seen."""
+    """A source whose frames are read one by one, so that training memory doesn't grow with the frames it has seen."""
 
     @property
     def rows(self) -> RowFile:
@@ -74,9 +73,9 @@ def read_positions(source: PositionSource, row: Int64[np.ndarray, "*rows"]) -> F
 class Windows:
     """W windows of a corpus, as arrays.
 
-    `sequence_index` leads back to the store, `start_row` into the cache's positions; `start_frame` counts from the
-    sequence's first frame. `yaw` (radians) and `origin` (x, z in metres) are the window's frame, of the mirrored pose
-    where `mirrored`.
+    `sequence_index` refers to the store, `start_row` to the cache's positions; `start_frame` counts from the sequence's
+    first frame. `yaw` (radians) and `origin` (x, z in metres) are the window's coordinate frame, after mirroring if
+    `mirrored`.
     """
 
     max_duration_seconds: float
@@ -136,9 +135,9 @@ def cut_windows(
     """Cut every sequence into windows of at most `max_duration_seconds`.
 
     A sequence that fits is one window. A longer one gives full windows every `stride_seconds` (l_max by default) and a
-    last one that ends with it. Sequences shorter than `min_duration_seconds` are left out. With `mirror_pairs` (the
-    skeleton's left and right joints) every window is followed, W rows later, by its mirror image. Raises `UsageError`
-    where nothing is left.
+    last one aligned with its end. Sequences shorter than `min_duration_seconds` are dropped. With `mirror_pairs` (the
+    skeleton's left and right joints) mirrored copies of all W windows are appended. Raises `UsageError` if there are no
+    windows.
     """
     stride = max_duration_seconds if stride_seconds is None else stride_seconds
     if stride <= 0 or max_duration_seconds <= 0:
@@ -177,15 +176,15 @@ def cut_windows(
 
 
 def rows_by_duration(windows: Windows, seconds_per_visit: float) -> Int64[np.ndarray, "visits"]:
-    """Each window as often as it lasts `seconds_per_visit`, once at least: what an epoch goes through."""
+    """The windows of an epoch: each once per `seconds_per_visit` of its duration, at least once."""
     visits = np.maximum(1, np.round(windows.duration_seconds / seconds_per_visit)).astype(np.int64)
     return np.repeat(np.arange(len(windows)), visits)
 
 
 def shuffled_batches(count: int, batch: int, step: int, seed: int) -> Int64[torch.Tensor, "batch"]:
-    """The rows of batch number `step`, when `count` rows are gone through again and again in a new order each time.
+    """The rows of batch number `step` in epochs over `count` rows, reshuffled each time.
 
-    A function of (seed, step) alone, so that a resumed training sees the same batches.
+    A function of (seed, step) alone, so that resumed training sees the same batches.
     """
     first = step * batch
     epochs = range(first // count, (first + batch - 1) // count + 1)

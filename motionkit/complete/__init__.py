@@ -1,1 +1,2 @@
-"""`motionkit complete`: clips of any format completed by an encoder and written as they came (docs/complete.md)."""
+"""`motionkit complete`: complete clips of any format by an encoder, and write them in that format
+(docs/complete.md)."""

@@ -1,6 +1,6 @@
-"""Clips as they come: found in files, folders and stores, and written again in their own form.
+"""Clips from files, folders and stores, and writing them in their own format.
 
-BVH files are read and written piece by piece; clips of other forms are held in memory, they and their results.
+BVH files are read and written in pieces; clips of other formats and their results are held in memory.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,7 +28,7 @@ from motionkit.formats.catalogue import writer_of, writers
 from motionkit.formats.scan.items import ReadOptions, SourceItem
 from motionkit.formats.scan.reading import read_document
 from motionkit.store.named_motions.holes import ReadClip, read_with_holes, write_vectors
-from motionkit.store.named_motions.reading import Found, Readers, find_motions
+from motionkit.store.named_motions.reading import FoundMotion, Readers, find_motions
 
 FRAMES_AT_ONCE = 2048
 
@@ -37,12 +37,11 @@ Progress = Callable[[int], None]
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """One clip to complete: its frames, which of them are whole, and its form.
+    """One clip to complete: its frames, a mask of valid ones, and its format.
 
-    `poses` are those of frames by number, `observe` makes an observation of those that a mask marks, `label` gives a
-    motion the clip's name, captions and origin. `write` writes a completed motion of it to a path; what cannot be
-    written as it came goes to another `suffix`. `uneven_seconds` are the times of its frames where they are not those
-    of its grid.
+    `poses` returns frames by index, `observe` an observation of masked frames, `label` copies the clip's name, captions
+    and origin to a motion. `write` writes a completed motion to a path; `suffix` is that of the output if the input's
+    format cannot be written. `uneven_seconds` are the times of its frames if they are not on a grid.
     """
 
     timegrid: TimeGrid
@@ -58,17 +57,17 @@ class Clip:
 
     @property
     def seconds(self) -> Float64[np.ndarray, "frames"]:
-        """When its frames were."""
+        """Times of its frames."""
         return self.timegrid.seconds() if self.uneven_seconds is None else self.uneven_seconds
 
 
-ClipSource = Found[Clip]
+ClipSource = FoundMotion[Clip]
 
 
 def find_clips(names: Sequence[str], options: ReadOptions, store: Path) -> tuple[list[ClipSource], list[FormatError]]:
-    """The clips of these names, but for those that `complete` and `plant` have made, and what is wrong with some.
+    """The clips of these names, without outputs of `complete` and `plant`, and problems of others.
 
-    Raises `UsageError` for a name that says nothing.
+    Raises `UsageError` for an unknown name.
     """
     readers = Readers(partial(_read, options=options), clip_of_motion)
     found, problems = find_motions(names, replace(options, leave_out_made=True), store, readers)
@@ -86,7 +85,7 @@ def _read(item: SourceItem, options: ReadOptions) -> Clip:
 
 
 def _as_it_came(read: ReadClip, item: SourceItem) -> Clip:
-    """A motion as arrays where it came as such; else as .bvh where it has rotations, as .npz where it has none."""
+    """Arrays stay arrays; other motions become .bvh if they have rotations, else .npz."""
     suffix, why_not = item.path.suffix.lower(), f"{item.format} cannot be written"
     if item.format == "npz" or (suffix == ".npy" and read.motion.skeleton in STANDARD_SKELETONS.values()):
         return _in_memory(read, suffix, _write_of(suffix))
@@ -103,7 +102,7 @@ def _write_of(suffix: str) -> Callable[[Motion, Path], None]:
 
 
 def clip_of_document(document: BvhDocument) -> Clip:
-    """A BVH file as a clip: its frames are read when they are asked for. Raises `FormatError` as `check_writable`."""
+    """A BVH file as a clip, with frames read lazily. Raises `FormatError` as `check_writable`."""
     check_writable(document)
 
     def observe(observed: Bool[np.ndarray, "frames"]) -> Observed:
@@ -149,7 +148,7 @@ def _in_memory(read: ReadClip, suffix: str, write: Callable[[Motion, Path], None
 
 
 def as_format(clip: Clip, suffix: str) -> Clip:
-    """The same clip, to be written as another format by its suffix; raises `UsageError` for one that is not written."""
+    """The same clip with another output format, by its suffix; raises `UsageError` for one that cannot be written."""
     if clip.suffix == suffix:
         return clip
     return replace(clip, suffix=suffix, write=_writing(_write_of(suffix), clip.timegrid, clip.label), note="")
@@ -163,7 +162,7 @@ def clip_of_motion(motion: Motion) -> Clip:
 def _writing(
     write: Callable[[Motion, Path], None], source: TimeGrid, label: Callable[[Motion], Motion]
 ) -> Callable[[Completion, Path, Progress], None]:
-    """A writer that needs the whole motion at once."""
+    """A writer for whole motions."""
 
     def whole(completion: Completion, path: Path, progress: Progress) -> None:
         made = completion.motion(0, completion.grid.num_frames)
@@ -174,7 +173,7 @@ def _writing(
 
 
 def completed_line(completion: Completion, source: TimeGrid) -> str:
-    """The operation log's line of a motion that was completed from frames on the grid `source`."""
+    """The operation log's line for a motion completed from frames on the grid `source`."""
     if completion.line:
         return completion.line
     grid, made = completion.grid, completion.grid.num_frames - len(completion.given_rows)
@@ -182,15 +181,15 @@ def completed_line(completion: Completion, source: TimeGrid) -> str:
 
 
 def write_document(document: BvhDocument, completion: Completion, path: Path, progress: Progress) -> None:
-    """Write a completed BVH file piece by piece, given frames as the lines that they were.
+    """Write a completed BVH file in pieces; given frames keep their original lines.
 
-    What moves joints and turns none is brought onto the file's bones.
+    Fields without rotations are converted to rotations of the file's bones.
     """
     completion = replace(completion, field=on_bones(completion.field, completion.observation))
     num_frames, known = completion.grid.num_frames, completion.known_frames
     observation = completion.observation
     lines = ChannelLines(document, known, observation.times_seconds)
-    # What comes before the first known frame goes backwards from it, so it has to be in the first piece.
+    # Extrapolation before the first known frame starts from it, so it must be in the first piece.
     reach_seconds = observation.start_seconds - completion.grid.start_seconds
     first_known = max(0, int(np.ceil((reach_seconds - 1e-9) * float(completion.grid.fps))))
     with path.open("wb") as file:

@@ -21,14 +21,14 @@ from motionkit.training.run import RunFolder
 
 GROUP = "motionkit.encoders"
 
-# What an encoder may be for: frames between given ones, gaps and ends closed and continued, windows described again.
+# Tasks of encoders: frames between given ones; gaps and ends; reconstruction of windows.
 Task = Literal["interpolation", "inbetweening", "extrapolation", "reconstruction"]
 COMPLETION: tuple[Task, ...] = ("interpolation", "inbetweening", "extrapolation")
 
 
 @runtime_checkable
 class StatesItsTraining(Protocol):
-    """An encoder that states the range of its training; beyond that it works too, with a warning."""
+    """An encoder that states the range of its training; beyond it there is a warning."""
 
     @property
     def longest_gap_seconds(self) -> float:
@@ -37,16 +37,15 @@ class StatesItsTraining(Protocol):
 
     @property
     def reach_seconds(self) -> float:
-        """How far beyond what is observed training went."""
+        """The longest extrapolation in training."""
         ...
 
 
 @dataclass(frozen=True)
 class EncoderLoader(Loader[MotionEncoder]):
-    """A trained encoder that a package brings, as an entry point of `motionkit.encoders` names it.
+    """A trained encoder of a package, registered as an entry point of `motionkit.encoders`.
 
-    Tables look in their run for the encoders of their own task. The `preferred` one completes clips where nobody names
-    another.
+    Tables use the encoders of their task. The `preferred` one is the default for completing clips.
     """
 
     tasks: tuple[Task, ...] = COMPLETION
@@ -54,7 +53,7 @@ class EncoderLoader(Loader[MotionEncoder]):
 
 
 def trained_encoder_names() -> tuple[str, ...]:
-    """Names of all installed trained encoders, sorted; whether any run holds one is another matter."""
+    """Names of all installed trained encoders, sorted, whether or not a run has them."""
     return loader_names(GROUP)
 
 
@@ -65,7 +64,7 @@ def installed_encoders(task: Task | None = None) -> dict[str, EncoderLoader]:
 
 
 def encoder_loader(name: str) -> EncoderLoader:
-    """The loader of a trained encoder; raises `UsageError` naming those there are."""
+    """The loader of a trained encoder; raises `UsageError` that lists the known ones."""
     found = entry_points(group=GROUP, name=name)
     if not found:
         trained = ", ".join(trained_encoder_names()) or "none is installed"
@@ -76,9 +75,9 @@ def encoder_loader(name: str) -> EncoderLoader:
 
 
 def runs_with(name: str, runs: Path) -> tuple[Path, ...]:
-    """Run folders in `runs` that hold all stages of this trained encoder, the one trained last at the end.
+    """Run folders in `runs` with all stages of this trained encoder, the most recent last.
 
-    Raises `UsageError` for a name that nothing has.
+    Raises `UsageError` for an unknown name.
     """
     loader = encoder_loader(name)
     if not runs.is_dir():
@@ -100,9 +99,9 @@ ALIASES = {"spline": "rotation-cubic"}
 
 @dataclass(frozen=True)
 class ChosenEncoder:
-    """An encoder under the name by which people know it; `explanation` says why this one and how to have another.
+    """An encoder and its name; `explanation` says why it was chosen and how to choose another.
 
-    A trained one knows the 22 joints only.
+    A trained one supports the 22 joints only.
     """
 
     name: str
@@ -112,34 +111,34 @@ class ChosenEncoder:
 
     @property
     def longest_gap_seconds(self) -> float | None:
-        """Longest time without a frame in its training, None where it does not say."""
+        """The longest gap in its training; None if unknown."""
         return self.encoder.longest_gap_seconds if isinstance(self.encoder, StatesItsTraining) else None
 
     @property
     def reach_seconds(self) -> float | None:
-        """How far beyond the ends its training went, None where it does not say."""
+        """The longest extrapolation in its training; None if unknown."""
         return self.encoder.reach_seconds if isinstance(self.encoder, StatesItsTraining) else None
 
     @property
     def goes_on(self) -> bool:
-        """Whether beyond the ends it goes on at constant velocity."""
+        """Whether it extrapolates at constant velocity."""
         return not self.is_trained and self.name not in (*SETTLING, "hold")
 
     def for_skeleton(self, skeleton: Skeleton) -> tuple[MotionEncoder, str]:
-        """The encoder to use on a skeleton; and if that is another, because this one does not know it, why."""
+        """The encoder for a skeleton, and a reason if it is another because this one does not support it."""
         if not self.is_trained:
             return self.encoder, ""
         try:
             counterpart_joints(skeleton)
         except SkeletonMapError as error:
-            return BASE, f"{self.name} does not know its skeleton, {BASE.name} is used: {error}"
+            return BASE, f"{self.name} does not support its skeleton, using {BASE.name}: {error}"
         return Transferred(Anchored(self.encoder), BASE), ""
 
 
 def choose_encoder(name: str | None, run: str | None, runs: Path) -> ChosenEncoder:
-    """The encoder of a name, an interpolator or a trained one of a run; raises `UsageError` where there is none.
+    """The encoder of this name, an interpolator or a trained one of a run; raises `UsageError` if there is none.
 
-    Without a name it is the preferred trained one, of the run or of the one trained last, or else an interpolator.
+    Without a name it is the preferred trained one, of the run or of the most recent one, or else an interpolator.
     """
     if name == "":
         raise UsageError("a name of an encoder is empty: --model spline, --compare slerp,spline")
@@ -182,7 +181,7 @@ def _trained(name: str, run: str | None, runs: Path) -> ChosenEncoder:
             )
         place = found[-1]
     else:
-        # A path where it is one, else a name in the folder of all runs, as everywhere.
+        # A path if it exists, else a name in the folder of all runs, as everywhere.
         place = Path(run) if Path(run).is_dir() and not (runs / run).is_dir() else runs / run
     encoder = loader.load(place)
     return ChosenEncoder(name, encoder, True, f"{encoder.name}, trained in {place}")

@@ -1,4 +1,4 @@
-"""One clip completed: encoded, written in its form, shown beside other ways on a page, and reported."""
+"""Completes one clip: encodes it, writes it in its format, optionally with a page of comparisons, and reports."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -21,11 +21,11 @@ from motionkit.fields.anchoring import anchored
 from motionkit.fields.completion import Completion, begin_observed, begin_uneven
 from motionkit.fields.contact.planted import planted
 from motionkit.fields.motion_field import MotionEncoder
-from motionkit.formats.scan.made import COMPLETED, folder_of_made
+from motionkit.formats.scan.derived import COMPLETED, derived_folder
 
-# Beyond this no constant velocity is a motion.
+# Extrapolation at constant velocity is implausible beyond this.
 LONGEST_PLAUSIBLE_SECONDS = 0.5
-# What ends so is meant as a file, and no folder.
+# Suffixes that mean a file, not a folder.
 CLIP_SUFFIXES = (".bvh", ".npz", ".npy")
 # What is looked at; and a page of some megabytes opens at once, whatever the framerate.
 PAGE_SECONDS, PAGE_BYTES = 60.0, 24_000_000
@@ -33,7 +33,7 @@ PAGE_SECONDS, PAGE_BYTES = 60.0, 24_000_000
 
 @dataclass(frozen=True)
 class CompletedClip:
-    """What became of a clip: its file, by which encoder, how many frames were given and made, what to know of it."""
+    """The result for a clip: its file, encoder, numbers of given and new frames, and warnings."""
 
     source: str
     path: Path
@@ -67,7 +67,7 @@ class CompletedClip:
 
 @dataclass(frozen=True)
 class Job:
-    """What is done with every clip: what to make, by which encoder, what to compare with, in which format."""
+    """Options for every clip: the request, the encoder, encoders to compare with, the output format."""
 
     request: CompletionRequest
     chosen: ChosenEncoder
@@ -76,7 +76,7 @@ class Job:
     overwrite: bool = False
 
     def complete(self, source: ClipSource, path_of: "OutputPath", progress: Progress) -> CompletedClip:
-        """Read, complete and write one clip; raises `MotionkitError` or `OSError`, and then leaves nothing behind."""
+        """Read, complete and write one clip; raises `MotionkitError` or `OSError` without leaving files behind."""
         clip = source.read()
         if self.suffix is not None:
             clip = as_format(clip, self.suffix)
@@ -110,9 +110,9 @@ class Job:
 
 
 def begin_clip(clip: Clip, wanted: ClipRequest, chosen: ChosenEncoder) -> tuple[Completion, str, list[str]]:
-    """What is asked of a clip, ready to be sampled; the name of the encoder that does it; what to know of it.
+    """A clip's completion, ready to be sampled; the name of its encoder; warnings.
 
-    Raises `MotionkitError` where the encoder cannot.
+    Raises `MotionkitError` if the encoder fails.
     """
     encoder, warning = chosen.for_skeleton(clip.skeleton)
     name = encoder.name if warning else chosen.name
@@ -125,7 +125,7 @@ def begin_clip(clip: Clip, wanted: ClipRequest, chosen: ChosenEncoder) -> tuple[
         made = replace(made, field=anchored(planted(made.field), made.observation))
     lost = int((~clip.seen).sum())
     if lost:
-        warnings.append(f"{lost:,} frames hold nan and were made like any gap")
+        warnings.append(f"{lost:,} frames hold nan and were filled like gaps")
     return made, name, warnings
 
 
@@ -158,7 +158,7 @@ def _warnings(clip: Clip, wanted: ClipRequest, chosen: ChosenEncoder) -> list[st
 
 
 class OutputPath:
-    """Names the file of each clip and sees to it that no two have the same one; owns the names given so far."""
+    """Chooses a unique output file for each clip."""
 
     def __init__(self, out: Path | None, num_clips: int, folders: Sequence[Path], made: str = COMPLETED) -> None:
         self._out = out
@@ -168,9 +168,9 @@ class OutputPath:
         self._taken: dict[Path, str] = {}
 
     def __call__(self, source: ClipSource, suffix: str, fps: str) -> Path:
-        """The file of a clip: `--out`, or in `--out`, or beside it with what was `made` before the suffix.
+        """The file of a clip: `--out`, or in `--out`, or beside it with `made` before the suffix.
 
-        Raises `LinkError` where that would lie behind a link in a named folder.
+        Raises `LinkError` if it would lie behind a link in a named folder.
         """
         path = self._path(source, suffix, fps)
         other = self._taken.setdefault(path.absolute(), source.name)
@@ -182,9 +182,9 @@ class OutputPath:
         stem = source.beside.name
         named = next((folder for folder in self._folders if source.beside.is_relative_to(folder)), None)
         if self._out is None:
-            # A motions.json beside arrays says their framerate, all of them: new ones need a folder of their own.
+            # A motions.json states the framerate of all arrays beside it, so new ones need their own folder.
             beside = source.beside.parent
-            folder = beside / folder_of_made(fps, self._made) if suffix == ".npy" else beside
+            folder = beside / derived_folder(fps, self._made) if suffix == ".npy" else beside
             for each in (folder, *folder.parents):
                 if each == (named or beside):
                     break
@@ -204,10 +204,9 @@ def write_comparison(
     observed: Bool[np.ndarray, "frames"],
     ways: Sequence[tuple[str, Completion]],
 ) -> None:
-    """Write the page of a clip and of one or more completions of it, by name; it appears whole or not at all.
+    """Write a page of a clip and its completions by name, atomically, each at its own framerate.
 
-    Each has its own frames: the clip those that it came with, a completion those of its framerate. Raises
-    `MotionkitError`.
+    Raises `MotionkitError`.
     """
     grid = ways[0][1].grid
     frame_bytes = packed_bytes(1, clip.skeleton.num_joints) * len(ways)

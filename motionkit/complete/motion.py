@@ -1,4 +1,4 @@
-"""One motion completed, in Python: what `motionkit complete` does with each clip, without files."""
+"""`motionkit.complete`: as the command, for a motion in memory."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -35,20 +35,20 @@ def complete(
     model: str | None = None,
     run: str | Path | None = None,
 ) -> Motion:
-    """A motion with more frames, its gaps closed, its ends continued; given frames and bones stay as they are.
+    """A motion with more frames, gaps filled, ends continued; given frames and bone lengths are kept.
 
-    - `motion`: a motion, or a file; frames of a file that hold nan are made like any gap
+    - `motion`: a motion, or a file; frames of a file that hold nan are filled like gaps
     - `fps`: the new framerate, not below its own (`resample` filters it down)
-    - `keep`: the frames to keep, all others are made anew: `[(0, 10), (40, None)]`, half-open and counted from 0, or
+    - `keep`: the frames to keep, all others are replaced: `[(0, 10), (40, None)]`, half-open and counted from 0, or
       "0:10,40:", or a mask of one bool for each frame
     - `extend`: seconds to add after it; or a pair, before and after; or "0,15f" in frames
-    - `plant`: whether feet that slide stand in what is made (`motionkit.plant` is for a whole motion)
+    - `plant`: whether to remove foot sliding from the new frames (`motionkit.plant` is for a whole motion)
     - `model`: an interpolator (`spline`, `slerp`, `hold` …) or the name of a trained encoder; by default the
       preferred encoder (PA-HiRes) if ./runs holds a trained one, else `spline`
     - `run`: the run of a trained encoder, by default the one trained last
 
-    Warns where more is asked of a trained encoder than it has learnt. Raises `MotionkitError` for what cannot be had of
-    this motion, `UsageError` for a request that makes no sense.
+    Warns if a request exceeds the range of a trained encoder's training. Raises `MotionkitError` for a request that
+    this motion does not allow, `UsageError` for an invalid one.
 
     >>> motion = mk.read("walk.bvh")
     >>> mk.complete(motion, fps=120, model="spline").num_frames
@@ -77,7 +77,7 @@ def complete(
 
 
 def clip_of_file(path: Path) -> Clip:
-    """The one clip of a file; raises what reading it raises, and `UsageError` where it holds several."""
+    """The clip of a file; raises what reading it raises, and `UsageError` for a file with several."""
     check_exists(path)
     found, problems = find_clips([str(path)], ReadOptions(), path)
     if not found:
@@ -98,7 +98,7 @@ def _ranges(keep: Kept | None, num_frames: int) -> tuple[FrameRange, ...]:
         bounds = np.flatnonzero(np.diff(keep, prepend=False, append=False)).reshape(-1, 2)
         keep = [(first, stop) for first, stop in bounds.tolist()]
     if not len(keep):
-        raise UsageError("keep holds no frame: at least one has to be given")
+        raise UsageError("keep is empty: keep at least one frame")
     return parse_keep(",".join(f"{start}:{'' if stop is None else stop}" for start, stop in keep))
 
 

@@ -1,4 +1,4 @@
-"""What is asked of every clip: a framerate, the frames to keep, seconds beyond both ends; and what that is for one."""
+"""Requests to complete clips: framerate, frames to keep, seconds beyond both ends; and their form for one clip."""
 
 import math
 import re
@@ -15,7 +15,7 @@ from motionkit.core.framerate import format_fps
 from motionkit.core.plain_text import shown, whole_number
 from motionkit.core.timegrid import TimeGrid
 
-# A minute of a body that nobody observed is a slip of the pen.
+# More than a minute of extrapolation is probably a typo.
 LONGEST_REACH_SECONDS = 60.0
 _RANGE = re.compile(r"(?P<start>\d*)(?P<colon>:?)(?P<stop>\d*)")
 
@@ -33,21 +33,21 @@ class FrameRange:
 
 @dataclass(frozen=True)
 class Reach:
-    """How far to go on beyond an end: seconds, or frames of the clip's own framerate."""
+    """Extrapolation beyond an end: seconds, or frames of the clip's own framerate."""
 
     amount: float
     in_frames: bool = False
 
     def seconds(self, fps: Fraction) -> float:
-        """The reach at a clip's framerate, in seconds."""
+        """The extrapolation in seconds at a clip's framerate."""
         return float(self.amount / fps) if self.in_frames else self.amount
 
 
 @dataclass(frozen=True)
 class CompletionRequest:
-    """What to make: `fps` None is the clip's own, `keep` empty keeps every frame that is there.
+    """What to complete: `fps` None is the clip's own, an empty `keep` keeps every valid frame.
 
-    With `plant` feet that slide stand in what is made.
+    `plant` removes foot sliding from new frames.
     """
 
     fps: Fraction | None = None
@@ -69,9 +69,9 @@ class CompletionRequest:
         seen: Bool[np.ndarray, "frames"],
         uneven_seconds: Float64[np.ndarray, "frames"] | None = None,
     ) -> "ClipRequest":
-        """What is asked of one clip, its frames those of `timegrid`, of which those that are `seen` are whole.
+        """The request for one clip with frames on `timegrid`, of which `seen` masks the valid ones.
 
-        Raises `MotionkitError` where that cannot be had: a lower framerate, frames that the clip has not.
+        Raises `MotionkitError` for impossible requests: a lower framerate, frames that the clip does not have.
         """
         fps = timegrid.fps if self.fps is None else self.fps
         if uneven_seconds is not None and self.fps is None:
@@ -86,10 +86,10 @@ class CompletionRequest:
             )
         observed = seen & kept_frames(self.keep, timegrid.num_frames)
         if not observed.any():
-            raise MotionkitError("none of the frames to keep is whole: their numbers are nan")
+            raise MotionkitError("none of the frames to keep is valid: their numbers are nan")
         before, after = self.before.seconds(timegrid.fps), self.after.seconds(timegrid.fps)
         if timegrid.num_frames == 1 and not (before or after):
-            raise MotionkitError("it has one frame, and nothing lies between; only --extend makes more of it")
+            raise MotionkitError("it has a single frame, so there is nothing between frames; only --extend applies")
         for reach in (before, after):
             if reach > LONGEST_REACH_SECONDS:
                 raise MotionkitError(f"--extend by {reach:g} s: at most {LONGEST_REACH_SECONDS:g} s beyond an end")
@@ -101,7 +101,7 @@ class CompletionRequest:
 
 @dataclass(frozen=True, eq=False)
 class ClipRequest:
-    """What to make of one clip: the framerate, which of its frames are known, seconds beyond both ends.
+    """A request for one clip: the framerate, a mask of known frames, seconds beyond both ends.
 
     `longest_gap_seconds` is the longest time between two known frames.
     """
@@ -115,7 +115,7 @@ class ClipRequest:
 
 
 def kept_frames(ranges: Sequence[FrameRange], num_frames: int) -> Bool[np.ndarray, "frames"]:
-    """A mask of the frames to keep, all of them where there are no ranges; raises `MotionkitError` for one outside."""
+    """A mask of the frames to keep, all without ranges; raises `MotionkitError` for a range outside the clip."""
     kept = np.full(num_frames, not ranges)
     for each in ranges:
         stop = num_frames if each.stop is None else each.stop
@@ -126,15 +126,15 @@ def kept_frames(ranges: Sequence[FrameRange], num_frames: int) -> Bool[np.ndarra
 
 
 def parse_keep(text: str) -> tuple[FrameRange, ...]:
-    """Ranges of frames such as `0:10,40:50`, half-open and counted from 0; also `:10`, `40:` and a single `7`.
+    """Parse ranges of frames such as `0:10,40:50`, half-open and counted from 0; also `:10`, `40:` and a single `7`.
 
-    Raises `UsageError` for what is no such list, and for ranges that are empty, reversed or overlap.
+    Raises `UsageError` for anything else, and for empty, reversed or overlapping ranges.
     """
     found = []
     for part in text.split(","):
         match = _RANGE.fullmatch(part.strip())
         if match is None or not (match["start"] or match["colon"]):
-            raise UsageError(f"--keep {text}: {part.strip()!r} is no range of frames such as 0:10, 40: or 7")
+            raise UsageError(f"--keep {text}: {part.strip()!r} is not a range of frames such as 0:10, 40: or 7")
         start, end = (whole_number(match[which] or "0") for which in ("start", "stop"))
         if start is None or end is None:
             raise UsageError(f"--keep {shown(text)}: no clip has as many frames")
@@ -150,7 +150,7 @@ def parse_keep(text: str) -> tuple[FrameRange, ...]:
 
 
 def parse_extend(text: str) -> tuple[Reach, Reach]:
-    """How far before and after, `0.5,1`; one number alone is after. Seconds, or frames of the clip with an f: `0,15f`.
+    """Parse the extrapolation before and after, `0.5,1`; a single number is after. Seconds, or frames: `0,15f`.
 
     Raises `UsageError`.
     """

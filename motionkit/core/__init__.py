@@ -1,3 +1,3 @@
-"""What everything else stands on: files that are whole, checksums."""
+"""Foundations: motions, skeletons, kinematics, atomic files, checksums, errors."""
 
 __version__ = "0.1.0"

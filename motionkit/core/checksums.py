@@ -1,4 +1,4 @@
-"""Files that carry a checksum of their own content, so that damage to any of it is noticed: JSON and safetensors."""
+"""JSON and safetensors files with a checksum of their own content, to detect damage."""
 
 import hashlib
 import json
@@ -17,55 +17,55 @@ from motionkit.core.files import read_regular, write_whole
 CHECKSUM = "checksum"
 # In the metadata of a safetensors file: the sha256 of the whole file with zeros in its place.
 ZEROS = b"0" * 64
-# Not in a string of the header: there its quotes would be escaped.
+# Not matched inside a string of the header, where its quotes would be escaped.
 _TENSORS_CHECKSUM = re.compile(rb'"sha256":"([0-9a-f]{64})"')
 # What safetensors allows.
 LARGEST_HEADER_BYTES = 100_000_000
 PIECE_BYTES = 1 << 20
 _CHECKSUM_VALUE = re.compile("sha256:[0-9a-f]{64}")
-# A file of more bytes is hashed by `motionkit validate --deep` alone; its size is compared always.
+# Larger files are only hashed by `motionkit validate --deep`; their size is always compared.
 MOST_HASHED_BYTES = 4 * 2**30
 _TYPES = {"sha256": str, "num_bytes": int}
 
 
 def sealed(document: Mapping[str, Any]) -> dict[str, Any]:
-    """The document with its checksum under the last key; raises `ValueError` for NaN and infinity."""
+    """Add a checksum to a document, as the last key; raises `ValueError` for NaN and infinity."""
     content = {name: value for name, value in document.items() if name != CHECKSUM}
-    # As a reader will see it: keys are strings there.
+    # As a reader sees it, with string keys.
     return {**content, CHECKSUM: checksum_of(json.loads(json.dumps(content, allow_nan=False)))}
 
 
 def checksum_of(document: Mapping[str, Any]) -> str:
-    """`sha256:` and the hexadecimal digest of a document's values: not of its white space or the order of its keys."""
+    """`sha256:` and the hexadecimal digest of a document's values, independent of white space and key order."""
     text = json.dumps(document, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return "sha256:" + hashlib.sha256(text.encode()).hexdigest()
 
 
 def unsealed(document: Mapping[str, Any]) -> dict[str, Any]:
-    """The document without its checksum; raises `ValueError` where the two do not agree.
+    """Verify and remove a document's checksum; raises `ValueError` if it does not match.
 
-    A document without a checksum, of before there were any, is given back as it is.
+    A document of an older version without a checksum is returned unchanged.
     """
     content = {name: value for name, value in document.items() if name != CHECKSUM}
     if CHECKSUM in document:
         found, expected = document[CHECKSUM], checksum_of(content)
         if found != expected:
-            raise ValueError("its content is not what its checksum says")
+            raise ValueError("its content does not match its checksum")
     elif any(isinstance(value, str) and _CHECKSUM_VALUE.fullmatch(value) for value in content.values()):
         raise ValueError(f"its key {CHECKSUM!r} is damaged")
     return content
 
 
 def write_json(path: Path, document: Mapping[str, Any]) -> None:
-    """Write a sealed JSON file that appears whole or not at all."""
+    """Write a JSON file with its checksum, atomically."""
     write_whole(path, json.dumps(sealed(document), indent=2, allow_nan=False, ensure_ascii=False) + "\n")
 
 
 def read_json(path: Path, mend: str) -> dict[str, Any]:
-    """Read a JSON object and check it; `mend` says what a person does about a damaged one.
+    """Read a JSON object and verify it; `mend` tells the user how to repair a damaged file.
 
-    Raises `DamagedFileError` for anything but a whole JSON object that agrees with its checksum, and `OSError` where
-    the file cannot be read.
+    Raises `DamagedFileError` for anything but a complete JSON object that matches its checksum, and `OSError` if the
+    file cannot be read.
     """
     try:
         document = json.loads(read_regular(path), parse_constant=_finite, parse_float=_finite)
@@ -90,9 +90,9 @@ def sha256_of(path: Path) -> str:
 
 
 def require_intact_tensors(path: Path, mend: str) -> bool:
-    """Compare a safetensors file's bytes with the checksum in its header; False where it has none.
+    """Verify a safetensors file by the checksum in its header; False if it has none.
 
-    `mend` says what a person does about a damaged file. Raises `DamagedFileError`, or `OSError` for one that cannot be
+    `mend` tells the user how to repair a damaged file. Raises `DamagedFileError`, or `OSError` for one that cannot be
     read.
     """
     with path.open("rb") as file:
@@ -114,27 +114,27 @@ def require_intact_tensors(path: Path, mend: str) -> bool:
 
 @dataclass(frozen=True)
 class FileDigest:
-    """What a file has to be: its sha256, hexadecimal, and its size."""
+    """A file's expected sha256 (hexadecimal) and size."""
 
     sha256: str
     num_bytes: int
 
     def plain(self) -> dict[str, Any]:
-        """The digest as JSON holds it."""
+        """The digest as JSON."""
         return asdict(self)
 
     @classmethod
     def parse(cls, value: Any) -> "FileDigest":
-        """A digest out of JSON; raises `ValueError` for anything else."""
+        """Parse a digest from JSON; raises `ValueError` for anything else."""
         if not isinstance(value, dict) or {name: type(each) for name, each in value.items()} != _TYPES:
             raise ValueError(f"{str(value)[:80]!r} is no digest of a file")
         return cls(**value)
 
 
 def file_fault(path: Path, digest: FileDigest, *, deep: bool = False) -> str:
-    """What is wrong with a file, empty where it is the one that the digest was taken of.
+    """The difference between a file and its digest; empty if they match.
 
-    Files above `MOST_HASHED_BYTES` are hashed if `deep`; a file that did not change since is hashed once in a process.
+    Files above `MOST_HASHED_BYTES` are only hashed if `deep`; an unchanged file is hashed once per process.
     """
     try:
         status = path.stat()

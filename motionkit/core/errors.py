@@ -1,15 +1,15 @@
-"""The project's own errors: each says where, what was found, what was expected."""
+"""The project's errors: each states the place, what was found and what was expected."""
 
 from os import PathLike
 from pathlib import Path
 
 
 class MotionkitError(Exception):
-    """A fault that is explained to a person; the command line prints it as one line and exits with 1."""
+    """An error with a message for users; the command line prints it as one line and exits with 1."""
 
 
 def describe(error: Exception) -> str:
-    """What to say of an error to a person; of the system's own, the file and the reason without numbers."""
+    """An error's message for users; for system errors the file and the reason, without error numbers."""
     if not isinstance(error, OSError) or not error.strerror:
         return str(error)
     names = [str(name) for name in (error.filename, error.filename2) if isinstance(name, (str, PathLike))]
@@ -20,7 +20,7 @@ class FormatError(MotionkitError):
     """A file that cannot be read as a motion.
 
     `reason` is a short fixed slug (`truncated`, `channel-count`, `nan`, `frame-time` …) by which ingest counts;
-    `line` and `frame` are 1-based and 0-based positions where they are known.
+    `line` (1-based) and `frame` (0-based) are positions if known.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ def _rebuild_format_error(message: str, path: str, reason: str, line: int | None
 
 
 class DamagedFileError(MotionkitError):
-    """A file whose content is not what was written; `mend` is what a person does about it."""
+    """A damaged file; `mend` tells the user how to repair it."""
 
     def __init__(self, path: Path | str, fault: str, mend: str) -> None:
         super().__init__(f"{path} is damaged ({fault}): {mend}")
@@ -60,7 +60,7 @@ class DamagedFileError(MotionkitError):
 
 
 class MotionkitWarning(UserWarning):
-    """What a person should know of a result that is there all the same; the command line prints it as one line."""
+    """A warning about a result; the command line prints it as one line."""
 
 
 class LinkError(MotionkitError):
@@ -72,7 +72,7 @@ class StoreError(MotionkitError):
 
 
 class UsageError(MotionkitError):
-    """A request that makes no sense as given; the command line exits with 2."""
+    """An invalid request; the command line exits with 2."""
 
 
 class MissingExtraError(MotionkitError):

@@ -1,4 +1,4 @@
-"""Files and folders that appear whole or not at all, locks between processes, deleting without following links."""
+"""Atomic files and folders, locks between processes, deletion without following links."""
 
 import errno
 import fcntl
@@ -12,7 +12,7 @@ from pathlib import Path
 
 from motionkit.core.errors import LinkError, StoreError, UsageError
 
-# In a folder that is being written, and what is read of one to say who writes.
+# The lock file in a folder that is being written, and how much of it is read for messages.
 LOCK = ".lock"
 HOLDER_BYTES = 300
 
@@ -22,8 +22,8 @@ def whole_file(path: Path) -> Iterator[Path]:
     """Yield a temporary file beside `path` that replaces it when the block ends without an error.
 
     The content is flushed to the disk before the rename, and the folder after it. Permissions follow the umask. The
-    temporary file has one name for each `path` and is locked: a second writer of the same path waits for the first, and
-    what a killed one left is written over. Raises `OSError` that names `path`, also where the disk is full.
+    temporary file has a fixed name for each `path` and is locked: a second writer of the same path waits for the first,
+    and a killed writer's file is overwritten. Raises `OSError` that names `path`, also if the disk is full.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.exists():
@@ -35,38 +35,38 @@ def whole_file(path: Path) -> Iterator[Path]:
             yield temporary
             replace(temporary, path)
         finally:
-            # Once it has been renamed, a file of that name is another writer's.
+            # After the rename, a file of that name belongs to another writer.
             if _is_at(descriptor, temporary):
                 temporary.unlink()
             os.close(descriptor)
 
 
 def write_whole(path: Path, content: bytes | str) -> None:
-    """Write bytes, or text as UTF-8, into a file that appears whole or not at all."""
+    """Write bytes, or text as UTF-8, atomically."""
     with whole_file(path) as temporary:
         temporary.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
 
 
 def replace(source: Path, target: Path) -> None:
-    """Rename inside one folder, replacing what was there; the content and then the name are flushed to the disk."""
+    """Rename inside one folder, replacing the target; content, then name are flushed to the disk."""
     sync(source)
     source.replace(target)
     sync(target.parent)
 
 
 def create(path: Path) -> None:
-    """Make an empty file where there is nothing, not even a link; raises `FileExistsError`."""
+    """Create an empty file; raises `FileExistsError` if anything is there, even a link."""
     os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
 
 
 def read_regular(path: Path) -> bytes:
-    """Content of a file; raises `OSError` for a pipe or a device, which might never end."""
+    """Content of a regular file; raises `OSError` for a pipe or a device, which might never end."""
     require_regular(path)
     return path.read_bytes()
 
 
 def read_at_most(path: Path, num_bytes: int) -> bytes:
-    """Content of a file or a pipe of up to so many bytes; raises `OSError` for more, which a device never ends."""
+    """Content of a file or a pipe of limited size; raises `OSError` for more."""
     with path.open("rb") as file:
         content = file.read(num_bytes + 1)
     if len(content) > num_bytes:
@@ -75,18 +75,18 @@ def read_at_most(path: Path, num_bytes: int) -> bytes:
 
 
 def require_regular(path: Path) -> None:
-    """Raise `OSError` for what is there but is no file: a folder, a pipe, a device. A link to a file is one."""
+    """Raise `OSError` for a folder, a pipe or a device; links to files are allowed."""
     if not stat.S_ISREG(path.stat().st_mode):
         raise OSError(errno.EINVAL, "not a regular file", str(path))
 
 
 def temporary_name(path: Path) -> Path:
-    """Where `whole_file` writes what becomes `path`; its suffix stays last, for writers that choose by it."""
+    """The temporary path of `whole_file`; the suffix stays last, for writers that choose by it."""
     return path.with_name(f".{path.name}.tmp{path.suffix}")
 
 
 def require_no_link(path: Path, instead: str) -> None:
-    """Raise `LinkError`, with what to do instead, where `path` is a symbolic link."""
+    """Raise `LinkError`, with advice, if `path` is a symbolic link."""
     if path.is_symlink():
         raise LinkError(
             f"{path} is a symbolic link to {path.readlink()}, which is not followed, for what lies there may be "
@@ -95,12 +95,12 @@ def require_no_link(path: Path, instead: str) -> None:
 
 
 def free_bytes(path: Path) -> int:
-    """Room on the disk of a path, or of the folder above it that is there."""
+    """Free bytes on the disk of a path, or of its nearest existing parent."""
     return shutil.disk_usage(existing(path)).free
 
 
 def existing(path: Path) -> Path:
-    """The path itself, or the nearest folder above it that is there."""
+    """The path itself, or its nearest existing parent."""
     there = path.absolute()
     while not there.exists():
         there = there.parent
@@ -108,7 +108,7 @@ def existing(path: Path) -> Path:
 
 
 def require_empty(folder: Path) -> None:
-    """Raise `UsageError` for a folder that holds something, or a file of its name."""
+    """Raise `UsageError` for a folder that is not empty, or a file."""
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"{folder} is a file: name a new folder")
     if folder.exists() and any(folder.iterdir()):
@@ -116,13 +116,13 @@ def require_empty(folder: Path) -> None:
 
 
 def remove_folder(path: Path) -> None:
-    """Delete a folder and all that is in it; raises `LinkError` for a symbolic link, follows none inside."""
+    """Delete a folder with its content, without following links; raises `LinkError` for a symbolic link."""
     require_no_link(path, "delete the link, or what it points to, yourself")
     shutil.rmtree(path)
 
 
 def remove_entry(path: Path) -> None:
-    """Delete a file, a folder with all that is in it, or a symbolic link, but not what the link points to."""
+    """Delete a file, a folder with its content, or a symbolic link, but not the link's target."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:
@@ -138,7 +138,7 @@ def _open_locked(path: Path) -> int:
         if _is_at(descriptor, path):
             os.ftruncate(descriptor, 0)
             return descriptor
-        os.close(descriptor)  # the writer that was waited for has renamed the file
+        os.close(descriptor)  # the previous writer has renamed the file
 
 
 def _is_at(descriptor: int, path: Path) -> bool:
@@ -151,7 +151,7 @@ def _is_at(descriptor: int, path: Path) -> bool:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Let an `OSError` that names no file, as a write to a full disk raises it, name this one."""
+    """Add the file's name to an `OSError` without one, as raised for a full disk."""
     try:
         yield
     except OSError as error:
@@ -159,7 +159,7 @@ def naming(path: Path) -> Iterator[None]:
             raise
         if error.errno is None:  # as numpy raises it
             raise OSError(f"{path} cannot be written whole, perhaps the disk is full ({error})") from None
-        # pyarrow puts a sentence of its own before the system's words.
+        # pyarrow adds a sentence before the system's message.
         raise OSError(error.errno, os.strerror(error.errno), str(path)) from None
 
 
@@ -177,9 +177,9 @@ def sync(path: Path) -> None:
 def whole_folder(path: Path) -> Iterator[Path]:
     """Yield an empty folder that becomes `path`, which must be absent or empty, when the block ends without an error.
 
-    It lies in `NAME.partial` beside `path`, with a lock that dies with the process: what a killed writer left is
-    deleted by the next one. Raises `UsageError` where another process writes the same folder, or where `NAME.partial`
-    is somebody else's, and `LinkError` where it is a link.
+    It is `NAME.partial` beside `path`, with a lock that is released when the process dies: leftovers of a killed writer
+    are deleted by the next one. Raises `UsageError` if another process writes the same folder, or if `NAME.partial`
+    was not made by motionkit, and `LinkError` for a link.
     """
     partial = path.with_name(f"{path.name}.partial")
     require_no_link(partial, "delete the link")
@@ -194,7 +194,7 @@ def whole_folder(path: Path) -> Iterator[Path]:
         content.rename(path)
         sync(path.parent)
     finally:
-        # Also when stopped by Ctrl-C: nobody would see that it is half a folder. The lock goes last.
+        # Also after Ctrl-C, since a partial folder would look complete. The lock is deleted last.
         _remove_content(partial)
         with suppress(OSError):
             (partial / LOCK).unlink()
@@ -203,13 +203,13 @@ def whole_folder(path: Path) -> Iterator[Path]:
 
 
 def _lock_folder(partial: Path) -> int:
-    """The locked descriptor of the lock's file in `partial`, which is made where it is absent."""
+    """The locked descriptor of the lock file in `partial`, created if needed."""
     lock = partial / LOCK
     while True:
         partial.mkdir(exist_ok=True)
         if not lock.exists() and any(partial.iterdir()):
             raise UsageError(f"{partial} exists, and motionkit did not make it: delete it, or name another folder")
-        # Another writer that ends at this moment deletes the lock, and the folder.
+        # Another writer that ends at this moment deletes the lock and the folder.
         with suppress(FileNotFoundError):
             descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
             try:
@@ -235,10 +235,10 @@ def _remove_content(partial: Path) -> None:
 
 @contextmanager
 def exclusive_lock(path: Path, *, busy: str | None) -> Iterator[None]:
-    """Hold an exclusive lock on a file for as long as the block runs; the file is made where it is missing.
+    """Hold an exclusive lock on a file during the block; the file is created if needed.
 
-    With `busy`, a lock that is held elsewhere raises `StoreError` with that text and the holder's name; without, it is
-    waited for. Raises `LinkError` for a symbolic link.
+    With `busy`, a lock held elsewhere raises `StoreError` with that text and the holder's name; otherwise wait for it.
+    Raises `LinkError` for a symbolic link.
     """
     require_no_link(path, "delete the link")
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)

@@ -1,6 +1,6 @@
-"""Framerates as exact fractions: read from numbers and texts, written so that they are read back.
+"""Framerates as exact fractions: parsing from numbers and texts, and formatting.
 
-Light on purpose: the command line reads its options with it, and loads neither numpy nor anything else for that.
+Light on purpose: the command line parses its options with it, without numpy.
 """
 
 import math
@@ -21,17 +21,17 @@ COMMON_FPS: tuple[Fraction, ...] = (
 SNAP_TOLERANCE = 1e-3
 MIN_FPS, MAX_FPS = Fraction(1), Fraction(10_000)
 LARGEST_FLOAT = 1e308
-# What stands for a framerate wherever people give one (`parse_fps`).
+# Anything that `parse_fps` accepts.
 Framerate = Fraction | int | float | str
 
 
-@lru_cache(maxsize=256, typed=True)  # a corpus says the same few thousands of times
+@lru_cache(maxsize=256, typed=True)  # a corpus repeats the same few thousands of times
 def parse_fps(value: Framerate) -> Fraction:
     """Read a framerate exactly: `120`, `"30000/1001"`, `"59.94"`, or a float that is snapped to a common rate.
 
     A float or decimal string within 0.1 % of a common framerate becomes that rate (120.00004577636719 → 120), because
-    files print them with few digits; anything else is kept as the closest fraction with a denominator up to 100,000.
-    Raises `ValueError` for what is no number, is not finite, or lies outside 1 … 10,000 frames a second.
+    files print them with few digits; anything else becomes the closest fraction with a denominator up to 100,000.
+    Raises `ValueError` for anything but a finite number between 1 and 10,000 frames per second.
     """
     if isinstance(value, str):
         try:

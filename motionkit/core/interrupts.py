@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM, which may come at any moment, held back while something must not stop halfway."""
+"""Defers Ctrl-C and SIGTERM during critical sections."""
 
 import signal
 import sys
@@ -11,15 +11,15 @@ STOPPING = (signal.SIGTERM, signal.SIGINT)
 
 @contextmanager
 def held_back() -> Iterator[None]:
-    """Deliver Ctrl-C and SIGTERM only after the block, however it ends; for what takes little time.
+    """Deliver Ctrl-C and SIGTERM only after the block, however it ends; for short blocks.
 
-    Blocks may be nested. Outside the main thread, where no signals are handled, nothing is done.
+    Blocks may be nested. Does nothing outside the main thread, where no signals are handled.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     came: list[int] = []
-    # None: a handler that was not set from Python, which cannot be put back.
+    # None: a handler that was not set from Python and cannot be restored.
     previous = {number: handler for number in STOPPING if (handler := signal.getsignal(number)) is not None}
     try:
         for number in previous:
@@ -36,9 +36,9 @@ _stopped: list[int] = []
 
 
 def stop_by_signals() -> None:
-    """Let Ctrl-C and SIGTERM raise `KeyboardInterrupt`, so that what was begun is tidied up; see `was_stopped`.
+    """Let Ctrl-C and SIGTERM raise `KeyboardInterrupt`, so that cleanup runs; see `was_stopped`.
 
-    A library that is being loaded may turn the exception into another, or print it where it cannot be raised.
+    A library may convert the exception, or print it where it cannot be raised.
     """
     for number in STOPPING:
         if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
@@ -46,7 +46,7 @@ def stop_by_signals() -> None:
 
 
 def was_stopped() -> bool:
-    """Whether one of the signals has come since `stop_by_signals`."""
+    """Whether one of the signals was received since `stop_by_signals`."""
     return bool(_stopped)
 
 
@@ -57,6 +57,6 @@ def _stop(number: int, frame: object) -> None:
 
 
 def stop_no_more() -> None:
-    """Ignore Ctrl-C and SIGTERM from here on: for a process that has ended its work and only has to leave."""
+    """Ignore Ctrl-C and SIGTERM from here on, for a process that is about to exit."""
     for number in STOPPING:
         signal.signal(number, signal.SIG_IGN)

@@ -62,7 +62,7 @@ def quaternion_to_matrix(q: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 
 
 def matrix_to_quaternion(matrix: Float[np.ndarray, "*n 3 3"]) -> Float[np.ndarray, "*n 4"]:
     """Rotation matrices → unit quaternions with w ≥ 0."""
-    from scipy.spatial.transform import Rotation  # a quarter of a second that most readers need not spend
+    from scipy.spatial.transform import Rotation  # deferred: the import takes a quarter of a second
 
     q = Rotation.from_matrix(matrix.reshape(-1, 3, 3)).as_quat(canonical=True, scalar_first=True)
     return np.asarray(q, dtype=matrix.dtype).reshape(*matrix.shape[:-2], 4)
@@ -132,7 +132,7 @@ def euler_to_quaternion(
 
 
 def rotation_vector_to_quaternion(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 4"]:
-    """Rotation vectors (axis times angle in radians) → unit quaternions of the same dtype; no length is no turn."""
+    """Rotation vectors (axis times angle in radians) → unit quaternions of the same dtype; zero is the identity."""
     components = np.ascontiguousarray(np.moveaxis(vectors, -1, 0))
     angle = np.sqrt(np.sum(components * components, axis=0))
     half = 0.5 * angle
@@ -153,7 +153,7 @@ def quaternion_to_rotation_vector(q: Float[np.ndarray, "*n 4"]) -> Float[np.ndar
 
 
 def continuous_quaternions(q: Float[np.ndarray, "frames joints 4"]) -> Float[np.ndarray, "frames joints 4"]:
-    """The same rotations with signs chosen so that consecutive quaternions lie on the same half of the sphere."""
+    """The same rotations with signs that make consecutive quaternions have a non-negative dot product."""
     odd = np.cumsum(np.sum(q[1:] * q[:-1], axis=-1) < 0, axis=0) % 2 == 1
     result = q.copy()
     result[1:][odd] *= -1
@@ -263,12 +263,12 @@ def inverse_kinematics_in_time(
     skeleton: Skeleton,
     first_rotations: Float[np.ndarray, "joints 4"] | None = None,
 ) -> Float[np.ndarray, "frames joints 4"]:
-    """`inverse_kinematics` for what is done along time: from frame to frame no bone turns about itself.
+    """`inverse_kinematics` with continuous twist over time, for interpolation.
 
     The shortest rotation from rest has a pole: near the opposite of the rest direction (an arm overhead) its twist
-    spins, and a curve through such rotations swings what hangs on the bone by decimetres. Here a joint with one child
-    goes from frame to frame by the shortest rotation of its bone, from `first_rotations` where those of frame 0 are
-    known. Over a long motion that twist drifts from the anatomical one, so this is no pose to show or to export.
+    spins, and interpolation swings the bone's children by decimetres. Here a joint with one child is rotated from frame
+    to frame by the shortest rotation of its bone, starting from `first_rotations` if given. Over a long motion the
+    twist drifts from the anatomical one, so the result is not for display or export.
     """
 
     def point(
@@ -317,16 +317,16 @@ def _carried_along(
     while reach < len(q):  # products of all steps so far, in log₂ frames passes
         q[reach:] = quaternion_multiply(q[reach:], q[:-reach])
         reach *= 2
-    # Once more from where the bone now points: products drift, and a bone without length has no direction to hand on.
+    # Correct once more to the bone's direction: products drift, and a bone without length has no direction.
     return quaternion_multiply(quaternion_between(quaternion_rotate(q, rest), observed), q)
 
 
 def fit_rotation(
     rest: Float[np.ndarray, "*frames bones 3"], observed: Float[np.ndarray, "frames bones 3"], inertia: float = 0.0
 ) -> Float[np.ndarray, "frames 4"]:
-    """The rotation that takes bones at rest nearest to the observed ones, by least squares (Kabsch 1976).
+    """The least-squares rotation from bones at rest to observed ones (Kabsch 1976).
 
-    Where all bones lie on a line their twist is free; `inertia`, a share of the bones' lengths, then keeps it unturned.
+    For collinear bones the twist is free; `inertia`, a share of the bones' lengths, then keeps it at zero.
     """
     covariance = np.einsum("...bi,...bj->...ij", observed, rest)
     if inertia:
@@ -346,7 +346,7 @@ def closest_rotations(columns: Float[np.ndarray, "*poses numbers"]) -> Float64[n
     first = _unit(pairs[..., 0, :], np.array([1.0, 0.0, 0.0]))
     second = pairs[..., 1, :]
     second = second - np.sum(first * second, axis=-1, keepdims=True) * first
-    # Perpendicular to the first, for the case that nothing is left: the axis that it points along least.
+    # A fallback perpendicular to the first column, from the axis that it points along least.
     axis = np.eye(3)[np.argmin(np.abs(first), axis=-1)]
     second = _unit(second, axis - np.sum(first * axis, axis=-1, keepdims=True) * first)
     second = _unit(second, second)

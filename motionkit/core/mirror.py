@@ -14,7 +14,7 @@ TURN_BACK = np.array([1.0, 1.0, -1.0, -1.0], dtype=np.float32)
 
 
 def mirror(motion: Motion) -> Motion:
-    """The mirror image in the plane x = 0, with its left and right joints exchanged; captions stay as they are.
+    """The mirror image in the plane x = 0, with left and right joints exchanged; captions are unchanged.
 
     Rotations come with a mirrored skeleton, so that forward kinematics gives the mirrored positions exactly, also for a
     body that is not symmetric. Raises `ValueError` for a skeleton without left/right pairs, or whose pairs hang from

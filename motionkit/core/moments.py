@@ -23,7 +23,7 @@ class Moments:
 
 
 def moments(rows: Float[np.ndarray, "rows numbers"]) -> Moments:
-    """Moments of some rows; raises `ValueError` for no rows or a number that is not finite."""
+    """Moments of rows; raises `ValueError` for no rows or non-finite numbers."""
     values = rows.astype(np.float64)
     if len(values) == 0 or not np.isfinite(values).all():
         raise ValueError(f"statistics need at least one row of finite numbers; these {rows.shape} are not")
@@ -40,7 +40,7 @@ def merge(a: Moments, b: Moments) -> Moments:
 
 
 def stream(parts: Iterable[npt.NDArray[np.floating]]) -> Moments:
-    """Moments of many parts [rows, numbers], one at a time in memory; raises `ValueError` where there are none."""
+    """Moments of many parts [rows, numbers], one at a time in memory; raises `ValueError` without parts."""
     total: Moments | None = None
     for part in parts:
         found = moments(part)

@@ -18,9 +18,9 @@ from motionkit.core.timegrid import SAME_SECONDS, TimeGrid
 
 @dataclass(frozen=True)
 class Caption:
-    """A sentence about [start_seconds, end_seconds) of a motion's clock; `end_seconds` None means to the end.
+    """A sentence about [start_seconds, end_seconds) of a motion; `end_seconds` None means to the end.
 
-    `tokens` is HumanML3D's `word/POS word/POS …` line where the source has one, else empty.
+    `tokens` is HumanML3D's `word/POS word/POS …` line if the source has one, else empty.
 
     >>> mk.Caption("a person waves", 1.5, 3.0).end_seconds
     3.0
@@ -34,9 +34,9 @@ class Caption:
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where a motion comes from and what was done to it.
+    """A motion's origin and processing history.
 
-    `stated_fps` is what the file says, verbatim (empty where it says nothing); `operations` is the log, oldest first.
+    `stated_fps` is the framerate stated in the file, verbatim (empty if none); `operations` is the log, oldest first.
     """
 
     source: str = ""
@@ -52,11 +52,11 @@ class Provenance:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """One sequence of poses that never travels without its clock.
+    """A sequence of poses with its time grid and skeleton.
 
     `joint_positions` [T, J, 3] metres float32; `local_rotations` [T, J, 4] unit quaternions relative to the parent, and
-    `root_translation` [T, 3] metres, where the source has true ones. Raises `ValueError` where shapes disagree with the
-    time grid or the skeleton. In a notebook a motion shows its moving skeleton.
+    `root_translation` [T, 3] metres, if the source has true ones. Raises `ValueError` if shapes disagree with the time
+    grid or the skeleton. Notebooks display a motion as a moving skeleton.
 
     >>> motion = mk.read("walk.bvh")
     >>> motion.fps, motion.num_frames, motion.duration_seconds
@@ -123,7 +123,7 @@ class Motion:
         return self.timegrid.duration_seconds
 
     def frames(self, start: int, stop: int) -> "Motion":
-        """Frames [start, stop) with their own time stamps; captions are kept as they are."""
+        """Frames [start, stop) with their own time stamps; captions are unchanged."""
         if not 0 <= start < stop <= self.num_frames:
             raise ValueError(f"frames [{start}, {stop}) do not lie inside the motion's {self.num_frames}")
         grid = TimeGrid(self.fps, stop - start, self.timegrid.start_seconds + float(start / self.fps))
@@ -136,10 +136,10 @@ class Motion:
         )
 
     def __getitem__(self, seconds: slice) -> "Motion":
-        """The frames of [start, stop) in seconds of the motion's clock, which goes on: a part begins at its own time.
+        """The frames of [start, stop) in seconds; a part keeps its time stamps.
 
-        Captions are cut to the part, those of other parts left out. Raises `ValueError` for seconds that hold no frame,
-        `TypeError` for anything but `motion[start:stop]`; `frames` takes numbers of frames.
+        Captions are cut to the part, and those of other parts dropped. Raises `ValueError` for seconds without a frame,
+        `TypeError` for anything but `motion[start:stop]`; `frames` slices by frame indices.
 
         >>> part = mk.read("walk.bvh")[1.5:2.0]
         >>> part.num_frames, part.timegrid.start_seconds
@@ -168,7 +168,7 @@ class Motion:
         return made
 
     def save(self, path: str | Path) -> None:
-        """Write the motion to a file whose suffix says its format, as `motionkit.write` does.
+        """Write the motion to a file in the format of its suffix, as `motionkit.write` does.
 
         >>> mk.read("walk.bvh").save("walk.glb")
         """
@@ -180,7 +180,7 @@ class Motion:
         return page
 
     def annotated_like(self, source: "Motion") -> "Motion":
-        """The same frames with the captions, labels, id and provenance of the motion they were made of."""
+        """The same frames with the captions, labels, id and provenance of another motion."""
         return replace(
             self,
             captions=source.captions,
@@ -205,10 +205,7 @@ class Motion:
 
 
 def _cut(captions: tuple[Caption, ...], grid: TimeGrid) -> tuple[Caption, ...]:
-    """The captions of what a time grid covers, with the seconds in which they are about it.
-
-    One that is about all of it stays as it is.
-    """
+    """The captions that overlap a time grid, clipped to it; a caption of all of it is unchanged."""
     begin, end = grid.start_seconds, grid.start_seconds + grid.duration_seconds
     kept = []
     for caption in captions:

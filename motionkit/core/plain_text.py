@@ -1,7 +1,7 @@
-"""Values from text that a stranger may have written: TOML, JSON, whole numbers; and such text shown to a person.
+"""Parsing of untrusted text: TOML, JSON, integers; and safe display of such text.
 
-Python's own readers raise several kinds of error (nesting too deep, numbers of thousands of digits) and give back
-numbers that no array can hold, on which the next line of code fails. Here every fault is a `ValueError`.
+Python's own parsers raise several kinds of error (nesting too deep, numbers of thousands of digits) and return integers
+that no array can hold. Here every fault is a `ValueError`.
 """
 
 import json
@@ -16,20 +16,20 @@ MOST_DIGITS = 18
 LARGEST_WHOLE = 2**63
 LONGEST_TOML, MOST_POINTS = 1_000_000, 500
 SHOWN_LETTERS = 80
-# C0 and C1 controls, marks and overrides of direction, line separators, letters without width, lone surrogates.
+# C0 and C1 controls, direction marks and overrides, line separators, zero-width characters, lone surrogates.
 UNSAFE_LETTERS = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u2069\ufeff\ud800-\udfff]")
 
 
 def whole_number(text: str) -> int | None:
-    """The number that 1 to 18 decimal digits spell; None for any other text, signs among them."""
+    """The integer of 1 to 18 decimal digits; None for any other text, including signs."""
     return int(text) if text.isdecimal() and len(text) <= MOST_DIGITS else None
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """The table of a TOML text; raises `ValueError` for anything else.
+    """Parse TOML; raises `ValueError` for anything else.
 
-    So it does for numbers beyond 64 bits, and for sizes that no settings have: a million letters, or 500 points in a
-    line, since `a.b.c…` takes time with the square of its parts.
+    Also for integers beyond 64 bits, and for implausible sizes: a million characters, or 500 dots in a line, since
+    parsing `a.b.c…` takes quadratic time.
     """
     if len(text) > LONGEST_TOML or any(line.count(".") > MOST_POINTS for line in text.split("\n")):
         raise ValueError(f"longer than {LONGEST_TOML:,} letters, or a line with more than {MOST_POINTS} points")
@@ -42,10 +42,9 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def parse_json(text: str, object_pairs_hook: Callable[[list[tuple[str, Any]]], Any] | None = None) -> Any:
-    """The value of a JSON text, whole numbers beyond 64 bits as floats; the hook is that of `json.loads`.
+    """Parse JSON, with integers beyond 64 bits as floats; the hook is that of `json.loads`.
 
-    Raises `json.JSONDecodeError` with the place, or another `ValueError`: nested too deep, half a character (a lone
-    surrogate, which no file can hold).
+    Raises `json.JSONDecodeError` with the position, or another `ValueError`: nested too deep, or a lone surrogate.
     """
     try:
         value = json.loads(text, parse_int=_bounded, object_pairs_hook=object_pairs_hook)
@@ -70,7 +69,7 @@ def shown(value: object, limit: int = SHOWN_LETTERS) -> str:
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:
-    """` (did you mean fps?)` where a word is nearly a known one, or begins with one; else nothing."""
+    """` (did you mean fps?)` if a word is close to a known one, or begins with one; else empty."""
     import difflib
 
     plain, words = word.strip().casefold(), sorted(known)
@@ -80,15 +79,15 @@ def suggestion(word: str, known: Iterable[str]) -> str:
 
 
 def printable(text: str) -> str:
-    """A text as one line that a terminal shows and does not obey: control characters as their escapes (`\\x1b`, `\\n`).
+    """A text as one line that is safe on a terminal: control characters as escapes (`\\x1b`, `\\n`).
 
-    So are marks that turn the direction of writing, and the bytes of a file's name that are no UTF-8.
+    Also direction marks, and bytes of a file name that are not UTF-8.
     """
     return UNSAFE_LETTERS.sub(lambda found: found[0].encode("unicode_escape", "surrogatepass").decode("ascii"), text)
 
 
 def shortened(text: str, limit: int) -> str:
-    """A text of at most about `limit` letters: of a longer one the middle is left out, for its end says what to do."""
+    """A text of at most about `limit` characters, shortened in the middle, since the end has the advice."""
     if len(text) <= limit:
         return text
     return f"{text[: limit // 2]} … ({len(text) - limit:,} letters left out) … {text[-(limit - limit // 2) :]}"

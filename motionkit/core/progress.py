@@ -1,4 +1,4 @@
-"""What long work says while it runs: progress by a callback, warnings by Python's `warnings`.
+"""Progress by callbacks, and warnings by Python's `warnings`.
 
     store = Store.open("store", on_progress=show)
     warnings.simplefilter("ignore", MotionkitWarning)
@@ -38,11 +38,11 @@ OnProgress = Callable[[Progress], None]
 
 
 def ignore(progress: Progress) -> None:
-    """Do nothing with a report: the default wherever a callback can be given."""
+    """Ignore a report: the default callback."""
 
 
 class Task:
-    """A task that is under way; each method reports its new state to the callback."""
+    """A running task; each method reports its new state to the callback."""
 
     def __init__(self, on_progress: OnProgress, progress: Progress) -> None:
         self._on_progress, self._progress = on_progress, progress
@@ -81,7 +81,7 @@ class Task:
 def task(
     on_progress: OnProgress, name: str, total: int | None = None, *, done: int = 0, note: str = ""
 ) -> Iterator[Task]:
-    """A task that lasts as long as the `with` block; it is finished on errors too."""
+    """A task for a `with` block; it is finished on errors too."""
     started = Task(on_progress, Progress(name, done, total, note))
     try:
         yield started
@@ -90,7 +90,7 @@ def task(
 
 
 def tracked(on_progress: OnProgress, name: str, items: Iterable[T], total: int) -> Iterator[T]:
-    """Iterate over items as a task; an item counts as done when the next one is asked for."""
+    """Iterate over items as a task; an item is done when the next one is requested."""
     with task(on_progress, name, total) as work:
         for item in items:
             yield item
@@ -98,7 +98,7 @@ def tracked(on_progress: OnProgress, name: str, items: Iterable[T], total: int) 
 
 
 def warn(message: str) -> None:
-    """Give a `MotionkitWarning` of one sentence, at the line outside of motionkit that led to it."""
+    """Issue a `MotionkitWarning`, attributed to the calling line outside of motionkit."""
     frame, level = sys._getframe(1), 2
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "motionkit":
         frame, level = frame.f_back, level + 1

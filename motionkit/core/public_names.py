@@ -1,6 +1,6 @@
-"""Packages whose public names come from modules that are imported when a name is first used.
+"""Lazy imports of a package's public names.
 
-A package says in its `__init__.py` where its names lie:
+A package lists the modules of its names in its `__init__.py`:
 
     give_names(__name__, {"Store": "motionkit.store.reader"})
 
@@ -18,12 +18,12 @@ from typing import Any
 
 
 class _Package(ModuleType):
-    """A package that imports what it is asked for."""
+    """A package that imports its names on first use."""
 
     _places: Mapping[str, str]
 
     def __getattr__(self, name: str) -> Any:
-        # Python asks here only for what the package does not hold yet.
+        # Only called for names that are not set yet.
         place = self.__dict__["_places"].get(name)
         if place is None:
             raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
@@ -31,12 +31,12 @@ class _Package(ModuleType):
         return value
 
     def __setattr__(self, name: str, value: Any) -> None:
-        # The import system binds a submodule to its name in the package; a public name stays what it is.
+        # The import system binds submodules to their names in the package; public names take precedence.
         if not (name in self.__dict__["_places"] and isinstance(value, ModuleType)):
             super().__setattr__(name, value)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # As any module travels: a function that uses the package may be sent to a worker.
+        # Pickled like any module, since functions that use the package may be sent to workers.
         return import_module, (self.__name__,)
 
     def __dir__(self) -> list[str]:
@@ -44,7 +44,7 @@ class _Package(ModuleType):
 
 
 def give_names(package: str, places: Mapping[str, str]) -> None:
-    """Let a package give each of these names from the module that defines it; `places` maps name to module."""
+    """Make a package provide these names lazily; `places` maps each name to its module."""
     module = sys.modules[package]
     module.__dict__["_places"] = dict(places)
     module.__class__ = _Package
@@ -54,12 +54,12 @@ _places: dict[str, str] = {}
 
 
 def provide(**places: str) -> None:
-    """Say where functions lie: `save="package.module:function"`."""
+    """Register functions by location: `save="package.module:function"`."""
     _places.update(places)
 
 
 def provided(name: str) -> Callable[..., Any]:
-    """The function that was provided under a name; raises `KeyError` where none was."""
+    """The function registered under a name; raises `KeyError` if there is none."""
     module, _, function = _places[name].partition(":")
     found: Callable[..., Any] = getattr(import_module(module), function)
     return found

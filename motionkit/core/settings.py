@@ -1,4 +1,4 @@
-"""Where things lie by default: command-line option, then environment variable, then motionkit.toml, then ./name."""
+"""Default paths: command-line option, then environment variable, then motionkit.toml, then ./name."""
 
 import os
 from pathlib import Path
@@ -13,9 +13,9 @@ FILE = Path("motionkit.toml")
 
 
 def default_path(key: str) -> Path:
-    """Default path of `store`, `runs` or `results`, seen from the current folder.
+    """Default path of `store`, `runs` or `results`, relative to the current folder.
 
-    Raises `UsageError` for a motionkit.toml that is not TOML, or says something else than a path.
+    Raises `UsageError` for a motionkit.toml that is not TOML, or has another value than a path.
     """
     if key not in KEYS:
         raise KeyError(key)
@@ -23,7 +23,7 @@ def default_path(key: str) -> Path:
 
 
 def optional_path(key: str) -> Path | None:
-    """Path of `body_models` or `cache` where the environment or motionkit.toml states one; raises as `default_path`."""
+    """Path of `body_models` or `cache` from the environment or motionkit.toml, or None; raises as `default_path`."""
     if key not in OPTIONAL_KEYS:
         raise KeyError(key)
     return _stated_path(key)
@@ -40,7 +40,7 @@ def _stated_path(key: str) -> Path | None:
 
 
 def read_settings() -> dict[str, Any]:
-    """What motionkit.toml of the current folder says, empty where there is none; raises `UsageError` for no TOML."""
+    """The content of motionkit.toml in the current folder, empty if absent; raises `UsageError` if it is not TOML."""
     if not FILE.is_file():
         return {}
     try:

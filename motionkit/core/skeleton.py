@@ -7,13 +7,13 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float32, Int64
 
-# The most that a file may have: more are a mistake or an attack.
+# More joints in a file are a mistake or an attack.
 MAX_JOINTS = 10_000
 
 
 @dataclass(frozen=True)
 class Feet:
-    """Joint indices of both feet; `toe` equals `ankle` where a skeleton has no toe joint."""
+    """Joint indices of both feet; `toe` equals `ankle` for a skeleton without toe joints."""
 
     left_ankle: int
     left_toe: int
@@ -26,8 +26,8 @@ class Skeleton:
     """A joint hierarchy, parents before children.
 
     `offsets` are rest positions relative to the parent in metres, float32 [J, 3] (row 0: the root's rest offset).
-    `end_sites` maps a leaf's index to the offset of the unnamed tip that BVH calls End Site. `layout_map` is the user's
-    own map to the standard layouts as canonical JSON (`motionkit.core.skeletons.families`), empty where names decide.
+    `end_sites` maps a leaf's index to the offset of the unnamed tip that BVH calls End Site. `layout_map` is a user's
+    map to the standard layouts as canonical JSON (`motionkit.core.skeletons.families`), or empty to map by names.
     Raises `ValueError` for a parent that does not precede its child, repeated names, or arrays of unequal length.
 
     >>> skeleton = mk.read("walk.bvh").skeleton
@@ -84,7 +84,7 @@ class Skeleton:
         return f"Skeleton({self.name!r}, {self.num_joints} joints, {self.fingerprint})"
 
     def index(self, joint_name: str) -> int:
-        """Index of a joint by name; raises `KeyError` with the names there are."""
+        """Index of a joint by name; raises `KeyError` that lists the names."""
         try:
             return self.joint_names.index(joint_name)
         except ValueError:

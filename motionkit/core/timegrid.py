@@ -1,7 +1,7 @@
 """Seconds ↔ frames ↔ normalised coordinates in [−1, 1]; clip windows.
 
 Frame k of a sequence is at `start_seconds + k / fps`. Intervals are half-open: T frames last T / fps seconds, while the
-instants that were really observed span (T − 1) / fps.
+observed instants span (T − 1) / fps.
 """
 
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from fractions import Fraction
 import numpy as np
 from jaxtyping import Float64
 
-# Two readings of the same instant differ by less than this.
+# Tolerance for equal instants.
 SAME_SECONDS = 1e-6
 
 

@@ -1,1 +1,1 @@
-"""What `motionkit doctor` looks at: the machine, what is installed, the store, the runs; cheap checks alone."""
+"""Checks of `motionkit doctor`: the machine, the installation, the store, the runs; quick ones only."""

@@ -1,4 +1,4 @@
-"""Whether a store opens, and how far the stages of runs have come."""
+"""Checks of a store, and of the stages of runs."""
 
 import shlex
 import time
@@ -14,14 +14,14 @@ from motionkit.store.schema import MANIFEST_FILE
 from motionkit.training.run import RunFolder, StageFolder
 
 MEGABYTE = 1e6
-# A training logs and saves at least this often; one that is silent for longer has stopped.
+# Training logs and saves at least this often; after a longer silence it has stopped.
 SILENT_SECONDS = 300.0
 
 
 def store_findings(path: Path) -> Iterator[Finding]:
-    """Whether a store opens, has all its parts, says who is held out; what was removed or left by stopped commands.
+    """Whether a store opens, has all its parts and a split; removed sequences and leftovers of stopped commands.
 
-    No part is read: `motionkit validate` does.
+    Parts are not read; `motionkit validate` does that.
     """
     if not (path / MANIFEST_FILE).exists():
         yield Finding("store", f"{path}: none", "note", f"motionkit ingest SOURCE --store {shlex.quote(str(path))}")
@@ -62,7 +62,7 @@ def _part_findings(path: Path, manifest: Manifest) -> Iterator[Finding]:
 
 
 def run_findings(runs: Path, store: Path) -> Iterator[Finding]:
-    """For each run which of its stages are complete, which stopped, and whether the store has changed since."""
+    """For each run, complete and stopped stages, and whether the store has changed since."""
     found = sorted(path for path in runs.iterdir() if any(path.glob("*/config.json"))) if runs.is_dir() else []
     if not found:
         yield Finding("runs", f"{runs}: none", "note", "motionkit train")

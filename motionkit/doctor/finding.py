@@ -1,4 +1,4 @@
-"""What a check found."""
+"""The result of a check."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -8,9 +8,9 @@ State = Literal["good", "note", "problem"]
 
 @dataclass(frozen=True)
 class Finding:
-    """One fact about a topic ("disk", "store" …), and what to do about it, "" where nothing needs to be done.
+    """A fact about a topic ("disk", "store" …), and advice, or "" if nothing needs to be done.
 
-    A "problem" makes commands fail, or their results wrong; a "note" is worth knowing.
+    A "problem" makes commands fail, or their results wrong; a "note" is information.
     """
 
     topic: str

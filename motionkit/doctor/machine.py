@@ -1,4 +1,4 @@
-"""Versions, devices, threads, room on disks, optional packages."""
+"""Versions, devices, threads, disk space, optional packages."""
 
 import os
 import re
@@ -14,20 +14,20 @@ from motionkit.training.run import versions
 GIGABYTE = 1e9
 LEAST_FREE_BYTES = GIGABYTE
 CPU_QUOTA = Path("/sys/fs/cgroup/cpu.max")
-# Of packages for motionkit's own development nothing needs to be said.
+# Development packages are not reported.
 UNTOLD_EXTRAS = ("dev",)
 _REQUIREMENT = re.compile(r"""([\w.-]+)[^;]*;.*extra\s*==\s*["']([\w-]+)["']""")
 
 
 def version_findings() -> Iterator[Finding]:
-    """Python, platform, and the packages that decide numbers."""
+    """Python, platform, and the packages that affect results."""
     found = versions()
     yield Finding("python", f"{found.pop('python')} on {found.pop('platform')}")
     yield Finding("packages", ", ".join(f"{name} {number}" for name, number in found.items()))
 
 
 def device_findings() -> Iterator[Finding]:
-    """The GPUs that torch sees, or that there is none."""
+    """The GPUs that torch sees, if any."""
     import torch
 
     if not torch.cuda.is_available():
@@ -40,7 +40,7 @@ def device_findings() -> Iterator[Finding]:
 
 
 def usable_processors(quota: Path = CPU_QUOTA) -> float:
-    """Processors that this process may use: those it is bound to, or fewer where a container's quota is lower."""
+    """Processors available to this process: its affinity, or a container's quota if lower."""
     bound = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     try:
         share, period = quota.read_text(encoding="ascii").split()
@@ -50,7 +50,7 @@ def usable_processors(quota: Path = CPU_QUOTA) -> float:
 
 
 def thread_findings(environment: Mapping[str, str], num_threads: int, processors: float) -> Iterator[Finding]:
-    """Whether a training's threads have a processor each, of those that this process may use."""
+    """Whether torch uses more threads than there are available processors."""
     stated = environment.get("OMP_NUM_THREADS", "not set")
     fact = f"torch computes with {num_threads}, of {processors:g} processors (OMP_NUM_THREADS {stated})"
     if num_threads > max(1.0, processors):
@@ -61,7 +61,7 @@ def thread_findings(environment: Mapping[str, str], num_threads: int, processors
 
 
 def disk_findings(store: Path, runs: Path) -> Iterator[Finding]:
-    """Free room where stores, runs and caches are written, and whether they may be written there."""
+    """Free disk space and write permission for stores, runs and caches."""
     elsewhere = optional_path("cache")
     for name, path in (("store", store), ("runs", runs), ("cache", elsewhere)):
         if path is None:
@@ -80,7 +80,7 @@ def disk_findings(store: Path, runs: Path) -> Iterator[Finding]:
 
 
 def extra_findings() -> Iterator[Finding]:
-    """For each extra of motionkit whether its packages are installed."""
+    """Whether the packages of each extra are installed."""
     extras: dict[str, list[str]] = {}
     for requirement in requires("motionkit") or ():
         found = _REQUIREMENT.match(requirement)

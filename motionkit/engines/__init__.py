@@ -1,4 +1,4 @@
-"""The same map in order on processes of this machine, or on a Ray cluster."""
+"""Engines for an ordered parallel map: local processes, or a Ray cluster."""
 
 from collections.abc import Sequence
 
@@ -16,9 +16,9 @@ def check_engine(name: str) -> None:
 
 
 def make_engine(name: str, num_workers: int | None, preload: Sequence[str] = ()) -> Engine:
-    """The engine of that name, not yet started; Ray without a number of workers uses all that the cluster has.
+    """The engine of that name, not yet started; Ray without a number of workers uses the whole cluster.
 
-    `preload` names modules that processes of this machine import once for all.
+    `preload` names modules that local processes import once for all.
     """
     check_engine(name)
     if name != LOCAL:

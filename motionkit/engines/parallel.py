@@ -1,4 +1,4 @@
-"""A map over many inputs by workers: results in order, and the input that a worker dies of is named."""
+"""An ordered parallel map that identifies inputs which crash a worker."""
 
 import os
 from collections import deque
@@ -12,20 +12,20 @@ Output = TypeVar("Output")
 Function = Callable[[Sequence[Any]], Any]
 
 BATCHES_IN_FLIGHT_PER_WORKER = 3
-# So many workers in a row that end before one has done anything: it is not the inputs that they die of.
+# After this many consecutive deaths before any result, the cause is not the inputs.
 DEATHS_AT_START = 3
 
 
 class WorkerDied(Exception):
-    """A worker ended without a word: killed, out of memory, or crashed in a library."""
+    """A worker died without an exception: killed, out of memory, or crashed in a library."""
 
 
 @runtime_checkable
 class Engine(Protocol):
-    """Workers that compute batches; a context manager that starts and ends them.
+    """Workers that compute batches; a context manager that starts and stops them.
 
-    `submit` hands a batch over without waiting, `result` waits for it and raises `WorkerDied` where its worker ended; a
-    batch may be submitted again after that.
+    `submit` does not block, `result` waits for a batch and raises `WorkerDied` if its worker died; a batch may be
+    submitted again after that.
     """
 
     num_workers: int
@@ -49,7 +49,7 @@ def usable_cores() -> int:
 
 
 class ThisProcess:
-    """One worker, this process: a batch is computed when its result is asked for."""
+    """One worker in this process: a batch is computed when its result is requested."""
 
     num_workers = 1
 
@@ -60,7 +60,7 @@ class ThisProcess:
         pass
 
     def submit(self, function: Function, batch: Sequence[Any]) -> tuple[Function, Sequence[Any]]:
-        """Remember what to compute."""
+        """Store the batch."""
         return function, batch
 
     def result(self, ticket: tuple[Function, Sequence[Any]]) -> Any:
@@ -74,9 +74,9 @@ def map_in_order(
 ) -> Generator[tuple[Sequence[Input], Output | WorkerDied]]:
     """Pairs (batch, output) in the order of the batches.
 
-    At most three batches per worker are in flight. A batch whose worker ended is computed again while nothing else is;
-    where that ends a worker too, its halves are, and so on: an input that ends its worker alone has `WorkerDied` for
-    its output. Raises `MotionkitError` where workers end before any of them has done anything.
+    At most three batches per worker are in flight. A batch whose worker died is retried alone; if that fails too, it is
+    bisected: an input that crashes its worker alone has `WorkerDied` as its output. Raises `MotionkitError` if workers
+    die before any result.
     """
     yield from _Map(engine, function).run(batches)
 
@@ -91,7 +91,7 @@ class _Map(Generic[Input, Output]):
         self._deaths_at_start: int | None = 0
 
     def run(self, batches: Iterable[Sequence[Input]]) -> Iterator[tuple[Sequence[Input], Output | WorkerDied]]:
-        """Keep the engine's workers busy and hand out what they computed, in order."""
+        """Keep the engine's workers busy and yield results in order."""
         for batch in batches:
             self._in_flight.append((batch, self._engine.submit(self._function, batch)))
             if len(self._in_flight) >= self._engine.num_workers * BATCHES_IN_FLIGHT_PER_WORKER:
@@ -105,7 +105,7 @@ class _Map(Generic[Input, Output]):
             output = self._engine.result(ticket)
         except WorkerDied:
             yield from self._again(batch)
-            # Others may have gone with it, and nothing new may run beside an input that is under suspicion.
+            # Other batches may have died with it; nothing else runs beside a suspect input.
             while self._in_flight:
                 yield from self._oldest()
             return

@@ -1,4 +1,4 @@
-"""Workers of this machine: processes that this one starts."""
+"""Local worker processes."""
 
 import multiprocessing
 import os
@@ -20,11 +20,10 @@ from motionkit.engines.parallel import Function, WorkerDied
 
 
 def start_server(preload: Sequence[str] = ()) -> BaseContext:
-    """Start the process that workers are forked from, unless it runs, and do not wait for it.
+    """Start the server process that workers are forked from, unless it runs; does not wait.
 
-    It imports the modules of `preload`, which every worker needs, once, while this process goes on: a command that will
-    need workers starts it before its own imports. Ctrl-C is for this process to handle: the server and its workers
-    never see it.
+    It imports the modules of `preload` once in the background: a command that needs workers starts it before its own
+    imports. Ctrl-C is handled by this process only: the server and its workers ignore it.
     """
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["__main__", __name__, *preload])
@@ -54,10 +53,10 @@ class _Ticket:
 
 
 class Processes:
-    """Processes of this machine; they end with this one, however it ends.
+    """Local processes that end with this one, however it ends.
 
-    They are forked from a small server (`start_server`), not from this process, where Arrow has threads. A pool of
-    which one process died is of no more use: the next batch starts another.
+    They are forked from a small server (`start_server`), not from this process, where Arrow has threads. A pool with a
+    dead process is discarded: the next batch starts another.
     """
 
     def __init__(self, num_workers: int, preload: Sequence[str] = ()) -> None:
@@ -71,14 +70,14 @@ class Processes:
 
     def __exit__(self, *exception: object) -> None:
         with held_back():
-            self._stop.close()  # what a worker is still at is not wanted, and may take long
+            self._stop.close()  # do not wait for unfinished work
             if self._pool is not None:
                 self._pool.shutdown(cancel_futures=True)
                 self._pool = None
             self._at_work.close()
 
     def submit(self, function: Function, batch: Sequence[Any]) -> _Ticket:
-        """Hand a batch to the pool, which is started where there is none."""
+        """Submit a batch to the pool, which is started if needed."""
         # A worker that is just being started when this process gives up would look for semaphores that are gone.
         with held_back():
             if self._pool is None:

@@ -1,4 +1,4 @@
-"""Workers of a Ray cluster, or of a Ray that is started on this machine (extra `ray`)."""
+"""Workers of a Ray cluster, or of a local Ray started for it (extra `ray`)."""
 
 import os
 import warnings
@@ -12,11 +12,11 @@ from motionkit.engines.parallel import Function, WorkerDied, map_in_order, usabl
 
 
 class RayEngine:
-    """Workers of the Ray at `address`, or of one that RAY_ADDRESS names, or else of one that is started here.
+    """Workers of the Ray at `address` or RAY_ADDRESS, or else of one started here.
 
-    Owns the connection, and the Ray that it started; a Ray to which this process was connected already is used and left
-    as it is. Workers read files of their own machine's file system. Raises `MissingExtraError` without Ray, and
-    `MotionkitError` where it cannot be reached or has another motionkit.
+    Owns the connection, and the Ray that it started; an existing connection of this process is reused and kept open.
+    Workers read files of their own machine's file system. Raises `MissingExtraError` without Ray, and `MotionkitError`
+    if it cannot be reached or has another version of motionkit.
     """
 
     def __init__(self, address: str | None, num_workers: int | None) -> None:

@@ -1,1 +1,1 @@
-"""Out of a store again: one file per kind of output, a catalogue, and the folder that appears whole or not at all."""
+"""Export from a store: one module per output format, and the atomic output folder."""

@@ -1,4 +1,4 @@
-"""What a store holds, drawn: sources, framerates, durations, splits, licences, flags, as HTML that stands alone."""
+"""A store's summary as self-contained HTML: sources, framerates, durations, splits, licences, flags."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
@@ -10,12 +10,12 @@ if TYPE_CHECKING:
 
 
 def corpus_card(summary: "StoreSummary") -> str:
-    """An `<article>` for a page of others, with its own style."""
+    """An `<article>` to embed in a page, with its own style."""
     return _rendered(summary, whole=False)
 
 
 def corpus_page(summary: "StoreSummary") -> str:
-    """A page that needs no other file and no network."""
+    """A self-contained page."""
     return _rendered(summary, whole=True)
 
 

@@ -1,4 +1,4 @@
-"""One file for each motion, with a table of what the files cannot hold; it is read back by `motionkit ingest`."""
+"""One file per motion, with a CSV of metadata that the files cannot hold; `motionkit ingest` reads both."""
 
 import csv
 import json
@@ -16,7 +16,7 @@ from motionkit.export.selection import Outcome, Selection, flat_names, nested_na
 from motionkit.formats.format import Format
 
 TABLE = "motions.csv"
-# As motionkit.formats.scan.annotations reads them; sequence_id, the id in the store, is for people.
+# As motionkit.formats.scan.annotations reads them; sequence_id, the id in the store, is informative.
 COLUMNS = (
     *("file", "sequence_id", "captions", "action", "style", "subject", "split"),
     *("fps", "stated_fps", "licence", "source", "subset"),
@@ -24,10 +24,10 @@ COLUMNS = (
 
 
 def export_files(selection: Selection, folder: Path, format: Format) -> Iterator[Outcome]:
-    """Write each motion to `folder/ID.SUFFIX` and its row to motions.csv; yields what became of each.
+    """Write each motion to `folder/ID.SUFFIX` and its row to motions.csv; yields the outcome of each.
 
-    Files that share a framerate and their joints lie in one folder, as motions of the 22 joints. A skeleton that cannot
-    be mapped costs its sequence, not the export. Raises `UsageError` where framerates that have to be one differ.
+    Formats whose files share a framerate and joints get one folder, as motions of the 22 joints. A sequence whose
+    skeleton cannot be mapped is skipped. Raises `UsageError` for different framerates in such a format.
     """
     names_of, is_shared = (flat_names, True) if format.shared_file else (nested_names, False)
     if is_shared and len(selection.framerates) > 1:

@@ -1,6 +1,6 @@
-"""Takes as pictures that move: mp4, gif, and a strip of poses as png, drawn with matplotlib, frame by frame.
+"""Films of takes: mp4, gif, and a strip of poses as png, drawn with matplotlib.
 
-No motion is resampled: a picture shows each take's last frame that has come, on one clock that all share.
+Motions are not resampled: a picture shows each take's most recent frame on a common clock.
 """
 
 import subprocess
@@ -29,10 +29,10 @@ STRIP_POSES, STRIP_PIXELS = 8, 240
 # Blue is left and orange right, as on pages.
 COLOURS = {-1: "#2a6bd9", 0: "#444444", 1: "#e6611e"}
 GROUND = "#d8d8d8"
-# The camera stands before the body, to its left and a little above.
+# The camera is in front of the body, to its left and slightly above.
 ASIDE_RADIANS, ABOVE_RADIANS = np.radians(35.0), np.radians(14.0)
 GRID_METRES, AIR = 3, 1.15
-# Poses that are asked how far they reach.
+# Poses used to compute the view's extent.
 MOST_LOOKED_AT = 1000
 # A gif's frames last whole hundredths of a second, and browsers show none shorter than two.
 GIF_FPS, GIF_TICKS = Fraction(50), 100
@@ -42,7 +42,7 @@ Picture = UInt8[np.ndarray, "height width 3"]
 
 
 def film_fps(takes: Sequence[Take], speed: Fraction, suffix: str) -> Fraction:
-    """Pictures a second: every native frame of the fastest take is one, at `speed`; a gif has 50 at most."""
+    """Pictures per second: one for every native frame of the fastest take, at `speed`; at most 50 for a gif."""
     fps = max(take.fps for take in takes) * speed
     return min(fps, GIF_FPS) if suffix == ".gif" else fps
 
@@ -65,7 +65,7 @@ def num_pictures(takes: Sequence[Take], speed: Fraction, suffix: str) -> int:
 def write_film(
     path: Path, takes: Sequence[Take], speed: Fraction = Fraction(1), on_picture: Callable[[], None] = lambda: None
 ) -> None:
-    """Write takes side by side as .mp4 or .gif, slowed or hastened by `speed`, or as a strip of poses (.png).
+    """Write takes side by side as .mp4 or .gif, played at `speed`, or as a strip of poses (.png).
 
     Raises `MotionkitError` for too many pictures, and `MissingExtraError` for an mp4 where the extra `video` is not
     installed.
@@ -109,7 +109,7 @@ def _drawn(sheet: Figure) -> Picture:
 
 
 def _strip(takes: Sequence[Take]) -> Picture:
-    """A row a take, of poses that are evenly spread over its time."""
+    """A row per take, with poses evenly spread over its duration."""
     size = STRIP_PIXELS / DPI
     sheet = Figure(figsize=(STRIP_POSES * size, len(takes) * size), dpi=DPI)
     for row, take in enumerate(takes):
@@ -127,9 +127,9 @@ def _frames_at(take: Take, seconds: Float64[np.ndarray, "pictures"]) -> Int64[np
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """Where a take is seen from: what is right and up on the picture, heights of the floor and of the picture's middle.
+    """A camera: right and up directions of the picture, heights of the floor and of the picture's centre.
 
-    `half` of what is in view, in metres, holds every pose: the camera goes with the joints' mean.
+    `half` is half of the view's extent in metres, which contains every pose: the camera follows the joints' mean.
     """
 
     right: Float64[np.ndarray, "3"]

@@ -17,8 +17,7 @@ LIGHT = (190, 190, 190)
 def write_recording(path: Path, takes: Sequence[Take]) -> None:
     """Write takes as an .rrd file: a view each, side by side, y up, in metres, on one clock in seconds.
 
-    Every native frame is there but those that hold NaN. Raises `MissingExtraError` where the extra `rerun` is not
-    installed.
+    All native frames without NaN are included. Raises `MissingExtraError` without the extra `rerun`.
     """
     try:
         import rerun
@@ -36,7 +35,7 @@ def write_recording(path: Path, takes: Sequence[Take]) -> None:
 
 
 def _log(recording: object, place: str, take: Take) -> None:
-    """Joints are key points, which the viewer joins by bones and calls by their names."""
+    """Register joints as named key points, connected by bones."""
     import rerun
 
     drawing, names = drawing_of(take.skeleton, take.joint_positions), take.skeleton.joint_names

@@ -1,4 +1,4 @@
-"""Selection → folder: written beside its place and renamed when it is complete."""
+"""Writes a selection to a folder, atomically."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -20,10 +20,10 @@ from motionkit.formats.humanml3d import HUMANML3D, KIT
 
 @dataclass(frozen=True)
 class Export:
-    """One kind of output: `write` fills an empty folder and yields what became of each sequence, in order.
+    """An output format: `write` fills an empty folder and yields the outcome of each sequence, in order.
 
-    `fps` is the framerate of all motions where none is asked for; None leaves each at its own.
-    What cannot be written as asked for is found before the first frame is read and raises `UsageError`.
+    `fps` is the default framerate of all motions; None keeps each at its own. Unsupported requests raise `UsageError`
+    before the first frame is read.
     """
 
     name: str
@@ -32,7 +32,7 @@ class Export:
 
 
 def export_kinds() -> Mapping[str, Export]:
-    """All kinds of output: a file for each motion in every format that is written, and data sets of all of them."""
+    """All output formats: a file per motion in every writable format, and data sets."""
     kinds = (
         *(Export(name, partial(export_files, format=each)) for name, each in writers().items()),
         Export("humanml3d", export_humanml3d, HUMANML3D.fps),
@@ -43,15 +43,15 @@ def export_kinds() -> Mapping[str, Export]:
 
 
 def character_kind(character: Character, plant: bool) -> Export:
-    """Motions on a character's rig, each a file like the character's own."""
+    """Motions on a character's rig, in files of the character's format."""
     return Export(character.suffix[1:], partial(export_files, format=character_format(character, plant)))
 
 
 @dataclass(frozen=True)
 class ExportReport:
-    """What an export did: sequences and files written, their bytes, and the sequences left out with the reason.
+    """The result of an export: sequences and files written, their bytes, and skipped sequences with reasons.
 
-    `missing` has the ids of written sequences by what they lack that the output's readers ask for.
+    `missing` has the ids of written sequences by missing metadata that the format's readers need.
     """
 
     folder: Path
@@ -71,11 +71,11 @@ class ExportReport:
 def export(
     selection: Selection, folder: Path, kind: Export, on_outcome: Callable[[Outcome], None] = lambda outcome: None
 ) -> ExportReport:
-    """Write a selection as one kind of output into a new or empty folder; `on_outcome` is called for each sequence.
+    """Write a selection in one format into a new or empty folder; `on_outcome` is called for each sequence.
 
-    Everything is written into `FOLDER.partial`; `FOLDER` appears when it is complete, and nothing is left when anything
-    raises (`whole_folder`). Raises `UsageError` for a folder that holds something or that another process writes,
-    `MotionkitError` where nothing could be written.
+    Everything is written into `FOLDER.partial`, which is renamed when complete and deleted on errors (`whole_folder`).
+    Raises `UsageError` for a folder that is not empty or that another process writes, `MotionkitError` if nothing could
+    be written.
     """
     # A link to an empty folder is filled where it points.
     place = folder.absolute().resolve() if folder.is_symlink() else folder.absolute()
@@ -83,7 +83,7 @@ def export(
     missing: dict[str, list[str]] = {}
     num_sequences = 0
     with whole_folder(place) as partial:
-        # Under its lock, and after what a killed export left is deleted.
+        # Under the lock, after leftovers of a killed export are deleted.
         require_empty(folder)
         for outcome in kind.write(selection, partial):
             if outcome.written:

@@ -1,4 +1,4 @@
-"""Which sequences go out, under which names, and all that is known of them before the first frame is read."""
+"""The sequences to export, their output names, and their metadata."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -52,9 +52,9 @@ class Selection:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one sequence; `reason` is a short slug and `message` says why it was left out, else empty.
+    """The outcome of one sequence; `reason` (a short slug) and `message` say why it was skipped, else empty.
 
-    `lacks` names what a written sequence is without that the output's readers ask for.
+    `lacks` names missing metadata of a written sequence that the format's readers need.
     """
 
     sequence_id: str
@@ -69,7 +69,7 @@ class Outcome:
 
 
 def nested_names(sequence_ids: Sequence[str], suffix: str) -> list[PurePosixPath]:
-    """`a/b` → `a/b.SUFFIX`; raises `UsageError` for an id that is no path below a folder, or one that comes twice."""
+    """`a/b` → `a/b.SUFFIX`; raises `UsageError` for an id that is not a path below a folder, or is repeated."""
     return _distinct(sequence_ids, [_below(sequence_id, suffix) for sequence_id in sequence_ids])
 
 
@@ -80,7 +80,7 @@ def flat_names(sequence_ids: Sequence[str], suffix: str = "") -> list[PurePosixP
 
 
 def short_names(sequence_ids: Sequence[str]) -> list[PurePosixPath]:
-    """The last part of each id where these differ (`HumanML3D/000021` → `000021`), else the ids as `flat_names`."""
+    """The last part of each id if these are unique (`HumanML3D/000021` → `000021`), else as `flat_names`."""
     last = [PurePosixPath(_below(sequence_id, "").name) for sequence_id in sequence_ids]
     return last if len(set(last)) == len(last) else flat_names(sequence_ids)
 

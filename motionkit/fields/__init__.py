@@ -1,1 +1,1 @@
-"""Motion at any instant: motion fields, what makes them of observed frames, and what is done with them."""
+"""Motion fields: continuous-time motions, the encoders that fit them to observed frames, and operations on them."""

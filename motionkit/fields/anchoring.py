@@ -1,4 +1,4 @@
-"""Fields that miss the observed frames, led through them: given frames must not move, and must not jump either."""
+"""Corrects a motion field so that it passes through the observed frames without jumps."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -45,41 +45,41 @@ class Anchored:
 
     @property
     def name(self) -> str:
-        """The encoder's name, and that it is anchored."""
+        """The encoder's name, marked as anchored."""
         return f"{self.encoder.name}, anchored"
 
     def encode(
         self, observation: Observed, *, before_seconds: float = 0.0, after_seconds: float = 0.0
     ) -> "AnchoredField":
-        """The encoder's field through the observed frames; raises what the encoder raises."""
+        """The encoder's field, corrected to pass through the observed frames; raises what the encoder raises."""
         field = self.encoder.encode(observation, before_seconds=before_seconds, after_seconds=after_seconds)
         return anchored(field, observation)
 
 
 @dataclass(frozen=True, eq=False)
 class AnchoredField:
-    """A field and what is added to it: offsets at the observed times, found where a query comes near them."""
+    """A field plus interpolated offsets, computed from the observed frames near each query."""
 
     field: MotionField
     observation: Observed
 
     @property
     def skeleton(self) -> Skeleton:
-        """The field's."""
+        """Same as the wrapped field's."""
         return self.field.skeleton
 
     @property
     def start_seconds(self) -> float:
-        """The field's."""
+        """Same as the wrapped field's."""
         return self.field.start_seconds
 
     @property
     def end_seconds(self) -> float:
-        """The field's."""
+        """Same as the wrapped field's."""
         return self.field.end_seconds
 
     def at_fps(self, fps: Fraction) -> "AnchoredField":
-        """The field for this framerate, anchored anew."""
+        """The field for this framerate, anchored again."""
         return anchored(at_fps(self.field, fps), self.observation)
 
     def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
@@ -98,7 +98,7 @@ class AnchoredField:
     def _offsets_at(self, times: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times numbers"]:
         from scipy.interpolate import PchipInterpolator
 
-        # Slopes are those of neighbours, so a few frames on both sides are all that is felt of a long motion.
+        # Slopes depend on neighbours only, so a few frames on both sides are enough for a long motion.
         observed = self.observation.times_seconds
         first = max(0, int(np.searchsorted(observed, times.min())) - _NEIGHBOURS)
         last = min(len(observed), int(np.searchsorted(observed, times.max())) + _NEIGHBOURS)
@@ -130,7 +130,7 @@ class AnchoredField:
 
 
 def anchored(field: MotionField, observation: Observed) -> AnchoredField:
-    """A field led through observed frames; raises `ValueError` for those outside its domain and for other joints."""
+    """A field corrected to pass through observed frames; raises `ValueError` if times or skeleton don't match."""
     check_skeleton(field, observation)
     check_times(field, observation.times_seconds)
     return AnchoredField(field, observation)

@@ -1,4 +1,4 @@
-"""Long motions from overlapping fields, without a seam: each piece is placed, neighbours cross-fade.
+"""Long motions from overlapping fields: each piece is placed in the world, neighbours are cross-faded.
 
 NeRM's appendix B.3 assembles long motions from clips so that memory stays bounded. Its clips touch; here neighbours
 overlap, because two fields that only touch agree neither in place nor in velocity. Pieces are read only where a query
@@ -16,7 +16,7 @@ from jaxtyping import Float, Float32, Float64
 
 from motionkit.core.kinematics import quaternion_multiply, quaternion_rotate, quaternion_slerp
 from motionkit.core.skeleton import Skeleton
-from motionkit.fields.contact.known import contacts_of
+from motionkit.fields.contact.predicted import contacts_of
 from motionkit.fields.interpolation.joints import Joints
 from motionkit.fields.motion_field import MotionField, Poses, at_fps, check_times
 
@@ -26,7 +26,7 @@ _TIMES_TO_FIT = 16
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A field within a longer motion: when it starts there, and where its own frame lies in the world.
+    """A field within a longer motion: its start time, and its frame of reference in the world.
 
     `yaw` turns its poses about +Y (radians, Z+ towards X+), `origin` (x, z in metres) then moves them; both are those
     of `motionkit.clips.windows.Windows`.
@@ -39,11 +39,11 @@ class Piece:
 
     @property
     def end_seconds(self) -> float:
-        """When it ends in the longer motion."""
+        """End time in the longer motion."""
         return self.start_seconds + self.field.end_seconds - self.field.start_seconds
 
     def own_seconds(self, times_seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times"]:
-        """Times of the longer motion as those of the field."""
+        """Converts times of the longer motion to times of the field."""
         own = times_seconds - self.start_seconds + self.field.start_seconds
         return np.clip(own, self.field.start_seconds, self.field.end_seconds)
 
@@ -81,7 +81,7 @@ class AssembledField:
 
     @property
     def skeleton(self) -> Skeleton:
-        """That of all pieces."""
+        """The skeleton of all pieces."""
         return self.pieces[0].field.skeleton
 
     @property
@@ -101,7 +101,7 @@ class AssembledField:
     def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
         """Poses at any times inside the domain, in any order; raises `ValueError` outside it.
 
-        A piece is asked once, for its own times only.
+        Each piece is evaluated once, at its own times only.
         """
         check_times(self, times_seconds)
         first = np.searchsorted(self.fade_end, times_seconds, side="right")
@@ -131,9 +131,9 @@ class AssembledField:
         return result
 
     def contacts(self, times_seconds: Float64[np.ndarray, "times"]) -> Float32[np.ndarray, "times 2 2"] | None:
-        """How probably feet are on the ground (`KnowsContacts`): the surer of two pieces where they join.
+        """Contact probabilities (`PredictsContacts`): the more confident of two pieces where they overlap.
 
-        None where a piece doesn't know.
+        None if a piece doesn't predict contacts.
         """
         check_times(self, times_seconds)
         if not self._all_know:
@@ -156,16 +156,16 @@ class AssembledField:
 
 
 def assemble(pieces: Sequence[Piece], fade_seconds: float | None = None) -> AssembledField:
-    """One field from pieces in order of time, each overlapping the next.
+    """One field from pieces in chronological order, each overlapping the next.
 
     A fade lies in the middle of its overlap and takes all of it, or `fade_seconds`; where more than two pieces overlap
     it is shortened until fades do not meet. Raises `ValueError` for no piece, unequal skeletons, pieces out of order,
     neighbours that overlap by less than a millisecond, or a fade that takes no time.
     """
     if not pieces:
-        raise ValueError("there is nothing to assemble: give one piece at least")
+        raise ValueError("nothing to assemble: give at least one piece")
     if fade_seconds is not None and not fade_seconds > 0:
-        raise ValueError(f"a fade must take some time, not {fade_seconds:g} s")
+        raise ValueError(f"the fade must be longer than 0 s, not {fade_seconds:g} s")
     starts = np.array([piece.start_seconds for piece in pieces])
     ends = np.array([piece.end_seconds for piece in pieces])
     for number, (before, after) in enumerate(pairwise(pieces)):
@@ -187,18 +187,18 @@ def assemble(pieces: Sequence[Piece], fade_seconds: float | None = None) -> Asse
 
 
 def laid(field: MotionField, yaw: float, origin: tuple[float, float]) -> MotionField:
-    """A motion turned about +Y and moved on the floor; itself where that is nothing."""
+    """A motion turned about +Y and moved on the floor; itself if there is no transform."""
     if yaw == 0.0 and origin == (0.0, 0.0):
         return field
     return assemble([Piece(field, field.start_seconds, yaw, origin)])
 
 
 def chain(fields: Sequence[MotionField], overlap_seconds: float) -> AssembledField:
-    """Separate motions one after the other: each is turned and moved so that it goes on where the last one ends.
+    """Concatenates separate motions: each is turned and moved so that it continues where the previous one ends.
 
-    The turn about +Y and the step on the floor are those that best lay its first `overlap_seconds` over the last ones
-    of the motion before it (least squares over all joints); heights are kept. Raises `ValueError` unless every motion
-    lasts longer than the overlap, and what `assemble` raises.
+    The turn about +Y and the shift on the floor best align its first `overlap_seconds` with the last ones of the
+    previous motion (least squares over all joints); heights are kept. Raises `ValueError` unless every motion is
+    longer than the overlap, and what `assemble` raises.
     """
     for number, field in enumerate(fields):
         lasts = field.end_seconds - field.start_seconds

@@ -1,4 +1,4 @@
-"""Motions completed: more frames between, gaps filled, the ends continued. Written once, for any `MotionEncoder`."""
+"""Upsampling, in-betweening and extrapolation of motions with any `MotionEncoder`."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,9 +28,9 @@ _TOLERANCE_FRAMES = 1e-6
 
 
 def upsample(motion: Motion, fps: Fraction, encoder: MotionEncoder = SLERP) -> Motion:
-    """The motion at a higher framerate; every frame of the source that falls on the new grid is kept.
+    """The motion at a higher framerate; source frames that fall on the new grid are kept.
 
-    Raises `ValueError` where `fps` is below the motion's.
+    Raises `ValueError` if `fps` is below the motion's.
     """
     if fps < motion.fps:
         raise ValueError(f"{fps} fps is less than the motion's {motion.fps}: use downsample, which filters first")
@@ -40,9 +40,9 @@ def upsample(motion: Motion, fps: Fraction, encoder: MotionEncoder = SLERP) -> M
 
 
 def inbetween(motion: Motion, observed: Bool[np.ndarray, "frames"], encoder: MotionEncoder = SLERP) -> Motion:
-    """The motion with the frames that are not `observed` made from those that are, which stay as they are.
+    """Predicts the frames that are not `observed` from those that are, which are kept.
 
-    Raises `ValueError` where no frame is observed.
+    Raises `ValueError` if no frame is observed.
     """
     done = complete(motion, encoder, observed=observed)
     return done.logged(f"in-between {int((~observed).sum())} of {motion.num_frames} frames ({encoder.name})")
@@ -51,17 +51,17 @@ def inbetween(motion: Motion, observed: Bool[np.ndarray, "frames"], encoder: Mot
 def extrapolate(
     motion: Motion, *, before_seconds: float = 0.0, after_seconds: float = 0.0, encoder: MotionEncoder = SLERP
 ) -> Motion:
-    """The motion with whole frames added before and after it, up to so many seconds; its own stay as they are.
+    """The motion extended by whole frames before and after, up to the given seconds; its own frames are kept.
 
-    What comes beyond is the encoder's: `hold` stands still (the zero-velocity row of tables), other interpolators go on
-    at constant velocity (`motionkit.fields.interpolation.interpolators`). Raises `ValueError` for negative seconds.
+    The encoder predicts the extension: `hold` stands still (the zero-velocity row of tables), other interpolators
+    continue at constant velocity (`motionkit.fields.interpolation`). Raises `ValueError` for negative seconds.
     """
     done = complete(motion, encoder, before_seconds=before_seconds, after_seconds=after_seconds)
     return done.logged(f"extrapolate {before_seconds:g} s before, {after_seconds:g} s after ({encoder.name})")
 
 
 def reconstruct(motion: Motion, encoder: MotionEncoder, fps: Fraction | None = None) -> Motion:
-    """What an encoder makes of a whole motion, sampled at the motion's framerate or another; nothing is put back."""
+    """An encoder's reconstruction of a whole motion, at its framerate or another; observed frames aren't restored."""
     made = to_motion(encoder.encode(Observation.of(motion)), motion.fps if fps is None else fps)
     return made.annotated_like(motion).logged(f"reconstruct ({encoder.name})")
 
@@ -75,12 +75,12 @@ def complete(
     before_seconds: float = 0.0,
     after_seconds: float = 0.0,
 ) -> Motion:
-    """A motion at any framerate from its observed frames, and some seconds beyond both ends: the general form.
+    """A motion at any framerate from its observed frames, optionally extended at both ends: the general form.
 
     Observed frames that fall on the new grid are the given ones to the last bit (quaternions up to their sign, which
-    goes by that of their neighbours). An encoder that misses them leaves a jump there: `motionkit.fields.anchoring` has
-    the remedy. The grid is that of the motion's first frame. Raises `ValueError` for negative seconds or where no frame
-    is observed.
+    follows their neighbours). An encoder that misses them leaves a jump there; `motionkit.fields.anchoring` removes
+    it. The grid starts at the motion's first frame. Raises `ValueError` for negative seconds or if no frame is
+    observed.
     """
     known = np.arange(motion.num_frames) if observed is None else np.flatnonzero(observed)
     completion = begin_observed(
@@ -93,11 +93,10 @@ def complete(
 
 @dataclass(frozen=True, eq=False)
 class Completion:
-    """A motion that is encoded and can be sampled, whole or in pieces: memory is bounded by the piece.
+    """An encoded motion that can be sampled whole or in pieces: memory is bounded by the piece.
 
     `known_frames` are the frame numbers of the observed poses. Frame `given_rows[i]` of `grid` is the observed pose
-    `given_poses[i]`; all ascend. `line` is what an operation log says of it, where it says something else than what was
-    completed.
+    `given_poses[i]`; all ascend. `line` overrides the entry in the operation log.
     """
 
     observation: Observed
@@ -109,7 +108,7 @@ class Completion:
     line: str = ""
 
     def given(self, start: int, stop: int) -> tuple[Int[np.ndarray, "given"], Int[np.ndarray, "given"]]:
-        """Which frames of [start, stop) of the grid, counted from `start`, are observed poses, and their numbers."""
+        """Observed frames in [start, stop) of the grid, counted from `start`, and the indices of their poses."""
         here = slice(*np.searchsorted(self.given_rows, (start, stop)).tolist())
         return self.given_rows[here] - start, self.given_poses[here]
 
@@ -119,7 +118,7 @@ class Completion:
         return np.asarray(self.grid.start_seconds + rows * self.grid.fps.denominator / self.grid.fps.numerator)
 
     def motion(self, start: int, stop: int) -> Motion:
-        """Frames [start, stop) of the completed motion, with their own times; raises `ValueError` for none."""
+        """Frames [start, stop) of the completed motion, with their own times; raises `ValueError` if out of range."""
         if not 0 <= start < stop <= self.grid.num_frames:
             raise ValueError(f"frames [{start}, {stop}) do not lie inside the completed {self.grid.num_frames}")
         times = self.seconds(start, stop)
@@ -140,7 +139,7 @@ def begin_observed(
     before_seconds: float = 0.0,
     after_seconds: float = 0.0,
 ) -> Completion:
-    """What `complete` samples, for motions that are written while they are made; raises what `complete` raises.
+    """Like `complete`, but not sampled yet, for motions that are written in pieces; raises what `complete` raises.
 
     Observed are the frames `known_frames` of the grid `source`, in memory or not.
     """
@@ -161,9 +160,9 @@ def begin_uneven(
     before_seconds: float = 0.0,
     after_seconds: float = 0.0,
 ) -> Completion:
-    """`begin_observed` for frames that lie on no grid, `span` being the times of the first and the last of them.
+    """`begin_observed` for unevenly spaced frames; `span` is the times of the first and the last of them.
 
-    The new grid is that of the first frame. A given frame lies on it where it is nearer to it than a microsecond.
+    The new grid starts at the first frame. A given frame is on it if within a microsecond.
     """
     grid = _grid(span[0], span[1] - span[0], fps, before_seconds, after_seconds)
     seconds = observation.times_seconds
@@ -196,7 +195,7 @@ def query_many(
     times_seconds: Float64[np.ndarray, "times"],
     fps: Fraction,
 ) -> list[Poses]:
-    """For each of many motions, observed at the same times, what its field says at these times: at once where it can.
+    """Evaluates the fields of many motions, observed at the same times: batched if the encoder can.
 
     Times may lie beyond the observed span; fields that depend on the framerate get `fps`. Raises `ValueError` for
     motions that are observed at different times or differ in their joints, and where the encoder cannot go that far.
@@ -211,7 +210,7 @@ def query_many(
 
 
 def observed_errors(field: MotionField, observation: Observation) -> Float64[np.ndarray, "frames joints"]:
-    """How far a field's joints lie from the observed ones at the observed times, metres.
+    """Distances of a field's joints from the observed ones at the observed times, metres.
 
     Raises `ValueError` for observed times outside the field's domain and for another skeleton.
     """
@@ -224,7 +223,7 @@ def _grid(
     start_seconds: float, span_seconds: float, fps: Fraction, before_seconds: float, after_seconds: float
 ) -> TimeGrid:
     if not (0 <= before_seconds < np.inf and 0 <= after_seconds < np.inf):
-        raise ValueError(f"seconds beyond a motion are 0 or more, not {before_seconds:g} and {after_seconds:g}")
+        raise ValueError(f"seconds to extend by must be 0 or more, not {before_seconds:g} and {after_seconds:g}")
     before = int(np.floor(before_seconds * float(fps) + _TOLERANCE_FRAMES))
     after = num_frames_within(span_seconds + after_seconds, fps)
     return TimeGrid(fps, before + after, start_seconds - float(before / fps))
@@ -233,7 +232,7 @@ def _grid(
 def _shared_frames(
     source: TimeGrid, grid: TimeGrid, before_seconds: float
 ) -> tuple[Int[np.ndarray, "shared"], Int[np.ndarray, "shared"]]:
-    """Frames of the new grid that are frames of the source, and which; framerates are fractions, so this is exact."""
+    """Frames of the new grid that coincide with source frames, and which; exact, as framerates are fractions."""
     before = int(np.floor(before_seconds * float(grid.fps) + _TOLERANCE_FRAMES))
     ratio = source.fps / grid.fps
     # Frame k·numerator of the source is frame before + k·denominator of the grid, and no others are the same.

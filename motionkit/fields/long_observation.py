@@ -1,4 +1,4 @@
-"""Observations of motions too long for memory: poses are taken from where they are when they are asked for."""
+"""Observations of motions too long for memory: poses are read on demand."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,9 +17,9 @@ BLOCKS_KEPT = 4
 
 @dataclass(frozen=True, eq=False)
 class LongObservation:
-    """What is known of a motion that is not in memory (`motionkit.fields.motion_field.Observed`).
+    """The observed frames of a motion that is not in memory (`motionkit.fields.motion_field.Observed`).
 
-    `take` gives the poses of rows that ascend, again and again the same.
+    `take` returns the poses of ascending rows, and must be deterministic.
     """
 
     times_seconds: Float64[np.ndarray, "frames"]
@@ -53,15 +53,15 @@ class LongObservation:
         return Observation(self.times_seconds[wanted], self.take(wanted), self.skeleton)
 
     def remade(self, remake: RemakePoses, skeleton: Skeleton) -> "LongObservation":
-        """Other poses at the same times, made of these block by block, each going on from the last pose before it.
+        """Poses transformed block by block, each block given the last pose of the one before.
 
-        What is asked for first costs all blocks before it; from then on each is made from its own beginning.
+        The first access computes all blocks before it; later ones compute only their own.
         """
         return LongObservation(self.times_seconds, _Remade(self, remake).take, skeleton)
 
 
 class _Remade:
-    """Poses made of those of a long observation; owns the last pose of every block that was made."""
+    """Transformed poses of a long observation; keeps the last pose of every computed block."""
 
     def __init__(self, source: LongObservation, remake: RemakePoses) -> None:
         self._source = source

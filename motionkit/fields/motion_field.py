@@ -1,4 +1,4 @@
-"""The interface of everything continuous: observed frames → a motion field → poses at any times in any order.
+"""The interface of continuous motion: observed frames → a motion field → poses at any times in any order.
 
 Splines, NeRM's latents and PA-HiRes are `MotionEncoder`s that make `MotionField`s; upsampling, completion, evaluation
 and export are written once against the two.
@@ -20,7 +20,7 @@ from motionkit.core.timegrid import TimeGrid, num_frames_within
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Poses at some instants: positions in metres, and rotations (w, x, y, z) where the field has true ones.
+    """Poses at some instants: positions in metres, and rotations (w, x, y, z) if the field has them.
 
     Raises `ValueError` for shapes that disagree.
     """
@@ -51,13 +51,13 @@ class Poses:
         )
 
     def is_like(self, other: "Poses") -> bool:
-        """Whether both have rotations, or neither has; and so for the root's translation."""
+        """Whether both or neither have rotations, and both or neither a root translation."""
         return (self.local_rotations is None) == (other.local_rotations is None) and (
             self.root_translation is None
         ) == (other.root_translation is None)
 
     def room_for(self, count: int) -> "Poses":
-        """Poses of the same kind, `count` of them, to be `put` in."""
+        """Uninitialised poses with the same fields, `count` of them, to be filled with `put`."""
         return Poses(
             np.empty((count, *self.joint_positions.shape[1:]), np.float32),
             None if self.local_rotations is None else np.empty((count, *self.local_rotations.shape[1:]), np.float32),
@@ -65,7 +65,7 @@ class Poses:
         )
 
     def put(self, rows: np.ndarray | slice, poses: "Poses") -> None:
-        """Write poses of the same kind into some rows of these, in place."""
+        """Writes poses with the same fields into some rows, in place."""
         self.joint_positions[rows] = poses.joint_positions
         if self.local_rotations is not None:
             self.local_rotations[rows] = poses.local_rotations
@@ -73,7 +73,7 @@ class Poses:
             self.root_translation[rows] = poses.root_translation
 
     def joined(self, others: "Sequence[Poses]") -> "Poses":
-        """These poses and then those of others of the same kind, as a copy."""
+        """Concatenates poses with the same fields, as a copy."""
         each = (self, *others)
         made = self.room_for(sum(len(poses.joint_positions) for poses in each))
         start = 0
@@ -100,25 +100,25 @@ class Poses:
         return f"Poses({times} of {joints} joints, {', '.join(has) or 'positions only'})"
 
 
-# Poses made anew of a stretch of an observation; the second is the last pose made before it, None at the beginning.
+# Transforms consecutive poses; the second argument is the last transformed pose before them, None at the beginning.
 RemakePoses = Callable[["Observation", Poses | None], Poses]
 
 
 @runtime_checkable
 class Observed(Protocol):
-    """What is known of a motion: an `Observation`, or a `LongObservation` of one in a file.
+    """The observed frames of a motion: an `Observation`, or a `LongObservation` of one in a file.
 
-    What asks for some `rows` needs no more memory than they do.
+    Taking some `rows` needs memory for those only.
     """
 
     @property
     def times_seconds(self) -> Float64[np.ndarray, "frames"]:
-        """When the poses were, ascending."""
+        """Times of the poses, ascending."""
         ...
 
     @property
     def skeleton(self) -> Skeleton:
-        """Whose poses they are."""
+        """Skeleton of the poses."""
         ...
 
     @property
@@ -138,16 +138,15 @@ class Observed(Protocol):
         ...
 
     def remade(self, remake: RemakePoses, skeleton: Skeleton) -> "Observed":
-        """Other poses at the same times, made of these from the first to the last."""
+        """Transformed poses at the same times, computed from first to last."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What is known of a motion: poses at strictly increasing times (float64 seconds), evenly spaced or not.
+    """The observed frames of a motion: poses at strictly increasing times (float64 seconds), evenly spaced or not.
 
-    Raises `ValueError` for no pose, for shapes that disagree, for times that do not increase, and for what is not a
-    finite number.
+    Raises `ValueError` for no pose, shapes that disagree, times that do not increase, and values that are not finite.
     """
 
     times_seconds: Float64[np.ndarray, "frames"]
@@ -161,7 +160,7 @@ class Observation:
                 f"poses are {self.poses.joint_positions.shape}, but the times and the skeleton say {expected}"
             )
         if not len(self.times_seconds):
-            raise ValueError("nothing is observed: a motion field needs one pose at least")
+            raise ValueError("nothing is observed: a motion field needs at least one pose")
         if not np.isfinite(self.times_seconds).all():
             raise ValueError(f"time {int(np.argmin(np.isfinite(self.times_seconds)))} is not a finite number")
         late = np.diff(self.times_seconds) <= 0
@@ -178,12 +177,12 @@ class Observation:
                 row = int(np.argmin(np.isfinite(numbers).reshape(len(self), -1).all(axis=1)))
                 raise ValueError(
                     f"{name} of pose {row} ({self.times_seconds[row]:.4f} s) hold a number that is not finite: leave "
-                    "poses out that were not seen, a field closes the gap"
+                    "out poses that were not captured, the field fills the gap"
                 )
 
     @classmethod
     def of(cls, motion: Motion, observed: Bool[np.ndarray, "frames"] | None = None) -> "Observation":
-        """A motion's frames, or those of them that are `observed`.
+        """A motion's frames, or only the `observed` ones.
 
         Raises `ValueError` for a mask that is not one bool for each frame, and what the constructor raises.
         """
@@ -201,7 +200,7 @@ class Observation:
         return Observation(self.times_seconds[rows], self.poses.rows(rows), self.skeleton)
 
     def remade(self, remake: RemakePoses, skeleton: Skeleton) -> "Observation":
-        """Other poses at the same times, made of these at once."""
+        """Transformed poses at the same times, computed at once."""
         return Observation(self.times_seconds, remake(self, None), skeleton)
 
     @property
@@ -222,9 +221,9 @@ class Observation:
 
 
 def continuous_rotations(observation: Observation, before: Poses | None) -> Poses:
-    """The same poses, their rotations, if there are any, as quaternions whose signs do not jump in time.
+    """The same poses with quaternion signs made continuous in time, if there are rotations.
 
-    It is a `RemakePoses`, for `observation.remade`.
+    A `RemakePoses`, for `observation.remade`.
     """
     poses = observation.poses
     if poses.local_rotations is None:
@@ -261,7 +260,7 @@ class MotionField(Protocol):
 
 @runtime_checkable
 class MotionEncoder(Protocol):
-    """A way to continue what is observed to all instants: an interpolator, or a trained model."""
+    """Maps observed frames to a motion field: an interpolator, or a trained model."""
 
     @property
     def name(self) -> str:
@@ -269,18 +268,18 @@ class MotionEncoder(Protocol):
         ...
 
     def encode(self, observation: Observed, *, before_seconds: float = 0.0, after_seconds: float = 0.0) -> MotionField:
-        """The motion field of an observation, its domain the observed span and as much beyond it as is asked for.
+        """The motion field of an observation; its domain is the observed span, extended as requested.
 
-        A field that takes `rows` when it is queried needs no more memory for a long motion than for a short one.
+        A field that reads `rows` lazily needs no more memory for a long motion than for a short one.
 
-        Raises `ValueError` where the encoder cannot go that far.
+        Raises `ValueError` if the encoder cannot extrapolate that far.
         """
         ...
 
 
 @runtime_checkable
 class BatchEncoder(Protocol):
-    """An encoder that can also answer for many motions at once, which were observed at the same times."""
+    """An encoder that can also evaluate a batch of motions that were observed at the same times."""
 
     def query_many(
         self, observations: Sequence[Observation], times_seconds: Float64[np.ndarray, "times"]

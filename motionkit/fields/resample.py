@@ -74,7 +74,7 @@ def resample(motion: Motion, fps: Framerate, method: Method = "slerp") -> Motion
 def resample_positions(
     positions: Float[np.ndarray, "frames joints 3"], fps_from: Fraction, fps_to: Fraction
 ) -> Float[np.ndarray, "new_frames joints 3"]:
-    """Joint positions at another framerate, band-limited: frame k of the answer is at k / fps_to, without delay.
+    """Joint positions at another framerate, band-limited: output frame k is at k / fps_to, without delay.
 
     Windowed-sinc kernels (Kaiser, 80 dB) are evaluated at the exact fraction of a frame. Downwards the passband ends
     at 0.8 of the new Nyquist frequency and the stopband begins at it, so nothing folds back. Upwards the cut-off is the
@@ -104,7 +104,7 @@ def _resample(
     result = np.empty((num_rows, flat.shape[1]))
     for start in range(0, num_rows, _ROWS_AT_ONCE):
         rows = np.arange(start, min(start + _ROWS_AT_ONCE, num_rows))
-        # k·p/q in integers: a long take loses nothing to rounding.
+        # k·p/q in integers, so that long takes don't accumulate rounding errors.
         whole, remainder = np.divmod(rows * ratio.numerator, ratio.denominator)
         phases, phase_of_row = np.unique(remainder, return_inverse=True)
         weights = kernel(phases[:, None] / ratio.denominator - taps, reach, cutoff)
@@ -131,7 +131,7 @@ def kernel_shape(ratio: Fraction) -> tuple[int, float]:
 def kernel(
     distance: Float64[np.ndarray, "phases taps"], reach: int, cutoff: float
 ) -> Float64[np.ndarray, "phases taps"]:
-    """Weights, up to a factor, of the source frames at these distances, in frames, of the shape of `kernel_shape`."""
+    """Unnormalised kernel weights at these distances in source frames, for the shape of `kernel_shape`."""
     beta = 0.1102 * (STOPBAND_DECIBEL - 8.7)
     inside = np.sqrt(np.maximum(0.0, 1.0 - (distance / (reach + 1)) ** 2))
     window: Float64[np.ndarray, "phases taps"] = np.i0(beta * inside)

@@ -1,10 +1,10 @@
-"""Own skeletons for encoders that know the 22 joints only: the correction is carried over, not the pose.
+"""Other skeletons for encoders of the 22-joint layout: the correction is transferred, not the pose.
 
-The own skeleton is interpolated on its own rotations. In the 22-joint layout the model's field is compared with the
-same interpolator's: by how much each joint is turned in the world (ΔG = G_model·G_interpolated⁻¹), and by how much the
-pelvis is moved. World rotations do not depend on rest poses, so the own joints are turned by the same ΔG and the root
-is moved by the same distance. Bones keep their length; joints that have no counterpart (fingers, a tail) keep their
-interpolated local rotations; where the model agrees with the interpolator, nothing changes.
+The source skeleton is interpolated on its own rotations. In the 22-joint layout the model's field is compared with the
+same interpolator's: the world rotation of each joint (ΔG = G_model·G_interpolated⁻¹) and the pelvis' displacement.
+World rotations do not depend on rest poses, so the source joints are turned by the same ΔG and the root is moved by
+the same displacement. Bones keep their length; joints without a counterpart (fingers, a tail) keep their interpolated
+local rotations; where the model agrees with the interpolator, nothing changes.
 """
 
 from dataclasses import dataclass
@@ -32,10 +32,10 @@ _PELVIS, _LEFT_HIP, _RIGHT_HIP = (SMPL22.index(name) for name in ("pelvis", "lef
 
 @dataclass(frozen=True)
 class Transferred:
-    """A `MotionEncoder` for every skeleton that `motionkit.core.skeletons.mapping` knows, of one for the 22 joints.
+    """Adapts a `MotionEncoder` for the 22 joints to every skeleton that `motionkit.core.skeletons.mapping` knows.
 
-    `interpolator` makes the own skeleton's field, and the one that the model is compared with. `encoder` has to pass
-    through observed frames (`motionkit.fields.anchoring`), or given frames move.
+    `interpolator` makes the source skeleton's field, and the one that the model is compared with. `encoder` has to
+    pass through observed frames (`motionkit.fields.anchoring`), or given frames move.
     """
 
     encoder: MotionEncoder
@@ -43,13 +43,13 @@ class Transferred:
 
     @property
     def name(self) -> str:
-        """The encoder's."""
+        """The encoder's name."""
         return self.encoder.name
 
     def encode(
         self, observation: Observed, *, before_seconds: float = 0.0, after_seconds: float = 0.0
     ) -> "TransferredField":
-        """The own skeleton's field; raises `SkeletonMapError` for an unknown skeleton and what the encoder raises."""
+        """The source skeleton's field; raises `SkeletonMapError` for an unknown skeleton, and the encoder's errors."""
         skeleton = observation.skeleton
         counterparts = counterpart_joints(skeleton)
         own = with_rotations(observation)
@@ -67,10 +67,10 @@ class Transferred:
 
 @dataclass(frozen=True, eq=False)
 class TransferredField:
-    """The own skeleton's interpolated field, turned and moved by what `model` differs from `base` in 22 joints.
+    """The source skeleton's interpolated field, corrected by the difference of `model` and `base` in 22 joints.
 
-    `counterparts` maps joints of the 22 to own ones; `moved_joint` is the own joint that carries the body's path.
-    `like` is an observation without poses that says which numbers the answer has.
+    `counterparts` maps joints of the 22 to source ones; `moved_joint` is the source joint that carries the body's path.
+    `like` is an observation without poses, the template of the output.
     """
 
     own: MotionField
@@ -82,21 +82,21 @@ class TransferredField:
 
     @property
     def skeleton(self) -> Skeleton:
-        """The own one."""
+        """The source skeleton."""
         return self.own.skeleton
 
     @property
     def start_seconds(self) -> float:
-        """The own field's."""
+        """Same as the source field's."""
         return self.own.start_seconds
 
     @property
     def end_seconds(self) -> float:
-        """The own field's."""
+        """Same as the source field's."""
         return self.own.end_seconds
 
     def at_fps(self, fps: Fraction) -> "TransferredField":
-        """The field whose model is sampled at this framerate."""
+        """The field with the model sampled at this framerate."""
         return TransferredField(
             self.own, at_fps(self.model, fps), self.base, self.counterparts, self.moved_joint, self.like
         )
@@ -146,11 +146,11 @@ class TransferredField:
 
 
 def counterpart_joints(skeleton: Skeleton) -> dict[int, int]:
-    """Own joints that turn as joints of the 22 do, by the layout's index; raises `SkeletonMapError`.
+    """Source joints that correspond to joints of the 22, by the layout's index; raises `SkeletonMapError`.
 
-    A joint of the layout has that of its sources which is farthest from the root, of those that weigh half or more. Of
-    several that share a source the last one of the spine has it, for that is what the arms hang on, else the one that
-    it weighs most in. The pelvis is where the legs meet.
+    A joint of the layout maps to its farthest source from the root, among those of weight 0.5 or more. If several
+    share a source, the last one of the spine gets it, as the arms are attached there, else the one with the largest
+    weight. The pelvis is where the legs meet.
     """
     return dict(_counterparts(skeleton))
 
@@ -174,9 +174,9 @@ def _counterparts(skeleton: Skeleton) -> tuple[tuple[int, int], ...]:
 
 
 def canonical_observation(observation: Observed) -> Observed:
-    """An observation of any known skeleton in the 22-joint layout, with rotations, bones as long as its own.
+    """An observation of any known skeleton in the 22-joint layout, with rotations and its own bone lengths.
 
-    Rotations are its own where its joints are the layout's; else those of inverse kinematics in time, from the layout's
+    Rotations are its own if its joints are the layout's; else those of inverse kinematics in time, from the layout's
     rest pose. Raises `SkeletonMapError`.
     """
     has_rotations = observation.rows(slice(0, 1)).poses.local_rotations is not None

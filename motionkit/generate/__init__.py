@@ -1,1 +1,1 @@
-"""Motions out of a trained model, in memory: what is asked for becomes motion fields, sampled at any framerate."""
+"""Generation by a trained model: requests become motion fields, sampled at any framerate."""

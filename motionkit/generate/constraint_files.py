@@ -1,8 +1,8 @@
-"""Constraints as `motionkit generate` is told them: a table of a path, poses of files, joints at places.
+"""Constraints from the options of `motionkit generate`: a table of a path, poses of files, joints at places.
 
-A path is a CSV with the columns `x` and `z` (metres), perhaps `seconds` and `heading_degrees`. Without seconds it is
-walked evenly over the whole motion. A pose is `SECONDS=FILE`, or `SECONDS=FILE@INSTANT` of a file of several frames; a
-joint is `NAME@SECONDS=x,y,z` or `NAME@FROM-TO=x,y,z`.
+A path is a CSV with the columns `x` and `z` (metres), optionally `seconds` and `heading_degrees`. Without seconds it
+is walked evenly over the whole motion. A pose is `SECONDS=FILE`, or `SECONDS=FILE@INSTANT` of a file of several
+frames; a joint is `NAME@SECONDS=x,y,z` or `NAME@FROM-TO=x,y,z`.
 """
 
 import csv
@@ -29,7 +29,7 @@ _JOINT = re.compile(r"(?P<joint>[^@=]+)@(?P<start>[\d.]+)(-(?P<end>[\d.]+))?=(?P
 
 @dataclass(frozen=True, eq=False)
 class PathTable:
-    """The points of a path, each with its line: (x, z) in metres, when, facing where (radians); None where not said."""
+    """The points of a path with their line numbers: (x, z) in metres, seconds, heading (radians); None if not given."""
 
     name: str
     places: Float64[np.ndarray, "points 2"]
@@ -38,7 +38,7 @@ class PathTable:
     lines: tuple[int, ...]
 
     def constraint(self, duration_seconds: float | None) -> Constraint:
-        """The path of a motion of some length; raises `UsageError` where that is not known and has to be."""
+        """The path constraint for a motion's duration; raises `UsageError` if that is unknown but needed."""
         if self.seconds is not None:
             late = np.flatnonzero(self.seconds > (np.inf if duration_seconds is None else duration_seconds + 1e-9))
             if len(late):
@@ -47,7 +47,7 @@ class PathTable:
             return Constraint.path(self.places, self.seconds, self.heading, self.name)
         if duration_seconds is None:
             raise UsageError(
-                f"{self.name}: without a column 'seconds' it is walked evenly, in as long as --seconds says"
+                f"{self.name}: without a column 'seconds' the path is walked evenly, which needs --seconds"
             )
         steps = np.linalg.norm(np.diff(self.places, axis=0), axis=1)
         seconds = np.concatenate(([0.0], steps.cumsum())) * (duration_seconds / steps.sum())
@@ -55,7 +55,7 @@ class PathTable:
 
 
 def read_path(path: Path) -> PathTable:
-    """Read a CSV of a path; raises `UsageError` with file and line for what is no path."""
+    """Read a CSV of a path; raises `UsageError` with file and line for an invalid one."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
@@ -86,7 +86,7 @@ def read_path(path: Path) -> PathTable:
 
 
 def path_and_seconds(path: Path | None, seconds: float | None) -> tuple[PathTable | None, float | None]:
-    """The path of a file, if there is one, and how long a motion lasts: as stated, else as long as a path with seconds.
+    """The path of a file, if given, and the motion's duration: as stated, else that of a path with seconds.
 
     Raises what `read_path` raises.
     """
@@ -106,11 +106,10 @@ def wanted_constraints(
     joints: str | None = None,
     placed: bool = False,
 ) -> tuple[Constraint, ...]:
-    """All constraints of a motion of each prompt, or of all in a row.
+    """All constraints of a motion.
 
-    `joints` are those of poses that count, separated by commas; None for all.
-    Raises what reading them raises, and `UsageError` for a point of the path beyond the motion's end and for what is
-    said of poses where there are none.
+    `joints` are the constrained joints of poses, separated by commas; None for all. Raises what reading them raises,
+    and `UsageError` for a path point beyond the motion's end, and for options of poses without poses.
     """
     if (joints or placed) and not poses:
         raise UsageError("--pose-joints and --pose-placed are about the poses of --pose: give one")
@@ -147,7 +146,7 @@ def _check_step(rows: Sequence[dict[str, float]], is_too_long: bool, place: str)
 
 
 def parse_pose(given: str, joints: Sequence[str] = SMPL22.joint_names, *, placed: bool = False) -> Constraint:
-    """The pose of `SECONDS=FILE` or `SECONDS=FILE@INSTANT`, in the 22-joint layout.
+    """Parse the pose of `SECONDS=FILE` or `SECONDS=FILE@INSTANT`, in the 22-joint layout.
 
     Raises `UsageError` for another form, a file of several frames without an instant, and an instant outside it.
     """
@@ -178,7 +177,7 @@ def parse_pose(given: str, joints: Sequence[str] = SMPL22.joint_names, *, placed
 
 
 def parse_joint(given: str) -> Constraint:
-    """The joint of `NAME@SECONDS=x,y,z` or `NAME@FROM-TO=x,y,z`; raises `UsageError` for another form."""
+    """Parse the joint of `NAME@SECONDS=x,y,z` or `NAME@FROM-TO=x,y,z`; raises `UsageError` for another form."""
     found = _JOINT.fullmatch(given)
     numbers = found["place"].split(",") if found else []
     stated = [found["start"], found["end"] or found["start"]] if found else []

@@ -1,6 +1,6 @@
-"""What a generated motion is held to beside its text: a path on the floor, poses, joints at given instants.
+"""Constraints on generated motions: a path on the floor, poses, joints at given instants.
 
-A model that can do so says of which kinds (`motionkit.generate.models.FollowsConstraints`); others are not asked.
+Models declare the kinds that they support (`motionkit.generate.models.FollowsConstraints`).
 """
 
 from collections.abc import Sequence
@@ -31,13 +31,13 @@ ROOT = SMPL22.joint_names[0]
 
 @dataclass(frozen=True, eq=False)
 class Constraint:
-    """Where joints of the 22-joint layout are to be at some instants of a motion, metres; NaN leaves a number free.
+    """Target positions of joints of the 22-joint layout at some instants of a motion, metres; NaN leaves a number free.
 
-    In the frame `world` places are the world's: a motion with a path or a pose there begins wherever that lets it, else
-    at the origin, facing Z+. In the frame `body` they are seen from the point of the floor under the root, ahead being
-    Z+, so that a pose may stand anywhere. `heading` is where the body faces in the world (radians, 0 is Z+, positive
-    turns towards X+). `deviation` says how far off, in metres, is still likely. Raises `UsageError` for arrays that
-    disagree, unknown joints and instants before 0.
+    In the frame `world` positions are in world coordinates; a motion without such constraints begins at the origin,
+    facing Z+. In the frame `body` they are relative to the point of the floor under the root, facing Z+, so that a pose
+    may be anywhere. `heading` is the facing direction in the world (radians, 0 is Z+, positive towards X+).
+    `deviation` is the tolerance as a standard deviation in metres. Raises `UsageError` for inconsistent arrays, unknown
+    joints and instants before 0.
 
     >>> turn = mk.Constraint.path([(0, 0), (0, 3), (3, 3)], seconds=[0, 2.5, 5])
     >>> model = mk.load_model("runs/nano").constrained(turn)
@@ -66,7 +66,7 @@ class Constraint:
         if not instants or not np.isfinite(self.seconds).all() or self.seconds.min() < 0:
             raise UsageError(f"{self.name}: instants are seconds from 0 on, and at least one")
         if np.isinf(self.positions).any() or np.isinf(self.heading).any():
-            raise UsageError(f"{self.name}: a place is infinitely far away")
+            raise UsageError(f"{self.name}: a position is infinite")
 
     @classmethod
     def path(
@@ -76,10 +76,10 @@ class Constraint:
         heading: "Sequence[Number] | Float[np.ndarray, 'points'] | None" = None,
         name: str = "path",
     ) -> "Constraint":
-        """The root over (x, z) at ascending seconds, and between them on a curve without overshoot (PCHIP).
+        """The root at (x, z) at ascending seconds, interpolated without overshoot (PCHIP).
 
-        With a `heading` the body faces there (radians). Raises `UsageError` for less than two points, and for seconds
-        that don't ascend.
+        `heading` is the facing direction (radians). Raises `UsageError` for fewer than two points, and for seconds that
+        don't ascend.
         """
         from scipy.interpolate import PchipInterpolator
 
@@ -105,9 +105,9 @@ class Constraint:
         placed: bool = False,
         name: str = "pose",
     ) -> "Constraint":
-        """A pose of the 22-joint layout at an instant, of which some joints count; its heights are the world's.
+        """A pose of the 22-joint layout at an instant, optionally only some joints; heights are the world's.
 
-        It may stand and face anywhere on the floor, or where it is in the world (`placed`).
+        Its position and heading on the floor are free, unless `placed`.
         """
         pose = np.asarray(joint_positions, np.float64)[None]
         if not placed:
@@ -123,7 +123,7 @@ class Constraint:
     def joint(
         cls, joint: str, place: tuple[Number, Number, Number], start: Number, end: Number | None = None, name: str = ""
     ) -> "Constraint":
-        """A joint at a place (x, y, z) of the world, at an instant or all the time from `start` to `end`."""
+        """A joint at a world position (x, y, z), at an instant or from `start` to `end`."""
         end = start if end is None else end
         count = 1 + max(0, int(np.ceil((end - start) * JOINT_INSTANTS_PER_SECOND)))
         positions = np.tile(np.asarray(place, np.float64), (count, 1, 1))
@@ -132,7 +132,7 @@ class Constraint:
 
     @property
     def places_motion(self) -> bool:
-        """Whether it says where in the world the whole motion lies."""
+        """Whether it determines the motion's place in the world."""
         return self.frame == "world" and self.kind != "joint"
 
     @property
@@ -141,7 +141,7 @@ class Constraint:
         return [SMPL22.joint_names.index(joint) for joint in self.joints]
 
     def between(self, start_seconds: float, end_seconds: float) -> "Constraint | None":
-        """What it asks of a stretch of the motion, by a clock that begins there; None where that is nothing."""
+        """The constraint on a stretch of the motion, in the stretch's own time; None if it does not apply."""
         inside = (self.seconds >= start_seconds - 1e-9) & (self.seconds <= end_seconds + 1e-9)
         if not inside.any():
             return None
@@ -149,20 +149,20 @@ class Constraint:
         return replace(self, seconds=seconds, positions=self.positions[inside], heading=self.heading[inside])
 
     def plain(self) -> dict[str, Any]:
-        """Which it is, as JSON: its kind, name and checksum."""
+        """Its identity as JSON: kind, name and checksum."""
         free = self.positions.round(9), self.heading.round(9), self.seconds.round(9)
         numbers = [[None if np.isnan(each) else each for each in array.ravel().tolist()] for array in free]
         content = {"frame": self.frame, "joints": list(self.joints), "deviation": self.deviation, "numbers": numbers}
         return {"kind": self.kind, "name": self.name, "sha256": checksum_of(content)}
 
     def later(self, seconds: float) -> "Constraint":
-        """The same so many seconds later."""
+        """The same, delayed by some seconds."""
         return replace(self, seconds=self.seconds + seconds)
 
 
 @dataclass(frozen=True)
 class Followed:
-    """How far a motion is from a constraint: distances over joints and instants, and of headings, where it has some."""
+    """Errors of a motion under a constraint: distances over joints and instants, and of headings if constrained."""
 
     kind: ConstraintKind
     name: str
@@ -177,7 +177,7 @@ class Followed:
 
 
 def followed(motion: MotionField, constraint: Constraint) -> Followed:
-    """How well a motion in the 22-joint layout meets a constraint."""
+    """Measure how well a motion in the 22-joint layout meets a constraint."""
     seconds = np.clip(constraint.seconds, motion.start_seconds, motion.end_seconds)
     joints = motion.query(seconds).joint_positions[:, : SMPL22.num_joints].astype(np.float64)
     here = joints if constraint.frame == "world" else in_body_frame(joints)

@@ -20,10 +20,10 @@ from motionkit.generate.samples import GeneratedSample
 
 
 def write_npz_file(path: Path, sample: GeneratedSample) -> None:
-    """Write a .npz of `motionkit.formats.arrays.npz`'s schema, which appears whole or not at all.
+    """Write a .npz of `motionkit.formats.arrays.npz`'s schema, atomically.
 
-    Poses at arbitrary instants have `time_seconds` and no `fps`. Beside the schema: `duration_seconds`, the interval
-    that was asked for.
+    Poses at arbitrary instants have `time_seconds` and no `fps`. In addition to the schema: `duration_seconds`, the
+    requested duration.
     """
     if sample.fps is None:
         arrays = {
@@ -58,7 +58,7 @@ def write_humanml3d_files(path: Path, sample: GeneratedSample) -> None:
     if isinstance(entry, Outcome):
         raise UsageError(f"{sample.name}: {entry.message}")
     for place in _HUMANML3D.files(sample.name):
-        (path.parents[1] / place).unlink(missing_ok=True)  # a link would be written through
+        (path.parents[1] / place).unlink(missing_ok=True)  # do not write through a link
     FolderWriter(path.parents[1], kind.layout).add(entry)
 
 
@@ -72,10 +72,10 @@ def _begin_nothing(folder: Path, fps: Fraction) -> None:
 
 @dataclass(frozen=True)
 class OutputFormat:
-    """One kind of output: `begin` writes what all motions share, `write` one motion to its first file.
+    """An output format: `begin` writes shared files, `write` one motion to its first file.
 
-    `patterns` name a motion's files below the folder, `shared` those of all. `fps` is the framerate where none is asked
-    for (None: the highest of the training data); `any_instants` says whether it holds poses at arbitrary instants.
+    `patterns` are a motion's files below the folder, `shared` those of all. `fps` is the default framerate (None: the
+    highest of the training data); `any_instants`: whether it supports poses at arbitrary instants.
     """
 
     name: str
@@ -87,7 +87,7 @@ class OutputFormat:
     shared: tuple[str, ...] = ()
 
     def files(self, motion: str) -> tuple[PurePosixPath, ...]:
-        """The files of a motion of this name, the one that stands for it first."""
+        """The files of a motion of this name, the main one first."""
         return tuple(PurePosixPath(pattern.format(motion)) for pattern in self.patterns)
 
 
@@ -104,7 +104,7 @@ _HUMANML3D = OutputFormat(
 
 @cache
 def output_formats() -> Mapping[str, OutputFormat]:
-    """All kinds of output by name: a file for each motion in every format that is written, and HumanML3D's folder."""
+    """All output formats by name: a file per motion in every writable format, and HumanML3D's folder."""
     files = {name: _one_file(each) for name, each in writers().items()}
     return {**files, _NPZ.name: _NPZ, _HUMANML3D.name: _HUMANML3D}
 
@@ -115,7 +115,7 @@ def _one_file(format: Format) -> OutputFormat:
 
 
 def output_format(name: str, times: tuple[float, ...] = ()) -> OutputFormat:
-    """The kind of output of a name; raises `UsageError` for an unknown one, and for one without poses at `times`."""
+    """The output format of a name; raises `UsageError` for an unknown one, or one that does not support `times`."""
     output = output_formats().get(name)
     if output is None:
         raise UsageError(f"--format is one of {', '.join(output_formats())}, not {name!r}")

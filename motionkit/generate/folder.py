@@ -1,8 +1,8 @@
-"""The folder of one `motionkit generate` call: generation.json says what was asked for, motions.csv what is there.
+"""The folder of a `motionkit generate` call: generation.json holds the request, motions.csv lists the results.
 
 generation.json is written first and never changes; motions.csv gains a line when a motion's files are complete. So a
-call that was stopped goes on where it was, and `motionkit ingest` reads the folder with its captions. Both carry
-checksums, of the motions' files too, which are checked where the folder is read again.
+stopped call can be resumed, and `motionkit ingest` reads the folder with its captions. Both have checksums, also of the
+motions' files, which are verified when the folder is read.
 """
 
 import csv
@@ -25,18 +25,18 @@ from motionkit.generate.files import OutputFormat, output_formats
 from motionkit.generate.models import GenerationRequest
 from motionkit.generate.samples import GeneratedSample, motion_name
 
-# As motionkit.formats.scan.annotations reads them; seconds and num_frames are for people.
+# As motionkit.formats.scan.annotations reads them; seconds and num_frames are informative.
 COLUMNS = ("file", "captions", "action", "fps", "seconds", "num_frames")
 MEND = "delete it, and motionkit generate --resume makes all motions again"
 FILES_CHECKSUM, ROW_CHECKSUM = "files_sha256", "checksum"
 Row = dict[str, str]
 MANIFEST = "generation.json"
 FORMAT = "motionkit-generation"
-# Whether motions.csv has checksums: those of folders of before have none.
+# Whether motions.csv has checksums, which folders of older versions lack.
 TABLE_CHECKSUMS = "table_checksums"
-# What may differ between a call and the one that it resumes.
+# Settings that may differ between a call and the one that it resumes.
 MAY_DIFFER = ("versions", TABLE_CHECKSUMS)
-# What older versions didn't write, for they did not do it, and how their folders are gone on with.
+# Settings that older versions did not write, and how to continue with their folders.
 PLANTED, JOINS, CONSTRAINTS = "planted", "joins", "constraints"
 OF_OLDER_VERSIONS = {
     PLANTED: "an older version made it, which planted nothing: --no-plant goes on with it",
@@ -47,7 +47,7 @@ ANOTHER = "name another folder with --out"
 
 @dataclass(frozen=True)
 class GeneratedTable:
-    """The table of a folder whose motions are written in a format; `has_checksums` is false in folders of before."""
+    """The table of a folder, for its format; `has_checksums` is false in folders of older versions."""
 
     folder: Path
     output: OutputFormat
@@ -79,7 +79,7 @@ class GeneratedTable:
         return row
 
     def rows(self) -> list[Row]:
-        """All rows; a last line that was cut short is left out. Raises `DamagedFileError` where one is damaged."""
+        """All rows, without an incomplete last line. Raises `DamagedFileError` for a damaged one."""
         columns, rows = self._read()
         if columns and tuple(columns) != self.columns:
             raise DamagedFileError(self.path, "its first line is not what was written", MEND)
@@ -97,12 +97,12 @@ class GeneratedTable:
         return rows
 
     def _read(self) -> tuple[Sequence[str], list[Row]]:
-        """The names of the columns and all rows, as they are."""
+        """The names of the columns and all rows, unchecked."""
         if not self.path.is_file():
             return (), []
         data = self.path.read_bytes()
         text = data[: data.rfind(b"\n") + 1].decode("utf-8", errors="replace")
-        # Where a row is too long or too short, csv gives None as a name or a cell.
+        # For rows of the wrong length, csv gives None as a name or a cell.
         rows = csv.DictReader(io.StringIO(text, newline=""))
         try:
             found = [{str(name): str(cell) for name, cell in row.items()} for row in rows]
@@ -111,7 +111,7 @@ class GeneratedTable:
         return rows.fieldnames or (), found
 
     def motion_names(self) -> list[str]:
-        """The names of the motions in the table, of which nothing is checked; none where it is no table."""
+        """The names of the motions in the table, unchecked; empty if it is not a table."""
         try:
             rows = self._read()[1]
         except DamagedFileError:
@@ -119,17 +119,17 @@ class GeneratedTable:
         return [PurePosixPath(row["file"]).stem for row in rows if _names_a_file(row)]
 
     def paths(self, row: Row) -> tuple[Path, ...]:
-        """The files of a row's motion: by the name alone, so that none lies outside the folder."""
+        """The files of a row's motion, by name alone, so that none is outside the folder."""
         return tuple(self.folder / place for place in self.output.files(PurePosixPath(row["file"]).stem))
 
     def fault(self, row: Row) -> str | None:
-        """Why the files of a motion are not those that were written; None where they are, or nothing is known."""
+        """What is wrong with the files of a motion; None if they are intact, or unknown."""
         if not self.has_checksums or self._files_checksum(row) == row[FILES_CHECKSUM]:
             return None
-        return "its content is not what its checksum says"
+        return "its content does not match its checksum"
 
     def keep(self, rows: Sequence[Row]) -> None:
-        """Leave the first rows of the table, and none after them."""
+        """Truncate the table to its first rows."""
         text = io.StringIO(newline="")
         writer = csv.DictWriter(text, self.columns, lineterminator="\n")
         writer.writeheader()
@@ -152,7 +152,7 @@ def _digest(path: Path) -> str:
 
 
 class GeneratedFolder:
-    """Writes motions.csv line by line; `num_done` motions were complete when it was opened. Owns the open file."""
+    """Appends to motions.csv; `num_done` motions were complete when it was opened. Owns the open file."""
 
     def __init__(self, table: GeneratedTable, num_done: int) -> None:
         self.path, self.num_done, self._rows = table.folder, num_done, table
@@ -169,21 +169,21 @@ class GeneratedFolder:
             self._handle.close()
 
     def add(self, sample: GeneratedSample) -> None:
-        """Note that a motion's files are complete."""
+        """Record that a motion's files are complete."""
         with naming(self._rows.path):
             self._table.writerow(self._rows.row(sample))
             self._handle.flush()
 
 
 def begin_folder(path: Path, manifest: Mapping[str, Any]) -> GeneratedFolder:
-    """Begin a new or empty folder; raises `UsageError` for one that holds something."""
+    """Begin a new or empty folder; raises `UsageError` for one that is not empty."""
     if path.exists() and not path.is_dir():
         raise UsageError(f"{path} is a file: name a folder with --out")
     left = [entry for entry in path.iterdir() if _is_unfinished_manifest(entry)] if path.exists() else []
     if path.exists() and any(entry not in left for entry in path.iterdir()):
         if (path / MANIFEST).is_file():
             raise UsageError(
-                f"{path} holds generated motions: --resume goes on with them, --overwrite replaces them, --out FOLDER "
+                f"{path} holds generated motions: --resume continues them, --overwrite replaces them, --out FOLDER "
                 "keeps both"
             )
         raise UsageError(f"{path} is not empty: {ANOTHER}")
@@ -193,9 +193,9 @@ def begin_folder(path: Path, manifest: Mapping[str, Any]) -> GeneratedFolder:
 
 
 def resume_folder(path: Path, manifest: Mapping[str, Any]) -> GeneratedFolder:
-    """Go on with a folder that the same call began, or begin it.
+    """Resume a folder of the same call, or begin it.
 
-    Raises `UsageError` where another call made it, `DamagedFileError` where what it made is not what it wrote.
+    Raises `UsageError` if another call made it, `DamagedFileError` for damaged files.
     """
     if not (path / MANIFEST).is_file():
         return begin_folder(path, manifest)
@@ -206,7 +206,7 @@ def resume_folder(path: Path, manifest: Mapping[str, Any]) -> GeneratedFolder:
     if differing:
         name = differing[0]
         if name in OF_OLDER_VERSIONS and name not in _read_manifest(path):
-            raise UsageError(f"{path} cannot be gone on with by this call: {OF_OLDER_VERSIONS[name]}")
+            raise UsageError(f"{path} cannot be resumed by this call: {OF_OLDER_VERSIONS[name]}")
         raise UsageError(
             f"{path} was begun with another {name} ({_short(found.get(name))}, now {_short(asked.get(name))}): repeat "
             "the same call, or name another folder with --out"
@@ -216,7 +216,7 @@ def resume_folder(path: Path, manifest: Mapping[str, Any]) -> GeneratedFolder:
 
 
 def replace_folder(path: Path, manifest: Mapping[str, Any]) -> GeneratedFolder:
-    """Delete the files of a former call, and nothing else, then begin again; raises `DamagedFileError`."""
+    """Delete the files of an earlier call, and nothing else, then begin again; raises `DamagedFileError`."""
     if not (path / MANIFEST).is_file():
         return begin_folder(path, manifest)
     _refuse_links(path)
@@ -233,14 +233,14 @@ def replace_folder(path: Path, manifest: Mapping[str, Any]) -> GeneratedFolder:
 
 @dataclass(frozen=True)
 class DamagedMotion:
-    """A motion whose files, the one that stands for it first, are not those that were written."""
+    """A motion with damaged files, the main one first."""
 
     paths: tuple[Path, ...]
     fault: str
 
 
 def damaged_motions(path: Path) -> Iterator[DamagedMotion]:
-    """The damaged motions of a folder that `motionkit generate` made; none of any other folder, which is not checked.
+    """The damaged motions of a folder of `motionkit generate`; other folders are not checked.
 
     Raises `DamagedFileError` for a damaged generation.json or motions.csv.
     """
@@ -248,7 +248,7 @@ def damaged_motions(path: Path) -> Iterator[DamagedMotion]:
         return
     try:
         found = _read_manifest(path)
-    except UsageError:  # somebody else's file of that name
+    except UsageError:  # another program's file of that name
         return
     table = _table(path, found)
     for row in table.rows():
@@ -271,11 +271,11 @@ def _table(path: Path, manifest: Mapping[str, Any]) -> GeneratedTable:
 
 
 def _keep_complete(table: GeneratedTable) -> int:
-    """Leave in the table what is complete up to the first motion that is not; returns the number of motions."""
+    """Truncate the table at the first incomplete motion; returns the number of complete ones."""
     done = []
     for row in table.rows():
         if not all(path.is_file() for path in table.paths(row)):
-            warn(f"{row['file']} is gone: the motions are made again from there")
+            warn(f"{row['file']} is missing: motions are generated again from there")
             break
         fault = table.fault(row)
         if fault is not None:
@@ -287,7 +287,7 @@ def _keep_complete(table: GeneratedTable) -> int:
 
 
 def _unnoted(table: GeneratedTable, manifest: Mapping[str, Any]) -> Iterator[str]:
-    """The names of motions that lie in the folder and that a call was to make, whether the table has them or not."""
+    """The names of a call's motions in the folder, whether the table has them or not."""
     try:
         requests = [
             GenerationRequest(each["seconds"], text=each["text"], action=each["action"])
@@ -297,7 +297,7 @@ def _unnoted(table: GeneratedTable, manifest: Mapping[str, Any]) -> Iterator[str
         count = int(manifest["count"])
         for folder in {table.folder / place.parent for place in table.output.files("any")}:
             for path in folder.iterdir() if folder.is_dir() else ():
-                name = path.name.lstrip(".").partition(".")[0]  # without the suffix, and what makes a name temporary
+                name = path.name.lstrip(".").partition(".")[0]  # without the suffix and the marks of a temporary name
                 number = whole_number(name.partition("-")[0])
                 if number is None or number >= len(scripts) * count:
                     continue
@@ -310,12 +310,12 @@ def _unnoted(table: GeneratedTable, manifest: Mapping[str, Any]) -> Iterator[str
 def _read_manifest(path: Path) -> dict[str, Any]:
     value = read_json(path / MANIFEST, f"delete the folder, or {ANOTHER}")
     if value.get("format") != FORMAT or str(value.get("file_format")) not in output_formats():
-        raise UsageError(f"{path / MANIFEST} is not of `motionkit generate`: {ANOTHER}")
+        raise UsageError(f"{path / MANIFEST} was not written by `motionkit generate`: {ANOTHER}")
     return value
 
 
 def _refuse_links(path: Path) -> None:
-    """Raise `UsageError` for a link below the folder: what is written or deleted there would be somebody else's."""
+    """Raise `UsageError` for a link below the folder, since its target may belong to others."""
     for folder, folders, files in os.walk(path):
         entries = (Path(folder, name) for name in (*folders, *files))
         link = next((entry for entry in entries if entry.is_symlink()), None)
@@ -324,7 +324,7 @@ def _refuse_links(path: Path) -> None:
 
 
 def _is_unfinished_manifest(path: Path) -> bool:
-    """Whether a call that was killed while it wrote generation.json left this; there its name had its process' id."""
+    """Whether this is a temporary generation.json of a killed call (with its process id in the name)."""
     name = path.name
     return name == temporary_name(path.with_name(MANIFEST)).name or (
         name.startswith(f".{MANIFEST}.") and name.endswith(".tmp")
@@ -332,7 +332,7 @@ def _is_unfinished_manifest(path: Path) -> bool:
 
 
 def _of_older_versions(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    """What calls did whose generation.json doesn't say it."""
+    """Settings of calls whose generation.json lacks them."""
     joins = None if manifest.get("overlap_seconds") is None else "cross-faded"
     return {PLANTED: False, "with_detail": False, JOINS: joins, CONSTRAINTS: []}
 

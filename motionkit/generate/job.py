@@ -1,4 +1,4 @@
-"""What one `motionkit generate` call does: motions of a request made by a model and written into a folder."""
+"""The work of a `motionkit generate` call: generate the motions of a request and write them into a folder."""
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -24,11 +24,11 @@ from motionkit.training.run import versions, weights_sha256
 
 @dataclass(frozen=True)
 class Job:
-    """What to make, by which model out of which run, as which files; with feet that stand, unless not to `plant`.
+    """A request, a model of a run, and an output format; motions are planted unless `plant` is false.
 
-    With `detail` motions have what captures hold above 10 Hz, of the same seed (docs/detail.md).
+    With `detail` motions get captures' motion above 10 Hz, from the same seed (docs/detail.md).
 
-    Raises `UsageError`, with the prompt's file and line, for what the model cannot do: before anything is made.
+    Raises `UsageError`, with the prompt's file and line, for unsupported requests, before anything is generated.
     """
 
     request: MotionsRequest
@@ -59,7 +59,7 @@ class Job:
         return sum(is_joined(script, self.model.max_duration_seconds) for script in self.request.motions)
 
     def manifest(self) -> dict[str, Any]:
-        """What was asked for, of which weights: the same manifest gives the same motions."""
+        """The request and the weights' identity: the same manifest gives the same motions."""
         request = self.request
         return {
             "format": FORMAT,
@@ -86,7 +86,7 @@ class Job:
     def samples(self, num_done: int = 0) -> Iterator[tuple[MotionField, GeneratedSample]]:
         """Fields and their poses from motion `num_done` on, one at a time in memory.
 
-        Batches begin at the same motions wherever a call goes on, so a resumed one writes the same numbers.
+        Batches are aligned whatever the first motion, so a resumed call writes the same numbers.
         """
         motions, times = self.request.motions, self.request.times
         fields = generate_scripts(
@@ -105,7 +105,7 @@ class Job:
             yield field, sample_field(shown, name, motions[index], self.fps, seconds)
 
     def write(self, folder: GeneratedFolder) -> Iterator[tuple[MotionField, GeneratedSample, Path]]:
-        """Make and write what the folder lacks, motion by motion: the field, its poses, and the file of that name."""
+        """Generate and write missing motions one by one: the field, its poses, and its file."""
         self.output.begin(folder.path, self.fps)
         for field, sample in self.samples(folder.num_done):
             path = folder.path / self.output.files(sample.name)[0]

@@ -1,4 +1,4 @@
-"""What a generative model of continuous motion offers: requests in, motion fields out.
+"""The interface of generative models: requests in, motion fields out.
 
 Models register a `ModelLoader`, or a plain function from a run folder, under the entry point group
 `motionkit.models`; the table code and `motionkit generate` know only this interface.
@@ -21,11 +21,11 @@ from motionkit.training.loaders import Loader, installed_loaders, loader_names, 
 
 @dataclass(frozen=True)
 class GenerationRequest:
-    """One motion wanted: a duration, and a text, an action or neither as its condition.
+    """A motion to generate: a duration, and a text, an action or neither as its condition.
 
-    Where both are given, a model uses the text if it was trained with texts, and the action otherwise.
-    Where the duration is None, the model draws one from those of its training data. Constraints are for models that
-    follow such (`FollowsConstraints`), and need a duration; their clock begins with the motion.
+    If both are given, a model uses the text if it was trained with texts, and the action otherwise. A duration of None
+    is drawn from the training data's. Constraints need a model that supports them (`FollowsConstraints`) and a
+    duration; their time begins with the motion.
     """
 
     duration_seconds: float | None
@@ -36,10 +36,10 @@ class GenerationRequest:
 
 @dataclass(frozen=True)
 class SamplingOptions:
-    """How to sample, where it isn't as the model's recipe says: None is the recipe's.
+    """Sampling options; None is the default of the model's recipe.
 
-    `guidance_scale` is how strongly the condition is followed (1: as the data does). A model raises `UsageError` for a
-    `sampler` or a number of `steps` that it doesn't have.
+    `guidance_scale` is the strength of classifier-free guidance (1: none). A model raises `UsageError` for an
+    unsupported `sampler` or number of `steps`.
 
     >>> options = mk.SamplingOptions(guidance_scale=2.5, steps=5)
     >>> mk.generate("a person walks", run="runs/nano", fps=20, seconds=1, sampling=options).num_frames
@@ -72,7 +72,7 @@ class GenerativeModel(Protocol):
 
     @property
     def max_duration_seconds(self) -> float:
-        """Longest motion one request can ask for (l_max)."""
+        """Longest motion of a request (l_max)."""
         ...
 
     def generate(
@@ -85,24 +85,24 @@ class GenerativeModel(Protocol):
     ) -> list[MotionField]:
         """One field per request, in order; the same seed and requests give the same fields.
 
-        Request i is number `first` + i of its seed, so that many requests can be worked off in several calls.
+        Request i is number `first` + i of its seed, so that many requests can be split into several calls.
         """
         ...
 
 
 @runtime_checkable
 class ChecksRequests(Protocol):
-    """A model that can say what it cannot do before it begins: of a thousand requests, the last may be wrong."""
+    """A model that can validate requests before it generates any."""
 
     def check(self, request: GenerationRequest, sampling: SamplingOptions = SamplingOptions()) -> None:
-        """Raise `UsageError` for a duration, an action, a text or a way of sampling that this model does not know."""
+        """Raise `UsageError` for an unsupported duration, action, text or sampling option."""
         ...
 
 
 def knows_no_conditions(model: GenerativeModel) -> bool:
-    """Whether a model says by an attribute `unconditional` that it was trained without texts and actions.
+    """Whether a model declares by an attribute `unconditional` that it was trained without texts and actions.
 
-    Tables ask such a one for motions of no stated kind.
+    Tables give it unconditional requests.
     """
     return bool(getattr(model, "unconditional", False))
 
@@ -124,16 +124,16 @@ def refusal(model: GenerativeModel, request: GenerationRequest) -> str:
 
 @runtime_checkable
 class FollowsConstraints(Protocol):
-    """A model whose motions can be held to constraints of some kinds; of others none is asked."""
+    """A model that supports some kinds of constraints."""
 
     @property
     def constraint_kinds(self) -> frozenset[ConstraintKind]:
-        """The kinds that it follows."""
+        """The supported kinds."""
         ...
 
 
 def check_constraints(model: GenerativeModel, request: GenerationRequest) -> None:
-    """Raise `UsageError` for constraints that a model doesn't follow, and for those outside the motion's length."""
+    """Raise `UsageError` for constraints that a model doesn't support, or outside the motion's duration."""
     kinds = model.constraint_kinds if isinstance(model, FollowsConstraints) else frozenset()
     length = request.duration_seconds
     for each in request.constraints:
@@ -148,7 +148,7 @@ def check_constraints(model: GenerativeModel, request: GenerationRequest) -> Non
 
 @runtime_checkable
 class DescribesMotions(Protocol):
-    """A model that has something to say of a motion that it generated, beside its poses."""
+    """A model that reports facts about a generated motion."""
 
     def describe(self, motion: MotionField) -> Mapping[str, Any]:
         """Plain values by name, ready for JSON."""
@@ -160,10 +160,10 @@ GROUP = "motionkit.models"
 
 @dataclass(frozen=True)
 class ModelLoader(Loader[GenerativeModel]):
-    """A generative model that a package brings, as an entry point of `motionkit.models` names it.
+    """A generative model of a package, registered as an entry point of `motionkit.models`.
 
-    `fixed_fps_setting` is the setting that trains it at a single framerate, which some tables compare it with; empty
-    where it has none.
+    `fixed_fps_setting` is the setting that trains it at a single framerate, for comparison in some tables; empty if it
+    has none.
     """
 
     fixed_fps_setting: str = ""
@@ -175,7 +175,7 @@ def installed_models() -> dict[str, ModelLoader]:
 
 
 def model_loader(name: str) -> ModelLoader:
-    """The loader of a model; raises `UsageError` naming those there are."""
+    """The loader of a model; raises `UsageError` that lists the known ones."""
     found = entry_points(group=GROUP, name=name)
     if not found:
         known = ", ".join(loader_names(GROUP)) or "none"
@@ -184,14 +184,14 @@ def model_loader(name: str) -> ModelLoader:
 
 
 def load_model(name: str, run: Path) -> GenerativeModel:
-    """Load the model that an entry point of group `motionkit.models` names, from a run folder."""
+    """Load a model by the name of its entry point in the group `motionkit.models`, from a run folder."""
     return model_loader(name).load(run)
 
 
 def model_of(run: Path) -> str:
-    """The name of the installed model that a run holds; of the one that is installed, whatever the run holds.
+    """The name of the installed model in a run; if a single one is installed, its name whatever the run holds.
 
-    Raises `UsageError` where the run holds none of several models, naming the runs that hold one, or more than one.
+    Raises `UsageError` if the run holds none of several models (listing runs that do), or more than one.
     """
     installed = installed_models()
     if len(installed) == 1:
@@ -213,7 +213,7 @@ def model_of(run: Path) -> str:
 
 
 def warn_above_training(model: GenerativeModel, fps: Fraction) -> None:
-    """Warn of a framerate above the highest of the training data (the paper's limitation, B.3)."""
+    """Warn about a framerate above the training data's highest (the paper's limitation, B.3)."""
     if fps > model.max_training_fps:
         warn(
             f"{float(fps):g} fps is above the {float(model.max_training_fps):g} fps of {model.name}'s fastest training "

@@ -1,4 +1,4 @@
-"""A trained generative model, in Python: texts or actions in, motions out."""
+"""A trained generative model for Python: texts or actions in, motions out."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -22,7 +22,7 @@ Several = list[str] | tuple[str, ...]
 
 
 class Options(TypedDict, total=False):
-    """What `generate` takes beside a text and a number, whatever it then gives."""
+    """Common parameters of `generate`'s overloads."""
 
     action: str | None
     fps: Framerate | None
@@ -34,7 +34,7 @@ class Options(TypedDict, total=False):
 
 @dataclass(frozen=True, eq=False)
 class MotionModel:
-    """A trained model that makes motions; `model` is what its package registered (docs/extending.md).
+    """A trained generative model; `model` is the package's own object (docs/extending.md).
 
     >>> model = mk.load_model("runs/nano")
     >>> motion = model.generate("a person walks", fps=120, seconds=2)
@@ -63,11 +63,11 @@ class MotionModel:
 
     @property
     def max_duration_seconds(self) -> float:
-        """Longest motion that it makes at once; longer ones are joined from several."""
+        """Longest motion generated at once; longer ones are joined from several."""
         return self.model.max_duration_seconds
 
     def constrained(self, *constraints: Constraint) -> "MotionModel":
-        """The same model, whose motions are held to constraints too: a path, poses, joints at given instants."""
+        """The same model with constraints: a path, poses, joints at given instants."""
         return replace(self, constraints=constraints)
 
     @overload
@@ -93,11 +93,11 @@ class MotionModel:
     ) -> Motion | list[Motion]:
         """A motion of a text, an action, or neither; with `n`, or of several texts, a list: n of each.
 
-        `fps` is by default the highest framerate of the training data; above it a warning says that detail is
-        interpolated. `seconds` are drawn from those of the training data by default; a motion longer than the model
-        makes at once is joined from several. The same seed gives the same motions at every framerate. Feet that slide
-        are made to stand, on bones of one length, unless not to `plant` (docs/plant.md). Raises `UsageError` for what
-        the model does not know.
+        `fps` is by default the highest framerate of the training data; above it there is a warning that detail is
+        interpolated. `seconds` are drawn from those of the training data by default; a motion longer than the model's
+        limit is joined from several. The same seed gives the same motions at every framerate. Foot sliding is removed
+        and bone lengths are fixed, unless `plant` is false (docs/plant.md). Raises `UsageError` for unsupported
+        requests.
 
         >>> model = mk.load_model("runs/nano")
         >>> [motion.duration_seconds for motion in model.generate("a person jumps", fps=30, seconds=2, n=2, seed=1)]
@@ -137,7 +137,7 @@ class MotionModel:
         return list(map(standing, fields, scripts)) if plant else fields
 
     def draw(self, scripts: Sequence[Script], seed: int, sampling: SamplingOptions) -> list[MotionField]:
-        """The motions of scripts, one or several requests in a row each; all are checked before the first is made."""
+        """The motions of scripts, each a sequence of requests; all are checked before the first is generated."""
         for script in dict.fromkeys(scripts):
             check_script(self.model, script, sampling, OVERLAP_SECONDS)
         return list(generate_scripts(self.model, scripts, seed=seed, sampling=sampling))
@@ -145,14 +145,14 @@ class MotionModel:
     def _scripts(
         self, text: str | Several | None, action: str | None, seconds: int | float | None, n: int | None
     ) -> list[Script]:
-        """What is asked for, n times each; raises `UsageError` for an empty text or action and for fewer than one."""
+        """The scripts of a call, n each; raises `UsageError` for an empty text or action, and for n below 1."""
         texts = [""] if text is None else [text] if isinstance(text, str) else list(text)
         if (text is not None and not all(each.strip() for each in texts)) or (
             action is not None and not action.strip()
         ):
-            raise UsageError("a text or action is empty; without either the motion is of no stated kind")
+            raise UsageError("a text or action is empty; give neither for unconditional motion")
         if not texts or (n is not None and n < 1):
-            raise UsageError("nothing is asked for: at least one text, and n of 1 or more")
+            raise UsageError("nothing to generate: give at least one text, and n of 1 or more")
         length = None if seconds is None else float(seconds)
         return [
             (GenerationRequest(length, each, action or "", self.constraints),) for each in texts for _ in range(n or 1)
@@ -166,10 +166,10 @@ class MotionModel:
 
 
 def load_model(run: str | Path, name: str | None = None) -> MotionModel:
-    """Load the generative model that a run holds; where it holds several, the one of this `name`.
+    """Load the generative model of a run, by `name` if it holds several.
 
-    A run is a folder, or its name in the folder of all runs. Raises `UsageError` for a run that does not exist, and
-    where none or several of the installed models are in it, `MotionkitError` for one that is damaged or not complete.
+    A run is a folder, or its name in the folder of all runs. Raises `UsageError` for a missing run, and for one with
+    none or several of the installed models, `MotionkitError` for a damaged or incomplete one.
 
     >>> mk.load_model("runs/nano").name
     'NeRM, local latents (ours)'

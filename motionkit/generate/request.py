@@ -1,10 +1,10 @@
-"""What `motionkit generate` is asked for: prompts, how many motions of each, at which instants, joined or not.
+"""Requests of `motionkit generate`: prompts, motions per prompt, instants, joining.
 
-Prompts are arguments or a file, each a request that knows where it comes from.
+Prompts are arguments or lines of a file, and keep their origin for messages.
 
-A file of prompts has one motion a line:
+A file of prompts has one motion per line:
 - `.txt`: a text, nothing else;
-- `.csv`: a header with `text` and/or `action`, and perhaps `seconds`;
+- `.csv`: a header with `text` and/or `action`, and optionally `seconds`;
 - `.jsonl`: an object with the same keys.
 Empty lines are skipped. A line has a text or an action; without `seconds` its length is that of `--seconds`, or drawn.
 """
@@ -29,7 +29,7 @@ SUFFIXES = (".txt", ".csv", ".jsonl")
 
 @dataclass(frozen=True)
 class Prompt:
-    """One motion that is wanted, and where that was said: `prompts.csv, line 3`, empty for the command's arguments."""
+    """A request and its origin, such as `prompts.csv, line 3`; empty for the command's arguments."""
 
     request: GenerationRequest
     where: str = ""
@@ -37,11 +37,11 @@ class Prompt:
 
 @dataclass(frozen=True)
 class MotionsRequest:
-    """What to make: `count` motions of each prompt, or with `join` of all prompts in a row, held to `constraints`.
+    """`count` motions of each prompt, or with `join` of all prompts in sequence, under `constraints`.
 
-    Poses are wanted at `times`, or at `fps` (None: the format's or the model's own). Motions that are joined from
-    several overlap by `overlap_seconds`. Raises `UsageError` for instants outside a motion's length, and for prompts
-    without a length of which that has to be known.
+    Poses are sampled at `times`, or at `fps` (None: the format's or the model's own). Pieces of joined motions overlap
+    by `overlap_seconds`. Raises `UsageError` for instants outside a motion's duration, and for missing durations that
+    are needed.
     """
 
     prompts: tuple[Prompt, ...]
@@ -69,22 +69,22 @@ class MotionsRequest:
 
     @property
     def scripts(self) -> tuple[tuple[Prompt, ...], ...]:
-        """What one motion shows: a prompt, or all of them in a row."""
+        """The scripts: one prompt each, or all of them in sequence."""
         return (self.prompts,) if self.join else tuple((prompt,) for prompt in self.prompts)
 
     @property
     def motions(self) -> list[Script]:
-        """What each motion shows: motion i is of script i // count."""
+        """The script of each motion: motion i is of script i // count."""
         return [self.script_of(prompts) for prompts in self.scripts for _ in range(self.count)]
 
     def script_of(self, prompts: Sequence[Prompt]) -> Script:
-        """What a model is asked for: what a whole motion is held to is said with the first of its requests."""
+        """The model's requests; constraints on a whole motion are attached to the first of its requests."""
         first, *others = (prompt.request for prompt in prompts)
         return (replace(first, constraints=self.constraints), *others)
 
 
 def parse_times(times: str | None) -> tuple[float, ...]:
-    """The instants of `--times`, empty without it; raises `UsageError` unless it is a list of seconds."""
+    """Parse `--times`, empty without it; raises `UsageError` unless it is a list of seconds."""
     if times is None:
         return ()
     try:
@@ -96,7 +96,7 @@ def parse_times(times: str | None) -> tuple[float, ...]:
 def wanted_prompts(
     file: Path | None, texts: Sequence[str], actions: Sequence[str], unconditional: bool, seconds: float | None
 ) -> list[Prompt]:
-    """The prompts of a file or of the arguments; raises `UsageError` unless exactly one of them has any."""
+    """The prompts of a file or of the arguments; raises `UsageError` unless exactly one is given."""
     if file is None:
         return prompts_from_arguments(texts, actions, unconditional, seconds)
     if texts or actions or unconditional:
@@ -107,11 +107,11 @@ def wanted_prompts(
 def prompts_from_arguments(
     texts: Sequence[str], actions: Sequence[str], unconditional: bool, seconds: float | None
 ) -> list[Prompt]:
-    """One prompt per text or action; raises `UsageError` unless exactly one kind of condition is asked for."""
+    """One prompt per text or action; raises `UsageError` unless exactly one kind of condition is given."""
     if sum((bool(texts), bool(actions), unconditional)) != 1:
         raise UsageError("give texts, or --action, or --unconditional, or --prompts: exactly one of them")
     if any(not text.strip() for text in (*texts, *actions)):
-        raise UsageError("a text or action is empty; --unconditional asks for motions of no stated kind")
+        raise UsageError("a text or action is empty; use --unconditional for motions without either")
     requests = [GenerationRequest(seconds, text=text) for text in texts]
     requests += [GenerationRequest(seconds, action=action) for action in actions]
     requests += [GenerationRequest(seconds)] if unconditional else []
@@ -121,8 +121,8 @@ def prompts_from_arguments(
 def read_prompts(path: Path, seconds: float | None = None) -> list[Prompt]:
     """Read a file of prompts; `seconds` is the length of those that state none (None: drawn).
 
-    Raises `UsageError` with file and line for what cannot be read, an unknown column, a line without a text or action
-    or with both, seconds that are no positive number, and a file without prompts.
+    Raises `UsageError` with file and line for unreadable content, an unknown column, a line without a text or action
+    or with both, seconds that are not positive, and a file without prompts.
     """
     if path.suffix.lower() not in SUFFIXES:
         raise UsageError(f"{path}: prompts are a .txt (a text a line), a .csv or a .jsonl (text, action, seconds)")

@@ -24,7 +24,7 @@ SLUG_LENGTH = 40
 
 @dataclass(frozen=True, eq=False)
 class GeneratedSample:
-    """Poses of one generated motion: uniformly at `fps`, or at arbitrary `seconds` where `fps` is None."""
+    """Poses of one generated motion: uniformly at `fps`, or at arbitrary `seconds` if `fps` is None."""
 
     name: str
     joint_positions: Float32[np.ndarray, "frames joints 3"]
@@ -37,7 +37,7 @@ class GeneratedSample:
     followed: tuple[Followed, ...] = ()
 
     def plain(self, file: str) -> dict[str, Any]:
-        """What was made and where it lies, as JSON."""
+        """A summary with the file's path, as JSON."""
         return {
             "file": file,
             "caption": self.captions[0].text if len(self.captions) == 1 else "",
@@ -75,8 +75,7 @@ def sample_field(
 ) -> GeneratedSample:
     """Sample a generated field: at `times_seconds`, or the frames k / fps of the half-open interval it lasts.
 
-    Four seconds asked for at 20 fps are a file of 80 frames that lasts four seconds; `to_motion` would give the frame
-    at the closed end too, as the instants do that a capture was observed at.
+    Four seconds at 20 fps are 80 frames; `to_motion` would include the frame at the closed end too.
     """
     duration = field.end_seconds - field.start_seconds
     if times_seconds is None:
@@ -99,9 +98,10 @@ def sample_field(
 
 
 def standing(field: MotionField, script: Script) -> MotionField:
-    """A generated field with feet that stand and bones of one length (`motionkit.fields.contact`).
+    """A generated field without foot sliding, with fixed bone lengths (`motionkit.fields.contact`).
 
-    What is held to places of the world stays there. Itself, with a warning, where its skeleton's legs aren't known.
+    Joints constrained in the world stay in place. Returns the field unchanged, with a warning, if the skeleton's legs
+    are unknown.
     """
     is_placed = any(each.frame == "world" for request in script for each in request.constraints)
     try:
@@ -112,7 +112,7 @@ def standing(field: MotionField, script: Script) -> MotionField:
 
 
 def motion_name(index: int, script: Script) -> str:
-    """A name for the index-th motion that says what was asked for: `0003-a-person-walks`."""
+    """A descriptive file name for the index-th motion: `0003-a-person-walks`."""
     asked = " ".join(request.text or request.action for request in script).strip() or "unconditional"
     slug = re.sub(r"[^a-z0-9]+", "-", asked.lower()).strip("-")
     return f"{index:04d}-{slug[:SLUG_LENGTH].strip('-') or 'motion'}"

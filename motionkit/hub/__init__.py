@@ -1,1 +1,1 @@
-"""The Hugging Face Hub: what a repository holds, fetching of it, committing to it; nothing of what the files are."""
+"""The Hugging Face Hub: listing, fetching and committing files of repositories, independent of their content."""

@@ -1,8 +1,8 @@
-"""Repositories of the Hub: their addresses, what they hold at a commit, files fetched from them and committed to them.
+"""Repositories of the Hub: addresses, snapshots, fetching and committing files.
 
-Nothing else talks to the Hub. What was fetched lies in the Hub's own cache: what was cut off goes on there, what is
-there is not fetched again. Tokens, the cache and the address of the Hub are those of `huggingface_hub`
-(`hf auth login`, HF_HOME, HF_ENDPOINT). A repository's code is never run.
+Nothing else talks to the Hub. Files are fetched into the Hub's own cache, where interrupted downloads are resumed.
+Tokens, the cache and the address of the Hub are those of `huggingface_hub` (`hf auth login`, HF_HOME, HF_ENDPOINT). A
+repository's code is never run.
 """
 
 import os
@@ -28,7 +28,7 @@ DOWNLOADS_AT_ONCE = 8
 
 
 class HubError(MotionkitError):
-    """A repository that cannot be reached, or does not hold what is wanted of it."""
+    """A repository that cannot be reached, or lacks the requested content."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Snapshot:
 
 
 def is_address(source: str | os.PathLike[str]) -> bool:
-    """Whether this is an address of the Hub and no path."""
+    """Whether this is an address of the Hub, not a path."""
     return isinstance(source, str) and source.startswith(PREFIX)
 
 
@@ -87,7 +87,7 @@ def _require_hub() -> None:
 
 
 def look_up(repository: Repository) -> Snapshot:
-    """What the repository holds now; raises `HubError` where it cannot be asked, or names a file outside itself."""
+    """The repository's current content; raises `HubError` if it cannot be reached, or names a file outside itself."""
     from huggingface_hub import HfApi
     from huggingface_hub.hf_api import RepoFile
 
@@ -107,9 +107,9 @@ def look_up(repository: Repository) -> Snapshot:
 
 
 def fetch(snapshot: Snapshot, names: Collection[str], on_progress: OnProgress = ignore) -> Path:
-    """The cache's folder of a snapshot, once files of these names are in it; others may be there from before.
+    """Fetch files of a snapshot into the cache; returns its folder, which may have other files too.
 
-    Raises `HubError` where the disk has no room for them, or the Hub cannot be reached.
+    Raises `HubError` if the disk has no room for them, or the Hub cannot be reached.
     """
     from huggingface_hub import constants, hf_hub_download, try_to_load_from_cache
 
@@ -149,9 +149,9 @@ def fetch(snapshot: Snapshot, names: Collection[str], on_progress: OnProgress = 
 
 @contextmanager
 def as_folder(snapshot: Snapshot, on_progress: OnProgress = ignore) -> Iterator[Path]:
-    """A folder of all files of a snapshot, called as the repository or the folder in it is, while the block runs.
+    """A temporary folder of all files of a snapshot, named as the repository or the folder in it.
 
-    Its files are links into the cache, where they stay.
+    Its files are links into the cache.
     """
     names = [name for name in snapshot.sizes if not name.startswith(".")]
     if not names:
@@ -179,11 +179,10 @@ def push(
     public: bool,
     on_progress: OnProgress = ignore,
 ) -> str:
-    """Make these files the repository's by one commit, which is made where all are there; returns its address.
+    """Commit these files to the repository in a single commit; returns its address.
 
-    Files of the repository whose path matches `replaces` are deleted by the same commit, others stay. A repository
-    that is not there is made, private unless `public`. Raises `HubError`, also where it is public and `public` is not
-    asked for.
+    Other files of the repository whose path matches `replaces` are deleted in the same commit. A missing repository is
+    created, private unless `public`. Raises `HubError`, also if it is public without `public`.
     """
     from huggingface_hub import CommitOperationAdd, CommitOperationDelete, HfApi
 
@@ -206,7 +205,7 @@ def push(
 
 @contextmanager
 def _asking(repository: Repository) -> Iterator[None]:
-    """What huggingface_hub raises, in words; without the bars and the retries that it draws and logs."""
+    """Convert huggingface_hub's exceptions to `HubError`, and silence its progress bars and logs."""
     from huggingface_hub import errors
     from huggingface_hub import utils as untyped
 

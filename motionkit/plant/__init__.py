@@ -1,1 +1,1 @@
-"""Feet that slide made to stand: what `motionkit plant` does with each clip, and `motionkit.plant` with a motion."""
+"""Removal of foot sliding: `motionkit plant` for clips, and `motionkit.plant` for a motion."""

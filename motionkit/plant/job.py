@@ -1,4 +1,4 @@
-"""One clip planted: its feet let stand, written in its form, shown before and after on a page, and reported."""
+"""Plants one clip: removes foot sliding, writes it in its format, optionally with a page of both, and reports."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,7 +25,7 @@ from motionkit.plant.report import Change, measure_change
 
 @dataclass(frozen=True)
 class PlantedClip:
-    """What became of a clip: its file, how much was changed, the page of both, what to know of it."""
+    """The result for a clip: its file, the change, the page, a note."""
 
     source: str
     path: Path
@@ -50,7 +50,7 @@ class PlantedClip:
 
 @dataclass(frozen=True)
 class Job:
-    """What is done with every clip: which path its body takes, whether a page is written, in which format."""
+    """Options for every clip: the body's path, whether to write a page, the output format."""
 
     path: BodyPath = "near"
     page: bool = False
@@ -58,7 +58,7 @@ class Job:
     overwrite: bool = False
 
     def plant(self, source: ClipSource, path_of: OutputPath, progress: Progress) -> PlantedClip:
-        """Read, plant and write one clip; raises `MotionkitError` or `OSError`, and then leaves nothing behind."""
+        """Read, plant and write one clip; raises `MotionkitError` or `OSError` without leaving files behind."""
         clip = source.read()
         if self.suffix is not None:
             clip = as_format(clip, self.suffix)
@@ -80,9 +80,9 @@ class Job:
 def plant_clip(
     clip: Clip, path: BodyPath, progress: Progress = lambda _: None
 ) -> tuple[Completion, Change, Bool[np.ndarray, "frames"]]:
-    """A clip as it is to be written, what was changed, and which frames; raises `MotionkitError` where it cannot be.
+    """The planted clip, ready to be written, the change, and a mask of changed frames; raises `MotionkitError`.
 
-    Frames that nothing moves are those of the clip, to the last bit.
+    Unchanged frames are identical to the clip's.
     """
     if not clip.seen.all():
         raise MotionkitError(
@@ -105,7 +105,7 @@ def plant_clip(
 
 
 def planted_line(path: BodyPath, change: Change) -> str:
-    """The operation log's line of a motion that was planted."""
+    """The operation log's line for a planted motion."""
     return (
         f"plant {change.num_contacts} contacts, the body's path {path}: joints moved by up to "
         f"{1000 * change.largest_change:.1f} mm"
@@ -115,7 +115,7 @@ def planted_line(path: BodyPath, change: Change) -> str:
 def write_before_and_after(
     path: Path, title: str, clip: Clip, made: Completion, moved: Bool[np.ndarray, "frames"]
 ) -> None:
-    """Write the page of a clip and of the same clip planted, which appears whole or not at all."""
+    """Write the page of a clip before and after planting, atomically."""
     grid, joints = clip.timegrid, clip.skeleton.num_joints
     shown = min(grid.num_frames, num_frames_within(PAGE_SECONDS, grid.fps), PAGE_BYTES // packed_bytes(1, joints))
     before = clip.label(clip.poses(np.arange(shown)).at(TimeGrid(grid.fps, shown, grid.start_seconds), clip.skeleton))

@@ -1,4 +1,4 @@
-"""One motion planted, in Python: what `motionkit plant` does with each clip, without files."""
+"""`motionkit.plant`: as the command, for a motion in memory."""
 
 from pathlib import Path
 
@@ -10,13 +10,13 @@ from motionkit.plant.job import plant_clip
 
 
 def plant(motion: Motion | str | Path, *, path: BodyPath = "near") -> Motion:
-    """A motion whose feet stand where they slid: the body is moved and the legs are bent, bones keep their length.
+    """Remove foot sliding: the body is moved and the legs are bent; bones keep their length.
 
-    - `motion`: a motion, or a file; a skeleton of its own is known by its joints' names (docs/formats.md)
-    - `path`: "near" the path that the body had; or "free", where its feet carry it, for generated motion
+    - `motion`: a motion, or a file; its legs are recognised by joint names (docs/formats.md)
+    - `path`: "near" the body's original path; or "free", determined by its feet, for generated motion
 
-    Real feet roll, pivot and creep: what is not faster than that stays as it is (docs/plant.md). Raises
-    `MotionkitError` for frames that hold nan and for a skeleton whose legs aren't known.
+    Real feet roll, pivot and creep: contacts that are not faster than that are unchanged (docs/plant.md). Raises
+    `MotionkitError` for frames that hold nan and for a skeleton with unknown legs.
 
     >>> motion = mk.read("walk.bvh")
     >>> mk.plant(motion).num_frames

@@ -1,4 +1,4 @@
-"""What planting did to a motion: contacts that were found, how feet slid there, how far joints moved."""
+"""Measures what planting changed: contacts, their sliding, displacements of joints."""
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -17,11 +17,11 @@ MOVED_METRES = 2e-5
 
 @dataclass(frozen=True)
 class Change:
-    """What became of a motion, m, m/s and s; of feet that are never down the speeds are None.
+    """Changes of a motion in m, m/s and s; speeds are None for feet without contact.
 
-    `sliding` is the mean horizontal speed of what is down of a foot, the steadier of ankle and toe counting more.
-    `below_ground` is the farthest that a foot joint comes below its floor; `largest_pose_change` is beside the first
-    joint, for a whole body that is carried elsewhere keeps its pose.
+    `sliding` is the mean horizontal speed of feet in contact, weighted towards the steadier of ankle and toe.
+    `below_ground` is the maximum depth of a foot joint below its floor; `largest_pose_change` is relative to the first
+    joint, so that it ignores a displacement of the whole body.
     """
 
     num_contacts: int
@@ -43,9 +43,9 @@ class Change:
 def measure_change(
     field: PlantedField, times: Float64[np.ndarray, "frames"], on_frames: Callable[[int], None] = lambda _: None
 ) -> tuple[Change, Bool[np.ndarray, "frames"]]:
-    """What planting changes at these times, ascending, and which frames it moves; `on_frames` is told of their number.
+    """Measure what planting changes at these ascending times, and which frames it moves.
 
-    Works through some thousand frames at once.
+    Frames are processed in blocks of some thousand; `on_frames` is called with the size of each.
     """
     moved = np.zeros(len(times), bool)
     largest, of_pose, total = 0.0, 0.0, 0.0
@@ -82,7 +82,7 @@ def measure_change(
 
 
 def _contacts(correction: Correction) -> tuple[int, float, tuple[float | None, float | None]]:
-    """How often and how long a foot is down, seconds, and how fast it goes there without and with the correction."""
+    """Number and seconds of a foot's contacts, and its speed there without and with the correction."""
     count, instants, sums = 0, 0, np.zeros(2)
     for number in range(correction.num_blocks if correction.works else 0):
         block, own = correction.block(number), correction.own(number)
@@ -92,7 +92,7 @@ def _contacts(correction: Correction) -> tuple[int, float, tuple[float | None, f
         for place, each in enumerate((velocity, velocity + moves)):
             sums[place] += np.hypot(each[..., 0], each[..., 2])[down].sum()
         instants += int(down.sum())
-        # A contact that goes on from the block before is counted there.
+        # A contact that continues from the previous block is counted there.
         count += sum(int((runs(down[:, foot])[0] > (0 if number else -1)).sum()) for foot in range(2))
     if not instants:
         return 0, 0.0, (None, None)

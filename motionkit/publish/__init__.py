@@ -1,1 +1,1 @@
-"""Stores and runs on the Hugging Face Hub: what is pushed, with which card; what is pulled, checked (docs/hub.md)."""
+"""Pushing stores and runs to the Hugging Face Hub with cards, and pulling with verification (docs/hub.md)."""

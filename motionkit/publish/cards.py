@@ -1,4 +1,4 @@
-"""README.md of a repository: what a store holds and whose it is, what a run was trained with and came to."""
+"""Cards (README.md) of repositories: a store's content and licences, a run's training and results."""
 
 from collections.abc import Sequence
 from typing import Any

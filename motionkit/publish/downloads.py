@@ -1,4 +1,4 @@
-"""Stores and runs out of the Hub, each a folder that appears when all of it is there and has been checked."""
+"""Pulls stores and runs from the Hub, verified and atomically."""
 
 from pathlib import Path
 
@@ -13,14 +13,14 @@ from motionkit.store.schema import MANIFEST_FILE
 from motionkit.store.validate import faults
 from motionkit.training.run import RunFolder, weights_sha256
 
-# Of a file that is read whole: a log of a million lines.
+# Limit for files that are read into memory: a log of a million lines.
 MOST_JSON_BYTES = 256 * 2**20
 
 
 def pull_store(repository: Repository, folder: Path, on_progress: OnProgress = ignore) -> Manifest:
-    """Copy a repository's store into a new or empty folder, once `motionkit validate` would find nothing wrong with it.
+    """Copy a repository's store into a new or empty folder, after validating it.
 
-    Raises `UsageError` for a folder that holds something, `HubError`, and `StoreError` for a damaged store.
+    Raises `UsageError` for a folder that is not empty, `HubError`, and `StoreError` for a damaged store.
     """
     require_empty(folder)
     source = fetch_store(repository, on_progress)
@@ -38,10 +38,10 @@ def pull_store(repository: Repository, folder: Path, on_progress: OnProgress = i
 
 
 def pull_run(repository: Repository, folder: Path, on_progress: OnProgress = ignore) -> list[str]:
-    """Copy a repository's run into a new or empty folder, once its checksums agree; returns its stages.
+    """Copy a repository's run into a new or empty folder, after verifying its checksums; returns its stages.
 
-    Nothing is fetched but the settings, figures and safetensors of complete stages. Raises `UsageError` for a folder
-    that holds something, `HubError`, and `DamagedFileError`.
+    Only settings, metrics and safetensors of complete stages are fetched. Raises `UsageError` for a folder that is not
+    empty, `HubError`, and `DamagedFileError`.
     """
     require_empty(folder)
     snapshot = look_up(repository)

@@ -1,4 +1,4 @@
-"""What of a store or a run goes to the Hub: whole files alone, with a card; caches and checkpoints stay."""
+"""Files of a store or a run to upload to the Hub, with a card; without caches and checkpoints."""
 
 import re
 from collections.abc import Mapping
@@ -23,9 +23,9 @@ _PART = re.compile(rf"{SEGMENTS_FOLDER}/part-[0-9]{{5,10}}\.parquet")
 
 @dataclass(frozen=True)
 class Upload:
-    """Files by their paths in the repository, as they lie on the disk or as bytes.
+    """Files by their paths in the repository, as paths on the disk or as bytes.
 
-    Those in the repository whose paths match `replaces` are of the same kind: which are not pushed any more, go.
+    Other files in the repository whose paths match `replaces` are deleted.
     """
 
     files: Mapping[str, Path | bytes]
@@ -39,7 +39,7 @@ class Upload:
 
 
 def store_upload(path: Path, repository: Repository, on_progress: OnProgress = ignore) -> Upload:
-    """A store's committed files and its card; raises `StoreError` where it is not intact."""
+    """A store's committed files and its card; raises `StoreError` if it is not intact."""
     manifest, content = read_manifest(path), (path / MANIFEST_FILE).read_bytes()
     with task(on_progress, "check", len(manifest.files)) as work:
         fault = next(faults(path, lambda _: work.advance()), None)
@@ -58,7 +58,7 @@ def store_upload(path: Path, repository: Repository, on_progress: OnProgress = i
 
 
 def run_upload(run: RunFolder, repository: Repository) -> Upload:
-    """The complete stages of a run and its card; raises `UsageError` where none is, `DamagedFileError`."""
+    """The complete stages of a run and its card; raises `UsageError` if there are none, `DamagedFileError`."""
     stages = [run.stage(path.parent.name) for path in sorted(run.path.glob("*/summary.json"))]
     if not stages:
         raise UsageError(f"{run.path} has no complete stage: motionkit train --run {run.path.name}")
@@ -72,7 +72,7 @@ def run_upload(run: RunFolder, repository: Repository) -> Upload:
 
 
 def check_stage(stage: StageFolder) -> None:
-    """Raise where a stage is not complete or damaged: its JSON, its log; weights are `weights_sha256`'s to check."""
+    """Raise if a stage is incomplete, or its JSON or log is damaged; weights are checked by `weights_sha256`."""
     stage.read_config()
     stage.read_summary()
     if not stage.model_path.is_file():

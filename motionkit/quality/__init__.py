@@ -1,4 +1,4 @@
-"""What a motion's frames say about how it was captured and handled: figures and flags, for every sequence of a store.
+"""Quality measures and flags of a motion, computed for every sequence of a store.
 
 `measure(motion)` is pure and cheap enough to run at ingest. docs/quality.md has every formula, unit and threshold.
 """

@@ -1,4 +1,4 @@
-"""What a body does not do: bones that change their lengths, feet that slide while they stand."""
+"""Implausible bodies: bones that change their length, feet that slide while in contact."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -19,9 +19,9 @@ MIN_BONE_METRES = 0.03
 def bone_length_drift(
     positions: Float32[np.ndarray, "frames joints 3"], skeleton: Skeleton, fps: float
 ) -> float | None:
-    """(longest − shortest) / mean length of the bone where that is largest; None without a bone of 3 cm.
+    """The maximum over bones of (longest − shortest) / mean length; None without a bone of 3 cm.
 
-    A joint that rests where its parent does has no bone: markers, which all hang from the first, move freely.
+    A joint with a zero rest offset has no bone: markers, which are all children of the first, move freely.
     """
     poses = positions[:: max(1, round(fps / POSES_PER_SECOND))]
     has_bone = np.any(skeleton.offsets != 0, axis=1).tolist()
@@ -57,7 +57,7 @@ class FootSkate:
 
 
 def foot_skate(motion: Motion) -> FootSkate | None:
-    """How a motion's feet slide; None where its skeleton has no known feet, or they touch the ground for under 0.5 s.
+    """How a motion's feet slide; None if its skeleton has no known feet, or these are on the ground for under 0.5 s.
 
     While a body stands, walks or runs, one joint of the feet on the ground rests: the steadiest of them is measured.
     Instants are those of bins of 1/30 s, so that the figure means the same at every framerate.

@@ -1,4 +1,4 @@
-"""All figures of one motion, and the flags that follow from them."""
+"""All quality measures of one motion, and its flags."""
 
 from dataclasses import dataclass, replace
 
@@ -25,11 +25,11 @@ FAR_METRES = 1e9
 
 @dataclass(frozen=True)
 class Quality:
-    """What can be said about a motion's frames without judging them, and what looks odd.
+    """Quality measures of a motion, and flags for suspicious ones.
 
-    Speeds in m/s, jitter in m/s³, heights in metres, times in seconds from the first frame; None is what cannot be
-    measured: too short or too slow a take, a skeleton without known feet, no jump, no held frame. `effective_fps` is
-    the framerate that the frames bear witness to, at most the file's. Everything is finite.
+    Speeds in m/s, jitter in m/s³, heights in metres, times in seconds from the first frame; None if not measurable: too
+    short or too slow a take, a skeleton without known feet, no jump, no held frame. `effective_fps` is the estimated
+    framerate of the capture, at most the file's. All values are finite.
     """
 
     max_joint_speed: float

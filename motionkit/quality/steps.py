@@ -1,4 +1,4 @@
-"""What happens from one frame to the next: the fastest joint, jumps, still poses, jitter."""
+"""Frame-to-frame measures: the fastest joint, jumps, still poses, jitter."""
 
 from dataclasses import dataclass
 
@@ -22,10 +22,10 @@ ROWS_AT_ONCE = 4096
 
 @dataclass(frozen=True)
 class Steps:
-    """What the steps between frames say; speeds in m/s, times in seconds from the first frame.
+    """Measures of the steps between frames; speeds in m/s, times in seconds from the first frame.
 
-    `first_jump_seconds` and `frozen_start_seconds` are None where there is no jump, and no two equal frames.
-    `held_share` is the share of frames that are equal to the one before.
+    `first_jump_seconds` and `frozen_start_seconds` are None without a jump, and without equal frames. `held_share` is
+    the share of frames that are equal to the previous one.
     """
 
     max_speed: float
@@ -37,7 +37,7 @@ class Steps:
 
 
 def measure_steps(squared: Float32[np.ndarray, "steps joints"], fps: float) -> Steps:
-    """What the squared lengths of every joint's steps (m²) between neighbouring frames say."""
+    """Measures from the squared lengths of every joint's steps (m²) between neighbouring frames."""
     if not len(squared):
         return Steps(0.0, 0, None, 0.0, 0.0, None)
     longest = longest_steps(squared)
@@ -148,7 +148,7 @@ def jitter(positions: Float32[np.ndarray, "frames joints 3"], fps: float) -> flo
 
 
 def middle(values: Float[np.ndarray, "values"]) -> float:
-    """`np.median` of finite values, which would load all of `numpy.ma` to look for masks."""
+    """As `np.median` for finite values, without its import of `numpy.ma`."""
     lower, upper = (len(values) - 1) // 2, len(values) // 2
     parted = np.partition(values, (lower, upper))
     return float((parted[lower] + parted[upper]) / 2)

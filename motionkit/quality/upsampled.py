@@ -1,4 +1,4 @@
-"""The framerate at which a motion was captured, where its frames betray that it is lower than the file says.
+"""Detects the framerate at which a motion was captured, if it is lower than the file's.
 
 Held frames are counted. Interpolation of any kind leaves a knot at every captured instant: between knots differences of
 second or fourth order are those of a smooth curve, across them they are not, so their size pulses at the captured
@@ -105,10 +105,10 @@ MIN_REGULAR = 0.95
 def effective_fps(
     positions: Float32[np.ndarray, "frames joints 3"], moved: Float[np.ndarray, "steps"], fps: float
 ) -> float | None:
-    """The framerate that the frames bear witness to: `fps`, or one of the rates of capture below it.
+    """The estimated framerate of the capture: `fps`, or a lower one.
 
-    `moved` is the longest step (m) of any joint between neighbouring frames, 0 where a frame is held. Of rates that
-    explain the frames alike the highest is given: no more is claimed than is seen. None under 60 frames.
+    `moved` is the longest step (m) of any joint between neighbouring frames, 0 for held frames. Of rates that explain
+    the frames equally well the highest is returned. None under 60 frames.
     """
     if len(positions) < MIN_FRAMES:
         return None

@@ -1,4 +1,4 @@
-"""The store: Parquet is the record, a memory map is for training (docs/store.md)."""
+"""The store: Parquet files, and a memory map for training (docs/store.md)."""
 
 from typing import TYPE_CHECKING
 

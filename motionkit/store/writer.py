@@ -17,7 +17,6 @@ from motionkit.core.interrupts import held_back
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import Skeleton
 from motionkit.store import codec
-from motionkit.store.alike import AlikeSkeletons
 from motionkit.store.codec import EncodedMotion, RefusedMotion, encode, table_of
 from motionkit.store.commit import (
     EMPTY,
@@ -31,6 +30,7 @@ from motionkit.store.commit import (
 from motionkit.store.manifest import FileEntry, Manifest
 from motionkit.store.parts import PartWriter, PendingPart
 from motionkit.store.reader import not_committed, open_table
+from motionkit.store.same_skeletons import SameSkeletons
 from motionkit.store.schema import (
     PART_BYTES,
     SEQUENCES,
@@ -116,7 +116,7 @@ class StoreWriter:
         self._held = ExitStack()
         self._known = KnownSequences()
         self._skeletons: dict[str, Skeleton] = {}
-        self._alike = AlikeSkeletons()
+        self._same_skeletons = SameSkeletons()
 
     @classmethod
     def create(cls, path: Path | str, *, overwrite: bool = False, part_bytes: int = PART_BYTES) -> "StoreWriter":
@@ -157,7 +157,7 @@ class StoreWriter:
         sequences = self._base_table(SEQUENCES_FILE, (*CHECKED_COLUMNS, "source_sha256"))
         skeletons = self._base_table(SKELETONS_FILE)
         self._skeletons = require_sound(self.path, self._base, sequences, skeletons)
-        self._alike = AlikeSkeletons(self._skeletons.values())
+        self._same_skeletons = SameSkeletons(self._skeletons.values())
         for batch in sequences.select(["sequence_id", "source_sha256"]).to_batches(SEQUENCES_PER_ROW_GROUP):
             self._known.add_all(zip(*(column.to_pylist() for column in batch.columns), strict=True))
 
@@ -179,7 +179,7 @@ class StoreWriter:
 
     def knows_skeleton(self, skeleton: Skeleton) -> bool:
         """Whether the store will hold a skeleton that is equal but for its name, and lengths by less than 1 µm."""
-        return self._alike.first_of(skeleton).fingerprint in self._skeletons
+        return self._same_skeletons.first_of(skeleton).fingerprint in self._skeletons
 
     @property
     def next_sequence_index(self) -> int:
@@ -226,7 +226,7 @@ class StoreWriter:
     def add_row(self, row: codec.Row, skeleton: Skeleton) -> None:
         """Add a sequence whose segments are written: its row of the table, whole, with an index above all others."""
         self._require_new(row["sequence_id"])
-        skeleton = self._alike.first_of(skeleton)
+        skeleton = self._same_skeletons.first_of(skeleton)
         self._rows.append({**row, "skeleton": skeleton.fingerprint})
         self._known.add(row["sequence_id"], row["source_sha256"])
         self._skeletons.setdefault(skeleton.fingerprint, skeleton)

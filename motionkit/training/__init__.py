@@ -1,1 +1,1 @@
-"""The one training loop: run folder, checkpoints, resume, devices, progress, metrics log."""
+"""The training loop: run folder, checkpoints, resume, devices, progress, metrics log."""

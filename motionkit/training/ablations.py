@@ -1,7 +1,7 @@
-"""Ablations: tables whose rows are trainings that differ from a recipe in a setting or two.
+"""Ablations: tables whose rows are runs that differ from a recipe in a few settings.
 
 A model registers its own under the entry point group `motionkit.ablations`: PAPER = "module:ATTRIBUTE", an `Ablations`.
-That module must import lightly. `motionkit ablate` trains the rows' runs; the tables that show them live elsewhere.
+That module must import lightly. `motionkit ablate` trains the runs; the tables are elsewhere.
 """
 
 import time
@@ -23,10 +23,10 @@ GROUP = "motionkit.ablations"
 
 @dataclass(frozen=True)
 class Variant:
-    """One training: a name for runs and options, and the settings that it changes in a recipe, as `--set` takes them.
+    """One training run: a name, and the settings that it changes in a recipe, as `--set` takes them.
 
-    `needs` gives the settings that a recipe needs before any change, whatever it has itself; `may_need` are all that it
-    may give. `conditions` are the recipe's own SQL conditions on sequences, by their dotted keys.
+    `needs` returns settings to apply to a recipe before the change; `may_need` are all that it may return. `conditions`
+    are the recipe's own SQL conditions on sequences, by their dotted keys.
     """
 
     name: str
@@ -37,13 +37,13 @@ class Variant:
 
     @property
     def varied(self) -> frozenset[str]:
-        """Keys of all settings in which a table's runs may differ: those of `change`, and of what comes with it."""
+        """Keys of all settings in which a table's runs may differ: of `change`, and of `may_need`."""
         return frozenset(parse_override(setting)[0] for setting in (*self.change, *self.may_need))
 
     def configure(self, recipe: Any, overrides: Sequence[str] = (), where: str | None = None) -> Any:
-        """A recipe's configuration with what it needs, overrides that all variants share, and this one's change.
+        """A recipe's configuration with its needs, common overrides, and this variant's change.
 
-        `where` (SQL) narrows the sequences. Raises `UsageError` for an override of what is varied.
+        `where` (SQL) restricts the sequences. Raises `UsageError` for an override of a varied setting.
         """
         varied = {parse_override(setting)[0] for setting in self.change}
         for override in overrides:
@@ -56,9 +56,9 @@ class Variant:
 
 @dataclass(frozen=True)
 class Entry:
-    """A row of a table, or of one that has `column`s a cell: a variant, by what is varied.
+    """A row of a table, or a cell if it has a `column`: a variant and its label.
 
-    `reported` is the paper's name for it in its reported figures.
+    `reported` is its name in the paper's figures.
     """
 
     label: str
@@ -89,7 +89,7 @@ class Ablation:
 
 @dataclass(frozen=True)
 class Sweep:
-    """What the trainings of an ablation have in common; runs are RUNS/PREFIX-VARIANT."""
+    """Common options of an ablation's runs, which are RUNS/PREFIX-VARIANT."""
 
     store: Path
     runs: Path
@@ -118,16 +118,16 @@ Prepare = Callable[[Sweep, RunFolder, Any], None]
 
 
 def nothing_to_prepare(sweep: Sweep, run: RunFolder, config: Any) -> None:
-    """A model whose stages need nothing that the variants share."""
+    """For models whose variants share nothing."""
 
 
 @dataclass(frozen=True)
 class Ablations:
-    """All ablations of one paper's model, which is installed as `paper` too: its runs hold the model or encoder.
+    """All ablations of one paper's model, which is installed under the name `paper` too.
 
-    `recipes` are those that can be varied; `stages` what can be trained, by name, and the first of them alone by
-    `--stage`. `prepare` gives a run what the variants share (a codebook), before its first stage is trained.
-    `motionkit ablate` takes the one that `is_default` where nobody names a paper.
+    `recipes` are those that can be varied; `stages` are the stages to train, of which `--stage` can select the first
+    alone. `prepare` gives a run what the variants share (a codebook), before its first stage is trained. `is_default`
+    marks the default of `motionkit ablate`.
     """
 
     paper: str
@@ -138,14 +138,14 @@ class Ablations:
     is_default: bool = False
 
     def find(self, table: str) -> Ablation:
-        """The ablation of a table; raises `UsageError` naming those there are."""
+        """The ablation of a table; raises `UsageError` that lists the known ones."""
         if table not in self.tables:
             known = ", ".join(f"{name} ({ablation.title})" for name, ablation in self.tables.items())
             raise UsageError(f"there is no ablation {table!r} of {self.paper!r}; there are: {known}, or all")
         return self.tables[table]
 
     def recipe(self, name: str) -> Any:
-        """A named recipe's configuration; raises `UsageError` naming those there are."""
+        """A recipe's configuration; raises `UsageError` that lists the known ones."""
         if name not in self.recipes:
             raise UsageError(f"there is no recipe {name!r}: {', '.join(self.recipes)}")
         return self.recipes[name]()
@@ -162,7 +162,7 @@ def papers_with_ablations() -> tuple[str, ...]:
 
 
 def find_ablations(paper: str | None = None) -> Ablations:
-    """The ablations of a paper's model, or the default ones; raises `UsageError` naming the papers that have any."""
+    """The ablations of a paper's model, or the default ones; raises `UsageError` that lists the known papers."""
     found: dict[str, Ablations] = {
         entry.name: entry.load() for entry in entry_points(group=GROUP) if paper is None or entry.name == paper
     }
@@ -182,9 +182,9 @@ def run_name(prefix: str, variant: Variant, seed: int) -> str:
 def train_variant(
     ablations: Ablations, sweep: Sweep, variant: Variant, config: Any, stages: Sequence[str]
 ) -> dict[str, Any]:
-    """Train what is missing of a variant's stages; returns its run's name, each stage's summary and CPU seconds spent.
+    """Train a variant's missing stages; returns its run's name, each stage's summary and the CPU seconds.
 
-    Complete stages are kept. Raises `RunError` where they were trained with other settings, and what training raises.
+    Complete stages are kept. Raises `RunError` if they were trained with other settings, and what training raises.
     """
     run = RunFolder(sweep.runs / run_name(sweep.prefix, variant, sweep.seed))
     context = sweep.context(run, sweep.seed, overwrite=sweep.overwrite)
@@ -207,7 +207,7 @@ def train_variant(
 
 
 def check_unchanged(context: StageContext, stage: Stage[Any], config: Any) -> None:
-    """Raise `RunError` where a complete stage is not what would be trained now."""
+    """Raise `RunError` if a complete stage was trained with other settings than now."""
     from motionkit.store.manifest import read_manifest  # the list of ablations is read for --help
 
     stage.check_kept(context, config, read_manifest(context.store).fingerprint)

@@ -15,22 +15,22 @@ from motionkit.training.metrics_log import MEND
 from motionkit.training.run import StageFolder, abandon_stage
 from motionkit.training.schedule import step_generator
 
-# Steps of one round lie evenly in the whole training, for early ones may cost less; rounds go on until this share of
-# the budget is spent.
+# Measured steps are spread evenly over the training, since early ones may cost less; rounds are repeated until this
+# share of the budget is spent.
 ROUND, MEASURED_SHARE = 16, 0.02
 FEWEST_STEPS = 10
 
 
 @runtime_checkable
 class Rescheduled(Trainable, Protocol):
-    """A `Trainable` whose schedule is one of `steps`, which may be set before the first."""
+    """A `Trainable` whose number of steps can be set before training."""
 
     steps: int
 
 
 @dataclass(frozen=True)
 class Plan:
-    """How many steps fit into a budget: what was measured, and what measuring it has cost of the budget."""
+    """The number of steps that fit into a budget, with the measured cost of a step and of measuring."""
 
     budget_seconds: float
     steps: int
@@ -43,9 +43,8 @@ def plan_steps(
 ) -> None:
     """Set a training's number of steps to what fits into its budget, and write it to budget.json.
 
-    What was written there is taken as it is, so a resumed training has as many steps as before; summary.json has it
-    too. The training is left as it was found. Raises `UsageError` where fewer than `FEWEST_STEPS` fit, and
-    `DamagedFileError`.
+    An existing budget.json is reused, so a resumed training has the same number of steps; summary.json has it too.
+    The training's state is restored. Raises `UsageError` if fewer than `FEWEST_STEPS` fit, and `DamagedFileError`.
     """
     if folder.budget_path.is_file():
         found = folder.read_budget()
@@ -70,7 +69,7 @@ def _measured(
     state = {name: tensor.clone() for name, tensor in trainable.state_tensors().items()}
     asked = trainable.steps
     begun = clock()
-    trainable.step(0, step_generator(seed, purpose, 0))  # what is done once is no part of a step
+    trainable.step(0, step_generator(seed, purpose, 0))  # warm-up
     first, count = clock(), 0
     while count == 0 or clock() - begun < MEASURED_SHARE * budget_seconds:
         for number in range(ROUND):
@@ -99,7 +98,7 @@ def one_thread() -> Iterator[None]:
 
 
 def seconds_spent(device: torch.device) -> Callable[[], float]:
-    """The clock of a budget: this process' processor time; of a GPU the time that passes."""
+    """The clock of a budget: this process' CPU time; wall time for a GPU."""
     if device.type != "cuda":
         return time.process_time
 

@@ -1,9 +1,8 @@
-"""Configurations are nested frozen dataclasses: to and from plain values, and changed by `a.b=c` overrides.
+"""Configurations as nested frozen dataclasses: conversion to and from plain values, and `a.b=c` overrides.
 
-Field types may be bool, int, float, str, `Literal`, `T | None`, `tuple[T, ...]` and further dataclasses. A dataclass
-whose settings had other names says so in `MOVED`, from the old name to the dotted key of today: {"hidden":
-"decoder.width"}; what earlier versions wrote is then read under today's names. A name that is in `MOVED` may be a
-part's name today, but not a setting's.
+Field types may be bool, int, float, str, `Literal`, `T | None`, `tuple[T, ...]` and further dataclasses. `MOVED` of a
+dataclass maps old names of settings to current dotted keys, as in {"hidden": "decoder.width"}, so that files of earlier
+versions can be read. A name in `MOVED` may be a part's name today, but not a setting's.
 """
 
 import dataclasses
@@ -24,7 +23,7 @@ class ConfigLike(Protocol):
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
 
-# A setting that stages share: in which number format they multiply matrices (motionkit.training.precision).
+# The number format of matrix products (motionkit.training.precision).
 Precision = Literal["auto", "float32", "tf32", "bfloat16"]
 
 ConfigT = TypeVar("ConfigT", bound=ConfigLike)
@@ -32,7 +31,7 @@ T = TypeVar("T")
 
 
 def require_positive(config: ConfigLike, *names: str) -> None:
-    """Raise `ValueError` for a setting that is given and not above 0."""
+    """Raise `ValueError` for settings that are not None and not positive."""
     for name in names:
         if (value := getattr(config, name)) is not None and not value > 0:
             raise ValueError(f"{name} must be positive, not {value}")
@@ -40,11 +39,11 @@ def require_positive(config: ConfigLike, *names: str) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class Schedule:
-    """How long a stage is trained, on how many windows a step, and at which learning rate.
+    """Number of steps, batch size in windows, and learning rate of a stage.
 
-    Exactly one of `steps` and `epochs` is given. The learning rate rises over `warmup_fraction` of the steps; from
-    there on it is constant or falls to 0 as half a cosine. With `kind="steps"` it is multiplied by `drop` after every
-    `drop_every` share of the steps instead, without a warm-up.
+    Exactly one of `steps` and `epochs` must be given. The learning rate rises over `warmup_fraction` of the steps, then
+    is constant or follows half a cosine to 0. With `kind="steps"` it is multiplied by `drop` after every `drop_every`
+    share of the steps instead, without a warm-up.
     """
 
     steps: int | None = None
@@ -62,14 +61,14 @@ class Schedule:
         require_positive(self, "steps", "epochs", "batch_size", "learning_rate", "drop_every")
 
     def num_steps(self, visits: int | float) -> int:
-        """Steps of the training where an epoch visits so many windows."""
+        """Number of steps, with this many windows per epoch."""
         if self.steps is not None:
             return self.steps
         assert self.epochs is not None
         return max(1, math.ceil(self.epochs * visits / self.batch_size))
 
     def factor(self, step: int, steps: int) -> float:
-        """What the learning rate is multiplied by at a step of so many."""
+        """The factor of the learning rate at a step."""
         if self.kind == "steps":
             return float(self.drop ** int(step / (self.drop_every * steps)))
         return rate_factor(step, steps, schedule=self.kind, warmup_fraction=self.warmup_fraction)
@@ -93,9 +92,9 @@ def to_plain(config: ConfigLike) -> dict[str, Any]:
 
 
 def from_plain(config_type: type[T], values: dict[str, Any]) -> T:
-    """The inverse of `to_plain`, also for what an earlier version wrote; fields that are absent keep their defaults.
+    """The inverse of `to_plain`, also for earlier versions' files; missing fields keep their defaults.
 
-    Raises `UsageError` for a key that the dataclass doesn't have and for a value of another type.
+    Raises `UsageError` for an unknown key or a value of another type.
     """
     values = current_names(config_type, values)
     hints = typing.get_type_hints(config_type)
@@ -123,7 +122,7 @@ def moved(part: str, names: str = "", **renamed: str) -> dict[str, str]:
     return {old: f"{part}.{new}" for old, new in [*((name, name) for name in names.split()), *renamed.items()]}
 
 
-# What the settings of a `Schedule` were called when stages had them flat.
+# Old names of a `Schedule`'s settings, when stages had them flat.
 SCHEDULE_MOVED = {
     **moved("schedule", "steps epochs drop_every", batch="batch_size", rate="learning_rate", schedule="kind"),
     **moved("schedule", rate_drop="drop", rate_warmup_fraction="warmup_fraction"),
@@ -131,7 +130,7 @@ SCHEDULE_MOVED = {
 
 
 def moved_names(config: ConfigLike, prefix: str = "") -> dict[str, str]:
-    """The dotted keys that settings had in earlier versions, and those that they have today."""
+    """Old dotted keys of settings, and the current ones."""
     found = {prefix + old: prefix + key for old, key in getattr(config, "MOVED", {}).items()}
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
@@ -141,9 +140,9 @@ def moved_names(config: ConfigLike, prefix: str = "") -> dict[str, str]:
 
 
 def current_names(config_type: type[Any], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Plain values that this or an earlier version wrote, each under the name that its setting has today.
+    """Plain values of this or an earlier version, with settings under their current names.
 
-    Values that are no setting of `config_type` stay where they are.
+    Values that are not settings of `config_type` are unchanged.
     """
     hints, moved = typing.get_type_hints(config_type), getattr(config_type, "MOVED", {})
     found: dict[str, Any] = {}
@@ -177,7 +176,7 @@ def setting_text(value: Any) -> str:
 
 
 def unknown_setting(key: str, configs: Sequence[ConfigLike]) -> str:
-    """What to say of a key that is no setting of these: what it is called now, or those that may have been meant."""
+    """The message for an unknown key: its current name, or similar ones."""
     known = list(dict.fromkeys(setting for config in configs for setting in flatten(config)))
     moved = {old: new for config in configs for old, new in moved_names(config).items()}
     if key in moved:
@@ -190,8 +189,8 @@ def unknown_setting(key: str, configs: Sequence[ConfigLike]) -> str:
 def apply_overrides(config: ConfigT, overrides: Sequence[str]) -> ConfigT:
     """The configuration with all of `a.b=c` applied at once, so that settings which must agree can change together.
 
-    The last one wins where a key comes twice. Raises `UsageError` for a key that doesn't exist (naming those that do),
-    a value that its type can't be read from, or settings that the dataclass refuses together.
+    The last of repeated keys wins. Raises `UsageError` for an unknown key (listing the known ones), an invalid value,
+    or an invalid combination of settings.
     """
     changes = dict(parse_override(override) for override in overrides)
     for key in changes:

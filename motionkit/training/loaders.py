@@ -1,8 +1,7 @@
-"""What packages bring to be loaded from runs: entry points that name a loader, with what tables call it.
+"""Loaders of objects from runs, registered as entry points.
 
-The entry point's module must import lightly (no torch at module level), for titles are listed without loading anything.
-A plain function from a run folder does as well: its title is then the entry point's name, and so is the stage that must
-be trained.
+The entry point's module must import lightly (no torch at module level), since titles are listed without loading. A
+plain function from a run folder works too: the entry point's name is then its title and its stage.
 """
 
 from collections.abc import Callable
@@ -18,10 +17,9 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Loader(Generic[T]):
-    """Something that is loaded from the stages of a run.
+    """A loader from the stages of a run.
 
-    `title` is its name in tables and messages; `stages` are those that it is made of; where there are several loaders,
-    the one of the lowest `order` comes first.
+    `title` is its name in tables and messages; `stages` are those it needs; loaders are sorted by `order`.
     """
 
     title: str
@@ -30,7 +28,7 @@ class Loader(Generic[T]):
     order: int = 100
 
     def begun_in(self, run: Path) -> bool:
-        """Whether a run holds a trained stage of it, though perhaps not all of them."""
+        """Whether a run holds at least one trained stage of it."""
         stages = [RunFolder(run).stage(name) for name in self.stages]
         return any(stage.is_complete or stage.model_path.is_file() for stage in stages)
 
@@ -39,7 +37,7 @@ class Loader(Generic[T]):
         return all(RunFolder(run).stage(name).is_complete for name in self.stages)
 
     def train_command(self, run: Path | None = None) -> str:
-        """The commands that train it, of a run those of the stages that it lacks."""
+        """The commands that train it; for a run, its missing stages."""
         named = f" --run {run.name}" if run else ""
         lacking = [name for name in self.stages if run is None or not RunFolder(run).stage(name).is_complete]
         return " && ".join(f"motionkit train --stage {name}{named}" for name in lacking or self.stages[-1:])
@@ -54,7 +52,7 @@ def loader_names(group: str) -> tuple[str, ...]:
 
 
 def installed_loaders(group: str, kind: type[LoaderT]) -> dict[str, LoaderT]:
-    """All loaders of an entry point group by name, sorted by their order; `kind` is what plain functions become."""
+    """All loaders of an entry point group by name, sorted by `order`; plain functions are wrapped in `kind`."""
     found = {entry.name: loader_of(entry, kind) for entry in entry_points(group=group)}
     return dict(sorted(found.items(), key=lambda named: (named[1].order, named[0])))
 

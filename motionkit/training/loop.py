@@ -1,8 +1,8 @@
-"""The one training loop: deterministic in (seed, step), resumed exactly, interrupted safely.
+"""The training loop: deterministic in (seed, step), exactly resumable, safe to interrupt.
 
-A step draws everything random from the generator it is given, which depends on (seed, purpose, step) alone; together
-with the tensors of `Trainable.state_tensors` the step number is the whole state of a training, so a run that was
-interrupted and resumed equals one that was not, bit by bit.
+A step's randomness comes from its generator, which depends on (seed, purpose, step) alone. The step number and the
+tensors of `Trainable.state_tensors` are the whole state of a training, so an interrupted and resumed run is bitwise
+equal to an uninterrupted one.
 """
 
 import signal
@@ -24,24 +24,24 @@ from motionkit.training.tensors import CheckpointError, load_tensors, one_line, 
 
 @runtime_checkable
 class Trainable(Protocol):
-    """Something that gets better step by step.
+    """What `train_loop` trains.
 
-    With several ranks each has a part of the batch; gradients are added up inside `step`, figures by the loop.
+    With several ranks each has a part of the batch; gradients are reduced inside `step`, metrics by the loop.
     """
 
     def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
-        """Do one whole step (batch, loss, optimiser) and return its figures, this rank's part of them, as scalars.
+        """Do one whole step (batch, loss, optimiser) and return its metrics, this rank's part of them, as scalars.
 
         `step` counts from 0; all randomness comes from `generator` (on the CPU, the same on every rank).
         """
         ...
 
     def state_tensors(self) -> dict[str, torch.Tensor]:
-        """All that a later step depends on: weights, optimiser moments, averages; whole on the first rank."""
+        """The complete training state: weights, optimiser moments, averages; complete on the first rank."""
         ...
 
     def load_state_tensors(self, tensors: Mapping[str, torch.Tensor]) -> None:
-        """Go back to the state that `state_tensors` gave."""
+        """Restore what `state_tensors` returned."""
         ...
 
 
@@ -56,14 +56,14 @@ def train_loop(
     ranks: Ranks = ALONE,
     on_progress: OnProgress = ignore,
 ) -> dict[str, float]:
-    """Train to `steps`, from the folder's checkpoint where there is one.
+    """Train to `steps`, from the folder's checkpoint if there is one.
 
-    Returns the last logged figures, and `cpu_seconds`: what the processor spent, sessions before this one included.
+    Returns the last logged metrics, and `cpu_seconds`, including earlier sessions.
 
-    Figures are means over the steps since the last line of metrics.jsonl. Ctrl-C or SIGTERM ends the current step,
-    saves a checkpoint and raises `KeyboardInterrupt`. Raises `RunError` where a loss is not finite (the last checkpoint
-    stays), `CheckpointError` where the checkpoint is of something else, and `DamagedFileError` where it or the log is
-    damaged. Only the first rank writes, and only it knows the figures.
+    Metrics are means over the steps since the last line of metrics.jsonl. Ctrl-C or SIGTERM ends the current step,
+    saves a checkpoint and raises `KeyboardInterrupt`. Raises `RunError` for a non-finite loss (the last checkpoint is
+    kept), `CheckpointError` for a checkpoint of another training, and `DamagedFileError` if it or the log is damaged.
+    Only the first rank writes, and only it has the metrics.
     """
     purpose, spent = folder.path.name, time.process_time()
     first, figures, before = _restore(trainable, folder, steps, ranks)
@@ -95,16 +95,16 @@ def train_loop(
 
 
 class _Figures:
-    """Sums of the steps' figures since the last line of metrics.jsonl, which was written after step `since`."""
+    """Sums of the steps' metrics since the last line of metrics.jsonl, which was written after step `since`."""
 
     def __init__(self, sums: Mapping[str, torch.Tensor], since: int) -> None:
         self.sums = dict(sums)
         self.since = since
 
     def add(self, values: Mapping[str, torch.Tensor]) -> None:
-        """Take in a step's figures; sums stay on the device, where nothing waits for them.
+        """Add a step's metrics; sums stay on the device, to avoid synchronisation.
 
-        Their order is the step's, which all ranks share: those of a checkpoint come by name, and only to the first.
+        Their order is the step's, which all ranks share; a checkpoint's sums are restored by name on the first rank.
         """
         added = {name: value.detach().double() for name, value in values.items()}
         for name in added.keys() & self.sums.keys():
@@ -112,14 +112,14 @@ class _Figures:
         self.sums = {**added, **{name: value for name, value in self.sums.items() if name not in added}}
 
     def collect(self, ranks: Ranks, folder: StageFolder, done: int) -> None:
-        """Bring the sums of all ranks to the first one; raises `RunError` on all where one is not finite."""
+        """Reduce the sums of all ranks to the first one; raises `RunError` on all ranks if one is not finite."""
         totals = torch.stack(list(self.sums.values())).cpu()
         ranks.add_up([totals])
         for name, total in zip(self.sums, totals, strict=True):
             if not torch.isfinite(total):
                 raise RunError(
                     f"{folder.path}: {name} is not finite shortly before step {done}; use a lower learning rate "
-                    f"(a checkpoint from before, where there is one, stays)"
+                    f"(an earlier checkpoint, if any, is kept)"
                 )
         self.sums = dict(zip(self.sums, totals if ranks.is_first else torch.zeros_like(totals), strict=True))
 
@@ -144,9 +144,9 @@ def _save(
 
 
 def _restore(trainable: Trainable, folder: StageFolder, steps: int, ranks: Ranks) -> tuple[int, _Figures, float]:
-    """Go back to the checkpoint, where there is one.
+    """Restore the checkpoint, if there is one.
 
-    Returns its step, the figures since the last logged one, and the processor seconds that were spent until then.
+    Returns its step, the metrics since the last logged one, and the CPU seconds spent until then.
     """
     path = folder.checkpoint_path
     if not path.is_file():
@@ -172,7 +172,7 @@ def _restore(trainable: Trainable, folder: StageFolder, steps: int, ranks: Ranks
 
 @contextmanager
 def _interrupts() -> Iterator[threading.Event]:
-    """An event that the first Ctrl-C or SIGTERM sets; a second one stops at once.
+    """An event set by the first Ctrl-C or SIGTERM; a second one stops at once.
 
     SIGTERM is what schedulers and torchrun send before they kill. Outside the main thread nothing is caught.
     """

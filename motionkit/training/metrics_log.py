@@ -1,4 +1,4 @@
-"""metrics.jsonl: one JSON object per logged step, and how much of it belongs to a checkpoint or a finished stage."""
+"""metrics.jsonl: one JSON object per logged step, with its extent recorded in checkpoints and summaries."""
 
 import hashlib
 import json
@@ -10,17 +10,17 @@ from motionkit.core.errors import DamagedFileError
 from motionkit.core.files import naming, require_no_link, sync
 from motionkit.core.plain_text import shown
 
-# Called with a stage's name and a line of its log.
+# Called with a stage's name and logged metrics.
 OnMetrics = Callable[[str, Mapping[str, float]], None]
 MEND = "restore it from a copy, or train the stage again with --overwrite"
 
 
 def ignore_metrics(stage: str, values: Mapping[str, float]) -> None:
-    """Do nothing with a line."""
+    """Ignore metrics."""
 
 
 class MetricsLog:
-    """The log of one stage, which need not exist yet."""
+    """The log of a stage, which need not exist yet."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -32,18 +32,18 @@ class MetricsLog:
             log.write(json.dumps(dict(values)) + "\n")
 
     def lines(self) -> list[dict[str, float]]:
-        """All whole lines, oldest first; a line that a crash cut off, or that is just being written, is left out."""
+        """All complete lines, oldest first, without a partial line of a crash or a concurrent write."""
         lines = self._content().decode("utf-8", errors="replace").splitlines()
         return [values for values in map(_values_of, lines) if values is not None]
 
     def extent(self) -> dict[str, Any]:
-        """Length in bytes and sha256 of what is logged so far, once it is on the disk."""
+        """Flush the log; returns its length in bytes and sha256."""
         if self.path.is_file():
             sync(self.path)
         return _extent_of(self._content())
 
     def extent_until(self, step: int) -> dict[str, Any]:
-        """Length and sha256 of the lines up to a step, for checkpoints of before they recorded them."""
+        """Length and sha256 of the lines up to a step, for old checkpoints that did not record them."""
         content, kept = self._content(), 0
         for line in content.splitlines(keepends=True):
             values = _values_of(line.decode("utf-8", errors="replace"))
@@ -53,7 +53,7 @@ class MetricsLog:
         return _extent_of(content[:kept])
 
     def check(self, extent: Any) -> None:
-        """Raise `DamagedFileError` where the log does not begin with what was recorded, as JSON holds it."""
+        """Raise `DamagedFileError` if the log does not begin with the recorded extent (from JSON)."""
         if not isinstance(extent, Mapping) or not isinstance(extent.get("bytes"), int):
             raise DamagedFileError(self.path, f"its length and sha256 were recorded as {shown(extent)}", MEND)
         found = _extent_of(self._content()[: extent["bytes"]])
@@ -61,10 +61,10 @@ class MetricsLog:
             fault = f"it has {found['bytes']:,} bytes, expected {extent['bytes']:,}"
             raise DamagedFileError(self.path, fault if self.path.is_file() else "it is missing", MEND)
         if found != extent:
-            raise DamagedFileError(self.path, "its content is not what its checksum says", MEND)
+            raise DamagedFileError(self.path, "its content does not match its checksum", MEND)
 
     def cut(self, extent: Any) -> None:
-        """Check what was recorded and forget what was logged after it; errors as in `check`."""
+        """Check the recorded extent and truncate the log to it; errors as in `check`."""
         self.check(extent)
         if self.path.is_file():
             require_no_link(self.path, "delete the link")

@@ -1,6 +1,6 @@
-"""How and where a training computes: the number format of matrix products, compiled layers, the device.
+"""Number format of matrix products, compiled layers, and the device of a training.
 
-Weights, moments and losses are float32 in any case.
+Weights, moments and losses are always float32.
 """
 
 import dataclasses
@@ -21,7 +21,7 @@ class HasPrecision(ConfigLike, Protocol):
 
     @property
     def precision(self) -> Precision:
-        """What was asked for."""
+        """The requested precision."""
         ...
 
 
@@ -30,7 +30,7 @@ SettingsT = TypeVar("SettingsT", bound=HasPrecision)
 
 @functools.cache
 def has_bfloat16(device: torch.device) -> bool:
-    """Whether the processor multiplies bfloat16 itself; elsewhere it is emulated, and slower than float32."""
+    """Whether the CPU has native bfloat16 products; otherwise they are emulated, and slower than float32."""
     if device.type == "cuda":
         return bool(torch.cuda.is_bf16_supported(including_emulation=False))
     # torch calls it "avx512_bf16", "amx_bf16" or alike; older versions don't say.
@@ -39,10 +39,10 @@ def has_bfloat16(device: torch.device) -> bool:
 
 
 def with_precision_of(settings: SettingsT, device: torch.device) -> SettingsT:
-    """The settings with "auto" replaced by bfloat16 where the device has it, else by float32.
+    """The settings with "auto" replaced by bfloat16 if the device supports it, else by float32.
 
-    What was chosen is thus written into the run's config.json, and a run is not resumed in another precision unseen.
-    Raises `UsageError` for TF32 where there is none.
+    So the run's config.json records the choice, and a run is not silently resumed in another precision. Raises
+    `UsageError` for unsupported TF32.
     """
     if settings.precision == "tf32" and not (
         device.type == "cuda" and torch.cuda.get_device_capability(device) >= (8, 0)
@@ -55,14 +55,14 @@ def with_precision_of(settings: SettingsT, device: torch.device) -> SettingsT:
 
 
 def autocast(precision: Precision, device: torch.device) -> AbstractContextManager[None]:
-    """Matrix products inside, and later their gradients, are computed in bfloat16 where that is the precision."""
+    """Autocast matrix products inside, and later their gradients, to bfloat16 if that is the precision."""
     chosen = precision == "bfloat16" or (precision == "auto" and has_bfloat16(device))
     return torch.autocast(device.type, torch.bfloat16, enabled=chosen)
 
 
 @contextmanager
 def float32_products(precision: Precision) -> Iterator[None]:
-    """Whether float32 products inside, gradients too, may be TF32's; it is a setting of the whole process."""
+    """Allow or forbid TF32 for float32 products inside, gradients too; a process-wide setting."""
     before = torch.get_float32_matmul_precision()
     torch.set_float32_matmul_precision("high" if precision == "tf32" else "highest")
     try:
@@ -72,7 +72,7 @@ def float32_products(precision: Precision) -> Iterator[None]:
 
 
 def compile_each(layers: Iterable[torch.nn.Module]) -> None:
-    """Let torch compile equal layers in place, one of them for all; names and values of their tensors stay."""
+    """Compile equal layers in place with torch, sharing code; names and values of their tensors are unchanged."""
     for layer in layers:
         layer.compile()
 
@@ -80,7 +80,7 @@ def compile_each(layers: Iterable[torch.nn.Module]) -> None:
 def resolve_device(name: str) -> torch.device:
     """The device a user named; "auto" is the first CUDA device, else the CPU.
 
-    Raises `UsageError` for a name torch doesn't know or a device that isn't there.
+    Raises `UsageError` for an unknown name or a missing device.
     """
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")

@@ -1,9 +1,9 @@
-"""Several processes that train one model: who is who, and what they tell one another.
+"""Distributed data-parallel training: ranks, collective operations, and the partition of batches.
 
-`torchrun` starts the processes and says by environment variables who each is. A batch is the same batch however many
-ranks share it: every rank draws all of it (the same numbers, from the same generator), works on its own part, and what
-the parts give is added up. So N ranks follow one rank's losses up to the order of floating-point sums, and a checkpoint
-can be resumed by another number of ranks. One rank is the ordinary case, in which everything here does nothing.
+`torchrun` starts the processes and sets their environment variables. A batch does not depend on the number of ranks:
+every rank draws all of it (from the same generator), computes its own part, and results are summed. So N ranks follow
+one rank's losses up to the order of floating-point sums, and a checkpoint can be resumed with another number of ranks.
+With one rank, everything here does nothing.
 """
 
 import os
@@ -19,14 +19,13 @@ from torch import distributed
 
 from motionkit.core.errors import UsageError
 
-# A rank may wait for long, while the first one trains a stage that has no use for several; torchrun ends all where one
-# dies.
+# A rank may wait for long while the first one trains a stage alone; torchrun ends all ranks if one dies.
 PATIENCE = timedelta(days=7)
 
 
 @dataclass(frozen=True)
 class Ranks:
-    """This process among `size` equal ones."""
+    """This process' rank among `size`."""
 
     rank: int = 0
     size: int = 1
@@ -37,16 +36,16 @@ class Ranks:
         return self.rank == 0
 
     def part(self, count: int) -> slice:
-        """This rank's part of `count` rows: parts are contiguous, in the order of ranks, and differ by one at most.
+        """This rank's part of `count` rows: parts are contiguous, in order of ranks, and differ by at most one.
 
-        Raises `UsageError` where a rank would have none.
+        Raises `UsageError` if a rank would have none.
         """
         if count < self.size:
             raise UsageError(f"a batch of {count} can't be shared by {self.size} ranks")
         return slice(count * self.rank // self.size, count * (self.rank + 1) // self.size)
 
     def add_up(self, tensors: Iterable[torch.Tensor]) -> None:
-        """Put the sum over all ranks into each tensor (of one type, on one device); one message for all of them."""
+        """All-reduce (sum) tensors of one type on one device in place, in a single message."""
         found = list(tensors)
         if self.size == 1 or not found:
             return
@@ -56,11 +55,11 @@ class Ranks:
             tensor.detach().copy_(total.view_as(tensor))
 
     def add_up_gradients(self, parameters: Iterable[torch.nn.Parameter]) -> None:
-        """Sum gradients over ranks. Parameters without one have none on any rank: all ranks build the same graph."""
+        """All-reduce gradients. Parameters without one have none on any rank, since all build the same graph."""
         self.add_up(parameter.grad for parameter in parameters if parameter.grad is not None)
 
     def all_rows(self, part: Shaped[torch.Tensor, "part *rest"], count: int) -> Shaped[torch.Tensor, "count *rest"]:
-        """The rows of all ranks, of which each has its `part(count)`."""
+        """Gather the rows of all ranks, of which each has its `part(count)`."""
         if self.size == 1:
             return part
         rows = part.new_zeros((count, *part.shape[1:]))
@@ -69,7 +68,7 @@ class Ranks:
         return rows
 
     def agree(self, *flags: bool) -> tuple[bool, ...]:
-        """For each flag whether any rank raises it."""
+        """For each flag, whether it is true on any rank."""
         if self.size == 1:
             return flags
         raised = torch.tensor(flags, dtype=torch.int32)
@@ -77,11 +76,11 @@ class Ranks:
         return tuple(bool(flag) for flag in raised)
 
     def wait(self) -> None:
-        """Until all ranks have come here."""
+        """Barrier: wait for all ranks."""
         self.agree(False)
 
     def on_first(self, action: Callable[[], object]) -> None:
-        """The first rank acts while the others wait; where it fails, it raises and the others leave without a word."""
+        """Call a function on the first rank while the others wait; if it raises, the others exit silently."""
         failed = True
         try:
             if self.is_first:
@@ -97,7 +96,7 @@ ALONE = Ranks()
 
 
 def present_ranks() -> Ranks:
-    """The ranks that this process has joined; a single one where it has joined none."""
+    """The ranks that this process has joined, or a single one."""
     if distributed.is_available() and distributed.is_initialized():
         return Ranks(distributed.get_rank(), distributed.get_world_size())
     return ALONE
@@ -105,9 +104,9 @@ def present_ranks() -> Ranks:
 
 @contextmanager
 def joined_ranks() -> Iterator[Ranks]:
-    """Join the ranks that torchrun's environment names; without torchrun, or with one process, there are none to join.
+    """Join the process group of torchrun's environment; does nothing without torchrun, or with one process.
 
-    Messages go by NCCL between GPUs and by Gloo between CPUs; "cuda" is then the GPU of this rank.
+    The backend is NCCL for GPUs and Gloo for CPUs; "cuda" then is the GPU of this rank.
     """
     if int(os.environ.get("WORLD_SIZE", "1")) == 1:
         yield ALONE
@@ -124,9 +123,9 @@ def joined_ranks() -> Iterator[Ranks]:
 
 
 class DealtRows:
-    """Which rank owns which row of a table: latents, say, of which a rank holds only its own.
+    """Partition of a table's rows, such as latents, over ranks.
 
-    Each rank has a run of rows in a given order, and all have about the same weight.
+    Each rank has consecutive rows in a given order, of about the same total weight.
     """
 
     def __init__(self, ranks: Ranks, weight: Float[np.ndarray, "rows"], order: Int64[np.ndarray, "rows"]) -> None:
@@ -138,15 +137,15 @@ class DealtRows:
         self.rows = torch.nonzero(self.owner == ranks.rank)[:, 0]
 
     def mine(self, rows: Int64[torch.Tensor, "batch"]) -> Int64[torch.Tensor, "mine"]:
-        """At which places of a batch this rank's rows are."""
+        """Positions in a batch of the rows that this rank owns."""
         return torch.nonzero(self.owner[rows] == self.ranks.rank)[:, 0]
 
     def place(self, rows: Int64[torch.Tensor, "mine"]) -> Int64[torch.Tensor, "mine"]:
-        """Where this rank's own table holds rows that it owns."""
+        """Indices in this rank's own table of rows that it owns."""
         return torch.searchsorted(self.rows, rows)
 
     def gather(self, table: Shaped[torch.Tensor, "own *rest"]) -> Shaped[torch.Tensor, "all *rest"]:
-        """The whole table on the CPU of the first rank, from what each rank holds; the others get an empty one."""
+        """Gather the whole table on the CPU of the first rank; the others get an empty one."""
         table = table.detach().cpu()
         if self.ranks.size == 1:
             return table

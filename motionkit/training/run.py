@@ -1,7 +1,7 @@
-"""Run folders: RUN/STAGE/ holds config.json, metrics.jsonl, checkpoint.safetensors, the stage's results, summary.json.
+"""Run folders: RUN/STAGE/ has config.json, metrics.jsonl, checkpoint.safetensors, the stage's results, summary.json.
 
-`config.json` says what was asked for and from what (recipe values, seed, store fingerprint, versions); `summary.json`
-is written last and marks the stage as complete.
+`config.json` records settings and inputs (recipe values, seed, store fingerprint, versions); `summary.json` is written
+last and marks the stage as complete.
 """
 
 import importlib.metadata
@@ -20,33 +20,33 @@ from motionkit.training.config import ConfigLike, current_names, flatten, to_pla
 from motionkit.training.metrics_log import MEND, MetricsLog
 
 SHOWN_SETTINGS = 6
-# The key of summary.json under which length and sha256 of the log stand.
+# The key of summary.json for length and sha256 of the log.
 LOGGED = "metrics.jsonl"
-# What begin_stage writes into config.json and others read.
+# Keys of config.json that others read.
 CONFIG_TYPES = {"config": dict, "recipe": str, "seed": int, "store_fingerprint": str, "builds_on": dict}
 RECORDED_PACKAGES = ("motionkit", "torch", "numpy", "scipy", "safetensors")
 
 
 class RunError(MotionkitError):
-    """A run folder that lacks what is needed from it, or holds something else."""
+    """A run folder that lacks a required result, or has an unsuitable one."""
 
 
 def versions() -> dict[str, str]:
-    """Python, platform and the packages that decide a run's numbers."""
+    """Python, platform and the packages that affect a run's numbers."""
     found = {name: importlib.metadata.version(name) for name in RECORDED_PACKAGES}
     return {"python": platform.python_version(), "platform": platform.platform(), **found}
 
 
 @dataclass(frozen=True)
 class StageFolder:
-    """One stage's folder inside a run; it owns the names of the files in it. `on_metrics` is told what is logged."""
+    """A stage's folder inside a run; owns the names of its files. `on_metrics` is called with logged metrics."""
 
     path: Path
     on_metrics: Callable[[Mapping[str, float]], None] = field(default=lambda _: None, compare=False, repr=False)
 
     @property
     def config_path(self) -> Path:
-        """What was asked for: config.json."""
+        """Settings and inputs: config.json."""
         return self.path / "config.json"
 
     @property
@@ -56,27 +56,27 @@ class StageFolder:
 
     @property
     def checkpoint_path(self) -> Path:
-        """Everything needed to go on: checkpoint.safetensors."""
+        """Everything needed to resume: checkpoint.safetensors."""
         return self.path / "checkpoint.safetensors"
 
     @property
     def model_path(self) -> Path:
-        """The trained result: model.safetensors."""
+        """The trained model: model.safetensors."""
         return self.path / "model.safetensors"
 
     @property
     def summary_path(self) -> Path:
-        """Final figures; its presence marks the stage as complete: summary.json."""
+        """Final metrics; its presence marks the stage as complete: summary.json."""
         return self.path / "summary.json"
 
     @property
     def budget_path(self) -> Path:
-        """How many steps fit into a budget of processor time: budget.json, where one was given."""
+        """Number of steps of a processor time budget, if one was given: budget.json."""
         return self.path / "budget.json"
 
     @property
     def result_paths(self) -> tuple[Path, ...]:
-        """All files of a complete stage but its checkpoint; the last one makes it count as complete."""
+        """All files of a complete stage except its checkpoint; the last one marks it as complete."""
         return self.config_path, self.metrics_path, self.model_path, self.summary_path
 
     @property
@@ -85,7 +85,7 @@ class StageFolder:
         return self.summary_path.is_file()
 
     def read_config(self) -> dict[str, Any]:
-        """The whole of config.json; raises `RunError` where the stage has not been trained, `DamagedFileError`."""
+        """Read config.json; raises `RunError` if the stage is not trained, `DamagedFileError`."""
         config = self._read(self.config_path)
         for name, kind in CONFIG_TYPES.items():
             if name in config and not isinstance(config[name], kind):
@@ -96,24 +96,24 @@ class StageFolder:
         return config
 
     def read_summary(self) -> dict[str, Any]:
-        """The final figures, once metrics.jsonl agrees with them; raises `RunError` where the stage is not complete."""
+        """The final metrics, after checking metrics.jsonl; raises `RunError` if the stage is not complete."""
         summary = self._read(self.summary_path)
         if LOGGED in summary:
             self.metrics.check(summary.pop(LOGGED))
         return summary
 
     def effort(self) -> dict[str, str]:
-        """For people: steps, parameters and processor time, as far as the summary of a complete stage says them."""
+        """Steps, parameters and processor time from the summary of a complete stage, as text."""
         summary = self.read_summary() if self.is_complete else {}
         formats = {
             "steps": ("{:,.0f}", summary.get("steps", summary.get("step"))),
             "parameters": ("{:,.0f}", summary.get("parameters")),
             "processor time": ("{:,.0f} s", summary.get("cpu_seconds")),
         }
-        return {name: told.format(value) for name, (told, value) in formats.items() if value is not None}
+        return {name: form.format(value) for name, (form, value) in formats.items() if value is not None}
 
     def read_budget(self) -> dict[str, Any]:
-        """What budget.json says, plain numbers; raises `RunError` where there is none, `DamagedFileError`."""
+        """Read budget.json; raises `RunError` if there is none, `DamagedFileError`."""
         budget = self._read(self.budget_path)
         for name, value in budget.items():
             if not isinstance(value, float | int) or isinstance(value, bool):
@@ -122,7 +122,7 @@ class StageFolder:
 
     @property
     def metrics(self) -> MetricsLog:
-        """What is logged while it is trained."""
+        """The log of its training."""
         return MetricsLog(self.metrics_path)
 
     def append_metrics(self, values: Mapping[str, float]) -> None:
@@ -131,17 +131,16 @@ class StageFolder:
         self.on_metrics(values)
 
     def read_metrics(self) -> list[dict[str, float]]:
-        """All whole lines of metrics.jsonl, oldest first; empty where nothing was logged.
+        """All complete lines of metrics.jsonl, oldest first; empty if nothing was logged.
 
-        Those of a complete stage are checked; of another the last line may be cut off, by a crash or because it is
-        just being written, and is left out.
+        The log of a complete stage is verified; of another, a partial last line is left out.
         """
         if self.is_complete:
             self.read_summary()
         return self.metrics.lines()
 
     def finish(self, summary: Mapping[str, Any]) -> None:
-        """Write the final figures, by which the stage counts as complete."""
+        """Write the final metrics, which marks the stage as complete."""
         budget = self.read_budget() if self.budget_path.is_file() else {}
         write_json(self.summary_path, {**summary, **budget, LOGGED: self.metrics.extent()})
 
@@ -165,7 +164,7 @@ class RunFolder:
         return StageFolder(self.path / name)
 
     def fingerprints(self, stages: Iterable[str]) -> dict[str, str]:
-        """Hexadecimal sha256 of the trained results of those of the stages that have one."""
+        """Hexadecimal sha256 of the models of those stages that have one."""
         paths = {name: self.stage(name).model_path for name in stages}
         return {name: sha256_of(path) for name, path in paths.items() if path.is_file()}
 
@@ -180,8 +179,8 @@ def weights_sha256(run: Path) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class StageOrigin:
-    """What a stage is trained from: settings, seed and store, other stages of the run that it reads, by sha256, and how
-    much processor time it may take where that was said."""
+    """The inputs of a stage's training: settings, seed, store, the run's stages that it builds on (by sha256), and the
+    budget of processor time if any."""
 
     config: ConfigLike
     recipe: str
@@ -191,16 +190,16 @@ class StageOrigin:
     budget_seconds: float | None = None
 
     def plain(self) -> dict[str, Any]:
-        """As JSON; without a budget where none was given."""
+        """As JSON, without a budget if none was given."""
         found = {**vars(self), "config": to_plain(self.config), "builds_on": dict(self.builds_on)}
         return {name: value for name, value in found.items() if value is not None}
 
 
 def begin_stage(folder: StageFolder, origin: StageOrigin, *, store: str, resume: bool, overwrite: bool) -> None:
-    """Make a stage's folder and write its config.json, or check that what is there can be resumed.
+    """Create a stage's folder and write its config.json, or check that an existing one can be resumed.
 
-    Raises `UsageError` where a folder exists and neither `resume` nor `overwrite` is asked for, and `RunError` where
-    the stage was begun from something else. `LinkError` where the folder is a link.
+    Raises `UsageError` if the folder exists and neither `resume` nor `overwrite` is set, `RunError` if the stage was
+    begun from other inputs, and `LinkError` if the folder is a link.
     """
     require_no_link(folder.path, "delete the link, or train into another --run")
     if resume:
@@ -210,7 +209,7 @@ def begin_stage(folder: StageFolder, origin: StageOrigin, *, store: str, resume:
     elif _holds_something(folder):
         if not overwrite:
             raise UsageError(
-                f"{folder.path} exists: --resume goes on with it, --overwrite starts again, --run NAME keeps both"
+                f"{folder.path} exists: --resume continues it, --overwrite starts again, --run NAME keeps both"
             )
         clear_stage(folder)
     folder.path.mkdir(parents=True, exist_ok=True)
@@ -219,7 +218,7 @@ def begin_stage(folder: StageFolder, origin: StageOrigin, *, store: str, resume:
 
 
 def check_resumable(folder: StageFolder, origin: StageOrigin) -> None:
-    """Raise `RunError` where a stage was begun from something else, or holds files and nobody knows of what."""
+    """Raise `RunError` if a stage was begun from other inputs, or has files but no config.json."""
     if folder.config_path.is_file():
         check_same(folder, origin)
     elif _holds_something(folder):
@@ -230,23 +229,22 @@ def check_resumable(folder: StageFolder, origin: StageOrigin) -> None:
 
 
 def _holds_something(folder: StageFolder) -> bool:
-    """Whether a stage was begun there: one that was killed before it wrote its config.json was not."""
+    """Whether a stage was begun there; not if it was killed before writing its config.json."""
     if not folder.path.exists():
         return False
     return any(entry.name != temporary_name(folder.config_path).name for entry in folder.path.iterdir())
 
 
 def abandon_stage(folder: StageFolder) -> None:
-    """Delete all that a stage's folder holds, so that it was not begun; raises `LinkError`."""
+    """Delete a stage's files, so that it counts as not begun; raises `LinkError`."""
     clear_stage(folder)
     folder.config_path.unlink()
 
 
 def clear_stage(folder: StageFolder) -> None:
-    """Delete what a stage's folder holds but config.json, which the next training replaces; raises `LinkError`.
+    """Delete a stage's files except config.json, which the next training replaces; raises `LinkError`.
 
-    In this order a process that is killed leaves no folder that counts as complete, or that another training could
-    take for its own.
+    In this order a killed process leaves no folder that counts as complete, or that another training could resume.
     """
     require_no_link(folder.path, "delete the link")
     first = [folder.summary_path, folder.checkpoint_path]
@@ -256,21 +254,21 @@ def clear_stage(folder: StageFolder) -> None:
 
 
 def copy_stage(source: StageFolder, target: StageFolder) -> None:
-    """Make `target` a complete stage's copy without its checkpoint; what it held is deleted. Raises `LinkError`."""
+    """Replace `target` by a copy of a complete stage without its checkpoint. Raises `LinkError`."""
     if target.path.exists():
         clear_stage(target)
-    # It counts as complete when all of it is there.
+    # The last file marks it as complete.
     for path in source.result_paths:
         if path.is_file():
             write_whole(target.path / path.name, path.read_bytes())
 
 
 def check_same(folder: StageFolder, origin: StageOrigin) -> None:
-    """Raise `RunError`, saying what differs and what to do, where a stage was begun with other settings, another seed,
-    another store, or upon a stage that has been trained again since.
+    """Raise `RunError` if a stage was begun with other settings, seed or store, or if a stage that it builds on was
+    trained again since.
 
-    Runs of before stages recorded what they build on are taken at their word. A setting that there was not when the
-    stage was begun had its default; one that is asked for as "auto" is what was chosen for it.
+    Old runs that did not record what they build on are accepted. Settings that did not exist then had their default;
+    "auto" matches the recorded choice.
     """
     begun, stage, run = folder.read_config(), folder.path.name, folder.path.parent.name
     again = f"train it again (motionkit train --stage {stage} --run {run} --overwrite), or use another --run"
@@ -314,7 +312,7 @@ def check_same(folder: StageFolder, origin: StageOrigin) -> None:
 
 
 def concerns(stage: str, key: str, config: ConfigLike) -> bool:
-    """Whether a dotted setting matters to a stage: the part named after another stage of the same recipe doesn't."""
+    """Whether a dotted setting affects a stage: parts named after other stages of the recipe don't."""
     parts = {leaf.partition(".")[0] for leaf in flatten(config) if "." in leaf}
     return stage not in parts or key.partition(".")[0] not in parts - {stage}
 
@@ -330,9 +328,9 @@ def _leaves(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def commit(code: Path = Path(__file__)) -> str | None:
-    """The commit of this code, where it runs from a git checkout of its own.
+    """The commit of this code, if it runs from its own git checkout.
 
-    Installed into an environment that lies inside somebody else's checkout it is no part of that one.
+    An installation inside another project's checkout does not count.
     """
     code = code.resolve()
 
@@ -343,7 +341,7 @@ def commit(code: Path = Path(__file__)) -> str | None:
         return done.stdout.strip()
 
     try:
-        git("ls-files", "--error-unmatch", code.name)  # fails for a file that git does not keep
+        git("ls-files", "--error-unmatch", code.name)  # fails for untracked files
         return git("rev-parse", "HEAD")
     except (OSError, subprocess.SubprocessError):
         return None

@@ -1,4 +1,4 @@
-"""Learning rates of optimisers, averages of weights, and seeded randomness of each step."""
+"""Learning rates of optimisers, weight averages, and seeded randomness of each step."""
 
 import zlib
 from collections.abc import Iterator, Mapping
@@ -32,7 +32,7 @@ class WeightAverage:
 
     @torch.no_grad()
     def update(self, module: torch.nn.Module, step: int) -> None:
-        """Take in the module's weights after `step` (0-based)."""
+        """Update the average with the module's weights after `step` (0-based)."""
         weight = 1.0 - min(self.decay, (1.0 + step) / (10.0 + step))
         for name, tensor in module.state_dict().items():
             if tensor.is_floating_point():
@@ -45,7 +45,7 @@ class WeightAverage:
         return dict(self.averages)
 
     def load(self, tensors: Mapping[str, torch.Tensor]) -> None:
-        """Put averages back."""
+        """Restore averages."""
         for name, average in self.averages.items():
             average.copy_(tensors[name])
 
@@ -62,7 +62,7 @@ def step_generator(seed: int, purpose: str, step: int = 0) -> torch.Generator:
 
 @contextmanager
 def seeded_initialisation(seed: int, purpose: str) -> Iterator[None]:
-    """Modules made inside draw their weights from (seed, purpose); torch's global generator is left as it was."""
+    """Initialise modules inside from (seed, purpose); torch's global generator is restored."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(_state(seed, purpose, 0))
         yield
@@ -70,7 +70,7 @@ def seeded_initialisation(seed: int, purpose: str) -> Iterator[None]:
 
 @contextmanager
 def dropout_from(generator: torch.Generator, device: torch.device, rank: int = 0) -> Iterator[None]:
-    """Dropout inside follows from the generator and the rank; torch's global generators are left as they were."""
+    """Seed dropout inside by the generator and the rank; torch's global generators are restored."""
     with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
         torch.manual_seed(int(torch.randint(2**62, (), generator=generator)) + rank)
         yield

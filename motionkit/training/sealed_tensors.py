@@ -1,6 +1,6 @@
-"""Safetensors files that carry a checksum of their own bytes, so that damage to any of them is noticed.
+"""Safetensors files with a checksum of their own bytes, to detect damage.
 
-The checksum stands in the file's metadata: the sha256 of the whole file, header and data, with 64 zeros in its place.
+The checksum in the file's metadata is the sha256 of the whole file, header and data, with 64 zeros in its place.
 """
 
 import hashlib
@@ -26,10 +26,10 @@ def write_sealed_tensors(
     metadata: Mapping[str, str],
     save: Callable[[dict[str, TensorT], dict[str, str]], bytes],
 ) -> None:
-    """Write a safetensors file with its checksum, which appears whole or not at all.
+    """Write a safetensors file with its checksum, atomically.
 
-    `save` is `safetensors.torch.save` or `safetensors.numpy.save`; `save_file` would choose the permissions itself and
-    report a full disk as an error of its own.
+    `save` is `safetensors.torch.save` or `safetensors.numpy.save`; `save_file` would set its own permissions and raise
+    its own error for a full disk.
     """
     content = memoryview(save(tensors, dict(metadata)))
     end = 8 + int.from_bytes(content[:8], "little")
@@ -45,7 +45,7 @@ def write_sealed_tensors(
 
 
 def _header(described: Mapping[str, object], metadata: Mapping[str, str], checksum: bytes) -> bytes:
-    """A safetensors header, its length before it, filled up to a multiple of 8 bytes."""
+    """A safetensors header with its length, padded to a multiple of 8 bytes."""
     whole = {**described, "__metadata__": {**metadata, CHECKSUM: checksum.decode()}}
     text = json.dumps(whole, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 8)
@@ -53,10 +53,10 @@ def _header(described: Mapping[str, object], metadata: Mapping[str, str], checks
 
 
 def checked_metadata(path: Path, known: Set[str], mend: str) -> dict[str, str]:
-    """The metadata of a safetensors file once its bytes agree with its checksum; `known` are the keys it may have.
+    """The metadata of a safetensors file after verifying its checksum; `known` are the allowed keys.
 
-    A file of before there were checksums has none and is not checked. `mend` says what a person does about a damaged
-    file. Raises `DamagedFileError`, and `OSError` where the file cannot be read.
+    Old files without a checksum are not verified. `mend` tells the user how to repair a damaged file. Raises
+    `DamagedFileError`, and `OSError` if the file cannot be read.
     """
     has_checksum = require_intact_tensors(path, mend)
     try:

@@ -1,4 +1,4 @@
-"""What can be trained: stages, found through the entry point group `motionkit.stages`.
+"""Trainable stages, registered under the entry point group `motionkit.stages`.
 
 An entry point names a module attribute that is a `Stage`. That module must import lightly (no torch at module level):
 `motionkit train --help` reads every stage.
@@ -26,13 +26,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class StageContext:
-    """Where a stage is trained: from which store, into which run, with which seed, on which device.
+    """The context of a stage's training: store, run, seed, device.
 
-    `device` is "auto" or a torch device's name; `shared` whether all ranks that torchrun started train this stage;
-    `budget_seconds` how much processor time its steps may take, whatever their number (None: as many as its settings
-    say).
-    `on_progress` is called during training and while caches are built for it, `on_metrics` with each stage's logged
-    figures.
+    `device` is "auto" or a torch device's name; `shared`: whether all ranks of torchrun train this stage;
+    `budget_seconds` is the processor time for its steps, which replaces their number (None: no budget). `on_progress`
+    is called during training and while caches are built, `on_metrics` with each stage's logged metrics.
     """
 
     store: Path
@@ -63,9 +61,9 @@ class StageContext:
     def begin(
         self, stage: str, config: ConfigLike, *, store_fingerprint: str, builds_on: Sequence[str] = ()
     ) -> StageFolder:
-        """Open the stage's folder, new or to be resumed; errors as in `begin_stage`. The first rank does it.
+        """Open the stage's folder on the first rank, new or to resume; errors as in `begin_stage`.
 
-        `builds_on` names the stages of this run whose model.safetensors it reads: it is not resumed upon others.
+        `builds_on` names the stages of this run whose model.safetensors it reads; resuming requires the same ones.
         """
         folder = replace(self.run.stage(stage), on_metrics=partial(self.on_metrics, stage))
         origin = self.origin(config, store_fingerprint, builds_on)
@@ -74,12 +72,12 @@ class StageContext:
         return folder
 
     def origin(self, config: ConfigLike, store_fingerprint: str, builds_on: Sequence[str]) -> StageOrigin:
-        """What a stage with these settings would be trained from now."""
+        """The inputs of a stage with these settings."""
         built_on = self.run.fingerprints(builds_on)
         return StageOrigin(config, self.recipe, self.seed, store_fingerprint, built_on, self.budget_seconds)
 
     def fit_budget(self, trainable: "Rescheduled", folder: StageFolder) -> None:
-        """Give a training as many steps as fit into the budget, where there is one; errors as in `plan_steps`."""
+        """Set a training's number of steps by the budget, if there is one; errors as in `plan_steps`."""
         if self.budget_seconds is None:
             return
         from motionkit.training.budget import plan_steps, seconds_spent
@@ -97,21 +95,20 @@ def builds_on_nothing(config: Any) -> tuple[str, ...]:
 
 
 def _nothing_to_check(context: StageContext, config: Any) -> None:
-    """A stage that finds every fault as soon as it begins."""
+    """No early check: for stages that detect errors immediately."""
 
 
 @dataclass(frozen=True)
 class Stage(Generic[ConfigT]):
-    """One thing to train: `train(context, config)` writes RUN/NAME/ and ends with `StageFolder.finish`.
+    """A trainable stage: `train(context, config)` writes RUN/NAME/ and ends with `StageFolder.finish`.
 
-    `builds_on(config)` names the other stages whose results it reads; `train` hands the same to `StageContext.begin`.
-    `check(context, config)` raises what can be known before anything is trained, so that hours of an earlier stage are
-    not spent first; it may not need another stage's results. `order` ranks the stages of `--stage all` (low first),
-    `in_all` says whether this one is among them; `recipes` maps a recipe's name to the function that makes its
-    configuration. Stages of one model may share a configuration whose parts are named after the stages: a change of
-    another stage's part doesn't stop `--resume`. Under torchrun every rank calls the `train` of a stage that is
-    `shared` (`motionkit.training.ranks`); others are trained by the first rank alone. `share` is its part of its
-    system's processor time beside those of the system's other stages (`motionkit.training.systems`).
+    `builds_on(config)` names the stages whose results it reads; `train` passes the same to `StageContext.begin`.
+    `check(context, config)` raises errors that can be found before any training, without other stages' results. `order`
+    sorts the stages of `--stage all` (low first), `in_all`: whether this one is included; `recipes` maps names to
+    functions that make a configuration. Stages of one model may share a configuration whose parts are named after the
+    stages: a change of another stage's part doesn't prevent `--resume`. Under torchrun every rank calls the `train` of
+    a `shared` stage (`motionkit.training.ranks`); others are trained by the first rank alone. `share` is its share of
+    its system's time budget, relative to the system's other stages (`motionkit.training.systems`).
     """
 
     name: str
@@ -126,12 +123,12 @@ class Stage(Generic[ConfigT]):
     builds_on: Callable[[ConfigT], tuple[str, ...]] = builds_on_nothing
 
     def check_kept(self, context: StageContext, config: ConfigT, store_fingerprint: str) -> None:
-        """Raise `RunError` where this stage, as far as it is trained, is not what the same command would train now."""
+        """Raise `RunError` if this stage was begun with other inputs than the same command would use now."""
         origin = context.origin(config, store_fingerprint, self.builds_on(config))
         check_resumable(context.run.stage(self.name), origin)
 
     def recipe(self, name: str) -> ConfigT:
-        """The configuration of a named recipe; raises `UsageError` naming those there are."""
+        """The configuration of a recipe; raises `UsageError` that lists the known ones."""
         if name not in self.recipes:
             raise UsageError(f"stage {self.name!r} has no recipe {name!r}; it has: {', '.join(self.recipes)}")
         return self.recipes[name]()
@@ -144,7 +141,7 @@ def registered_stages() -> dict[str, Stage[Any]]:
 
 
 def lazily(place: str) -> Callable[..., Any]:
-    """The function "module:name", whose module is imported when it is called: stages and loaders are listed without."""
+    """The function "module:name", imported when it is called, so that listing stages and loaders stays light."""
 
     def call(*arguments: Any, **options: Any) -> Any:
         module, _, name = place.partition(":")
@@ -154,9 +151,9 @@ def lazily(place: str) -> Callable[..., Any]:
 
 
 def recorded_settings(run: RunFolder, stage: str) -> dict[str, Any]:
-    """What a stage of a run was trained with (its config.json), each setting under the name that it has today.
+    """The settings of a stage of a run (its config.json), under their current names.
 
-    Settings of a stage that is not installed are given as they were written.
+    Settings of a stage that is not installed are returned as written.
     """
     recorded: dict[str, Any] = run.stage(stage).read_config().get("config", {})
     known = registered_stages().get(stage)
@@ -166,7 +163,7 @@ def recorded_settings(run: RunFolder, stage: str) -> dict[str, Any]:
 
 
 def choose_stages(name: str, stages: Mapping[str, Stage[Any]]) -> tuple[Stage[Any], ...]:
-    """The stages that `--stage NAME` means; raises `UsageError` naming those there are."""
+    """The stages that `--stage NAME` selects; raises `UsageError` that lists the known ones."""
     if name == "all":
         return tuple(stage for stage in stages.values() if stage.in_all)
     if name not in stages:

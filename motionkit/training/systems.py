@@ -1,7 +1,7 @@
-"""What a table of systems needs to be trained: the stages of each, in order, and each one's part of a budget.
+"""The stages to train for a table of systems, in order, and their shares of a time budget.
 
-A system is a model or encoder that tables load from runs (`motionkit.training.loaders`). A table is an entry point of
-the group `motionkit.tables`, called PAPER-NUMBER; it says which systems it has rows of.
+A system is a model or encoder that tables load from runs (`motionkit.training.loaders`). A table is an entry point
+PAPER-NUMBER of the group `motionkit.tables`, which lists the systems of its rows.
 """
 
 from collections.abc import Callable, Container, Iterable, Mapping
@@ -20,16 +20,16 @@ KINDS = {"table": "", "figure": "figure"}
 
 @runtime_checkable
 class ShowsSystems(Protocol):
-    """A table with rows of what is trained."""
+    """A table with rows of trained systems."""
 
     @property
     def shown(self) -> Callable[[], Mapping[str, Loader[Any]]]:
-        """Gives the loaders of its rows by name."""
+        """Returns the loaders of its rows by name."""
         ...
 
     @property
     def reads(self) -> tuple[str, ...]:
-        """Other stages of the run that it reads: evaluators."""
+        """Other stages of the run that it uses, such as evaluators."""
         ...
 
     @property
@@ -40,14 +40,14 @@ class ShowsSystems(Protocol):
 
 @dataclass(frozen=True)
 class Needed:
-    """Stages in the order in which they are trained; `parts` are those of systems with their parts of one system's
-    budget, which add up to 1 for each."""
+    """Stages in training order; `parts` are the systems' stages with their shares of a system's budget, which sum to 1
+    for each system."""
 
     stages: tuple[Stage[Any], ...]
     parts: Mapping[str, float]
 
     def budgets(self, seconds: float | None) -> dict[str, float | None]:
-        """Each stage's processor seconds where each system has so many; evaluators have none."""
+        """Each stage's processor seconds for a budget per system; evaluators have none."""
         return {
             stage.name: None if seconds is None or stage.name not in self.parts else seconds * self.parts[stage.name]
             for stage in self.stages
@@ -55,9 +55,9 @@ class Needed:
 
 
 def table_that_shows(paper: str | None, wanted: str) -> ShowsSystems:
-    """The table of a paper that "table:2" or "figure:8" names; raises `UsageError` with those there are.
+    """The table of a paper named by "table:2" or "figure:8"; raises `UsageError` that lists the known ones.
 
-    Of papers with such a table the one whose tables are the default's where none is named.
+    Without a paper, the one with default tables is preferred.
     """
     kind, colon, number = wanted.partition(":")
     if not (colon and number and kind in KINDS):
@@ -84,10 +84,10 @@ def stages_for(
     earlier_of: Callable[[str], Iterable[str]],
     kept: Callable[[str], bool],
 ) -> Needed:
-    """All stages that a table's systems need, those that others build on before them.
+    """All stages that a table's systems need, in order of dependency.
 
-    Of a stage that is `kept` nothing before it is needed; its system's parts are the same. Raises `UsageError` for a
-    stage that is not installed.
+    A `kept` stage needs no earlier ones; its system's shares are unchanged. Raises `UsageError` for a stage that is not
+    installed.
     """
     for loader in table.shown().values():
         for name in loader.stages:
@@ -104,7 +104,7 @@ def stages_for(
         own = _with_earlier(loader.stages, earlier_of)
         whole = sum(stages[name].share for name in own)
         for name in own:
-            # A stage of two systems is trained for the longer of its times.
+            # A stage of two systems gets the larger share.
             parts[name] = max(parts.get(name, 0.0), stages[name].share / whole)
     ordered = sorted(wanted, key=lambda name: (stages[name].order, name))
     return Needed(tuple(stages[name] for name in ordered), parts)
@@ -124,8 +124,8 @@ def _with_earlier(names: Iterable[str], earlier_of: Callable[[str], Iterable[str
 def check_comparable(
     folder: StageFolder, store_fingerprint: str, budget_seconds: float | None, to_train: Container[str] = ()
 ) -> None:
-    """Raise `RunError` where a complete stage was trained on another store, upon another stage than the run has or will
-    have when those `to_train` are trained, or to another budget than is asked for."""
+    """Raise `RunError` if a complete stage was trained on another store, with another budget, or upon a stage that has
+    changed or will be trained (`to_train`)."""
     begun, run = folder.read_config(), RunFolder(folder.path.parent)
     command = f"motionkit train --stage {folder.path.name} --run {run.path.name} --overwrite"
     again = f"train it again ({command}), or use another --run"
@@ -136,8 +136,8 @@ def check_comparable(
         raise RunError(f"{folder.path} was trained on another store, or on another state of it: {again}")
     if budget_seconds is not None and begun.get("budget_seconds") != budget_seconds:
         had = begun.get("budget_seconds")
-        told = "without a budget" if had is None else f"with a budget of {had:g} s"
-        raise RunError(f"{folder.path} was trained {told}, not with one of {budget_seconds:g} s: {again}")
+        budget = "without a budget" if had is None else f"with a budget of {had:g} s"
+        raise RunError(f"{folder.path} was trained {budget}, not with one of {budget_seconds:g} s: {again}")
 
 
 def is_kept(run: RunFolder) -> Callable[[str], bool]:
@@ -146,6 +146,6 @@ def is_kept(run: RunFolder) -> Callable[[str], bool]:
 
 
 def options_for(wanted: str, paper: str | None) -> tuple[str, str]:
-    """The options of `motionkit train`, and of the command that builds tables, for what `--for` names."""
+    """Options of `motionkit train`, and of the command that makes tables, for a value of `--for`."""
     of_paper = "" if paper is None else f" --paper {paper}"
     return f"--for {wanted}{of_paper}", f"--{wanted.replace(':', ' ')}{of_paper}"

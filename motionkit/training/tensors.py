@@ -1,4 +1,4 @@
-"""Tensors in files: safetensors with a JSON description in the header, written whole, with a checksum, no pickle."""
+"""Tensors in safetensors files with a JSON description and a checksum, written atomically; no pickle."""
 
 import json
 import threading
@@ -19,19 +19,19 @@ from motionkit.training.sealed_tensors import checked_metadata, write_sealed_ten
 DESCRIPTION = "description"
 MEND = "train the stage again with --overwrite, or restore the file from a copy"
 
-# How many times as large as its file a network may get: it may replace a parameter while it is built, and where only
-# some tensors are missing, they are named.
+# Limit of a network's size relative to its file: parameters may be replaced during construction, and missing tensors
+# should be reported by name.
 LARGER = 4
 
 
 class CheckpointError(MotionkitError):
-    """A checkpoint that is missing or of another model."""
+    """A checkpoint that is missing or belongs to another model."""
 
 
 def save_tensors(path: Path, tensors: Mapping[str, torch.Tensor], description: Mapping[str, Any]) -> None:
-    """Write tensors and a JSON description into one file, which appears whole or not at all.
+    """Write tensors and a JSON description into one file, atomically.
 
-    The description travels in the safetensors header, so that tensors and their meaning are one atomic rename.
+    The description is in the safetensors header, so that tensors and their meaning cannot diverge.
     """
     plain = {name: tensor.detach().to("cpu").contiguous() for name, tensor in tensors.items()}
     # safetensors refuses tensors that share memory.
@@ -46,8 +46,7 @@ def save_tensors(path: Path, tensors: Mapping[str, torch.Tensor], description: M
 def load_tensors(path: Path, mend: str = MEND) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
     """Read a file of `save_tensors`: tensors on the CPU, and the description.
 
-    Raises `CheckpointError` for a file that is absent, and `DamagedFileError`, with `mend`, for one that is not what
-    was written.
+    Raises `CheckpointError` for a missing file, and `DamagedFileError`, with `mend`, for a damaged one.
     """
     if not path.is_file():
         raise CheckpointError(f"{path}: there is no such checkpoint")
@@ -65,17 +64,17 @@ def load_tensors(path: Path, mend: str = MEND) -> tuple[dict[str, torch.Tensor],
 
 
 def one_line(error: Exception, longest: int = 200) -> str:
-    """What an error says, on one line and no longer than a person reads."""
+    """An error's message, shortened to one line."""
     said = " ".join(str(error).split()) or type(error).__name__
     return said if len(said) <= longest else f"{said[:longest]} …"
 
 
 @contextmanager
 def rebuilding(path: Path, stage: str, tensors: Mapping[str, torch.Tensor]) -> Iterator[None]:
-    """Build a stage's trained network in the block, from what `load_tensors` gave of the file `path`.
+    """Context for building a stage's network from the result of `load_tensors` on `path`.
 
-    The settings in the file say how large the network is; one that is far larger than the tensors ends before its
-    memory is used. Raises `CheckpointError` for that, and for whatever else is missing or of another type.
+    Raises `CheckpointError` for settings whose network is far larger than the tensors, before memory is allocated, and
+    for missing tensors or other types.
     """
     try:
         with _parameters_of(tensors):
@@ -89,7 +88,7 @@ def rebuilding(path: Path, stage: str, tensors: Mapping[str, torch.Tensor]) -> I
 
 @contextmanager
 def _parameters_of(tensors: Mapping[str, torch.Tensor]) -> Iterator[None]:
-    """Raise `ValueError` in the block where modules get far more parameters, or larger ones, than there are tensors."""
+    """Raise `ValueError` in the block if modules get far more, or larger, parameters than there are tensors."""
     thread, left = threading.get_ident(), LARGER * len(tensors)
     numbers_left = LARGER * sum(tensor.numel() for tensor in tensors.values())
 
@@ -131,7 +130,7 @@ def optimizer_tensors(optimizer: torch.optim.Optimizer) -> dict[str, torch.Tenso
 
 
 def load_optimizer_tensors(optimizer: torch.optim.Optimizer, tensors: Mapping[str, torch.Tensor]) -> None:
-    """Put the state of `optimizer_tensors` back; the optimiser's own parameter groups stay as they are."""
+    """Restore the state of `optimizer_tensors`; the optimiser's parameter groups are unchanged."""
     state: dict[int, dict[str, torch.Tensor]] = {}
     for name, tensor in tensors.items():
         index, _, key = name.partition(".")
@@ -147,7 +146,7 @@ def training_tensors(name: str, module: torch.nn.Module, optimizer: torch.optim.
 def load_training_tensors(
     name: str, module: torch.nn.Module, optimizer: torch.optim.Optimizer, tensors: Mapping[str, torch.Tensor]
 ) -> None:
-    """Put what `training_tensors` gave back."""
+    """Restore what `training_tensors` returned."""
     module.load_state_dict(unprefixed(name, tensors))
     load_optimizer_tensors(optimizer, unprefixed("optimizer", tensors))
 
@@ -156,10 +155,10 @@ LARGEST_BYTES = 4 << 30
 
 
 def read_foreign(path: Path) -> dict[str, Any]:
-    """What the file holds by name, tensors on the CPU.
+    """The content of a PyTorch checkpoint by name, tensors on the CPU.
 
-    Raises `CheckpointError` for a file that is absent, implausibly large, damaged, or that could only be read by
-    running the code in it (`weights_only=True` refuses).
+    Raises `CheckpointError` for a file that is missing, implausibly large, damaged, or would execute code
+    (`weights_only=True` refuses).
     """
     if not path.is_file():
         raise CheckpointError(f"{path}: there is no such file")
@@ -168,7 +167,7 @@ def read_foreign(path: Path) -> dict[str, Any]:
     try:
         loaded: Any = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
-        # torch reports damage, foreign files and forbidden objects by half a dozen classes.
+        # torch raises half a dozen classes for damaged, foreign and forbidden content.
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise CheckpointError(
             f"{path}: not a checkpoint that can be read without running its pickle ({reason})"
@@ -177,7 +176,7 @@ def read_foreign(path: Path) -> dict[str, Any]:
 
 
 def foreign_tensors(loaded: Mapping[str, Any], key: str, path: Path, what: str) -> dict[str, torch.Tensor]:
-    """The named tensors under one key of a checkpoint; raises `CheckpointError` where there are none."""
+    """The named tensors under one key of a checkpoint; raises `CheckpointError` if there are none."""
     tensors = loaded.get(key)
     if not isinstance(tensors, dict) or not all(isinstance(tensor, torch.Tensor) for tensor in tensors.values()):
         raise CheckpointError(f"{path}: not {what}, whose checkpoint has its tensors under the key {key!r}")
@@ -187,7 +186,7 @@ def foreign_tensors(loaded: Mapping[str, Any], key: str, path: Path, what: str) 
 def fill_checked(
     own: Mapping[str, torch.Tensor], found: Mapping[str, torch.Tensor], key: str, path: Path, what: str
 ) -> None:
-    """Copy `found` into `own`, in place, after checking that names, shapes and finiteness are right.
+    """Copy `found` into `own`, in place, after checking names, shapes and finiteness.
 
     Raises `CheckpointError` that names the tensor, what was expected and what was found; nothing is copied then.
     """

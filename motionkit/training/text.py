@@ -1,8 +1,8 @@
-"""Texts as numbers: frozen encoders by name, and their embeddings computed once.
+"""Frozen text encoders by name, and a cache of their embeddings.
 
 Encoders are entry points of the group `motionkit.text_encoders`: NAME = "module:load", `load(name) -> TextEncoder`.
-Folders and hub names, which nobody can install under a name, go to the entry point `transformers`. Embeddings lie in a
-file per encoder, rows found by the sha256 of their text.
+Folders and hub names go to the entry point `transformers`. Embeddings are cached in a file per encoder, with rows keyed
+by the sha256 of their text.
 """
 
 import hashlib
@@ -31,12 +31,12 @@ class TextEncoder(Protocol):
 
     @property
     def name(self) -> str:
-        """What it was asked for by: `minilm`, `clip`, a folder or a hub name."""
+        """Its requested name: `minilm`, `clip`, a folder or a hub name."""
         ...
 
     @property
     def fingerprint(self) -> str:
-        """Hexadecimal name of its weights and its way of pooling: equal embeddings for equal fingerprints."""
+        """Hexadecimal hash of weights and pooling: equal embeddings for equal fingerprints."""
         ...
 
     @property
@@ -52,7 +52,7 @@ class TextEncoder(Protocol):
 def load_text_encoder(name: str) -> TextEncoder:
     """Load an encoder by the name of an entry point, a local folder or a hub name.
 
-    Raises `UsageError` where nothing is installed that could be meant, and what the entry point's loader raises.
+    Raises `UsageError` for an unknown name, and what the entry point's loader raises.
     """
     installed = {entry.name: entry for entry in entry_points(group=GROUP)}
     entry = installed.get(name) or installed.get(FOLDERS_AND_HUB)
@@ -63,9 +63,9 @@ def load_text_encoder(name: str) -> TextEncoder:
 
 
 def embed_texts(encoder: TextEncoder, texts: Sequence[str], folder: Path) -> Float32[np.ndarray, "texts dimension"]:
-    """Embeddings of texts in order, from `folder`'s cache where it has them; new ones are added to it.
+    """Embeddings of texts in order, cached in `folder`.
 
-    The file is named by the encoder's fingerprint and is replaced in one step, so two processes cannot damage it (the
+    The file is named by the encoder's fingerprint and is replaced atomically, so two processes cannot damage it (the
     later one's additions win).
     """
     path = folder / f"text-embeddings-{encoder.fingerprint[:16]}.safetensors"
@@ -85,7 +85,7 @@ def _key(text: str) -> bytes:
 
 
 def _read(path: Path) -> dict[bytes, np.ndarray]:
-    """What is known; nothing where the file is damaged, which is warned of: it is computed anew."""
+    """The cached embeddings; empty, with a warning, if the file is damaged."""
     if not path.is_file():
         return {}
     try:
@@ -96,7 +96,7 @@ def _read(path: Path) -> dict[bytes, np.ndarray]:
     except DamagedFileError as error:
         warn(str(error))
     except (KeyError, ValueError) as error:
-        warn(f"{path} is no cache of text embeddings ({error}): computing them anew")
+        warn(f"{path} is not a cache of text embeddings ({error}): computing them anew")
     return {}
 
 

@@ -1,4 +1,4 @@
-"""`motionkit view`: any motion that motionkit reads, found, cut to a stretch, and shown in a page."""
+"""`motionkit view`: show motions of any format, or a stretch of them, in a page."""
 
-# Of more, nobody sees anything, and a page may become too large for a browser.
+# More motions are too small to see, and a page may become too large for a browser.
 MOST_MOTIONS = 24

@@ -1,4 +1,4 @@
-"""One page of motions: read, cut to the stretch that is asked for, and written; what of it could not be."""
+"""Reads motions, cuts them to the requested stretch, and writes a page or film of them."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -16,38 +16,38 @@ from motionkit.export.player.takes import Take, take_of
 from motionkit.formats.scan.items import ReadOptions, SourceItem
 from motionkit.formats.scan.reading import read_document
 from motionkit.store.named_motions.holes import ReadClip, read_with_holes
-from motionkit.store.named_motions.reading import Found, Readers, find_motions, find_stored
+from motionkit.store.named_motions.reading import FoundMotion, Readers, find_motions, find_stored
 
-ViewSource = Found[ReadClip]
+ViewSource = FoundMotion[ReadClip]
 
 
 def find_sources(names: Sequence[str], options: ReadOptions, store: Path) -> tuple[list[ViewSource], list[FormatError]]:
-    """The motions of these names, and what is wrong with some. Raises `UsageError` for a name that says nothing."""
+    """The motions of these names, and problems of others. Raises `UsageError` for an unknown name."""
     readers = Readers(partial(_read, options=options), ReadClip.whole)
     return find_motions(names, options, store, readers)
 
 
 def stored_where(store: Path, where: str) -> list[ViewSource]:
-    """The stored sequences for which a condition holds, in the store's order; raises `StoreError` or `UsageError`."""
+    """The stored sequences that match a condition, in the store's order; raises `StoreError` or `UsageError`."""
     return find_stored(store, where, ReadClip.whole)
 
 
 def _read(item: SourceItem, options: ReadOptions) -> ReadClip:
-    # As `complete` has it: frames that a tracker lost and skeletons that are no human body are shown too.
+    # As in `complete`: lost frames and skeletons that are not human are shown too.
     document = read_document(item, options)
     return ReadClip(document.motion(), document.seen) if document is not None else read_with_holes(item, options)
 
 
 SUFFIX = ".view.html"
-# A name made of many would be too long for some systems, which count bytes.
+# Names combined from many files may exceed the system's limit, which is in bytes.
 LONGEST_STEM_BYTES = 160
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """Seconds of a motion's own clock, the first included, the last not; None is its beginning or its end.
+    """A half-open interval in seconds of a motion's own time; None is its beginning or its end.
 
-    Raises `UsageError` for one that holds nothing.
+    Raises `UsageError` for an empty one.
     """
 
     from_seconds: float | None = None
@@ -61,7 +61,7 @@ class Stretch:
             raise UsageError(f"--from {begin:g} --to {end:g} holds nothing: it ends before it begins")
 
     def of(self, take: Take) -> Take:
-        """The frames inside; raises `MotionkitError` where there are none."""
+        """The frames inside; raises `MotionkitError` if there are none."""
         begin = -np.inf if self.from_seconds is None else self.from_seconds
         end = np.inf if self.to_seconds is None else self.to_seconds
         seconds = take.frame_seconds()
@@ -76,7 +76,7 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Viewed:
-    """A page that was written: its file, its size in bytes, the takes that it shows."""
+    """A written page: its file, its size in bytes, its takes."""
 
     path: Path
     num_bytes: int
@@ -108,13 +108,13 @@ def read_takes(
     advance: Callable[[], None],
     drawn: Callable[[Take], Take] = lambda take: take,
 ) -> tuple[list[Take], list[tuple[str, str]]]:
-    """The takes of sources, and name and message of each that cannot be shown: one that fails loses no other.
+    """The takes of sources, and name and message of each that cannot be shown.
 
-    `drawn` may add to a whole take what else is drawn with it.
+    `drawn` may add drawings to a whole take.
     """
     takes: list[Take] = []
     failures: list[tuple[str, str]] = []
-    # File names without their folders, where these tell them apart.
+    # File names without folders, if these are unique.
     unique = len({source.short for source in sources}) == len(sources)
     for source in sources:
         try:
@@ -137,7 +137,7 @@ def _take(read: ReadClip, name: str) -> Take:
 
 
 def page_path(out: Path | None, sources: Sequence[ViewSource], suffix: str = SUFFIX) -> Path:
-    """The page's or the film's file: `out`, a name in it where it is a folder, or NAME.view.html (NAME.mp4) here."""
+    """The page's or the film's file: `out`, a name in it if it is a folder, or NAME.view.html (NAME.mp4) here."""
     first = sources[0].beside.name
     stem = first if len(sources) == 1 else f"{first}-and-{len(sources) - 1}-more"
     short = printable(stem).encode(errors="replace")[:LONGEST_STEM_BYTES].decode(errors="ignore")

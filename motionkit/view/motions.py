@@ -1,4 +1,4 @@
-"""One page of some motions, in Python: what `motionkit view` does, of motions in memory or in files; in notebooks."""
+"""`motionkit.view`: a page of motions in memory or in files; and the display in notebooks."""
 
 import html
 import webbrowser
@@ -11,7 +11,7 @@ from motionkit.export.player.page import page_of
 from motionkit.export.player.takes import packed_bytes, take_of
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.store.named_motions.holes import ReadClip
-from motionkit.store.named_motions.reading import Found, check_exists
+from motionkit.store.named_motions.reading import FoundMotion, check_exists
 from motionkit.view import MOST_MOTIONS
 from motionkit.view.job import Stretch, ViewSource, find_sources, page_path, read_takes, write_view
 
@@ -55,7 +55,7 @@ def view(*motions: Motion | str | Path, path: str | Path | None = None, open: bo
 def _in_memory(motion: Motion) -> ViewSource:
     name = motion.sequence_id or "motion"
     beside = Path(name.replace("/", "_").lstrip(".") or "motion")
-    return Found(name, name, beside, lambda: ReadClip.whole(motion))
+    return FoundMotion(name, name, beside, lambda: ReadClip.whole(motion))
 
 
 # A notebook keeps every output that it shows: a minute of 22 joints at 60 fps is about 0.7 MB.
@@ -64,7 +64,7 @@ HEIGHT = 560
 
 
 def notebook_view(motion: Motion) -> str:
-    """HTML with the moving skeleton, of a long motion its beginning; where nothing can be drawn, why."""
+    """HTML with the moving skeleton, of the beginning for a long motion; the reason if nothing can be drawn."""
     num_frames = max(1, min(motion.num_frames, MOST_BYTES // packed_bytes(1, motion.skeleton.num_joints)))
     take = take_of(motion, motion.sequence_id or "motion").frames(0, num_frames)
     shown = f"Shown: the first {take.duration_seconds:.4g} of {motion.duration_seconds:.4g} s."

@@ -69,10 +69,10 @@ class Quantised:
 
 
 class Quantiser(nn.Module):
-    """N codes kept as exponential moving averages of the features nearest to them (van den Oord et al. 2017, A.1).
+    """N codes, updated by exponential moving averages of the features nearest to them (van den Oord et al. 2017, A.1).
 
-    The codes start as features of the first batch; a code whose averaged count falls under `reset_below` becomes one of
-    the current features (T2M-GPT, models/quantize_cnn.py).
+    Codes are initialised with features of the first batch; a code whose averaged count falls below `reset_below` is
+    reset to one of the current features (T2M-GPT, models/quantize_cnn.py).
     """
 
     codes: torch.Tensor
@@ -103,7 +103,7 @@ class Quantiser(nn.Module):
 
     @torch.no_grad()
     def start(self, features: Float[torch.Tensor, "batch code frames"], generator: torch.Generator) -> None:
-        """Take the first codes from a batch's features; fewer features than codes are repeated with a little noise."""
+        """Initialise the codes with a batch's features, repeated with a little noise if they are too few."""
         if bool(self.started):
             return
         self.codes.copy_(self._random_features(features, generator))
@@ -118,7 +118,7 @@ class Quantiser(nn.Module):
         which: Int64[torch.Tensor, "batch frames"],
         generator: torch.Generator,
     ) -> None:
-        """Move the codes towards the features that chose them, and reset those that hardly any chooses."""
+        """Move the codes towards the features assigned to them, and reset rarely used ones."""
         vectors = features.detach().transpose(1, 2).reshape(-1, features.shape[1])
         chosen = which.reshape(-1)
         counts = torch.bincount(chosen, minlength=len(self.codes)).to(self.counts.dtype)
@@ -173,7 +173,7 @@ FORMAT_VERSION = 1
 
 
 def load_codes(run: RunFolder | Path) -> Float32[torch.Tensor, "codes dimension"]:
-    """The codebook {e_i} that a run's first stage learnt; raises `CheckpointError` or `RunError` without one."""
+    """A run's trained codebook {e_i}; raises `CheckpointError` or `RunError` without one."""
     folder = (run if isinstance(run, RunFolder) else RunFolder(run)).stage(STAGE_NAME)
     if not folder.model_path.is_file():
         folder.read_summary()

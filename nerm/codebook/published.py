@@ -3,7 +3,7 @@
 The checkpoint (`net_last.pth`: key `net`, names `vqvae.…`) is read with `weights_only=True`. Its pose vectors are the
 published 263 (KIT: 251) numbers in the *evaluator's* statistics, root and contacts weighted 25-fold, not in Std.npy's:
 T2M-GPT takes mean.npy and std.npy from the folder `meta` of the evaluator's checkpoint (dataset_VQ.py). The field reads
-the codes alone; whoever encodes motions needs these statistics too.
+the codes alone; encoding motions needs these statistics too.
 """
 
 from collections.abc import Iterator
@@ -32,7 +32,7 @@ CODES = "vqvae.quantizer.codebook"
 
 @dataclass(frozen=True, eq=False)
 class PublishedCodebook:
-    """The VQ-VAE with its codes, and the statistics of its pose vectors where they were given."""
+    """The VQ-VAE with its codes, and the statistics of its pose vectors if given."""
 
     network: CodebookNetwork
     num_numbers: int
@@ -49,9 +49,8 @@ def load_published(
 ) -> PublishedCodebook:
     """Read T2M-GPT's checkpoint, and with `statistics` the folder that holds its mean.npy and std.npy.
 
-    Raises `CheckpointError` for a file that isn't such a checkpoint: not readable without unpickling, names missing or
-    too many, other shapes than `config`'s, numbers that aren't finite, a codebook that was never trained; and for
-    statistics that are not the evaluator's.
+    Raises `CheckpointError` for any other file: one that needs unpickling, missing or unexpected names, shapes other
+    than `config`'s, non-finite values, an untrained codebook; and for statistics that are not the evaluator's.
     """
     tensors = foreign_tensors(read_foreign(path), "net", path, "T2M-GPT's VQ-VAE")
     first = f"{PREFIX}encoder.model.0.weight"
@@ -72,7 +71,7 @@ def load_published(
 def load_evaluator_statistics(folder: Path, num_joints: int) -> Statistics:
     """mean.npy and std.npy as the published evaluators use them.
 
-    Raises `CheckpointError` where they are missing, of another size, or plain ones (Mean.npy, Std.npy of the dataset).
+    Raises `CheckpointError` if they are missing, of another size, or the dataset's own (Mean.npy, Std.npy).
     """
     arrays, numbers = [], vector_layout(num_joints).size
     for name in ("mean.npy", "std.npy"):
@@ -92,7 +91,7 @@ def load_evaluator_statistics(folder: Path, num_joints: int) -> Statistics:
 
 
 def published_name(own: str) -> str:
-    """What T2M-GPT's checkpoint calls a parameter of `CodebookNetwork.encoder` or `.decoder`.
+    """The name in T2M-GPT's checkpoint of a parameter of `CodebookNetwork.encoder` or `.decoder`.
 
     There each downsampling is a nested block (encdec.py): a convolution and a ResNet, or a ResNet, an upsampling and a
     convolution.

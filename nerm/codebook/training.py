@@ -16,7 +16,7 @@ from nerm.settings import CodebookConfig
 
 
 class CodebookTraining:
-    """The VQ-VAE with its optimiser: what `train_loop` steps."""
+    """A `motionkit.training.loop.Trainable`: the VQ-VAE with its optimiser."""
 
     def __init__(
         self, corpus: VectorCorpus, config: CodebookConfig, *, seed: int, device: torch.device, ranks: Ranks = ALONE
@@ -34,7 +34,7 @@ class CodebookTraining:
         self.positions = joint_positions_block((len(corpus.mean) - 1) // 6)
 
     def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
-        """SmoothL1 + 0.5·SmoothL1 on the joint positions + 0.02·commitment, then the codes' moving averages."""
+        """SmoothL1 + 0.5·SmoothL1 of joint positions + 0.02·commitment, then update the codes' moving averages."""
         config, schedule, quantiser = self.config, self.config.schedule, self.network.quantiser
         starts = torch.randint(len(self.corpus.first_rows), (schedule.batch_size,), generator=generator)
         starts = starts[self.ranks.part(schedule.batch_size)]
@@ -71,11 +71,11 @@ class CodebookTraining:
         return training_tensors("network", self.network, self.optimizer)
 
     def load_state_tensors(self, tensors: Mapping[str, torch.Tensor]) -> None:
-        """Go back to a state."""
+        """Restore what `state_tensors` returned."""
         load_training_tensors("network", self.network, self.optimizer, tensors)
 
 
 def perplexity(which: Int64[torch.Tensor, "*shape"], num_codes: int) -> Float32[torch.Tensor, ""]:
-    """exp of the entropy of the codes' use: how many codes are in use, effectively."""
+    """exp of the entropy of the codes' use: the effective number of codes."""
     shares = torch.bincount(which.reshape(-1), minlength=num_codes).float() / which.numel()
     return torch.exp(-torch.xlogy(shares, shares).sum())

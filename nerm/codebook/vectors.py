@@ -1,4 +1,4 @@
-"""The pose vectors that the codebook is learnt from, and the file that holds them while it is trained.
+"""Pose vectors for training the codebook, and the file that holds them during training.
 
 For J joints 6·J + 1 numbers, 133 for 22: yaw rate (rad/s), root velocity to the body's left and front (m/s), root
 height (m), joints 1 … J − 1 relative to the root's ground point and facing Z+ (m, HumanML3D's "RIC" block), velocities
@@ -28,7 +28,7 @@ from nerm.settings import CodebookConfig
 
 
 def joint_positions_block(num_joints: int) -> slice:
-    """Where the joints' positions lie in a vector (the RIC block)."""
+    """The slice of joint positions in a vector (the RIC block)."""
     return slice(4, 4 + 3 * (num_joints - 1))
 
 
@@ -60,9 +60,9 @@ SMALLEST_SCALE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class VectorCorpus:
-    """Pose vectors of all sequences, one after the other, at one framerate, as a memory map.
+    """Pose vectors of all sequences, concatenated, at one framerate, as a memory map.
 
-    `first_rows` are the rows at which a training window may start; `mean` and `scale` standardise number by number.
+    `first_rows` are the rows at which a training window may start; `mean` and `scale` standardise each number.
     """
 
     vectors: Float32[np.ndarray, "rows numbers"]
@@ -81,8 +81,7 @@ class VectorCorpus:
 def prepare_vectors(source: PositionSource, config: CodebookConfig, path: Path) -> None:
     """Resample every sequence to `config.fps` and write its `codebook_vectors` to `path`, with a table beside it.
 
-    Files that are there already and whole are left as they are (a resumed run). Raises `UsageError` as `check_lengths`
-    does.
+    Complete files from an interrupted run are kept. Raises `UsageError` as `check_lengths` does.
     """
     check_lengths(source, config)
     table = table_of(path)
@@ -96,7 +95,7 @@ def prepare_vectors(source: PositionSource, config: CodebookConfig, path: Path) 
 
 
 def open_vectors(config: CodebookConfig, path: Path) -> VectorCorpus:
-    """The vectors that `prepare_vectors` wrote, which checks them."""
+    """Open the vectors that `prepare_vectors` wrote and checked."""
     table = _read_table(path)
     frames = config.window_frames
     ends = np.cumsum(table["rows"])
@@ -108,18 +107,18 @@ def open_vectors(config: CodebookConfig, path: Path) -> VectorCorpus:
 
 
 def remove_vectors(path: Path) -> None:
-    """Delete the vectors' file, its table first: vectors without one are written again."""
+    """Delete the vectors and their table; the table first, since vectors without one are written again."""
     for each in (table_of(path), path):
         each.unlink(missing_ok=True)
 
 
 def table_of(path: Path) -> Path:
-    """The table beside a file of vectors: rows of each sequence, numbers in a row, checksum."""
+    """The table beside a file of vectors: rows per sequence, numbers per row, checksum."""
     return path.with_suffix(".json")
 
 
 def _fault_of(path: Path) -> str | None:
-    """Why the vectors cannot be used as they are."""
+    """Why the vectors cannot be reused; None if they can."""
     try:
         table = _read_table(path)
     except DamagedFileError as error:
@@ -127,7 +126,7 @@ def _fault_of(path: Path) -> str | None:
     if "sha256" not in table:
         return f"{table_of(path).name} has no checksum"
     if not path.is_file() or sha256_of(path) != table["sha256"]:
-        return "its content is not what its checksum says"
+        return "its content does not match its checksum"
     return None
 
 
@@ -136,7 +135,7 @@ def _read_table(path: Path) -> dict[str, Any]:
 
 
 def check_lengths(source: PositionSource, config: CodebookConfig) -> None:
-    """Raise `UsageError` where no sequence lasts a training window."""
+    """Raise `UsageError` if no sequence is as long as a training window."""
     frames, fps = config.window_frames, config.fps
     if not (_num_vectors(source, fps) >= frames).any():
         seconds = (source.num_frames - 1) * source.fps_denominator / source.fps_numerator
@@ -147,7 +146,7 @@ def check_lengths(source: PositionSource, config: CodebookConfig) -> None:
 
 
 def _num_vectors(source: PositionSource, fps: int) -> Int64[np.ndarray, "sequences"]:
-    """Rows that `codebook_vectors` gives for each sequence resampled to `fps`."""
+    """Rows of each sequence when resampled to `fps`."""
     intervals = (source.num_frames.astype(np.int64) - 1) * fps * source.fps_denominator
     return np.asarray(intervals // source.fps_numerator, dtype=np.int64)
 

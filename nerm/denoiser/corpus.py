@@ -1,4 +1,4 @@
-"""What the denoiser is trained on: the field's posteriors N(μ_i*, Σ_i*), their durations, captions and actions."""
+"""Training data of the denoiser: the field's posteriors N(μ_i*, Σ_i*), with durations, captions and actions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,9 +24,9 @@ from nerm.latents.posterior import first_read
 class LatentCorpus:
     """n posteriors with their conditions.
 
-    `caption_rows` [n, most] leads into `text` [texts, dimension] (unit length), the first `num_captions` of each row
-    count; `action` is `NO_ACTION` where there is none; `duration` is in units of l_max. `banks` are what z is
-    made of (None: not of knots).
+    `caption_rows` [n, most] indexes `text` [texts, dimension] (unit length); the first `num_captions` of each row are
+    valid. `action` is `NO_ACTION` where there is none; `duration` is in units of l_max. `banks` is the layout of z
+    (None: global).
     """
 
     means: Float32[Tensor, "windows latent"]
@@ -44,11 +44,11 @@ class LatentCorpus:
 
     @property
     def first_read(self) -> Float32[Tensor, "latent"]:
-        """From when on the field reads each number of z (`nerm.latents.posterior`)."""
+        """The earliest instant at which the field reads each number of z (`nerm.latents.posterior`)."""
         return first_read(self.means.shape[1], self.banks)
 
     def draw(self, rows: Int64[Tensor, "batch"], generator: torch.Generator) -> Float32[Tensor, "batch latent"]:
-        """z ~ N(μ_i, Σ_i) for the windows `rows`, drawn anew at every call (§3.2)."""
+        """z ~ N(μ_i, Σ_i) for the windows `rows`, resampled at every call (§3.2)."""
         spread = torch.exp(0.5 * self.log_variances[rows])
         noise: Tensor = torch.randn(spread.shape, generator=generator)
         return self.means[rows] + spread * noise
@@ -56,9 +56,9 @@ class LatentCorpus:
     def draw_conditions(
         self, rows: Int64[Tensor, "batch"], generator: torch.Generator, *, drop: float, action_share: float
     ) -> Conditions:
-        """One condition per window: nothing with probability `drop`, else one of its captions or its action.
+        """One condition per window: none with probability `drop`, else one of its captions or its action.
 
-        Of the windows that have both, a share `action_share` is given the action.
+        Windows with both get the action with probability `action_share`.
         """
         chance = torch.rand((3, len(rows)), generator=generator)
         counts, actions = self.num_captions[rows], self.action[rows]
@@ -84,7 +84,7 @@ def latent_corpus(
     embeddings: Float32[np.ndarray, "texts dimension"],
     banks: LocalLatents | None = None,
 ) -> LatentCorpus:
-    """Bring captions and actions of all windows into index form; `embeddings` belong to the distinct `texts`."""
+    """Index captions and actions of all windows; `embeddings` belong to the distinct `texts`."""
     row_of = {text: row for row, text in enumerate(texts)}
     names = tuple(sorted({action for action in actions if action}))
     index_of = {name: index for index, name in enumerate(names)} | {"": NO_ACTION}
@@ -116,9 +116,9 @@ def corpus_of(
     paraphrases: int = 0,
     seed: int = 0,
 ) -> LatentCorpus:
-    """Posteriors with their windows' captions (embedded, cached inside the store's cache folder) and actions.
+    """Posteriors with their windows' captions (embedded, and cached in the store's cache folder) and actions.
 
-    As many as `paraphrases` of each caption are drawn from `seed`; half of a caption's visits are of these.
+    Up to `paraphrases` rewordings of each caption are drawn from `seed`; they stand for it in half of its uses.
     """
     sequences = store.columns("captions", "action")
     captions = captions_of_windows(windows, sequences) if encoder is not None else [()] * len(windows)
@@ -137,7 +137,7 @@ def corpus_of(
 
 
 def _embeddings(encoder: TextEncoder | None, texts: Sequence[str], folder: Path) -> Float32[np.ndarray, "texts size"]:
-    """Unit-length embeddings; one column of nothing without an encoder."""
+    """Unit-length embeddings; a single zero column without an encoder."""
     if encoder is None:
         return np.zeros((0, 1), dtype=np.float32)
     return unit_rows(embed_texts(encoder, texts, folder))

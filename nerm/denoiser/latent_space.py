@@ -1,7 +1,7 @@
-"""The numbers that the diffusion works on, made from the field's latents and back.
+"""The space that the diffusion works in: standardised latents, with the path as steps.
 
-A path in places spreads over metres while a step of it is centimetres, so what a denoiser leaves of the noise would be
-metres a second of sliding. In steps, seen by the body that takes them, a path is as stationary as the poses are.
+As positions, a path spreads over metres while its steps are centimetres, so the denoiser's residual noise would be
+metres per second of sliding. As steps in the body's frame, a path is as stationary as the poses.
 """
 
 from dataclasses import dataclass
@@ -18,10 +18,10 @@ SMALLEST_DEVIATION = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class LatentSpace:
-    """The map between latents of the field and standardised numbers, one for each number of z.
+    """The map between latents of the field and standardised numbers of the same size.
 
-    `banks` says what z is made of (None for the layout global), `path` how its path bank is written, `mean` and
-    `deviation` belong to the numbers as written.
+    `banks` is the layout of z (None: global), `path` the representation of its path bank; `mean` and `deviation` are
+    those of the numbers in that representation.
     """
 
     banks: LocalLatents | None
@@ -41,7 +41,7 @@ class LatentSpace:
 def written(
     latents: Float32[Tensor, "batch latent"], banks: LocalLatents | None, path: PathNumbers
 ) -> Float32[Tensor, "batch latent"]:
-    """Latents with their path, if they have one, in the numbers that `path` names."""
+    """Latents with their path, if any, in the representation `path`."""
     if path == "places" or banks is None or banks.path is None:
         return latents
     *poses, places = banks.split(latents)
@@ -59,9 +59,9 @@ def read(
 
 
 def steps_of(places: Float[Tensor, "batch knots 3"]) -> Float[Tensor, "batch knots 3"]:
-    """(x, z, heading) of each knot → (sideways, forward, turn) since the knot before; the first knot stays as it is.
+    """(x, z, heading) of each knot → (sideways, forward, turn) since the knot before; the first knot is unchanged.
 
-    A step is seen from the heading half-way through it, so that an arc is a row of equal steps.
+    A step is expressed in the heading half-way through it, so that an arc is a sequence of equal steps.
     """
     change = places[:, 1:] - places[:, :-1]
     half_way = 0.5 * (places[:, 1:, 2] + places[:, :-1, 2])
@@ -85,10 +85,10 @@ def places_of(steps: Float[Tensor, "batch knots 3"]) -> Float[Tensor, "batch kno
 def kinds_of_numbers(
     dimension: int, banks: LocalLatents | None, path: PathNumbers, scale: LatentScale
 ) -> Int64[Tensor, "latent"]:
-    """Which numbers of z share a mean and a deviation: those of one kind have the same index.
+    """Groups of numbers of z that share a mean and a deviation, as an index per number.
 
-    With `scale` "component" these are one component of a bank at all its knots (but the first place of a path in steps,
-    which is no step); otherwise, and without banks, each number is a kind of its own.
+    With `scale` "component" a group is one component of a bank at all its knots (except the first position of a path
+    in steps, which is no step); otherwise, and without banks, each number is its own group.
     """
     if banks is None or scale == "number":
         return torch.arange(dimension)
@@ -107,9 +107,9 @@ def measured_space(
     path: PathNumbers,
     scale: LatentScale,
 ) -> LatentSpace:
-    """The space in which draws of latents have mean 0 and deviation 1, where their motions depend on a number.
+    """The space in which samples of latents have mean 0 and deviation 1, over the motions that use each number.
 
-    A number that no motion depends on gets mean 0 and deviation 1.
+    A number that no motion uses gets mean 0 and deviation 1.
     """
     numbers, share = written(latents, banks, path).to(torch.float64), used.to(torch.float64)
     kinds = kinds_of_numbers(latents.shape[1], banks, path, scale)

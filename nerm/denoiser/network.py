@@ -1,7 +1,7 @@
 """The latent denoiser ε_φ: a transformer with long skip connections over [z, time, conditions] tokens (NeRM §3.2, D).
 
-The layout of the skips is U-ViT's (Bao et al. 2023): layer i of the first half feeds layer n − 1 − i, which joins both
-by concatenation and a linear map.
+Skips as in U-ViT (Bao et al. 2023): layer i of the first half feeds layer n − 1 − i, which joins both by concatenation
+and a linear map.
 """
 
 import math
@@ -22,9 +22,9 @@ def attention(
     values: Float[Tensor, "batch heads asked size"],
     seen: Bool[Tensor, "batch 1 1 asked"] | None,
 ) -> Float[Tensor, "batch heads asking size"]:
-    """softmax(QKᵀ/√size) V over the tokens that are `seen`."""
+    """softmax(QKᵀ/√size) V over the tokens of the mask `seen`."""
     if queries.device.type == "cpu" and queries.dtype == torch.bfloat16:
-        # torch's own kernel takes as long for this as for all the matrix products of a step together.
+        # torch's own kernel takes as long as all matrix products of a step together.
         scores = queries @ keys.transpose(-1, -2) * queries.shape[-1] ** -0.5
         if seen is not None:
             scores = scores.masked_fill(~seen, -torch.inf)
@@ -50,7 +50,7 @@ class TransformerLayer(nn.Module):
     def forward(
         self, tokens: Float[Tensor, "batch tokens width"], seen: Bool[Tensor, "batch 1 1 tokens"] | None
     ) -> Float[Tensor, "batch tokens width"]:
-        """One layer over all tokens; those that are not `seen` are attended to by none."""
+        """One layer over all tokens; those not `seen` are masked out of the attention."""
         return self._feed_forward(self._attend(tokens, seen))
 
     def _attend(self, tokens: Tensor, seen: Tensor | None) -> Tensor:
@@ -75,16 +75,16 @@ def step_features(steps: Int64[Tensor, "batch"], width: int) -> Float[Tensor, "b
 
 
 class Denoiser(nn.Module):
-    """ε_φ(z_k, k, c): what a network says of z_k, from [z…, k, text, action, duration] tokens.
+    """ε_φ(z_k, k, c): a transformer over [z…, k, text, action, duration] tokens.
 
-    Numbers of z that a motion of the given duration doesn't depend on are read and put out as zeros, and a token of
-    none but such is attended to by no other.
+    Numbers of z that a motion of the given duration does not use are zero in input and output, and tokens of only such
+    numbers are masked out of the attention.
     """
 
     def __init__(
         self, config: TransformerConfig, first_read: Float32[Tensor, "latent"], layout: ConditionLayout
     ) -> None:
-        """`first_read` says from when on the field reads each number of z (`nerm.latents.posterior`)."""
+        """`first_read` is the earliest instant at which the field reads each number of z (`nerm.latents.posterior`)."""
         super().__init__()
         if len(first_read) % config.latent_tokens:
             raise ValueError(f"a latent of {len(first_read)} numbers cannot be cut into {config.latent_tokens} tokens")
@@ -110,7 +110,7 @@ class Denoiser(nn.Module):
     def forward(
         self, latents: Float[Tensor, "batch latent"], steps: Int64[Tensor, "batch"], conditions: Conditions
     ) -> Float[Tensor, "batch latent"]:
-        """What `DiffusionConfig.prediction` names, of z_k."""
+        """The prediction that `DiffusionConfig.prediction` names."""
         used = in_use(self.first_read, conditions.duration)
         z = self.latent_in(self._tokens(latents * used))
         time = self.step_in(step_features(steps, self.config.width))[:, None]
@@ -123,7 +123,7 @@ class Denoiser(nn.Module):
         return numbers.view(len(numbers), self.config.latent_tokens, -1)
 
     def _seen(self, used: Bool[Tensor, "batch latent"]) -> Bool[Tensor, "batch 1 1 tokens"] | None:
-        """Which tokens there are to attend to; None where all are."""
+        """The attention mask over tokens; None if all are used."""
         if self.always_whole:
             return None
         of_latent = self._tokens(used).any(dim=2)

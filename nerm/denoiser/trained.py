@@ -34,11 +34,12 @@ SAMPLES_PER_BATCH = 256
 
 @dataclass(frozen=True, eq=False)
 class TrainedDenoiser:
-    """ε_φ with everything that sampling latents needs.
+    """ε_φ with everything needed to sample latents.
 
-    `denoiser` holds the averaged weights; `space` is where it works; `durations` are those of the training windows in
-    units of l_max; `text_encoder` and `text_fingerprint` name the encoder whose embeddings it was trained on (empty
-    without texts), and `field_sha256` the field whose latents it generates.
+
+    `denoiser` holds the averaged weights; `space` is its latent space; `durations` are those of the training windows in
+    units of l_max; `text_encoder` and `text_fingerprint` identify the encoder it was trained with (empty without
+    texts), and `field_sha256` the field whose latents it generates.
     """
 
     config: DenoiserConfig
@@ -64,11 +65,10 @@ class TrainedDenoiser:
         first: int = 0,
         adjust: Adjust | None = None,
     ) -> Float32[Tensor, "batch latent"]:
-        """One latent of the field per row of `conditions`; `adjust` may change what each step predicts.
+        """One latent of the field per row of `conditions`; `adjust` may change each step's prediction.
 
-        Row i draws from (seed, `first` + i) alone, so it doesn't depend on how many rows there are (but for the
-        rounding of batched sums). Numbers that a motion of the row's duration doesn't depend on are the training data's
-        mean.
+        Row i depends on (seed, `first` + i) alone, not on the other rows (up to rounding of batched sums). Numbers that
+        a motion of the row's duration does not use are the training mean.
         """
         config = self.with_sampling(sampling)
         generators = [step_generator(seed, "generate", first + row) for row in range(len(conditions.action))]
@@ -79,11 +79,11 @@ class TrainedDenoiser:
         latents = torch.cat(found)
         if not torch.isfinite(latents).all():
             scale = config.diffusion.guidance_scale
-            raise UsageError(f"sampling ran off to infinity: a guidance scale of {scale:g} is too much")
+            raise UsageError(f"sampling diverged: a guidance scale of {scale:g} is too large")
         return latents
 
     def with_sampling(self, sampling: SamplingOptions) -> DenoiserConfig:
-        """The configuration with what was asked for in place of its own; raises `UsageError` for what cannot be."""
+        """The configuration with these sampling options; raises `UsageError` for unsupported ones."""
         diffusion = self.config.diffusion.adjusted(sampling.sampler, sampling.steps, sampling.guidance_scale)
         return replace(self.config, diffusion=diffusion)
 
@@ -118,7 +118,7 @@ class TrainedDenoiser:
         return self.space.restore(latents.to(torch.float32) * used)
 
     def draw_durations(self, count: int, *, seed: int, first: int = 0) -> Float32[Tensor, "count"]:
-        """Durations drawn from the training windows', in units of l_max; number i follows from (seed, first + i)."""
+        """Sample durations of training windows, in units of l_max; number i depends on (seed, first + i) alone."""
         generators = [step_generator(seed, "duration", first + i) for i in range(count)]
         rows = [torch.randint(len(self.durations), (), generator=generator) for generator in generators]
         return self.durations[torch.stack(rows)] if rows else self.durations[:0]
@@ -149,7 +149,7 @@ def save_denoiser(run: RunFolder, trained: TrainedDenoiser) -> None:
 def load_denoiser(run: RunFolder, device: torch.device | None = None) -> TrainedDenoiser:
     """Read RUN/denoiser/model.safetensors; the network goes to `device` (default: the CPU).
 
-    Raises `RunError` where the stage was not trained to its end, `CheckpointError` for a damaged file.
+    Raises `RunError` if the stage was not trained to its end, `CheckpointError` for a damaged file.
     """
     folder = run.stage(STAGE_NAME)
     folder.read_summary()

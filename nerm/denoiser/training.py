@@ -28,7 +28,7 @@ from nerm.settings import DenoiserConfig
 class DenoiserTraining:
     """A `motionkit.training.loop.Trainable`: owns the denoiser, its weight average and the optimiser.
 
-    Everything random is drawn on the CPU from the step's generator, so that every device sees the same batches.
+    All random numbers come from the step's CPU generator, so that every device sees the same batches.
     """
 
     def __init__(
@@ -102,6 +102,6 @@ class DenoiserTraining:
         return training_tensors("denoiser", self.denoiser, self.optimizer) | prefixed("average", self.average.tensors())
 
     def load_state_tensors(self, tensors: Mapping[str, Tensor]) -> None:
-        """Go back to the state that `state_tensors` gave."""
+        """Restore what `state_tensors` returned."""
         load_training_tensors("denoiser", self.denoiser, self.optimizer, tensors)
         self.average.load(unprefixed("average", tensors))

@@ -1,8 +1,8 @@
-"""Contact as an output of the field: how probably ankle and toe of both feet are on the ground, at any t.
+"""Contact as an output of the field: probabilities that ankle and toe of both feet are on the ground, at any t.
 
-A small network reads of z what the decoder reads, and is trained after it: on what is found on the training takes
-(`motionkit.fields.contact.detection`), from latents with noise on them. What a denoiser leaves of its noise lets feet
-slide, so that their paths say little of contacts; z still does (docs/results/nerm-field-trials.md).
+A small network with the decoder's input, trained after it on noisy latents, with labels detected on the training
+takes (`motionkit.fields.contact.detection`). Feet of generated motions slide from residual noise, so their paths say
+little about contacts; z still does (docs/results/nerm-field-trials.md).
 """
 
 from collections.abc import Callable, Iterator
@@ -29,7 +29,7 @@ CONTACT_ROWS = "contacts-1"
 FEWEST_FRAMES = 4
 
 Noisy = Callable[[Float32[Tensor, "batch latent"], torch.Generator], Float32[Tensor, "batch latent"]]
-"""Latents of the field with noise on them."""
+"""Latents of the field, with noise added."""
 
 
 class ContactHead(nn.Module):
@@ -42,18 +42,18 @@ class ContactHead(nn.Module):
         )
 
     def forward(self, read: Float[Tensor, "batch poses read"]) -> Float[Tensor, "batch poses 4"]:
-        """From what `FieldNetwork.read` gives."""
+        """Logits from the output of `FieldNetwork.read`."""
         logits: Tensor = self.layers(read)
         return logits
 
 
 def contact_head(network: FieldNetwork, config: FieldConfig) -> ContactHead:
-    """A head that fits a network."""
+    """A head for this network."""
     return ContactHead(network.num_read, config.contacts.width)
 
 
 def contact_rows(cache: PositionCache) -> RowFile:
-    """Of every row of the cache's positions, which foot joints are on the ground (1 or 0); kept beside them."""
+    """Contact labels (1 or 0) of the foot joints for every row of the position cache, cached beside it."""
 
     def compute() -> Iterator[Float32[np.ndarray, "frames 4"]]:
         legs = legs_of(SMPL22)
@@ -69,7 +69,7 @@ def contact_rows(cache: PositionCache) -> RowFile:
 
 
 class ContactTraining:
-    """Steps of the head on windows of a frozen field, from the means of their posteriors with noise."""
+    """Training of the head on a frozen field, from noisy posterior means of its windows."""
 
     def __init__(
         self,
@@ -90,7 +90,7 @@ class ContactTraining:
         self.visits = torch.from_numpy(rows_by_duration(windows, self.config.clips.seconds_per_visit))
 
     def run(self, on_progress: OnProgress) -> float:
-        """All steps; returns the mean of the last fifth's losses, in nats a number."""
+        """Run all steps; return the mean loss of the last fifth, in nats per output."""
         settings, losses = self.config.contacts, []
         with task(on_progress, "contacts", settings.steps) as work:
             for step in range(settings.steps):
@@ -121,7 +121,7 @@ class ContactTraining:
     def _down(
         self, window: Int64[np.ndarray, "batch"], frame: Int64[np.ndarray, "batch poses"]
     ) -> Float32[Tensor, "batch poses 4"]:
-        """What is on the ground at frames of windows; feet change sides where a window is mirrored."""
+        """Contact labels at frames of windows; left and right are swapped in mirrored windows."""
         found = self.rows[self.windows.start_row[window][:, None] + frame]
         mirrored = self.windows.mirrored[window]
         found[mirrored] = found[mirrored][..., [2, 3, 0, 1]]
@@ -129,7 +129,7 @@ class ContactTraining:
 
 
 def probabilities(head: ContactHead, read: Float[Tensor, "batch times read"]) -> Float32[np.ndarray, "batch times 2 2"]:
-    """How probably ankle and toe of left and right foot are on the ground."""
+    """Contact probabilities of ankle and toe of left and right foot."""
     with torch.no_grad():
         found = torch.sigmoid(head(read)).cpu().numpy()
     return np.asarray(found.reshape(*found.shape[:2], 2, 2))

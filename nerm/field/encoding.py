@@ -1,8 +1,7 @@
 """Encoding motions that were not in training: a z by optimisation against the frozen field (appendix B.2, Table 4).
 
-There is no encoder: L-BFGS minimises Eq. 3's terms over z alone, from the linear model's fit where the latent is local,
-else from zero. Each number is searched in units of its own effect on the poses, since banks of knots and the numbers of
-a path differ in it by far.
+There is no encoder: L-BFGS minimises Eq. 3's terms over z alone, starting from the linear model's fit (local latents)
+or from zero. Numbers are scaled by their effect on the poses, which differs widely between banks of knots and paths.
 """
 
 import torch
@@ -18,7 +17,7 @@ SMALLEST_EFFECT = 0.05
 
 
 def starting_latents(trained: TrainedField, batch: PoseBatch) -> Float32[torch.Tensor, "batch latent"]:
-    """Where the search begins: the fit that training began with too (local layout), or the prior's mean."""
+    """The initial z: the linear fit that initialises training too (local layout), or the prior's mean."""
     model = trained.linear_model
     if model is None:
         return torch.zeros(len(batch.window), trained.latent_dimension)
@@ -30,8 +29,8 @@ def encode_by_optimisation(
 ) -> Float32[torch.Tensor, "batch latent"]:
     """The z of each clip of a batch: argmin ‖f_θ(t, z, s) − x‖² + λ_KL·½‖z‖²/d, all clips at once.
 
-    A clip's poses are in order of time. ½‖z‖²/d is the KL term of a posterior whose variance is fixed; a field
-    without distributions has none (Eq. 9). On the CPU in the end.
+    A clip's poses must be in order of time. ½‖z‖²/d is the KL term for a fixed posterior variance; a field without
+    distributions has none (Eq. 9). The result is on the CPU.
     """
     config, device = trained.config, trained.device
     kl_weight = config.loss.kl_weight if config.latents.variational else 0.0
@@ -49,7 +48,7 @@ def encode_by_optimisation(
         latents = start + unit * moved
         misfit = (trained.network.decode(latents, encoded, fps) - target).square().mean(dim=(1, 2))
         prior = 0.5 * kl_weight * latents.square().mean(dim=1)
-        # A sum, not a mean: clips are independent, and each should see the gradient it would see alone.
+        # A sum, not a mean: clips are independent, and each gets the gradient that it would get alone.
         loss = (misfit + prior).sum()
         torch.autograd.backward(loss)
         return float(loss.detach())
@@ -64,10 +63,10 @@ def effect_of_numbers(
     encoded: EncodedCoordinates,
     fps: Float64[torch.Tensor, "batch"],
 ) -> Float[torch.Tensor, "latent"]:
-    """How far a unit of each of z's numbers moves a clip's poses, on average over clips, relative to all numbers.
+    """The relative effect of a unit of each number of z on the poses, averaged over clips.
 
-    The root of diag(JᵀJ) by random signs (Hutchinson's estimator); not below `SMALLEST_EFFECT`, so that numbers which
-    hardly any clip reaches are not searched wildly.
+    √diag(JᵀJ) by Hutchinson's estimator with random signs; at least `SMALLEST_EFFECT`, to bound the steps of numbers
+    with hardly any effect.
     """
     generator = torch.Generator().manual_seed(0)
     latents = latents.detach().requires_grad_()

@@ -1,7 +1,7 @@
-"""What a latent's motion costs beside its prior: how far it is from constraints, and how far its feet slide.
+"""Costs of a latent's motion beside its prior: distance from constraints, and foot sliding.
 
-Everything is a differentiable function of the latent, for a motion that lies somewhere in the world: a place is a turn
-about +Y (radians) and then a step on the floor (x, z).
+All are differentiable functions of the latent and of the motion's place in the world: yaw about +Y (radians), then a
+translation on the floor (x, z).
 """
 
 from collections.abc import Callable, Sequence
@@ -23,16 +23,16 @@ from motionkit.generate.constraints import Constraint
 from nerm.field.network import EncodedCoordinates
 from nerm.field.trained import TrainedField
 
-# Facing elsewhere by a radian matters as much as so many metres.
+# Metres of position error that cost as much as a radian of heading error.
 TURN_METRES = 0.3
 INSTANTS_PER_SECOND = 60.0
-# How fast a foot that stands may well be, m/s, and how often that is news; by how much bones may well be longer, m.
-FEET_DEVIATION, NEWS_PER_SECOND = 0.1, 3.0
+# Speed of a foot in contact, m/s, and independent samples per second; deviation of bone lengths, m.
+FEET_DEVIATION, SAMPLES_PER_SECOND = 0.1, 3.0
 BONE_DEVIATION, BONE_SAMPLES = 0.003, 100
 
 
 JointsOf = Callable[[Float32[Tensor, "latent"]], Float32[Tensor, "instants joints 3"]]
-"""The joints of a latent's motion at instants that are fixed, metres, in the window's frame."""
+"""Latent → joints of its motion at fixed instants, metres, in the window's frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,15 +55,15 @@ class JointsAt:
 
 
 @dataclass(frozen=True, eq=False)
-class HeldTo:
-    """What some constraints cost: squared distances in units of their deviations, and of headings."""
+class ConstraintCost:
+    """The cost of constraints: squared position and heading errors in units of their deviations."""
 
     joints: JointsOf
     constraints: tuple[Constraint, ...]
 
     @property
-    def finds_place(self) -> bool:
-        """Whether they say where in the world the motion lies; else that is where its window does."""
+    def places_motion(self) -> bool:
+        """Whether the constraints determine the motion's place in the world; else it stays in its window's frame."""
         return any(each.places_motion for each in self.constraints)
 
     def cost(
@@ -72,37 +72,37 @@ class HeldTo:
         place: Float32[Tensor, "3"],
         bones: Float32[Tensor, "bones"] | None = None,
     ) -> Float32[Tensor, ""]:
-        """The sum over constraints, instants, joints; with `bones` also that poses there have those, and not others."""
+        """The sum over constraints, instants and joints; with `bones` also of the poses' bone-length errors."""
         total = latent.new_zeros(())
-        for found, wanted in zip(self._each(self.joints(latent)), self._wanted, strict=True):
+        for found, target in zip(self._each(self.joints(latent)), self._targets, strict=True):
             ahead = _facing(found)
-            if wanted.constraint.frame == "world":
+            if target.constraint.frame == "world":
                 here = _turned(found, torch.cos(place[0]), torch.sin(place[0]))
                 here = here + torch.stack((place[1], torch.zeros_like(place[1]), place[2]))
             else:
                 under_root = found[:, :1] * found.new_tensor([1.0, 0.0, 1.0])
                 here = _turned(found - under_root, ahead[:, 1:], -ahead[:, :1])
-            if bones is not None and wanted.constraint.kind != "path":
+            if bones is not None and target.constraint.kind != "path":
                 total = total + 0.5 * (_bones(found) - bones).square().sum() / BONE_DEVIATION**2
-            apart = torch.where(wanted.known, here[:, wanted.constraint.joint_indices] - wanted.positions, 0.0)
-            # The chord of the angle, which unlike the angle doesn't jump at half a turn.
-            yaw = torch.atan2(ahead[:, 0], ahead[:, 1]) + place[0] - wanted.heading
-            turned = torch.where(wanted.faces, 2.0 * torch.sin(0.5 * yaw), 0.0)
+            apart = torch.where(target.known, here[:, target.constraint.joint_indices] - target.positions, 0.0)
+            # The chord of the angle is continuous at half a turn, unlike the angle.
+            yaw = torch.atan2(ahead[:, 0], ahead[:, 1]) + place[0] - target.heading
+            turned = torch.where(target.faces, 2.0 * torch.sin(0.5 * yaw), 0.0)
             squares = apart.square().sum() + TURN_METRES**2 * turned.square().sum()
-            total = total + 0.5 * squares / wanted.constraint.deviation**2
+            total = total + 0.5 * squares / target.constraint.deviation**2
         return total
 
     @torch.no_grad()
     def place(self, latent: Float32[Tensor, "latent"]) -> Float32[Tensor, "3"]:
-        """The place in the world that brings the motion closest to them (least squares, headings aside)."""
-        if not self.finds_place:
+        """The place in the world that best meets the constraints (least squares, ignoring headings)."""
+        if not self.places_motion:
             return torch.zeros(3)
         mine, given = [], []
-        for found, wanted in zip(self._each(self.joints(latent)), self._wanted, strict=True):
-            if wanted.constraint.places_motion:
-                level = wanted.known[..., 0] & wanted.known[..., 2]
-                mine.append(found[:, wanted.constraint.joint_indices][level][:, [0, 2]])
-                given.append(wanted.positions[level][:, [0, 2]])
+        for found, target in zip(self._each(self.joints(latent)), self._targets, strict=True):
+            if target.constraint.places_motion:
+                horizontal = target.known[..., 0] & target.known[..., 2]
+                mine.append(found[:, target.constraint.joint_indices][horizontal][:, [0, 2]])
+                given.append(target.positions[horizontal][:, [0, 2]])
         a, b = torch.cat(mine), torch.cat(given)
         a_mean, b_mean = a.mean(dim=0), b.mean(dim=0)
         (ax, az), (bx, bz) = (a - a_mean).T, (b - b_mean).T
@@ -113,26 +113,26 @@ class HeldTo:
 
     @cached_property
     def bones(self) -> Float32[Tensor, "bones"] | None:
-        """The lengths of the layout's bones in the poses that are wanted whole, on average; None where none are."""
-        whole = [each.positions for each in self._wanted if each.constraint.joints == SMPL22.joint_names]
+        """Mean bone lengths of the full-pose constraints; None without any."""
+        whole = [each.positions for each in self._targets if each.constraint.joints == SMPL22.joint_names]
         return _bones(torch.cat(whole)).mean(dim=0) if whole else None
 
     def _each(self, joints: Float32[Tensor, "instants joints 3"]) -> Sequence[Float32[Tensor, "own joints 3"]]:
         return torch.split(joints[:, : SMPL22.num_joints], [len(each.seconds) for each in self.constraints])
 
     @cached_property
-    def _wanted(self) -> list["_Wanted"]:
-        return [_Wanted.of(each) for each in self.constraints]
+    def _targets(self) -> list["_Target"]:
+        return [_Target.of(each) for each in self.constraints]
 
 
-def held_to(trained: TrainedField, constraints: tuple[Constraint, ...]) -> HeldTo:
-    """The cost of constraints of a field's motions."""
-    return HeldTo(JointsAt(trained, np.concatenate([each.seconds for each in constraints])), constraints)
+def constraint_cost(trained: TrainedField, constraints: tuple[Constraint, ...]) -> ConstraintCost:
+    """The cost of constraints on a field's motions."""
+    return ConstraintCost(JointsAt(trained, np.concatenate([each.seconds for each in constraints])), constraints)
 
 
 @dataclass(frozen=True, eq=False)
-class _Wanted:
-    """A constraint's numbers as tensors, zeros where they are free."""
+class _Target:
+    """A constraint as tensors, zeros where it is free."""
 
     constraint: Constraint
     positions: Float32[Tensor, "instants joints 3"]
@@ -141,56 +141,56 @@ class _Wanted:
     faces: Tensor
 
     @classmethod
-    def of(cls, constraint: Constraint) -> "_Wanted":
+    def of(cls, constraint: Constraint) -> "_Target":
         positions, heading = (torch.from_numpy(each).float() for each in (constraint.positions, constraint.heading))
         known, faces = ~positions.isnan(), ~heading.isnan()
         return cls(constraint, positions.nan_to_num(0.0), known, heading.nan_to_num(0.0), faces)
 
 
 @dataclass(frozen=True, eq=False)
-class StandingFeet:
-    """What it costs that feet slide while they stand.
+class FootSliding:
+    """The cost of feet that slide while in contact.
 
-    When they stand is seen in one motion (`seen`), and then holds for those near it. A path that is given and a gait
-    that is not come to agree by it.
+    Contacts are detected in one motion (`with_contacts_of`) and assumed for those near it. This makes the gait agree
+    with a given path.
     """
 
     joints: JointsOf
     legs: Legs
-    stands: Float32[Tensor, "steps feet 1"]
+    contact: Float32[Tensor, "steps feet 1"]
 
     @torch.no_grad()
-    def seen(self, latent: Float32[Tensor, "latent"]) -> "StandingFeet":
-        """The same with the contacts of a latent's motion."""
+    def with_contacts_of(self, latent: Float32[Tensor, "latent"]) -> "FootSliding":
+        """The same, with the contacts of a latent's motion."""
         paths = self.legs.foot_paths(self.joints(latent).numpy()).astype(np.float64)
         contacts = find_contacts(paths, INSTANTS_PER_SECOND, ground_of(paths, INSTANTS_PER_SECOND))
         hold = np.minimum(contacts.hold[1:], contacts.hold[:-1])[..., None]
-        return replace(self, stands=torch.from_numpy(hold).float())
+        return replace(self, contact=torch.from_numpy(hold).float())
 
     def cost(self, latent: Float32[Tensor, "latent"]) -> Float32[Tensor, ""]:
-        """Squared speeds on the floor of ankles and toes that stand, in units of `FEET_DEVIATION`."""
+        """Squared horizontal speeds of ankles and toes in contact, in units of `FEET_DEVIATION`."""
         joints = self.joints(latent)
         paths = joints[:, list(self.legs.feet)].reshape(len(joints), 2, 2, 3)
         velocity = (paths[1:] - paths[:-1]) * INSTANTS_PER_SECOND
-        squares = self.stands * (velocity[..., 0].square() + velocity[..., 2].square())
-        total: Tensor = 0.5 * NEWS_PER_SECOND / INSTANTS_PER_SECOND * squares.sum() / FEET_DEVIATION**2
+        squares = self.contact * (velocity[..., 0].square() + velocity[..., 2].square())
+        total: Tensor = 0.5 * SAMPLES_PER_SECOND / INSTANTS_PER_SECOND * squares.sum() / FEET_DEVIATION**2
         return total
 
 
-def standing_feet(trained: TrainedField, duration_seconds: float) -> StandingFeet | None:
-    """The feet of motions of some length; None for a skeleton whose legs aren't known and where there are no steps."""
+def foot_sliding(trained: TrainedField, duration_seconds: float) -> FootSliding | None:
+    """The cost for motions of this duration; None for a skeleton without known legs, or a single frame."""
     count = int(duration_seconds * INSTANTS_PER_SECOND) + 1
     try:
         legs = legs_of(trained.skeleton)
     except SkeletonMapError:
         return None
     joints = JointsAt(trained, np.arange(count) / INSTANTS_PER_SECOND)
-    return StandingFeet(joints, legs, torch.zeros(0, 2, 1)) if count > 2 else None
+    return FootSliding(joints, legs, torch.zeros(0, 2, 1)) if count > 2 else None
 
 
 @torch.no_grad()
 def median_bones(trained: TrainedField, latent: Float32[Tensor, "latent"], seconds: float) -> Float32[Tensor, "bones"]:
-    """The lengths of the layout's bones in a motion."""
+    """Median bone lengths over a motion."""
     joints = JointsAt(trained, np.linspace(0.0, seconds, BONE_SAMPLES))(latent)
     return _bones(joints[:, : SMPL22.num_joints]).median(dim=0).values
 
@@ -201,7 +201,7 @@ def _bones(joints: Float32[Tensor, "instants joints 3"]) -> Float32[Tensor, "ins
 
 
 def _facing(joints: Float[Tensor, "poses joints 3"]) -> Float[Tensor, "poses 2"]:
-    """Unit vectors (x, z) of where bodies face, as `motionkit.features.field.heading` has it."""
+    """Facing directions as unit vectors (x, z), as in `motionkit.features.field.heading`."""
     names = SMPL22_LAYOUT.facing
     across = joints[:, names.right_hip] - joints[:, names.left_hip]
     across = across + joints[:, names.right_shoulder] - joints[:, names.left_shoulder]

@@ -1,7 +1,7 @@
-"""NeRM as a motion encoder: any observed motion, however long, as latents found by optimisation (Table 4, B.3).
+"""NeRM as a motion encoder: observed motion of any length as latents found by optimisation (Table 4, B.3).
 
-The motion is covered by overlapping windows of l_max, each with its own frame and its own z, fitted to the frames that
-are observed in it; decoded they cross-fade. So long captures, gaps and uneven times need nothing of their own.
+Overlapping windows of l_max cover the motion, each with its own frame and its own z, fitted to the frames observed in
+it; decoded windows are cross-faded. Long captures, gaps and uneven times need no special treatment.
 """
 
 from dataclasses import dataclass
@@ -32,8 +32,8 @@ WINDOWS_AT_ONCE = 64
 class NermEncoder:
     """A `MotionEncoder` that `ReconstructsWindows`: latents of a frozen field, one per window of at most l_max seconds.
 
-    Neighbouring windows overlap by `overlap_seconds` or more; each z is fitted to at most `num_poses` observed poses,
-    evenly chosen among those of its window.
+    Neighbouring windows overlap by at least `overlap_seconds`; each z is fitted to at most `num_poses` observed poses,
+    evenly spaced among those of its window.
     """
 
     trained: TrainedField
@@ -51,7 +51,7 @@ class NermEncoder:
         return self.trained.store_fingerprint
 
     def training_windows(self, store: Store) -> ModelWindows:
-        """The windows of training, decoded from their posterior means."""
+        """The training windows, decoded from their posterior means."""
         trained = self.trained
         source, _ = trained.vectors.open(store, trained.config.where or None)
 
@@ -61,9 +61,9 @@ class NermEncoder:
         return ModelWindows(source, trained.windows, fields, "from their μ")
 
     def other_windows(self, store: Store, where: str | None) -> ModelWindows:
-        """Windows of the sequences for which `where` holds, each z found by optimisation against the frozen field.
+        """Windows of the sequences that match `where`, each z found by optimisation against the frozen field.
 
-        Raises `UsageError` where there is none.
+        Raises `UsageError` if there are none.
         """
         trained = self.trained
         source, frames = trained.vectors.open(store, where)
@@ -90,10 +90,10 @@ class NermEncoder:
     ) -> AssembledField:
         """The motion as a field in the world's frame.
 
-        Raises `ValueError` for another skeleton than the 22-joint layout, and where a window holds no observed pose
-        (a gap, or a reach beyond the ends, about as long as l_max).
+        Raises `ValueError` for a skeleton other than the 22-joint layout, and if a window has no observed pose (a gap,
+        or extrapolation, about as long as l_max).
         """
-        # By name, not by number: LaFAN1's skeleton has 22 joints too, others in another order.
+        # By name: LaFAN1's skeleton has 22 joints too, but different ones.
         if observation.skeleton.joint_names != SMPL22.joint_names:
             raise ValueError(
                 f"NeRM knows the {SMPL22.num_joints} joints of {SMPL22.name!r}, not those of "
@@ -135,7 +135,7 @@ class NermEncoder:
     def _rows(
         self, observation: Observation, starts: Float64[np.ndarray, "windows"], length: float
     ) -> Int[np.ndarray, "windows poses"]:
-        """Observed frames to fit each window to; where it has fewer than `num_poses`, some come twice."""
+        """Observed frames to fit each window to; repeated if it has fewer than `num_poses`."""
         times = observation.times_seconds
         first = np.searchsorted(times, starts - 1e-9)
         last = np.searchsorted(times, starts + length + 1e-9) - 1
@@ -143,7 +143,7 @@ class NermEncoder:
             empty = float(starts[np.argmax(last < first)])
             raise ValueError(
                 f"no pose is observed between {empty:.2f} and {empty + length:.2f} s: a window of "
-                f"{self.trained.max_duration_seconds:g} s (l_max) needs one at least"
+                f"{self.trained.max_duration_seconds:g} s (l_max) needs at least one"
             )
         return np.rint(np.linspace(first, last, self.num_poses, axis=1)).astype(np.int64)
 
@@ -158,7 +158,7 @@ def encode_windows(
 ) -> Float32[torch.Tensor, "windows latent"]:
     """The latents of windows that were not in training, by optimisation on `num_poses` native poses of each.
 
-    `source` and `frames` are what the field's own vectors opened (without `frames`: positions).
+    `source` and `frames` come from opening the field's pose vectors (without `frames`: positions).
     """
     poses = WindowPoses(source, windows, SMPL22.left_right_pairs, frames=frames)
     parts = [

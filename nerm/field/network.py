@@ -1,7 +1,7 @@
 """The motion field f_θ(t, z, s) → pose (paper §3.1, Eq. 2; appendix D).
 
-The coordinate branch depends on t alone and is computed once per distinct coordinate; the first layer is split into a
-part for z (once per clip), one for the coordinate (once per distinct t) and one for the framerate.
+The coordinate branch depends on t alone and is computed once per distinct coordinate. The first layer is split into
+parts for z (once per clip), the coordinate (once per distinct t) and the framerate.
 """
 
 from dataclasses import dataclass
@@ -27,9 +27,9 @@ ACTIVATIONS: dict[Activation, type[nn.Module]] = {"relu": nn.ReLU, "silu": nn.Si
 
 @dataclass(frozen=True, eq=False)
 class EncodedCoordinates:
-    """Distinct coordinates as the decoder reads them, and where each pose finds its own.
+    """Encoded distinct coordinates, and each pose's index among them.
 
-    `features` [D, C] go into the first layer; `weights` are the knots' (local layout only).
+    `features` [D, C] are inputs of the first layer; `weights` are the knots' weights (local layout only).
     """
 
     features: Float[torch.Tensor, "distinct width"] | None
@@ -53,7 +53,7 @@ class ResidualLayer(nn.Module):
 
 
 class TransformerLayer(nn.Module):
-    """Table 7's alternative: the poses of a clip attend to one another, pre-norm; not where `hidden_from` is true."""
+    """Table 7's alternative: pre-norm self-attention over the poses of a clip, masked where `hidden_from` is true."""
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
@@ -72,9 +72,9 @@ class TransformerLayer(nn.Module):
 
 
 def seen_through(num_context: int, num_poses: int, device: torch.device) -> Bool[torch.Tensor, "poses poses"]:
-    """What poses don't attend to where the first are a context: a context pose to all others, others to one another.
+    """Attention mask: the first poses are a context that attends to itself; any other pose attends to it and to itself.
 
-    Then a pose depends on the context and on itself, whatever else is decoded with it.
+    So a pose does not depend on which others are decoded with it.
     """
     poses = torch.arange(num_poses, device=device)
     return (poses >= num_context) & (poses[:, None] != poses)
@@ -114,7 +114,7 @@ class FieldNetwork(nn.Module):
     def start_linear_path(
         self, mean: Float32[torch.Tensor, "numbers"], matrix: Float32[torch.Tensor, "components numbers"]
     ) -> None:
-        """Begin as the linear model that the ridge fit of the latents belongs to; the layers then learn the rest."""
+        """Initialise as the linear model of the latents' ridge fit; the layers learn the residual."""
         assert self.linear is not None
         self.linear.weight.zero_()
         self.linear.weight[:, : len(matrix)] = matrix.T
@@ -160,7 +160,7 @@ class FieldNetwork(nn.Module):
         return EncodedCoordinates(self._features(values), weights, which)
 
     def _features(self, values: Float64[torch.Tensor, "distinct"]) -> Float[torch.Tensor, "distinct width"] | None:
-        """γ(t), enriched by CCA; with local latents of the phase between knots, of which there are far fewer."""
+        """γ(t), enhanced by CCA; with local latents of the phase between knots, which has fewer distinct values."""
         if self.fourier is None:
             return values[:, None].float() if self.config.encoder.kind == "raw" else None
         if self.local is None:
@@ -175,13 +175,13 @@ class FieldNetwork(nn.Module):
 
     @property
     def num_read(self) -> int:
-        """Numbers that `read` gives; none without knots."""
+        """Output size of `read`; 0 without knots."""
         return 0 if self.local is None else self.local.num_seen + self._feature_width()
 
     def read(
         self, latents: Float[torch.Tensor, "batch latent"], encoded: EncodedCoordinates
     ) -> Float[torch.Tensor, "batch poses read"]:
-        """What the decoder's first layer has of z and t at each pose, where z is read as knots."""
+        """The decoder's inputs from z and t at each pose, for latents with knots."""
         assert self.local is not None and encoded.weights is not None
         seen = self.local.read(latents, encoded.weights, encoded.which).seen
         return seen if encoded.features is None else torch.cat((seen, encoded.features[encoded.which]), dim=-1)
@@ -195,7 +195,7 @@ class FieldNetwork(nn.Module):
     ) -> Float[torch.Tensor, "batch poses numbers"]:
         """Standardised pose vectors from latents and encoded coordinates.
 
-        A transformer decoder lets all poses of a row attend to one another, or with `num_context` to its first ones.
+        In a transformer decoder all poses of a row attend to one another, or with `num_context` to the first ones.
         """
         hidden = self.from_framerate(framerate_number(fps, self.config.encoder.framerate_scale)[:, None])[:, None]
         reading = None
@@ -212,13 +212,13 @@ class FieldNetwork(nn.Module):
         vectors: torch.Tensor = self.output(self.finish(hidden))
         if reading is not None:
             return self._assembled(vectors, reading)
-        # Without any time (`none` with a global latent) a window is one pose that is held.
+        # Without a coordinate (`none` with a global latent) a window is one constant pose.
         return vectors.expand(-1, encoded.which.shape[1], -1)
 
     def _assembled(
         self, vectors: Float[torch.Tensor, "batch poses numbers"], reading: Reading
     ) -> Float32[torch.Tensor, "batch poses numbers"]:
-        """The decoder's output with the linear model's and on the body's path; in float32 even under autocast."""
+        """Add the linear model's output and place poses on the body's path; in float32 even under autocast."""
         with torch.autocast(vectors.device.type, enabled=False):
             vectors = vectors.float()
             if self.linear is not None:

@@ -1,4 +1,4 @@
-"""A trained motion field: what stage 1 leaves behind, and what generation and reconstruction decode with."""
+"""A trained motion field: the result of stage 1, used by generation and reconstruction."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -29,7 +29,7 @@ from nerm.settings import FieldConfig
 
 GRIDS_KEPT = 16
 POSES_AT_ONCE = 8_192
-# Where poses attend to one another, a motion is read through so many of its instants (docs/deviations.md).
+# Context poses of a transformer decoder (docs/deviations.md).
 CONTEXT_INSTANTS = 64
 POSES_IN_CONTEXT_AT_ONCE = 1_024
 
@@ -38,9 +38,9 @@ POSES_IN_CONTEXT_AT_ONCE = 1_024
 class TrainedField:
     """f_θ with its scales and the posteriors N(μ_i, Σ_i) of all training windows.
 
-    `network` is in evaluation mode, its gradients off; `components` are the pose components of the linear model that a
-    local latent's search starts from (None for the global layout); `vectors` is what is learnt at each instant;
-    `contacts` says when feet are on the ground (None: it has not learnt that).
+    `network` is in evaluation mode without gradients; `components` are the pose components of the linear model that
+    initialises local latents (None for the global layout); `vectors` is the pose vector convention; `contacts` is the
+    contact head (None: not trained).
     """
 
     network: FieldNetwork
@@ -55,7 +55,7 @@ class TrainedField:
 
     @property
     def config(self) -> FieldConfig:
-        """The settings it was trained with."""
+        """The training settings."""
         return self.network.config
 
     @property
@@ -65,12 +65,12 @@ class TrainedField:
 
     @property
     def skeleton(self) -> Skeleton:
-        """That of decoded poses; its first 22 joints are the 22-joint layout's."""
+        """The skeleton of decoded poses; its first 22 joints are the 22-joint layout's."""
         return self.vectors.skeleton
 
     @property
     def linear_model(self) -> LinearModel | None:
-        """The linear model that local latents are fitted with, on the CPU; None for the global layout."""
+        """The linear model of local latents, on the CPU; None for the global layout."""
         banks = self.network.local
         if banks is None or self.components is None:
             return None
@@ -83,7 +83,7 @@ class TrainedField:
 
     @property
     def max_training_fps(self) -> Fraction:
-        """Highest framerate that the training saw: the fastest window's, or the one of fixed-framerate training."""
+        """Highest framerate in training: the fastest window's, or that of fixed-framerate training."""
         if self.config.clips.fixed_framerate is not None:
             return self.config.clips.fixed_framerate
         fastest = int(np.argmax(self.windows.fps))
@@ -91,16 +91,16 @@ class TrainedField:
 
     @property
     def has_joints(self) -> bool:
-        """Whether each pose's joints are a differentiable function of the latent, and of nothing else."""
+        """Whether each pose's joints are a differentiable function of the latent alone."""
         return has_joints(self.vectors) and self.config.decoder.kind != "transformer"
 
     @property
     def device(self) -> torch.device:
-        """Where the network is."""
+        """The network's device."""
         return self.scaling.mean.device
 
     def encode_times(self, times_seconds: Float64[np.ndarray, "batch times"], fps: Fraction) -> EncodedCoordinates:
-        """The coordinate branch at some times; the last few grids are kept, so a grid costs its attention once."""
+        """The coordinate branch at these times; recent grids are cached."""
         return self._kept_grids(times_seconds.shape, np.ascontiguousarray(times_seconds).tobytes(), fps)
 
     @cached_property
@@ -122,10 +122,10 @@ class TrainedField:
         times_seconds: Float64[np.ndarray, "times"] | Float64[np.ndarray, "batch times"],
         fps: Fraction,
     ) -> Float32[np.ndarray, "batch times 22 3"]:
-        """Positions in metres, in the windows' own frames, of the 22-joint layout in each latent's motion.
+        """Joint positions in metres of the 22-joint layout, in the windows' own frames, for each latent.
 
-        Times are seconds from the window's start, shared by all latents or one row each; `fps` is the framerate s that
-        the field reads. However many latents or times, only `POSES_AT_ONCE` poses are in the network at once.
+        Times are seconds from the window's start, shared by all latents or one row each; `fps` is the framerate s. At
+        most `POSES_AT_ONCE` poses are decoded at once, to bound memory.
         """
         joints = slice(0, SMPL22.num_joints)
         return np.stack([poses.joint_positions[:, joints] for poses in self.poses(latents, times_seconds, fps)])
@@ -137,10 +137,10 @@ class TrainedField:
         fps: Fraction,
         context_seconds: Float64[np.ndarray, "context"] | None = None,
     ) -> list[Poses]:
-        """As `decode`: the poses of each latent's motion, with rotations where the field has learnt them.
+        """As `decode`, with rotations if the field has learnt them.
 
-        A transformer decoder's poses depend on which others are decoded with them: with `context_seconds` on those at
-        these instants alone.
+        A transformer decoder's poses depend on the others decoded with them; with `context_seconds`, only on those at
+        these instants.
         """
         rows = times_seconds[None] if times_seconds.ndim == 1 else times_seconds
         instants = [self.vectors.instants(row) for row in rows]
@@ -180,9 +180,9 @@ class TrainedField:
         fps: Fraction,
         num_context: int = 0,
     ) -> Float32[torch.Tensor, "batch times numbers"]:
-        """Pose vectors in their own units at encoded times (one row of times for each latent, or one for all).
+        """Unstandardised pose vectors at encoded times (one row of times for each latent, or one for all).
 
-        The first `num_context` are what a transformer decoder reads the others through.
+        The first `num_context` are the context of a transformer decoder.
         """
         which = encoded.which.expand(len(latents), -1)
         rates = torch.full((len(latents),), float(fps), dtype=torch.float64, device=self.device)
@@ -193,7 +193,7 @@ class TrainedField:
     def contact_probabilities(
         self, latent: Float[torch.Tensor, "latent"], times_seconds: Float64[np.ndarray, "times"], fps: Fraction
     ) -> Float32[np.ndarray, "times 2 2"] | None:
-        """How probably ankle and toe of left and right foot are on the ground; None where that was not learnt."""
+        """Contact probabilities of ankle and toe of left and right foot; None without a contact head."""
         if self.contacts is None:
             return None
         encoded = self.encode_times(times_seconds[None], fps)
@@ -205,7 +205,7 @@ class TrainedField:
     def as_motion_field(
         self, latent: Float[torch.Tensor, "latent"], duration_seconds: float, fps: Fraction | None = None
     ) -> "LatentMotionField":
-        """One latent's motion on [0, duration], read at the framerate `fps` (default: the highest trained at)."""
+        """One latent's motion on [0, duration], at the framerate s = `fps` (default: the highest in training)."""
         return LatentMotionField(self, latent, duration_seconds, fps or self.max_training_fps)
 
     def __repr__(self) -> str:
@@ -227,7 +227,7 @@ class LatentMotionField:
 
     @property
     def skeleton(self) -> Skeleton:
-        """That of the poses: the 22-joint layout, or the rig that rotations were learnt for."""
+        """The skeleton of the poses: the 22-joint layout, or the rig of learnt rotations."""
         return self.field.skeleton
 
     def at_fps(self, fps: Fraction) -> "LatentMotionField":
@@ -235,7 +235,7 @@ class LatentMotionField:
         return replace(self, fps=fps)
 
     def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
-        """Poses at any times in [0, end_seconds], whichever are asked for together; raises `ValueError` outside it."""
+        """Poses at any times in [0, end_seconds], each independent of the others; raises `ValueError` outside it."""
         check_times(self, times_seconds)
         context = None
         if self.field.config.decoder.kind == "transformer":
@@ -243,7 +243,7 @@ class LatentMotionField:
         return self.field.poses(self.latent[None], times_seconds, self.fps, context)[0]
 
     def contacts(self, times_seconds: Float64[np.ndarray, "times"]) -> Float32[np.ndarray, "times 2 2"] | None:
-        """How probably ankle and toe of left and right foot are on the ground; None where the field doesn't say."""
+        """Contact probabilities of ankle and toe of left and right foot; None without a contact head."""
         check_times(self, times_seconds)
         return self.field.contact_probabilities(self.latent, times_seconds, self.fps)
 
@@ -277,7 +277,7 @@ def save_field(folder: StageFolder, trained: TrainedField) -> None:
 
 
 def load_field(run: RunFolder | Path, device: str = "cpu") -> TrainedField:
-    """Load a run's trained field; raises `CheckpointError` where there is none or it is of another format."""
+    """Load a run's trained field; raises `CheckpointError` if it is missing or of another format."""
     folder = (run if isinstance(run, RunFolder) else RunFolder(run)).stage(STAGE_NAME)
     if not folder.model_path.is_file():
         folder.read_summary()

@@ -48,10 +48,10 @@ def initial_means(
 
 
 class FieldTraining:
-    """θ, {μ_i} and {log Σ_i} with their optimisers: what `train_loop` steps.
+    """A `motionkit.training.loop.Trainable`: θ, {μ_i} and {log Σ_i} with their optimisers.
 
-    Each rank has the latents of its own windows, a stretch of the corpus, and steps on those of a batch that are its
-    own; only the gradient of θ goes between ranks.
+    Each rank owns the latents of its windows, a contiguous part of the corpus, and steps on its share of a batch; only
+    the gradient of θ is reduced between ranks.
     """
 
     def __init__(
@@ -91,12 +91,12 @@ class FieldTraining:
         self.steps = config.schedule.num_steps(len(self.visits))
         self.optimizer = torch.optim.AdamW(self._parameter_groups(), weight_decay=config.optimizer.weight_decay)
         self.mean = RowAdam(means.to(device), weight_decay=config.optimizer.weight_decay)
-        # Eq. 9 has no Σ: what stage 2 draws from such a posterior is μ, as nearly as a log-variance can say it.
+        # Eq. 9 has no Σ: with this log-variance stage 2 effectively draws μ.
         start = config.latents.initial_log_variance if config.latents.variational else LOG_VARIANCE_RANGE[0]
         self.log_variance = RowAdam(torch.full_like(self.mean.table, start), weight_decay=config.optimizer.weight_decay)
 
     def _parameter_groups(self) -> list[dict[str, Any]]:
-        """θ in two groups: attention, in CCA or in a transformer decoder, diverges at rates that suit an MLP."""
+        """θ in two groups: attention (CCA, transformer decoder) diverges at learning rates that suit an MLP."""
         attention = [] if self.network.attention is None else list(self.network.attention.parameters())
         if self.config.decoder.kind == "transformer":
             attention += self.network.layers.parameters()
@@ -125,7 +125,7 @@ class FieldTraining:
             latents = sample_posterior(latents, log_variance[which], noise)
         with autocast(config.precision, self.device):
             predicted = self.network(latents, batch.coordinates, batch.fps)
-        # This rank's parts of means over the whole batch.
+        # This rank's share of means over the whole batch.
         squares = (predicted.float() - self.scaling.apply(batch.vectors)).square()
         reconstruction = squares.sum() / (len(windows) * squares.shape[1:].numel())
         kl = kl_divergence(mean, log_variance, len(torch.unique(windows)))
@@ -171,7 +171,7 @@ class FieldTraining:
             self.log_variance.table[rows] = self.log_variance.table[rows].clamp(*LOG_VARIANCE_RANGE)
 
     def state_tensors(self) -> dict[str, torch.Tensor]:
-        """All that a later step depends on, the latents of all ranks on the first one."""
+        """The complete training state; the latents of all ranks are gathered on the first."""
         latents = {name: self.own.gather(table) for name, table in self._tables().items()}
         return training_tensors("network", self.network, self.optimizer) | latents
 
@@ -180,7 +180,7 @@ class FieldTraining:
         return self.own.gather(self.mean.table), self.own.gather(self.log_variance.table)
 
     def load_state_tensors(self, tensors: Mapping[str, torch.Tensor]) -> None:
-        """Go back to a state."""
+        """Restore what `state_tensors` returned."""
         load_training_tensors("network", self.network, self.optimizer, tensors)
         for name, table in self._tables().items():
             table.copy_(tensors[name][self.own.rows])
@@ -190,9 +190,9 @@ class FieldTraining:
 
 
 def training_windows(source: PositionSource, config: FieldConfig) -> Windows:
-    """The windows that have a latent each; with `fixed_fps` slower ones are left out, as fixed-framerate models do.
+    """The training windows; with `fixed_fps` slower ones are dropped, as fixed-framerate models do.
 
-    Raises `UsageError` where none is left.
+    Raises `UsageError` if none remain.
     """
     windows = cut_windows(
         source,
@@ -214,7 +214,7 @@ def training_windows(source: PositionSource, config: FieldConfig) -> Windows:
 
 
 def remarks(source: PositionSource, windows: Windows, config: FieldConfig) -> list[str]:
-    """What limits a training on these windows, a sentence each; empty where nothing does."""
+    """Warnings about training on these windows, a sentence each."""
     found, clips = [], config.clips
     fps = source.fps_numerator / source.fps_denominator
     if clips.fixed_framerate is not None:
@@ -222,9 +222,7 @@ def remarks(source: PositionSource, windows: Windows, config: FieldConfig) -> li
         if slow:
             found.append(f"{slow} of {len(fps)} sequences are slower than field.clips.fixed_fps and are left out")
     elif len(np.unique(windows.fps)) == 1:
-        found.append(
-            f"every training sequence has {windows.fps[0]:g} fps: the field cannot learn what other framerates hold"
-        )
+        found.append(f"every training sequence has {windows.fps[0]:g} fps: the field cannot learn other framerates")
     if clips.fixed_framerate is None:
         found += _rate_remarks(windows, config)
     short = windows.duration_seconds * _slowest_rate(windows, config) + 1 < clips.num_poses - 1e-6
@@ -237,7 +235,7 @@ def remarks(source: PositionSource, windows: Windows, config: FieldConfig) -> li
 
 
 def _rate_remarks(windows: Windows, config: FieldConfig) -> list[str]:
-    """What is said of framerates that the windows do not have."""
+    """Warnings about framerates in the settings that the windows do not have."""
     found, clips = [], config.clips
     slower = int((windows.fps < clips.warmup_fps - 1e-6).sum())
     if clips.warmup_fraction > 0 and slower:

@@ -1,1 +1,1 @@
-"""One N(μ, Σ) per window of motion, and how a field reads z along time."""
+"""Latents: one N(μ, Σ) per window of motion, and how a field reads z along time."""

@@ -1,11 +1,10 @@
-"""Knots along time: how numbers that belong to instants are read between them.
+"""Knots along time, and the basis functions that interpolate between them.
 
-K knots share [−1, 1] evenly: knot k is the middle t_k = −1 + (2k + 1) / K of its own stretch, so that the stretches of
-a bank of 16 and of a bank of 32 fall together. With u = (t − t_k) / spacing, an instant sees, for every mode j,
-Σ_k e_j(u_k)·z_k. Mode 0 is the knots' interpolant: a Hann bump, or Lanczos' windowed sinc, which passes through the
-knots and keeps more of the band below their Nyquist rate; both are scaled to sum to one. The others are a Hann bump
-times cos(πju / radius) and sin(πju / radius). Nothing else depends on where in the window an instant lies, so what is
-learnt at one time serves at all times.
+K knots divide [−1, 1] evenly: knot k is the centre t_k = −1 + (2k + 1) / K of its segment, so that segments of a bank
+of 16 align with those of a bank of 32. With u_k = (t − t_k) / spacing, an instant reads Σ_k e_j(u_k)·z_k for every mode
+j. Mode 0 is an interpolant: a Hann window, or Lanczos' windowed sinc, which passes through the knots and keeps more of
+the band below their Nyquist rate; both are scaled to sum to one. The others are a Hann window times cos(πju / radius)
+and sin(πju / radius). Nothing else depends on the absolute time, so the network is shift-invariant.
 """
 
 import math
@@ -24,7 +23,7 @@ LANCZOS_RADIUS = 3.0
 
 @dataclass(frozen=True)
 class KnotLayout:
-    """How `num_knots` knots are read: the interpolant, the radius of bumps in knot spacings and the modes."""
+    """Basis functions of `num_knots` knots: the interpolant, the radius of windows in knot spacings, and the modes."""
 
     num_knots: int
     kernel: Kernel
@@ -33,7 +32,7 @@ class KnotLayout:
 
     def __post_init__(self) -> None:
         if self.num_knots < 2 or self.radius < 1.0:
-            raise ValueError("a local latent needs two knots or more and a radius of at least one spacing")
+            raise ValueError("a local latent needs at least two knots and a radius of at least one spacing")
 
     @property
     def spacing(self) -> float:
@@ -47,18 +46,18 @@ class KnotLayout:
 
     @property
     def reach(self) -> float:
-        """How far from a knot, in knot spacings, it is still read."""
+        """Support radius of a knot's basis functions, in knot spacings."""
         of_kernel = LANCZOS_RADIUS if self.kernel == "lanczos" else self.radius
         return max(of_kernel, self.radius) if self.modes else of_kernel
 
     def centres(self) -> Float64[torch.Tensor, "knots"]:
-        """Where the knots lie in [−1, 1]."""
+        """Positions of the knots in [−1, 1]."""
         return -1.0 + (torch.arange(self.num_knots, dtype=torch.float64) + 0.5) * self.spacing
 
     def interpolant(self, coordinates: Float64[torch.Tensor, "times"]) -> Float64[torch.Tensor, "times knots"]:
-        """Weights of mode 0: of each time they sum to one.
+        """Weights of mode 0, which sum to one at each time.
 
-        Half a spacing is left before the first knot and after the last: there the knots go on in a straight line.
+        In the half spacing before the first knot and after the last, knots are extrapolated linearly.
         """
         outside = math.ceil(LANCZOS_RADIUS)
         offset = self._offset(coordinates, outside)
@@ -98,14 +97,14 @@ class KnotLayout:
 
 
 def _hann(offset: Float64[torch.Tensor, "times offsets"], radius: float) -> Float64[torch.Tensor, "times offsets"]:
-    """A bump of unit area."""
+    """A Hann window of unit area."""
     return 0.5 * (1.0 + torch.cos(math.pi * offset / radius)) * (offset.abs() < radius) / radius
 
 
 def mix(
     knots: Float[torch.Tensor, "batch knots width"], basis: Float[torch.Tensor, "batch poses basis knots"]
 ) -> Float[torch.Tensor, "batch poses mixed"]:
-    """What each pose of each clip reads: its basis applied to its clip's knots, [batch, poses, basis · width]."""
+    """Apply each pose's basis weights to its clip's knots: [batch, poses, basis · width]."""
     batch, poses, functions, num_knots = basis.shape
     mixed = torch.bmm(basis.reshape(batch, poses * functions, num_knots), knots)
     return mixed.reshape(batch, poses, functions * knots.shape[-1])
@@ -118,9 +117,9 @@ def ridge_knots(
     layout: KnotLayout,
     ridge: float,
 ) -> Float32[torch.Tensor, "windows knots width"]:
-    """Knots whose interpolant comes closest to targets at given coordinates: ridge regression.
+    """Fit knots to targets at given coordinates by ridge regression.
 
-    `counts` says how much each instant counts; the ridge is in units of one instant.
+    `counts` weights the instants; the ridge is in units of one instant.
     """
     weights = layout.interpolant(coordinates.reshape(-1)).reshape(*coordinates.shape, layout.num_knots)
     counted = (weights * counts[..., None]).transpose(1, 2)
@@ -135,7 +134,7 @@ NUM_PATH_NUMBERS = 3
 def turned(
     vectors: Float[torch.Tensor, "*poses numbers"], yaw: Float[torch.Tensor, "*poses"]
 ) -> Float[torch.Tensor, "*poses numbers"]:
-    """`field` vectors turned about the vertical by radians (positive from Z+ towards X+), root position included."""
+    """Rotate `field` vectors about the vertical by radians (positive from Z+ towards X+), root position included."""
     cosine, sine = torch.cos(yaw)[..., None], torch.sin(yaw)[..., None]
     x, y, z = vectors.reshape(*vectors.shape[:-1], vectors.shape[-1] // 3, 3).unbind(-1)
     return torch.stack((cosine * x + sine * z, y, cosine * z - sine * x), dim=-1).flatten(-2)
@@ -158,7 +157,7 @@ def relative_to(
 def path_speed(
     slope: Float[torch.Tensor, "*poses 3"], path: Float[torch.Tensor, "*poses 3"]
 ) -> Float[torch.Tensor, "*poses 3"]:
-    """The path's derivative as the body feels it: sideways, forward, turning."""
+    """The path's velocity in the body's frame: sideways, forward, turning."""
     cosine, sine = torch.cos(path[..., 2]), torch.sin(path[..., 2])
     x, z, turning = slope.unbind(-1)
     return torch.stack((cosine * x - sine * z, sine * x + cosine * z, turning), dim=-1)
@@ -167,7 +166,7 @@ def path_speed(
 def measured_heading(
     vectors: Float32[torch.Tensor, "windows times numbers"],
 ) -> Float64[torch.Tensor, "windows times"]:
-    """The heading (radians) of `field` vectors in metres and in order of time, without jumps of 2π."""
+    """The unwrapped heading (radians) of `field` vectors in metres and in order of time."""
     heading = field.heading(field.decode(vectors.numpy())).astype(np.float64)
     return torch.from_numpy(np.unwrap(heading, axis=1))
 

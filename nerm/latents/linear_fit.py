@@ -1,8 +1,7 @@
-"""Where the search for a local latent begins: the linear model of the poses, fitted to a window by ridge regression.
+"""Initialisation of local latents: a linear model of the poses, fitted to a window by ridge regression.
 
 The path bank is fitted to the root's path and heading, then the pose banks to the principal components of the poses
-relative to the path that the fitted knots describe. The network starts as the same linear model (`linear_path`), so
-nothing is lost between the two.
+relative to the fitted path. The network is initialised as the same linear model (`linear_path`).
 """
 
 from dataclasses import dataclass
@@ -34,7 +33,7 @@ class PoseComponents:
         return (standardised - self.mean) @ self.directions
 
     def inverse(self) -> Float32[torch.Tensor, "components numbers"]:
-        """What brings scores back to centred vectors, as well as so few components can."""
+        """Maps scores back to centred vectors (a pseudo-inverse)."""
         matrix: torch.Tensor = torch.linalg.pinv(self.directions)
         return matrix
 
@@ -49,7 +48,7 @@ class LinearModel:
     ridge: float
 
     def fit(self, batch: PoseBatch) -> Float32[torch.Tensor, "batch latent"]:
-        """Latents of windows from poses in order of time; what a window doesn't reach holds its last pose."""
+        """Latents of windows from poses in order of time; the last pose is held beyond a window's end."""
         batch, counts = held(batch)
         path_knots, relative = _without_path(batch, counts, self.banks, self.scaling, self.ridge)
         scores = self.components.scores(relative)
@@ -62,7 +61,7 @@ class LinearModel:
 
 
 def measure_components(poses: WindowPoses, banks: LocalLatents, scaling: VectorScaling, ridge: float) -> PoseComponents:
-    """The first components of the windows' poses relative to their fitted paths; one pass, flat memory."""
+    """Principal components of the windows' poses relative to their fitted paths; one pass, constant memory."""
     size = len(scaling.mean)
     count, total, outer = 0, torch.zeros(size).double(), torch.zeros(size, size).double()
     for rows in chunks(len(poses.windows), WINDOWS_AT_ONCE):
@@ -81,16 +80,16 @@ def measure_components(poses: WindowPoses, banks: LocalLatents, scaling: VectorS
 def fit_windows(
     poses: WindowPoses, model: LinearModel, windows: Int64[np.ndarray, "chosen"]
 ) -> Float32[torch.Tensor, "chosen latent"]:
-    """The latents of some windows."""
+    """Fit the latents of these windows."""
     return torch.cat(
         [model.fit(poses.evenly(windows[rows], TIMES_PER_WINDOW)) for rows in chunks(len(windows), WINDOWS_AT_ONCE)]
     )
 
 
 def held(batch: PoseBatch) -> tuple[PoseBatch, Float64[torch.Tensor, "batch times"]]:
-    """The batch with each window's last pose held from its end to t = 1, and how much each instant counts.
+    """Hold each window's last pose from its end to t = 1; returns the batch and the weight of each instant.
 
-    Knots beyond a window's end are then those of a body that stands still, not whatever a fit leaves undetermined.
+    Knots beyond a window's end then describe a body that stands still instead of being undetermined.
     """
     grid = torch.linspace(-1.0, 1.0, HELD_TIMES, dtype=torch.float64).expand(len(batch.window), -1)
     last = batch.vectors[:, -1:].expand(-1, HELD_TIMES, -1)
@@ -106,7 +105,7 @@ def _without_path(
     scaling: VectorScaling,
     ridge: float,
 ) -> tuple[list[Float32[torch.Tensor, "batch knots 3"]], Float32[torch.Tensor, "batch times numbers"]]:
-    """The path bank's knots (none without such a bank) and standardised poses relative to what they describe."""
+    """The path bank's knots (empty without such a bank) and standardised poses relative to the path."""
     standardised = scaling.apply(batch.vectors)
     if banks.path is None:
         return [], standardised

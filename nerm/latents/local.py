@@ -1,9 +1,9 @@
-"""The local layout of z (ours): banks of knots along time, each number belonging to an instant.
+"""The local layout of z (ours): banks of knots along time, each number at an instant.
 
-A pose bank holds `numbers` components of the pose at each of its knots; banks may differ in their number of knots,
-since the leading components of a pose move faster than the rest. The path bank holds (x, z, heading) of a body path.
-z goes by stretches of time, as many as all banks can share: of each stretch all its numbers, bank by bank and knot by
-knot, so that z.view(stretches, −1) has one row per stretch.
+A pose bank holds `numbers` pose components at each of its knots; banks may differ in their number of knots, since the
+leading components of a pose move faster than the rest. The path bank holds (x, z, heading) of the body's path. z is
+ordered by stretches of time, as many as all banks can share, then bank, then knot: z.view(stretches, −1) has one row
+per stretch.
 """
 
 import math
@@ -26,11 +26,11 @@ class Bank:
 
 @dataclass(frozen=True, eq=False)
 class LatentNumbers:
-    """What each of z's numbers is.
+    """Describes each number of z.
 
-    `bank` counts the pose banks, then the path bank; `knot` counts within the bank, `centre` is that knot's t and
-    `reach` how far from it, in t, the knot is read; `component` is the pose component's rank over all pose banks, or
-    0, 1, 2 for the path's x, z and heading.
+    `bank` is the index of the bank (the path bank last), `knot` the index within it, `centre` that knot's t and `reach`
+    its support radius in t; `component` is the pose component's rank over all pose banks, or 0, 1, 2 for the path's x,
+    z and heading.
     """
 
     bank: Int64[torch.Tensor, "latent"]
@@ -50,7 +50,7 @@ class KnotWeights:
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """What poses read from z: what the network sees of it, the pose components first, and the body's path.
+    """What poses read from z: the network's input, pose components first, and the body's path.
 
     `path` is x and z in standardised units and the heading in radians.
     """
@@ -61,7 +61,7 @@ class Reading:
 
 @dataclass(frozen=True)
 class LocalLatents:
-    """The banks that z is made of; a position of the path is `path_unit` times its number, in standardised units."""
+    """The banks of z; path positions are `path_unit` times their numbers, in standardised units."""
 
     pose: tuple[Bank, ...]
     path: Bank | None
@@ -74,7 +74,7 @@ class LocalLatents:
 
     @property
     def num_stretches(self) -> int:
-        """Stretches of time that hold whole knots of every bank."""
+        """Number of stretches of time with whole knots of every bank."""
         return math.gcd(*(bank.knots.num_knots for bank in self.banks))
 
     @property
@@ -89,13 +89,13 @@ class LocalLatents:
 
     @property
     def num_seen(self) -> int:
-        """Numbers that the network sees of z at an instant."""
+        """Size of the network's input from z at an instant."""
         of_path = 0 if self.path is None else NUM_PATH_NUMBERS
         return of_path + sum(bank.numbers * bank.knots.num_basis for bank in self.pose)
 
     @property
     def phase_period(self) -> float:
-        """After how much time the widest bank's knots come again, and with them all others'."""
+        """The period of the knots, in t: the spacing of the coarsest bank."""
         return 2.0 / self.num_stretches
 
     def split(self, latents: Float[torch.Tensor, "batch latent"]) -> list[Float[torch.Tensor, "batch _ _"]]:
@@ -127,7 +127,7 @@ class LocalLatents:
         return LatentNumbers(*(self.join(parts)[0] for parts in (bank, knot, component, centre, reach)))
 
     def weights(self, coordinates: Float64[torch.Tensor, "distinct"]) -> KnotWeights:
-        """All that reading at some coordinates needs."""
+        """Weights for reading at these coordinates."""
         path = None
         if self.path is not None:
             knots = self.path.knots
@@ -140,7 +140,7 @@ class LocalLatents:
         weights: KnotWeights,
         which: Int64[torch.Tensor, "batch poses"],
     ) -> Reading:
-        """What each pose of each clip reads, in float32 even under autocast: a path has more digits than bfloat16."""
+        """Read z at each pose of each clip, in float32 even under autocast: bfloat16 is too coarse for a path."""
         with torch.autocast(latents.device.type, enabled=False):
             banks = self.split(latents.float())
             mixed = [mix(knots, basis[which]) for knots, basis in zip(banks, weights.pose, strict=False)]
@@ -153,7 +153,7 @@ class LocalLatents:
             return Reading(seen, path * self.path_units().to(path.device))
 
     def path_units(self) -> Float32[torch.Tensor, "3"]:
-        """What one of a path's numbers is: standardised units of x and of z, radians of heading."""
+        """The unit of each path number: standardised units of x and of z, radians of heading."""
         return torch.tensor([self.path_unit, self.path_unit, 1.0])
 
     def _per_stretch(self, bank: Bank) -> int:

@@ -1,7 +1,7 @@
 """Posterior latents without an encoder: one N(μ, Σ) per window, μ and log Σ free parameters (paper §3.1, B.2).
 
-Only the rows of a batch cost anything: they are gathered, and Adam's moments are updated for them alone, so a step's
-work does not depend on how many windows there are.
+Only the rows of a batch are gathered and updated, with their Adam moments, so a step's cost does not depend on the
+number of windows.
 """
 
 import torch
@@ -14,9 +14,9 @@ LOG_VARIANCE_RANGE = (-12.0, 4.0)
 
 
 class RowAdam:
-    """AdamW (Loshchilov & Hutter 2019) on some rows of a table at a time; each row counts its own steps.
+    """Sparse AdamW (Loshchilov & Hutter 2019) over rows of a table; each row counts its own steps.
 
-    A row that was updated n times has had exactly n steps of dense AdamW; others are untouched, their decay too.
+    A row updated n times has had exactly n steps of dense AdamW; other rows are unchanged, without weight decay.
     """
 
     def __init__(
@@ -66,9 +66,9 @@ def kl_divergence(
     log_variance: Float[torch.Tensor, "batch latent"],
     num_windows: int | None = None,
 ) -> Float[torch.Tensor, ""]:
-    """KL(N(μ, Σ) ‖ N(0, I)) of Eq. 3 for diagonal Σ, as a mean over latent numbers and windows, in nats.
+    """KL(N(μ, Σ) ‖ N(0, I)) of Eq. 3 for diagonal Σ, averaged over latent numbers and windows, in nats.
 
-    With `num_windows` these are some of so many windows, and the result is their part of the mean.
+    With `num_windows` the mean is over that many windows, of which these are a part.
     """
     divergence = 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance)
     return divergence.sum() / (mean.shape[1] * (num_windows or len(mean)))
@@ -86,5 +86,5 @@ def first_read(dimension: int, banks: LocalLatents | None) -> Float32[Tensor, "l
 
 
 def in_use(first_read: Float32[Tensor, "latent"], duration: Float32[Tensor, "batch"]) -> Bool[Tensor, "batch latent"]:
-    """Which numbers motions of some durations (in units of l_max) depend on."""
+    """Mask of the numbers that motions of these durations (in units of l_max) use."""
     return first_read < duration[:, None]

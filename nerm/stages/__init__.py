@@ -1,4 +1,4 @@
-"""NeRM's trainable stages, registered under `motionkit.stages`: from a store to what each leaves in the run folder."""
+"""NeRM's trainable stages, registered under `motionkit.stages`."""
 
 from motionkit.training.stage import Stage, lazily
 from nerm.recipes import RECIPES, NermConfig
@@ -36,7 +36,7 @@ FIELD = Stage(
 DENOISER = Stage(
     "denoiser",
     30,
-    "latent diffusion under a text, an action or no condition (NeRM, stage 2)",
+    "latent diffusion conditioned on a text, an action or nothing (NeRM, stage 2)",
     RECIPES,
     lazily("nerm.stages.denoiser:train_denoiser"),
     check=lazily("nerm.stages.denoiser:check_denoiser"),

@@ -23,7 +23,7 @@ from nerm.settings import CodebookConfig
 
 
 def train_codebook(context: StageContext, config: NermConfig) -> None:
-    """Train the VQ-VAE, or take T2M-GPT's own; writes codes [N, d], network and statistics to model.safetensors."""
+    """Train the VQ-VAE, or use T2M-GPT's own; write codes [N, d], network and statistics to model.safetensors."""
     store, device, ranks = context.open_store(), resolve_device(context.device), context.ranks
     settings = with_precision_of(config.codebook, device)
     config = dataclasses.replace(config, codebook=settings)
@@ -64,7 +64,7 @@ def train_codebook(context: StageContext, config: NermConfig) -> None:
 
 
 def _published(settings: CodebookConfig) -> PublishedCodebook | None:
-    """T2M-GPT's own VQ-VAE where the settings name it; looked at before anything is written."""
+    """T2M-GPT's own VQ-VAE if configured; loaded before anything is written."""
     if not settings.published.weights:
         return None
     statistics = Path(settings.published.statistics) if settings.published.statistics else None
@@ -85,7 +85,7 @@ def _facts(published: PublishedCodebook) -> dict[str, Any]:
 
 
 def check_codebook(context: StageContext, config: NermConfig) -> None:
-    """Raise what would stop this stage: no sequence that is long enough, published weights that are not there."""
+    """Raise early what would stop this stage: no sequence that is long enough, missing published weights."""
     if _published(config.codebook) is None:
         _source(context.open_store(), config.codebook)
 

@@ -20,10 +20,10 @@ from nerm.settings import DenoiserConfig
 
 
 def train_denoiser(context: StageContext, config: NermConfig) -> None:
-    """Train ε_φ on the latents of RUN/field; writes the denoiser and what sampling needs to model.safetensors.
+    """Train ε_φ on the latents of RUN/field; write the denoiser and what sampling needs to model.safetensors.
 
-    Raises `RunError` where the field is missing or was trained on another state of the store (captions are looked up in
-    the store by its windows' sequences), and `UsageError` where texts are to be learnt and no window has any.
+    Raises `RunError` if the field is missing or was trained on another state of the store (captions are looked up in
+    the store by its windows' sequences), and `UsageError` if it needs texts and no window has any.
     """
     store, device, ranks = context.open_store(), resolve_device(context.device), context.ranks
     settings = with_precision_of(config.denoiser, device)
@@ -77,7 +77,7 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
 
 
 def check_denoiser(context: StageContext, config: NermConfig) -> None:
-    """Raise what would stop this stage: a store without captions for a recipe with texts, an encoder that is absent."""
+    """Raise early what would stop this stage: missing captions for a recipe with texts, a missing encoder."""
     settings = config.denoiser
     if _encoder(settings) is None:
         return
@@ -93,8 +93,8 @@ def _encoder(settings: DenoiserConfig) -> TextEncoder | None:
     encoder = load_text_encoder(name)
     if expected is not None and encoder.dimension != expected:
         raise MotionkitError(
-            f"the text encoder {name!r} gives {encoder.dimension} numbers, {expected} are expected (the paper's CLIP "
-            f"ViT-L/14 has 768): give another with denoiser.conditions.text_encoder, or set "
+            f"the text encoder {name!r} has {encoder.dimension} dimensions, expected {expected} (the paper's CLIP "
+            f"ViT-L/14 has 768): choose another with denoiser.conditions.text_encoder, or set "
             f"denoiser.conditions.text_dimension={encoder.dimension}"
         )
     return encoder

@@ -27,12 +27,12 @@ from nerm.settings import FieldConfig
 
 
 def train_field(context: StageContext, config: NermConfig) -> None:
-    """Train f_θ and the posteriors of all windows; writes both, with the window table, to model.safetensors."""
+    """Train f_θ and the posteriors of all windows; write both, with the window table, to model.safetensors."""
     store, device, ranks = context.open_store(), resolve_device(context.device), context.ranks
     settings = with_precision_of(config.field, device)
     config = dataclasses.replace(config, field=settings)
     started = time.perf_counter()
-    # Everything that may be refused comes before `begin`, which may remove an earlier run (--overwrite).
+    # All checks come before `begin`, which may remove an earlier run (--overwrite).
     vectors, source, frames = _corpus(store, settings)
     windows = training_windows(source, settings)
     codes = _codes(context, settings)
@@ -77,7 +77,7 @@ def train_field(context: StageContext, config: NermConfig) -> None:
 
 
 def _with_contacts(trained: TrainedField, source: PositionCache, context: StageContext) -> tuple[TrainedField, float]:
-    """The field with contacts among its outputs, and the loss that they were learnt to."""
+    """The field with a trained contact head, and the head's final loss."""
     banks = trained.network.local
     means, duration = trained.posterior_mean, trained.windows.duration_seconds / trained.max_duration_seconds
     used = in_use(first_read(means.shape[1], banks), torch.from_numpy(duration).float())
@@ -96,7 +96,7 @@ def _with_contacts(trained: TrainedField, source: PositionCache, context: StageC
 
 
 def check_field(context: StageContext, config: NermConfig) -> None:
-    """Raise what would stop this stage: no sequence to cut windows from."""
+    """Raise early what would stop this stage: no sequence to cut windows from."""
     _, source, _ = _corpus(context.open_store(), config.field)
     training_windows(source, config.field)
 

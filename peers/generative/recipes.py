@@ -1,7 +1,7 @@
-"""The generative peers: a row each with its stages, their networks and recipes. Imports nothing heavy.
+"""The generative peers, each with its stages, networks and recipes. Imports nothing heavy.
 
-`paper` has each one's published sizes, batch and steps; `nano` small networks for about the processor time of NeRM's
-nano, 18 minutes of one core for all stages together.
+`paper` has the published sizes, batch size and steps; `nano` trains small networks in about the CPU time of NeRM's
+`nano`: 18 minutes on one core for all stages together.
 """
 
 from collections.abc import Mapping
@@ -45,7 +45,7 @@ def _of_one_stage(
     return GenerativePeer(title, (PeerStage(name, order, description, network, {"nano": nano, "paper": paper}),))
 
 
-# The whole of each window, of which a step sees five frames.
+# Whole windows, of which a step sees five frames.
 WHOLE_IN_5 = MotionsConfig(pose_vectors="field", crops="whole", seen="scattered", seen_frames=5)
 IN_24 = MotionsConfig(seen="stretch", seen_frames=24)
 STRETCHES = MotionsConfig(fps=30.0, max_frames=294, seen="stretch", seen_frames=55)
@@ -53,7 +53,7 @@ COORDINATES = MotionsConfig(pose_vectors="field", crops="whole")
 
 UNCONDITIONAL = ConditionsConfig(kind="none")
 MINILM = ConditionsConfig(text_encoder="minilm", scaled=True)
-# Two heads of 64 numbers and no dropout: attention over 196 frames is quicker by half on a processor.
+# Two heads of 64 and no dropout: attention over 196 frames is twice as fast on a CPU.
 SMALL = TransformerSizes(4, 128, 2, 256, dropout=0.0)
 MDM_PAPER = {"network": MdmNetworkConfig(), "schedule": Schedule(steps=600_000)}
 MDM_NANO = {
@@ -66,7 +66,7 @@ MDM_NANO = {
 
 
 def _in_50_steps(parts: Mapping[str, Any], ema_decay: float) -> dict[str, Any]:
-    """The same training of a process of 50 steps."""
+    """The same training with 50 diffusion steps."""
     diffusion = replace(parts["network"].diffusion, num_steps=50, sampling_steps=50)
     network = replace(parts["network"], diffusion=diffusion)
     return {**parts, "network": network, "optimizer": OptimizerConfig(ema_decay=ema_decay)}
@@ -140,7 +140,7 @@ MLD = GenerativePeer(
         ),
     ),
 )
-# Systems that are not diffused have no use for guidance, so no condition is left out.
+# Without diffusion there is no guidance, so no condition is dropped.
 GIVEN = ConditionsConfig(drop=0.0)
 GIVEN_NANO = replace(MINILM, drop=0.0)
 
@@ -149,7 +149,7 @@ INR_MLP = _of_one_stage(
     "INR-MLP",
     "inr-mlp",
     84,
-    "INR-MLP: an MLP of time and of a code for each training motion",
+    "INR-MLP: an MLP of time and a latent code per training motion",
     "peers.generative.networks.inr_mlp:InrMlp",
     nano={
         "network": InrMlpNetworkConfig(reseeds=2),
@@ -171,7 +171,7 @@ ACTOR = _of_one_stage(
     "ACTOR",
     "actor",
     85,
-    "ACTOR: a VAE of whole motions under a condition",
+    "ACTOR: a conditional VAE of whole motions",
     "peers.generative.networks.actor:Actor",
     nano={
         "network": ActorNetworkConfig(SMALL),
@@ -215,7 +215,7 @@ T2M = GenerativePeer(
         PeerStage(
             "t2m",
             87,
-            "T2M, stage 2: a recurrent VAE of snippets under a condition",
+            "T2M, stage 2: a conditional recurrent VAE of snippets",
             "peers.generative.networks.t2m:T2m",
             {
                 "nano": {
@@ -240,7 +240,7 @@ CAMDM = _of_one_stage(
     "CAMDM",
     "camdm",
     88,
-    "CAMDM: stretches of motion, one after another, diffused in 4 steps",
+    "CAMDM: autoregressive diffusion of motion segments in 4 steps",
     "peers.generative.networks.camdm:Camdm",
     nano={
         "network": CamdmNetworkConfig(SMALL),
@@ -279,13 +279,13 @@ FLOW = _of_one_stage(
         "optimizer": OptimizerConfig(weight_decay=0.01, ema_decay=0.9999),
     },
 )
-# A frame in twelve of KIT's 100 a second; 9.8 s as the others have them.
+# Every twelfth frame of KIT's 100 fps; 9.8 s, as the others.
 SLOW = MotionsConfig(fps=25 / 3, max_frames=82)
 JL2P = _of_one_stage(
     "JL2P",
     "jl2p",
     90,
-    "JL2P: pose after pose of one code of motions and texts",
+    "JL2P: autoregressive poses from a joint code of motions and texts",
     "peers.generative.networks.jl2p:Jl2p",
     nano={
         "network": Jl2pNetworkConfig(width=256, lengths=(2, 4, 8, 16, 32, 82), mean_first=0.5),
@@ -307,7 +307,7 @@ HIER = _of_one_stage(
     "Hier",
     "hier",
     91,
-    "Hier: pose after pose of a code for each half of the body",
+    "Hier: autoregressive poses from one code for each half of the body",
     "peers.generative.networks.hier:Hier",
     nano={
         "network": HierNetworkConfig(limb=64, width=160, mean_first=0.5),
@@ -333,7 +333,7 @@ NEMF = GenerativePeer(
         PeerStage(
             "nemf-path",
             92,
-            "NeMF, stage 1: the root's motion from the body's",
+            "NeMF, stage 1: the root's path from the body's motion",
             "peers.generative.networks.nemf:NemfPath",
             {
                 "nano": {
@@ -356,7 +356,7 @@ NEMF = GenerativePeer(
         PeerStage(
             "nemf",
             93,
-            "NeMF, stage 2: a motion as a field of time, and a VAE of its latents",
+            "NeMF, stage 2: a neural field over time, and a VAE of its latents",
             "peers.generative.networks.nemf:Nemf",
             {
                 "nano": {

@@ -1,4 +1,4 @@
-"""Settings of generative peers: what is common to all, and sizes of the networks; imports nothing heavy.
+"""Configuration of the generative peers: common settings and network sizes; imports nothing heavy.
 
 Defaults of the sizes are the published ones.
 """
@@ -15,12 +15,12 @@ from motionkit.training.diffusion.settings import DiffusionConfig
 
 @dataclass(frozen=True)
 class MotionsConfig:
-    """What is learnt: pose vectors of crops at `fps`, of `max_frames` at most.
+    """The training motions: pose vectors of crops at `fps`, of at most `max_frames` frames.
 
-    Crops lie in windows that begin every `stride_seconds` of a sequence and last `min_seconds` at least; as HumanML3D's
-    readers do, their lengths are whole multiples of `crop_multiple` frames, in one of three cases one multiple less
-    than would fit. With `crops="whole"` a crop is its whole window. Of a crop a network sees all frames, or
-    `seen_frames` of them: a random stretch, or frames scattered over it (the same one perhaps twice).
+    Windows begin every `stride_seconds` of a sequence and last at least `min_seconds`. As in HumanML3D's data loaders,
+    crop lengths are multiples of `crop_multiple` frames, one multiple shorter than fits with probability 1/3. With
+    `crops="whole"` a crop is its whole window. The network sees all frames of a crop, or `seen_frames` of them: a
+    random stretch, or frames scattered over it (with replacement).
     """
 
     pose_vectors: PoseVectorsName = "native"
@@ -49,16 +49,16 @@ class MotionsConfig:
 
     @property
     def max_duration_seconds(self) -> float:
-        """The longest motion: as published vectors do, each frame stands for the time to the next pose."""
+        """The longest motion; as in the published vectors, a frame lasts until the next pose."""
         return float(self.max_frames / self.framerate)
 
 
 @dataclass(frozen=True)
 class ConditionsConfig:
-    """What motions are conditioned on; with probability `drop` nothing, so that guidance has what it needs.
+    """What motions are conditioned on, dropped with probability `drop` for classifier-free guidance.
 
-    `nothing` says what a text is replaced by: zeros in place of its embedding, or the embedding of the empty text.
-    `scaled` brings embeddings of length 1 to a root mean square of 1, which CLIP's own are nearer to.
+    `nothing` is the null embedding: zeros, or the embedding of the empty text. `scaled` rescales unit-norm embeddings
+    to a root mean square of 1, which CLIP's unnormalised ones are near to.
     """
 
     kind: Literal["text", "action", "none"] = "text"
@@ -74,8 +74,8 @@ class ConditionsConfig:
 
 @dataclass(frozen=True)
 class OptimizerConfig:
-    """AdamW; `ema_decay` above 0 keeps an average of the weights, which is what generates; `clip_norm` above 0 is the
-    longest gradient."""
+    """AdamW; `ema_decay` above 0 saves an exponential moving average of the weights; `clip_norm` above 0 clips the
+    gradient's norm."""
 
     weight_decay: float = 0.0
     ema_decay: float = 0.0
@@ -88,37 +88,37 @@ class OptimizerConfig:
 
 @runtime_checkable
 class PeerConfig(ConfigLike, Protocol):
-    """A stage's configuration; its part `network` is the peer's own."""
+    """A stage's configuration; its part `network` is specific to the peer."""
 
     @property
     def motions(self) -> MotionsConfig:
-        """What is learnt."""
+        """The training motions."""
         ...
 
     @property
     def conditions(self) -> ConditionsConfig:
-        """Under which conditions."""
+        """The conditions."""
         ...
 
     @property
     def schedule(self) -> Schedule:
-        """How long."""
+        """Steps, batch size and learning rate."""
         ...
 
     @property
     def optimizer(self) -> OptimizerConfig:
-        """By which steps."""
+        """The optimiser."""
         ...
 
     @property
     def precision(self) -> Precision:
-        """In which number format."""
+        """The number format."""
         ...
 
 
 @dataclass(frozen=True)
 class TransformerSizes:
-    """Layers of torch's kind: post-norm, GELU."""
+    """Sizes of torch's transformer layers: post-norm, GELU."""
 
     layers: int
     width: int
@@ -138,8 +138,8 @@ class ActorNetworkConfig:
 
 @dataclass(frozen=True)
 class InrMlpNetworkConfig:
-    """INR-MLP: codes of `code` numbers, an MLP of these widths; `reseeds` says how often a mixture that copies
-    training motions is fitted again."""
+    """INR-MLP: size of the codes and widths of the MLP; `reseeds` is how often a mixture that copies training motions
+    is fitted again."""
 
     code: int = 128
     time_features: int = 256
@@ -151,7 +151,7 @@ class InrMlpNetworkConfig:
 
 @dataclass(frozen=True)
 class T2mAutoencoderNetworkConfig:
-    """T2M's autoencoder of movements: convolutions to one snippet for four frames, and back."""
+    """T2M's movement autoencoder: convolutions between four frames and one snippet."""
 
     width: int = 512
     dropout: float = 0.2
@@ -178,10 +178,9 @@ class T2mNetworkConfig:
 
 @dataclass(frozen=True)
 class Jl2pNetworkConfig:
-    """JL2P: the width of its cells; of `mean_first` of the motions it is told no first pose.
+    """JL2P: the width of its GRU; with probability `mean_first` the first pose is replaced by the mean pose.
 
-    Training sees so many frames as one after another of `lengths` says over the share `curriculum` of its steps, and
-    the last of these from there on.
+    Over the share `curriculum` of the steps, training uses the numbers of frames in `lengths` in turn, then the last.
     """
 
     width: int = 1024
@@ -192,9 +191,9 @@ class Jl2pNetworkConfig:
 
 @dataclass(frozen=True)
 class HierNetworkConfig:
-    """Hier: widths of body parts, of limbs with the trunk, of the codes of both halves, and of a critic's layers.
+    """Hier: widths of body parts, of limbs with the trunk, of the codes of both halves, and of the critic's layers.
 
-    Of `mean_first` of the motions it is told no first pose.
+    With probability `mean_first` the first pose is replaced by the mean pose.
     """
 
     part: int = 32
@@ -210,7 +209,7 @@ class HierNetworkConfig:
 
 @dataclass(frozen=True)
 class NemfPathNetworkConfig:
-    """NeMF's predictor of the root's motion: widths of its convolutions, and how many frames one sees."""
+    """NeMF's predictor of the root's motion: widths and kernel size of its convolutions."""
 
     widths: tuple[int, ...] = (512, 512, 512, 512, 256, 128)
     kernel: int = 15
@@ -219,9 +218,9 @@ class NemfPathNetworkConfig:
 
 @dataclass(frozen=True)
 class NemfNetworkConfig:
-    """NeMF: a field over `frames` frames of two latents, and encoders of such clips; `frequencies` are those of time.
+    """NeMF: a field over `frames` frames with two latents, and their encoders; `frequencies` encode time.
 
-    KL's weight grows from a hundredth in the first half of each of `kl_cycles` parts of the training.
+    KL's weight is annealed in `kl_cycles` cycles: it grows from a hundredth in the first half of each.
     """
 
     frames: int = 128
@@ -244,7 +243,7 @@ class NemfNetworkConfig:
 
 @dataclass(frozen=True)
 class CamdmNetworkConfig:
-    """CAMDM: a transformer encoder makes `future` frames after `past` ones, with probability `no_past` after none."""
+    """CAMDM: predicts `future` frames from `past` ones, which are dropped with probability `no_past`."""
 
     transformer: TransformerSizes = field(default_factory=lambda: TransformerSizes(4, 256, 4, 1024))
     past: int = 10
@@ -265,7 +264,7 @@ class CamdmNetworkConfig:
 
 @dataclass(frozen=True)
 class FlowNetworkConfig:
-    """ACMDM's small form: a transformer of these sizes, sampled by so many Euler steps."""
+    """ACMDM's small form: a transformer of these sizes, sampled by `sampling_steps` Euler steps."""
 
     transformer: TransformerSizes = field(default_factory=lambda: TransformerSizes(8, 512, 8, 1365))
     sampling_steps: int = 50
@@ -274,9 +273,9 @@ class FlowNetworkConfig:
 
 @dataclass(frozen=True)
 class MdmNetworkConfig:
-    """MDM: a transformer encoder over frames behind one token of time and condition, which predicts the clean motion.
+    """MDM: a transformer encoder over one token of time and condition, then frames; predicts the clean motion.
 
-    1,000 steps as published first, all of them sampled; `mdm-50` is the separately trained one of 50.
+    1,000 steps as first published, all of them sampled; `mdm-50` is trained separately with 50.
     """
 
     transformer: TransformerSizes = field(default_factory=lambda: TransformerSizes(8, 512, 4, 1024))
@@ -294,9 +293,9 @@ class MdmNetworkConfig:
 
 @dataclass(frozen=True)
 class MldVaeNetworkConfig:
-    """MLD's VAE: transformers with long skips to one latent of the transformer's width and back.
+    """MLD's VAE: transformers with long skip connections and one latent of the transformer's width.
 
-    `longest` is how many learned positions there are.
+    `longest` is the number of learned positions.
     """
 
     transformer: TransformerSizes = field(default_factory=lambda: TransformerSizes(9, 256, 4, 1024))
@@ -307,9 +306,9 @@ class MldVaeNetworkConfig:
 
 @dataclass(frozen=True)
 class MldNetworkConfig:
-    """MLD's denoiser over the tokens latent, time and condition; `time_features` are the sinusoids of a step.
+    """MLD's denoiser over the tokens latent, time and condition; `time_features` is the size of the step embedding.
 
-    Training draws `noises` for each latent: making a latent costs far more than the denoiser does.
+    Training draws `noises` noise samples per latent, since encoding costs far more than denoising.
     """
 
     transformer: TransformerSizes = field(default_factory=lambda: TransformerSizes(9, 256, 4, 1024))

@@ -1,4 +1,4 @@
-"""Training of a generative peer's network on motionkit's loop, and what it leaves in its stage's folder."""
+"""Training of a generative peer's network on motionkit's loop, and its checkpoint."""
 
 import dataclasses
 import time
@@ -28,7 +28,7 @@ from motionkit.training.tensors import (
     training_tensors,
     unprefixed,
 )
-from peers.generative.batches import ConditionSizes, MotionBatch, PoseSpace, Wanted
+from peers.generative.batches import ConditionSizes, MotionBatch, PoseSpace, SampleBatch
 from peers.generative.corpus import MotionCorpus, check_captioned, open_corpus, text_encoder_of
 from peers.generative.peer import GenerativePeer, PeerStage, stage_named
 from peers.generative.settings import PeerConfig
@@ -37,39 +37,39 @@ FORMAT, FORMAT_VERSION = "motionkit-generative-peer", 1
 
 
 @runtime_checkable
-class Generator(Protocol):
-    """A peer's network: an `nn.Module` made of (sizes, space, condition sizes, networks of earlier stages)."""
+class PeerNetwork(Protocol):
+    """A peer's network: an `nn.Module` built from (sizes, space, condition sizes, networks of earlier stages)."""
 
     def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
-        """Figures of a batch, `loss` among them, which is what is made smaller; randomness from `generator` (CPU)."""
+        """Metrics of a batch, of which `loss` is minimised; randomness comes from `generator` (CPU)."""
         ...
 
 
 @runtime_checkable
 class Sampler(Protocol):
-    """A network whose motions can be sampled: that of a peer's last stage."""
+    """A network that can be sampled: that of a peer's last stage."""
 
     @property
     def diffusion(self) -> DiffusionConfig | None:
-        """Its diffusion's settings; None where it diffuses nothing."""
+        """Diffusion settings; None if the network is no diffusion model."""
         ...
 
-    def sample(self, wanted: Wanted, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
-        """Standardised rows of motions; what lies behind a motion's length means nothing."""
+    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
+        """Standardised rows of motions; frames beyond a motion's length are undefined."""
         ...
 
 
 @runtime_checkable
-class KnowsSteps(Protocol):
-    """A network whose losses depend on how far its training is."""
+class StepAware(Protocol):
+    """A network whose losses depend on training progress."""
 
     def begin_step(self, step: int, steps: int) -> None:
-        """Step `step` of so many, from 0, comes next."""
+        """Called before step `step` (from 0) of `steps`."""
         ...
 
 
 class PeerTraining:
-    """A `motionkit.training.loop.Trainable`: owns a network, its average and its optimiser."""
+    """A `motionkit.training.loop.Trainable`: owns the network, the average of its weights and the optimiser."""
 
     def __init__(
         self,
@@ -94,8 +94,8 @@ class PeerTraining:
         set_rate(self.optimizer, schedule.factor(step, self.steps) * schedule.learning_rate)
         rows = torch.randint(len(self.corpus), (schedule.batch_size,), generator=generator)
         batch = self.corpus.batch(rows, generator, drop=self.config.conditions.drop).to(self.device)
-        assert isinstance(self.network, Generator)
-        if isinstance(self.network, KnowsSteps):
+        assert isinstance(self.network, PeerNetwork)
+        if isinstance(self.network, StepAware):
             self.network.begin_step(step, self.steps)
         self.network.train()
         with dropout_from(generator, self.device), autocast(self.config.precision, self.device):
@@ -111,7 +111,7 @@ class PeerTraining:
 
     @property
     def trained_tensors(self) -> dict[str, Tensor]:
-        """The weights that generate: averaged where an average is kept."""
+        """The weights to save: averaged if an average is kept."""
         return self.network.state_dict() if self.average is None else self.average.tensors()
 
     def state_tensors(self) -> dict[str, Tensor]:
@@ -120,7 +120,7 @@ class PeerTraining:
         return training_tensors("network", self.network, self.optimizer) | kept
 
     def load_state_tensors(self, tensors: Mapping[str, Tensor]) -> None:
-        """Go back to the state that `state_tensors` gave."""
+        """Restore what `state_tensors` returned."""
         load_training_tensors("network", self.network, self.optimizer, tensors)
         if self.average is not None:
             self.average.load(unprefixed("average", tensors))
@@ -128,7 +128,7 @@ class PeerTraining:
 
 @dataclass(frozen=True, eq=False)
 class TrainedStage:
-    """A stage's network in evaluation mode, with what it was trained on; `durations` are its windows', in seconds."""
+    """A stage's network in evaluation mode, with its training setup; `durations` are of its windows, in seconds."""
 
     config: Any
     network: nn.Module
@@ -140,10 +140,10 @@ class TrainedStage:
 
 
 def train_stage(peer: GenerativePeer, stage: PeerStage, context: StageContext, config: Any) -> None:
-    """Train a stage of a peer on the context's store; writes RUN/STAGE/model.safetensors.
+    """Train a stage of a peer on the context's store; write RUN/STAGE/model.safetensors.
 
-    Raises `RunError` where an earlier stage of it is not trained or was trained on other numbers, and `UsageError` for
-    a store without the motions or captions that it needs.
+    Raises `RunError` if an earlier stage is not trained or was trained on other motions, and `UsageError` for a store
+    without the motions or captions that it needs.
     """
     started = time.perf_counter()
     store, device = context.open_store(), resolve_device(context.device)
@@ -192,26 +192,28 @@ def train_stage(peer: GenerativePeer, stage: PeerStage, context: StageContext, c
 
 
 def check_stage(context: StageContext, config: Any) -> None:
-    """Raise what would stop a training: captions or actions that the store lacks, an encoder that is absent."""
+    """Raise early what would stop the training: missing captions or actions, a missing text encoder."""
     text_encoder_of(config.conditions)
     check_captioned(context.open_store(), config)
 
 
 def _common_scaling(corpus: MotionCorpus, config: PeerConfig, earlier: Mapping[str, TrainedStage]) -> VectorScaling:
-    """The numbers' scale: that of the stages before, which made what this one learns."""
+    """The scaling of the earlier stages, on whose outputs this stage trains; the corpus's own if there are none."""
     for name, stage in earlier.items():
-        found, asked = (dataclasses.replace(each.motions, seen="all", seen_frames=0) for each in (stage.config, config))
-        if found != asked:
+        found, wanted = (
+            dataclasses.replace(each.motions, seen="all", seen_frames=0) for each in (stage.config, config)
+        )
+        if found != wanted:
             raise RunError(
-                f"{name} was trained on other motions ({found}, not {asked}): give both stages the same settings "
-                "motions.…"
+                f"{name} was trained on other motions ({found}, not {wanted}): give both stages the same `motions.…` "
+                "settings"
             )
         return VectorScaling(stage.space.mean.cpu(), stage.space.scale.cpu())
     return corpus.scaling
 
 
 def load_stage(run: RunFolder, peer: GenerativePeer, name: str, device: torch.device | None = None) -> TrainedStage:
-    """A trained stage of a peer; raises `RunError` where it or one that it builds on is not as it was trained."""
+    """Load a trained stage; raises `RunError` if it is missing, or an earlier stage has been trained again since."""
     stage, folder = stage_named(peer, name), run.stage(name)
     folder.read_summary()
     tensors, description = load_tensors(folder.model_path)
@@ -220,8 +222,8 @@ def load_stage(run: RunFolder, peer: GenerativePeer, name: str, device: torch.de
         raise CheckpointError(f"{folder.model_path} is {found}, expected {(FORMAT, FORMAT_VERSION, name)}")
     if description["builds_on"] != run.fingerprints(stage.builds_on):
         raise RunError(
-            f"{folder.model_path} was trained upon other results of {', '.join(stage.builds_on)}, which have been "
-            f"trained again since: motionkit train --stage {name} --run {run.path.name} --overwrite"
+            f"{', '.join(stage.builds_on)} was trained again after {folder.model_path}: "
+            f"motionkit train --stage {name} --run {run.path.name} --overwrite"
         )
     where = device or torch.device("cpu")
     earlier = {each: load_stage(run, peer, each, where).network for each in stage.builds_on}

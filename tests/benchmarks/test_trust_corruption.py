@@ -27,7 +27,7 @@ FLIPS_EACH = 1
         (("read_and_lose", "letters"), "detected, but different: letters", 0, 0),
     ],
 )
-def test_each_outcome_is_told_apart(
+def test_each_outcome_is_distinguished(
     commands: Commands,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,

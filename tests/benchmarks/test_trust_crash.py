@@ -78,7 +78,7 @@ def test_a_forked_command_is_the_command(commands: Commands, tmp_path: Path) -> 
         assert tree(tmp_path / "forked") == tree(tmp_path / "started")
 
 
-def test_a_file_that_is_missing_may_be_told_and_no_traceback(commands: Commands, tmp_path: Path) -> None:
+def test_a_file_that_is_missing_may_be_reported_and_no_traceback(commands: Commands, tmp_path: Path) -> None:
     assert fault_of(commands.run(tmp_path, ("info", "--store", "nowhere"))) == ""
     assert fault_of(commands.run(tmp_path, (f"{CARELESS}nothing", "nowhere"))).startswith("a traceback: AttributeError")
 

@@ -38,7 +38,7 @@ SLICE = SCENES[::24]
         (text("a.txt", "a"), ("refuse", "a.txt"), ""),
     ],
 )
-def test_each_outcome_is_told_apart(
+def test_each_outcome_is_distinguished(
     commands: Commands, spoil: Spoil, use: tuple[str, ...], told: str, tmp_path: Path
 ) -> None:
     good = tmp_path / "good"

@@ -49,7 +49,7 @@ def test_the_command_line_runs_beside_an_eval_package_of_somebodys(tmp_path: Pat
 
 
 @pytest.mark.parametrize("name", ["eval.py", "eval/__init__.py"])
-def test_a_package_of_somebodys_that_hides_ours_is_told(tmp_path: Path, name: str) -> None:
+def test_a_package_of_somebodys_that_hides_ours_is_reported(tmp_path: Path, name: str) -> None:
     theirs = tmp_path / name
     theirs.parent.mkdir(exist_ok=True)
     theirs.write_text("", encoding="utf-8")

@@ -146,7 +146,9 @@ def test_a_list_trains_nothing(tmp_path: Path) -> None:
         (("5", "--store", "nowhere"), "nowhere"),
     ],
 )
-def test_faults_are_told_before_anything_is_trained(arguments: tuple[str, ...], message: str, tmp_path: Path) -> None:
+def test_faults_are_reported_before_anything_is_trained(
+    arguments: tuple[str, ...], message: str, tmp_path: Path
+) -> None:
     app = typer.Typer()
     app.command()(ablate)
     with pytest.raises((UsageError, MotionkitError), match=message):
@@ -231,7 +233,7 @@ def test_what_was_measured_is_kept_until_the_run_is_trained_again(project: Path)
     assert rows(again.blocks[-1])["latent_dim = 512 (paper)"].cells["20 fps"].value == 0.0407
 
 
-def test_several_seeds_are_a_mean_with_its_range_and_unequal_trainings_are_told(project: Path) -> None:
+def test_several_seeds_are_a_mean_with_its_range_and_unequal_trainings_are_reported(project: Path) -> None:
     command(project, "8", "--run", "seeds", "--only", "global")
     command(project, "8", "--run", "seeds", "--only", "global", "--seed", "1")
     command(project, "8", "--run", "seeds", "--only", "global-d-128", settings=(*TINY, "field.schedule.steps=5"))

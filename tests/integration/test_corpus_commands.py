@@ -73,7 +73,7 @@ def test_query_over_frames_and_skeletons(motionkit, store):
     assert "… 72 values]" in motionkit("query", "FROM segments LIMIT 1", "--store", store).stdout
 
 
-def test_columns_of_one_name_are_told_apart(motionkit, store):
+def test_columns_of_one_name_are_distinguished(motionkit, store):
     sql = "SELECT 1 AS a, 2 AS a, 3 AS b, 4 AS a"
     row = {"a": 1, "a_1": 2, "b": 3, "a_2": 4}
     assert json.loads(motionkit("query", sql, "--store", store, "--json").stdout) == [row]
@@ -194,7 +194,7 @@ def test_a_skeleton_map_stays_with_the_store(motionkit, takes, tmp_path):
     assert motionkit("ingest", takes, "--store", store).code == 0  # nothing new
 
 
-def test_a_bad_skeleton_map_is_told_before_anything_is_read(motionkit, takes, tmp_path):
+def test_a_bad_skeleton_map_is_reported_before_anything_is_read(motionkit, takes, tmp_path):
     path = tmp_path / "rig.toml"
     path.write_text(RIG.replace("neck = { Spine = 0.25", "neck = { Spine = 0.5"))
     outcome = motionkit("ingest", takes, "--store", tmp_path / "store", "--skeleton-map", path)
@@ -202,7 +202,7 @@ def test_a_bad_skeleton_map_is_told_before_anything_is_read(motionkit, takes, tm
     assert outcome.stderr.endswith("rig.toml: the weights of neck sum to 1.25, expected 1\n")
 
 
-def test_markers_are_told_once_and_have_no_bones_to_change(motionkit, tmp_path):
+def test_markers_are_reported_once_and_have_no_bones_to_change(motionkit, tmp_path):
     takes = tmp_path / "markers"
     takes.mkdir()
     for number, labels in enumerate((("A", "B", "C"), ("A", "B", "D"))):

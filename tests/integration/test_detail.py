@@ -93,7 +93,7 @@ def test_slow_captures_teach_no_detail(project: Path) -> None:
         train(project, "--set", "where=split = 'test'")
 
 
-def test_a_damaged_file_is_told(project: Path) -> None:
+def test_a_damaged_file_is_reported(project: Path) -> None:
     train(project)
     path = project / "runs" / "nano" / "detail" / "model.safetensors"
     content = bytearray(path.read_bytes())

@@ -126,7 +126,7 @@ def test_calibration(motionkit: Command, store: Path, tmp_path: Path) -> None:
     assert correlations["jitter"] == pytest.approx(1.0)
     assert values["disjoint halves of the takes (P2)"] > 1.0
     jitter = next(row for row in spearman["rows"] if row["name"] == "jitter")
-    assert "told from real motion of the same takes from 0.0005 m (60 fps)" in jitter["note"]
+    assert "differs from real motion of the same takes from 0.0005 m (60 fps)" in jitter["note"]
     assert "scores above other takes (P2) from " in jitter["note"]
     shares = {row["name"]: row["cells"]["60 fps"]["value"] for row in games["rows"]}
     assert shares["low-passed at 8 Hz, plain (absolute)"] > 0

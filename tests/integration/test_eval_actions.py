@@ -43,7 +43,7 @@ def write_samples(folder: Path, *, right: bool) -> Path:
     return folder
 
 
-def test_systems_are_told_apart_by_accuracy(motionkit: Callable[..., Any], store: Path, tmp_path: Path) -> None:
+def test_systems_are_distinguished_by_accuracy(motionkit: Callable[..., Any], store: Path, tmp_path: Path) -> None:
     folders = {name: write_samples(tmp_path / name, right=name == "right") for name in ("right", "wrong")}
     samples = [part for name, folder in folders.items() for part in ("--samples", f"{name}={folder}")]
     table = ("eval", "--table", 3, "--store", store, "--results", tmp_path / "results", "--runs", tmp_path)

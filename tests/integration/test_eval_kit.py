@@ -187,7 +187,7 @@ class Lengths:
         return np.zeros((len(captions), 3))
 
 
-def test_another_unit_or_framerate_is_told(
+def test_another_unit_or_framerate_is_reported(
     motionkit: Callable[..., Any], published: Path, files: tuple[object, ...], tmp_path: Path
 ) -> None:
     metres = tmp_path / "store"
@@ -196,4 +196,4 @@ def test_another_unit_or_framerate_is_told(
     told = motionkit(*table)
     assert told.code == 1 and "these motions are in another unit" in " ".join(told.stderr.split())
     told = motionkit(*table, "--fps", 20)
-    assert told.code == 2 and "means nothing but at 12.5 fps" in " ".join(told.stderr.split())
+    assert told.code == 2 and "is only valid at 12.5 fps" in " ".join(told.stderr.split())

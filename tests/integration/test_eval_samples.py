@@ -100,7 +100,7 @@ def test_broken_samples_are_left_out_and_cost_the_exit_code(motionkit, store, tm
     assert "built without broken samples (2 of 'mine'); --allow-broken accepts that" in done.stderr
 
 
-def test_samples_without_a_row_cost_the_exit_code_and_are_told(motionkit, store, tmp_path):
+def test_samples_without_a_row_cost_the_exit_code_and_are_reported(motionkit, store, tmp_path):
     folder = published.write_t2m_gpt(tmp_path / "gpt")
     arguments = ("--store", store, "--results", tmp_path / "results", "--samples-fps", 20, *SMALL)
     done = motionkit("eval", "--table", 2, "--samples", f"mine={folder}", *arguments, "--sizes", "16:80", "--json")
@@ -118,7 +118,7 @@ def test_samples_without_a_row_cost_the_exit_code_and_are_told(motionkit, store,
         (("mine",), "give NAME=DIR"),
     ],
 )
-def test_names_of_rows_are_told_apart(motionkit, store, tmp_path, samples, says):
+def test_names_of_rows_are_distinguished(motionkit, store, tmp_path, samples, says):
     denoiser = RunFolder(tmp_path / "runs" / "nano").stage("denoiser")
     denoiser.path.mkdir(parents=True)
     denoiser.summary_path.write_text("{}")
@@ -140,7 +140,7 @@ def test_a_table_without_rows_of_samples_says_so(motionkit, store, tmp_path):
         ((), "nothing says the framerate of 000000_pred.npy; write fps = 20"),
     ],
 )
-def test_faults_are_told_before_anything_is_computed(motionkit, store, tmp_path, arguments, says):
+def test_faults_are_reported_before_anything_is_computed(motionkit, store, tmp_path, arguments, says):
     folder = published.write_t2m_gpt(tmp_path / "gpt")
     done = motionkit("eval", "--table", 2, "--store", store, "--samples", f"mine={folder}", *arguments, *SMALL)
     assert done.code in (1, 2)

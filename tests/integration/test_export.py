@@ -85,7 +85,7 @@ def test_help_names_every_format():
     assert tuple(FORMATS.split(", ")) == tuple(export_kinds())
 
 
-def test_a_skeleton_without_the_joints_is_left_out_and_told(motionkit, bodies, tmp_path):
+def test_a_skeleton_without_the_joints_is_left_out_and_reported(motionkit, bodies, tmp_path):
     ball = Skeleton("ball", ("centre",), (-1,), np.zeros((1, 3), np.float32))
     with StoreWriter.append(bodies) as writer:
         writer.add(Motion(np.zeros((9, 1, 3), np.float32), ball, TimeGrid(Fraction(30), 9), sequence_id="ball"))
@@ -101,7 +101,7 @@ def test_a_skeleton_without_the_joints_is_left_out_and_told(motionkit, bodies, t
     assert not list(tmp_path.glob("none*"))
 
 
-def test_what_a_folder_of_humanml3d_s_form_is_without_is_told(motionkit, bodies, tmp_path):
+def test_what_a_folder_of_humanml3d_s_form_is_without_is_reported(motionkit, bodies, tmp_path):
     outcome = motionkit("export", tmp_path / "out", "--store", bodies, "--format", "humanml3d", "--json")
     told = json.loads(outcome.stdout)
     assert len(told["missing"]["split"]) == told["sequences"]

@@ -81,7 +81,7 @@ def test_readme_has_the_same_commands():
     assert len(lines) == 4 and [line for line in page if line in lines] == lines
 
 
-def test_too_few_performers_for_three_splits_are_told(motionkit, takes, monkeypatch):
+def test_too_few_performers_for_three_splits_are_reported(motionkit, takes, monkeypatch):
     monkeypatch.chdir(takes.parent)
     rows = [f"{name}.bvh,a person does it,{'ann' if index < 3 else 'ben'}" for index, name in enumerate(ACTIONS)]
     (takes / "captions.csv").write_text("\n".join(("file,caption,performer", *rows)) + "\n")
@@ -95,7 +95,7 @@ def test_too_few_performers_for_three_splits_are_told(motionkit, takes, monkeypa
     assert refused.code == 1 and "motionkit train --stage field" in refused.stderr
 
 
-def test_a_table_that_comes_later_or_is_not_quite_one_is_told(motionkit, takes, monkeypatch):
+def test_a_table_that_comes_later_or_is_not_quite_one_is_reported(motionkit, takes, monkeypatch):
     monkeypatch.chdir(takes.parent)
     assert motionkit("ingest", "takes").code == 0
     table = takes / "captions.csv"

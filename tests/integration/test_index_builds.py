@@ -67,7 +67,7 @@ def test_clips_at_their_native_framerates(motionkit, amass, humanml3d, tmp_path)
     assert motionkit("validate", "--store", tmp_path / "s").code == 0
 
 
-def test_splits_of_another_corpus_are_told_with_an_example_of_each_side(motionkit, amass, humanml3d, tmp_path):
+def test_splits_of_another_corpus_are_reported_with_an_example_of_each_side(motionkit, amass, humanml3d, tmp_path):
     other = tmp_path / "other"
     other.mkdir()
     (other / "train.txt").write_text("00001\nM00001\n")
@@ -162,7 +162,7 @@ def test_captions_that_cannot_be_read_cost_their_sequence(motionkit, amass, huma
     assert told["stored"] == 6
 
 
-def test_thousands_of_missing_files_are_told_once(motionkit, amass, tmp_path):
+def test_thousands_of_missing_files_are_reported_once(motionkit, amass, tmp_path):
     rows = "".join(f"KIT/3/none_{number}_poses.npy,0,5,{number:06}.npy\n" for number in range(50))
     (tmp_path / "index.csv").write_text(HEADER + "KIT/3/kick_poses.npy,0,5,a.npy\n" + rows)
     outcome = motionkit("ingest", amass, "--index", tmp_path / "index.csv", "--store", tmp_path / "s", "--workers", 1)
@@ -286,7 +286,7 @@ def test_requests_that_make_no_sense(motionkit, amass, humanml3d, monkeypatch, a
     assert not Path("s").exists()
 
 
-def test_a_bad_table_beside_the_files_is_told(motionkit, amass, humanml3d, tmp_path):
+def test_a_bad_table_beside_the_files_is_reported(motionkit, amass, humanml3d, tmp_path):
     (amass / "notes.csv").write_text("file,fps\nKIT/3/kick_poses.npy,fast\nBMLrub/rub110/x.npy,30\n")
     outcome = motionkit("ingest", amass, "--index", humanml3d / "index.csv", "--store", tmp_path / "s", "--workers", 1)
     assert outcome.code == 0

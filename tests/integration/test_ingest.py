@@ -67,7 +67,7 @@ def test_two_goes_store_what_one_does(motionkit, takes, tmp_path):
         assert np.array_equal(one.read(name).joint_positions, two.read(name).joint_positions)
 
 
-def test_another_unit_the_second_time_is_told(motionkit, takes, tmp_path):
+def test_another_unit_the_second_time_is_reported(motionkit, takes, tmp_path):
     motionkit("ingest", takes / "alpha.bvh", "--store", tmp_path / "store")
     same = motionkit("ingest", takes / "beta.bvh", "--store", tmp_path / "store")
     assert "body-size" not in same.stdout
@@ -137,7 +137,7 @@ BAD_FILES = {
 
 
 @pytest.mark.parametrize(("name", "workers"), [*((name, 1) for name in BAD_FILES), ("nan", 2)])
-def test_a_bad_file_is_told_in_one_line_and_skipped(motionkit, takes, tmp_path, name, workers):
+def test_a_bad_file_is_reported_in_one_line_and_skipped(motionkit, takes, tmp_path, name, workers):
     text, reason, says = BAD_FILES[name]
     (takes / f"bad-{name}.bvh").write_text(text, encoding="latin-1")
     outcome = motionkit("ingest", takes, "--store", tmp_path / "store", "--workers", workers)

@@ -45,7 +45,7 @@ def test_nothing_is_said_where_nothing_was_ignored(motionkit, takes, tmp_path):
     assert (summary["ignored"], summary["ignored_paths"]) == ({}, [])
 
 
-def test_an_array_named_singly_is_told_with_the_line_that_mends_it(motionkit, arrays, tmp_path, monkeypatch):
+def test_an_array_named_singly_is_reported_with_the_line_that_mends_it(motionkit, arrays, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     outcome = motionkit("ingest", "arrays/unknown-0.npz", "--store", tmp_path / "store")
     assert outcome.code == 1

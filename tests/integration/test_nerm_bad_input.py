@@ -303,7 +303,7 @@ CASES = (
     Case("no framerate", f"{GENERATE} 'a walk' --fps 0", 2, ("--fps 0", "between 1 and 10000")),
     Case("a framerate below zero", f"{GENERATE} 'a walk' --fps -30", 2, ("--fps -30", "between 1 and 10000")),
     Case("a framerate of a million", f"{GENERATE} 'a walk' --fps 1e6", 2, ("--fps 1e6", "between 1 and 10000")),
-    Case("a length of nothing", f"{GENERATE} 'a walk' --seconds 0", 2, ("0 s is outside",)),
+    Case("a length of nothing", f"{GENERATE} 'a walk' --seconds 0", 2, ("not 0 s",)),
     Case("a length beyond an hour", f"{GENERATE} 'a walk' --seconds 1e6", 2, ("1e+06 s", "up to 3600 s")),
     Case(
         "an overlap of most of a motion", f"{GENERATE} 'a walk' --seconds 8 --overlap 2", 2, ("up to 1.5 s, not by 2",)
@@ -341,7 +341,7 @@ def test_one_framerate_and_short_clips_are_warnings(motionkit, scene: Path) -> N
     )
     assert done.code == 0
     assert [line for line in done.stderr.splitlines() if "warning" in line] == [
-        "motionkit: warning: every training sequence has 30 fps: the field cannot learn what other framerates hold",
+        "motionkit: warning: every training sequence has 30 fps: the field cannot learn other framerates",
         "motionkit: warning: 2 of 2 windows are shorter than a clip of field.clips.num_poses=64 poses; their last pose "
         "is repeated",
     ]

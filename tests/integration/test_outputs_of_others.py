@@ -65,7 +65,7 @@ def test_they_are_samples(motionkit, outputs):
     assert "30 fps (8)" in outcome.stdout
 
 
-def test_a_robot_s_joints_are_told(motionkit, tmp_path):
+def test_a_robot_s_joints_are_reported(motionkit, tmp_path):
     np.savez(tmp_path / "g1.npz", posed_joints=np.zeros((4, 34, 3), np.float32))
     (line,) = motionkit("view", tmp_path / "g1.npz").error_lines
     assert f"34 joints, expected {', '.join(str(count) for count in SKELETONS)}"[:20] in line
@@ -91,7 +91,7 @@ def test_two_persons_are_two_motions_of_a_page(motionkit, outputs):
     assert outcome.code == 0 and "person1" in outcome.stdout and "person2" in outcome.stdout
 
 
-def test_normalised_vectors_are_told_and_how_to_restore_them(motionkit, tmp_path):
+def test_normalised_vectors_are_reported_and_how_to_restore_them(motionkit, tmp_path):
     np.save(tmp_path / "raw.npy", np.random.default_rng(0).normal(size=(40, 263)))
     outcome = motionkit("ingest", tmp_path / "raw.npy", "--store", tmp_path / "store")
     assert outcome.code == 1 and "* std + mean" in outcome.stderr
@@ -109,7 +109,7 @@ def test_tracks_of_a_markerless_system(motionkit, tmp_path):
     assert outcome.stderr.count("cannot be mapped") == 1 and "--skeleton-map" in outcome.stderr
 
 
-def test_fbx_is_told_the_way_round(motionkit, tmp_path):
+def test_fbx_is_refused_with_the_way_to_convert_it(motionkit, tmp_path):
     path = tmp_path / "walk.fbx"
     path.write_bytes(b"Kaydara FBX Binary  \0")
     for command in (("ingest", path, "--store", tmp_path / "store"), ("view", path), ("samples", path)):
@@ -120,7 +120,7 @@ def test_fbx_is_told_the_way_round(motionkit, tmp_path):
     assert words[:3] == ["blender", "--background", "--python-expr"]
     compile(words[3], "blender", "exec")
     assert repr(str(path)) in words[3] and repr(str(tmp_path / "walk.bvh")) in words[3]
-    assert "name one of its files" in motionkit("ingest", tmp_path, "--store", tmp_path / "store").stderr
+    assert "give one of its files" in motionkit("ingest", tmp_path, "--store", tmp_path / "store").stderr
 
 
 @pytest.mark.parametrize("suffix", [".pt", ".pth", ".pkl", ".pickle"])

@@ -97,7 +97,7 @@ def test_variants_are_trained_and_shown_by_two_commands(
         (("--table", "extrapolation", "--split", "nowhere"), "no sequence"),
     ],
 )
-def test_what_cannot_be_had_is_told_in_a_line(
+def test_what_cannot_be_had_is_reported_in_a_line(
     motionkit: Callable[..., object], store: Path, tmp_path: Path, arguments: tuple[str, ...], told: str
 ) -> None:
     outcome = motionkit("eval", "--paper", "pahires", "--store", store, "--results", tmp_path, *arguments)

@@ -87,8 +87,8 @@ def test_every_line_of_a_manifest_can_be_set(samples, tmp_path):
         ({"fps": "x"}, "--fps x"),
         ({"unit_metres": 0.01}, "--unit-metres goes with --init"),
         ({"init": True, "statistics": "mine"}, "expected raw or normalised"),
-        ({"init": True, "statistics": "normalised"}, "goes with --mean FILE and --std FILE"),
-        ({"init": True, "statistics": "raw", "mean": Path("m")}, "goes with --mean FILE and --std FILE"),
+        ({"init": True, "statistics": "normalised"}, "needs --mean FILE and --std FILE"),
+        ({"init": True, "statistics": "raw", "mean": Path("m")}, "needs --mean FILE and --std FILE"),
         ({"init": True, "statistics": "normalised", "mean": Path("m"), "std": Path("s")}, "there is no such file"),
     ],
 )

@@ -35,7 +35,7 @@ def test_a_table_has_a_row_for_every_installed_system(motionkit, store, tmp_path
 
     before = motionkit(*table)
     assert before.code == 0
-    assert "motionkit train --for table:2 --run all trains what is lacking" in before.stderr
+    assert "motionkit train --for table:2 --run all trains the missing ones" in before.stderr
 
     done = motionkit(*command)
     assert done.code == 0, done.stderr
@@ -48,7 +48,7 @@ def test_a_table_has_a_row_for_every_installed_system(motionkit, store, tmp_path
     assert again.code == 0 and again.stderr.count("complete already, kept") >= len(stages)
 
     after = motionkit(*table)
-    assert after.code == 0 and "trains what is lacking" not in after.stderr
+    assert after.code == 0 and "trains the missing ones" not in after.stderr
     result = json.loads((tmp_path / "results" / "nerm-table2.json").read_text())
     rows = {row["name"] for row in result["blocks"][0]["rows"]}
     for model in models:
@@ -56,7 +56,7 @@ def test_a_table_has_a_row_for_every_installed_system(motionkit, store, tmp_path
         assert {title, f"{title}, planted"} <= rows, result["missing"]
 
 
-def test_a_store_without_captions_is_told_before_anything_is_trained(motionkit, tmp_path):
+def test_a_store_without_captions_is_reported_before_anything_is_trained(motionkit, tmp_path):
     bare = write_captioned_store(tmp_path / "bare", captioned=False)
     done = motionkit("train", "--for", "table:2", "--store", bare, "--runs", tmp_path / "runs")
     assert done.code == 2 and "has a caption" in done.stderr

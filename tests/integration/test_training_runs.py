@@ -146,7 +146,7 @@ def test_a_killed_run_that_left_half_a_line_is_resumed_bit_by_bit(
     assert_the_same(folder, RunFolder(run).stage("field"))
 
 
-def test_a_checkpoint_cut_in_half_is_told_and_left_alone(
+def test_a_checkpoint_cut_in_half_is_reported_and_left_alone(
     store: Path, other_run: Callable[[str], StageFolder], run: Path
 ) -> None:
     folder = other_run("codebook")
@@ -160,7 +160,9 @@ def test_a_checkpoint_cut_in_half_is_told_and_left_alone(
     assert figures(folder) == figures(RunFolder(run).stage("codebook"))
 
 
-def test_a_checkpoint_of_other_sizes_is_told(store: Path, other_run: Callable[[str], StageFolder], run: Path) -> None:
+def test_a_checkpoint_of_other_sizes_is_reported(
+    store: Path, other_run: Callable[[str], StageFolder], run: Path
+) -> None:
     folder = other_run("codebook")
     shutil.copytree(RunFolder(run).stage("codebook").path, folder.path)
     shutil.copy(RunFolder(run).stage("field").checkpoint_path, folder.checkpoint_path)

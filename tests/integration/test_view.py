@@ -241,7 +241,7 @@ def test_open_hands_the_page_to_the_browser(motionkit: Run, motion: Motion, monk
         (["notes.md"], 1, "of no known format"),
     ],
 )
-def test_what_cannot_be_shown_is_told_in_a_line(
+def test_what_cannot_be_shown_is_reported_in_a_line(
     motionkit: Run, motion: Motion, arguments: list[str], code: int, told: str
 ) -> None:
     if "." not in arguments:

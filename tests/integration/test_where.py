@@ -98,7 +98,7 @@ def test_evaluation_compares_with_what_the_condition_leaves(motionkit, store, tm
 
 
 @pytest.mark.parametrize("command", [("train", "--stage", "field", "--run", "bad"), ("eval", "--table", "2")])
-def test_bad_sql_is_told(motionkit, store, tmp_path, command):
+def test_bad_sql_is_reported(motionkit, store, tmp_path, command):
     place = ("--runs", tmp_path) if command[0] == "train" else ("--results", tmp_path)
     done = motionkit(*command, "--store", store, *place, "--where", "no_such_column = 1")
     assert done.code == 2

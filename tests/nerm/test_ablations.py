@@ -127,7 +127,7 @@ def test_overrides_are_shared_but_not_those_of_what_is_varied() -> None:
         non_variational.configure(nano(), ["field.latents.variational=true"])
 
 
-def test_an_unknown_table_is_told_with_those_there_are() -> None:
+def test_an_unknown_table_is_reported_with_the_known_ones() -> None:
     with pytest.raises(UsageError, match=r"no ablation '4' of 'nerm'; there are: 5 \(time encoding\), 6"):
         NERM.find("4")
 
@@ -167,7 +167,7 @@ class TestFixedFramerate:
         torch.testing.assert_close(spoilt.scaling.mean, whole.scaling.mean)
         torch.testing.assert_close(spoilt.mean.table, whole.mean.table)
 
-    def test_slower_sequences_are_left_out_and_told(self) -> None:
+    def test_slower_sequences_are_left_out_and_reported(self) -> None:
         config = _settings("nano", "field.clips.fixed_fps=60")
         source = analytic_source()
         windows = training_windows(source, config)
@@ -189,7 +189,7 @@ class TestFixedFramerate:
             _settings("nano", f"field.clips.fixed_fps={fps}")
 
 
-def test_one_framerate_and_short_windows_are_told() -> None:
+def test_one_framerate_and_short_windows_are_reported() -> None:
     source = analytic_source(rates=(30, 30), seconds=1.0)
     config = _settings("paper")
     windows = training_windows(source, config)
@@ -209,7 +209,7 @@ def test_one_framerate_and_short_windows_are_told() -> None:
         ),
     ],
 )
-def test_framerates_that_the_windows_do_not_have_are_told(setting: str, told: str) -> None:
+def test_framerates_that_the_windows_do_not_have_are_reported(setting: str, told: str) -> None:
     config = _settings("nano", setting)
     source = analytic_source()
     (only,) = remarks(source, training_windows(source, config), config)

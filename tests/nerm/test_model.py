@@ -118,7 +118,7 @@ def test_the_motion_is_the_same_at_every_framerate():
     assert fast.joint_positions[0, 0, 1] == slow.joint_positions[0, 0, 1]
 
 
-def test_the_field_is_told_its_framerate():
+def test_the_field_gets_its_framerate():
     [field] = known_model().generate([GenerationRequest(2.0)], seed=7)
     assert np.all(to_motion(field, Fraction(20)).joint_positions[..., 2] == 20.0)
     assert np.all(field.query(np.array([0.0, 1.9])).joint_positions[..., 2] == 120.0)
@@ -155,8 +155,8 @@ def test_sampling_that_there_is_not_is_explained(sampling, why):
         known_model().generate([GenerationRequest(1.0)], seed=0, sampling=sampling)
 
 
-def test_guidance_that_runs_off_to_infinity_is_told(encoder):
-    with pytest.raises(UsageError, match="a guidance scale of 1e\\+40 is too much"):
+def test_guidance_that_runs_off_to_infinity_is_reported(encoder):
+    with pytest.raises(UsageError, match="a guidance scale of 1e\\+40 is too large"):
         known_model(LetterEncoder.fingerprint).generate(
             [GenerationRequest(1.0, text="a jump")], seed=0, sampling=SamplingOptions(guidance_scale=1e40)
         )

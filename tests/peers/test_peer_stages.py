@@ -115,7 +115,7 @@ def test_a_trained_grid_peer_upsamples_and_refuses_gaps(run: RunFolder, name: st
     observed = np.ones(46, bool)
     observed[20:23] = False
     with pytest.raises(
-        ValueError, match=r"even times, but gaps .* go from 0\.0333 to 0\.1333 s: give it frames of one"
+        ValueError, match=r"evenly spaced frames, but the gaps .* from 0\.0333 to 0\.1333 s: use frames of one"
     ):
         inbetween(motion, observed, encoder)
     # Every 1.2-th real frame: gaps of one and of two frames.
@@ -156,7 +156,9 @@ def test_a_run_of_another_peer_is_not_taken_for_this_one(run: RunFolder, tmp_pat
 @pytest.mark.parametrize("name", ON_GRIDS_ONLY)
 def test_grid_peers_refuse_to_be_trained_on_gaps(name: str) -> None:
     stage = TINY[name][0]
-    with pytest.raises(UsageError, match=r"even times: training\.tasks\.gap and training\.tasks\.scattered must be 0"):
+    with pytest.raises(
+        UsageError, match=r"evenly spaced frames: training\.tasks\.gap and training\.tasks\.scattered must be 0"
+    ):
         apply_overrides(stage.recipe("nano"), ["training.tasks.gap=1"])
 
 

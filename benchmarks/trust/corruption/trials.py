@@ -106,12 +106,12 @@ class Trials:
         before = tree(place)
         outcome = self.commands.run(place, use)
         after = tree(place)
-        told = f"{outcome.out}\n{outcome.err}"
+        output = f"{outcome.out}\n{outcome.err}"
         command = " ".join(use[:3])
-        if outcome.code not in (0, 1, 2) or "Traceback" in told:
+        if outcome.code not in (0, 1, 2) or "Traceback" in output:
             return f"`{command}`: traceback ({_short(outcome)})"
         if outcome.code:
-            named = any(name in told for name in _names(flip.path))
+            named = any(name in output for name in _names(flip.path))
             lost = difference({name: after.get(name, "") for name in before}, before)
             if not named:
                 return f"`{command}`: not named ({_short(outcome)})"

@@ -1,4 +1,4 @@
-"""One input of the fuzz part again, by the name under which its failure was told; its error comes out as it is.
+"""One input of the fuzz part again, by the name under which its failure was reported; its error is raised unchanged.
 
 python -m benchmarks.trust.fuzz READER:SEED:NUMBER [--keep FOLDER]
 """

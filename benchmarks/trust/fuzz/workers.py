@@ -71,7 +71,7 @@ class Block:
     child: int
     begun: float
     progress: mmap.mmap
-    told: IO[bytes]
+    report: IO[bytes]
     last: list[tuple[int, float]] = field(default_factory=list)
 
     def is_stuck(self) -> bool:
@@ -87,12 +87,12 @@ class Block:
 
         The process that forks may have no threads that hold locks.
         """
-        progress, told, begun = mmap.mmap(-1, PROGRESS.size), tempfile.TemporaryFile(), time.monotonic()  # noqa: SIM115
+        progress, report, begun = mmap.mmap(-1, PROGRESS.size), tempfile.TemporaryFile(), time.monotonic()  # noqa: SIM115
         progress[:] = PROGRESS.pack(numbers.start, 0, 0, 0.0, -1)
         child = os.fork()
         if child == 0:
-            _work(target, seed, numbers, begun + seconds, folder, progress, told.fileno())
-        return cls(target, seed, child, begun, progress, told)
+            _work(target, seed, numbers, begun + seconds, folder, progress, report.fileno())
+        return cls(target, seed, child, begun, progress, report)
 
     def add_to(self, tally: Tally, status: int) -> None:
         """Add what became of the inputs, after the child has ended with a status of `os.wait`."""
@@ -100,9 +100,9 @@ class Block:
         tally.refused, tally.read = tally.refused + refused, tally.read + read
         if slowest > tally.slowest_seconds:
             tally.slowest_seconds, tally.slowest_number = slowest, slowest_number
-        with self.told as told:
-            told.seek(0)
-            tally.failures += told.read().decode().splitlines()
+        with self.report as report:
+            report.seek(0)
+            tally.failures += report.read().decode().splitlines()
         tally.seconds += time.monotonic() - self.begun
         if number != tally.next_number:
             tally.retries = 0
@@ -119,7 +119,7 @@ class Block:
 
 
 def _work(
-    target: Target, seed: int, numbers: range, until: float, folder: Path, progress: mmap.mmap, told: int
+    target: Target, seed: int, numbers: range, until: float, folder: Path, progress: mmap.mmap, report: int
 ) -> None:
     """The child: it never returns."""
     code = 1
@@ -140,7 +140,7 @@ def _work(
             if outcome.fault is None:
                 read += 1
             elif outcome.fault:
-                os.write(told, f"{target.name}:{seed}:{number}: {outcome.fault}\n".encode("utf-8", "replace"))
+                os.write(report, f"{target.name}:{seed}:{number}: {outcome.fault}\n".encode("utf-8", "replace"))
             else:
                 refused += 1
             progress[:] = PROGRESS.pack(number + 1, refused, read, slowest, slowest_number)
@@ -148,7 +148,7 @@ def _work(
                 break
         code = 0
     except BaseException as error:
-        os.write(told, f"{target.name}:{seed}: the drill itself: {_described(error)}\n".encode("utf-8", "replace"))
+        os.write(report, f"{target.name}:{seed}: the drill itself: {_described(error)}\n".encode("utf-8", "replace"))
     finally:
         os._exit(code)
 
@@ -215,8 +215,8 @@ def _described(error: BaseException) -> str:
         frame for frame in traceback.extract_tb(error.__traceback__) if "/benchmarks/trust/" not in frame.filename
     ]
     where = " < ".join(f"{'/'.join(Path(each.filename).parts[-2:])}:{each.lineno}" for each in reversed(frames[-4:]))
-    told = " ".join(f"{type(error).__name__}: {error}".split())[:SHOWN_CHARACTERS]
-    return f"{told} at {where}" if where else told
+    text = " ".join(f"{type(error).__name__}: {error}".split())[:SHOWN_CHARACTERS]
+    return f"{text} at {where}" if where else text
 
 
 def prepare(targets: Sequence[Target], folder: Path) -> None:

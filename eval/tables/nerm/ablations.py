@@ -1,7 +1,7 @@
-"""NeRM's Tables 5 to 9 and ours: runs of `motionkit ablate`, by reconstruction and by what they generate.
+"""NeRM's Tables 5 to 9 and ours: runs of `motionkit ablate`, by reconstruction and generation.
 
-A row is a variant; where it was trained with several seeds its numbers are their means. What is not trained is a row
-without numbers that says which command makes it.
+A row is a variant; its numbers are means over the seeds it was trained with. An untrained variant is a row without
+numbers, with the command that trains it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -13,7 +13,7 @@ from typing import Any
 
 from eval.clip_fid.score import CLIP_FID
 from eval.report.results import Block, Cell, Result, Row, measure
-from eval.sets.found import Found
+from eval.sets.partial import PartialResult
 from eval.tables.models import Trained
 from eval.tables.nerm.clip_fid_column import P1, P2
 from eval.tables.nerm.run_figures import HELD_OUT, MPJPE, MRE, SYNTHESIS, TRAINING, Yardstick, error_of, label
@@ -51,9 +51,9 @@ class _Trained:
 
 
 def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
-    """Every figure that the runs of one ablation can give.
+    """Build the table of an ablation from its runs.
 
-    Raises `UsageError` without a run's name, or where none of the table's runs is trained, and what loading the store
+    Raises `UsageError` without a run's name, or if none of the table's runs is trained, and what loading the store
     raises.
     """
     prefix = request.evaluated.run
@@ -100,12 +100,12 @@ def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
 
 
 def _encoder() -> EncoderLoader:
-    """What reconstructs in the runs of these tables."""
+    """The loader of the encoders in these runs."""
     return encoder_loader(NERM.paper)
 
 
 def _model() -> ModelLoader:
-    """What generates in the runs of these tables."""
+    """The loader of the generative models in these runs."""
     return model_loader(NERM.paper)
 
 
@@ -115,7 +115,9 @@ def _runs(prefix: Path, entry: Entry) -> tuple[Path, ...]:
     return tuple(run for run in named if _encoder().complete_in(run))
 
 
-def _reconstruction_blocks(ablation: Ablation, rows: Sequence[_Trained], yardstick: Yardstick) -> Found[list[Block]]:
+def _reconstruction_blocks(
+    ablation: Ablation, rows: Sequence[_Trained], yardstick: Yardstick
+) -> PartialResult[list[Block]]:
     encoder = _encoder()
     measured = _measure(rows, encoder, yardstick.reconstruction, yardstick.request.on_progress)
     blocks = []
@@ -133,10 +135,10 @@ def _reconstruction_blocks(ablation: Ablation, rows: Sequence[_Trained], yardsti
                 metrics=(MEASURES[error],),
             )
         )
-    return Found(blocks, measured.missing)
+    return PartialResult(blocks, measured.missing)
 
 
-def _synthesis_block(ablation: Ablation, rows: Sequence[_Trained], yardstick: Yardstick) -> Found[Block]:
+def _synthesis_block(ablation: Ablation, rows: Sequence[_Trained], yardstick: Yardstick) -> PartialResult[Block]:
     model = _model()
     measured = _measure(rows, model, yardstick.synthesis, yardstick.request.on_progress)
     missing = measured.missing
@@ -160,7 +162,7 @@ def _synthesis_block(ablation: Ablation, rows: Sequence[_Trained], yardstick: Ya
         ),
         metrics=(measure(CLIP_FID),),
     )
-    return Found(block, missing)
+    return PartialResult(block, missing)
 
 
 def _measure(
@@ -168,8 +170,8 @@ def _measure(
     loader: Loader[Any],
     figure: Callable[[Trained[Any]], Part],
     on_progress: OnProgress,
-) -> Found[dict[str, list[Part]]]:
-    """A figure of what a loader finds in every run, each run once, by the row's label."""
+) -> PartialResult[dict[str, list[Part]]]:
+    """A measurement of the loader's object in every run, each run once, by the row's label."""
     parts: dict[Path, Part] = {}
     missing: list[str] = []
     stage = loader.stages[-1]
@@ -185,7 +187,7 @@ def _measure(
                 missing.extend(parts[run].missing)
             work.advance()
     by_row = {row.entry.label: [parts[run] for run in row.runs if run in parts] for row in rows}
-    return Found(by_row, tuple(missing))
+    return PartialResult(by_row, tuple(missing))
 
 
 def _mean(of_seeds: Sequence[Mapping[str, Cell]]) -> dict[str, Cell]:
@@ -234,14 +236,14 @@ def _definition(rows: Sequence[_Trained], request: TableRequest) -> dict[str, An
 
 
 def _facts(run: Path) -> dict[str, Any]:
-    """What a run's stages say of themselves: steps, losses, seconds."""
+    """A run's training summary: steps, losses, seconds of its stages."""
     folder = RunFolder(run)
     stages = [name for name in _model().stages if folder.stage(name).is_complete]
     return {name: folder.stage(name).read_summary() for name in stages}
 
 
 def _differences(rows: Sequence[_Trained]) -> tuple[str, ...]:
-    """A warning where runs differ in more than what the table varies: trained longer, or on other sequences."""
+    """A warning if runs differ in more than what the table varies, such as training time or sequences."""
     varied = frozenset[str]().union(*(row.entry.variant.varied for row in rows))
     values: dict[str, dict[str, list[str]]] = {}
     for run in dict.fromkeys(run for row in rows for run in row.runs):

@@ -1,4 +1,4 @@
-"""One framerate of clip-FID: the real set, what is made of it, what models and other systems have for it; its cells."""
+"""One framerate of clip-FID: the real set, its baselines, models' and other systems' sets; and its cells."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -12,8 +12,8 @@ from eval.report.differences import pairs_of
 from eval.report.results import Cell
 from eval.sample_folder import SampleFolder
 from eval.sample_folder.takes import takes_of_samples
-from eval.sets.found import Found
 from eval.sets.generated import Window, is_framed, sample_fields
+from eval.sets.partial import PartialResult
 from eval.sets.planted import PLANTED, is_planted, planted_set
 from eval.sets.real import NoRealMotionError, RealMotion
 from eval.sets.sets import SampleSet
@@ -51,10 +51,10 @@ ModelFields = Mapping[str, Mapping[Window, MotionField]]
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """Everything that one framerate's numbers are made of; `train` is None where there is no training motion.
+    """All sets of one framerate; `train` is None without training motion.
 
-    `models` are the rows that models generated at this framerate, `samples` those of other systems. Of the rows in
-    `subset_sizes` random subsets of so many sequences are scored.
+    `models` are the rows that models generated at this framerate, `samples` those of other systems. Rows in
+    `subset_sizes` are scored by random subsets of that many sequences.
     """
 
     fps: Fraction
@@ -66,14 +66,14 @@ class Column:
     subset_sizes: Mapping[str, int] = field(default_factory=dict)
 
     def comparison(self, source: FeatureSource, protocol: Protocol) -> Comparison:
-        """What its rows are scored by; raises `MotionkitError` where that cannot be had."""
+        """The comparison that scores its rows; raises `MotionkitError` if it is not available."""
         if self.train is None:
             raise NoRealMotionError("the training split has no motion at this framerate")
         return source.comparison(self.real, self.train, protocol)
 
     @property
     def others(self) -> dict[str, SampleSet]:
-        """The rows that are not made of the real set."""
+        """The rows that are not baselines of the real set."""
         return {name: samples for name, samples in self.rows.items() if name not in REFERENCES}
 
     @property
@@ -83,12 +83,12 @@ class Column:
 
     @property
     def size(self) -> "ColumnSize":
-        """What remains to be said of it when its motions are gone."""
+        """Its summary, without the motions."""
         generated = {name: self.rows[name].num_sequences for name in self.models}
         return ColumnSize(self.fps, self.real.num_sequences, self.real.duration_seconds, generated)
 
     def low_passed(self, cutoff_hz: float | None) -> "Column":
-        """The same column with every set smoothed alike; itself where no cut-off is given."""
+        """The same column with every set low-passed; unchanged without a cut-off."""
         if cutoff_hz is None:
             return self
         sets = {id(each): each for each in (self.real, *self.rows.values(), *filter(None, [self.train]))}
@@ -131,10 +131,10 @@ def real_column(fps: Fraction, real: RealMotion, train: RealMotion) -> Column:
 
 def make_column(
     fps: Fraction, real: RealMotion, train: RealMotion, fields: ModelFields, samples: Mapping[str, SampleSet]
-) -> Found[Column]:
-    """Everything for one framerate, as far as models have motion for it.
+) -> PartialResult[Column]:
+    """All sets of one framerate, as far as models have motion for it.
 
-    Raises `NoRealMotionError` where too few sequences are as fast.
+    Raises `NoRealMotionError` if too few sequences are as fast.
     """
     column = real_column(fps, real, train)
     reference, rows = column.real, dict(column.rows)
@@ -165,7 +165,7 @@ def make_column(
         rows[TRAINING] = column.train
         sizes[TRAINING] = min([*(others or [reference.num_takes]), column.train.num_sequences])
     made = replace(column, rows=rows, models=tuple(models), samples=tuple(samples), subset_sizes=sizes)
-    return Found(made, tuple(missing))
+    return PartialResult(made, tuple(missing))
 
 
 @dataclass(frozen=True)
@@ -183,8 +183,8 @@ def score_column(
     subset_sizes: Mapping[str, int] | None = None,
     *,
     halves: bool = True,
-) -> Found[ColumnScores]:
-    """A cell for each row that holds the largest clips, and with `halves` one for disjoint halves of the takes (P2)."""
+) -> PartialResult[ColumnScores]:
+    """A cell for each row that fits the largest clips, and with `halves` one for disjoint halves of the takes (P2)."""
     label = framerate_label(comparison.real.fps)
     missing: list[str] = []
     fitting = {}
@@ -205,14 +205,14 @@ def score_column(
     own = [name for name in scores if name not in REFERENCES]
     pairs = {pair: scores[pair[0]].less(scores[pair[1]]) for pair in pairs_of(own, {SLERP} & scores.keys())}
     differences = {pair: difference for pair, difference in pairs.items() if difference is not None}
-    return Found(ColumnScores(cells, differences), tuple(missing))
+    return PartialResult(ColumnScores(cells, differences), tuple(missing))
 
 
 def clip_fid_cell(score: ClipFid, samples: SampleSet, subset: int | None = None) -> Cell:
-    """A score as a table shows it; its parts, further metrics and what it was computed on are details.
+    """A score as a cell; its parts, further metrics and the size of its sets are details.
 
-    It has no interval where takes cannot be resampled: one take says nothing of others. `subset` is how many sequences
-    of the samples were scored at once, where not all were.
+    It has no interval if takes cannot be resampled (a single take). `subset` is the number of sequences scored at once,
+    if not all.
     """
     parts = {f"FID of the {name} block alone": value.mean for name, value in score.parts.items()}
     further = {DETAIL_NAMES[name]: value.mean for name, value in score.details.items()}
@@ -223,12 +223,10 @@ def clip_fid_cell(score: ClipFid, samples: SampleSet, subset: int | None = None)
 
 def samples_at(
     folders: Sequence[SampleFolder], real: RealMotion, fps: Fraction, on_progress: OnProgress
-) -> Found[dict[str, SampleSet]]:
-    """Every folder's motions at a framerate, by name: those for the real takes that are as fast, where it says which.
+) -> PartialResult[dict[str, SampleSet]]:
+    """Every folder's motions at a framerate, by name, as they are and planted; only for takes as fast, if known.
 
-    As they are, and planted.
-
-    Raises `NoRealMotionError` where too few real sequences are as fast.
+    Raises `NoRealMotionError` if too few real sequences are as fast.
     """
     made: dict[str, SampleSet] = {}
     missing = []
@@ -241,7 +239,7 @@ def samples_at(
             missing.append(f"{folder.name}, {framerate_label(fps)}: {NOT_SO_FAST}")
         else:
             made |= {folder.name: found, PLANTED.format(folder.name): planted_set(found)}
-    return Found(made, tuple(missing))
+    return PartialResult(made, tuple(missing))
 
 
 def _same_sequences(low: SampleSet, reference: SampleSet) -> SampleSet:

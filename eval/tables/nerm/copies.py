@@ -1,4 +1,4 @@
-"""The block of a table that tells whether motions are copies of training motion."""
+"""A table's block on copies of training motion."""
 
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -71,13 +71,13 @@ def copies_block(
 
 def _row(name: str, origin: Origin, samples: SampleSet, training: TrainingMotion, limits: Limits, note: str) -> Row:
     found = nearest_training(samples, training)
-    told = verdicts(found, samples.num_sequences, limits)
-    number = int(told.told.sum())
+    result = verdicts(found, samples.num_sequences, limits)
+    number = int(result.decidable.sum())
     still = f"{samples.num_sequences - number} motions too still or short to tell"
     remarks = "; ".join(filter(None, (f"{number} motions", still if number < samples.num_sequences else "", note)))
     if not number:
         return Row(name, origin, {}, remarks)
-    cells = {ACCUSED: Cell(100.0 * float(told.accused[told.told].mean()))}
+    cells = {ACCUSED: Cell(100.0 * float(result.accused[result.decidable].mean()))}
     for nearest in found:
         chosen = moving(nearest)
         if not chosen.any():

@@ -5,7 +5,7 @@ from itertools import chain
 
 from eval.clip_fid.score import CLIP_FID
 from eval.report.results import Block, Result, Row, measure
-from eval.sets.found import each_found
+from eval.sets.partial import collect
 from eval.sets.planted import PLANTED, PLANTED_NOTE
 from eval.tables.models import TrainedModel, require_models, training_note
 from eval.tables.nerm.clip_fid_column import P1, P2
@@ -35,7 +35,7 @@ def build_figure5(request: TableRequest) -> Result:
     models = require_models(request.evaluated.run)
     yardstick = Yardstick(store, request, request.fps or COLUMNS)
     floors = yardstick.floors()
-    made = each_found(
+    made = collect(
         tracked(request.on_progress, "systems", models.value, len(models.value)),
         lambda name: yardstick.unconditional(models.value[name]),
     )

@@ -1,4 +1,4 @@
-"""NeRM's Figure 8: what generating one motion costs, against how good it is."""
+"""NeRM's Figure 8: the cost of generating one motion against its quality."""
 
 import time
 from collections.abc import Mapping
@@ -10,7 +10,7 @@ from jaxtyping import Float32
 
 from eval.clip_fid.score import CLIP_FID
 from eval.report.results import Block, Cell, Result, Row, measure
-from eval.sets.found import Found, each_found
+from eval.sets.partial import PartialResult, collect
 from eval.sets.planted import PLANTED
 from eval.tables.models import TrainedModel, require_models, training_note
 from eval.tables.nerm.clip_fid_column import P1, P2
@@ -47,7 +47,7 @@ def build_figure8(request: TableRequest) -> Result:
     quality = f"clip-FID, {label(fps)}"
     references = [Row(name, "reference", _renamed(floors.rows[name], label(fps), quality)) for name in (P1, P2)]
     seconds = min(SECONDS, *(trained.loaded.max_duration_seconds for trained in models.value.values()))
-    made = each_found(
+    made = collect(
         tracked(request.on_progress, "systems", models.value, len(models.value)),
         lambda name: _rows_of(name, models.value[name], yardstick, seconds),
     )
@@ -81,7 +81,7 @@ def build_figure8(request: TableRequest) -> Result:
     )
 
 
-def _rows_of(name: str, trained: TrainedModel, yardstick: Yardstick, seconds: float) -> Found[list[Row]]:
+def _rows_of(name: str, trained: TrainedModel, yardstick: Yardstick, seconds: float) -> PartialResult[list[Row]]:
     """A model's row for each way of sampling it."""
     (fps,) = yardstick.rates
     rows: list[Row] = []
@@ -93,7 +93,7 @@ def _rows_of(name: str, trained: TrainedModel, yardstick: Yardstick, seconds: fl
         for form in ("{}", PLANTED):
             cells |= _renamed(part.rows[form.format(SYNTHESIS)], label(fps), form.format(f"clip-FID, {label(fps)}"))
         rows.append(Row(f"{name}{told}", "ours", cells, training_note(trained)))
-    return Found(rows, tuple(missing))
+    return PartialResult(rows, tuple(missing))
 
 
 def generation_cost(
@@ -101,8 +101,8 @@ def generation_cost(
 ) -> dict[str, Cell]:
     """CPU and wall seconds of one unconditional motion, generated and decoded whole: the quickest of some calls each.
 
-    CPU seconds at other framerates are details. Every call generates anew: a motion that was decoded at one framerate
-    may keep what it needs at the next.
+    CPU seconds at other framerates are details. Every call generates a new motion, since a decoded one may cache what
+    other framerates need.
     """
 
     def spent(rate: Fraction) -> tuple[float, float]:
@@ -112,7 +112,7 @@ def generation_cost(
         return time.process_time() - cpu, time.perf_counter() - wall
 
     def quickest(rate: Fraction) -> tuple[float, float]:
-        spent(rate)  # what is kept from call to call (coordinates) is not a motion's cost
+        spent(rate)  # warm-up: fills caches such as coordinates
         cpu, wall = zip(*(spent(rate) for _ in range(REPEATS)), strict=True)
         return min(cpu), min(wall)
 
@@ -126,23 +126,23 @@ def _renamed(cells: Mapping[str, Cell], column: str, name: str) -> dict[str, Cel
 
 
 def _samplings(model: GenerativeModel, fps: Fraction, seconds: float) -> dict[str, SamplingOptions]:
-    """The ways of sampling that a model has, by what its row says: its own, and so many steps where that is another."""
+    """A model's sampling options by the suffix of its row: its default, and other numbers of steps."""
 
     def positions(sampling: SamplingOptions) -> Float32[np.ndarray, "frames joints 3"]:
         (field,) = model.generate([GenerationRequest(seconds)], seed=0, sampling=sampling)
         return to_motion(field, fps).joint_positions
 
-    own, told, others = positions(SamplingOptions()), "", {}
+    own, suffix, others = positions(SamplingOptions()), "", {}
     for steps in STEPS:
         sampling, name = SamplingOptions(steps=steps), f", {steps} diffusion steps"
         try:
             if np.array_equal(positions(sampling), own):
-                told = f"{name} (its own)"
+                suffix = f"{name} (its own)"
             else:
                 others[name] = sampling
         except UsageError:
             continue
-    return {told: SamplingOptions(), **others}
+    return {suffix: SamplingOptions(), **others}
 
 
 TABLE = Table(

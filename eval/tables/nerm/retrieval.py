@@ -1,4 +1,4 @@
-"""Table 1: what a protocol with rules of retrieval adds to it, a block a rule."""
+"""Table 1: a block for each retrieval rule of a protocol."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,14 +22,14 @@ CHANCE = "chance"
 
 @dataclass(frozen=True, eq=False)
 class RetrievalSets:
-    """The real pairs that take part, and their captions' sentence embeddings."""
+    """The real pairs used, and their captions' sentence embeddings."""
 
     pairs: TextMotionPairs
     sentences: Float32[np.ndarray, "pairs numbers"]
 
 
 def sentence_embeddings(captions: Sequence[Caption]) -> Float32[np.ndarray, "captions numbers"]:
-    """One embedding per caption, of an encoder that belongs to no evaluator. Raises `MissingExtraError` without it."""
+    """One embedding per caption, by an encoder independent of the evaluators. Raises `MissingExtraError` without it."""
     return load_text_encoder(SENTENCES).encode([caption.text for caption in captions])
 
 

@@ -1,4 +1,4 @@
-"""What one trained model scores: how it reconstructs and what it generates, by framerate."""
+"""Scores of one trained model: its reconstruction and its generation, by framerate."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
@@ -17,8 +17,8 @@ from eval.metrics.actions import diversity
 from eval.metrics.checks import estimate
 from eval.reconstruction.errors import mpjpe_cell, mre_cell, window_errors
 from eval.report.results import Cell
-from eval.sets.found import Found, each_found
 from eval.sets.generated import Window, generate_fields, sample_fields, windows_of
+from eval.sets.partial import PartialResult, collect
 from eval.sets.planted import PLANTED, planted_fields
 from eval.sets.real import NoRealMotionError, RealMotion, real_motion, training_motion
 from eval.sets.sets import SampleSet
@@ -56,9 +56,9 @@ def _and_planted(fields: _Fields) -> dict[str, _Fields]:
 
 @dataclass(frozen=True, eq=False)
 class Yardstick:
-    """What all runs of a table are held against: a store's real motion at some framerates, a descriptor for each.
+    """The common reference of a table's runs: a store's real motion at some framerates, a descriptor for each.
 
-    Nothing is loaded before it is needed; what was computed once, for the same request, is read from RESULTS/parts.
+    Loading is lazy; results for the same request are cached in RESULTS/parts.
     """
 
     store: "Store"
@@ -77,18 +77,18 @@ class Yardstick:
     def synthesis(
         self, trained: TrainedModel, sampling: SamplingOptions = SamplingOptions(), *, planted: bool = False
     ) -> Part:
-        """clip-FID of what a model generates for the captions and durations of the real sequences.
+        """clip-FID of a model's motions for the captions and durations of the real sequences.
 
-        And, where asked for, of the same motions planted. Raises `RunError` where a stage of it is not trained.
+        With `planted` also of the same motions planted. Raises `RunError` if a stage of it is not trained.
         """
         name = "synthesis-and-planted" if planted else "synthesis"
         terms = {**self._generated_terms(trained), "sampling": asdict(sampling)}
         return kept(self.request.results, name, terms, lambda: self._synthesis(trained, sampling, planted))
 
     def unconditional(self, trained: TrainedModel) -> Part:
-        """clip-FID and diversity of what a model generates without any condition but the real sequences' durations.
+        """clip-FID and diversity of a model's unconditional motions with the real sequences' durations.
 
-        As it is, and planted. Raises `RunError` where a stage of it is not trained.
+        As generated, and planted. Raises `RunError` if a stage of it is not trained.
         """
         terms = self._generated_terms(trained)
         if needs_a_condition(trained.loaded):
@@ -96,9 +96,9 @@ class Yardstick:
         return kept(self.request.results, "unconditional", terms, lambda: self._unconditional(trained))
 
     def reconstruction(self, trained: Trained[MotionEncoder]) -> Part:
-        """Errors of an encoder's training windows, as they were trained, and of held-out windows.
+        """Errors of an encoder's training windows, from their trained latents, and of held-out windows.
 
-        Raises `RunError` where a stage of it is not trained.
+        Raises `RunError` if a stage of it is not trained.
         """
         terms = {
             "version": RECONSTRUCTION_VERSION,
@@ -132,10 +132,10 @@ class Yardstick:
         }
 
     @cached_property
-    def _columns(self) -> Found[dict[Fraction, Comparison]]:
-        """What each framerate's motions are compared with, on the kinematic descriptor.
+    def _columns(self) -> PartialResult[dict[Fraction, Comparison]]:
+        """The comparison on the kinematic descriptor at each framerate.
 
-        Raises `NoRealMotionError` where there is no motion to compare with at any.
+        Raises `NoRealMotionError` if there is no motion to compare with at any.
         """
         train, source = training_motion(self.store, self.real), kinematic_source()
 
@@ -143,7 +143,7 @@ class Yardstick:
             column = real_column(fps, self.real, train).low_passed(self.request.clip_fid.low_pass_hz)
             return column.comparison(source, self.request.clip_fid.protocol)
 
-        found = each_found(self.rates, comparison, lambda fps: f"clip-FID, {label(fps)}")
+        found = collect(self.rates, comparison, lambda fps: f"clip-FID, {label(fps)}")
         if not found.value:
             raise NoRealMotionError("; ".join(found.missing))
         return found
@@ -159,7 +159,7 @@ class Yardstick:
         return Part(rows, tuple(missing))
 
     def _windows(self, model: GenerativeModel) -> list[Window]:
-        """What a model is asked for: the real sequences' durations and conditions."""
+        """Requests with the real sequences' durations and conditions."""
         return windows_of(self.real.at(min(self._columns.value)), model.max_duration_seconds)
 
     def _synthesis(self, trained: TrainedModel, sampling: SamplingOptions, planted: bool) -> Part:
@@ -218,16 +218,16 @@ class Yardstick:
 
     def _scored(
         self, name: str, fields: Mapping[Window, MotionField], fps: Fraction
-    ) -> Found[tuple[Cell, SampleSet] | None]:
+    ) -> PartialResult[tuple[Cell, SampleSet] | None]:
         """clip-FID of a row's motions at a framerate, and these, smoothed like the real ones; None without any."""
         comparison, cutoff = self._columns.value[fps], self.request.clip_fid.low_pass_hz
         samples = sample_fields(fields, comparison.real.sequence_ids, fps, name)
         if samples is None:
-            return Found(None, (f"{name}, {label(fps)}: {NOT_SO_FAST}",))
+            return PartialResult(None, (f"{name}, {label(fps)}: {NOT_SO_FAST}",))
         samples = samples if cutoff is None else low_passed(samples, cutoff)
         scored = score_column(comparison, {name: samples}, halves=False)
         cell = scored.value.cells.get(name)
-        return Found(None if cell is None else (cell, samples), scored.missing)
+        return PartialResult(None if cell is None else (cell, samples), scored.missing)
 
     def _reconstruction(self, trained: Trained[MotionEncoder]) -> Part:
         sets = described_windows(reconstructor(trained, self.store), self.store, self.request)
@@ -265,7 +265,7 @@ def _diversity(samples: SampleSet, comparison: Comparison) -> Cell:
 
 
 def error_of(windows: str, error: str) -> str:
-    """The row of a reconstruction's part with one error of one set of windows."""
+    """The row name, in a cached part, of one error of one set of windows."""
     return f"{windows}: {error}"
 
 

@@ -1,4 +1,4 @@
-"""Another system's samples as embeddings: repeated answers to one prompt become draws and MultiModality."""
+"""Embeddings of another system's samples: repetitions of a prompt become draws and MultiModality."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -26,9 +26,9 @@ AS_KIT_JOINTS = "of KIT-ML's joints as they came"
 
 @dataclass(frozen=True, eq=False)
 class SampleEmbeddings:
-    """`draws` are the k-th answers to every prompt, `real_rows` the real motions of these where a protocol pairs.
+    """`draws` are the k-th motions of every prompt, `real_rows` their real motions if the protocol pairs them.
 
-    `remarks` says how motions reached an evaluator that reads pose vectors, and which have no real motion.
+    `remarks` states how motions were converted for an evaluator of pose vectors, and which have no real motion.
     """
 
     draws: tuple[TextMotionPairs, ...]
@@ -40,11 +40,11 @@ class SampleEmbeddings:
 def sample_embeddings(
     folder: SampleFolder, real: CaptionedMotions, protocol: TextMotionProtocol, embedder: Embedder
 ) -> SampleEmbeddings:
-    """Embed a folder's motions and captions; motions longer than the real ones may be are cropped like these.
+    """Embed a folder's motions and captions; motions longer than allowed are cropped like the real ones.
 
-    A caption that the real set has too keeps its tokens. Where the protocol pairs motions with real ones, prompts whose
-    real motion does not take part are left out. Raises `SampleFolderError` where a caption is missing, and `UsageError`
-    where no sample says by its name or its caption which real motion it belongs to.
+    A caption that the real set has too keeps its tokens. If the protocol pairs motions with real ones, prompts
+    without a real motion are dropped. Raises `SampleFolderError` for a missing caption, and `UsageError` if no sample
+    matches a real motion by name or caption.
     """
     folder.require_captions()
     fps = real.samples.fps
@@ -82,7 +82,7 @@ def sample_embeddings(
 def _embedded(
     folder: SampleFolder, samples: SampleSet, real: SampleSet, most_frames: int, embedder: Embedder
 ) -> tuple[Float64[np.ndarray, "motions features"], str]:
-    """Embeddings of a folder's motions: of its pose vectors, where it has what the evaluator reads, else of joints."""
+    """Embeddings of a folder's motions: from its pose vectors if the evaluator reads them, else from joints."""
     evaluator = embedder.evaluator
     if not isinstance(evaluator, PoseVectorEvaluator):
         return embedder.motions(samples), ""
@@ -93,7 +93,7 @@ def _embedded(
     # T poses make T − 1 vectors, so the longest motion has one vector fewer than poses.
     lengths = np.minimum(folder.sequences.num_frames, most_frames - 1).tolist()
     vectors = [
-        # Of a crop, what follows is the motion itself; the padding that was stored follows whole motions alone.
+        # A crop is followed by the motion itself; only whole motions are followed by the stored padding.
         motion if length == frames else middle(motion[:frames], length)
         for motion, length, frames in zip(folder.vectors, lengths, folder.sequences.num_frames.tolist(), strict=True)
     ]
@@ -102,7 +102,7 @@ def _embedded(
 
 
 def _in_layout_of(real: SampleSet, folder: SampleFolder, samples: SampleSet, most_frames: int) -> tuple[SampleSet, str]:
-    """A folder's motions in the joints of the real ones, and where they are KIT-ML's, how they became these."""
+    """A folder's motions in the joints of the real ones, and, for KIT-ML's, a remark on the conversion."""
     lengths = kit_bone_lengths(real)
     if lengths is None:
         return samples, ""
@@ -113,7 +113,7 @@ def _in_layout_of(real: SampleSet, folder: SampleFolder, samples: SampleSet, mos
 
 
 def _why_not_vectors(folder: SampleFolder, evaluator: PoseVectorEvaluator) -> str:
-    """Why a folder's motions reach an evaluator of pose vectors by way of joints; empty where they need not."""
+    """Why a folder's pose vectors cannot be embedded directly; empty if they can."""
     if not folder.vectors:
         return "not all came as vectors of one size"
     if folder.vectors[0].shape[1] != evaluator.vector_size:
@@ -124,7 +124,7 @@ def _why_not_vectors(folder: SampleFolder, evaluator: PoseVectorEvaluator) -> st
 def _repeated(
     motions: Float64[np.ndarray, "motions features"], groups: Sequence[npt.NDArray[np.int64]]
 ) -> Float64[np.ndarray, "texts generations features"] | None:
-    """Motions of the prompts that were answered most often; None where none was answered twice."""
+    """Motions of the prompts with most repetitions; None without repetitions."""
     most = max(len(rows) for rows in groups)
     if most < 2:
         return None
@@ -132,7 +132,7 @@ def _repeated(
 
 
 def _real_rows(samples: SampleSet, real: CaptionedMotions) -> list[int | None]:
-    """Which real motion each sample belongs to, each once, or None: by names where most fit, else by captions."""
+    """The real motion of each sample, each used once, or None: by names if most match, else by captions."""
     named = rows_by_name(samples.sequence_ids, real.samples.sequence_ids)
     fitting = [row for row in named if row is not None]
     if 2 * len(fitting) > len(named) and len(set(fitting)) == len(fitting):

@@ -14,8 +14,8 @@ from eval.metrics.checks import Estimate
 from eval.metrics.replications import Scores
 from eval.report.results import Block, Result
 from eval.sample_folder import SampleFolder
-from eval.sets.found import Found, each_found
 from eval.sets.memorisation import size_remarks
+from eval.sets.partial import PartialResult, collect
 from eval.sets.planted import PLANTED_NOTE, is_planted
 from eval.sets.real import NoRealMotionError
 from eval.tables.models import Trained, TrainedModel, check_names, trained_models, training_note
@@ -40,16 +40,16 @@ VERSION = "text-motion/1"
 DEFAULT_FPS = Fraction(20)
 REAL = "real"
 FIXED_SUFFIX = "-fixed"
-"""What stands behind the name of a run whose models were trained at a single framerate."""
+"""Suffix of a run whose models were trained at a single framerate."""
 FIXED_ROW = ", fixed framerate"
-"""What stands behind those models' names in rows."""
+"""Suffix of those models' rows."""
 SMALL = 1000
-"""Fewer motions than this make a table a small-scale one, and its caption says so."""
+"""With fewer motions the caption calls the table small-scale."""
 
 
 @dataclass(frozen=True)
 class _Sight:
-    """How an evaluator sees motions: at which framerate, and which joints."""
+    """An evaluator's input: framerate and joint layout."""
 
     fps: Fraction
     layout: str
@@ -65,10 +65,10 @@ class _Sight:
 
 @dataclass(frozen=True, eq=False)
 class _Job:
-    """What every evaluator's numbers are made from.
+    """The common inputs of all evaluators.
 
-    `sentences` are embeddings of the real motions' captions where the protocol retrieves; `pair_score` is the score of
-    pairs that the evaluator's authors print.
+    `sentences` are embeddings of the real motions' captions for protocols with retrieval; `pair_score` is the score of
+    pairs that the evaluator's authors report.
     """
 
     request: TableRequest
@@ -80,10 +80,10 @@ class _Job:
 
 
 def build_table1(request: TableRequest) -> Result:
-    """Compute every row that can be computed, and name what cannot.
+    """Compute every row that can be computed, and list what cannot.
 
-    Raises `UsageError` for a protocol, evaluator or framerate that there is not, `StoreError` for a store that cannot
-    be used, and `NoRealMotionError` where it has no captioned motion.
+    Raises `UsageError` for an unknown protocol, evaluator or framerate, `StoreError` for an unusable store, and
+    `NoRealMotionError` if it has no captioned motion.
     """
     protocol = find_text_motion_protocol(request.published.name)
     store, folders = request.open_store(), request.sample_folders
@@ -127,8 +127,8 @@ def build_table1(request: TableRequest) -> Result:
 TABLE = Table("nerm", "1", "text-to-motion at 20 fps", build_table1, shown=installed_models, reads=("evaluator",))
 
 
-def _models(request: TableRequest) -> Found[dict[str, TrainedModel]]:
-    """The run's models and, where they are trained, those of a single framerate: of the run with `-fixed` behind it."""
+def _models(request: TableRequest) -> PartialResult[dict[str, TrainedModel]]:
+    """The run's models and, if trained, those of a single framerate from the run with the suffix `-fixed`."""
     of_run = trained_models(request.evaluated.run)
     if request.evaluated.run is None:
         return of_run
@@ -149,7 +149,7 @@ def _models(request: TableRequest) -> Found[dict[str, TrainedModel]]:
             found[model.loaded.name + FIXED_ROW] = model
         except MotionkitError as error:
             missing.append(f"{title}: {error}")
-    return Found(found, tuple(missing))
+    return PartialResult(found, tuple(missing))
 
 
 def _refusal(model: TrainedModel) -> str:
@@ -163,14 +163,12 @@ def _sight(request: TableRequest, evaluator: TextMotionEvaluator) -> _Sight:
         raise UsageError("table 1 compares whole motions at one framerate: give one --fps, such as 20 or 12.5")
     if evaluator.fps not in (None, asked[0]):
         only = float(evaluator.fps or 0)
-        raise UsageError(
-            f"--fps {float(asked[0]):g}: the evaluator {evaluator.name!r} means nothing but at {only:g} fps"
-        )
+        raise UsageError(f"--fps {float(asked[0]):g}: the evaluator {evaluator.name!r} is only valid at {only:g} fps")
     return _Sight(asked[0], evaluator.layout)
 
 
 def _check_pool(real: CaptionedMotions, protocol: TextMotionProtocol, request: TableRequest) -> None:
-    """Raise where not one pool can be filled."""
+    """Raise if not a single pool can be filled."""
     if real.samples.num_sequences < protocol.pool:
         raise NoRealMotionError(
             f"{real.samples.name}: {real.samples.num_sequences} captioned motions take part, but a text chooses among "
@@ -178,13 +176,13 @@ def _check_pool(real: CaptionedMotions, protocol: TextMotionProtocol, request: T
         )
     if request.evaluated.max_motions < protocol.pool:
         raise UsageError(
-            f"--motions {request.evaluated.max_motions}: a text chooses among {protocol.pool}; give that many at least"
+            f"--motions {request.evaluated.max_motions}: a text chooses among {protocol.pool}; give at least that many"
         )
 
 
 def _all_blocks(
     job: _Job, evaluators: list[TextMotionEvaluator], real: Mapping[_Sight, CaptionedMotions]
-) -> Found[list[Block]]:
+) -> PartialResult[list[Block]]:
     """Every evaluator's blocks, as far as it can read the real motions and captions.
 
     Raises its `MotionkitError` where none can.
@@ -203,10 +201,10 @@ def _all_blocks(
             missing += found.missing
     if not blocks:
         raise UsageError("; ".join(missing))
-    return Found(blocks, tuple(missing))
+    return PartialResult(blocks, tuple(missing))
 
 
-def _blocks(job: _Job, evaluator: TextMotionEvaluator, real: CaptionedMotions) -> Found[tuple[Block, ...]]:
+def _blocks(job: _Job, evaluator: TextMotionEvaluator, real: CaptionedMotions) -> PartialResult[tuple[Block, ...]]:
     """One evaluator's numbers."""
     protocol, request = job.protocol, job.request
     embedder = Embedder(evaluator, request.results / FOLDER)
@@ -219,7 +217,7 @@ def _blocks(job: _Job, evaluator: TextMotionEvaluator, real: CaptionedMotions) -
     if isinstance(evaluator, CosineEvaluator):
         job = replace(job, pair_score=evaluator.pair_score)
     folders = {folder.name: folder for folder in job.folders}
-    made = each_found(
+    made = collect(
         (*job.models, *folders),
         lambda name: (
             _model_rows(job, name, real, pairs, chosen, embedder)
@@ -232,16 +230,16 @@ def _blocks(job: _Job, evaluator: TextMotionEvaluator, real: CaptionedMotions) -
     rows = [_real_row(job, pairs, chosen), *chain.from_iterable(made.value.values())]
     head = f"{evaluator.name} evaluator, protocol {protocol.name}, {float(real.samples.fps):g} fps"
     provenance = {"evaluator": evaluator.name, "fingerprint": evaluator.fingerprint, "protocol": protocol.name}
-    main, other_way, *told = scored_blocks(rows, pairs, protocol, request.seed, head, provenance)
+    main, other_way, *differences = scored_blocks(rows, pairs, protocol, request.seed, head, provenance)
     remark = evaluator.remark_at(real.samples.fps)
     main = replace(main, note=" ".join(filter(None, (main.note, remark))))
     own = None if job.sentences is None else RetrievalSets(pairs.select(chosen), job.sentences[chosen])
     found = () if own is None else retrieval_blocks(rows, own, protocol, request.seed, head, provenance)
-    return Found((main, other_way, *found, *told), made.missing)
+    return PartialResult((main, other_way, *found, *differences), made.missing)
 
 
 def _chosen(real: CaptionedMotions, protocol: TextMotionProtocol, request: TableRequest) -> npt.NDArray[np.int64]:
-    """The real motions that models answer: all, or a random choice of as many as are asked for."""
+    """The real motions to generate for: all, or a random subset of the requested size."""
     number = real.samples.num_sequences
     most = min(request.evaluated.max_motions, protocol.num_motions or number)
     if number <= most:
@@ -250,7 +248,7 @@ def _chosen(real: CaptionedMotions, protocol: TextMotionProtocol, request: Table
 
 
 def _real_row(job: _Job, pairs: TextMotionPairs, chosen: npt.NDArray[np.int64]) -> ScoredRow:
-    """Real motion under the protocol; without its FID where that would be a set's distance from itself."""
+    """Real motion under the protocol; without FID if that would be a set's distance from itself."""
     own = pairs.select(chosen)
     scores = _score(job, own if job.protocol.reference == "paired" else pairs, [own])
     ranked = _retrieval(job, own, [own], chosen)
@@ -270,7 +268,7 @@ def _model_rows(
     chosen: npt.NDArray[np.int64],
     embedder: Embedder,
 ) -> list[ScoredRow]:
-    """A model's motions as they are, and planted."""
+    """A model's rows, as generated and planted."""
     trained, lengths, request = job.models[name], kit_bone_lengths(real.samples), job.request
     wanted = real.select(chosen)
     with task(request.on_progress, f"{embedder.evaluator.name}: {name}", note="motions generated") as work:
@@ -306,7 +304,7 @@ def _retrieval(
     draws: list[TextMotionPairs],
     rows: npt.NDArray[np.int64] | None,
 ) -> tuple[Mapping[str, Estimate], ...]:
-    """Retrieval of motions that answer the captions of some of the real ones, under each of the protocol's rules."""
+    """Retrieval with motions for the captions of some of the real ones, under each of the protocol's rules."""
     if job.sentences is None:
         return ()
     sentences = job.sentences if rows is None else job.sentences[rows]

@@ -15,9 +15,9 @@ from eval.report.differences import differences_block, of_interest
 from eval.report.results import Block, Cell, Result, Row, measure
 from eval.sample_folder import SampleFolder
 from eval.sample_folder.takes import takes_of_samples
-from eval.sets.found import Found, each_found
 from eval.sets.generated import sample_fields
 from eval.sets.memorisation import set_remarks
+from eval.sets.partial import PartialResult, collect
 from eval.sets.planted import PLANTED, PLANTED_NOTE, is_planted, planted_note
 from eval.sets.real import NoRealMotionError, RealMotion, real_motion, training_motion
 from eval.sets.sets import SampleSet
@@ -147,11 +147,11 @@ def build_table2(request: TableRequest) -> Result:
 TABLE = Table("nerm", "2", "clip-FID by framerate", build_table2, shown=installed_models, reads=("evaluator",))
 
 
-def _usable_rates(rates: tuple[Fraction, ...], real: RealMotion) -> Found[list[Fraction]]:
-    usable = each_found(rates, real.indices_at, "{} fps".format, (NoRealMotionError,))
+def _usable_rates(rates: tuple[Fraction, ...], real: RealMotion) -> PartialResult[list[Fraction]]:
+    usable = collect(rates, real.indices_at, "{} fps".format, (NoRealMotionError,))
     if not usable.value:
         raise NoRealMotionError(usable.missing[-1] if usable.missing else "no framerate was asked for")
-    return Found(list(usable.value), usable.missing)
+    return PartialResult(list(usable.value), usable.missing)
 
 
 def _row_notes(models: Iterable[str], folders: Sequence[SampleFolder], trained: Mapping[str, str]) -> dict[str, str]:
@@ -189,7 +189,7 @@ def _copies(
     fields: ModelFields,
     folders: Sequence[SampleFolder],
     notes: Mapping[str, str],
-) -> Found[tuple[Block, ...]]:
+) -> PartialResult[tuple[Block, ...]]:
     """The block that tells copies; none where there is no training split or it is too short."""
     try:
         if train.name == real.name:
@@ -202,12 +202,12 @@ def _copies(
         }
         others = {name: samples for name, samples in generated.items() if samples is not None}
         others |= {folder.name: folder.at(LOW_FPS) for folder in folders}
-        return Found((copies_block(held_out, training, validation, others, notes),))
+        return PartialResult((copies_block(held_out, training, validation, others, notes),))
     except (NoRealMotionError, ValueError) as error:
-        return Found((), (f"copies of training motion: {error}",))
+        return PartialResult((), (f"copies of training motion: {error}",))
 
 
-def _scored(source: FeatureSource, column: Column, request: TableRequest) -> Found[dict[str, _Scored]]:
+def _scored(source: FeatureSource, column: Column, request: TableRequest) -> PartialResult[dict[str, _Scored]]:
     """A column's rows on one feature set, under the column's label."""
     label = column.label
     try:
@@ -217,7 +217,7 @@ def _scored(source: FeatureSource, column: Column, request: TableRequest) -> Fou
             left = iter(costs)
             found = score_column(comparison, column.rows, lambda: work.advance(next(left)), column.subset_sizes)
     except MotionkitError as error:
-        return Found({}, (f"{label}, {source.name}: {error}",))
+        return PartialResult({}, (f"{label}, {source.name}: {error}",))
     features = comparison.features
     if isinstance(features, kinematic.KinematicDescriptor | kinematic1.KinematicDescriptor):
         folder = request.results / "features"
@@ -225,7 +225,9 @@ def _scored(source: FeatureSource, column: Column, request: TableRequest) -> Fou
         features.save(folder / f"kinematic-{features.fingerprint}.npz")
     warnings = tuple(filter(None, (*_too_few(column, comparison), source.remark_at(column.fps))))
     scores = found.value
-    return Found({label: _Scored(scores.cells, scores.differences, features.fingerprint, warnings)}, found.missing)
+    return PartialResult(
+        {label: _Scored(scores.cells, scores.differences, features.fingerprint, warnings)}, found.missing
+    )
 
 
 def _blocks(
@@ -263,8 +265,8 @@ def _blocks(
         },
         metrics=metrics,
     )
-    told = differences_block(scores, of_interest(scores, differences))
-    return [scores] if told is None or not scores.rows else [scores, told]
+    tests = differences_block(scores, of_interest(scores, differences))
+    return [scores] if tests is None or not scores.rows else [scores, tests]
 
 
 def _counted(cells: Mapping[str, Cell]) -> str:

@@ -17,8 +17,8 @@ from eval.metrics.replications import Score, Scores
 from eval.metrics.resampling import half_width
 from eval.report.differences import DRAWING, differences_block, of_interest, score_differences
 from eval.report.results import Block, Cell, Origin, Result, Row, measure
-from eval.sets.found import Found, each_found
 from eval.sets.memorisation import size_remarks
+from eval.sets.partial import PartialResult, collect
 from eval.sets.planted import PLANTED_NOTE, is_planted
 from eval.sets.real import RealMotion, has_training, real_motion
 from eval.sets.sets import SampleSet
@@ -149,7 +149,7 @@ def _long_enough(samples: SampleSet) -> SampleSet:
 
 def _real(
     source: RecogniserSource, recogniser: ActionRecogniser, store: "Store", request: TableRequest
-) -> Found[_Real]:
+) -> PartialResult[_Real]:
     def known(motion: RealMotion) -> ActionSet:
         found = known_actions(motion.at(source.fps), recogniser.actions)
         return replace(found, samples=with_rotations(store, found.samples)) if source.needs_rotations else found
@@ -157,11 +157,11 @@ def _real(
     compared = known(real_motion(store, request.real.split, request.real.where))
     missing = tuple(f"real ({request.real.split}): {line}" for line in compared.left_out)
     if request.real.split in ("train", "all") or not has_training(store):
-        return Found(_Real(compared, None), missing)
+        return PartialResult(_Real(compared, None), missing)
     try:
-        return Found(_Real(compared, known(real_motion(store, "train"))), missing)
+        return PartialResult(_Real(compared, known(real_motion(store, "train"))), missing)
     except NoActionsError as error:
-        return Found(_Real(compared, None), (*missing, f"FID (train): {error}"))
+        return PartialResult(_Real(compared, None), (*missing, f"FID (train): {error}"))
 
 
 def _real_system(real: _Real, recogniser: ActionRecogniser, request: TableRequest) -> _System:
@@ -178,7 +178,7 @@ def _counted(motions: int, draws: int) -> str:
     return f"{motions:,} motions" + (f", generated {draws} times" if draws > 1 else "")
 
 
-def _models(real: _Real, recogniser: ActionRecogniser, request: TableRequest) -> Found[list[_System]]:
+def _models(real: _Real, recogniser: ActionRecogniser, request: TableRequest) -> PartialResult[list[_System]]:
     """Each model of the run, as it is and planted: one motion for every real one, or for a random choice of
     `max_motions`, --draws times over."""
     models = trained_models(request.evaluated.run)
@@ -204,11 +204,14 @@ def _models(real: _Real, recogniser: ActionRecogniser, request: TableRequest) ->
             for row in draws[0]
         ]
 
-    found = each_found(models.value, systems)
-    return Found(list(chain.from_iterable(found.value.values())), (*models.missing, *known.missing, *found.missing))
+    found = collect(models.value, systems)
+    made = list(chain.from_iterable(found.value.values()))
+    return PartialResult(made, (*models.missing, *known.missing, *found.missing))
 
 
-def _folders(source: RecogniserSource, recogniser: ActionRecogniser, request: TableRequest) -> Found[list[_System]]:
+def _folders(
+    source: RecogniserSource, recogniser: ActionRecogniser, request: TableRequest
+) -> PartialResult[list[_System]]:
     systems, missing = [], []
     for folder in request.sample_folders:
         try:
@@ -221,7 +224,7 @@ def _folders(source: RecogniserSource, recogniser: ActionRecogniser, request: Ta
         missing += [f"{folder.name}: {line}" for line in known.left_out]
         note = f"{_counted(known.samples.num_sequences, 1)}; {folder.describe()}"
         systems.append(_System(folder.name, (recognised,), note))
-    return Found(systems, tuple(missing))
+    return PartialResult(systems, tuple(missing))
 
 
 def _references(real: _Real, recogniser: ActionRecogniser) -> dict[str, np.ndarray]:
@@ -238,7 +241,7 @@ def _block(
     references: dict[str, np.ndarray],
     systems: Sequence[_System],
     request: TableRequest,
-) -> Found[list[Block]]:
+) -> PartialResult[list[Block]]:
     """A protocol's scores, and which rows differ."""
     fids = {"fid_train": "FID (train)", "fid_test": f"FID ({request.real.split})"}
     rows, missing = [], []
@@ -269,8 +272,8 @@ def _block(
         provenance={"protocol": asdict(protocol)},
         metrics=tuple(measure(name, column=column) for name, column in shown.items()),
     )
-    told = differences_block(block, of_interest(block, score_differences(own, shown)))
-    return Found([block] if told is None else [block, told], tuple(missing))
+    tests = differences_block(block, of_interest(block, score_differences(own, shown)))
+    return PartialResult([block] if tests is None else [block, tests], tuple(missing))
 
 
 def _note(system: _System, scores: Scores, protocol: ActionProtocol) -> str:

@@ -11,7 +11,7 @@ from jaxtyping import Int64
 
 from eval.reconstruction.errors import WindowErrors, mpjpe_cell, mre_cell, window_errors
 from eval.report.results import Block, Cell, Result, Row, measure
-from eval.sets.found import Found
+from eval.sets.partial import PartialResult
 from eval.tables.models import reconstructor, trained_reconstructors
 from eval.tables.parts import printed_rows, reported_figures
 from eval.tables.registry import Table, TableRequest
@@ -131,7 +131,7 @@ TABLE = Table(
 
 def described_windows(
     encoder: ReconstructsWindows, store: "Store", request: TableRequest
-) -> Found[dict[str, DescribedWindows]]:
+) -> PartialResult[dict[str, DescribedWindows]]:
     """Samples of the windows that an encoder was trained on, and of another split's where there are any."""
     found = {TRAINING: _described(encoder.training_windows(store), request)}
     try:
@@ -139,8 +139,8 @@ def described_windows(
             raise UsageError(f"split {request.real.split!r} holds training windows; name another (--split test)")
         found[HELD_OUT] = _described(encoder.other_windows(store, request.real.condition), request)
     except UsageError as error:
-        return Found(found, (f"{HELD_OUT}: {error}",))
-    return Found(found)
+        return PartialResult(found, (f"{HELD_OUT}: {error}",))
+    return PartialResult(found)
 
 
 def _described(windows: ModelWindows, request: TableRequest) -> DescribedWindows:

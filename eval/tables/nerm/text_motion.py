@@ -17,7 +17,7 @@ from eval.metrics.replications import Score, Scores, Tally
 from eval.metrics.resampling import half_width
 from eval.report.differences import DRAWING, differences_block, of_interest, score_differences
 from eval.report.results import Block, Cell, Origin, Row, measure
-from eval.sets.found import Found, each_found
+from eval.sets.partial import PartialResult, collect
 from eval.tables.parts import SOURCES, printed_rows, reported_figures
 from eval.tables.registry import TableRequest
 from eval.text_motion.evaluator import TextMotionEvaluator
@@ -30,7 +30,9 @@ from motionkit.core.errors import MotionkitError, UsageError
 DEFAULT = ("native",)
 
 
-def text_motion_evaluators(request: TableRequest, protocol: TextMotionProtocol) -> Found[list[TextMotionEvaluator]]:
+def text_motion_evaluators(
+    request: TableRequest, protocol: TextMotionProtocol
+) -> PartialResult[list[TextMotionEvaluator]]:
     """The evaluators that were asked for, `native` where none was.
 
     Raises `UsageError` for a name that is no evaluator of text and motion, for a known bug that the protocol or the
@@ -47,10 +49,10 @@ def text_motion_evaluators(request: TableRequest, protocol: TextMotionProtocol) 
     for name in wanted:
         if name not in known:
             raise UsageError(f"--evaluator {name}: not an evaluator of text and motion; give {', '.join(known)}")
-    found = each_found(wanted, lambda name: known[name](request), "evaluator {!r}".format)
+    found = collect(wanted, lambda name: known[name](request), "evaluator {!r}".format)
     if not found.value:
         raise UsageError("; ".join(found.missing))
-    return Found(list(found.value.values()), found.missing)
+    return PartialResult(list(found.value.values()), found.missing)
 
 
 def _native(request: TableRequest) -> TextMotionEvaluator:
@@ -94,7 +96,7 @@ def _tmr(request: TableRequest) -> TextMotionEvaluator:
 
 ORACLE, FLOOR = "each motion on its caption's point", "real, disjoint halves"
 NOTES = {
-    ORACLE: "the ceiling of R-Precision: motions that share a caption cannot be told apart",
+    ORACLE: "the ceiling of R-Precision: motions that share a caption are indistinguishable",
     FLOOR: "FID between random halves of the real motions, split anew in every replication: what other motions reach; "
     "± is of a single split",
 }
@@ -173,8 +175,8 @@ def scored_blocks(
     )
     own = {row.name: row.scores.values for row in rows if row.origin == "ours"}
     differences = score_differences(own, {name: title_of(name) for name in every})
-    told = differences_block(main, of_interest(main, differences))
-    return (main, other_way) if told is None else (main, other_way, told)
+    tests = differences_block(main, of_interest(main, differences))
+    return (main, other_way) if tests is None else (main, other_way, tests)
 
 
 def paper_block(fps: Fraction) -> Block:

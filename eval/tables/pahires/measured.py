@@ -14,7 +14,7 @@ from eval.completion.scores import Scores, TakeMeans, measure_scale, split_remar
 from eval.completion.takes import DataSet, NoTakesError, TrueClips, open_clips, shared_reason
 from eval.metrics.metric import MeanSums
 from eval.report.results import Cell
-from eval.sets.found import Found, each_found
+from eval.sets.partial import PartialResult, collect
 from eval.tables.parts import Part, find_part, keep_part
 from eval.tables.registry import TableRequest
 from motionkit.core.progress import task, warn
@@ -81,9 +81,9 @@ def measure_all(
     scales: Sequence[Fraction],
     completers: Sequence[Completer],
     request: TableRequest,
-) -> Found[list[Measured]]:
+) -> PartialResult[list[Measured]]:
     """The figures of every data set that has clips; raises `NoTakesError` where none has."""
-    found = each_found(
+    found = collect(
         data_sets,
         lambda data_set: _measure(store, data_set, scales, completers, request),
         lambda data_set: data_set.label,
@@ -93,7 +93,7 @@ def measure_all(
         raise NoTakesError(shared_reason(found.missing))
     measured = list(found.value.values())
     failed = [line for each in measured for line in each.missing]
-    return Found([each.value for each in measured], (*failed, *found.missing))
+    return PartialResult([each.value for each in measured], (*failed, *found.missing))
 
 
 def _measure(
@@ -102,7 +102,7 @@ def _measure(
     scales: Sequence[Fraction],
     completers: Sequence[Completer],
     request: TableRequest,
-) -> Found[Measured]:
+) -> PartialResult[Measured]:
     """A data set's figures: those that were measured before for the same terms are read from RESULTS/parts.
 
     Raises `NoTakesError` where the compared split has no clip.
@@ -145,7 +145,7 @@ def _measure(
     remarks.append(_clips_remark(data_set, clips))
     remarks.append(f"{data_set.label}: {split_remark(store, clips, request.real.split)}")
     ordered = {completer.name: rows[completer.name] for completer in completers if completer.name in rows}
-    return Found(Measured(data_set, clips, ordered, tuple(remarks)), tuple(missing))
+    return PartialResult(Measured(data_set, clips, ordered, tuple(remarks)), tuple(missing))
 
 
 def _clips_remark(data_set: DataSet, clips: TrueClips) -> str:

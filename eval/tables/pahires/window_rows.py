@@ -12,7 +12,7 @@ from eval.completion.scores import Scores
 from eval.completion.takes import DataSet, NoTakesError, data_sets_of, shared_reason
 from eval.completion.windows import FPS, PoseWindows, data_set_windows, lafan1_windows, num_lafan1_takes
 from eval.report.results import Block
-from eval.sets.found import Found, each_found
+from eval.sets.partial import PartialResult, collect
 from eval.tables.pahires.measured import find_scores, keep_scores
 from eval.tables.registry import TableRequest
 from motionkit.complete.encoders import Task
@@ -79,7 +79,7 @@ def measure_table(table: WindowTable, request: TableRequest) -> WindowBlocks:
     )
 
 
-def _all_windows(store: "Store", request: TableRequest) -> Found[list[PoseWindows]]:
+def _all_windows(store: "Store", request: TableRequest) -> PartialResult[list[PoseWindows]]:
     """The windows of every data set at 30 fps that has any."""
 
     def windows(data_set: DataSet) -> PoseWindows:
@@ -90,8 +90,8 @@ def _all_windows(store: "Store", request: TableRequest) -> Found[list[PoseWindow
             return lafan1_windows(store, work.advance)
 
     at_30 = [data_set for data_set in data_sets_of(store) if data_set.fps == FPS]
-    found = each_found(at_30, windows, lambda data_set: data_set.label, (NoTakesError,))
-    return Found(list(found.value.values()), found.missing)
+    found = collect(at_30, windows, lambda data_set: data_set.label, (NoTakesError,))
+    return PartialResult(list(found.value.values()), found.missing)
 
 
 def _rows(
@@ -100,7 +100,7 @@ def _rows(
     completers: Sequence[Completer],
     fingerprint: str,
     request: TableRequest,
-) -> Found[dict[str, Scores]]:
+) -> PartialResult[dict[str, Scores]]:
     terms = {
         "version": table.version,
         "store": fingerprint,
@@ -124,4 +124,4 @@ def _rows(
                     continue
                 keep_scores(request.results, table.name, of_row, scores)
             rows[completer.name] = scores
-    return Found(rows, tuple(missing))
+    return PartialResult(rows, tuple(missing))

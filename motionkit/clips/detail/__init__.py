@@ -1,1 +1,1 @@
-"""What captures hold above 10 Hz, learnt from a store's takes: the stage `detail`."""
+"""The stage `detail`: a model of captured motion above 10 Hz, learnt from a store's takes."""

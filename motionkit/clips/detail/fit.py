@@ -1,7 +1,7 @@
 """Learn detail from takes at their native framerate, in closed form: ridge regression within takes.
 
-Captures tremble by different amounts, whatever the body does. So the regression is of deviations from each take's own
-mean, and a motion that is drawn has the mean level of all takes.
+Captures differ in their overall jitter, whatever the body does. So the regression is on deviations from each take's
+mean, and sampled detail has the mean level of all takes.
 """
 
 from collections.abc import Callable, Sequence
@@ -27,7 +27,7 @@ RIDGE = 0.3
 """The penalty on squared weights, as a share of the number of frames; features have unit variance."""
 MOST_QUANTILE = 0.999
 LARGEST_DEVIATION = 4.0
-"""Of a capture's jumps, that many standard deviations count."""
+"""Jumps of a capture are clipped at this many standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,9 +41,9 @@ class _Take:
 def fit_detail(
     takes: Sequence[Float[np.ndarray, "_frames joints 3"]], on_take: Callable[[], None] = lambda: None
 ) -> Detail:
-    """Detail of captures at 120 fps, of the 22 joints, in metres, y up; `on_take` is called twice for each.
+    """Fit detail on captures at 120 fps, of the 22 joints, in metres, y up; `on_take` is called twice for each.
 
-    Raises `ValueError` for no take.
+    Raises `ValueError` without takes.
     """
     if not takes:
         raise ValueError("detail is learnt from one take at least")
@@ -90,7 +90,7 @@ def _detail(
     level: Float64[np.ndarray, "outputs"],
     most: Float[np.ndarray, "outputs"],
 ) -> Detail:
-    """The detail of one take, of which it is not known yet how joints move together."""
+    """The detail model before the covariance of joints is known."""
     nothing = np.zeros((NUM_BANDS, 3 * NUM_JOINTS, 3 * NUM_JOINTS))
     return Detail(centre, scale, weights, level, most.astype(np.float64), nothing)
 
@@ -98,7 +98,7 @@ def _detail(
 def _mixing(
     takes: Sequence[Float[np.ndarray, "_frames joints 3"]], own: Sequence[Detail], on_take: Callable[[], None]
 ) -> Float64[np.ndarray, "bands coordinates coordinates"]:
-    """Cholesky factors of the covariance in every band, each joint divided by the strength that is expected of it."""
+    """Cholesky factors of the covariance in every band, joints normalised by their predicted strength."""
     coordinates = 3 * NUM_JOINTS
     covariance = np.zeros((NUM_BANDS, coordinates, coordinates))
     for take, detail in zip(takes, own, strict=True):

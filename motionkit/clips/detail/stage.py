@@ -22,9 +22,9 @@ NAME = "detail"
 
 @dataclass(frozen=True)
 class DetailConfig:
-    """Which takes detail is learnt from: those of 120 fps or more, drawn at random up to so many minutes.
+    """Training takes of detail: those of 120 fps or more, a random selection of up to some minutes.
 
-    `where` (SQL) says which takes are for training; empty for all but those of val and test.
+    `where` (SQL) selects the takes.
     """
 
     where: str = "split NOT IN ('val', 'test')"
@@ -32,7 +32,7 @@ class DetailConfig:
 
 
 def train_detail(context: StageContext, config: DetailConfig) -> None:
-    """Learn detail; writes RUN/detail/model.safetensors, which `load_detail` reads.
+    """Learn detail; write RUN/detail/model.safetensors, which `load_detail` reads.
 
     Raises `UsageError` for a store without training takes of 120 fps.
     """
@@ -72,7 +72,7 @@ def _takes(context: StageContext, config: DetailConfig) -> list[np.ndarray]:
 
 
 def _fast_takes(context: StageContext, config: DetailConfig) -> "tuple[PositionCache, list[int]]":
-    """The takes for training, and which of them have 120 fps or more; raises `UsageError` where none has."""
+    """The training takes, and a mask of those with 120 fps or more; raises `UsageError` if none has."""
     from motionkit.fields.detail.slow_motion import GRID_FPS
     from motionkit.store.cache.positions import open_cache
 
@@ -88,7 +88,7 @@ def _fast_takes(context: StageContext, config: DetailConfig) -> "tuple[PositionC
 
 
 def _check(context: StageContext, config: DetailConfig) -> None:
-    """Raise what would stop a training: no take that is fast enough."""
+    """Raise early what would stop the training: no take that is fast enough."""
     _fast_takes(context, config)
 
 
@@ -98,7 +98,7 @@ def has_detail(run: Path) -> bool:
 
 
 def load_detail(run: Path) -> "Detail":
-    """The detail of a run; raises `RunError`, with the command that trains it, where it has none."""
+    """Load a run's detail; raises `RunError`, with the command that trains it, if it has none."""
     from motionkit.fields.detail.model import Detail
     from motionkit.training.tensors import load_tensors, rebuilding
 
@@ -114,7 +114,7 @@ def load_detail(run: Path) -> "Detail":
 STAGE = Stage(
     name=NAME,
     order=90,
-    description="what captures hold above 10 Hz, for motionkit generate --detail",
+    description="captured motion above 10 Hz, for motionkit generate --detail",
     recipes=dict.fromkeys(("demo", "nano", "small", "base", "paper"), DetailConfig),
     train=train_detail,
     in_all=False,

@@ -1,4 +1,4 @@
-"""What continuous and frame-based models learn at each instant, in which numbers and at which scale; no torch here."""
+"""Conventions of pose vectors that models learn, and their scaling; no torch here."""
 
 from typing import Literal
 

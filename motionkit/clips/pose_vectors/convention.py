@@ -1,8 +1,7 @@
-"""What a motion field learns at each instant: the interface of `field`, `native` and `rotations` pose vectors.
+"""The interface of pose vector conventions: `field`, `native` and `rotations`.
 
-A convention is one frozen value that knows its size, how a store's frames become vectors (`open`: what doesn't depend
-on the batch is computed once, the rest when poses are drawn) and how vectors at some instants become poses again
-(`decode`).
+A convention is a frozen value with a size, the conversion of a store's frames to vectors (`open`: what does not depend
+on the batch is computed once, the rest when poses are drawn) and of vectors to poses (`decode`).
 """
 
 from collections.abc import Mapping
@@ -27,7 +26,7 @@ from motionkit.store.reader import Store
 
 @runtime_checkable
 class PoseVectors(Protocol):
-    """A convention of pose vectors over some skeleton."""
+    """A convention of pose vectors for a skeleton."""
 
     @property
     def skeleton(self) -> Skeleton:
@@ -41,18 +40,18 @@ class PoseVectors(Protocol):
 
     @property
     def groups(self) -> tuple[tuple[int, ...], ...]:
-        """Numbers of one unit and kind, which may share a scale; each number is in one group, the path in the first."""
+        """Groups of numbers that may share a scale; each number is in one group, the path in the first."""
         ...
 
     def open(self, store: Store, where: str | None) -> tuple[PositionCache, FrameVectors]:
-        """The sequences for which `where` holds and that have such vectors, and how their frames become them.
+        """The sequences that match `where` and support these vectors, and the conversion of their frames.
 
-        Raises `UsageError` where there are none.
+        Raises `UsageError` if there are none.
         """
         ...
 
     def instants(self, seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "instants"]:
-        """The instants at which decoding needs vectors: `seconds` themselves, or more than those in ascending order."""
+        """The ascending instants at which decoding needs vectors: `seconds`, or more than those."""
         ...
 
     def decode(
@@ -71,21 +70,21 @@ SMALLEST_SCALE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class VectorScaling:
-    """(vector − mean) / scale, number by number; `scale` in the vectors' own units."""
+    """Elementwise (vector − mean) / scale; `scale` in the vectors' own units."""
 
     mean: Float32[torch.Tensor, "numbers"]
     scale: Float32[torch.Tensor, "numbers"]
 
     def apply(self, vectors: Float[torch.Tensor, "*poses numbers"]) -> Float[torch.Tensor, "*poses numbers"]:
-        """Own units → standardised."""
+        """Standardise vectors."""
         return (vectors - self.mean) / self.scale
 
     def invert(self, standardised: Float[torch.Tensor, "*poses numbers"]) -> Float[torch.Tensor, "*poses numbers"]:
-        """Standardised → own units."""
+        """The inverse of `apply`."""
         return standardised * self.scale + self.mean
 
     def to(self, device: torch.device) -> "VectorScaling":
-        """On another device."""
+        """Move to a device."""
         return VectorScaling(self.mean.to(device), self.scale.to(device))
 
 
@@ -98,12 +97,12 @@ def measure_scaling(
     centred_path: bool = False,
     poses_per_window: int = 32,
 ) -> VectorScaling:
-    """Mean and scale of the windows' vectors, from poses spread evenly over each window; one pass, flat memory.
+    """Mean and scale of the windows' vectors, from poses spread evenly over each window; one pass, constant memory.
 
-    Each number is standardised by itself, or `grouped`: each of the convention's groups has one scale (of `field`
-    vectors the root's x and z one, everything else another), so that errors weigh as they do in millimetres.
-    `root_weight` then multiplies the first group, the root's path. With `centred_path` x and z of positions have mean
-    zero, so that standardised poses can be turned.
+    Each number has its own scale; with `grouped`, each of the convention's groups has one (`field` vectors: the root's
+    x and z, and everything else), so that errors are weighted as in millimetres. `root_weight` then multiplies the
+    first group, the root's path. With `centred_path` x and z of positions have mean zero, so that standardised poses
+    can be rotated.
     """
     size = vectors.num_numbers
     count, total, squares = 0, torch.zeros(size, dtype=torch.float64), torch.zeros(size, dtype=torch.float64)
@@ -128,19 +127,19 @@ RIG = "rig.offsets"
 
 
 def training_vectors(name: PoseVectorsName, store: Store, where: str | None) -> PoseVectors:
-    """The convention that a training on some sequences of a store learns; raises `UsageError` as `open` does."""
+    """The convention for training on these sequences of a store; raises `UsageError` as `open` does."""
     if name == "field":
         return FIELD_VECTORS
     return NativeVectors() if name == "native" else RotationVectors(training_rig(store, where))
 
 
 def described(vectors: PoseVectors) -> dict[str, torch.Tensor]:
-    """What a convention adds to a trained field's file: the rig of `rotations`, nothing else."""
+    """Tensors that a convention adds to a checkpoint: the rig of `rotations`, else none."""
     return {RIG: torch.from_numpy(vectors.skeleton.offsets)} if isinstance(vectors, RotationVectors) else {}
 
 
 def restored(name: PoseVectorsName, tensors: Mapping[str, torch.Tensor]) -> PoseVectors:
-    """A trained field's convention from its file; raises `KeyError` where the rig is missing."""
+    """The convention of a checkpoint; raises `KeyError` if the rig is missing."""
     if name == "rotations":
         return RotationVectors(smpl_rig(tensors[RIG].numpy()))
     return FIELD_VECTORS if name == "field" else NativeVectors()

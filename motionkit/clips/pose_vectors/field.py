@@ -38,7 +38,7 @@ class FieldVectors:
         return cache, FramePositions(cache, SMPL22.left_right_pairs)
 
     def instants(self, seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times"]:
-        """The asked ones: nothing needs integration."""
+        """`seconds` themselves: nothing is integrated."""
         return seconds
 
     def decode(
@@ -47,7 +47,7 @@ class FieldVectors:
         instants: Float64[np.ndarray, "times"],
         seconds: Float64[np.ndarray, "times"],
     ) -> Poses:
-        """One addition."""
+        """Adds the root to the other joints."""
         return Poses(field.decode(vectors))
 
 

@@ -1,4 +1,4 @@
-"""Joint positions as a differentiable function of pose vectors, where the convention's positions are one."""
+"""Joint positions as a differentiable function of pose vectors, for conventions that allow it."""
 
 import torch
 from jaxtyping import Float
@@ -10,7 +10,7 @@ from motionkit.clips.pose_vectors.rotations import RotationVectors
 
 
 def has_joints(vectors: PoseVectors) -> bool:
-    """Whether a pose's joints follow from its own vector: not where a path has to be integrated."""
+    """Whether a pose's joints follow from its own vector alone, without integrating a path."""
     return not isinstance(vectors, NativeVectors)
 
 

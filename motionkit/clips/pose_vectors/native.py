@@ -51,7 +51,7 @@ class NativeRows:
         yaw: Float32[np.ndarray, "batch"],
         origin: Float32[np.ndarray, "batch 2"],
     ) -> Float32[np.ndarray, "batch poses numbers"]:
-        """They are vectors already."""
+        """Unchanged: they are vectors already."""
         return gathered
 
 

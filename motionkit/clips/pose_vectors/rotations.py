@@ -29,7 +29,7 @@ NAMES = (*SMPL22.joint_names, "left_hand", "right_hand")
 PARENTS = (*SMPL22.parents, SMPL22.index("left_wrist"), SMPL22.index("right_wrist"))
 PAIRS = (*SMPL22.left_right_pairs, (22, 23))
 MOST_DEGREES_APART = 45.0
-# A leg, the spine and an arm: bones long enough that their direction says how a rest pose stands.
+# A leg, the spine and an arm: bones long enough to compare rest poses by their directions.
 TELLING_JOINTS = tuple(map(SMPL22.index, ("left_knee", "neck", "left_elbow", "right_elbow")))
 
 
@@ -113,7 +113,7 @@ class RotationVectors:
         return cache, RotationRows(rows, tuple(partners))
 
     def instants(self, seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times"]:
-        """The asked ones: nothing needs integration."""
+        """`seconds` themselves: nothing is integrated."""
         return seconds
 
     def decode(
@@ -194,5 +194,5 @@ def _check_rest_poses(skeletons: Sequence[Skeleton], offsets: Float[np.ndarray, 
 
 
 def _quaternions(gathered: Float[np.ndarray, "*poses numbers"]) -> Float[np.ndarray, "*poses joints 4"]:
-    # Sizes in full: a rank whose part of a batch is empty has none that -1 could stand for.
+    # Explicit sizes: -1 fails if a rank's part of a batch is empty.
     return gathered[..., 3:].reshape(*gathered.shape[:-1], (gathered.shape[-1] - 3) // 4, 4)

@@ -1,1 +1,1 @@
-"""Windows of observed frames and networks that continue them, shared by all models of this kind."""
+"""Networks that complete motion from windows of observed frames: data, training and encoders."""

@@ -1,8 +1,8 @@
-"""Interpolation of observed frames in torch, batched: what a network's answer is added to.
+"""Batched interpolation of observed frames in torch: the base that a network's output corrects.
 
-Hold, linear, Catmull-Rom and cubic (natural ends) are taken number by number; SLERP turns each joint on its great arc.
-Beyond both ends all go on at the end velocity, which dies away within `DAMPING_SECONDS`: a second at constant velocity
-ends metres from where people do. `eased` is the cubic, straightened where a gap is so long that it would overshoot.
+Hold, linear, Catmull-Rom and cubic (natural ends) are elementwise; SLERP rotates each joint on its great arc. Beyond
+both ends all continue at the end velocity, damped within `DAMPING_SECONDS`: after a second at constant velocity, errors
+are metres. `eased` is the cubic, straightened in gaps so long that it would overshoot.
 """
 
 from dataclasses import dataclass
@@ -16,17 +16,17 @@ from motionkit.clips.temporal.settings import Base
 from motionkit.core.skeleton import Skeleton
 from motionkit.features import rotation_rows
 
-# No number counts for more than one of this share of its group's deviation: toes and collars hardly turn, and their
-# noise would be learnt instead.
+# Deviations are at least this share of their group's: toes and collars hardly turn, and their noise would be learnt
+# instead.
 FLOOR_SHARE = 0.25
 SMALLEST = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
 class WindowFrames:
-    """Where the frames of B windows lie in the world: yaw in radians and origin (x, z) in metres.
+    """The coordinate frames of B windows in the world: yaw in radians and origin (x, z) in metres.
 
-    Both are those of the root at the middle observed frame: a function of what is observed alone, near all of a window.
+    Both are the root's at the middle observed frame, which depends on observed frames alone.
     """
 
     yaw: Float64[np.ndarray, "batch"]
@@ -34,7 +34,7 @@ class WindowFrames:
 
     @classmethod
     def of(cls, observed: Float32[np.ndarray, "batch frames numbers"], skeleton: Skeleton) -> "WindowFrames":
-        """The frames of windows from their observed world rows."""
+        """The coordinate frames of windows from their observed world rows."""
         middle = observed[:, (observed.shape[1] - 1) // 2]
         return cls(rotation_rows.heading(middle, skeleton), middle[:, (0, 2)].astype(np.float64))
 
@@ -70,8 +70,8 @@ class Scaling:
 def measure_scaling(rows: Float32[np.ndarray, "frames numbers"]) -> Scaling:
     """Mean and scale of rows in their windows' frames.
 
-    A number's scale is its deviation, but a quarter at least of its group's (root mean square): groups are the root's
-    path (x and z, which share one scale), its height, the root's rotation and the joints' rotations.
+    A number's scale is its standard deviation, but at least a quarter of its group's (root mean square): groups are the
+    root's path (x and z, with a common scale), its height, the root's rotation and the joints' rotations.
     """
     rows = rows.astype(np.float64)
     mean, variance = rows.mean(axis=0), rows.var(axis=0)
@@ -123,7 +123,7 @@ def interpolated(
 def located(
     window: ObservedWindow,
 ) -> tuple[Int64[torch.Tensor, "batch queries"], Float32[torch.Tensor, "batch queries"]]:
-    """Of each query the segment between observed frames that it lies in, and the fraction of it, in [0, 1].
+    """Each query's segment between observed frames, and its position in it, in [0, 1].
 
     Queries beyond an end belong to the outermost segment, at its end.
     """
@@ -136,7 +136,7 @@ def located(
 
 
 def seconds_beyond(window: ObservedWindow) -> Float32[torch.Tensor, "batch queries"]:
-    """How far each query lies beyond the observed frames, signed: before them below 0."""
+    """Signed distance of each query beyond the observed frames in seconds: negative before them, 0 inside."""
     queries = window.queries_seconds
     return queries - torch.minimum(torch.maximum(queries, window.times_seconds[:, :1]), window.times_seconds[:, -1:])
 
@@ -171,7 +171,7 @@ def _bent(
     segment: Int64[torch.Tensor, "batch queries"],
     fraction: Float32[torch.Tensor, "batch queries"],
 ) -> Float32[torch.Tensor, "batch queries numbers"]:
-    """Cubic Hermite segments: straight lines, bent by how much the rates at both ends differ from the line's slope."""
+    """Cubic Hermite segments, as straight lines plus terms in the end rates' differences from the line's slope."""
     u = fraction[..., None]
     v = 1.0 - u
     line = torch.lerp(_rows(frames, segment), _rows(frames, segment + 1), u)
@@ -186,7 +186,7 @@ def _on_great_arcs(
 ) -> Float32[torch.Tensor, "batch queries numbers"]:
     rows = scaling.invert(frames)
     root = torch.lerp(_rows(rows[..., :3], segment), _rows(rows[..., :3], segment + 1), fraction[..., None])
-    import roma  # and with it torch's compiler: a second and a half that other bases need not spend
+    import roma  # imports torch's compiler: a second and a half, which other bases need not spend
 
     # Rows are joint, column, axis; roma's matrices have columns last.
     joints = (rows.shape[-1] - 3) // 6

@@ -21,9 +21,9 @@ from motionkit.store.reader import Store
 class Takes:
     """T takes: rows of native frames, of which every `keep_every`-th is one of the table's framerate.
 
-    `source` numbers the sources that takes are of, from 0 on. `num_frames` counts the table's frames that a take has
-    from any of its first `keep_every` native ones on. `skipped` are sequences whose framerate is no whole multiple of
-    the table's.
+    `source` is the index of each take's source. `num_frames` counts a take's frames at the table's framerate, from any
+    of its first `keep_every` native ones. `skipped` counts sequences whose framerate is no integer multiple of the
+    table's.
     """
 
     fps: Fraction
@@ -63,9 +63,9 @@ class Takes:
 
 
 def open_takes(store: Store, settings: TemporalSettings) -> Takes:
-    """The takes that `settings.where` chooses; their rows are computed once and kept beside the store's cache.
+    """The takes that `settings.where` selects; their rows are computed once and cached beside the store's cache.
 
-    Raises `UsageError` where none is left, or where `layout=native` finds takes of several skeletons.
+    Raises `UsageError` if there are none, or for takes of several skeletons with `layout=native`.
     """
     cache = open_cache(store, layout=settings.layout, where=settings.where or None)
     skeleton = SMPL22 if settings.layout == SMPL22.name else _one_skeleton(store, cache)

@@ -1,8 +1,8 @@
-"""A trained network as a motion encoder: observations of any length, at even or uneven times, become motion fields.
+"""A trained network as a motion encoder: observations of any length, at even or uneven times, to motion fields.
 
-Long observations are cut into overlapping windows of as many frames as training saw; each is asked in its own frame,
-and in the middle of an overlap one window's answer gives way to the next. So memory does not grow with the motion
-beyond its own rows, and a pose depends on what is observed and on its time alone.
+Long observations are cut into overlapping windows of as many frames as in training; each is evaluated in its own frame,
+and outputs are cross-faded in the middle of overlaps. So memory does not grow with the motion beyond its own rows, and
+a pose depends on the observation and its time alone.
 """
 
 from collections.abc import Callable, Sequence
@@ -29,7 +29,7 @@ from motionkit.fields.motion_field import (
     continuous_rotations,
 )
 
-# What lies further beyond the ends than training went: refused, the furthest instant's pose, or asked all the same.
+# Beyond the trained extrapolation range: raise, hold the furthest instant's pose, or extrapolate anyway.
 Extrapolation = Literal["error", "clamp", "allow"]
 
 OVERLAP_FRAMES = 8
@@ -65,7 +65,7 @@ class NetworkEncoder:
 
     @property
     def reach_seconds(self) -> float:
-        """How far beyond what is observed training went."""
+        """The longest extrapolation in training."""
         return self.trained.reach_seconds
 
     def encode(
@@ -73,8 +73,8 @@ class NetworkEncoder:
     ) -> "NetworkField":
         """The field of an observation.
 
-        Raises `ValueError` for other joints, a negative reach, and with `extrapolation="error"` a longer one than
-        training saw.
+        Raises `ValueError` for other joints, a negative reach, and with `extrapolation="error"` a longer one than in
+        training.
         """
         if observation.skeleton.joint_names != self.trained.skeleton.joint_names:
             raise ValueError(
@@ -83,7 +83,7 @@ class NetworkEncoder:
                 "(motionkit.core.skeletons.mapping.map_joints)"
             )
         if not (0 <= before_seconds < np.inf and 0 <= after_seconds < np.inf):
-            raise ValueError(f"seconds beyond a motion are 0 or more, not {before_seconds:g} and {after_seconds:g}")
+            raise ValueError(f"seconds beyond a motion must be 0 or more, not {before_seconds:g} and {after_seconds:g}")
         reach = self.trained.reach_seconds
         if self.extrapolation == "error" and max(before_seconds, after_seconds) > reach + 1e-6:
             raise ValueError(
@@ -103,10 +103,10 @@ class NetworkEncoder:
     def query_many(
         self, observations: Sequence[Observation], times_seconds: Float64[np.ndarray, "times"]
     ) -> list[Poses]:
-        """Poses of many motions at the same times, windows of all of them in one batch of the network.
+        """Poses of many motions at the same times, with the windows of all of them in one batch.
 
         See `motionkit.fields.motion_field.BatchEncoder`; raises what `encode` does. Motions longer than a window are
-        asked one by one.
+        evaluated one by one.
         """
         check_observed_alike(observations)
         first = observations[0]
@@ -135,7 +135,7 @@ class NetworkEncoder:
         observed_seconds: Float64[np.ndarray, "batch frames"],
         asked_seconds: Float64[np.ndarray, "batch queries"],
     ) -> Float32[np.ndarray, "batch queries numbers"]:
-        """World rows at instants of windows, each window asked in its own frame."""
+        """World rows at instants of windows, each evaluated in its own frame."""
         trained = self.trained
         placed = WindowFrames.of(rows, trained.skeleton)
         scaling = trained.predictor.scaling
@@ -152,7 +152,7 @@ class NetworkEncoder:
 
 @dataclass(frozen=True, eq=False)
 class NetworkField:
-    """A `MotionField`: what is observed, and the network that is asked between it."""
+    """A `MotionField`: an observation, and the network that completes it."""
 
     encoder: NetworkEncoder
     observation: Observed
@@ -176,7 +176,7 @@ class NetworkField:
 
     @cached_property
     def _block(self) -> Callable[[int], PoseRows]:
-        # In the 22-joint layout rotations are found from that layout's own rest pose, so that rows mean the same.
+        # In the 22-joint layout rotations are computed from that layout's own rest pose, for a common convention.
         observed = self.observation
         if not self._has_rotations and observed.skeleton.joint_names == SMPL22.joint_names:
             observed = observed.remade(lambda some, _: some.poses, SMPL22)
@@ -207,7 +207,7 @@ class NetworkField:
         return result
 
     def vectors(self, times_seconds: Float64[np.ndarray, "times"]) -> Float32[np.ndarray, "times numbers"]:
-        """World rotation rows at any times, as the network gives them (columns not yet made square)."""
+        """World rotation rows at any times, as the network outputs them (columns not yet orthonormal)."""
         times_seconds = self.within_reach(times_seconds)
         window, fade = self._windows_of(times_seconds)
         fading = np.flatnonzero(fade > 0)
@@ -220,7 +220,7 @@ class NetworkField:
         return vectors
 
     def within_reach(self, times_seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times"]:
-        """The times that the network is asked at: none further beyond the ends than it was trained, where it clamps."""
+        """The times to evaluate the network at, clamped to the trained extrapolation range if configured."""
         if self.encoder.extrapolation != "clamp":
             return times_seconds
         reach = self.encoder.trained.reach_seconds
@@ -230,7 +230,7 @@ class NetworkField:
     def _windows_of(
         self, times: Float64[np.ndarray, "times"]
     ) -> tuple[Int64[np.ndarray, "times"], Float64[np.ndarray, "times"]]:
-        """The window of each time, and how far it has given way to the next: 0 outside the middle of the overlaps."""
+        """The window of each time, and the weight of the next one: 0 outside the middle of the overlaps."""
         if len(self.window_starts) == 1:
             return np.zeros(len(times), np.int64), np.zeros(len(times))
         observed = self.observation.times_seconds
@@ -245,11 +245,11 @@ class NetworkField:
     def _ask(
         self, window: Int64[np.ndarray, "asked"], times: Float64[np.ndarray, "asked"]
     ) -> Float32[np.ndarray, "asked numbers"]:
-        """Rows at times, each in a window of its own; windows in batches, so that memory is bounded."""
+        """Rows at times, each in its given window; windows are batched, with bounded memory."""
         order = np.lexsort((times, window))
         window, times = window[order], times[order]
         result = np.empty((len(times), num_numbers(self.skeleton.num_joints)), np.float32)
-        # Runs of one window, of QUERIES_AT_ONCE at most; many runs make a batch, its shorter ones filled up.
+        # Runs of queries of one window, at most QUERIES_AT_ONCE; many runs are padded to a batch.
         first_of_window = np.searchsorted(window, window)
         place = np.arange(len(window)) - first_of_window
         run_starts = np.flatnonzero(place % QUERIES_AT_ONCE == 0)
@@ -305,7 +305,7 @@ class NetworkField:
 
 
 def _window_starts(num_frames: int, window_frames: int) -> Int64[np.ndarray, "windows"]:
-    """First frames of as few windows as cover all frames and overlap by `OVERLAP_FRAMES` or more."""
+    """First frames of the fewest windows that cover all frames and overlap by at least `OVERLAP_FRAMES`."""
     if num_frames <= window_frames:
         return np.zeros(1, np.int64)
     count = -(-(num_frames - OVERLAP_FRAMES) // (window_frames - OVERLAP_FRAMES))

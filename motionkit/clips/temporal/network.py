@@ -1,8 +1,7 @@
-"""What every network that continues a motion in time is asked, and what it answers.
+"""The interface of temporal networks, which complete motion from observed frames.
 
-Windows, their frames and scales, the loss, exactness at given frames and long motions lie outside of a network and are
-written once (`windows`, `prediction`, `training` and `encoder` beside this), so models of this kind differ in their
-networks alone.
+Windows, coordinate frames and scaling, the loss, exactness at given frames and long motions are handled outside of the
+network (`windows`, `prediction`, `training` and `encoder`), so models of this kind differ in their networks alone.
 """
 
 from dataclasses import dataclass, replace
@@ -14,10 +13,10 @@ from jaxtyping import Float, Float32
 
 @dataclass(frozen=True, eq=False)
 class ObservedWindow:
-    """B windows of N observed frames, and Q instants at which their motion is asked for.
+    """B windows of N observed frames, and Q query instants.
 
     `frames` are standardised rotation rows; `times_seconds` increase strictly from 0, evenly or not; queries may lie
-    anywhere, also beyond both ends, in any order. `query_spacing_seconds` is the step of the framerate that is aimed at
+    anywhere, also beyond both ends, in any order. `query_spacing_seconds` is the frame spacing of the target framerate
     (the "cell" of LIIF), the same for all queries of a window. Times are float32 seconds from the window's first frame.
     """
 
@@ -27,11 +26,11 @@ class ObservedWindow:
     query_spacing_seconds: Float32[torch.Tensor, "batch"]
 
     def asked(self, queries_seconds: Float32[torch.Tensor, "batch queries"]) -> "ObservedWindow":
-        """The same windows asked at other instants."""
+        """The same windows with other query instants."""
         return replace(self, queries_seconds=queries_seconds)
 
     def to(self, device: torch.device) -> "ObservedWindow":
-        """On another device."""
+        """Move to a device."""
         return ObservedWindow(
             self.frames.to(device),
             self.times_seconds.to(device),
@@ -45,8 +44,8 @@ class TemporalNetwork(Protocol):
     """A `torch.nn.Module` from observed frames to any instants; N may be 1 and differs from call to call."""
 
     def __call__(self, window: ObservedWindow) -> Float[torch.Tensor, "batch queries numbers"]:
-        """Standardised rows at the queries (in residual forms: what is to be added to the interpolation).
+        """Standardised rows at the queries (in residual forms: the correction to the interpolation).
 
-        The answer to a query depends on the window's frames and times and on that query, not on what else is asked.
+        The output at a query depends on the window's frames and times and on that query, not on other queries.
         """
         ...

@@ -1,4 +1,4 @@
-"""From a network's answer to poses: as they are, or as a correction of an interpolation that may leave frames alone."""
+"""From a network's output to poses: directly, or as a correction to an interpolation, perhaps exact at given frames."""
 
 from dataclasses import dataclass, replace
 
@@ -10,11 +10,11 @@ from motionkit.clips.temporal.network import ObservedWindow, TemporalNetwork
 from motionkit.clips.temporal.settings import AnswerSettings, Sizing
 
 HALF_SIZE_SECONDS = 0.35
-# A cubic misses about a sixth of (gap · change of velocity) half-way; twice that leaves a network's answers near ½.
+# A cubic errs by about a sixth of (gap · change of velocity) half-way; with twice that, network outputs are near ½.
 SHARE_OF_BEND = 0.3
-# Between frames this close only half of it: what changes so fast is the capture's noise, and nobody foresees that.
+# Half of it between frames this close: such fast changes are the capture's noise, which is not predictable.
 NOISE_SECONDS = 0.04
-# Of the speed, and in deviations per second: what counts as a change of velocity where frames lie on a line, or rest.
+# Minimum change of velocity, as a share of the speed and in deviations per second, for straight or still motion.
 STRAIGHT_SHARE, REST_RATE = 0.1, 0.01
 
 

@@ -1,4 +1,4 @@
-"""How any temporal network is trained: corpus and framerate, tasks, form of the answer, optimiser."""
+"""Training settings of temporal networks: corpus and framerate, tasks, form of the output, optimiser."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -10,18 +10,18 @@ from motionkit.core.framerate import parse_fps
 from motionkit.training.config import SCHEDULE_MOVED, Precision, Schedule, moved, require_positive
 
 Base = Literal["hold", "linear", "slerp", "catmull-rom", "cubic", "eased"]
-# What becomes of a network's answer: the poses themselves; a correction of the interpolation; a correction that
-# vanishes at observed frames, which then stay as they are.
+# Form of a network's output: the poses; a correction to the interpolation; a correction that vanishes at observed
+# frames, which are then kept exactly.
 Form = Literal["plain", "residual", "exact"]
-# Corrections are sized by the time between observed frames, or also by how much the motion bends there.
+# Corrections are scaled by the time between observed frames, or also by the local change of velocity.
 Sizing = Literal["gap", "motion"]
-# Errors are averaged as squares (the paper), or as absolute values (L1, as LIIF and its kin published).
+# Squared errors (the paper), or absolute errors (L1, as published for LIIF and similar).
 Distance = Literal["squared", "absolute"]
 
 
 @dataclass(frozen=True)
 class TaskSettings:
-    """What is observed of a training window, in frames of the table's framerate.
+    """Observed frames of a training window, in frames of the table's framerate.
 
     A step has one task, drawn by the shares. `interpolate`: `num_frames` frames, every s-th with s ~
     U(`smallest_factor`, `largest_factor`), whole or not (paper §4.1). `gap`: up to `past_frames` frames, a gap of
@@ -46,14 +46,14 @@ class TaskSettings:
 
     def __post_init__(self) -> None:
         if min(self.shares) < 0 or sum(self.shares) <= 0:
-            raise ValueError(f"the tasks' shares are 0 or more and not all 0, not {self.shares}")
+            raise ValueError(f"the tasks' shares must be 0 or more and not all 0, not {self.shares}")
         if not 1 <= self.smallest_factor <= self.largest_factor:
             raise ValueError(f"factors go from 1 on upwards, not from {self.smallest_factor} to {self.largest_factor}")
         if not 1 <= self.shortest_gap <= self.longest_gap:
             raise ValueError(f"gaps go from 1 frame on upwards, not from {self.shortest_gap} to {self.longest_gap}")
         for name in ("num_frames", "num_queries", "past_frames", "future_frames", "longest_reach"):
             if getattr(self, name) < 2:
-                raise ValueError(f"{name} is 2 at least, not {getattr(self, name)}")
+                raise ValueError(f"{name} must be 2 or more, not {getattr(self, name)}")
 
     @property
     def shares(self) -> tuple[float, float, float, float]:
@@ -63,7 +63,7 @@ class TaskSettings:
 
 @dataclass(frozen=True)
 class AnswerSettings:
-    """What becomes of a network's answer (`motionkit.clips.temporal.prediction`); `scale` is that of corrections."""
+    """The form of a network's output (`motionkit.clips.temporal.prediction`); `scale` is that of corrections."""
 
     form: Form = "plain"
     base: Base = "slerp"
@@ -76,7 +76,7 @@ class AnswerSettings:
 
     @property
     def curves(self) -> tuple[Base, ...]:
-        """The curves whose weights a network answers: those `blended`, in forms that correct one."""
+        """The curves whose weights a network predicts: those `blended`, in residual forms."""
         return () if self.form == "plain" else self.blended
 
 
@@ -98,7 +98,7 @@ class LossSettings:
     def __post_init__(self) -> None:
         for name in ("velocity_weight", "balance_floor"):
             if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} is 0 or more, not {getattr(self, name)}")
+                raise ValueError(f"{name} must be 0 or more, not {getattr(self, name)}")
 
 
 @dataclass(frozen=True)
@@ -136,9 +136,9 @@ class TemporalSettings:
 
     def __post_init__(self) -> None:
         if not 0 <= self.source_evenness <= 1:
-            raise ValueError(f"source_evenness lies in [0, 1], not {self.source_evenness}")
+            raise ValueError(f"source_evenness must lie in [0, 1], not {self.source_evenness}")
         if not 0 <= self.ema_decay < 1:
-            raise ValueError(f"ema_decay lies in [0, 1), not {self.ema_decay}")
+            raise ValueError(f"ema_decay must lie in [0, 1), not {self.ema_decay}")
         parse_fps(self.fps)
 
     @property
@@ -152,7 +152,7 @@ ALL_TASKS = TaskSettings(interpolate=0.45, gap=0.35, scattered=0.1, extend=0.1)
 
 
 def nano_training() -> TemporalSettings:
-    """A quarter of an hour on a CPU core: all tasks, corrections of an interpolation that leave given frames alone."""
+    """A quarter of an hour on a CPU core: all tasks, as corrections to an interpolation that keep given frames."""
     return TemporalSettings(
         finer=True,
         # Of two sources of which one has nine times the other's frames, three of four windows and not nine of ten.
@@ -166,7 +166,7 @@ def nano_training() -> TemporalSettings:
 
 
 def base_training() -> TemporalSettings:
-    """An hour on a GPU of the H100's kind: `nano_training` with longer windows, larger batches and more steps."""
+    """An hour on an H100: `nano_training` with longer windows, larger batches and more steps."""
     nano = nano_training()
     return dataclasses.replace(
         nano,

@@ -1,6 +1,6 @@
 """A temporal network as a trainable stage and as a motion encoder; nothing heavy is imported before it is used.
 
-A model of this kind is a configuration with the parts `network` and `training`, and a function that makes its network.
+A model of this kind is a configuration with the parts `network` and `training`, and a function that builds its network.
 """
 
 from collections.abc import Callable, Mapping
@@ -24,12 +24,12 @@ class TemporalConfig(ConfigLike, Protocol):
 
     @property
     def training(self) -> TemporalSettings:
-        """How it is trained."""
+        """The training settings."""
         ...
 
 
 TemporalConfigT = TypeVar("TemporalConfigT", bound=TemporalConfig)
-# From settings and the numbers of a row to a network, its weights drawn from torch's global generator.
+# (configuration, numbers per row) → network, initialised by torch's global generator.
 NetworkMaker = Callable[[TemporalConfigT, int], "torch.nn.Module"]
 
 
@@ -40,7 +40,7 @@ def temporal_stage(
     recipes: Mapping[str, Callable[[], TemporalConfigT]],
     make: NetworkMaker[TemporalConfigT],
 ) -> Stage[TemporalConfigT]:
-    """The stage that trains what `make` makes; `--stage all` leaves it out."""
+    """The stage that trains the network built by `make`; not part of `--stage all`."""
     return Stage(name, order, description, recipes, partial(_train, name, make), in_all=False, check=_check)
 
 
@@ -51,7 +51,7 @@ def load_encoder(
     make: NetworkMaker[Any],
     name: str | None = None,
 ) -> "NetworkEncoder":
-    """A run's trained network as an encoder; raises `RunError` or `CheckpointError` where there is none."""
+    """Load a run's trained network as an encoder; raises `RunError` or `CheckpointError` if there is none."""
     from motionkit.clips.temporal.encoder import NetworkEncoder
     from motionkit.clips.temporal.training import load_network
 
@@ -65,7 +65,7 @@ def _train(name: str, make: NetworkMaker[TemporalConfigT], context: StageContext
 
 
 def _check(context: StageContext, config: TemporalConfig) -> None:
-    """Raise what would stop a training: no take at the framerate."""
+    """Raise early what would stop the training: no take at the framerate."""
     from motionkit.clips.temporal.corpus import open_takes
 
     open_takes(context.open_store(), config.training)

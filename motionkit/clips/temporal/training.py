@@ -39,7 +39,7 @@ FORMAT, FORMAT_VERSION = "temporal-network", 2
 
 
 class TemporalTraining:
-    """A network with its optimiser: what `train_loop` steps."""
+    """A `motionkit.training.loop.Trainable`: a network with its optimiser."""
 
     def __init__(
         self,
@@ -54,7 +54,7 @@ class TemporalTraining:
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0x5CA1E,)))
         self.scaling = sampler.measure(rng)
         settings = self.settings
-        # What a network meets when it is made is standardised rows of the corpus; see `base_curves`.
+        # Networks expect standardised rows; see `base_curves`.
         self.predictor = Predictor(network, self.scaling.to(device), settings.answer)
         rate = settings.schedule.learning_rate
         self.optimizer = torch.optim.Adam([{"params": list(network.parameters()), "base_lr": rate}])
@@ -81,7 +81,7 @@ class TemporalTraining:
         return {"loss": loss, "mse": mse.mean(), "velocity": velocity.mean()}
 
     def trained_tensors(self) -> dict[str, torch.Tensor]:
-        """The weights to keep: their average where there is one."""
+        """The weights to save: averaged if an average is kept."""
         return self.network.state_dict() if self.average is None else self.average.tensors()
 
     def state_tensors(self) -> dict[str, torch.Tensor]:
@@ -90,13 +90,13 @@ class TemporalTraining:
         return training_tensors("network", self.network, self.optimizer) | average
 
     def load_state_tensors(self, tensors: Mapping[str, torch.Tensor]) -> None:
-        """Go back to a state."""
+        """Restore what `state_tensors` returned."""
         load_training_tensors("network", self.network, self.optimizer, tensors)
         if self.average is not None:
             self.average.load(unprefixed("average", tensors))
 
     def _weights(self, batch: TrainingBatch) -> Float32[torch.Tensor, "batch"]:
-        """1 for every window, or where they are `balanced` the inverse of what the interpolation misses of each."""
+        """Weights of windows: 1, or if `balanced` the inverse of the interpolation's error."""
         if not self.settings.loss.balanced:
             return torch.ones(len(batch.targets))
         curve = interpolated(batch.window, self.settings.answer.base, self.scaling)
@@ -119,7 +119,7 @@ def losses(
 
 @dataclass(frozen=True, eq=False)
 class TrainedNetwork:
-    """A trained network with all that is needed to ask it: scales, the form of its answer, the skeleton's joints."""
+    """A trained network with everything needed for inference: scaling, form of the output, the skeleton's joints."""
 
     name: str
     predictor: Predictor
@@ -129,12 +129,12 @@ class TrainedNetwork:
 
     @property
     def spacing_seconds(self) -> float:
-        """Seconds between the frames that training asked for: the spacing that networks are given to aim at."""
+        """Spacing of the queried frames in training, in seconds: the networks' target spacing."""
         return 1.0 / float(self.settings.framerate)
 
     @property
     def reach_seconds(self) -> float:
-        """How far beyond what is observed training went; 0 where it did not."""
+        """The longest extrapolation in training; 0 without extrapolation."""
         tasks = self.settings.tasks
         return tasks.longest_reach * self.spacing_seconds if tasks.extend > 0 else 0.0
 
@@ -155,9 +155,9 @@ class TrainedNetwork:
 def train_network(
     context: StageContext, stage: str, config: TemporalConfigT, make: NetworkMaker[TemporalConfigT]
 ) -> None:
-    """Train what `make` makes on the context's store; writes RUN/STAGE/model.safetensors, which `load_network` reads.
+    """Train the network built by `make` on the context's store; write RUN/STAGE/model.safetensors for `load_network`.
 
-    Errors are those of `open_takes` and `train_loop`.
+    Raises what `open_takes` and `train_loop` raise.
     """
     started, settings = time.perf_counter(), config.training
     store, device = context.open_store(), resolve_device(context.device)
@@ -197,7 +197,7 @@ def load_network(
     name: str | None = None,
     device: str = "cpu",
 ) -> TrainedNetwork:
-    """A run's trained network of a stage; raises `RunError` or `CheckpointError` where there is none of this kind."""
+    """Load a stage's trained network; raises `RunError` or `CheckpointError` if there is none of this kind."""
     folder = (run if isinstance(run, RunFolder) else RunFolder(run)).stage(stage)
     if not folder.model_path.is_file():
         folder.read_summary()

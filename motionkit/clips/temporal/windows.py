@@ -1,7 +1,7 @@
-"""Windows of a corpus for networks that continue motion: what is observed and what is asked, drawn per task.
+"""Training windows for temporal networks: observed frames and queries, drawn per task.
 
-All are pure functions of a numpy generator. `observed` ascends from 0 on; `asked` is a run of neighbouring frames, so
-that velocities can be compared.
+All are pure functions of a numpy generator. `observed` ascends from 0; `asked` are consecutive frames, so that
+velocities can be compared.
 """
 
 from collections.abc import Callable
@@ -25,9 +25,9 @@ TASKS: tuple[Task, ...] = ("interpolate", "gap", "scattered", "extend")
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Frames of B windows: `observed` [B, N] and `asked` [B, Q], counted from the first observed one.
+    """Frames of B windows: `observed` [B, N] and `asked` (queried) [B, Q], counted from the first observed one.
 
-    With `before` frames in front of it and `span` from there on a window holds all that either names.
+    A window spans all of them: `before` frames before the first observed one, `span` from there on.
     """
 
     observed: Int64[np.ndarray, "batch frames"]
@@ -35,17 +35,17 @@ class Layout:
 
     @property
     def before(self) -> Int64[np.ndarray, "batch"]:
-        """Frames that a window needs in front of its first observed one."""
+        """Frames that a window needs before its first observed one."""
         return np.asarray(np.maximum(0, -self.asked[:, 0]))
 
     @property
     def span(self) -> Int64[np.ndarray, "batch"]:
-        """Frames that a window has in all."""
+        """Total frames of a window."""
         return np.asarray(self.before + np.maximum(self.observed[:, -1], self.asked[:, -1]) + 1)
 
 
 def draw_task(rng: np.random.Generator, settings: TaskSettings) -> Task:
-    """One of the four tasks, by their shares."""
+    """Draw one of the four tasks by their shares."""
     shares = np.array(settings.shares)
     return TASKS[int(rng.choice(len(TASKS), p=shares / shares.sum()))]
 
@@ -61,7 +61,7 @@ def kept_frames(num_frames: int, factor: Float64[np.ndarray, "batch"]) -> Int64[
 
 
 def _interpolate(rng: np.random.Generator, batch: int, settings: TaskSettings) -> Layout:
-    # A quarter of the steps observe fewer frames, so that the ends of motions and short ones are known too.
+    # A quarter of the steps observe fewer frames, to train on ends of motions and short ones too.
     count = settings.num_frames if rng.random() < 0.75 else int(rng.integers(2, settings.num_frames + 1))
     observed = kept_frames(count, rng.uniform(settings.smallest_factor, settings.largest_factor, batch))
     return Layout(observed, _run_inside(rng, np.zeros(batch, np.int64), observed[:, -1], settings.num_queries))
@@ -74,7 +74,7 @@ def _gap(rng: np.random.Generator, batch: int, settings: TaskSettings) -> Layout
     missing = rng.integers(settings.shortest_gap, settings.longest_gap + 1, batch)
     ahead = np.broadcast_to(np.arange(past), (batch, past))
     after = past + missing[:, None] + np.arange(future)
-    # The last given frame before the gap and the first after it are asked too: there the answer must join.
+    # The last given frame before the gap and the first after it are queried too, for a continuous transition.
     asked = _run_inside(rng, np.full(batch, past - 1), past + missing, settings.num_queries)
     return Layout(np.concatenate((ahead, after), axis=1), asked)
 
@@ -92,7 +92,7 @@ def _extend(rng: np.random.Generator, batch: int, settings: TaskSettings) -> Lay
     count = int(rng.integers(2, settings.num_frames + 1))
     observed = kept_frames(count, np.full(batch, 1.0 if rng.random() < 0.5 else settings.largest_factor))
     length = min(settings.num_queries, settings.longest_reach + 1)
-    # A run on the frames beyond an end, which it may touch; every other step goes backwards in time.
+    # Consecutive frames beyond an end, which may include it; every other step is reversed in time.
     away = rng.integers(0, settings.longest_reach + 2 - length, batch)[:, None] + np.arange(length)
     return Layout(observed, observed[:, -1:] + away if rng.random() < 0.5 else -away[:, ::-1])
 
@@ -129,7 +129,7 @@ class RawWindows:
 
 @dataclass(frozen=True, eq=False)
 class TrainingBatch:
-    """Windows as a network sees them, and the standardised rows that were really there."""
+    """Network inputs, and the standardised true rows at the queries."""
 
     window: ObservedWindow
     targets: Float32[torch.Tensor, "batch queries numbers"]
@@ -138,20 +138,20 @@ class TrainingBatch:
 
 @dataclass(frozen=True, eq=False)
 class WindowSampler:
-    """Draws windows from all places of all takes: those of one source are as likely as another.
+    """Draws windows uniformly over all positions in the takes of a source.
 
-    Of which source a window is, `source_evenness` says (`TemporalSettings`).
+    Sources are weighted by `source_evenness` (`TemporalSettings`).
     """
 
     takes: Takes
     settings: TemporalSettings
 
     def task(self, rng: np.random.Generator) -> Task:
-        """The task of a batch."""
+        """Draw the task of a batch."""
         return draw_task(rng, self.settings.tasks)
 
     def draw(self, rng: np.random.Generator, task: Task, batch: int) -> RawWindows:
-        """So many windows of one task, mirrored one in two where `mirrored`."""
+        """Draw windows of one task, each mirrored with probability 1/2 if `mirrored`."""
         layout = draw_layout(task, rng, batch, self.settings.tasks)
         take, first = self._places(rng, layout.span)
         # At the table's framerate a window may begin at any native frame; at a finer one it takes less of the room.
@@ -181,7 +181,7 @@ class WindowSampler:
         return self.standardised(self.draw(rng, task, self.settings.schedule.batch_size), task, scaling)
 
     def standardised(self, raw: RawWindows, task: Task, scaling: Scaling) -> TrainingBatch:
-        """World rows as a network sees them."""
+        """Network inputs from world rows."""
         frames = WindowFrames.of(raw.observed, self.takes.skeleton)
         step = raw.seconds_between
         window = ObservedWindow(

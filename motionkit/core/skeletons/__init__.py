@@ -1,1 +1,1 @@
-"""Tables that say how each family of skeletons maps to the standard layouts (data; see `mapping`)."""
+"""Tables that map families of skeletons to the standard layouts (data; see `mapping`)."""

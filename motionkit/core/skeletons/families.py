@@ -1,7 +1,7 @@
-"""Families of skeletons as data: by which joints one is known, and how the 22-joint layout is made from its joints.
+"""Families of skeletons as data: the joints that identify one, and its map to the 22-joint layout.
 
-The tables are TOML files: those of `motionkit/skeletons`, and the user's (`ingest --skeleton-map my-rig.toml`), which
-are kept with the skeletons they fit as canonical JSON (`Skeleton.layout_map`).
+The tables are TOML files: those shipped here, and the user's (`ingest --skeleton-map my-rig.toml`), which are stored
+with the skeletons they match as canonical JSON (`Skeleton.layout_map`).
 """
 
 import json
@@ -20,7 +20,7 @@ from motionkit.core.files import read_at_most
 from motionkit.core.plain_text import LONGEST_TOML, parse_json, parse_toml, shown
 from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS, Skeleton
 
-# Toes can be made up where nothing stands for them; every other joint of the layout needs a row.
+# Missing toes can be extrapolated; every other joint of the layout needs a row.
 OPTIONAL_ROWS = frozenset(("left_foot", "right_foot"))
 KEYS = ("name", "source", "requires", "aliases", "units_per_metre", "smpl22")
 REASON = "skeleton-map"
@@ -30,10 +30,10 @@ Way = Mapping[str, float]
 
 @dataclass(frozen=True)
 class SkeletonFamily:
-    """A kind of skeleton: `requires` (canonical names) identifies it, `rows` says how each layout joint is made.
+    """A kind of skeleton: `requires` (canonical names) identifies it, `rows` map its joints to the layout's.
 
-    A row is a sequence of ways, the first possible one being taken; a way is a weighted sum of joints and `X.tip`.
-    `metres_per_unit` is the length unit of the family's files, where it has one.
+    A row lists alternatives, of which the first possible one is used; each is a weighted sum of joints and `X.tip`.
+    `metres_per_unit` is the length unit of the family's files, if known.
     """
 
     name: str
@@ -44,7 +44,7 @@ class SkeletonFamily:
 
 
 def read_skeleton_map(path: Path) -> str:
-    """Read a user's TOML file as canonical text; raises `FormatError` (`skeleton-map`) saying what to mend."""
+    """Read a user's TOML file as canonical text; raises `FormatError` (`skeleton-map`) with advice."""
     try:
         text = read_at_most(path, LONGEST_TOML).decode("utf-8-sig")
     except OSError as error:
@@ -78,7 +78,7 @@ def parse_layout_map(text: str) -> SkeletonFamily:
 
 
 def with_layout_map(skeleton: Skeleton, layout_maps: Sequence[str]) -> Skeleton:
-    """The skeleton with the map among `layout_maps` that fits it, the most demanding first; unchanged if none does."""
+    """The skeleton with the most specific matching map of `layout_maps`; unchanged if none matches."""
     names = canonical_names(skeleton.joint_names)
     fitting = [text for text in layout_maps if fits(parse_layout_map(text), names)]
     if not fitting or skeleton.layout_map:
@@ -100,7 +100,7 @@ def fits(family: SkeletonFamily, names: Sequence[str]) -> bool:
 
 @lru_cache(maxsize=1024)
 def canonical_names(joint_names: tuple[str, ...]) -> tuple[str, ...]:
-    """Names as families are found by: "mixamorig:LeftArm", "Character1_LeftArm" and "left arm" are the same joint."""
+    """Normalised joint names: "mixamorig:LeftArm", "Character1_LeftArm" and "left arm" are the same joint."""
     plain = [name.rsplit(":", 1)[-1] for name in joint_names]
     prefix, count = (
         Counter(name.split("_", 1)[0] for name in plain if "_" in name).most_common(1)[0]
@@ -113,13 +113,13 @@ def canonical_names(joint_names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def load_table(name: str) -> dict[str, Any]:
-    """A TOML file of `motionkit/skeletons` as it is."""
+    """The text of a shipped TOML file."""
     return parse_toml((resources.files("motionkit.core.skeletons") / name).read_text(encoding="utf-8"))
 
 
 @cache
 def shipped_families() -> tuple[SkeletonFamily, ...]:
-    """All families of `motionkit/skeletons`; the most demanding first, because general ones fit its skeletons too."""
+    """All shipped families, the most specific first, because general ones match its skeletons too."""
     names = (
         entry.name for entry in resources.files("motionkit.core.skeletons").iterdir() if entry.name.endswith(".toml")
     )
@@ -130,7 +130,7 @@ def shipped_families() -> tuple[SkeletonFamily, ...]:
 
 @lru_cache(maxsize=1024)
 def find_family(names: tuple[str, ...]) -> SkeletonFamily | None:
-    """The most demanding shipped family that canonical joint names fit."""
+    """The most specific shipped family that canonical joint names match."""
     return next((family for family in shipped_families() if fits(family, names)), None)
 
 
@@ -140,7 +140,7 @@ def _canonical(name: str) -> str:
 
 
 def _family(table: Any) -> SkeletonFamily:
-    # Every ValueError is one sentence for the author of the table.
+    # Every ValueError is a message for the author of the table.
     if not isinstance(table, dict):
         raise ValueError("expected a table with name, requires and [smpl22]")
     unknown = sorted(set(table) - set(KEYS))
@@ -193,7 +193,7 @@ def _rows(table: Any) -> Mapping[str, tuple[Way, ...]]:
 
 
 def _ways(joint: str, entry: Any) -> tuple[Way, ...]:
-    # A joint is a name, a table of weights, or a list of either, the first possible one being taken.
+    # A joint is a name, a table of weights, or a list of alternatives.
     return tuple(_way(joint, way) for way in (entry if isinstance(entry, list) else [entry]))
 
 

@@ -1,4 +1,4 @@
-"""A draft of a rig's map to the 22 joints: limbs by the tree, their joints by names, the spine by place."""
+"""Drafts a rig's map to the 22 joints: limbs by the tree, their joints by names, the spine by position."""
 
 import json
 import re
@@ -13,7 +13,7 @@ from motionkit.core.skeletons.mapping import rest_positions
 
 SHORTEST_LIMB = 3
 SIDE = re.compile(r"([Ll]eft|[Rr]ight|LEFT|RIGHT)|^(?:.*:)?([lrLR])(?=[A-Z_. ])|[_. ]([lrLR])(?=$|[_. ])")
-# Words in joints' names, in the order of a limb, the surest first; a part is below the one before.
+# Words in joints' names, in the order of a limb, the most reliable first; each part is below the previous one.
 LEG = {
     "hip": (r"thigh|up(per)?[ _]?leg|hip|femur", r"^leg"),
     "knee": (r"knee|shin|calf|low(er)?[ _]?leg|tibia", r"(?<!up)(?<!upper)leg"),
@@ -26,16 +26,16 @@ ARM = {
     "elbow": (r"elbow|(fore|low(er)?)[ _]?arm|radius",),
     "wrist": (r"wrist|hand",),
 }
-# Where SMPL's spine joints are on the way from its pelvis to its neck.
+# Positions of SMPL's spine joints between pelvis and neck.
 HEIGHTS = {"spine1": 0.22, "spine2": 0.47, "spine3": 0.59}
 
 Entry = str | dict[str, float]
 
 
 def guess_map(skeleton: Skeleton) -> dict[str, Entry]:
-    """What each of the 22 joints may be made of: a joint's name, or weights; feet without a joint are left out.
+    """A guessed source of each of the 22 joints: a joint's name, or weights; feet without a joint are omitted.
 
-    Raises `MotionkitError` where the tree is no body's: a pair of legs on one joint, a pair of arms on one above it.
+    Raises `MotionkitError` if the tree is not a body: two legs on one joint, two arms on one above it.
     """
     names, children = skeleton.joint_names, [skeleton.children(joint) for joint in range(skeleton.num_joints)]
     chains = _chains(skeleton)
@@ -86,7 +86,7 @@ def map_text(skeleton: Skeleton, name: str) -> str:
 
 
 def _short_names(names: tuple[str, ...]) -> Iterator[str]:
-    """Names as maps have them: without a namespace, and without the prefix that is not compared."""
+    """Names as in maps: without a namespace or common prefix."""
     for name, compared in zip(names, canonical_names(names), strict=True):
         plain = name.rsplit(":", 1)[-1]
         yield plain if re.sub("[^a-z0-9]", "", plain.lower()) == compared else plain.partition("_")[2] or compared
@@ -99,7 +99,7 @@ def _toml(entry: Entry) -> str:
 
 
 def _chains(skeleton: Skeleton) -> list[list[int]]:
-    """From each joint the way down that passes most joints; fingers and toes beside it are not in it."""
+    """The longest chain below each joint, without side branches such as fingers and toes."""
     chains = [[joint] for joint in range(skeleton.num_joints)]
     for joint in range(skeleton.num_joints - 1, 0, -1):
         above = skeleton.parents[joint]
@@ -109,7 +109,7 @@ def _chains(skeleton: Skeleton) -> list[list[int]]:
 
 
 def _pair(joints: Sequence[int], skeleton: Skeleton, chains: Sequence[Sequence[int]]) -> tuple[int, int] | None:
-    """A left and a right one of sibling joints, by their names."""
+    """A left and a right joint among siblings, by their names."""
     sides: dict[tuple[str, str], int] = {}
     for joint in joints:
         found = SIDE.search(skeleton.joint_names[joint])
@@ -126,7 +126,7 @@ def _stem(name: str) -> str:
 
 
 def _parts(chain: Sequence[int], limb: Mapping[str, tuple[str, ...]], names: Sequence[str]) -> dict[str, int]:
-    """The joints of a limb by part; none where one but the first or the last is not found."""
+    """The joints of a limb by part; empty if an inner one is not found."""
     found: dict[str, int] = {}
     rest = list(chain)
     for part, patterns in limb.items():
@@ -142,14 +142,14 @@ def _parts(chain: Sequence[int], limb: Mapping[str, tuple[str, ...]], names: Seq
 
 
 def _spine(skeleton: Skeleton, pelvis: int, chest: int, neck: int) -> dict[str, Entry]:
-    """The spine's joints as points between those of the rig, by their share of the way from pelvis to neck."""
+    """The spine's joints as points between those of the rig, by their relative position from pelvis to neck."""
     way = [neck]
     while way[-1] != pelvis and skeleton.parents[way[-1]] >= 0:
         way.append(skeleton.parents[way[-1]])
     way.reverse()
     rest = rest_positions(skeleton)[way].astype(np.float64)
     along = np.insert(np.cumsum(np.linalg.norm(np.diff(rest, axis=0), axis=1)), 0, 0.0)
-    if along[-1] <= 0:  # markers have no bones: evenly
+    if along[-1] <= 0:  # markers have no bones: space evenly
         along = np.arange(len(way), dtype=np.float64)
     made: dict[str, Entry] = {}
     for joint, share in HEIGHTS.items():

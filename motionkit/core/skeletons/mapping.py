@@ -1,7 +1,7 @@
-"""From any known skeleton to the 22-joint (SMPL) and 21-joint (KIT) layouts, by tables of names and weights.
+"""Maps known skeletons to the 22-joint (SMPL) and 21-joint (KIT) layouts, by tables of names and weights.
 
-A family of skeletons (`motionkit.core.skeletons.families`) gives every joint of the layout as a weighted sum of the
-family's joints (`X.tip` is the End Site of X). Toes that a skeleton lacks altogether are put in front of the ankle.
+A family of skeletons (`motionkit.core.skeletons.families`) defines every joint of the layout as a weighted sum of the
+family's joints (`X.tip` is the End Site of X). Missing toes are placed in front of the ankle.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,8 +24,8 @@ from motionkit.core.skeletons.families import (
     parse_layout_map,
 )
 
-# A toe joint that has to be made up lies ahead of the ankle by this much of the shin, and below it by this much:
-# HumanML3D's skeleton has 0.14 m and 0.06 m for a shin of 0.43 m.
+# Offsets of an extrapolated toe ahead of and below the ankle, as shares of the shin: HumanML3D's skeleton has 0.14 m
+# and 0.06 m for a shin of 0.43 m.
 TOE_AHEAD, TOE_BELOW = 0.33, 0.14
 TOES = {"left_foot": ("left_ankle", "left_knee"), "right_foot": ("right_ankle", "right_knee")}
 
@@ -33,12 +33,12 @@ TOES = {"left_foot": ("left_ankle", "left_knee"), "right_foot": ("right_ankle", 
 EndSites = tuple[tuple[int, tuple[float, float, float]], ...]
 
 
-# Of the names in a message.
+# Names shown in a message.
 SHOWN_JOINTS, SHOWN_MISSING, LONGEST_NAME = 6, 3, 40
 
 
 class SkeletonMapError(MotionkitError):
-    """A skeleton that cannot be brought into a layout; `missing` names the layout's joints that found no source."""
+    """A skeleton that cannot be mapped to a layout; `missing` are the layout's joints without a source."""
 
     def __init__(self, skeleton: Skeleton, layout: str, missing: tuple[str, ...]) -> None:
         self.skeleton_name, self.layout, self.missing = skeleton.name, layout, missing
@@ -76,7 +76,7 @@ def _rebuild_error(message: str, skeleton_name: str, layout: str, missing: tuple
 class JointMap:
     """Every joint of a layout as a weighted sum of source joints and End Site tips; the weights of a row sum to 1.
 
-    `made_up` names the toes that have no source and are extrapolated; `unmapped` the source joints that no row uses.
+    `made_up` are the extrapolated toes; `unmapped` the source joints that no row uses.
     """
 
     layout: str
@@ -118,7 +118,7 @@ def rest_positions(skeleton: Skeleton) -> Float32[np.ndarray, "joints 3"]:
 
 
 def joint_map(skeleton: Skeleton, layout: str) -> JointMap:
-    """The table that takes a skeleton to a layout; raises `SkeletonMapError` where a joint has no source."""
+    """The map of a skeleton to a layout; raises `SkeletonMapError` if a joint has no source."""
     if layout not in STANDARD_SKELETONS:
         raise ValueError(f"layout {layout!r} is not one of {', '.join(STANDARD_SKELETONS)}")
     target = STANDARD_SKELETONS[layout]
@@ -135,14 +135,14 @@ def joint_map(skeleton: Skeleton, layout: str) -> JointMap:
 
 
 def family_unit_metres(skeleton: Skeleton) -> float | None:
-    """Metres per unit that files of the skeleton's family use, where the family has one (the CMU database's)."""
+    """The length unit of the family's files in metres, if known (the CMU database's)."""
     family = family_of(skeleton)
     return family.metres_per_unit if family else None
 
 
 @lru_cache(maxsize=1024)
 def _map_to_smpl22(joint_names: tuple[str, ...], end_sites: EndSites, layout_map: str) -> JointMap | tuple[str, ...]:
-    # The map, or the layout's joints that found no source.
+    # The map, or the layout's joints without a source.
     names = canonical_names(joint_names)
     family = parse_layout_map(layout_map) if layout_map else find_family(names)
     if family is None:
@@ -172,7 +172,7 @@ def _map_to_smpl22(joint_names: tuple[str, ...], end_sites: EndSites, layout_map
 def _possible(
     way: Mapping[str, float], columns: Mapping[str, int], tips: Mapping[str, int], end_sites: EndSites
 ) -> bool:
-    # A tip of no length says nothing about a toe.
+    # A tip without length gives no toe.
     return all(
         source in columns or (source in tips and np.linalg.norm(end_sites[tips[source]][1]) > 0.02) for source in way
     )
@@ -186,7 +186,7 @@ def _weighted(
 
 
 def _tips(motion: Motion) -> Float32[np.ndarray, "frames tips 3"]:
-    # World positions of the End Sites, where rotations say how they turn; without rotations they continue their bone.
+    # World positions of the End Sites, by rotations if available; otherwise they continue their bone.
     skeleton, positions = motion.skeleton, motion.joint_positions
     joints = [joint for joint, _ in skeleton.end_sites]
     offsets = np.array([offset for _, offset in skeleton.end_sites], np.float32)
@@ -209,7 +209,7 @@ def _tips(motion: Motion) -> Float32[np.ndarray, "frames tips 3"]:
 def _with_toes(
     body: Float32[np.ndarray, "frames 22 3"], made_up: tuple[str, ...]
 ) -> Float32[np.ndarray, "frames 22 3"]:
-    # Ahead is where the hips face, made perpendicular to the shin.
+    # Forward is the hips' facing direction, orthogonalised to the shin.
     body = body.copy()
     across = body[:, SMPL22.index("left_hip")] - body[:, SMPL22.index("right_hip")]
     for toe in made_up:

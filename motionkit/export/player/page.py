@@ -1,4 +1,4 @@
-"""The page: takes, their positions as text, and the player's own parts, in one file that loads nothing."""
+"""The page: takes, their positions as text, and the player's script, in one self-contained file."""
 
 import base64
 import html
@@ -15,13 +15,13 @@ from motionkit.core.errors import MotionkitError
 from motionkit.core.files import write_whole
 from motionkit.export.player.takes import FARTHEST_METRES, Line, Take, drawing_of, pack, packed_bytes
 
-# What a browser opens in a few seconds, a phone's too.
+# Opens in a few seconds in a browser, on phones too.
 MOST_PAGE_BYTES = 64_000_000
 SCRIPTS = ("packing.js", "clock.js", "camera.js", "panel.js", "timeline.js", "player.js")
 
 
 def check_size(takes: Sequence[Take]) -> None:
-    """Raise `MotionkitError` where a page of these takes would be too large for a browser, saying what would do."""
+    """Raise `MotionkitError` with advice if a page of these takes would be too large for a browser."""
     wanted = sum(packed_bytes(take.num_frames, take.skeleton.num_joints) for take in takes)
     if wanted <= MOST_PAGE_BYTES:
         return
@@ -35,7 +35,7 @@ def check_size(takes: Sequence[Take]) -> None:
 
 
 def check_places(take: Take) -> None:
-    """Raise `MotionkitError` where a joint is nowhere, or too far away for a page."""
+    """Raise `MotionkitError` for joints that are NaN or too far away."""
     # A comparison with nan is false.
     if not bool(np.all(np.abs(take.joint_positions) < FARTHEST_METRES)):
         raise MotionkitError(
@@ -50,7 +50,7 @@ def page_of(title: str, takes: Sequence[Take], *, note: str = "", one_camera: bo
     look at the same place. Raises `MotionkitError` for a joint that is nowhere, and for a page that is too large.
     """
     check_size(takes)
-    # In a script nothing may look like the end of one.
+    # A script must not contain anything like its closing tag.
     text = json.dumps(data_of(title, takes, note, one_camera), ensure_ascii=False, allow_nan=False)
     return player(title, text.replace("<", "\\u003c"))
 
@@ -66,25 +66,25 @@ def player(title: str, data: str) -> str:
         "SCRIPTS": scripts,
         "DATA": data,
     }
-    # In one pass, for a title may hold anything.
+    # In one pass, since a title may contain any text.
     page = re.sub("__(TITLE|STYLE|SCRIPTS|DATA)__", lambda place: contents[place[1]], page)
     return page.encode("utf-8", "backslashreplace").decode()  # bytes of a file's name may be no letters
 
 
 def data_of(title: str, takes: Sequence[Take], note: str = "", one_camera: bool = False) -> dict[str, Any]:
-    """What the page's script knows, as plain values; raises `MotionkitError` for a joint that is nowhere."""
+    """The data of the page's script, as plain values; raises `MotionkitError` for NaN joints."""
     return {"title": title, "note": note, "oneCamera": one_camera, "takes": [_shown(take) for take in takes]}
 
 
 def write_page(path: Path, title: str, takes: Sequence[Take], *, note: str = "", one_camera: bool = False) -> int:
-    """Write `page_of` some takes, which appears whole or not at all, and return its size in bytes."""
+    """Write `page_of` some takes atomically, and return its size in bytes."""
     written = page_of(title, takes, note=note, one_camera=one_camera).encode("utf-8")
     write_whole(path, written)
     return len(written)
 
 
 def _shown(take: Take) -> dict[str, Any]:
-    """A take as the page's script knows it."""
+    """A take as data of the page's script."""
     check_places(take)
     positions = pack(take.joint_positions, take.skeleton.parents)
     drawing = drawing_of(take.skeleton, take.joint_positions)
@@ -114,7 +114,7 @@ def _shown(take: Take) -> dict[str, Any]:
 
 
 def _points(line: Line) -> list[list[float | None]]:
-    """To 0.1 mm; None for what is not known."""
+    """Round to 0.1 mm; None for NaN."""
     return [[None if np.isnan(each) else round(each, 4) for each in point] for point in line.tolist()]
 
 

@@ -1,4 +1,4 @@
-"""A take: one motion as a page shows it, at its own framerate, with what is drawn of it, packed into a string."""
+"""A take: one motion for display, at its own framerate, with drawing information, packed into a string."""
 
 import base64
 from collections.abc import Sequence
@@ -24,10 +24,10 @@ Line = Float64[np.ndarray, "_ 3"]
 class Take:
     """Joint positions [T, J, 3] in metres, y up; frame k is at `start_seconds` + k / `fps`, or at `uneven_seconds`[k].
 
-    Frames are counted from `first_frame`, where a take is a stretch of a file. `seen` says which frames hold what was
-    observed: the others are drawn otherwise, and called `unseen`. Bones have the colours of left and right ("sides"),
-    those of frames that were given and made ("given"), or one ("plain"). `labels` are said below the name, `details`
-    are pairs of what and its value. `lines` are drawn in the motion's world, on the floor where a height is NaN.
+    `first_frame` is the offset of a take that is a stretch of a file. `seen` masks observed frames; others are drawn
+    differently, and labelled `unseen`. Bones are coloured by side ("sides"), by given and new frames ("given"), or
+    uniformly ("plain"). `labels` are shown below the name, `details` are key-value pairs. `lines` are drawn in the
+    motion's world, on the floor where a height is NaN.
     """
 
     name: str
@@ -52,19 +52,19 @@ class Take:
 
     @property
     def duration_seconds(self) -> float:
-        """How long its frames are shown: T / fps; of uneven ones to the last, and for 1 / fps more."""
+        """Display duration: T / fps; for uneven times until the last, plus 1 / fps."""
         if self.uneven_seconds is None:
             return float(self.num_frames / self.fps)
         return float(self.uneven_seconds[-1] - self.uneven_seconds[0] + 1 / self.fps)
 
     def frame_seconds(self) -> Float64[np.ndarray, "frames"]:
-        """When its frames are, in seconds."""
+        """Times of its frames in seconds."""
         if self.uneven_seconds is not None:
             return self.uneven_seconds
         return TimeGrid(self.fps, self.num_frames, self.start_seconds).seconds()
 
     def frames(self, start: int, stop: int) -> "Take":
-        """Frames [start, stop), counted from its own first, at their own times."""
+        """Frames [start, stop), relative to its first, with their own times."""
         return replace(
             self,
             joint_positions=self.joint_positions[start:stop],
@@ -76,7 +76,7 @@ class Take:
 
 
 def take_of(motion: Motion, name: str) -> Take:
-    """A motion as a take, with its captions, labels, and where it comes from."""
+    """A motion as a take, with its captions, labels and provenance."""
     known = motion.provenance
     labels = [motion.action, motion.style, known.subject and f"subject {known.subject}", motion.split]
     rotations = "with rotations" if motion.local_rotations is not None else "positions only"
@@ -113,10 +113,10 @@ _SIDES = {"left": -1, "right": 1}
 
 @dataclass(frozen=True)
 class Drawing:
-    """Of each joint the one that a bone joins it to (-1: none) and its side (-1 left, 0, 1 right).
+    """For each joint the parent of its bone (-1: none) and its side (-1 left, 0, 1 right).
 
-    `head` is the joint of the head, -1 where none is known. `ends` are feet and hands. `yaw` is where the body faces in
-    its first frame: the angle about Y, in radians, from Z+ towards X+.
+    `head` is the head joint, -1 if unknown. `ends` are feet and hands. `yaw` is the facing direction in the first
+    frame: the angle about Y, in radians, from Z+ towards X+.
     """
 
     bones: tuple[int, ...]
@@ -151,7 +151,7 @@ def _bones(skeleton: Skeleton, positions: Float32[np.ndarray, "frames joints 3"]
 
 
 def _sides(skeleton: Skeleton, own: dict[str, int]) -> tuple[int, ...]:
-    """The side of joints that are paired or have a counterpart on a side; what hangs on them is on it too."""
+    """The side of joints that are paired or have a counterpart on a side, and of their descendants."""
     sides = [0] * skeleton.num_joints
     for left, right in skeleton.left_right_pairs:
         sides[left], sides[right] = -1, 1
@@ -192,7 +192,7 @@ class Packed(TypedDict):
 
 
 def packed_bytes(num_frames: int, num_joints: int) -> int:
-    """About how much of a page positions take: the root wide, all other joints narrow, as text."""
+    """Estimated size of positions in a page: the root wide, all other joints narrow, as text."""
     return num_frames * (num_joints + 1) * 3 * 2 * 4 // 3
 
 

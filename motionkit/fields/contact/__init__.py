@@ -1,1 +1,1 @@
-"""Feet on the ground: contact is found once, and a motion field on a motion field lets the feet stand."""
+"""Removes foot sliding: contacts are detected once, then a motion field that wraps another plants the feet."""

@@ -1,4 +1,4 @@
-"""Joint positions on one skeleton: bones that keep their length, and joints that several bones hang on their shape."""
+"""Projects joint positions onto constant bone lengths, and rigid shapes where a joint has several children."""
 
 from dataclasses import dataclass
 
@@ -9,24 +9,24 @@ from motionkit.core.kinematics import fit_rotation, quaternion_conjugate, quater
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.contact.two_bone import LEAST_ROOM_METRES, LONGEST_SHARE, Vectors
 
-# A joint whose distance from its parent spreads by more hangs on no bone: hips above a reference on the floor, markers.
+# If a joint's distance from its parent varies by more, there is no bone: hips above a reference on the floor, markers.
 TRAVELLING_FROM_ROOT_METRES, TRAVELLING_METRES = 0.25, 0.5
 NO_LENGTH = 1e-6
 CAPTURED_SHARE, CAPTURED_METRES = 0.05, 0.003
-"""How far bones of captures change in length, and are let be."""
+"""Tolerated variation of bone lengths in captures."""
 ROUNDING_METRES = 1e-4
 LIMB_RATIO = 0.4
-"""A limb is two bones of which neither is so much shorter than the other: arms and legs, not ankle and toe."""
+"""Smallest length ratio of the two bones of a limb: arms and legs, not ankle and toe."""
 SHRUNK_SHARE, GONE_SHARE = 0.8, 0.2
-"""A limb's second bone that is so much shorter than its own length says less and less of where it points."""
+"""Below this fraction of its length, the direction of a limb's second bone counts less and less."""
 
 
 @dataclass(frozen=True, eq=False)
 class Bones:
-    """A body's own bones: of every joint the place in its parent's frame, which a joint with one child has along Y.
+    """A body's bones: each joint's offset in its parent's frame, along Y if the parent has one child.
 
-    `moving` joints hang on no bone, and stay where they are. `bends` says of a limb's middle joint (elbow, knee) where
-    it mostly is off the middle between the limb's ends, in the frame of the joint that several bones hang on.
+    `moving` joints have no bone, and stay where they are. `bends` holds the usual offset of a limb's middle joint
+    (elbow, knee) from the midpoint of the limb's ends, in the frame of the joint with several children above.
     """
 
     skeleton: Skeleton
@@ -36,7 +36,7 @@ class Bones:
 
     @classmethod
     def of(cls, positions: Float[np.ndarray, "frames joints 3"], skeleton: Skeleton) -> "Bones":
-        """The bones of some frames: median lengths, and between the bones of one joint the angles that fit best."""
+        """The bones of some frames: median lengths, and least-squares angles between the bones of one joint."""
         values = positions.astype(np.float64)
         bones = values - values[:, skeleton.parents_or_self]
         middle, spread = _middle_and_spread(bones)
@@ -58,18 +58,18 @@ class Bones:
         return found
 
     def children(self, joint: int) -> list[int]:
-        """The joints that hang on a bone below a joint."""
+        """A joint's children with a bone."""
         return [child for child in self.skeleton.children(joint) if child not in self.moving]
 
     def branch(self, joint: int) -> int | None:
-        """The nearest joint above on which several bones hang; None where there is none."""
+        """The nearest ancestor with several bones; None if there is none."""
         while (joint := self.skeleton.parents[joint]) >= 0:
             if len(self.children(joint)) > 1:
                 return joint
         return None
 
     def limbs(self) -> list[tuple[int, int, int]]:
-        """Start, middle and end of every two bones in a row that are of similar length."""
+        """Start, middle and end of every pair of consecutive bones of similar length."""
         found = []
         for joint in range(self.skeleton.num_joints):
             below, start = self.children(joint), self.skeleton.parents[joint]
@@ -84,10 +84,10 @@ class Bones:
     def lacking(
         cls, positions: Float[np.ndarray, "frames joints 3"], skeleton: Skeleton, *, captured: bool
     ) -> "Bones | None":
-        """The bones that positions are to be brought onto; None where they keep their length.
+        """The bones to project positions onto; None if lengths are constant enough already.
 
-        What is captured keeps it to some 5 %, as it is; what is generated is to keep it exactly. Raises `ValueError`
-        for positions that are not finite.
+        Captures are left alone if lengths vary by up to some 5 %; generated motion is always made exact. Raises
+        `ValueError` for positions that are not finite.
         """
         if not np.isfinite(positions).all():
             raise ValueError("feet cannot be planted: some joint positions are NaN or infinite")
@@ -97,7 +97,7 @@ class Bones:
         return cls.of(positions, skeleton) if changes else None
 
     def applied(self, positions: Float32[np.ndarray, "frames joints 3"]) -> Float32[np.ndarray, "frames joints 3"]:
-        """The poses with these bones, each joint as near as its bone lets it to where it is, from the root on."""
+        """The poses with these bones, each joint as close to its position as its bone allows, from the root on."""
         wanted = np.ascontiguousarray(positions.transpose(1, 0, 2), dtype=np.float64)
         reached, turns, limbs = wanted.copy(), {}, {start: (joint, end) for start, joint, end in self.limbs()}
         for joint in range(self.skeleton.num_joints):
@@ -120,9 +120,9 @@ class Bones:
         turns: dict[int, Float64[np.ndarray, "frames 4"]],
         limb: tuple[int, int, int],
     ) -> None:
-        """Move a limb's middle joint where its second bone has shrunk, so that the end may stay where it is.
+        """Moves a limb's middle joint if its second bone has shrunk, so that the end can stay where it is.
 
-        Towards nothing a bone turns over at once, and a hand with it; the elbow has less far to go.
+        The direction of a bone of nearly no length flips, and the hand with it; moving the elbow avoids that.
         """
         start, joint, end = limb
         upper, lower = self.offsets[joint, 1], self.offsets[end, 1]
@@ -148,7 +148,7 @@ class Bones:
 def _middle_and_spread(
     bones: Float[np.ndarray, "frames joints 3"],
 ) -> tuple[Float64[np.ndarray, "joints"], Float64[np.ndarray, "joints"]]:
-    """The median length of each bone, and how far its 5 % and 95 % quantiles are apart."""
+    """The median length of each bone, and the distance of its 5 % and 95 % quantiles."""
     low, middle, high = np.quantile(_lengths(bones), (0.05, 0.5, 0.95), axis=0)
     return middle, high - low
 
@@ -156,7 +156,7 @@ def _middle_and_spread(
 def _moving(
     skeleton: Skeleton, middle: Float64[np.ndarray, "joints"], spread: Float64[np.ndarray, "joints"]
 ) -> frozenset[int]:
-    """The joints that hang on no bone: those that travel, or lie on their parent."""
+    """The joints without a bone: those that travel, or coincide with their parent."""
     limits = [TRAVELLING_FROM_ROOT_METRES if parent == 0 else TRAVELLING_METRES for parent in skeleton.parents_or_self]
     return frozenset(np.flatnonzero((spread > limits) | (middle < NO_LENGTH)).tolist()) - {0}
 
@@ -164,7 +164,7 @@ def _moving(
 def _shape(
     bones: Float64[np.ndarray, "frames bones 3"], lengths: Float64[np.ndarray, "bones"]
 ) -> Float64[np.ndarray, "bones 3"]:
-    """The mean of several bones of one joint, turned onto one another, with the given lengths."""
+    """The mean of several bones of one joint after rotational alignment, with the given lengths."""
     shape = bones[len(bones) // 2]
     for _ in range(3):
         turns = fit_rotation(np.broadcast_to(shape, bones.shape), bones)
@@ -176,7 +176,7 @@ def _shape(
 def _turns(
     shape: Float64[np.ndarray, "bones 3"], wanted: Float64[np.ndarray, "bones frames 3"]
 ) -> Float64[np.ndarray, "frames 4"]:
-    """The turns of a shape that bring it onto bones by least squares."""
+    """The rotations that align a shape with bones by least squares."""
     bones = wanted.transpose(1, 0, 2)
     return fit_rotation(np.broadcast_to(shape, bones.shape), bones)
 
@@ -186,7 +186,7 @@ def _across(vectors: Float64[np.ndarray, "frames 3"], along: Float64[np.ndarray,
 
 
 def _directions(vectors: Float64[np.ndarray, "frames 3"]) -> tuple[Vectors, Float64[np.ndarray, "frames 1"]]:
-    """Vectors of length 1, and the lengths."""
+    """Unit vectors, and the lengths."""
     lengths = np.maximum(_lengths(vectors), NO_LENGTH)[:, None]
     return vectors / lengths, lengths
 

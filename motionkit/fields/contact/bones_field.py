@@ -1,4 +1,4 @@
-"""A motion on bones of given lengths, as a motion field on a motion field."""
+"""A motion field that projects another one onto given bone lengths."""
 
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -8,8 +8,8 @@ from jaxtyping import Float, Float32, Float64
 
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.contact.bones import Bones
-from motionkit.fields.contact.known import contacts_of
 from motionkit.fields.contact.planted import on_bones
+from motionkit.fields.contact.predicted import contacts_of
 from motionkit.fields.motion_field import MotionField, Poses, at_fps
 
 SAMPLES = 200
@@ -17,24 +17,24 @@ SAMPLES = 200
 
 @dataclass(frozen=True, eq=False)
 class BonesField:
-    """A `MotionField` of positions: those of another one, brought onto bones."""
+    """A `MotionField` of another one's positions, projected onto bones."""
 
     field: MotionField
     bones: Bones
 
     @property
     def skeleton(self) -> Skeleton:
-        """The field's."""
+        """Same as the wrapped field's."""
         return self.field.skeleton
 
     @property
     def start_seconds(self) -> float:
-        """The field's."""
+        """Same as the wrapped field's."""
         return self.field.start_seconds
 
     @property
     def end_seconds(self) -> float:
-        """The field's."""
+        """Same as the wrapped field's."""
         return self.field.end_seconds
 
     def at_fps(self, fps: Fraction) -> "BonesField":
@@ -46,14 +46,14 @@ class BonesField:
         return on_bones(self.field.query(times_seconds), self.bones)
 
     def contacts(self, times_seconds: Float64[np.ndarray, "times"]) -> Float32[np.ndarray, "times 2 2"] | None:
-        """The field's, where it knows."""
+        """The wrapped field's predicted contacts, if any."""
         return contacts_of(self.field, times_seconds)
 
 
 def with_lengths(field: MotionField, lengths: Float[np.ndarray, "bones"]) -> MotionField:
-    """A motion whose bones have these lengths, metres, from the second joint on.
+    """A motion with these bone lengths, metres, from the second joint on.
 
-    Itself where it has rotations, whose bones are their skeleton's.
+    Unchanged if it has rotations: its bones are then its skeleton's.
     """
     poses = field.query(np.linspace(field.start_seconds, field.end_seconds, SAMPLES))
     if poses.local_rotations is not None:

@@ -1,4 +1,4 @@
-"""What lets feet stand, as a function of time: offsets of the body and of both feet, found in blocks."""
+"""The foot-sliding correction as a function of time: offsets of the body and of both feet, computed in blocks."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -22,9 +22,9 @@ from motionkit.fields.contact.legs import Legs
 from motionkit.fields.contact.offsets import Costs, Wishes, solve_offsets
 
 Path = Literal["near", "free", "kept"]
-"""Whether a body comes back to the path it had, may end elsewhere, for its feet didn't carry it there, or stays on it.
+"""Whether the body returns to its path, may end elsewhere (where its planted feet carry it), or stays on its path.
 
-On a path that is `kept`, to a few centimetres, feet slide by what legs cannot take.
+If the path is `kept` (to a few centimetres), feet slide by what the legs cannot reach.
 """
 
 LEVEL_COSTS = {
@@ -34,17 +34,17 @@ LEVEL_COSTS = {
 }
 HEIGHT_COSTS = Costs(foot_down=0.05, foot_up=1.0, foot_sudden=2e-4, body=0.3, body_sudden=3e-3)
 REACH_METRES = {"near": (0.12, 0.25), "free": (0.15, 0.3), "kept": (0.15, 0.3)}
-"""A foot that would have to be so far beside the body from where it was stands there, or was drawn: it is let be."""
+"""Feet that would need a larger offset beside the body were dragged or stand there by intent: not corrected."""
 KEPT_SHARE = 0.02
-"""Of its velocity a sliding foot keeps so much: none stands quite still."""
+"""Fraction of its velocity that a sliding foot keeps: real feet are never quite still."""
 STEP_DOWN_METRES = (0.02, 0.04)
-"""A captured foot so far below the ground, in a motion that doesn't slide, steps down or pushes off: it is let be."""
+"""A captured foot lower than this, in a motion without sliding, steps down or pushes off: not corrected."""
 FLOATING, SUNK, STEADY_HEIGHT = 100.0, 1000.0, 0.05
-"""What metres² above and below the ground cost, and (m/s)² of an offset's change in height."""
+"""Costs of metres² above and below the ground, and of (m/s)² of an offset's vertical velocity."""
 ABOVE_METRES, BELOW_METRES, HIGHEST_METRES = (0.03, 0.003), 0.003, (0.05, 0.08)
-"""How far feet may be above the ground, in a motion that stands and in one that slides; below it; what is let be."""
+"""Tolerated heights above the ground, without and with sliding; tolerated depth; height that isn't corrected."""
 HEIGHT_ROUNDS, TOLERATED_METRES = 2, 0.001
-"""What a foot beside it pulls down by more than that below the ground is brought up in a second round."""
+"""Feet that the other foot's correction pulls further below the ground are raised in a second pass."""
 
 BLOCK_SECONDS, MARGIN_SECONDS, FADE_SECONDS = 180.0, 12.0, 1.0
 BLOCKS_KEPT = 3
@@ -55,7 +55,7 @@ HELD = 1e9
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """A stretch of a grid from instant `first` on: where its feet are, when they are down, and what moves them."""
+    """A segment of the grid from sample `first` on: foot positions, contacts, and the offsets."""
 
     first: int
     paths: Float64[np.ndarray, "instants feet ends 3"]
@@ -63,14 +63,14 @@ class Block:
     offsets: Float64[np.ndarray, "instants 3 3"]
 
     def at(self, place: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times 3 3"]:
-        """The offsets at places of the grid, on cubics whose slopes are continuous."""
+        """The offsets at fractional grid positions, by C1 cubic interpolation."""
         values = self.offsets
         place = np.clip(place - self.first, 0.0, len(values) - 1.0)
         row = np.minimum(place.astype(np.int64), len(values) - 2)
         u = (place - row)[:, None, None]
         before, after = np.maximum(row - 1, 0), np.minimum(row + 2, len(values) - 1)
         start, stop = values[row], values[row + 1]
-        # Slopes of both neighbours; at the ends of the motion those inside.
+        # Central differences; one-sided at the ends of the motion.
         rise, later = (stop - values[before]) / (row + 1 - before)[:, None, None], values[after] - start
         later /= (after - row)[:, None, None]
         step = stop - start
@@ -83,10 +83,10 @@ class Block:
 class Correction:
     """Offsets of body, left and right foot at any instant of a motion, metres.
 
-    `positions(start, stop)` are the joints at instants [start, stop) of a grid of `count`, `fps` a second from
-    `start_seconds` on. Blocks of three minutes are worked out when they are asked for, from 12 s on both sides too, and
-    go over into one another; so memory doesn't grow with the motion. `down(start, stop)` says which foot joints are on
-    the ground, where the motion itself knows; else that is found by their paths.
+    `positions(start, stop)` are the joints at samples [start, stop) of a grid of `count` samples, `fps` per second from
+    `start_seconds` on. Blocks of three minutes are computed on demand, with 12 s of context on both sides, and blended
+    into one another, so memory doesn't grow with the motion. `down(start, stop)` returns which foot joints are on the
+    ground if the motion predicts contacts; else they are detected from the feet's paths.
     """
 
     legs: Legs
@@ -98,7 +98,7 @@ class Correction:
     down: Callable[[int, int], Bool[np.ndarray, "instants feet ends"]] | None = None
 
     def at(self, times_seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times 3 3"]:
-        """The offsets at any times; before the first instant and after the last one they stay as they are there."""
+        """The offsets at any times; constant before the first sample and after the last one."""
         place = (times_seconds - self.start_seconds) * self.fps
         found = np.zeros((len(place), 3, 3))
         if not self.works:
@@ -111,16 +111,16 @@ class Correction:
 
     @property
     def num_blocks(self) -> int:
-        """Number of blocks; a motion of less than two is one."""
+        """Number of blocks; a motion shorter than two blocks is one."""
         return max(1, self.count // self._block_length)
 
     @property
     def works(self) -> bool:
-        """Whether the motion is long enough to see contacts in."""
+        """Whether the motion is long enough to detect contacts."""
         return self.count >= FEWEST_INSTANTS
 
     def own(self, number: int) -> slice:
-        """Which rows of a block no other block has."""
+        """Rows of a block that don't overlap other blocks."""
         first = self.block(number).first
         last = number == self.num_blocks - 1
         stop = self.count if last else (number + 1) * self._block_length
@@ -128,7 +128,7 @@ class Correction:
 
     @cached_property
     def block(self) -> Callable[[int], Block]:
-        """A block by number, its offsets such that the body goes on from the block before."""
+        """A block by number, its offsets continuous with the previous block's."""
         return lru_cache(BLOCKS_KEPT)(self._block)
 
     @cached_property
@@ -137,7 +137,7 @@ class Correction:
 
     @cached_property
     def ground(self) -> Ground:
-        """Where the ground is, by some minutes of the motion, spread all over it."""
+        """Ground height, estimated from some minutes spread over the motion."""
         length = min(self.count, round(LEVEL_STRETCHES * LEVEL_STRETCH_SECONDS * self.fps))
         if length == self.count:
             return ground_of(self._paths(0, self.count), self.fps)
@@ -174,7 +174,7 @@ class Correction:
         return [np.zeros(3)]
 
     def _start(self, number: int) -> Float64[np.ndarray, "3"]:
-        """Where the body of a block begins, so that it goes on from the block before; blocks before it come first."""
+        """Initial body offset of a block, continuous with the previous block; computes earlier blocks first."""
         while self.path == "free" and len(self._starts) <= number:
             after = len(self._starts)
             middle = np.array([after * self._block_length + FADE_SECONDS * self.fps / 2])
@@ -197,7 +197,7 @@ class Correction:
 def offsets_of(
     paths: Float64[np.ndarray, "instants feet ends 3"], contacts: Contacts, ground: Ground, fps: float, path: Path
 ) -> Float64[np.ndarray, "instants 3 3"]:
-    """The offsets of body, left and right foot at every instant of a grid, metres."""
+    """The offsets of body, left and right foot at every sample of the grid, metres."""
     found = np.zeros((len(paths), 3, 3))
     both = np.minimum(contacts.hold[1:], contacts.hold[:-1])
     if contacts.sliding.any():
@@ -218,9 +218,9 @@ def offsets_of(
 
 
 def _level_offsets(contacts: Contacts, fps: float, path: Path) -> Float64[np.ndarray, "instants 3 2"]:
-    """Offsets along X and Z that take away what feet in contact slide by, of contacts that legs reach.
+    """Offsets along X and Z that remove the sliding of feet in contact, where the legs can reach.
 
-    A captured foot may glide beside one that rests.
+    A captured foot may slide beside one that rests.
     """
     share = contacts.sliding * (1.0 - contacts.beside) if path == "near" else contacts.sliding
     slid = contacts.velocity[..., [0, 2]] * ((1.0 - KEPT_SHARE) * share)[..., None]
@@ -239,11 +239,11 @@ def _carried(
     fps: float,
     costs: Costs,
 ) -> Float64[np.ndarray, "instants 3 2"]:
-    """Offsets of such velocities while feet are held: first the body's, then once more the feet's beside it."""
+    """Offsets that compensate these velocities while feet are held: the body's first, then the feet's again."""
     both = np.minimum(hold[1:], hold[:-1])
     wishes = Wishes(wanted, both, np.zeros((*lead.shape, 2)), np.zeros(lead.shape))
     found = solve_offsets(wishes, hold, fps, costs)
-    # Feet once more, the body where it is now: legs take what the body was not to have of feet that come and go.
+    # The feet again with the body fixed: legs absorb the velocities of feet in transition that the body ignored.
     step = np.diff(found[:, :1], axis=0) * fps
     wishes = replace(wishes, velocity=wanted - step, velocity_weight=np.minimum(lead[1:], lead[:-1]))
     found[:, 1:] = solve_offsets(wishes, lead, fps, replace(costs, body=HELD))[:, 1:]
@@ -253,7 +253,7 @@ def _carried(
 def _within_reach(
     feet: Float64[np.ndarray, "instants feet 2"], contacts: Contacts, path: Path
 ) -> Float64[np.ndarray, "instants feet"]:
-    """1 where a foot stays near where the body had it, 0 far from there: of a captured foot's whole contact."""
+    """1 if a foot stays near its original offset from the body, 0 if far; per whole contact for captures."""
     distance = np.hypot(feet[..., 0], feet[..., 1])
     if path == "near":
         distance = _largest(distance, np.asarray(contacts.down.any(axis=-1)))
@@ -263,7 +263,7 @@ def _within_reach(
 def _largest(
     values: Float64[np.ndarray, "instants feet"], during: Bool[np.ndarray, "instants feet"]
 ) -> Float64[np.ndarray, "instants feet"]:
-    """Of every stretch the largest value in it; 0 between."""
+    """Each segment's maximum over the whole segment; 0 between."""
     found = np.zeros_like(values)
     for foot in range(2):
         starts, stops = runs(during[:, foot])
@@ -276,10 +276,10 @@ def _largest(
 def _lowest(
     heights: Float64[np.ndarray, "instants feet ends"], contacts: Contacts, ground: Ground, path: Path
 ) -> Float64[np.ndarray, "instants feet ends"]:
-    """How low feet may be: of a motion that slides at their level, of a real one where real feet are.
+    """Lowest allowed foot height: the feet's level if the motion slides, the range of real feet otherwise.
 
-    No foot of generated motion, whose body goes where its feet carry it, is below the lower foot's level: one floor.
-    Captured feet may be far below theirs, where there is a step down, or a toe pushes off.
+    With a free path (generated motion) there is one floor, the lower foot's level. Captured feet may be far below
+    theirs, at a step down or as a toe pushes off.
     """
     floor = ground.floor - BELOW_METRES
     lowest = floor + (np.maximum(ground.level - BELOW_METRES, floor) - floor) * contacts.sliding[..., None]
@@ -298,14 +298,14 @@ def _heights(
     contacts: Contacts,
     ground: Ground,
 ) -> tuple[Float64[np.ndarray, "instants feet"], Float64[np.ndarray, "instants feet"]]:
-    """By how much each foot is to rise, and how much that matters: the lower end of a foot that stands, any below.
+    """Target rise of each foot and its weight: for the lower end of a planted foot, and any end below the ground.
 
-    Below are ends that are so as they are, and those that are so where they have been `raised` to.
+    Ends count as below the ground before or after they have been `raised`.
     """
     sliding = contacts.sliding[..., None]
     above = ABOVE_METRES[0] + (ABOVE_METRES[1] - ABOVE_METRES[0]) * sliding
     floats = np.where(contacts.down, np.maximum(height - ground.level - above, 0.0), np.inf).min(axis=-1)
-    # What is held or stands higher is on a step, on tiptoe, or in the air.
+    # Feet held or standing higher are on a step, on tiptoe, or in the air.
     floats = np.where(floats < HIGHEST_METRES[1], floats, 0.0)
     floats *= np.clip((HIGHEST_METRES[1] - floats) / (HIGHEST_METRES[1] - HIGHEST_METRES[0]), 0.0, 1.0)
     sunk = (lowest - height).max(axis=-1)

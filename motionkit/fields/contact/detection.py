@@ -1,8 +1,8 @@
-"""When feet are on the ground, and whether they slide there, from where ankles and toes are on a fine grid of time.
+"""Detects foot contacts and sliding from the trajectories of ankles and toes on a fine time grid.
 
-Heights are relative to each joint's own level, which is found from the motion; speeds are per second, so nothing
-depends on the framerate. Limits of sliding are those of real feet: on CMU's training takes feet in contact roll, pivot
-and creep, yet within 0.6 s each comes nearly to rest (docs/plant.md).
+Heights are relative to each joint's own level, estimated from the motion; speeds are per second, so nothing depends on
+the framerate. Sliding thresholds come from real feet: in CMU's training takes feet in contact roll, pivot and creep,
+yet each nearly comes to rest within 0.6 s (docs/plant.md).
 """
 
 from dataclasses import dataclass
@@ -14,17 +14,17 @@ from jaxtyping import Bool, Float, Float64, Int64
 LEVEL_QUANTILE, LEVEL_METRES = 0.05, 0.06
 MOST_BETWEEN_FEET_METRES = 0.04
 GROUND_METRES, GROUND_SECONDS = 0.12, 1.0
-"""The ground under a body may lie so far from the level, by the lowest that its feet come for a second around."""
+"""Maximum distance of the local ground (lowest foot height within a second) from the level."""
 
 SPEED_SECONDS = 0.05
 ENTER_METRES, LEAVE_METRES = 0.05, 0.08
 ENTER_SPEED, LEAVE_SPEED = (0.45, 1.5), (0.7, 1.9)
-"""Of feet that stand, and of a motion whose feet slide."""
+"""Limits for standing feet, and for a motion with sliding feet."""
 SHORTEST_SECONDS, GAP_SECONDS = 0.08, 0.05
 
 REST_SECONDS, REST_WITHIN_SECONDS = 0.1, 0.6
 CREEP_SPEED, CREEP_AT_ONE_SECOND, CREEP_POWER = 0.015, 0.02, 1.3
-"""Real feet come below 0.015 + 0.02 · seconds^−1.3 m/s in a contact of so many seconds: most of CMU's train split."""
+"""Real feet slow down below 0.015 + 0.02 · seconds^−1.3 m/s in a contact of that duration (CMU's train split)."""
 MOST_TIMES = 4.0
 AROUND_SECONDS = 10.0
 STEADY_SPEED = 0.05
@@ -32,10 +32,10 @@ _FEWEST = 10
 
 
 class Limits(NamedTuple):
-    """At how many times real feet's creep feet begin to count as sliding, and surely do: over 10 s, and by itself.
+    """Multiples of real feet's creep where sliding begins to count and counts fully: over 10 s, and per foot.
 
-    A foot is held while it goes no faster than `rest_speed` m/s and `rest_times` its slowest, and by its leg alone
-    up to `lead_times` as fast.
+    A foot is held up to a speed of `rest_speed` m/s and `rest_times` its slowest speed, and by its leg alone up to
+    `lead_times` that.
     """
 
     around: tuple[float, float]
@@ -47,20 +47,20 @@ class Limits(NamedTuple):
 
 CAPTURED = Limits((1.15, 1.45), (2.5, 3.5), 0.12, 1.6, 4.0)
 GENERATED = Limits((0.5, 0.7), (1.0, 1.5), 0.03, 1.0, 2.0)
-"""Captures that creep are right; of generated motion only feet that stand stiller than most real ones are let be.
+"""Creeping is normal in captures; in generated motion only feet stiller than most real ones are left alone.
 
-Generated feet are held around their slowest alone: as they come and go they are as fast as real ones (docs/plant.md).
+Generated feet are held only around their slowest: in transition they are as fast as real ones (docs/plant.md).
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
-    """Of every instant of a grid: which of ankle and toe of both feet are down, and how far each foot slides.
+    """For every sample of a grid: contacts of ankle and toe of both feet, and how much each foot slides.
 
-    `sliding` is 0 where a foot goes no faster than real feet creep, 1 where it surely slides. `velocity` is that of a
-    foot's steadier end that is down, m/s, 0 where none is. `hold` says how much a foot is to stand: 1 while it goes
-    about as fast as it does at its slowest, less while it comes or goes, 0 in the air; `lead` the same more loosely.
-    `beside` is 1 beside another foot that rests as real feet do: what slides there may be drawn by a dancer.
+    `sliding` is 0 up to the creep speed of real feet, 1 for certain sliding. `velocity` is that of the foot's steadier
+    end in contact, m/s, 0 without contact. `hold` is the weight with which a foot is planted: 1 near its slowest speed,
+    less in transition, 0 in the air; `lead` is the same with a looser threshold. `beside` is 1 if the other foot rests
+    as real feet do: sliding is then possibly intended, as in dancing.
     """
 
     down: Bool[np.ndarray, "instants feet ends"]
@@ -73,9 +73,9 @@ class Contacts:
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """Heights of every foot joint on the ground, metres: `level` where it mostly is, `floor` the lowest that it comes.
+    """Heights of every foot joint on the ground, metres: `level` is the usual one, `floor` the 5 % quantile.
 
-    The lowest but for 5 % of the time. `bottom` is that of all of them together.
+    `bottom` is the 5 % quantile of all joints together.
     """
 
     level: Float64[np.ndarray, "feet ends"]
@@ -84,9 +84,9 @@ class Ground:
 
 
 def ground_of(paths: Float[np.ndarray, "instants feet ends 3"], fps: float) -> Ground:
-    """The ground by where foot joints go slowly: the lowest 6 cm of that.
+    """Estimates the ground from the lowest 6 cm of slow foot-joint positions.
 
-    A foot that never comes down has the other's level, and up to 4 cm.
+    A foot that never touches the ground gets the other's level, plus up to 4 cm.
     """
     speed = _lengths(velocities(paths.astype(np.float64), fps))
     level, floor = np.empty((2, 2)), np.empty((2, 2))
@@ -107,7 +107,7 @@ def find_contacts(
     offered: Bool[np.ndarray, "instants feet ends"] | None = None,
     limits: Limits = CAPTURED,
 ) -> Contacts:
-    """The contacts of foot joints whose places are known at `fps`: those that are `offered`, else by their paths."""
+    """Contacts of foot joints sampled at `fps`: the `offered` ones, else detected from their paths."""
     velocity = velocities(paths, fps)
     speed = _lengths(velocity)
     height = _above_ground(paths[..., 1] - ground.level, fps)
@@ -126,7 +126,7 @@ def find_contacts(
 
 
 def runs(mask: Bool[np.ndarray, "instants"]) -> tuple[Int64[np.ndarray, "runs"], Int64[np.ndarray, "runs"]]:
-    """First and past-the-last index of every stretch in which a mask holds."""
+    """Start and stop index of every run of True in a mask."""
     changes = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
     return changes[::2], changes[1::2]
 
@@ -134,7 +134,7 @@ def runs(mask: Bool[np.ndarray, "instants"]) -> tuple[Int64[np.ndarray, "runs"],
 def velocities(
     paths: Float64[np.ndarray, "instants feet ends 3"], fps: float
 ) -> Float64[np.ndarray, "instants feet ends 3"]:
-    """Differences over about 0.05 s around each instant; at both ends the nearest such difference."""
+    """Central differences over about 0.05 s; at both ends the nearest such difference."""
     reach = max(1, round(SPEED_SECONDS * fps / 2))
     count = len(paths)
     if count <= 2 * reach:
@@ -153,7 +153,7 @@ def _lengths(vectors: Float64[np.ndarray, "*shape 3"]) -> Float64[np.ndarray, "*
 def _above_ground(
     height: Float64[np.ndarray, "instants feet ends"], fps: float
 ) -> Float64[np.ndarray, "instants feet ends"]:
-    """Heights above the lowest that the feet come within a second, where that is not far from their level."""
+    """Heights above the feet's lowest point within a second, if that is close to their level."""
     from scipy.ndimage import minimum_filter1d, uniform_filter1d
 
     window = 2 * round(GROUND_SECONDS * fps / 2) + 1
@@ -168,7 +168,7 @@ def _down(
     fps: float,
     kind: int,
 ) -> Bool[np.ndarray, "instants feet ends"]:
-    """Which joints are on the ground, by the limits of feet that stand (0) or slide (1)."""
+    """Joints in contact, with the limits for standing (0) to sliding (1) feet."""
     enters = (height < ENTER_METRES) & (speed < ENTER_SPEED[kind])
     stays = (height < LEAVE_METRES) & (speed < LEAVE_SPEED[kind])
     down = np.empty_like(stays)
@@ -178,7 +178,7 @@ def _down(
 
 
 def _each(found: Bool[np.ndarray, "instants feet ends"], fps: float) -> Bool[np.ndarray, "instants feet ends"]:
-    """Contacts without short gaps, then those that are not short."""
+    """Closes short gaps between contacts, then removes short contacts."""
     down = np.empty_like(found)
     for foot, end in np.ndindex(2, 2):
         down[:, foot, end] = _without_short(_without_gaps(found[:, foot, end], fps), fps)
@@ -186,7 +186,7 @@ def _each(found: Bool[np.ndarray, "instants feet ends"], fps: float) -> Bool[np.
 
 
 def _held(enters: Bool[np.ndarray, "instants"], stays: Bool[np.ndarray, "instants"]) -> Bool[np.ndarray, "instants"]:
-    """The stretches of `stays` in which it once enters."""
+    """Hysteresis: the runs of `stays` that contain at least one True of `enters`."""
     starts, stops = runs(stays)
     total = np.concatenate(([0], np.cumsum(enters)))
     return _mask(starts, stops, total[stops] > total[starts], len(stays))
@@ -217,7 +217,7 @@ def _steadiest(
     velocity: Float64[np.ndarray, "instants feet ends 3"],
     speed: Float64[np.ndarray, "instants feet ends"],
 ) -> Float64[np.ndarray, "instants feet 3"]:
-    """The mean of both ends' velocities, the steadier counting more: over a resting toe the heel may rise."""
+    """Weighted mean velocity of both ends, favouring the steadier: the heel may rise over a resting toe."""
     weight = down / np.square(np.square(speed) + STEADY_SPEED**2)
     total = weight.sum(axis=-1, keepdims=True)
     weight /= np.where(total > 0, total, 1.0)
@@ -226,7 +226,7 @@ def _steadiest(
 
 @dataclass(frozen=True, eq=False)
 class Rests:
-    """Of every foot on the ground: its slowest 0.1 s within 0.6 s, m/s, and how slow real feet are there."""
+    """For every foot in contact: its slowest 0.1 s within 0.6 s, m/s, and the creep speed of real feet."""
 
     on_ground: Bool[np.ndarray, "instants feet"]
     speed: Float64[np.ndarray, "instants feet"]
@@ -236,7 +236,7 @@ class Rests:
     def of(
         cls, down: Bool[np.ndarray, "instants feet ends"], speed: Float64[np.ndarray, "instants feet ends"], fps: float
     ) -> "Rests":
-        """The rests of feet whose joints go at these horizontal speeds."""
+        """Resting speeds of feet from their joints' horizontal speeds."""
         from scipy.ndimage import minimum_filter1d, uniform_filter1d
 
         on_ground = np.asarray(down.any(axis=-1))
@@ -253,13 +253,13 @@ class Rests:
 
     @property
     def stands(self) -> Float64[np.ndarray, "instants feet"]:
-        """1 where a foot on the ground rests as real feet do, 0 where it slides or is in the air."""
+        """1 if a foot in contact rests as real feet do, 0 if it slides or is in the air."""
         return np.where(self.on_ground, 1.0 - smoothstep(self.speed / self.limit, *CAPTURED.around), 0.0)
 
     def sliding(
         self, fps: float, limits: Limits
     ) -> tuple[Float64[np.ndarray, "instants feet"], Float64[np.ndarray, "instants"]]:
-        """How far every foot slides by itself, and how far feet slide for 10 s around."""
+        """Sliding of every foot by itself, and of all feet within 10 s."""
         from scipy.ndimage import uniform_filter1d
 
         times = np.minimum(self.speed / self.limit, MOST_TIMES)
@@ -275,6 +275,6 @@ class Rests:
 def smoothstep(
     values: Float64[np.ndarray, "*shape"] | np.float64, start: float, stop: float
 ) -> Float64[np.ndarray, "*shape"]:
-    """0 up to `start`, 1 from `stop` on, with no kink between."""
+    """Smoothstep: 0 up to `start`, 1 from `stop` on."""
     u = np.clip((values - start) / (stop - start), 0.0, 1.0)
     return u * u * (3.0 - 2.0 * u)

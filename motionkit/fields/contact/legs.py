@@ -1,4 +1,4 @@
-"""The legs of a skeleton: which joints bend, and which joints go along with thigh, shank and foot."""
+"""The legs of a skeleton: the joints that bend, and those rigidly attached to thigh, shank and foot."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -15,10 +15,10 @@ SIDES = ("left", "right")
 
 @dataclass(frozen=True)
 class Leg:
-    """Joints of one leg by index; `toe` is the ankle where a skeleton has no toe joint.
+    """Joints of one leg by index; `toe` is the ankle if the skeleton has no toe joint.
 
-    `thigh`, `shank` and `foot` are the joints that lie still in each: from below the hip to the knee, from below the
-    knee to the ankle, and everything below the ankle.
+    `thigh`, `shank` and `foot` are the joints attached to each: from below the hip to the knee, from below the knee to
+    the ankle, and everything below the ankle.
     """
 
     hip: int
@@ -43,7 +43,7 @@ class Legs:
         return (self.left.ankle, self.left.toe, self.right.ankle, self.right.toe)
 
     def foot_paths(self, positions: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarray, "frames feet ends 3"]:
-        """Where ankle and toe of both feet are."""
+        """Positions of ankle and toe of both feet."""
         return positions[:, list(self.feet)].reshape(len(positions), 2, 2, 3)
 
 
@@ -51,7 +51,7 @@ class Legs:
 def legs_of(skeleton: Skeleton) -> Legs:
     """The legs of a skeleton that `motionkit.core.skeletons.mapping` knows.
 
-    Raises `SkeletonMapError` for one that it doesn't know, or whose hips, knees and ankles don't hang on one another.
+    Raises `SkeletonMapError` for an unknown one, or if hips, knees and ankles are not in one chain.
     """
     own = {SMPL22.joint_names[joint]: source for joint, source in counterpart_joints(skeleton).items()}
     legs = [_leg(skeleton, own, side) for side in SIDES]

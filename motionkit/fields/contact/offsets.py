@@ -1,9 +1,9 @@
-"""By how much the body and each foot are moved: a least-squares problem along time, banded, so linear in its length.
+"""Offsets of the body and each foot: a banded least-squares problem along time, linear in its length.
 
-Unknown at every instant of a grid are the body's offset r and each foot's offset f beside it. Wanted are offsets whose
-velocity takes away what feet in contact slide by (ṙ + ḟ = −e), and whose height brings them to the ground; dear are
-feet away from where the motion has them (f², the dearer while they swing) and whatever is sudden (f̈², r̈²). What both
-feet share comes out in r, which costs the knees nothing; the rest fades while a foot swings.
+The unknowns at every sample of the grid are the body's offset r and each foot's additional offset f. The objective
+asks for velocities that cancel the sliding of feet in contact (ṙ + ḟ = −e) and for heights on the ground; it penalises
+feet away from their original position (f², more while they swing) and accelerations (f̈², r̈²). What both feet share
+ends up in r, which doesn't bend the knees; the rest fades out while a foot swings.
 """
 
 from dataclasses import dataclass
@@ -17,9 +17,9 @@ _BAND = 2 * KINDS + 1
 
 @dataclass(frozen=True)
 class Costs:
-    """What offsets cost, relative to 1 for (m/s)² of sliding: of metres² per `keep`, of (m/s²)² per `sudden`.
+    """Weights of the cost terms, relative to 1 for (m/s)² of sliding: `keep` of metres², `sudden` of (m/s²)².
 
-    Feet are held to where the motion has them by `foot_down` while they are down and by `foot_up` while they swing.
+    `foot_down` and `foot_up` weigh a foot's distance from its original position in contact and in swing.
     """
 
     foot_down: float
@@ -31,7 +31,7 @@ class Costs:
 
 @dataclass(frozen=True, eq=False)
 class Wishes:
-    """What a foot's whole offset is to be: its `velocity` between neighbours, its `place`; weights say how much."""
+    """Targets for a foot's total offset: `velocity` between neighbours and `place`, with weights."""
 
     velocity: Float64[np.ndarray, "steps feet axes"]
     velocity_weight: Float64[np.ndarray, "steps feet"]
@@ -42,7 +42,7 @@ class Wishes:
 def solve_offsets(
     wishes: Wishes, down: Float64[np.ndarray, "instants feet"], fps: float, costs: Costs
 ) -> Float64[np.ndarray, "instants 3 axes"]:
-    """The offsets of body, left and right foot that cost least, metres; a foot's whole offset is both together."""
+    """The least-cost offsets of body, left and right foot, metres; a foot's total offset is body plus foot."""
     from scipy.linalg import solveh_banded
 
     count, axes = len(down), wishes.place.shape[-1]
@@ -90,11 +90,11 @@ def _add_velocity(
         for kind in (0, own):
             band[0, rows, kind] += weight
             right[rows, kind] += pull
-        band[own, rows, 0] += weight  # body and foot of one instant
+        band[own, rows, 0] += weight  # body and foot of one sample
     for kind in (0, own):
-        band[KINDS, :-1, kind] -= weight  # each with itself an instant later
-    band[KINDS + own, :-1, 0] -= weight  # the body with the foot an instant later
-    band[KINDS - own, :-1, own] -= weight  # the foot with the body an instant later
+        band[KINDS, :-1, kind] -= weight  # each with itself one sample later
+    band[KINDS + own, :-1, 0] -= weight  # the body with the foot one sample later
+    band[KINDS - own, :-1, own] -= weight  # the foot with the body one sample later
 
 
 def _add_place(

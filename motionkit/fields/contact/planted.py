@@ -1,4 +1,4 @@
-"""Motion whose feet stand: a motion field on a motion field, and the same for a motion's own frames."""
+"""Motion with planted feet: a motion field that wraps another, and the same for a motion's own frames."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -12,8 +12,8 @@ from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.contact.bones import Bones
 from motionkit.fields.contact.correction import Correction, Path
-from motionkit.fields.contact.known import contacts_of
 from motionkit.fields.contact.legs import Leg, Legs, legs_of
+from motionkit.fields.contact.predicted import contacts_of
 from motionkit.fields.contact.two_bone import BentLeg, bend, turns
 from motionkit.fields.interpolation.interpolators import INTERPOLATORS
 from motionkit.fields.motion_field import MotionField, Observed, Poses, at_fps, check_times
@@ -28,11 +28,11 @@ PROBABLY = 0.5
 
 @dataclass(frozen=True, eq=False)
 class PlantedField:
-    """A `MotionField` on another one: its poses with feet that stand, on bones of one length.
+    """Wraps a `MotionField`: its poses with planted feet and constant bone lengths.
 
-    What is changed is found once, on a grid of 120 instants a second of the field below, and is a function of time with
-    continuous velocity: so any instants can be asked for, in any order, and every second frame of 60 fps is a frame of
-    30. Memory doesn't grow with the motion.
+    The correction is computed once, on a 120 Hz grid of the wrapped field, and is a function of time with continuous
+    velocity: it can be sampled at any times in any order, and every second frame at 60 fps is a frame at 30. Memory
+    doesn't grow with the motion.
     """
 
     field: MotionField
@@ -42,21 +42,21 @@ class PlantedField:
 
     @property
     def skeleton(self) -> Skeleton:
-        """The field's."""
+        """Same as the wrapped field's."""
         return self.field.skeleton
 
     @property
     def start_seconds(self) -> float:
-        """The field's."""
+        """Same as the wrapped field's."""
         return self.field.start_seconds
 
     @property
     def end_seconds(self) -> float:
-        """The field's."""
+        """Same as the wrapped field's."""
         return self.field.end_seconds
 
     def at_fps(self, fps: Fraction) -> "PlantedField":
-        """The field for this framerate with the same correction: one motion has the same contacts at all of them."""
+        """The field for this framerate with the same correction: contacts don't depend on the framerate."""
         return replace(self, field=at_fps(self.field, fps))
 
     def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
@@ -76,12 +76,11 @@ class PlantedField:
 
 
 def planted(field: MotionField, path: Path = "near") -> PlantedField:
-    """A field with feet that stand; positions without rotations are brought onto bones of one length first.
+    """A field with planted feet; positions without rotations are projected onto constant bone lengths first.
 
-    With a `free` path the body goes where feet that stand carry it, and may end elsewhere: for generated motion.
-    Contacts are those that the field says (`KnowsContacts`), else they are looked for, at 120 instants a second or a
-    little more, so that the last one is the field's end. Raises `SkeletonMapError` for a skeleton whose legs aren't
-    known.
+    With a `free` path the body goes where its planted feet carry it, and may end elsewhere: for generated motion.
+    Contacts are those that the field predicts (`PredictsContacts`), else they are detected at 120 Hz or slightly more,
+    so that the last sample is the field's end. Raises `SkeletonMapError` for a skeleton whose legs aren't known.
     """
     span = field.end_seconds - field.start_seconds
     count = int(np.ceil(span * GRID_FPS - 1e-6)) + 1
@@ -106,9 +105,9 @@ def planted(field: MotionField, path: Path = "near") -> PlantedField:
 
 
 def planted_frames(observation: Observed, frames: TimeGrid, path: Path = "near") -> PlantedField:
-    """A motion's frames with feet that stand, to be asked for at their own times: nothing is made between them.
+    """A motion's frames with planted feet, defined at the frames' own times only.
 
-    At very high framerates every second frame, or third, is looked at.
+    At very high framerates only every second frame, or third, is used for detection.
     """
     step = max(1, round(float(frames.fps) / GRID_FPS))
 
@@ -126,7 +125,7 @@ def _planted(
     count: int,
     path: Path,
 ) -> PlantedField:
-    """A field planted by its positions at the instants of a grid."""
+    """A field planted by its positions at the samples of a grid."""
     legs = legs_of(field.skeleton)
     bones = None
     if field.query(np.array([field.start_seconds])).local_rotations is None:
@@ -141,12 +140,12 @@ def _planted(
 
 
 def on_bones(poses: Poses, bones: Bones | None) -> Poses:
-    """Poses of positions with these bones; as they are where there are none."""
+    """Poses projected onto these bones; unchanged if None."""
     return poses if bones is None else Poses(bones.applied(poses.joint_positions), None, poses.root_translation)
 
 
 def with_offsets(poses: Poses, offsets: Float64[np.ndarray, "times 3 3"], legs: Legs, skeleton: Skeleton) -> Poses:
-    """Poses whose body and feet are moved, legs bent to it; poses that nothing moves stay as they are."""
+    """Applies offsets of body and feet, bending the legs; poses with zero offsets are unchanged."""
     rows = np.flatnonzero(np.abs(offsets).max(axis=(1, 2)) > _SMALL_METRES)
     if not len(rows):
         return poses
@@ -198,7 +197,7 @@ def _carry(
     old: tuple[Float64[np.ndarray, "times 3"], Float64[np.ndarray, "times 3"]],
     turned: tuple[Float64[np.ndarray, "times 4"], Float64[np.ndarray, "times 4"]],
 ) -> None:
-    """Joints that lie still in thigh and shank go along with them: twist joints, pads, ends of bones."""
+    """Moves joints attached to thigh and shank along with them: twist joints, pads, end sites."""
     hip, knee = old
     for joints, start, new, turn in ((leg.thigh, hip, hip, turned[0]), (leg.shank, knee, bent.knee, turned[1])):
         for joint in joints:
@@ -211,7 +210,7 @@ def turned_rotations(
     turned: dict[int, Float64[np.ndarray, "times 4"]],
     skeleton: Skeleton,
 ) -> Float32[np.ndarray, "times joints 4"]:
-    """Local rotations of joints that have turned in the world, and of those that haven't below them."""
+    """Local rotations of joints that turned in the world, and of their children that didn't."""
     result = rotations.copy()
     old: dict[int, Float64[np.ndarray, "times 4"]] = {}
     for joint, parent in enumerate(skeleton.parents):
@@ -235,7 +234,7 @@ def _world(
     rotations: Float32[np.ndarray, "times joints 4"],
     skeleton: Skeleton,
 ) -> Float64[np.ndarray, "times 4"]:
-    """A joint's rotation in the world, which is then known; of a whole body few are needed."""
+    """A joint's world rotation, cached; only few are needed of a whole body."""
     if joint not in known:
         own, parent = rotations[:, joint].astype(np.float64), skeleton.parents[joint]
         known[joint] = own if parent < 0 else quaternion_multiply(_world(known, parent, rotations, skeleton), own)

@@ -1,7 +1,7 @@
-"""Two-bone inverse kinematics: an ankle brought elsewhere, the hip where it is, thigh and shank as long as they are.
+"""Two-bone inverse kinematics: moves an ankle with the hip fixed and the lengths of thigh and shank kept.
 
-The knee stays in the leg's own plane, turned as little as the ankle's new direction asks; a straight leg, whose plane
-nobody sees, bends forward. A leg is never pulled straight: the last of its reach is approached, not met.
+The knee stays in the leg's plane, rotated by the minimum that the ankle's new direction needs; a straight leg, whose
+plane is undefined, bends forward. A leg is never fully straightened: full reach is approached, not met.
 """
 
 from dataclasses import dataclass
@@ -21,16 +21,16 @@ TINY = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class BentLeg:
-    """Where knee and ankle have come to."""
+    """New positions of knee and ankle."""
 
     knee: Vectors
     ankle: Vectors
 
 
 def bend(hip: Vectors, knee: Vectors, ankle: Vectors, target: Vectors, forward: Vectors) -> BentLeg:
-    """The leg whose ankle is at `target`, or as near as it reaches; the same leg where that is where the ankle is.
+    """The leg with its ankle at `target`, or as close as it reaches; unchanged if the ankle is there already.
 
-    `forward` is the horizontal direction that the body faces.
+    `forward` is the horizontal facing direction of the body.
     """
     thigh, old, wanted = knee - hip, ankle - hip, target - hip
     upper, lower = _length(thigh), _length(ankle - knee)
@@ -38,7 +38,7 @@ def bend(hip: Vectors, knee: Vectors, ankle: Vectors, target: Vectors, forward: 
     along, new_along = old / np.maximum(old_reach, TINY), wanted / np.maximum(reach, TINY)
     reach = _reachable(old_reach, reach, upper, lower)
     side = thigh - along * _dot(thigh, along)
-    # How far the ankle moves decides how much a straight leg knows of forward: not at all where it doesn't move.
+    # `forward` counts for a straight leg in proportion to the ankle's motion: not at all if it doesn't move.
     moved = np.square(_length(target - ankle))
     hint = BEND_METRES * moved / (moved + BEND_METRES**2)
     pole = side + hint * (forward - along * _dot(forward, along))
@@ -51,7 +51,7 @@ def bend(hip: Vectors, knee: Vectors, ankle: Vectors, target: Vectors, forward: 
 
 
 def turns(leg: BentLeg, hip: Vectors, knee: Vectors, ankle: Vectors) -> tuple[Float64[np.ndarray, "frames 4"], ...]:
-    """By how much thigh and shank have turned in the world, with no other twist than their plane's."""
+    """World rotations of thigh and shank, with no twist other than their plane's."""
     swing = quaternion_between(ankle - hip, leg.ankle - hip)
     found = []
     for old, new in ((knee - hip, leg.knee - hip), (ankle - knee, leg.ankle - leg.knee)):
@@ -65,7 +65,7 @@ def _reachable(
     upper: Float64[np.ndarray, "frames 1"],
     lower: Float64[np.ndarray, "frames 1"],
 ) -> Float64[np.ndarray, "frames 1"]:
-    """The distance from hip to ankle: what is wanted, but for the last of the leg's reach, which is approached."""
+    """The distance from hip to ankle: the target's, softly limited near the leg's full reach."""
     room = np.maximum(LONGEST_SHARE * (upper + lower) - old, LEAST_ROOM_METRES)
     farther = np.maximum(wanted - old, 0.0) / room
     farther = room * farther / np.sqrt(np.sqrt(1.0 + np.square(np.square(farther))))
@@ -74,7 +74,7 @@ def _reachable(
 
 
 def _turned(vectors: Vectors, start: Vectors, stop: Vectors) -> Vectors:
-    """Vectors turned by the shortest rotation from one direction to another (Rodrigues, without angles)."""
+    """Rotates vectors by the shortest rotation from one direction to another (Rodrigues, without angles)."""
     axis = np.cross(start, stop)
     cosine = _dot(start, stop)
     return np.asarray(

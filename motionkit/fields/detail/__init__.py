@@ -1,1 +1,1 @@
-"""What a smooth motion lacks above 10 Hz, drawn from what captures hold there: a motion field on a motion field."""
+"""Adds random motion above 10 Hz, with the power that captures have there: a motion field that wraps another."""

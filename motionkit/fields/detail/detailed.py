@@ -1,4 +1,4 @@
-"""A motion with what captures hold above 10 Hz: a motion field on a motion field."""
+"""A motion field that adds detail above 10 Hz to another one."""
 
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -22,10 +22,10 @@ TIMES_AT_ONCE = 4096
 
 @dataclass(frozen=True, eq=False)
 class Displacements:
-    """What joints are moved by on the grid, k / 120 s after the field's start; a function of field, detail and seeds.
+    """Joint displacements on the grid, k / 120 s after the field's start; a function of field, detail and seeds.
 
-    Worked out in blocks of 30 s when they are asked for: no instant depends on where blocks begin, and memory doesn't
-    grow with the motion.
+    Computed in blocks of 30 s on demand: results don't depend on block boundaries, and memory doesn't grow with the
+    motion.
     """
 
     field: MotionField
@@ -34,11 +34,11 @@ class Displacements:
 
     @cached_property
     def count(self) -> int:
-        """Instants of the grid inside the field's domain."""
+        """Number of grid samples inside the field's domain."""
         return int(np.floor((self.field.end_seconds - self.field.start_seconds) * GRID_FPS + 1e-6)) + 1
 
     def at(self, start: int, stop: int) -> Float64[np.ndarray, "instants coordinates"]:
-        """Displacements of the joints at instants [start, stop), metres; none outside the domain."""
+        """Joint displacements at samples [start, stop), metres; zero outside the domain."""
         found = np.zeros((stop - start, 3 * NUM_JOINTS))
         for number in range(max(0, start) // BLOCK, (min(stop, self.count) - 1) // BLOCK + 1):
             first = max(start, number * BLOCK)
@@ -47,14 +47,14 @@ class Displacements:
         return found
 
     def block(self, number: int) -> Float64[np.ndarray, "instants coordinates"]:
-        """Displacements of block `number`, worked out."""
+        """Computes the displacements of block `number`."""
         start, stop = number * BLOCK, min(self.count, (number + 1) * BLOCK)
         first, last = max(0, start - MARGIN), min(self.count, stop + MARGIN)
         times = self.field.start_seconds + np.arange(first, last) / GRID_FPS
         inside = self.field.query(np.minimum(times, self.field.end_seconds)).joint_positions
         positions = with_ends(inside, first - (start - MARGIN), stop + MARGIN - last)
         slow = slow_motion(positions)
-        # What the motion has in a band already is not added once more.
+        # Power that the motion already has in a band is not added again.
         strength = np.sqrt(np.maximum(self.detail.power(slow) - band_power(positions), 0.0))
         noise = self.detail.noise(self.seeds, start, stop)
         made = np.einsum("tbj,btjx->tjx", strength, noise)
@@ -63,18 +63,18 @@ class Displacements:
 
 @lru_cache(BLOCKS_KEPT)
 def _block(displacements: Displacements, number: int) -> Float64[np.ndarray, "instants coordinates"]:
-    """The last blocks that were worked out, of all motions: thousands of them may be alive at once."""
+    """Cache of the last computed blocks, shared by all motions: thousands of them may be alive at once."""
     return displacements.block(number)
 
 
 @dataclass(frozen=True, eq=False)
 class DetailedField:
-    """A `MotionField` on another one: its poses with motion above 10 Hz as strong as captures have it in such moments.
+    """Wraps a `MotionField`: its poses with added motion above 10 Hz, as strong as in captures of similar motion.
 
-    How strong follows from the slow motion around an instant, joint by joint and band by band; the rest is drawn from
-    the seed. It is one function of time for all framerates: on a grid of 120 instants a second, between them by
-    windowed sincs. `at_fps` gives it low-passed below half the framerate, with the kernels of `resample_positions`, so
-    30 fps is 60 fps filtered. Without a framerate, and above 120 fps, it ends at 60 Hz. Bones keep their length.
+    The power is predicted from the slow motion around each sample, per joint and band; the signal is random, given
+    the seed. It is one function of time for all framerates: a 120 Hz grid, interpolated by windowed sincs. `at_fps`
+    low-passes it below half the framerate with the kernels of `resample_positions`, so 30 fps is 60 fps filtered.
+    Without a framerate, and above 120 fps, it is limited to 60 Hz. Bones keep their length.
     """
 
     field: MotionField
@@ -83,21 +83,21 @@ class DetailedField:
 
     @property
     def skeleton(self) -> Skeleton:
-        """The field's."""
+        """Same as the wrapped field's."""
         return self.field.skeleton
 
     @property
     def start_seconds(self) -> float:
-        """The field's."""
+        """Same as the wrapped field's."""
         return self.field.start_seconds
 
     @property
     def end_seconds(self) -> float:
-        """The field's."""
+        """Same as the wrapped field's."""
         return self.field.end_seconds
 
     def at_fps(self, fps: Fraction) -> "DetailedField":
-        """The same motion for this framerate, without what it cannot hold."""
+        """The same motion for this framerate, without frequencies above its Nyquist frequency."""
         return replace(self, field=at_fps(self.field, fps), fps=fps)
 
     def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
@@ -113,7 +113,7 @@ class DetailedField:
         return result
 
     def steps(self, times_seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times joints 3"]:
-        """What joints are moved by, before bones have their say, metres."""
+        """Joint displacements before projection onto bones, metres."""
         from scipy.sparse import csr_array
 
         reach, cutoff = kernel_shape(max(Fraction(1), Fraction(GRID_FPS) / (self.fps or GRID_FPS)))
@@ -139,7 +139,7 @@ class DetailedField:
 def detailed(field: MotionField, detail: Detail, *, seed: int, number: int = 0) -> DetailedField:
     """A field with detail: motion `number` of a seed.
 
-    Raises `UsageError` for another skeleton than that of the 22 joints.
+    Raises `UsageError` for skeletons other than the 22 joints.
     """
     if field.skeleton.joint_names != SMPL22.joint_names:
         raise UsageError(

@@ -1,4 +1,4 @@
-"""Poses whose joints are moved by a little, by turning bones: their lengths, and shapes of several bones, stay."""
+"""Small joint displacements applied by rotating bones, which keeps bone lengths and the shapes of several bones."""
 
 import numpy as np
 from jaxtyping import Float64
@@ -12,7 +12,7 @@ _NO_LENGTH = 1e-9
 
 
 def displaced(poses: Poses, steps: Float64[np.ndarray, "times joints 3"], skeleton: Skeleton) -> Poses:
-    """Every joint as near to its old place and `steps` (m) as bones let it that begin where their parent now is."""
+    """Moves every joint by `steps` (m), as far as its bone from the displaced parent allows."""
     old = np.ascontiguousarray(poses.joint_positions.transpose(1, 0, 2), dtype=np.float64)
     wanted = old + steps.transpose(1, 0, 2)
     reached = wanted.copy()
@@ -41,7 +41,7 @@ def displaced(poses: Poses, steps: Float64[np.ndarray, "times joints 3"], skelet
 def _turn(
     bones: Float64[np.ndarray, "bones times 3"], aims: Float64[np.ndarray, "bones times 3"]
 ) -> Float64[np.ndarray, "times 4"]:
-    """The small rotation that takes bones nearest to where they are to point: least squares, linear in the angle."""
+    """The small rotation that best aligns bones with their targets: least squares, linear in the angle."""
     squares = np.einsum("bti,bti->t", bones, bones)
     spread = (squares * (1.0 + 1e-9) + _NO_LENGTH)[:, None, None] * np.eye(3) - np.einsum("bti,btj->tij", bones, bones)
     torque = np.cross(bones, aims).sum(axis=0)

@@ -1,4 +1,4 @@
-"""How strong fast motion is by joint and band, given the slow motion; `motionkit.clips.detail` learns it."""
+"""Predicts the power of fast motion per joint and band from the slow motion; fitted by `motionkit.clips.detail`."""
 
 from dataclasses import dataclass, fields
 
@@ -17,7 +17,7 @@ from motionkit.fields.detail.slow_motion import (
 )
 
 FLOOR_METRES = 0.0005
-"""White noise of this standard deviation at 120 fps is added to a power before its logarithm is taken."""
+"""Standard deviation of white noise at 120 fps that is added to a power before taking its logarithm."""
 LARGEST_FEATURE = 4.0
 NUM_JOINTS = SMPL22.num_joints
 _CHUNK, _FIRST = 1024, 1 << 16
@@ -25,12 +25,12 @@ _CHUNK, _FIRST = 1024, 1 << 16
 
 @dataclass(frozen=True, eq=False)
 class Detail:
-    """Log power of fast motion as a linear function of features of slow motion, and how joints move together there.
+    """Log power of fast motion as a linear function of features of slow motion, and the correlation of joints.
 
     `centre` and `scale` standardise features; `weights` and `offset` give the log of power (m²) above a floor, of
-    `NUM_BANDS` × 22 joints, never more than `most`; `mixing` makes of independent numbers those of joints (across, up,
-    ahead) of one band, each joint's squares adding up to 1. Raises `ValueError` for other shapes and for numbers that
-    are not finite.
+    `NUM_BANDS` × 22 joints, clipped at `most`; `mixing` maps independent normals to correlated joint components
+    (across, up, ahead) of one band, each joint's squares adding up to 1. Raises `ValueError` for other shapes and
+    values that are not finite.
     """
 
     centre: Float64[np.ndarray, "features"]
@@ -57,20 +57,20 @@ class Detail:
                 raise ValueError(f"{name} holds a number that is not finite")
 
     def arrays(self) -> dict[str, npt.NDArray[np.float64]]:
-        """Every number, by name."""
+        """All parameters by name."""
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
     def power(self, slow: SlowMotion) -> Float64[np.ndarray, "instants bands joints"]:
-        """Mean squared displacement (m²) that motion in this state has in every band."""
+        """Expected squared displacement (m²) in every band, given the state."""
         state = np.clip((slow.features - self.centre) * self.scale, -LARGEST_FEATURE, LARGEST_FEATURE)
         log_power = np.minimum(state @ self.weights + self.offset, self.most)
         power = np.exp(log_power).reshape(-1, NUM_BANDS, NUM_JOINTS) - floors()[:, None]
         return np.asarray(np.maximum(power, 0.0))
 
     def noise(self, seeds: tuple[int, int], start: int, stop: int) -> Float64[np.ndarray, "bands instants joints 3"]:
-        """Random motion of every band at instants [start, stop) of the grid, joints' squares 1 on average.
+        """Random motion of every band at samples [start, stop) of the grid, with unit mean square per joint.
 
-        It is a function of the two seeds and the instant alone.
+        A function of the two seeds and the sample index alone.
         """
         white = _white(seeds, start - BAND_REACH, stop + BAND_REACH, 3 * NUM_JOINTS)
         bands = band_motion(white) / np.linalg.norm(band_filters(), axis=1)[:, None, None]
@@ -79,12 +79,12 @@ class Detail:
 
 
 def floors() -> Float64[np.ndarray, "bands"]:
-    """The power in every band of white noise of `FLOOR_METRES`, of three coordinates, m²."""
+    """Power in every band of white noise of `FLOOR_METRES` in three coordinates, m²."""
     return np.asarray(3.0 * FLOOR_METRES**2 * np.square(band_filters()).sum(axis=1))
 
 
 def _white(seeds: tuple[int, int], start: int, stop: int, columns: int) -> Float64[np.ndarray, "instants columns"]:
-    """Independent normal numbers of instants from `start` (which may be before 0) on, drawn in chunks of the grid."""
+    """Independent normals for samples from `start` (may be negative) on, drawn in chunks of the grid."""
     first, last = (start + _FIRST) // _CHUNK, (stop + _FIRST - 1) // _CHUNK
     each = (np.random.default_rng((*seeds, chunk)) for chunk in range(first, last + 1))
     drawn = [generator.standard_normal((_CHUNK, columns)) for generator in each]

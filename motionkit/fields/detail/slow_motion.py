@@ -1,7 +1,6 @@
-"""What the slow motion of a body says of the fast motion that comes with it, on a grid of 120 instants a second.
+"""Features of slow motion that predict the fast motion, on a 120 Hz grid.
 
-Everything here is made of filters of finite length, so what is found at an instant depends on `MARGIN` instants on
-either side of it and on nothing else.
+Everything here uses finite filters, so each sample depends on `MARGIN` samples on either side and on nothing else.
 """
 
 from dataclasses import dataclass
@@ -12,7 +11,7 @@ from jaxtyping import Float, Float64
 
 GRID_FPS = 120
 MARGIN = 192
-"""Instants on both sides that the filters below reach for, and a few more."""
+"""Samples on both sides that the filters below need, and a few more."""
 
 EDGES_HZ = (10.0, 14.0, 20.0, 28.0, 40.0, 60.0)
 NUM_BANDS = len(EDGES_HZ) - 1
@@ -20,23 +19,23 @@ BAND_REACH = 60
 ENVELOPE_REACH = 4
 
 SLOW_HZ, SLOW_REACH = 4.0, 45
-"""What generated motion holds as captures do; up to 6 Hz would tell no more of captures (docs/results/detail.md)."""
+"""Band where generated motion matches captures; up to 6 Hz would predict no better (docs/results/detail.md)."""
 LOWEST_REACH = 120
 ENERGY_REACH = 36
 LAGS = (-10, -5, 0, 5, 10)
 
 FEET = (7, 8, 10, 11)
 WATCHED = (*FEET, 0, 15, 20, 21)
-"""Feet, root, head and hands of the 22-joint layout: speed, vertical velocity and acceleration at five instants."""
+"""Feet, root, head and hands of the 22-joint layout: speed, vertical velocity and acceleration at five times."""
 ENERGETIC = (0, 4, 5, 7, 8, 15, 18, 19, 20, 21)
-"""Joints whose slow energy over 0.6 s counts too."""
+"""Joints whose slow energy over 0.6 s is a feature too."""
 HIPS_AND_SHOULDERS = ((1, 2), (16, 17))
 NUM_FEATURES = len(LAGS) * (len(FEET) + 4 * len(WATCHED)) + len(ENERGETIC)
 
 
 @dataclass(frozen=True, eq=False)
 class SlowMotion:
-    """The state of a body at every instant of a stretch of the grid.
+    """The state of a body at every sample of a segment of the grid.
 
     `features` are logarithms of heights, speeds, accelerations and energies, and vertical velocities and
     accelerations below a limit; `facing` is the direction across the body, a unit vector (x, z).
@@ -47,7 +46,7 @@ class SlowMotion:
 
 
 def with_ends(positions: Float[np.ndarray, "instants joints 3"], before: int, after: int) -> Float64[np.ndarray, "..."]:
-    """A motion gone on with before its first instant and after its last by point reflection, which keeps velocity."""
+    """Pads a motion on both ends by point reflection, which keeps velocity continuous."""
     if len(positions) == 1:
         return np.repeat(positions.astype(np.float64), 1 + before + after, axis=0)
     pad = ((before, after), (0, 0), (0, 0))
@@ -55,7 +54,7 @@ def with_ends(positions: Float[np.ndarray, "instants joints 3"], before: int, af
 
 
 def slow_motion(positions: Float64[np.ndarray, "padded joints 3"]) -> SlowMotion:
-    """The state at all instants but `MARGIN` at both ends, of a body of the 22 joints, in metres, y up."""
+    """The state at all samples except `MARGIN` at both ends, for the 22 joints, in metres, y up."""
     from scipy.ndimage import minimum_filter1d
 
     slow = filtered(positions.reshape(len(positions), -1), low_pass(SLOW_HZ, SLOW_REACH)[None])[0]
@@ -87,12 +86,12 @@ def slow_motion(positions: Float64[np.ndarray, "padded joints 3"]) -> SlowMotion
 def band_motion(
     signals: Float64[np.ndarray, "padded columns"],
 ) -> Float64[np.ndarray, "bands instants columns"]:
-    """What signals hold in every band, at all instants but `BAND_REACH` at both ends."""
+    """Signals filtered into bands, at all samples except `BAND_REACH` at both ends."""
     return filtered(signals, band_filters())
 
 
 def band_power(positions: Float64[np.ndarray, "padded joints 3"]) -> Float64[np.ndarray, "instants bands joints"]:
-    """Squared displacement (m²) in every band, a mean over 0.07 s, at all instants but `MARGIN` at both ends."""
+    """Squared displacement (m²) in every band, averaged over 0.07 s, except `MARGIN` samples at both ends."""
     bands = band_motion(positions.reshape(len(positions), -1))
     power = np.square(bands).reshape(*bands.shape[:2], -1, 3).sum(axis=-1)
     power = np.moveaxis(power, 0, 1).reshape(bands.shape[1], -1)
@@ -103,7 +102,7 @@ def band_power(positions: Float64[np.ndarray, "padded joints 3"]) -> Float64[np.
 def filtered(
     signals: Float64[np.ndarray, "instants columns"], filters: Float64[np.ndarray, "filters taps"]
 ) -> Float64[np.ndarray, "filters inner columns"]:
-    """Signals through symmetric filters, at the instants whose neighbours are all known."""
+    """Symmetric filters applied to signals, valid samples only."""
     import scipy.fft
 
     taps = filters.shape[1]
@@ -125,14 +124,14 @@ def low_pass(cutoff_hz: float, reach: int) -> Float64[np.ndarray, "taps"]:
 
 @cache
 def hann(reach: int) -> Float64[np.ndarray, "taps"]:
-    """Weights of a mean over 2 · reach + 1 instants."""
+    """Weights of a mean over 2 · reach + 1 samples."""
     window = np.hanning(2 * reach + 3)[1:-1]
     return np.asarray(window / window.sum())
 
 
 @cache
 def band_filters() -> Float64[np.ndarray, "bands taps"]:
-    """Differences of low-pass filters: together they are everything above the lowest edge."""
+    """Differences of low-pass filters; they add up to everything above the lowest edge."""
     whole = np.zeros(2 * BAND_REACH + 1)
     whole[BAND_REACH] = 1.0
     below = [*(low_pass(edge, BAND_REACH) for edge in EDGES_HZ[:-1]), whole]
@@ -142,14 +141,14 @@ def band_filters() -> Float64[np.ndarray, "bands taps"]:
 def to_body(
     vectors: Float64[np.ndarray, "*before instants joints 3"], facing: Float64[np.ndarray, "instants 2"]
 ) -> Float64[np.ndarray, "*before instants joints 3"]:
-    """Vectors of the world in the body's frame: across it, up, ahead."""
+    """Rotates world vectors to the body's frame: across, up, ahead."""
     return _turned(vectors, facing[:, None, 0], facing[:, None, 1])
 
 
 def to_world(
     vectors: Float64[np.ndarray, "*before instants joints 3"], facing: Float64[np.ndarray, "instants 2"]
 ) -> Float64[np.ndarray, "*before instants joints 3"]:
-    """Vectors of the body's frame in the world's."""
+    """Rotates vectors of the body's frame to the world's."""
     return _turned(vectors, facing[:, None, 0], -facing[:, None, 1])
 
 

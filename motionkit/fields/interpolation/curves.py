@@ -1,6 +1,6 @@
 """Curves through rotations (SLERP, Catmull-Rom, SQUAD, cubic) and through plain values.
 
-Beyond both ends all go on at constant angular velocity. Quaternions are (w, x, y, z), float64; rates are rotation
+Beyond both ends all continue at constant angular velocity. Quaternions are (w, x, y, z), float64; rates are rotation
 vectors per second in the joint's own frame.
 """
 
@@ -65,7 +65,7 @@ def curve(
 def knot_rates(
     times_seconds: Float64[np.ndarray, "frames"], steps: Float64[np.ndarray, "segments *rest"]
 ) -> Float64[np.ndarray, "frames *rest"]:
-    """Rates per second at all knots from the steps between them, as Catmull-Rom splines take them.
+    """Catmull-Rom rates per second at all knots, from the steps between them.
 
     Inside, the slope of the parabola through three neighbours, so uneven times are allowed for; at both ends that of
     the outermost step. Source: Barry & Goldman 1988 (the derivative of their recursion at a knot).
@@ -146,7 +146,7 @@ def rotation_curve(
 
 
 def turns_between(rotations: Float64[np.ndarray, "frames joints 4"]) -> Float64[np.ndarray, "segments joints 3"]:
-    """log(q_i⁻¹·q_{i+1}): the shortest turn from each rotation to the next, in the joint's own frame, radians."""
+    """log(q_i⁻¹·q_{i+1}): the shortest rotation from each one to the next, in the joint's own frame, radians."""
     return quaternion_to_rotation_vector(quaternion_multiply(quaternion_conjugate(rotations[:-1]), rotations[1:]))
 
 

@@ -36,16 +36,16 @@ TIMES_AT_ONCE = 4096
 SNAP_SECONDS = 1e-8
 FRAMES_AT_ONCE = 1024
 BLOCKS_KEPT = 2
-# A cubic spline feels a frame k frames away by less than 2⁻ᵏ: beyond 48 it is lost in float64.
+# The influence of a frame k frames away on a cubic spline is below 2⁻ᵏ: beyond 48 it vanishes in float64.
 _SPLINE_MARGIN = 48
 _TRAVELLING_METRES = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class InterpolatedField:
-    """A `MotionField` through all frames of an observation, on its span and what was asked for beyond it.
+    """A `MotionField` through all frames of an observation, on its span and the requested extension.
 
-    Curves are made where they are asked for: of 1,024 frames and so many on both sides as can be felt there. So memory
+    Curves are fitted on demand: to 1,024 frames and as many on both sides as have an influence there. So memory
     doesn't grow with the motion beyond the observation itself, and a pose depends on its time alone.
     """
 
@@ -62,7 +62,7 @@ class InterpolatedField:
     def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
         """Poses at any times inside the domain, in any order; raises `ValueError` outside it.
 
-        Works through 4,096 times at once, so that it needs little more memory than its answer.
+        Processes 4,096 times at once, so that it needs little more memory than its output.
         """
         check_times(self, times_seconds)
         times = _snapped(times_seconds, self.observation.times_seconds)
@@ -94,9 +94,9 @@ class InterpolatedField:
 
 @dataclass(frozen=True)
 class Interpolator:
-    """A `MotionEncoder` that needs no training: curves through frames, and how far off a frame is still felt.
+    """A `MotionEncoder` without training: curves through frames, and the number of neighbours that influence them.
 
-    It is a `BatchEncoder` too: motions observed at the same times share their curves.
+    Also a `BatchEncoder`: motions observed at the same times share their curves.
     """
 
     name: Method
@@ -108,7 +108,7 @@ class Interpolator:
     ) -> InterpolatedField:
         """The field through all observed frames; raises `ValueError` for a negative reach."""
         if not (0 <= before_seconds < np.inf and 0 <= after_seconds < np.inf):
-            raise ValueError(f"seconds beyond a motion are 0 or more, not {before_seconds:g} and {after_seconds:g}")
+            raise ValueError(f"seconds to extend by must be 0 or more, not {before_seconds:g} and {after_seconds:g}")
         return InterpolatedField(
             observation.remade(continuous_rotations, observation.skeleton),
             self,
@@ -159,7 +159,7 @@ def _on_positions(kind: CurveKind) -> Callable[[Sequence[Observation]], PosesAt]
 
 
 def _on_rotations(rotation_kind: RotationKind, root_kind: CurveKind) -> Callable[[Sequence[Observation]], PosesAt]:
-    """Poses without rotations get those of inverse kinematics; as these are not observed, the field then has none."""
+    """Interpolates rotations, from inverse kinematics if there are none; the field has rotations only if observed."""
 
     def make(observations: Sequence[Observation]) -> PosesAt:
         times_seconds, skeleton = observations[0].times_seconds, observations[0].skeleton
@@ -168,7 +168,7 @@ def _on_rotations(rotation_kind: RotationKind, root_kind: CurveKind) -> Callable
         shape = joints.rotations.shape[1:]
         rotations = rotation_curve(rotation_kind, times_seconds, joints.rotations.reshape(len(times_seconds), -1, 4))
         bones = curve(root_kind, times_seconds, joints.bones)
-        # Hips that travel in a reference on the floor go on like a root; bones keep the length that they end with.
+        # Hips that travel in a reference on the floor continue like a root; bones keep their last length.
         travels = np.ptp(joints.bones, axis=0).max(axis=-1) > _TRAVELLING_METRES
         root = curve(root_kind, times_seconds, joints.root)
         translations = [
@@ -238,7 +238,7 @@ class Settling:
 
     @property
     def name(self) -> str:
-        """The interpolator's: between frames it is that."""
+        """The interpolator's name."""
         return self.interpolator.name
 
     def encode(
@@ -259,7 +259,7 @@ class Settling:
 
 @dataclass(frozen=True, eq=False)
 class SettlingField:
-    """`between` inside the observed span; outside it `beyond`, which has rotations, asked at slowed times."""
+    """`between` inside the observed span; outside it `beyond`, which has rotations, at slowed times."""
 
     encoder: Settling
     between: InterpolatedField

@@ -1,4 +1,4 @@
-"""Poses taken apart into what can be mixed without bending a body: rotations, bones, root."""
+"""Poses decomposed into rotations, bones and root, which can be interpolated without distorting the body."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ class Joints:
 
     @classmethod
     def of(cls, poses: Poses, skeleton: Skeleton) -> "Joints":
-        """Take poses apart; poses without rotations, in order of time, get those of inverse kinematics."""
+        """Decomposes poses; those without rotations, in chronological order, get them from inverse kinematics."""
         local = poses.local_rotations
         if local is None:
             local = kinematics.inverse_kinematics_in_time(poses.joint_positions, skeleton)
@@ -54,7 +54,7 @@ class JointsOfMany:
 
     @classmethod
     def of(cls, observations: Sequence[Observation]) -> "JointsOfMany":
-        """Take all poses of motions of equal length apart, as `Joints.of` does."""
+        """Decomposes all poses of motions of equal length, like `Joints.of`."""
         each = [Joints.of(observation.poses, observation.skeleton) for observation in observations]
         return cls(
             np.stack([joints.rotations for joints in each], axis=1),
@@ -81,7 +81,7 @@ def with_rotations(observation: Observed) -> Observed:
 
 
 def rotations_in_time(poses: Poses, skeleton: Skeleton, before: Poses | None) -> Poses:
-    """Poses in order of time with the rotations of inverse kinematics, going on from those of the pose `before`."""
+    """Poses in chronological order with rotations from inverse kinematics, continuing from the pose `before`."""
     if before is None or before.local_rotations is None:
         rotations = kinematics.inverse_kinematics_in_time(poses.joint_positions, skeleton)
     else:

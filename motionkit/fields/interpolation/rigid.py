@@ -1,9 +1,9 @@
-"""Fields of joint positions as bodies with bones, for files that hold rotations (BVH).
+"""Adds rotations and rigid bones to fields of joint positions, for files that hold rotations (BVH).
 
-Interpolators on positions move each joint by itself, so bones shorten between frames that turn, and no rotation is
-known. Here the observed rotations are interpolated as well, and each joint is turned from there by the least that
-points its bones the way the positions lie: bones keep their length, twists are those of the observed frames, and an
-observed frame stays what it is.
+Interpolators on positions move each joint independently, so bones shorten between frames that turn, and rotations are
+unknown. Here the observed rotations are interpolated as well, and each joint is turned by the smallest rotation that
+aligns its bones with the positions: bones keep their length, twists follow the observed frames, and observed frames
+are unchanged.
 """
 
 from dataclasses import dataclass
@@ -28,16 +28,16 @@ from motionkit.fields.motion_field import MotionField, Observed, Poses
 _FRAMES_TO_SEE = 500
 _RIGID_METRES, _STILL_NUMBERS = 1e-4, 1e-6
 _NO_LENGTH = 1e-6
-# Next to nothing where bones say how a joint turns, and enough where they lie on a line.
+# Negligible if the bones determine a joint's rotation, and enough if they are collinear.
 _INERTIA = 1e-4
 
 
 @dataclass(frozen=True)
 class Rig:
-    """How a body hangs together, by what is seen of it.
+    """The rigid structure of a body, estimated from its motion.
 
-    `moving` joints change their place in their parent's frame (hips that travel in a reference on the floor), `still`
-    ones never turn in it (or have no channels to).
+    `moving` joints translate in their parent's frame (hips that travel in a reference on the floor), `still` ones never
+    rotate in it (or have no rotation channels).
     """
 
     skeleton: Skeleton
@@ -46,7 +46,7 @@ class Rig:
 
     @classmethod
     def of(cls, observation: Observed) -> "Rig":
-        """The rig of an observation with rotations, seen in some hundred frames."""
+        """The rig of an observation with rotations, estimated from some hundred frames."""
         poses = observation.rows(slice(None, None, max(1, len(observation) // _FRAMES_TO_SEE))).poses
         joints = Joints.of(poses, observation.skeleton)
         spread = np.ptp(joints.bones, axis=0).max(axis=-1)
@@ -59,7 +59,7 @@ class Rig:
         )
 
     def carried(self, joint: int) -> tuple[int, ...]:
-        """The joints that lie still in a joint's frame: children, and theirs where a child never turns."""
+        """The joints fixed in a joint's frame: its children, and theirs if a child never rotates."""
         return _carried(self, joint)
 
 
@@ -74,9 +74,9 @@ def _carried(rig: Rig, joint: int) -> tuple[int, ...]:
 
 
 def on_bones(field: MotionField, observation: Observed) -> MotionField:
-    """The field itself where it has rotations, else with those that keep the observation's bones; it has to have some.
+    """The field itself if it has rotations, else one with the bones of the observation (required).
 
-    Joints that no rigid bone holds stay where the field has them, all others are reached along bones.
+    Joints without a rigid bone keep the field's positions, all others are placed along bones.
     """
     if field.query(np.array([field.start_seconds])).local_rotations is not None:
         return field
@@ -98,17 +98,17 @@ class OnBones:
 
     @property
     def skeleton(self) -> Skeleton:
-        """The field's."""
+        """Same as the wrapped field's."""
         return self.field.skeleton
 
     @property
     def start_seconds(self) -> float:
-        """The field's."""
+        """Same as the wrapped field's."""
         return self.field.start_seconds
 
     @property
     def end_seconds(self) -> float:
-        """The field's."""
+        """Same as the wrapped field's."""
         return self.field.end_seconds
 
     def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
@@ -129,8 +129,8 @@ def _pointed(
     local, places = poses.local_rotations.astype(np.float64), poses.joint_positions.astype(np.float64)
     before = global_rotations(local, rig.skeleton)
     reached, world = wanted.astype(np.float64), before.copy()
-    turns = np.zeros_like(world)  # from the world rotation before to the one now
-    # Parents come before children, so that each bone is aimed from where its joint has come to.
+    turns = np.zeros_like(world)  # from the previous world rotation to the new one
+    # Parents come before children, so that each bone is aimed from its joint's new position.
     for joint, parent in enumerate(rig.skeleton.parents):
         turn = turns[:, parent] if parent >= 0 else np.tile([1.0, 0.0, 0.0, 0.0], (len(world), 1))
         if parent >= 0 and joint not in rig.moving:

@@ -234,9 +234,9 @@ def _rotations(
     return components.transpose(2, 1, 0)
 
 
-# Nearer to the pole than this cosine, the first and the last angle cannot be told apart from their sum.
+# Gimbal lock: nearer to the pole than this cosine, only the sum of the first and the last angle is determined.
 _POLE_COSINE = 1e-5
-# Angles that turn by less than this from what is wanted are as good: quaternions are float32.
+# Rotations closer than this are equal: quaternions are float32.
 _SAME_RADIANS = 2e-6
 
 

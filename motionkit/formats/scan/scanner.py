@@ -14,9 +14,9 @@ from motionkit.formats.format import Format
 from motionkit.formats.indexes import search
 from motionkit.formats.scan import annotations, unread
 from motionkit.formats.scan.annotations import Annotation, AnnotationTable
+from motionkit.formats.scan.derived import is_derived
 from motionkit.formats.scan.folders import dangling, walk
 from motionkit.formats.scan.items import ReadOptions, ScanResult, SourceItem, Spare
-from motionkit.formats.scan.made import is_made
 
 
 def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanResult:
@@ -141,7 +141,7 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
 def _left_out(path: Path, root: Path, made: list[Path]) -> bool:
     # Whoever names a folder of completed clips means them.
     known = any(_takes(entry, path) for entry in readers().values())
-    if known and is_made(path if path.parent != root else Path(path.name)):
+    if known and is_derived(path if path.parent != root else Path(path.name)):
         made.append(path)
         return True
     return False

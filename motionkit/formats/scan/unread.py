@@ -54,7 +54,7 @@ def no_motion(source: Path, options: ReadOptions) -> FormatError:
     there = ", ".join(f"{count} {kind}" for kind, count in list(kinds.items())[:SHOWN_KINDS]) or "no files"
     message = f"no motions in this folder (it has {there}), expected {expected}"
     if kinds.keys() & {FBX, *PICKLES}:
-        message += "; name one of its files alone to be told how it can be converted"
+        message += "; give one of its files to see how to convert it"
     return FormatError(message, path=source, reason="empty-folder")
 
 

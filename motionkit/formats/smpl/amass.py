@@ -42,7 +42,7 @@ FRAMERATE_KEYS = ("mocap_framerate", "mocap_frame_rate")
 PUBLISHED_BETAS = 10
 # Eight turns.
 MAX_RADIANS = 50.0
-# What smplx.create takes without being told, and so GMR.
+# The default number of betas of smplx.create, which GMR uses.
 WRITTEN_BETAS = 10
 GENDERS = ("male", "female", "neutral")
 # The quarter turn about x that takes z up to y up: (x, y, z) → (x, z, −y).

@@ -1,1 +1,1 @@
-"""Memory maps for training, made from a store."""
+"""Training caches: memory maps built from a store."""

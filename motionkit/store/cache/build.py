@@ -1,4 +1,4 @@
-"""Making a training cache out of Parquet: which sequences fit a layout, and their positions, streamed into one file."""
+"""Builds a training cache from Parquet: sequences that fit a layout, with positions streamed into one file."""
 
 import hashlib
 import io
@@ -45,7 +45,7 @@ INDEX_COLUMNS = ("sequence_index", "num_frames", "fps_numerator", "fps_denominat
 
 @dataclass(frozen=True)
 class Skipped:
-    """A sequence that the filter chose but the layout cannot hold, and why."""
+    """A selected sequence that cannot be mapped to the layout, and why."""
 
     sequence_index: int
     sequence_id: str
@@ -54,7 +54,7 @@ class Skipped:
 
 @dataclass(frozen=True)
 class SkeletonMap:
-    """How one skeleton gets into a layout: the fault where it does not, else a digest of the map."""
+    """A skeleton's mapping to a layout: an error message, or a digest of the map."""
 
     fault: str
     digest: str
@@ -64,7 +64,7 @@ class SkeletonMap:
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
-    """What a cache is made of: a store's sequences for which `where` holds, in a layout, by the skeletons' maps."""
+    """The inputs of a cache: a store's sequences that match `where`, a layout, the skeletons' maps."""
 
     store: Store
     layout: str
@@ -79,7 +79,7 @@ class Wanted:
 
     @property
     def name(self) -> str:
-        """Name of the cache's folder: equal where all that it depends on is."""
+        """Name of the cache's folder: equal for equal inputs."""
         facts = {
             "version": CACHE_VERSION,
             "layout": self.layout,
@@ -92,9 +92,9 @@ class Wanted:
 
 
 def build(wanted: Wanted, target: Path) -> None:
-    """Write the cache into the folder `target`, where an unfinished or damaged one may lie; complete with `CACHE_FILE`.
+    """Write the cache into the folder `target`, replacing an incomplete or damaged one; `CACHE_FILE` completes it.
 
-    Raises `UsageError` for a choice that is empty or cannot be held, `StoreError` where the disk is too small.
+    Raises `UsageError` for an empty or unsupported selection, `StoreError` if the disk is too small.
     """
     store, maps = wanted.store, wanted.maps
     kept, skipped = _chosen(wanted)
@@ -140,7 +140,7 @@ def _skeleton_map(skeleton: Skeleton, layout: str) -> SkeletonMap:
 
 
 def _chosen(wanted: Wanted) -> tuple["pd.DataFrame", list[Skipped]]:
-    """Rows of the sequences that the cache holds, and those that it leaves out."""
+    """Rows of the sequences in the cache, and of those left out."""
     store, where, maps = wanted.store, wanted.where, wanted.maps
     chosen = store.columns("sequence_id", "skeleton", *INDEX_COLUMNS).loc[store.select_some(where)]
     faults = chosen["skeleton"].map(lambda fingerprint: maps[fingerprint].fault)

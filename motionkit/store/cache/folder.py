@@ -1,8 +1,7 @@
-"""Where training caches lie, what they are called, and which of them are no longer needed.
+"""Folders of training caches: location, names, and removal of outdated ones.
 
-A cache is a folder `KEY` of known files, in the store's folder `cache` or in one that the user names. Nothing else in
-these folders is touched: only a folder that has such a name and holds our marker is removed, and of it only the files
-that we name; symbolic links are not followed.
+A cache is a folder `KEY` of known files, in the store's folder `cache` or in one that the user names. Only folders with
+such a name and our marker are removed, and of them only known files; symbolic links are not followed.
 """
 
 import errno
@@ -17,7 +16,7 @@ from motionkit.core.files import exclusive_lock, require_no_link, temporary_name
 from motionkit.core.settings import optional_path
 from motionkit.store.schema import CACHE_FOLDER
 
-# With another number a cache is another one: of other files, or of other numbers in them.
+# Raised when a cache's files or their content change.
 CACHE_VERSION = 2
 CACHE_FILE = "cache.json"
 INDEX_FILE = "index.npy"
@@ -49,9 +48,9 @@ def cache_name(fingerprint: str, layout: str, key: str) -> str:
 
 @contextmanager
 def building(root: Path, damage: DamagedFileError | None = None) -> Iterator[None]:
-    """Hold the builder's lock on the folder of a store's caches, which is made where it is missing.
+    """Hold the builder's lock on the folder of a store's caches, which is created if needed.
 
-    `damage` is why. Raises `StoreError` that names MOTIONKIT_CACHE where the block finds that it may not be written to.
+    `damage` is the reason for building. Raises `StoreError` that names MOTIONKIT_CACHE if the folder is not writable.
     """
     with writable(damage):
         root.mkdir(parents=True, exist_ok=True)
@@ -61,7 +60,7 @@ def building(root: Path, damage: DamagedFileError | None = None) -> Iterator[Non
 
 @contextmanager
 def writable(damage: DamagedFileError | None = None) -> Iterator[None]:
-    """Raise `StoreError` that names MOTIONKIT_CACHE where the block finds that a cache may not be written."""
+    """Raise `StoreError` that names MOTIONKIT_CACHE if a cache is not writable in the block."""
     try:
         yield
     except OSError as error:
@@ -74,7 +73,7 @@ def writable(damage: DamagedFileError | None = None) -> Iterator[None]:
 
 
 def mark(folder: Path) -> None:
-    """Make a cache's folder, and say in it that it is one of ours; raises `LinkError` where it is a symbolic link."""
+    """Create a cache's folder with our marker; raises `LinkError` for a symbolic link."""
     require_no_link(folder, "delete the link")
     folder.mkdir(exist_ok=True)
     write_whole(folder / MARKER_FILE, MARKER)
@@ -99,14 +98,14 @@ def caches_of(root: Path, fingerprint: str) -> list[Path]:
 
 
 def remove_stale(root: Path, fingerprint: str) -> None:
-    """Remove caches of other states of the store and of other versions; who has opened them keeps them."""
+    """Remove caches of other states of the store and of other versions; open memory maps stay valid."""
     for folder in _own_folders(root):
         if not _is_of(folder, fingerprint) or _marker(folder) != MARKER:
             remove_cache(folder)
 
 
 def remove_stale_caches(store: Path, fingerprint: str) -> None:
-    """Remove the caches of other states of the store that lie in it, once no builder is at work there."""
+    """Remove the caches of other states of the store inside it, when no builder is running."""
     root = store / CACHE_FOLDER
     if _own_folders(root):
         with building(root):
@@ -114,7 +113,7 @@ def remove_stale_caches(store: Path, fingerprint: str) -> None:
 
 
 def remove_cache(folder: Path) -> None:
-    """Remove a cache's own files, and its folder unless somebody else has put something there."""
+    """Remove a cache's own files, and its folder if it has no others."""
     names = {entry.name for entry in os.scandir(folder) if not entry.is_dir(follow_symlinks=False)}
     # Whatever is derived from a cache has a lock (`PositionCache.derived_rows`).
     derived = [name[1:].removesuffix(".lock") for name in names if name.startswith(".") and name.endswith(".lock")]
@@ -138,7 +137,7 @@ def _own_folders(root: Path) -> list[Path]:
 
 
 def is_cache(folder: Path) -> bool:
-    """Whether a folder, which has the name of one, is a cache, complete or not."""
+    """Whether a folder with a cache's name is a cache, complete or not."""
     # Caches of version 1 had no marker, but always these three. One that has just been begun has nothing yet.
     begun = {entry.name for entry in os.scandir(folder)} <= {temporary_name(folder / MARKER_FILE).name}
     return begun or bool(_marker(folder)) or all(_is_file(folder / name) for name in _OF_VERSION_1)

@@ -1,8 +1,8 @@
-"""The training cache: joint positions of one layout as a flat memory map, made from Parquet once.
+"""The training cache: joint positions of one layout as a flat memory map, built from Parquet once.
 
-A cache lies in `store/cache/KEY`, or in the folder that MOTIONKIT_CACHE names; the key is made of the store's
-fingerprint, the filter, the layout, the dtype and the joint maps of the store's skeletons, so a cache that is found is
-a cache that fits. `cache.json` holds the digests of its other files, which are compared when it is opened.
+A cache is `store/cache/KEY`, or in the folder that MOTIONKIT_CACHE names; the key is a hash of the store's fingerprint,
+the filter, the layout, the dtype and the joint maps of the store's skeletons. `cache.json` holds the digests of its
+other files, which are compared when it is opened.
 """
 
 import zipfile
@@ -42,11 +42,11 @@ _MEND = "delete its folder, it is made anew"
 
 @dataclass(frozen=True, eq=False)
 class PositionCache:
-    """Frames of N sequences one after the other; sequence n is rows [start_row[n], start_row[n] + num_frames[n]).
+    """Concatenated frames of N sequences; sequence n is rows [start_row[n], start_row[n] + num_frames[n]).
 
-    `positions` is a read-only memory map [total_frames, J, 3], metres; `rows` reads single frames of the same file, and
-    leaves no page of it in the process. `sequence_index` leads back to the store. Picklable: another process maps the
-    same file, without a look at its digest.
+    `positions` is a read-only memory map [total_frames, J, 3], metres; `rows` reads single frames of the same file
+    without keeping pages in the process. `sequence_index` refers to the store. Picklable: another process maps the same
+    file, without checking its digest.
     """
 
     path: Path
@@ -114,12 +114,12 @@ class PositionCache:
         num_numbers: int,
         compute: Callable[[], Iterator[Float32[np.ndarray, "frames numbers"]]],
     ) -> RowFile:
-        """A file with a row of numbers for each row of `positions`, made where it is missing or damaged.
+        """A file with a row of numbers for each row of `positions`, computed if it is missing or damaged.
 
-        `compute` gives the sequences' rows in the cache's order, one sequence in memory at a time. `name` stands for
-        how they are computed: a change of that needs another name. The file goes when the cache goes. Two processes may
-        ask at once: one computes, the other waits. Raises `ValueError` where the rows are not those of the cache's
-        frames, `StoreError` where the cache may not be written to.
+        `compute` yields the sequences' rows in the cache's order, one sequence in memory at a time. `name` identifies
+        the computation: a change needs another name. The file is deleted with the cache. If two processes call it at
+        once, one computes and the other waits. Raises `ValueError` for rows that do not match the cache's frames,
+        `StoreError` if the cache is not writable.
         """
         shape, path = (len(self.positions), num_numbers), self.path / f"{name}.npy"
         found = find_derived(self.path, name, shape)
@@ -151,12 +151,12 @@ class PositionCache:
 
 
 def open_cache(store: Store, *, layout: str = "smpl22", where: str | None = None) -> PositionCache:
-    """The cache of the sequences for which the SQL condition `where` holds, in the layout; built where it is missing.
+    """The cache of the sequences that match the SQL condition `where`, in the layout; built if missing.
 
-    A damaged one is not used: it is built anew, with a warning. Layouts: `smpl22`, `kit21`, and `native` for
-    stores (or filters) with one number of joints. Two processes may ask at once: one builds, the other waits. Raises
-    `UsageError` for an unknown layout, bad SQL, or a choice that is empty or cannot be held; `StoreError` where the
-    disk is too small or may not be written to; `LinkError` where the folder of caches is a symbolic link.
+    A damaged cache is rebuilt with a warning. Layouts: `smpl22`, `kit21`, and `native` for stores (or filters) with one
+    number of joints. If two processes call it at once, one builds and the other waits. Raises `UsageError` for an
+    unknown layout, bad SQL, or an empty or unsupported selection; `StoreError` if the disk is too small or not
+    writable; `LinkError` if the folder of caches is a symbolic link.
     """
     if layout != NATIVE and layout not in STANDARD_SKELETONS:
         raise UsageError(f"there is no layout {layout!r}: {', '.join(STANDARD_SKELETONS)} or {NATIVE}")
@@ -195,7 +195,7 @@ def cache_faults(store: Path, fingerprint: str) -> Iterator[str]:
 
 
 def _find(target: Path, wanted: Wanted) -> PositionCache | DamagedFileError | None:
-    """The cache in a folder, or what is wrong with it, or None where there is none."""
+    """The cache in a folder, or its damage, or None if there is none."""
     require_no_link(target, "delete the link")
     if not (target / CACHE_FILE).exists():
         return None

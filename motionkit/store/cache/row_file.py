@@ -1,4 +1,4 @@
-"""Rows of a .npy file: written block by block, read when they are asked for, compared with their digest."""
+"""Rows of a .npy file: written in blocks, read lazily, verified by a digest."""
 
 import hashlib
 import math

@@ -26,10 +26,10 @@ SHOWN_IDS = 3
 
 
 @dataclass(frozen=True)
-class Found(Generic[ReadT]):
-    """A motion that was found: `name` for people, `short` without its folder, `read` for when its turn comes.
+class FoundMotion(Generic[ReadT]):
+    """A motion to read lazily: `name` for messages, `short` without its folder, `read` loads it.
 
-    What is made of it goes by `beside`: its path without a suffix, and with the key of a file that holds several.
+    Outputs are written next to `beside`: its path without suffix, with the key for a file of several motions.
     """
 
     name: str
@@ -40,7 +40,7 @@ class Found(Generic[ReadT]):
 
 @dataclass(frozen=True)
 class Readers(Generic[ReadT]):
-    """How motions become what is asked for: those of files, of a store."""
+    """Conversions of motions: from files, and from a store."""
 
     item: Callable[[SourceItem], ReadT]
     stored: Callable[[Motion], ReadT]
@@ -48,12 +48,12 @@ class Readers(Generic[ReadT]):
 
 def find_motions(
     names: Sequence[str], options: ReadOptions, store: Path, readers: Readers[ReadT]
-) -> tuple[list[Found[ReadT]], list[FormatError]]:
-    """The motions of files and folders, and of a store where no file has that name; and what is wrong with some.
+) -> tuple[list[FoundMotion[ReadT]], list[FormatError]]:
+    """The motions of files and folders, or of a store if no file has that name; and problems of others.
 
     Raises `UsageError` for a name that is neither.
     """
-    found: list[Found[ReadT]] = []
+    found: list[FoundMotion[ReadT]] = []
     problems: list[FormatError] = []
     opened = cache(lambda: Store.open(store))
     for name in (file for given in names for file in _pose_files(given)):
@@ -92,15 +92,15 @@ def _of_pose_folder(path: Path) -> SourceItem | None:
     return None
 
 
-def _of_item(item: SourceItem, named: Path, read: Callable[[SourceItem], ReadT]) -> Found[ReadT]:
+def _of_item(item: SourceItem, named: Path, read: Callable[[SourceItem], ReadT]) -> FoundMotion[ReadT]:
     path = named if named.is_file() else named / item.path.relative_to(item.root)
     item = with_tables_above(item) if named.is_file() else item
     is_alone = item.key in ("", path.stem)
     key, stem = ("", path.stem) if is_alone else (f" ({item.key})", f"{path.stem}-{item.key}")
-    return Found(f"{path}{key}", f"{path.name}{key}", path.with_name(stem), partial(read, item))
+    return FoundMotion(f"{path}{key}", f"{path.name}{key}", path.with_name(stem), partial(read, item))
 
 
-def find_stored(store: Path, where: str, stored: Callable[[Motion], ReadT]) -> list[Found[ReadT]]:
+def find_stored(store: Path, where: str, stored: Callable[[Motion], ReadT]) -> list[FoundMotion[ReadT]]:
     """The sequences of a store for which a condition holds, in its order; raises `StoreError` or `UsageError`."""
     opened = Store.open(store)
     rows = opened.rows_of(opened.select_some(where))
@@ -110,7 +110,7 @@ def find_stored(store: Path, where: str, stored: Callable[[Motion], ReadT]) -> l
 
 def _stored_named(
     sequence_id: str, store: Path, opened: Callable[[], Store], made_of: Callable[[Motion], ReadT]
-) -> Found[ReadT]:
+) -> FoundMotion[ReadT]:
     nowhere = f"there is no file or folder {sequence_id}"
     if not store.exists():
         raise UsageError(f"{nowhere}, and no store at {store} that could hold a sequence of that id")
@@ -121,9 +121,9 @@ def _stored_named(
     return _stored(sequence_id, opened(), made_of)
 
 
-def _stored(sequence_id: str, store: Store, made_of: Callable[[Motion], ReadT]) -> Found[ReadT]:
+def _stored(sequence_id: str, store: Store, made_of: Callable[[Motion], ReadT]) -> FoundMotion[ReadT]:
     beside = Path(sequence_id.replace("/", "_").lstrip(".") or "clip")
-    return Found(sequence_id, sequence_id, beside, lambda: made_of(store.read(sequence_id)))
+    return FoundMotion(sequence_id, sequence_id, beside, lambda: made_of(store.read(sequence_id)))
 
 
 class _Sequence(NamedTuple):

@@ -1,7 +1,7 @@
 """The diffusion process (NeRM §3.2): the noise schedule, training pairs (Eq. 5), the DDIM and DDPM samplers.
 
-Everything the process itself computes is float64 and knows nothing of networks: a sampler is given a function that
-predicts noise. Steps k count from 0 (almost clean) to num_steps − 1 (almost pure noise), as the arrays do.
+All computations are float64 and independent of networks: a sampler takes a function that predicts noise. Steps k count
+from 0 (almost clean) to num_steps − 1 (almost pure noise).
 """
 
 import math
@@ -17,7 +17,7 @@ NoisePredictor = Callable[[Tensor, Tensor], Tensor]
 """(z_k [batch, latent], k [batch]) → predicted noise [batch, latent]."""
 
 Adjust = Callable[[Tensor, int, float], Tensor]
-"""(predicted clean z [batch, latent], which of the visited steps, its ᾱ) → the clean z to go on with."""
+"""(predicted clean z [batch, latent], index of the visited step, its ᾱ) → the clean z to continue with."""
 
 LARGEST_COSINE_BETA = 0.999
 MIN_SNR_GAMMA = 5.0
@@ -62,7 +62,7 @@ def add_noise(
 def predicted_latents(
     noisy: Float[Tensor, "batch latent"], noise: Float[Tensor, "batch latent"], alpha: float
 ) -> Float[Tensor, "batch latent"]:
-    """The clean latent that a noise prediction implies: (z_k − √(1 − ᾱ_k) ε) / √ᾱ_k."""
+    """The clean latent from a noise prediction: (z_k − √(1 − ᾱ_k) ε) / √ᾱ_k."""
     clean: Tensor = (noisy - (1 - alpha) ** 0.5 * noise) / alpha**0.5
     return clean
 
@@ -74,7 +74,7 @@ def prediction_target(
     steps: Int64[Tensor, "batch"],
     alphas: Float64[Tensor, "steps"],
 ) -> Float[Tensor, "batch latent"]:
-    """What the network has to put out for z_k: ε, z or √ᾱ_k ε − √(1 − ᾱ_k) z."""
+    """The target of the network at z_k: ε, z or √ᾱ_k ε − √(1 − ᾱ_k) z."""
     if prediction == "noise":
         return noise
     if prediction == "latent":
@@ -86,7 +86,7 @@ def prediction_target(
 def predicted_noise(
     prediction: Prediction, output: Float[Tensor, "batch latent"], noisy: Float[Tensor, "batch latent"], alpha: float
 ) -> Float[Tensor, "batch latent"]:
-    """The noise that a network's output implies; the inverse of `prediction_target` at a known z_k."""
+    """The noise from a network's output; the inverse of `prediction_target` at a known z_k."""
     if prediction == "noise":
         return output
     if prediction == "latent":
@@ -99,7 +99,7 @@ def predicted_noise(
 def loss_weights(
     prediction: Prediction, measure: LossMeasure, alphas: Float64[Tensor, "steps"]
 ) -> Float64[Tensor, "steps"]:
-    """By what a squared error of the network's output at each step is multiplied to be one of `measure`.
+    """Weights per step that convert squared errors of the network's output to those of `measure`.
 
     At a given z_k the errors of noise, latent and velocity are proportional: e_ε² = SNR · e_z², e_v² = (SNR + 1) · e_z²
     with SNR = ᾱ / (1 − ᾱ).
@@ -124,8 +124,8 @@ def sample_ddim(
 ) -> Float64[Tensor, "batch latent"]:
     """Deterministic sampling (DDIM, η = 0; Song et al. 2021, Eq. 12) from z_K over decreasing steps.
 
-    The last update goes to ᾱ = 1, so what is returned is the last prediction of the clean latent, as `adjust` leaves
-    it; the noise is then the one that the adjusted latent implies.
+    The last update goes to ᾱ = 1, so the result is the last prediction of the clean latent, after `adjust`; the noise
+    is recomputed from the adjusted latent.
     """
     latents = start
     targets = [float(alphas[k]) for k in steps[1:]] + [1.0]

@@ -15,16 +15,16 @@ SAMPLERS: tuple[Sampler, ...] = get_args(Sampler)
 
 @dataclass(frozen=True)
 class DiffusionConfig:
-    """The process, what the network predicts, and the sampler; the defaults are the paper's (Eq. 5, B.1).
+    """The process, the network's prediction, and the sampler; the defaults are the paper's (Eq. 5, B.1).
 
     The paper's "scaled linearly" is linear in √β, as in latent diffusion models; "cosine" is Nichol & Dhariwal's
-    (2021), which knows no `beta_start` and `beta_end`. `prediction` is what the network puts out: the noise ε (the
-    paper), the clean latent z, or the velocity √ᾱ ε − √(1 − ᾱ) z (Salimans & Ho 2022); `loss` is the quantity whose
-    squared error is learned, whichever is put out ("min_snr": that of z, weighed by min(SNR, 5); Hang et al. 2023).
+    (2021), which ignores `beta_start` and `beta_end`. `prediction` is the network's output: the noise ε (the paper),
+    the clean latent z, or the velocity √ᾱ ε − √(1 − ᾱ) z (Salimans & Ho 2022); `loss` is the quantity whose squared
+    error is minimised, for any output ("min_snr": that of z, weighted by min(SNR, 5); Hang et al. 2023).
 
-    With `sampling_spacing` "trailing" the steps used at inference start at the noisiest one, the state that
-    z_K ~ N(0, I) belongs to; "leading" (offset 1) starts up to num_steps / sampling_steps earlier, as
-    motion-latent-diffusion does. `guidance_scale` is r of Eq. 6.
+    With `sampling_spacing` "trailing" inference starts at the noisiest step, which z_K ~ N(0, I) corresponds to;
+    "leading" (offset 1) starts up to num_steps / sampling_steps earlier, as in motion-latent-diffusion.
+    `guidance_scale` is r of Eq. 6.
     """
 
     num_steps: int = 1000
@@ -45,7 +45,7 @@ class DiffusionConfig:
             raise ValueError(f"sampling_steps must lie in 1 … {self.num_steps}, not {self.sampling_steps}")
 
     def adjusted(self, sampler: str | None, steps: int | None, guidance_scale: float | None) -> "DiffusionConfig":
-        """These settings, sampled otherwise (None: as they are); raises `UsageError` for what cannot be."""
+        """These settings with other sampling options (None: unchanged); raises `UsageError` for invalid ones."""
         steps = self.sampling_steps if steps is None else steps
         if not 1 <= steps <= self.num_steps:
             raise UsageError(f"{steps} sampling steps: this model's diffusion has 1 … {self.num_steps}")
@@ -54,7 +54,5 @@ class DiffusionConfig:
             raise UsageError(f"no sampler is called {sampler!r}; there are {', '.join(SAMPLERS)}")
         scale = self.guidance_scale if guidance_scale is None else guidance_scale
         if not math.isfinite(scale):
-            raise UsageError(
-                f"a guidance scale is a finite number (1 follows the condition as the data does), not {scale}"
-            )
+            raise UsageError(f"a guidance scale must be a finite number (1: no guidance), not {scale}")
         return replace(self, sampler=chosen, sampling_steps=steps, guidance_scale=scale)

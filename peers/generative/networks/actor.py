@@ -1,4 +1,4 @@
-"""ACTOR (Petrovich et al. 2021; Mathux/ACTOR, src/models/architectures/transformer.py): a VAE under a condition."""
+"""ACTOR (Petrovich et al. 2021; Mathux/ACTOR, src/models/architectures/transformer.py): a conditional VAE."""
 
 from collections.abc import Mapping
 
@@ -7,13 +7,20 @@ from jaxtyping import Bool, Float, Int64
 from torch import Tensor, nn
 
 from motionkit.training.diffusion.settings import DiffusionConfig
-from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, Wanted, frames_within
-from peers.generative.networks.layers import ConditionVector, decoder_layer, drawn, encoder_layer, kl_of, sinusoids
+from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, SampleBatch, frames_within
+from peers.generative.networks.layers import (
+    ConditionVector,
+    decoder_layer,
+    encoder_layer,
+    kl_divergence,
+    reparameterized,
+    sinusoids,
+)
 from peers.generative.settings import ActorNetworkConfig
 
 
 class Actor(nn.Module):
-    """Frames and a condition → N(μ, σ²) of one latent; a latent and the condition → frames."""
+    """Conditional transformer VAE with one latent per motion."""
 
     diffusion: DiffusionConfig | None = None
 
@@ -35,38 +42,38 @@ class Actor(nn.Module):
     def encode(
         self, rows: Float[Tensor, "batch frames numbers"], lengths: Int64[Tensor, "batch"], conditions: Conditions
     ) -> tuple[Float[Tensor, "batch width"], Float[Tensor, "batch width"]]:
-        """μ and log σ²: what stands where two tokens of the condition came in."""
+        """μ and log σ²: the outputs of two condition tokens."""
         first = torch.stack((self.mean_token(conditions), self.variance_token(conditions)), dim=1)
         tokens = torch.cat((first, self.frame_in(rows)), dim=1)
         hidden = ~frames_within(lengths + 2, tokens.shape[1])
-        made = self.encoder(self.dropout(tokens + self._positions(tokens)), src_key_padding_mask=hidden)
-        return made[:, 0], made[:, 1]
+        tokens = self.encoder(self.dropout(tokens + self._positions(tokens)), src_key_padding_mask=hidden)
+        return tokens[:, 0], tokens[:, 1]
 
     def decode(
-        self, latents: Float[Tensor, "batch width"], seen: Bool[Tensor, "batch frames"], conditions: Conditions
+        self, latents: Float[Tensor, "batch width"], mask: Bool[Tensor, "batch frames"], conditions: Conditions
     ) -> Float[Tensor, "batch frames numbers"]:
-        """Standardised rows, zeros where none is seen: positions ask the latent, moved by the condition."""
+        """Standardised rows, zeros outside the mask: queries attend to the latent, shifted by the condition."""
         memory = (latents + self.bias(conditions))[:, None]
-        queries = torch.zeros((*seen.shape, self.width), device=latents.device)
+        queries = torch.zeros((*mask.shape, self.width), device=latents.device)
         queries = self.dropout(queries + self._positions(queries))
-        rows: Tensor = self.frame_out(self.decoder(queries, memory, tgt_key_padding_mask=~seen)) * seen[..., None]
+        rows: Tensor = self.frame_out(self.decoder(queries, memory, tgt_key_padding_mask=~mask)) * mask[..., None]
         return rows
 
     def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
-        """Squared errors of the numbers and of the joints, means over the frames there are, and KL summed over all."""
+        """Mean squared errors of pose vectors and joints over valid frames, and KL summed over the batch."""
         mean, log_variance = self.encode(batch.rows, batch.lengths, batch.conditions)
-        made = self.decode(drawn(mean, log_variance, generator), batch.seen, batch.conditions)
-        features = (made - batch.rows)[batch.seen].square().mean()
-        joints = (self.space.joints(made) - self.space.joints(batch.rows))[batch.seen].square().mean()
-        kl = kl_of(mean, log_variance).sum()
+        made = self.decode(reparameterized(mean, log_variance, generator), batch.mask, batch.conditions)
+        features = (made - batch.rows)[batch.mask].square().mean()
+        joints = (self.space.joints(made) - self.space.joints(batch.rows))[batch.mask].square().mean()
+        kl = kl_divergence(mean, log_variance).sum()
         loss = features + self.config.joint_weight * joints + self.config.kl_weight * kl
         return {"loss": loss, "features": features, "joints": joints, "kl": kl}
 
-    def sample(self, wanted: Wanted, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
-        """Standardised rows of z ~ N(0, I)."""
-        latents = wanted.noise(self.width).to(wanted.device, torch.float32)
-        seen = frames_within(wanted.lengths, wanted.frames).to(wanted.device)
-        return self.decode(latents, seen, wanted.conditions.to(wanted.device))
+    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
+        """Standardised rows decoded from z ~ N(0, I)."""
+        latents = batch.noise(self.width).to(batch.device, torch.float32)
+        mask = frames_within(batch.lengths, batch.frames).to(batch.device)
+        return self.decode(latents, mask, batch.conditions.to(batch.device))
 
     def _positions(self, tokens: Float[Tensor, "batch tokens width"]) -> Float[Tensor, "tokens width"]:
         return sinusoids(torch.arange(tokens.shape[1], device=tokens.device), self.width)

@@ -1,4 +1,4 @@
-"""CAMDM (Chen et al. 2024; AIGAnimation/CAMDM, PyTorch/network): stretches of motion after what was, in four steps."""
+"""CAMDM (Chen et al. 2024; AIGAnimation/CAMDM, PyTorch/network): autoregressive diffusion of segments in four steps."""
 
 from collections.abc import Mapping
 
@@ -7,22 +7,22 @@ from jaxtyping import Bool, Float, Int64
 from torch import Tensor, nn
 
 from motionkit.training.diffusion.settings import DiffusionConfig
-from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, Wanted
+from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, SampleBatch
 from peers.generative.networks.layers import (
     ConditionVector,
     diffusion_sample,
     encoder_layer,
-    noisy_at_random,
+    noised,
     sinusoids,
 )
 from peers.generative.settings import CamdmNetworkConfig
 
-# Ankles and feet of the 22 joints; a true one that moves less in a frame than this, in metres, stands.
-FEET, STANDS_METRES = (7, 10, 8, 11), 0.01
+# Ankle and foot joints of the 22-joint skeleton; a foot that moves less than this per frame (metres) is in contact.
+FEET, CONTACT_METRES = (7, 10, 8, 11), 0.01
 
 
 class Camdm(nn.Module):
-    """x̂₀ of the frames to come, from a transformer encoder over [time; condition; frames before; noisy frames]."""
+    """Predicts x̂₀ of future frames with a transformer encoder over [time; condition; past frames; noisy frames]."""
 
     def __init__(
         self, config: CamdmNetworkConfig, space: PoseSpace, sizes: ConditionSizes, earlier: Mapping[str, nn.Module]
@@ -49,7 +49,7 @@ class Camdm(nn.Module):
         past: Float[Tensor, "batch past numbers"],
         has_past: Bool[Tensor, "batch"],
     ) -> Float[Tensor, "batch frames numbers"]:
-        """The clean frames after `past`, which a motion's first frames do not have."""
+        """The clean frames that follow `past`; rows without `has_past` start a motion."""
         time = self.step_in(sinusoids(steps, self.width))
         before = torch.where(has_past[:, None, None], self.past_in(past), self.no_past)
         first = torch.stack((time, self.condition(conditions)), dim=1)
@@ -60,43 +60,43 @@ class Camdm(nn.Module):
         return clean
 
     def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
-        """Squared errors of numbers, joints and the differences of both from frame to frame, and of standing feet."""
+        """Squared errors of pose vectors, joints, their frame differences, and the velocity of feet in contact."""
         past, clean = batch.rows[:, : self.config.past], batch.rows[:, self.config.past :]
-        seen = batch.seen[:, self.config.past :]
+        mask = batch.mask[:, self.config.past :]
         has_past = (torch.rand(len(past), generator=generator) >= self.config.no_past).to(past.device)
-        noisy, steps, _ = noisy_at_random(clean, self.diffusion, generator)
-        made = self(noisy * seen[..., None], steps.to(clean.device), batch.conditions, past, has_past)
-        both = seen[:, 1:] & seen[:, :-1]
+        noisy, steps, _ = noised(clean, self.diffusion, generator)
+        made = self(noisy * mask[..., None], steps.to(clean.device), batch.conditions, past, has_past)
+        both = mask[:, 1:] & mask[:, :-1]
         joints, truth = self.space.joints(made), self.space.joints(clean)
-        moved, truly = _differences(joints), _differences(truth)
-        stands = (truly[:, :, FEET].norm(dim=-1) <= STANDS_METRES) & both[..., None]
+        moved, true_moved = _differences(joints), _differences(truth)
+        contact = (true_moved[:, :, FEET].norm(dim=-1) <= CONTACT_METRES) & both[..., None]
         terms = {
-            "pose": (made - clean)[seen].square().mean(),
+            "pose": (made - clean)[mask].square().mean(),
             "pose_change": (_differences(made) - _differences(clean))[both].square().mean(),
-            "joints": (joints - truth)[seen].square().mean(),
-            "joint_change": (moved - truly)[both].square().mean(),
-            "feet": (moved[:, :, FEET].square().sum(dim=-1) * stands).sum() / stands.sum().clamp(min=1),
+            "joints": (joints - truth)[mask].square().mean(),
+            "joint_change": (moved - true_moved)[both].square().mean(),
+            "feet": (moved[:, :, FEET].square().sum(dim=-1) * contact).sum() / contact.sum().clamp(min=1),
         }
         return {"loss": torch.stack(list(terms.values())).sum(), **terms}
 
-    def sample(self, wanted: Wanted, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
-        """Standardised rows, stretch after stretch."""
-        count, size = len(wanted.lengths), (self.config.future, self.numbers)
-        rows = torch.zeros((count, self.config.past, self.numbers), device=wanted.device)
-        for begun in range(0, wanted.frames, self.config.future):
+    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
+        """Standardised rows, segment after segment."""
+        count, size = len(batch.lengths), (self.config.future, self.numbers)
+        rows = torch.zeros((count, self.config.past, self.numbers), device=batch.device)
+        for start in range(0, batch.frames, self.config.future):
             past = rows[:, -self.config.past :]
-            has_past = torch.full((count,), begun > 0, device=wanted.device)
+            has_past = torch.full((count,), start > 0, device=batch.device)
 
             def output(
-                noisy: Tensor, steps: Tensor, told: Conditions, past: Tensor = past, has_past: Tensor = has_past
+                noisy: Tensor, steps: Tensor, conditions: Conditions, past: Tensor = past, has_past: Tensor = has_past
             ) -> Tensor:
                 times = len(noisy) // count
-                clean: Tensor = self(noisy, steps, told, past.repeat(times, 1, 1), has_past.repeat(times))
+                clean: Tensor = self(noisy, steps, conditions, past.repeat(times, 1, 1), has_past.repeat(times))
                 return clean
 
-            made = diffusion_sample(output, wanted, lambda: wanted.noise(*size), diffusion)
-            rows = torch.cat((rows, made.to(wanted.device, torch.float32)), dim=1)
-        return rows[:, self.config.past : self.config.past + wanted.frames]
+            made = diffusion_sample(output, batch, lambda: batch.noise(*size), diffusion)
+            rows = torch.cat((rows, made.to(batch.device, torch.float32)), dim=1)
+        return rows[:, self.config.past : self.config.past + batch.frames]
 
 
 def _differences(values: Float[Tensor, "batch frames *rest"]) -> Float[Tensor, "batch gaps *rest"]:

@@ -14,19 +14,19 @@ from peers.generative.batches import (
     ConditionSizes,
     MotionBatch,
     PoseSpace,
-    Wanted,
+    SampleBatch,
     frames_within,
     joined_conditions,
 )
 from peers.generative.networks.layers import ConditionVector, sinusoids
 from peers.generative.settings import FlowNetworkConfig, TransformerSizes
 
-# Times go from 0 to 1, sinusoids want steps.
+# Flow times lie in [0, 1]; the sinusoidal embedding expects diffusion steps.
 TIME_SCALE = 1000
 
 
 class Flow(nn.Module):
-    """The velocity from noise to motion, at any of its times; a token a frame, time and condition in every layer."""
+    """Predicts the velocity from noise to motion: one token per frame, time and condition in every layer (AdaLN)."""
 
     diffusion: DiffusionConfig | None = None
 
@@ -36,7 +36,7 @@ class Flow(nn.Module):
         super().__init__()
         width = config.transformer.width
         self.config, self.width, self.numbers = config, width, space.num_numbers
-        self.coordinates = (AbsoluteCoordinates(space),)  # its numbers are the space's own
+        self.coordinates = (AbsoluteCoordinates(space),)  # in a tuple: not a submodule, its buffers are the space's
         self.frame_in = nn.Linear(self.numbers, width)
         self.condition = ConditionVector(sizes, width)
         self.time_in = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
@@ -44,8 +44,8 @@ class Flow(nn.Module):
         self.norm = nn.RMSNorm(width, elementwise_affine=False)
         self.last = nn.Linear(width, 2 * width)
         self.frame_out = nn.Linear(width, self.numbers)
-        zero(self.last)
-        zero(self.frame_out)
+        zero_init(self.last)
+        zero_init(self.frame_out)
 
     def forward(
         self,
@@ -54,39 +54,39 @@ class Flow(nn.Module):
         conditions: Conditions,
         lengths: Int64[Tensor, "batch"],
     ) -> Float[Tensor, "batch frames numbers"]:
-        """dx/dt; frames behind a motion's length are attended to by none."""
-        told = silu(self.time_in(sinusoids(times * TIME_SCALE, self.width)) + self.condition(conditions))
-        seen = frames_within(lengths, noisy.shape[1])
+        """dx/dt; padding frames are masked out of the attention."""
+        embedding = silu(self.time_in(sinusoids(times * TIME_SCALE, self.width)) + self.condition(conditions))
+        mask = frames_within(lengths, noisy.shape[1])
         tokens = self.frame_in(noisy)
         for layer in self.layers:
-            tokens = layer(tokens, told, seen)
-        shift, scale = self.last(told)[:, None].chunk(2, dim=-1)
+            tokens = layer(tokens, embedding, mask)
+        shift, scale = self.last(embedding)[:, None].chunk(2, dim=-1)
         velocity: Tensor = self.frame_out(self.norm(tokens) * (1 + scale) + shift)
         return velocity
 
     def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
-        """The mean squared error of the velocity x − ε at (1 − t)·ε + t·x, t uniform, of the frames there are."""
-        clean = self.coordinates[0].absolute(batch.rows) * batch.seen[..., None]
-        noise = torch.randn(clean.shape, generator=generator).to(clean.device) * batch.seen[..., None]
+        """Mean squared error of the velocity x − ε at (1 − t)·ε + t·x, t uniform, over valid frames."""
+        clean = self.coordinates[0].absolute(batch.rows) * batch.mask[..., None]
+        noise = torch.randn(clean.shape, generator=generator).to(clean.device) * batch.mask[..., None]
         times = torch.rand(len(clean), generator=generator).to(clean.device)
         noisy = noise + times[:, None, None] * (clean - noise)
         errors = (self(noisy, times, batch.conditions, batch.lengths) - (clean - noise)).square().mean(dim=-1)
-        return {"loss": ((errors * batch.seen).sum(dim=1) / batch.lengths).mean()}
+        return {"loss": ((errors * batch.mask).sum(dim=1) / batch.lengths).mean()}
 
-    def sample(self, wanted: Wanted, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
-        """Standardised rows, by even Euler steps; with guidance both velocities in one batch."""
-        twice = wanted.guided and self.config.guidance_scale != 1.0
-        conditions = joined_conditions(wanted) if twice else wanted.conditions.to(wanted.device)
-        lengths = wanted.lengths.to(wanted.device).repeat(1 + twice)
-        made = wanted.noise_of_frames(self.numbers).to(wanted.device, torch.float32)
+    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
+        """Standardised rows, by uniform Euler steps; with guidance both velocities share one batch."""
+        twice = batch.guided and self.config.guidance_scale != 1.0
+        conditions = joined_conditions(batch) if twice else batch.conditions.to(batch.device)
+        lengths = batch.lengths.to(batch.device).repeat(1 + twice)
+        x = batch.noise_of_frames(self.numbers).to(batch.device, torch.float32)
         for step in range(self.config.sampling_steps):
-            times = torch.full((len(lengths),), step / self.config.sampling_steps, device=wanted.device)
-            velocity: Tensor = self(made.repeat(1 + twice, 1, 1), times, conditions, lengths)
+            times = torch.full((len(lengths),), step / self.config.sampling_steps, device=batch.device)
+            velocity: Tensor = self(x.repeat(1 + twice, 1, 1), times, conditions, lengths)
             if twice:
-                with_it, without = velocity.chunk(2)
-                velocity = without + self.config.guidance_scale * (with_it - without)
-            made = made + velocity / self.config.sampling_steps
-        return self.coordinates[0].relative(made)
+                conditional, unconditional = velocity.chunk(2)
+                velocity = unconditional + self.config.guidance_scale * (conditional - unconditional)
+            x = x + velocity / self.config.sampling_steps
+        return self.coordinates[0].relative(x)
 
 
 class AbsoluteCoordinates:
@@ -101,7 +101,7 @@ class AbsoluteCoordinates:
             raise UsageError("absolute coordinates are of field vectors: motions.pose_vectors=field")
 
     def _standard(self) -> tuple[Float[Tensor, "joints 3"], Float[Tensor, "joints 3"]]:
-        """Mean and scale of coordinates, those of root and joint taken as independent."""
+        """Mean and scale of coordinates, assuming independent root and joints."""
         mean, square = self.space.mean.view(-1, 3), self.space.scale.view(-1, 3).square()
         return self._added(mean), self._added(square).sqrt()
 
@@ -109,7 +109,7 @@ class AbsoluteCoordinates:
         return torch.cat((values[..., :1, :], values[..., 1:, :] + values[..., :1, :]), dim=-2)
 
     def absolute(self, rows: Float[Tensor, "batch frames numbers"]) -> Float[Tensor, "batch frames numbers"]:
-        """The root added to every other joint."""
+        """Absolute joint coordinates: the root added to every other joint."""
         mean, scale = self._standard()
         joints = self._added(_by_joint(rows * self.space.scale + self.space.mean))
         return ((joints - mean) / scale).flatten(-2)
@@ -127,7 +127,7 @@ def _by_joint(rows: Float[Tensor, "batch frames numbers"]) -> Float[Tensor, "bat
 
 
 class FlowLayer(nn.Module):
-    """Attention and SwiGLU behind norms that time and condition shift, scale and gate (AdaLN-zero)."""
+    """Attention and SwiGLU with adaptive norms: time and condition shift, scale and gate them (AdaLN-zero_init)."""
 
     def __init__(self, sizes: TransformerSizes) -> None:
         super().__init__()
@@ -135,7 +135,7 @@ class FlowLayer(nn.Module):
         self.heads, self.dropout = sizes.heads, nn.Dropout(sizes.dropout)
         self.norm = nn.RMSNorm(width, elementwise_affine=False)
         self.moved = nn.Linear(width, 6 * width)
-        zero(self.moved)
+        zero_init(self.moved)
         self.qkv, self.attended = nn.Linear(width, 3 * width), nn.Linear(width, width)
         self.query_norm, self.key_norm = nn.RMSNorm(width // sizes.heads), nn.RMSNorm(width // sizes.heads)
         self.gate_up, self.down = nn.Linear(width, 2 * sizes.inner), nn.Linear(sizes.inner, width)
@@ -143,35 +143,35 @@ class FlowLayer(nn.Module):
     def forward(
         self,
         tokens: Float[Tensor, "batch frames width"],
-        told: Float[Tensor, "batch width"],
-        seen: Bool[Tensor, "batch frames"],
+        embedding: Float[Tensor, "batch width"],
+        mask: Bool[Tensor, "batch frames"],
     ) -> Float[Tensor, "batch frames width"]:
         """The tokens after the layer."""
-        shift, scale, gate, then_shift, then_scale, then_gate = self.moved(told)[:, None].chunk(6, dim=-1)
-        tokens = tokens + gate * self.dropout(self._attention(self.norm(tokens) * (1 + scale) + shift, seen))
+        shift, scale, gate, then_shift, then_scale, then_gate = self.moved(embedding)[:, None].chunk(6, dim=-1)
+        tokens = tokens + gate * self.dropout(self._attention(self.norm(tokens) * (1 + scale) + shift, mask))
         gated, up = self.gate_up(self.norm(tokens) * (1 + then_scale) + then_shift).chunk(2, dim=-1)
         made: Tensor = tokens + then_gate * self.dropout(self.down(silu(gated) * up))
         return made
 
     def _attention(
-        self, tokens: Float[Tensor, "batch frames width"], seen: Bool[Tensor, "batch frames"]
+        self, tokens: Float[Tensor, "batch frames width"], mask: Bool[Tensor, "batch frames"]
     ) -> Float[Tensor, "batch frames width"]:
         q, k, v = self.qkv(tokens).unflatten(-1, (3, self.heads, -1)).permute(2, 0, 3, 1, 4)
-        # In float32 under autocast too: torch warns of a norm whose weights are of another type.
-        q, k = (turned(norm(each.float()).to(v.dtype)) for norm, each in ((self.query_norm, q), (self.key_norm, k)))
-        mixed = scaled_dot_product_attention(q, k, v, attn_mask=seen[:, None, None])
+        # float32 even under autocast: torch warns about a norm whose weights have another dtype.
+        q, k = (rotary(norm(each.float()).to(v.dtype)) for norm, each in ((self.query_norm, q), (self.key_norm, k)))
+        mixed = scaled_dot_product_attention(q, k, v, attn_mask=mask[:, None, None])
         made: Tensor = self.attended(mixed.transpose(1, 2).flatten(2))
         return made
 
 
-def zero(layer: nn.Linear) -> None:
-    """Make a layer that gives nothing at first."""
+def zero_init(layer: nn.Linear) -> None:
+    """Zero-initialise a layer."""
     nn.init.zeros_(layer.weight)
     nn.init.zeros_(layer.bias)
 
 
-def turned(values: Float[Tensor, "batch heads frames size"]) -> Float[Tensor, "batch heads frames size"]:
-    """Pairs (i, i + size/2) turned by the frame's number times 10,000^(−2i/size) (RoPE, Su et al. 2021)."""
+def rotary(values: Float[Tensor, "batch heads frames size"]) -> Float[Tensor, "batch heads frames size"]:
+    """Rotary position embedding: pairs (i, i + size/2) rotated by frame·10,000^(−2i/size) (RoPE, Su et al. 2021)."""
     frames, size = values.shape[-2:]
     exponents = torch.arange(size // 2, device=values.device) / (size // 2)
     angles = torch.arange(frames, device=values.device)[:, None] * 10_000.0 ** (-exponents)

@@ -1,6 +1,6 @@
-"""Hier (Ghosh et al. 2021; anindita127/Complextext2animation, src/model): a code for each half of the body.
+"""Hier (Ghosh et al. 2021; anindita127/Complextext2animation, src/model): one code for each half of the body.
 
-Pose after pose of a code, as JL2P makes them, through a tree of body parts: limbs with the trunk, then pairs of limbs.
+Decoded autoregressively as in JL2P, through a tree of body parts: limbs with the trunk, then pairs of limbs.
 """
 
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits, smooth_l1_loss
 from motionkit.core.errors import UsageError
 from motionkit.features.layout import pose_layout
 from motionkit.training.diffusion.settings import DiffusionConfig
-from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, Wanted, frames_within
+from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, SampleBatch, frames_within
 from peers.generative.networks.layers import ConditionVector, first_poses, last_states
 from peers.generative.settings import HierNetworkConfig
 
@@ -23,7 +23,7 @@ TRUNK = 4
 
 
 def body_parts(space: PoseSpace) -> list[list[int]]:
-    """Which numbers of `native` vectors are of right arm, left arm, right leg, left leg and, the root's too, the trunk.
+    """Indices into `native` vectors of right arm, left arm, right leg, left leg, and trunk (with the root).
 
     Raises `UsageError` for vectors of another convention.
     """
@@ -37,7 +37,7 @@ def body_parts(space: PoseSpace) -> list[list[int]]:
     )
 
     def of(joints: tuple[int, ...]) -> list[int]:
-        """The joints' numbers; a chain begins with a joint of another part."""
+        """Indices of the joints of a chain, without its first joint, which belongs to another part."""
         return [
             number
             for joint in joints[1:]
@@ -65,21 +65,21 @@ class TwoStreamEncoder(nn.Module):
     def forward(
         self, rows: Float[Tensor, "batch frames numbers"], lengths: Int64[Tensor, "batch"]
     ) -> Float[Tensor, "2 batch width"]:
-        """What both layers end with at the motions' last frames."""
-        seen = frames_within(lengths, rows.shape[1])
+        """Final hidden states of both GRUs."""
+        mask = frames_within(lengths, rows.shape[1])
         *limbs, trunk = (layer(rows[..., part]) for layer, part in zip(self.of_parts, self.parts, strict=True))
         limbs = [layer(torch.cat((limb, trunk), dim=-1)) for layer, limb in zip(self.of_limbs, limbs, strict=True)]
         codes = []
         for half, (norm, cell) in enumerate(zip(self.norms, self.cells, strict=True)):
             pair = torch.cat(limbs[2 * half : 2 * half + 2], dim=-1)
             normed = torch.zeros_like(pair)
-            normed[seen] = norm(pair[seen])
+            normed[mask] = norm(pair[mask])
             codes.append(last_states(cell(normed)[0], lengths))
         return torch.stack(codes)
 
 
 class TwoStreamDecoder(nn.Module):
-    """Codes → frames, each the one before and what the tree of body parts adds; both halves move the trunk."""
+    """Codes → frames; each adds a predicted change to the one before. Both halves contribute to the trunk."""
 
     def __init__(self, parts: list[list[int]], config: HierNetworkConfig) -> None:
         super().__init__()
@@ -94,14 +94,14 @@ class TwoStreamDecoder(nn.Module):
     def forward(
         self, codes: Float[Tensor, "2 batch width"], first: Float[Tensor, "batch numbers"], frames: int
     ) -> Float[Tensor, "batch frames numbers"]:
-        """Standardised rows; before all comes `first`."""
+        """Standardised rows, starting from the pose `first`."""
         pose, states, made = first[:, self.order], list(codes), []
         for _ in range(frames):
             *own_limbs, trunk = torch.split(pose, self.sizes, dim=1)
             limbs: list[Tensor] = []
             for half in range(2):
-                told = torch.cat((*own_limbs[2 * half : 2 * half + 2], trunk), dim=1)
-                states[half] = self.cells[half](told, states[half])
+                inputs = torch.cat((*own_limbs[2 * half : 2 * half + 2], trunk), dim=1)
+                states[half] = self.cells[half](inputs, states[half])
                 limbs += self.to_pairs[half](states[half]).chunk(2, dim=1)
             split = [layer(limb).chunk(2, dim=1) for layer, limb in zip(self.to_limbs, limbs, strict=True)]
             # A linear map of the mean is the mean of the four predictions of the trunk.
@@ -113,7 +113,7 @@ class TwoStreamDecoder(nn.Module):
 
 
 class Critic(nn.Module):
-    """How real a motion looks: above 0 where it is held for a real one."""
+    """Discriminator: logits above 0 for motions that look real."""
 
     def __init__(self, numbers: int, widths: tuple[int, ...]) -> None:
         super().__init__()
@@ -131,7 +131,7 @@ class Critic(nn.Module):
 
 
 class Hier(nn.Module):
-    """Two codes of a motion or of a condition, and poses of these."""
+    """Two codes from a motion or a condition, decoded to poses."""
 
     diffusion: DiffusionConfig | None = None
 
@@ -145,35 +145,37 @@ class Hier(nn.Module):
         self.encoder, self.decoder = TwoStreamEncoder(parts, config), TwoStreamDecoder(parts, config)
         self.critic = Critic(space.num_numbers, config.critic)
 
-    def said(self, conditions: Conditions) -> Float[Tensor, "2 batch width"]:
+    def encode_condition(self, conditions: Conditions) -> Float[Tensor, "2 batch width"]:
         """Codes of conditions."""
         return torch.stack(self.sentence(conditions).tanh().chunk(2, dim=1))
 
     def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
-        """Smooth L1 of frames, their changes and the codes, of motions' codes and of conditions', and the critic's."""
-        rows, lengths, seen = batch.rows, batch.lengths, batch.seen
-        codes, said = self.encoder(rows, lengths), self.said(batch.conditions)
+        """Smooth L1 of frames, frame differences and codes, of motions' and conditions' codes; adversarial losses."""
+        rows, lengths, mask = batch.rows, batch.lengths, batch.mask
+        codes, condition_codes = self.encoder(rows, lengths), self.encode_condition(batch.conditions)
         first = first_poses(rows, self.config.mean_first, generator)
-        both = self.decoder(torch.cat((codes, said), dim=1), first.repeat(2, 1), rows.shape[1])
-        again, told = (both * seen.repeat(2, 1)[..., None]).chunk(2)
-        frames = smooth_l1_loss(again[seen], rows[seen]) + smooth_l1_loss(told[seen], rows[seen])
-        again_changes, told_changes, true_changes = (each.diff(dim=1)[seen[:, 1:]] for each in (again, told, rows))
-        changes = smooth_l1_loss(again_changes, true_changes) + smooth_l1_loss(told_changes, true_changes)
-        matched = 2 * smooth_l1_loss(codes, said)
-        kept = 2 * smooth_l1_loss(self.encoder(again, lengths), codes)
-        # Of one loss two gradients: motions change against a critic that stays, the critic against motions that stay.
+        both = self.decoder(torch.cat((codes, condition_codes), dim=1), first.repeat(2, 1), rows.shape[1])
+        reconstructed, decoded = (both * mask.repeat(2, 1)[..., None]).chunk(2)
+        frames = smooth_l1_loss(reconstructed[mask], rows[mask]) + smooth_l1_loss(decoded[mask], rows[mask])
+        again_changes, decoded_changes, true_changes = (
+            each.diff(dim=1)[mask[:, 1:]] for each in (reconstructed, decoded, rows)
+        )
+        changes = smooth_l1_loss(again_changes, true_changes) + smooth_l1_loss(decoded_changes, true_changes)
+        matched = 2 * smooth_l1_loss(codes, condition_codes)
+        kept = 2 * smooth_l1_loss(self.encoder(reconstructed, lengths), codes)
+        # Detached critic weights in the decoder's loss, detached motions in the critic's: one backward pass does both.
         still = {name: weight.detach() for name, weight in self.critic.named_parameters()}
         real, false = torch.ones_like(lengths, dtype=torch.float32)[:, None], torch.zeros_like(lengths)[:, None].float()
-        fooled = binary_cross_entropy_with_logits(functional_call(self.critic, still, (told, lengths)), real)
-        judged = self.critic(torch.cat((rows, told.detach())), lengths.repeat(2))
+        fooled = binary_cross_entropy_with_logits(functional_call(self.critic, still, (decoded, lengths)), real)
+        judged = self.critic(torch.cat((rows, decoded.detach())), lengths.repeat(2))
         critic = binary_cross_entropy_with_logits(judged, torch.cat((real, false)))
         of = self.config
         loss = frames + of.change_weight * changes + of.match_weight * matched
         loss = loss + of.kept_weight * kept + of.critic_weight * (fooled + critic)
         return {"loss": loss, "frames": frames, "changes": changes, "matched": matched, "critic": critic}
 
-    def sample(self, wanted: Wanted, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
-        """Standardised rows, from the mean pose; nothing is drawn."""
-        said = self.said(wanted.conditions.to(wanted.device))
-        rows: Tensor = self.decoder(said, said.new_zeros(said.shape[1], self.numbers), wanted.frames)
+    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
+        """Standardised rows, starting from the mean pose; deterministic."""
+        codes = self.encode_condition(batch.conditions.to(batch.device))
+        rows: Tensor = self.decoder(codes, codes.new_zeros(codes.shape[1], self.numbers), batch.frames)
         return rows

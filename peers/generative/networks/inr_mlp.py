@@ -1,4 +1,4 @@
-"""INR-MLP (Cervantes et al. 2022; PACerv/ImplicitMotion, models): an MLP of time and of a code for each motion."""
+"""INR-MLP (Cervantes et al. 2022; PACerv/ImplicitMotion, models): an MLP of time and a per-motion latent code."""
 
 import warnings
 from collections.abc import Mapping
@@ -14,19 +14,19 @@ from sklearn.mixture import GaussianMixture
 from torch import Tensor, nn
 
 from motionkit.training.diffusion.settings import DiffusionConfig
-from peers.generative.batches import NO_ACTION, ConditionSizes, MotionBatch, PoseSpace, Wanted
-from peers.generative.networks.layers import ConditionVector, drawn, kl_of, sinusoids
+from peers.generative.batches import NO_ACTION, ConditionSizes, MotionBatch, PoseSpace, SampleBatch
+from peers.generative.networks.layers import ConditionVector, kl_divergence, reparameterized, sinusoids
 from peers.generative.settings import InrMlpNetworkConfig
 
 INITIAL_LOG_VARIANCE = 1.0
-# Numbers of the root's place: the first of `field` vectors.
+# The root's position in `field` vectors.
 ROOT = slice(0, 3)
 
 
 class InrMlp(nn.Module):
-    """A pose at a frame's number, from a code of the motion and one of its condition, each N(μ, σ²).
+    """A pose at a frame index, from a motion code and a condition code, each N(μ, σ²).
 
-    There is no encoder: the codes of training motions are trained with the network, in turn.
+    An auto-decoder: the codes of training motions are optimised alternately with the network.
     """
 
     diffusion: DiffusionConfig | None = None
@@ -46,7 +46,7 @@ class InrMlp(nn.Module):
         widths = (2 * config.code + config.time_features, *config.hidden)
         layers = [layer for pair in pairwise(widths) for layer in (nn.Linear(*pair), nn.ELU())]
         self.layers = nn.Sequential(*layers, nn.Linear(widths[-1], space.num_numbers))
-        # Whose motion a code is.
+        # Length and action of the motion that each code stands for.
         self.register_buffer("frames_of", torch.zeros(sizes.num_windows, dtype=torch.int64))
         self.register_buffer("action_of", torch.full((sizes.num_windows,), NO_ACTION))
         self.frames_of: Tensor
@@ -60,53 +60,53 @@ class InrMlp(nn.Module):
         code: Float[Tensor, "batch code"],
         condition_code: Float[Tensor, "batch code"],
     ) -> Float[Tensor, "batch frames numbers"]:
-        """Standardised poses at frames of these numbers."""
+        """Standardised poses at these frame indices."""
         time = sinusoids(frames.flatten(), self.config.time_features).view(*frames.shape, -1)
         codes = torch.cat((code, condition_code), dim=1)[:, None].expand(-1, frames.shape[1], -1)
         rows: Tensor = self.layers(torch.cat((codes, time), dim=-1))
         return rows
 
     def begin_step(self, step: int, steps: int) -> None:
-        """Codes are trained in one step, the network in the next."""
+        """Alternate between training the codes and the network."""
         self._codes_turn = step % 2 == 0
 
     def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
-        """Squared errors of poses, and of the root by itself, and KL of both codes; codes and network take turns."""
-        told_of = batch.conditions
+        """Squared errors of poses and of the root, and KL of both codes; codes and network are trained alternately."""
+        conditions = batch.conditions
         self.frames_of.scatter_reduce_(0, batch.window, batch.frames.amax(dim=1) + 1, "amax")
-        self.action_of[batch.window] = torch.where(told_of.given, told_of.action, self.action_of[batch.window])
+        self.action_of[batch.window] = torch.where(conditions.given, conditions.action, self.action_of[batch.window])
         pairs = [
             (self.mean[batch.window], self.log_variance[batch.window]),
-            (self.condition_mean(told_of), self.condition_log_variance(told_of)),
+            (self.condition_mean(conditions), self.condition_log_variance(conditions)),
         ]
         if not self._codes_turn:
             pairs = [(mean.detach(), log_variance.detach()) for mean, log_variance in pairs]
         self.layers.requires_grad_(not self._codes_turn)
-        made = self(batch.frames, *(drawn(*pair, generator) for pair in pairs))
+        made = self(batch.frames, *(reparameterized(*pair, generator) for pair in pairs))
         self.layers.requires_grad_(True)
-        errors = (made - batch.rows).square()[batch.seen]
+        errors = (made - batch.rows).square()[batch.mask]
         pose, root = errors.mean(), errors[:, ROOT].mean()
-        kl = torch.stack([kl_of(*pair).sum(dim=1).mean() for pair in pairs]).sum()
+        kl = torch.stack([kl_divergence(*pair).sum(dim=1).mean() for pair in pairs]).sum()
         loss = pose + self.config.root_weight * root + self.config.kl_weight * kl
         return {"loss": loss, "pose": pose, "root": root, "kl": kl}
 
-    def sample(self, wanted: Wanted, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
-        """Standardised rows of codes from the mixture of training motions of the action and about the length."""
-        conditions = wanted.conditions.to(wanted.device)
-        told = (self.condition_mean(conditions), self.condition_log_variance(conditions))
+    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
+        """Standardised rows from codes reparameterized from the mixture for the action and the length."""
+        conditions = batch.conditions.to(batch.device)
+        mean, log_variance = self.condition_mean(conditions), self.condition_log_variance(conditions)
         codes, noise = [], []
-        asked = zip(wanted.lengths.tolist(), wanted.conditions.action.tolist(), wanted.generators, strict=True)
-        for length, action, generator in asked:
+        rows = zip(batch.lengths.tolist(), batch.conditions.action.tolist(), batch.generators, strict=True)
+        for length, action, generator in rows:
             codes.append(self.mixture(action, length).draw(generator))
             noise.append(torch.randn(self.width, generator=generator))
-        own = torch.stack(codes).to(wanted.device, torch.float32)
-        condition = told[0] + (0.5 * told[1]).exp() * torch.stack(noise).to(wanted.device)
-        frames = torch.arange(wanted.frames, device=wanted.device).expand(len(own), -1)
-        rows: Tensor = self(frames, own, condition)
-        return rows
+        own = torch.stack(codes).to(batch.device, torch.float32)
+        condition = mean + (0.5 * log_variance).exp() * torch.stack(noise).to(batch.device)
+        frames = torch.arange(batch.frames, device=batch.device).expand(len(own), -1)
+        poses: Tensor = self(frames, own, condition)
+        return poses
 
     def mixture(self, action: int, length: int) -> "CodeMixture":
-        """The mixture of the codes of motions with this action (any: `NO_ACTION`), of lengths nearest to this one."""
+        """The mixture over codes of motions with this action (`NO_ACTION`: any) and lengths nearest to this one."""
         known = (self.frames_of > 0) & ((self.action_of == action) | (action == NO_ACTION))
         windows = np.flatnonzero((known if known.any() else self.frames_of > 0).cpu().numpy())
         lengths = self.frames_of.cpu().numpy()[windows]
@@ -123,7 +123,7 @@ LEAST_CODES, LEAST_FRAMES = 50, 10
 
 
 def length_intervals(lengths: Int64[np.ndarray, "motions"]) -> list[Int64[np.ndarray, "some"]]:
-    """Rows of motions in intervals of their lengths, each of `LEAST_CODES` motions over `LEAST_FRAMES` frames."""
+    """Bin motions by length; each bin has at least `LEAST_CODES` motions and spans `LEAST_FRAMES` frames."""
     order = np.argsort(lengths, kind="stable")
     cuts, first = [], 0
     for place in range(1, len(order)):
@@ -137,7 +137,7 @@ def length_intervals(lengths: Int64[np.ndarray, "motions"]) -> list[Int64[np.nda
 
 @dataclass(frozen=True, eq=False)
 class CodeMixture:
-    """Gaussians over codes; `factors` are Cholesky's of their covariances."""
+    """A Gaussian mixture over codes; `factors` are the Cholesky factors of its covariances."""
 
     weights: Float64[np.ndarray, "parts"]
     means: Float64[np.ndarray, "parts code"]
@@ -145,27 +145,27 @@ class CodeMixture:
 
     def draw(self, generator: torch.Generator) -> Float[Tensor, "code"]:
         """A code, float64."""
-        chance = float(torch.rand((), generator=generator, dtype=torch.float64))
-        part = min(int(np.searchsorted(np.cumsum(self.weights), chance)), len(self.weights) - 1)
+        u = float(torch.rand((), generator=generator, dtype=torch.float64))
+        component = min(int(np.searchsorted(np.cumsum(self.weights), u)), len(self.weights) - 1)
         noise = torch.randn(self.means.shape[1], generator=generator, dtype=torch.float64).numpy()
-        return torch.from_numpy(self.means[part] + self.factors[part] @ noise)
+        return torch.from_numpy(self.means[component] + self.factors[component] @ noise)
 
 
-PARTS, DRAWS, MOST_DRAWS = 15, 50, 10_000
-# A part whose mean is nearer to a training code than this share of the codes' mean length is that motion again.
+COMPONENTS, DRAWS, MOST_DRAWS = 15, 50, 10_000
+# A component whose mean is nearer to a training code than this share of the codes' mean norm copies that motion.
 COPY_SHARE = 0.1
 
 
 def fit_mixture(
     mean: Float64[np.ndarray, "codes code"], deviation: Float64[np.ndarray, "codes code"], reseeds: int
 ) -> CodeMixture:
-    """Fit a mixture to draws of every code; parts that are a training code are fitted anew, at last left out."""
+    """Fit a mixture to samples of every code; refit if a component copies a training code, at last drop such."""
     count = int(np.clip(MOST_DRAWS // len(mean), 2, DRAWS))
     rng = np.random.default_rng(0)
     draws = (mean + deviation * rng.standard_normal((count, *mean.shape))).reshape(-1, mean.shape[1])
     least = COPY_SHARE * np.linalg.norm(mean, axis=1).mean()
     for seed in range(reseeds + 1):
-        fitted = GaussianMixture(min(PARTS, len(mean)), covariance_type="full", random_state=seed)
+        fitted = GaussianMixture(min(COMPONENTS, len(mean)), covariance_type="full", random_state=seed)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)
             fitted.fit(draws)

@@ -1,6 +1,6 @@
-"""JL2P (Ahuja and Morency 2019; chahuja/language2pose, src/model/model.py): one space of motions and of what says them.
+"""JL2P (Ahuja and Morency 2019; chahuja/language2pose, src/model/model.py): a joint latent space of motions and texts.
 
-A motion's code is what a recurrent encoder ends with, a condition's a map of it; from either a cell makes the poses.
+A recurrent encoder gives a motion's code, a linear layer a condition's; a recurrent decoder makes poses of either.
 """
 
 from collections.abc import Mapping
@@ -11,13 +11,13 @@ from torch import Tensor, nn
 from torch.nn.functional import smooth_l1_loss
 
 from motionkit.training.diffusion.settings import DiffusionConfig
-from peers.generative.batches import ConditionSizes, MotionBatch, PoseSpace, Wanted, frames_within
+from peers.generative.batches import ConditionSizes, MotionBatch, PoseSpace, SampleBatch, frames_within
 from peers.generative.networks.layers import ConditionVector, first_poses, last_states
 from peers.generative.settings import Jl2pNetworkConfig
 
 
 class Jl2p(nn.Module):
-    """Frames or a condition → a code, which is the first state of what makes each pose of the one before."""
+    """Frames or a condition → a code, the initial state of an autoregressive decoder."""
 
     diffusion: DiffusionConfig | None = None
 
@@ -42,7 +42,7 @@ class Jl2p(nn.Module):
     def decode(
         self, code: Float[Tensor, "batch width"], first: Float[Tensor, "batch numbers"], frames: int
     ) -> Float[Tensor, "batch frames numbers"]:
-        """Standardised rows: every pose is the one before, moved; before all comes `first`."""
+        """Standardised rows, starting from `first`; each step predicts the change of pose."""
         pose, made = first, []
         for _ in range(frames):
             code = self.cell(pose, code)
@@ -51,25 +51,25 @@ class Jl2p(nn.Module):
         return torch.stack(made, dim=1)
 
     def begin_step(self, step: int, steps: int) -> None:
-        """How far the training is decides how much of a motion is in sight."""
+        """The curriculum: training progress determines how many frames are used."""
         self._progress = step / steps
 
     def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
-        """Smooth L1 of the frames in sight, made of the motions' codes or, in every other batch, of the conditions'."""
-        rows = batch.rows[:, : self._in_sight()]
+        """Smooth L1 of the curriculum's frames, decoded from motion codes or, in half of the batches, conditions'."""
+        rows = batch.rows[:, : self._curriculum_length()]
         lengths = batch.lengths.clamp(max=rows.shape[1])
-        said = bool(torch.rand((), generator=generator) < 0.5)
-        code = self.sentence(batch.conditions).tanh() if said else self.encode(rows, lengths)
+        from_condition = bool(torch.rand((), generator=generator) < 0.5)
+        code = self.sentence(batch.conditions).tanh() if from_condition else self.encode(rows, lengths)
         made = self.decode(code, first_poses(rows, self.config.mean_first, generator), rows.shape[1])
-        seen = frames_within(lengths, rows.shape[1])
-        return {"loss": smooth_l1_loss(made[seen], rows[seen])}
+        mask = frames_within(lengths, rows.shape[1])
+        return {"loss": smooth_l1_loss(made[mask], rows[mask])}
 
-    def sample(self, wanted: Wanted, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
-        """Standardised rows, from the mean pose; nothing is drawn."""
-        code = self.sentence(wanted.conditions.to(wanted.device)).tanh()
-        return self.decode(code, code.new_zeros(len(code), self.numbers), wanted.frames)
+    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
+        """Standardised rows, starting from the mean pose; deterministic."""
+        code = self.sentence(batch.conditions.to(batch.device)).tanh()
+        return self.decode(code, code.new_zeros(len(code), self.numbers), batch.frames)
 
-    def _in_sight(self) -> int:
-        """How many frames are learnt now: one after another of the settings' lengths."""
+    def _curriculum_length(self) -> int:
+        """Number of frames used at this point of the curriculum."""
         lengths = self.config.lengths
         return lengths[min(int(self._progress / self.config.curriculum * (len(lengths) - 1)), len(lengths) - 1)]

@@ -1,4 +1,4 @@
-"""What generative networks share: positions, torch's layers by their sizes, transformers with long skips, guidance."""
+"""Shared layers of the generative networks: position encodings, transformers with long skips, diffusion, guidance."""
 
 import math
 from collections.abc import Callable
@@ -18,19 +18,19 @@ from motionkit.training.diffusion.process import (
     sampling_steps,
 )
 from motionkit.training.diffusion.settings import DiffusionConfig
-from peers.generative.batches import Conditions, ConditionSizes, Wanted, joined_conditions
+from peers.generative.batches import Conditions, ConditionSizes, SampleBatch, joined_conditions
 from peers.generative.settings import TransformerSizes
 
 
 def sinusoids(positions: Shaped[Tensor, "n"], width: int) -> Float[Tensor, "n width"]:
-    """sin and cos in turn of positions, wavelengths from 2π to 20,000π (Vaswani et al. 2017)."""
+    """Sinusoidal embedding, sin and cos interleaved, wavelengths from 2π to 20,000π (Vaswani et al. 2017)."""
     frequencies = torch.exp(-math.log(10_000.0) * torch.arange(0, width, 2, device=positions.device) / width)
     angles = positions[:, None].to(torch.float32) * frequencies
     return torch.stack((angles.sin(), angles.cos()), dim=-1).flatten(1)
 
 
 class ConditionVector(nn.Module):
-    """A vector of each text or action; zeros where none is given."""
+    """Embeds a text or action; zeros where no condition is given."""
 
     def __init__(self, sizes: ConditionSizes, width: int) -> None:
         super().__init__()
@@ -39,25 +39,27 @@ class ConditionVector(nn.Module):
         self.actions = nn.Embedding(len(sizes.actions), width) if sizes.actions else None
 
     def forward(self, conditions: Conditions) -> Float[Tensor, "batch width"]:
-        """Of a batch of conditions."""
-        made = torch.zeros((len(conditions.given), self.width), device=conditions.given.device)
+        """Embeddings of a batch of conditions."""
+        vector = torch.zeros((len(conditions.given), self.width), device=conditions.given.device)
         if self.text is not None:
-            made = made + self.text(conditions.text)
+            vector = vector + self.text(conditions.text)
         if self.actions is not None:
-            made = made + self.actions(conditions.action.clamp(min=0))
-        return made * conditions.given[:, None]
+            vector = vector + self.actions(conditions.action.clamp(min=0))
+        return vector * conditions.given[:, None]
 
 
-def drawn(
+def reparameterized(
     mean: Float[Tensor, "batch *numbers"], log_variance: Float[Tensor, "batch *numbers"], generator: torch.Generator
 ) -> Float[Tensor, "batch *numbers"]:
-    """z ~ N(μ, σ²), noise from a generator on the CPU."""
+    """Sample z ~ N(μ, σ²) by the reparameterisation trick, with noise from a CPU generator."""
     noise = torch.randn(mean.shape, generator=generator).to(mean.device)
     return mean + (0.5 * log_variance).exp() * noise
 
 
-def kl_of(mean: Float[Tensor, "*numbers"], log_variance: Float[Tensor, "*numbers"]) -> Float[Tensor, "*numbers"]:
-    """Kullback-Leibler divergence of N(μ, σ²) from N(0, 1), number by number; float32 under autocast too."""
+def kl_divergence(
+    mean: Float[Tensor, "*numbers"], log_variance: Float[Tensor, "*numbers"]
+) -> Float[Tensor, "*numbers"]:
+    """Elementwise KL divergence of N(μ, σ²) from N(0, 1), in float32 even under autocast."""
     mean, log_variance = mean.float(), log_variance.float()
     return 0.5 * (mean.square() + log_variance.exp() - 1 - log_variance)
 
@@ -72,7 +74,7 @@ def last_states(
 def first_poses(
     rows: Float[Tensor, "batch frames numbers"], mean_share: float, generator: torch.Generator
 ) -> Float[Tensor, "batch numbers"]:
-    """The first pose of each motion, or for so many of them the mean pose, from which motions are generated."""
+    """The first pose of each motion, replaced by the mean pose (zeros) with probability `mean_share`."""
     kept = torch.rand((len(rows), 1), generator=generator) >= mean_share
     return rows[:, 0] * kept.to(rows.device)
 
@@ -92,7 +94,7 @@ def decoder_layer(sizes: TransformerSizes) -> nn.TransformerDecoderLayer:
 
 
 class LongSkips(nn.Module):
-    """Layers of which i of the first half feeds n − 1 − i, joined by concatenation and a linear map; then a norm.
+    """Skip connections from layer i to layer n − 1 − i (concatenation and a linear layer), then a layer norm.
 
     MLD's skip transformers (mld/models/operator/cross_attention.py). `attend` calls a layer.
     """
@@ -120,8 +122,8 @@ class LongSkips(nn.Module):
         return normed
 
 
-def among(hidden: Bool[Tensor, "batch tokens"] | None) -> Callable[[nn.Module, Tensor], Tensor]:
-    """Calls an encoder layer whose tokens don't attend to those that are `hidden`."""
+def padding_masked(hidden: Bool[Tensor, "batch tokens"] | None) -> Callable[[nn.Module, Tensor], Tensor]:
+    """Calls an encoder layer with the padding mask `hidden`."""
     return lambda layer, tokens: layer(tokens, src_key_padding_mask=hidden)
 
 
@@ -129,10 +131,10 @@ NetworkOutput = Callable[[Tensor, Tensor, Conditions], Tensor]
 """(noisy [batch, …], steps [batch], conditions) → what `DiffusionConfig.prediction` names, of the same shape."""
 
 
-def noisy_at_random(
+def noised(
     clean: Float[Tensor, "batch frames numbers"], config: DiffusionConfig, generator: torch.Generator
 ) -> tuple[Float[Tensor, "batch frames numbers"], Int64[Tensor, "batch"], Float[Tensor, "batch frames numbers"]]:
-    """Noisy motions on their device, each at a random step, with the steps and the noise (on the CPU)."""
+    """Noise each motion to a random step; gives noisy motions (on their device), steps and noise (on the CPU)."""
     steps = torch.randint(config.num_steps, (len(clean),), generator=generator)
     noise = torch.randn(clean.shape, generator=generator)
     flat = clean.to("cpu").flatten(1)
@@ -143,46 +145,46 @@ def noisy_at_random(
 def diffusion_loss(
     output: NetworkOutput,
     clean: Float[Tensor, "batch frames numbers"],
-    seen: Bool[Tensor, "batch frames"],
+    mask: Bool[Tensor, "batch frames"],
     conditions: Conditions,
     config: DiffusionConfig,
     generator: torch.Generator,
 ) -> Float[Tensor, ""]:
-    """Squared error at random steps: for each motion the mean over what is seen of it, then the mean over motions."""
+    """Squared error at random steps, averaged over each motion's valid frames, then over motions."""
     device, alphas = clean.device, cumulative_alphas(config)
-    noisy, steps, noise = noisy_at_random(clean, config, generator)
+    noisy, steps, noise = noised(clean, config, generator)
     flat = clean.to("cpu").flatten(1)
     target = prediction_target(config.prediction, flat, noise.flatten(1), steps, alphas).view(clean.shape).to(device)
     weights = loss_weights(config.prediction, config.loss, alphas)[steps].to(device, torch.float32)
-    noisy = noisy * seen[..., None]
-    errors = (output(noisy, steps.to(device), conditions).float() - target).square().mean(dim=-1) * seen
-    return (weights * errors.sum(dim=1) / seen.sum(dim=1)).mean()
+    noisy = noisy * mask[..., None]
+    errors = (output(noisy, steps.to(device), conditions).float() - target).square().mean(dim=-1) * mask
+    return (weights * errors.sum(dim=1) / mask.sum(dim=1)).mean()
 
 
 @torch.inference_mode()
 def diffusion_sample(
     output: NetworkOutput,
-    wanted: Wanted,
+    batch: SampleBatch,
     draw: Callable[[], Float[Tensor, "batch frames numbers"]],
     config: DiffusionConfig,
 ) -> Float[Tensor, "batch frames numbers"]:
-    """Clean motions or latents of noise, with guidance both passes in one batch; `draw` gives fresh noise."""
+    """Sample clean motions or latents; with guidance both passes share one batch. `draw` returns fresh noise."""
     alphas, scale = cumulative_alphas(config), config.guidance_scale
-    twice = wanted.guided and scale != 1.0
-    conditions = joined_conditions(wanted) if twice else wanted.conditions.to(wanted.device)
+    twice = batch.guided and scale != 1.0
+    conditions = joined_conditions(batch) if twice else batch.conditions.to(batch.device)
     start = draw()
     shape = start.shape
 
     def predict_noise(flat: Tensor, steps: Tensor) -> Tensor:
-        noisy = flat.view(shape).to(wanted.device, torch.float32)
-        at = steps.to(wanted.device)
+        noisy = flat.view(shape).to(batch.device, torch.float32)
+        at = steps.to(batch.device)
         if twice:
-            with_it, without = output(noisy.repeat(2, 1, 1), at.repeat(2), conditions).chunk(2)
-            made = without + scale * (with_it - without)
+            conditional, unconditional = output(noisy.repeat(2, 1, 1), at.repeat(2), conditions).chunk(2)
+            prediction = unconditional + scale * (conditional - unconditional)
         else:
-            made = output(noisy, at, conditions)
-        told = made.to("cpu", torch.float64).flatten(1)
-        return predicted_noise(config.prediction, told, flat, float(alphas[int(steps[0])]))
+            prediction = output(noisy, at, conditions)
+        prediction = prediction.to("cpu", torch.float64).flatten(1)
+        return predicted_noise(config.prediction, prediction, flat, float(alphas[int(steps[0])]))
 
     visited = sampling_steps(config)
     if config.sampler == "ddim":

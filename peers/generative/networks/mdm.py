@@ -7,13 +7,13 @@ from jaxtyping import Float, Int64
 from torch import Tensor, nn
 
 from motionkit.training.diffusion.settings import DiffusionConfig
-from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, Wanted, frames_within
+from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, SampleBatch, frames_within
 from peers.generative.networks.layers import diffusion_loss, diffusion_sample, encoder_layer, sinusoids
 from peers.generative.settings import MdmNetworkConfig
 
 
 class Mdm(nn.Module):
-    """x̂₀ of noisy frames, from a transformer encoder over [time + condition; frames]."""
+    """Predicts x̂₀ of noisy frames with a transformer encoder over [time + condition; frames]."""
 
     def __init__(
         self, config: MdmNetworkConfig, space: PoseSpace, sizes: ConditionSizes, earlier: Mapping[str, nn.Module]
@@ -39,7 +39,7 @@ class Mdm(nn.Module):
         conditions: Conditions,
         lengths: Int64[Tensor, "batch"],
     ) -> Float[Tensor, "batch frames numbers"]:
-        """The clean motion; frames behind a motion's length are attended to by none."""
+        """The clean motion; padding frames are masked out of the attention."""
         first = self.step_in(sinusoids(steps, self.width))
         if self.text_in is not None:
             first = first + self.text_in(conditions.text)
@@ -54,19 +54,19 @@ class Mdm(nn.Module):
         return clean
 
     def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
-        """The mean squared error of the frames there are."""
+        """Mean squared error over valid frames."""
         loss = diffusion_loss(
             lambda noisy, steps, conditions: self(noisy, steps, conditions, batch.lengths),
-            *(batch.rows, batch.seen, batch.conditions, self.diffusion, generator),
+            *(batch.rows, batch.mask, batch.conditions, self.diffusion, generator),
         )
         return {"loss": loss}
 
-    def sample(self, wanted: Wanted, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
+    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
         """Standardised rows."""
-        lengths = wanted.lengths.to(wanted.device)
+        lengths = batch.lengths.to(batch.device)
 
         def output(noisy: Tensor, steps: Tensor, conditions: Conditions) -> Tensor:
             clean: Tensor = self(noisy, steps, conditions, lengths.repeat(len(noisy) // len(lengths)))
             return clean
 
-        return diffusion_sample(output, wanted, lambda: wanted.noise_of_frames(self.numbers), diffusion)
+        return diffusion_sample(output, batch, lambda: batch.noise_of_frames(self.numbers), diffusion)

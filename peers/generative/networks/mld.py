@@ -1,4 +1,4 @@
-"""MLD (Chen et al. 2023; ChenFengYe/motion-latent-diffusion, mld/models): diffusion of one latent of a motion's VAE."""
+"""MLD (Chen et al. 2023; ChenFengYe/motion-latent-diffusion, mld/models): diffusion in the latent space of a VAE."""
 
 from collections.abc import Mapping
 
@@ -8,16 +8,16 @@ from torch import Tensor, nn
 from torch.nn.functional import smooth_l1_loss
 
 from motionkit.training.diffusion.settings import DiffusionConfig
-from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, Wanted, frames_within
+from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, SampleBatch, frames_within
 from peers.generative.networks.layers import (
     LongSkips,
-    among,
     decoder_layer,
     diffusion_loss,
     diffusion_sample,
-    drawn,
     encoder_layer,
-    kl_of,
+    kl_divergence,
+    padding_masked,
+    reparameterized,
 )
 from peers.generative.settings import MldNetworkConfig, MldVaeNetworkConfig
 
@@ -25,7 +25,7 @@ VAE = "mld-vae"
 
 
 class MldVae(nn.Module):
-    """Frames → N(μ, σ²) of one latent → frames, by transformers with long skips."""
+    """VAE with one latent per motion: transformers with long skip connections."""
 
     def __init__(
         self, config: MldVaeNetworkConfig, space: PoseSpace, sizes: ConditionSizes, earlier: Mapping[str, nn.Module]
@@ -47,32 +47,32 @@ class MldVae(nn.Module):
         """μ and log σ²."""
         tokens = torch.cat((self.distribution.expand(len(rows), -1, -1), self.frame_in(rows)), dim=1)
         hidden = ~frames_within(lengths + 2, tokens.shape[1])
-        tokens = self.encoder(tokens + self.encoder_positions[: tokens.shape[1]], among(hidden))
+        tokens = self.encoder(tokens + self.encoder_positions[: tokens.shape[1]], padding_masked(hidden))
         return tokens[:, 0], tokens[:, 1]
 
     def decode(
-        self, latents: Float[Tensor, "batch width"], seen: Bool[Tensor, "batch frames"]
+        self, latents: Float[Tensor, "batch width"], mask: Bool[Tensor, "batch frames"]
     ) -> Float[Tensor, "batch frames numbers"]:
-        """Standardised rows, zeros where none is seen."""
-        memory, hidden = latents[:, None], ~seen
-        queries = self.decoder_positions[: seen.shape[1]].expand(len(latents), -1, -1)
+        """Standardised rows, zeros outside the mask."""
+        memory, hidden = latents[:, None], ~mask
+        queries = self.decoder_positions[: mask.shape[1]].expand(len(latents), -1, -1)
         tokens = self.decoder(queries, lambda layer, tokens: layer(tokens, memory, tgt_key_padding_mask=hidden))
-        rows: Tensor = self.frame_out(tokens) * seen[..., None]
+        rows: Tensor = self.frame_out(tokens) * mask[..., None]
         return rows
 
     def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
-        """Smooth L1 of the numbers and of the joints, over the frames there are, and KL, each a mean over numbers."""
+        """Smooth L1 of pose vectors and of joints over valid frames, and KL, each averaged over elements."""
         mean, log_variance = self.encode(batch.rows, batch.lengths)
-        made = self.decode(drawn(mean, log_variance, generator), batch.seen)
-        features = smooth_l1_loss(made[batch.seen], batch.rows[batch.seen])
-        joints = smooth_l1_loss(self.space.joints(made)[batch.seen], self.space.joints(batch.rows)[batch.seen])
-        kl = kl_of(mean, log_variance).mean()
+        made = self.decode(reparameterized(mean, log_variance, generator), batch.mask)
+        features = smooth_l1_loss(made[batch.mask], batch.rows[batch.mask])
+        joints = smooth_l1_loss(self.space.joints(made)[batch.mask], self.space.joints(batch.rows)[batch.mask])
+        kl = kl_divergence(mean, log_variance).mean()
         loss = features + self.config.joint_weight * joints + self.config.kl_weight * kl
         return {"loss": loss, "features": features, "joints": joints, "kl": kl}
 
 
 class Mld(nn.Module):
-    """The noise of a latent, from an encoder with long skips over the tokens [latent, time, condition]."""
+    """Predicts a latent's noise with a long-skip transformer over the tokens [latent, time, condition]."""
 
     def __init__(
         self, config: MldNetworkConfig, space: PoseSpace, sizes: ConditionSizes, earlier: Mapping[str, nn.Module]
@@ -84,7 +84,7 @@ class Mld(nn.Module):
         if vae.width != width:
             raise ValueError(f"the VAE's latent has {vae.width} numbers, the denoiser's tokens {width}")
         self.config, self.diffusion, self.width = config, config.diffusion, width
-        self._vae = (vae,)  # frozen, and saved with its own stage
+        self._vae = (vae,)  # in a tuple: frozen, and saved with its own stage
         self.step_in = nn.Sequential(nn.Linear(config.time_features, width), nn.SiLU(), nn.Linear(width, width))
         self.text_in = (
             nn.Sequential(nn.ReLU(), nn.Linear(sizes.text_dimension, width)) if sizes.text_dimension else None
@@ -96,7 +96,7 @@ class Mld(nn.Module):
 
     @property
     def vae(self) -> MldVae:
-        """What makes latents of motions, and motions of latents."""
+        """The trained VAE."""
         return self._vae[0]
 
     def forward(
@@ -109,26 +109,26 @@ class Mld(nn.Module):
         if self.actions is not None:
             known = (conditions.action >= 0)[:, None]
             tokens.append((self.actions(conditions.action.clamp(min=0)) * known)[:, None])
-        made: Tensor = self.layers(torch.cat(tokens, dim=1) + self.positions, among(None))
-        return made[:, :1]
+        outputs: Tensor = self.layers(torch.cat(tokens, dim=1) + self.positions, padding_masked(None))
+        return outputs[:, :1]
 
     def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
-        """The squared error of ε, of latents drawn anew at every step."""
+        """Squared error of ε, with latents resampled at every step."""
         with torch.no_grad():
-            latents = drawn(*self.vae.encode(batch.rows, batch.lengths), generator)[:, None]
+            latents = reparameterized(*self.vae.encode(batch.rows, batch.lengths), generator)[:, None]
         latents, conditions = latents.repeat(self.config.noises, 1, 1), batch.conditions.repeated(self.config.noises)
         every = torch.ones(latents.shape[:2], dtype=torch.bool, device=latents.device)
         return {"loss": diffusion_loss(self, latents, every, conditions, self.diffusion, generator)}
 
-    def sample(self, wanted: Wanted, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
+    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
         """Standardised rows."""
-        latents = diffusion_sample(self, wanted, lambda: wanted.noise(1, self.width), diffusion)
-        seen = frames_within(wanted.lengths, wanted.frames).to(wanted.device)
-        return self.vae.decode(latents[:, 0].to(wanted.device, torch.float32), seen)
+        latents = diffusion_sample(self, batch, lambda: batch.noise(1, self.width), diffusion)
+        mask = frames_within(batch.lengths, batch.frames).to(batch.device)
+        return self.vae.decode(latents[:, 0].to(batch.device, torch.float32), mask)
 
 
 def step_features(steps: Int64[Tensor, "batch"], width: int) -> Float[Tensor, "batch width"]:
-    """cos, then sin of a step, wavelengths from 2π to 20,000π (diffusers' `Timesteps` with `flip_sin_to_cos`)."""
+    """Sinusoidal step embedding, cos before sin (diffusers' `Timesteps` with `flip_sin_to_cos`)."""
     exponents = torch.arange(width // 2, device=steps.device) / (width // 2)
     angles = steps[:, None].to(torch.float32) * 10_000.0 ** (-exponents)
     return torch.cat((angles.cos(), angles.sin()), dim=1)

@@ -1,4 +1,4 @@
-"""NeMF (He et al. 2022; c-he/NeMF, src/nemf): a motion as a field of time under two latents, and the path it makes."""
+"""NeMF (He et al. 2022; c-he/NeMF, src/nemf): a neural field over time with two latents, and a root path predictor."""
 
 from collections.abc import Callable, Mapping
 from itertools import pairwise
@@ -12,8 +12,8 @@ from torch.nn.functional import avg_pool1d, binary_cross_entropy_with_logits, l1
 from motionkit.core.errors import UsageError
 from motionkit.features.layout import VectorLayout, vector_layout
 from motionkit.training.diffusion.settings import DiffusionConfig
-from peers.generative.batches import ConditionSizes, MotionBatch, PoseSpace, Wanted, frames_within
-from peers.generative.networks.layers import drawn, kl_of
+from peers.generative.batches import ConditionSizes, MotionBatch, PoseSpace, SampleBatch, frames_within
+from peers.generative.networks.layers import kl_divergence, reparameterized
 from peers.generative.settings import NemfNetworkConfig, NemfPathNetworkConfig
 
 PATH = "nemf-path"
@@ -21,7 +21,7 @@ ORIENTATION = 6  # numbers: two columns of a rotation matrix
 
 
 class Residual(nn.Module):
-    """A share of a convolution, and of a plain map of what came in the rest; even kernels halve the frames."""
+    """A weighted sum of a convolution and a 1×1 convolution of the input; even kernels halve the frames."""
 
     def __init__(self, inputs: int, outputs: int, kernel: int, share: float, activation: nn.Module) -> None:
         super().__init__()
@@ -38,7 +38,7 @@ class Residual(nn.Module):
 
 
 def residuals(widths: tuple[int, ...], kernel: int, activation: Callable[[], nn.Module]) -> list[Residual]:
-    """Layers of which the k-th, from 1, takes 1 / (k + 1) from its convolution."""
+    """Layers of which the k-th, from 1, weights its convolution by 1 / (k + 1)."""
     return [
         Residual(inputs, outputs, kernel, 1 / (number + 1), activation())
         for number, (inputs, outputs) in enumerate(pairwise(widths), start=1)
@@ -46,23 +46,23 @@ def residuals(widths: tuple[int, ...], kernel: int, activation: Callable[[], nn.
 
 
 def native_layout(space: PoseSpace) -> VectorLayout:
-    """Where a pose's numbers lie; raises `UsageError` for vectors of another convention than `native`."""
+    """Layout of a pose vector; raises `UsageError` for a convention other than `native`."""
     part = vector_layout(space.vectors.skeleton.num_joints)
     if space.num_numbers != part.size:
         raise UsageError("NeMF learns native vectors: motions.pose_vectors=native")
     return part
 
 
-def with_changes(
+def with_velocities(
     poses: Float[Tensor, "batch frames numbers"], lengths: Int64[Tensor, "batch"], fps: float
 ) -> Float[Tensor, "batch frames twice"]:
-    """Poses and what they change by in a quarter of a second, about as large; zeros at a motion's end."""
+    """Poses concatenated with their velocities per quarter second (of similar scale); zeros at a motion's end."""
     changes = pad(poses.diff(dim=1), (0, 0, 0, 1)) * frames_within(lengths - 1, poses.shape[1])[..., None]
     return torch.cat((poses, 0.25 * fps * changes), dim=-1)
 
 
 class NemfPath(nn.Module):
-    """Root velocity, height and contacts of how a body moves about its root: NeMF's global motion predictor."""
+    """NeMF's global motion predictor: root velocity, height and contacts from the motion relative to the root."""
 
     def __init__(
         self, config: NemfPathNetworkConfig, space: PoseSpace, sizes: ConditionSizes, earlier: Mapping[str, nn.Module]
@@ -79,37 +79,39 @@ class NemfPath(nn.Module):
     def forward(
         self, rows: Float[Tensor, "batch frames numbers"], lengths: Int64[Tensor, "batch"]
     ) -> tuple[Float[Tensor, "batch frames 3"], Float[Tensor, "batch frames 4"]]:
-        """Velocity in x and z and height, in their own units, and logits of contacts, of standardised rows.
+        """Velocity in x and z and height, in their own units, and contact logits, from standardised rows.
 
-        Of a row its yaw velocity, joints and rotations are looked at.
+        Only yaw velocity, joints and rotations of a row are used.
         """
         part = self.part
         poses = rows[..., part.joint_positions.start : part.joint_rotations.stop]
-        told = torch.cat((with_changes(poses, lengths, float(self.space.fps)), rows[..., part.root_yaw_velocity]), -1)
-        seen = frames_within(lengths, rows.shape[1])[:, None]
-        values = told.transpose(1, 2) * seen
+        inputs = torch.cat(
+            (with_velocities(poses, lengths, float(self.space.fps)), rows[..., part.root_yaw_velocity]), -1
+        )
+        mask = frames_within(lengths, rows.shape[1])[:, None]
+        values = inputs.transpose(1, 2) * mask
         for layer in self.layers:
-            values = layer(values) * seen
+            values = layer(values) * mask
         root, contacts = torch.split(values.transpose(1, 2), self.sizes, dim=-1)
         return root, contacts
 
     def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
-        """L1 of velocity, height and the path that follows, and contacts' cross-entropy, of the frames there are."""
-        part, seen = self.part, batch.seen
+        """L1 of velocity, height and the integrated path, and cross-entropy of contacts, over valid frames."""
+        part, mask = self.part, batch.mask
         numbers = batch.rows * self.space.scale + self.space.mean
         root, contacts = self(batch.rows, batch.lengths)
         angle = self.space.heading(numbers)
         truth = torch.cat((numbers[..., part.root_velocity], numbers[..., part.root_height]), dim=-1)
-        velocity, height = l1_loss(root[seen][:, :2], truth[seen][:, :2]), l1_loss(root[seen][:, 2], truth[seen][:, 2])
-        path = l1_loss(self.space.path(root[..., :2], angle)[seen], self.space.path(truth[..., :2], angle)[seen])
-        told = numbers[..., part.contacts][seen].clamp(0, 1)
-        touch = binary_cross_entropy_with_logits(contacts[seen], told)
+        velocity, height = l1_loss(root[mask][:, :2], truth[mask][:, :2]), l1_loss(root[mask][:, 2], truth[mask][:, 2])
+        path = l1_loss(self.space.path(root[..., :2], angle)[mask], self.space.path(truth[..., :2], angle)[mask])
+        true_contacts = numbers[..., part.contacts][mask].clamp(0, 1)
+        touch = binary_cross_entropy_with_logits(contacts[mask], true_contacts)
         loss = velocity + height + path + self.config.contact_weight * touch
         return {"loss": loss, "velocity": velocity, "height": height, "path": path, "contacts": touch}
 
 
 class ClipEncoder(nn.Module):
-    """A clip → N(μ, σ²) of one latent: four convolutions, each of half the frames."""
+    """A clip → N(μ, σ²) of one latent: four convolutions, each halving the frames."""
 
     def __init__(self, inputs: int, widths: tuple[int, ...], kernel: int, frames: int, latent: int) -> None:
         super().__init__()
@@ -124,7 +126,7 @@ class ClipEncoder(nn.Module):
 
 
 class Nemf(nn.Module):
-    """Poses at any time of a latent of the body; where it turns to, of another one as well."""
+    """Poses at any time from a local latent; the root's orientation from a second latent as well."""
 
     diffusion: DiffusionConfig | None = None
 
@@ -134,7 +136,7 @@ class Nemf(nn.Module):
         super().__init__()
         path = earlier[PATH]
         assert isinstance(path, NemfPath)
-        self._path = (path,)  # frozen, and saved with its own stage
+        self._path = (path,)  # in a tuple: frozen, and saved with its own stage
         self.config, self.space, self.part = config, space, native_layout(space)
         part = self.part
         self.sizes = [part.joint_positions.stop - part.joint_positions.start]
@@ -142,11 +144,11 @@ class Nemf(nn.Module):
         poses, local, turns = sum(self.sizes), config.local_latent, config.turn_latent
         self.local_encoder = ClipEncoder(2 * poses, config.widths, config.kernel, config.frames, local)
         self.turn_encoder = ClipEncoder(ORIENTATION, config.widths, config.kernel, config.frames, turns)
-        told = 2 * config.frequencies + local
+        size = 2 * config.frequencies + local
         skipped = [0] + [config.width] * (config.local_layers - 1)
-        self.local_layers = nn.ModuleList(_field_layer(own + told, config.width) for own in skipped)
+        self.local_layers = nn.ModuleList(_field_layer(own + size, config.width) for own in skipped)
         self.turn_layers = nn.ModuleList(
-            _field_layer(config.width + told + turns, config.width) for _ in range(config.turn_layers)
+            _field_layer(config.width + size + turns, config.width) for _ in range(config.turn_layers)
         )
         self.pose_out, self.turn_out = nn.Linear(config.width, poses), nn.Linear(config.width, ORIENTATION)
         self._progress = 1.0
@@ -154,48 +156,48 @@ class Nemf(nn.Module):
     def forward(
         self, count: int, local: Float[Tensor, "batch local"], turns: Float[Tensor, "batch turns"]
     ) -> tuple[Float[Tensor, "batch frames positions"], Float[Tensor, "batch frames rotations"], Tensor]:
-        """Standardised joints, rotations as two columns of their matrices, and the root's orientation alike."""
+        """Standardised joints, 6D joint rotations, and the 6D orientation of the root."""
         times = 2 * torch.arange(count, device=local.device) / self.config.frames - 1
         angles = times[:, None] * 2.0 ** torch.arange(self.config.frequencies, device=local.device)
         waves = torch.stack((angles.sin(), angles.cos()), dim=-1).flatten(1)
-        told = torch.cat((waves.expand(len(local), -1, -1), local[:, None].expand(-1, count, -1)), dim=-1)
-        hidden = self.local_layers[0](told)
+        inputs = torch.cat((waves.expand(len(local), -1, -1), local[:, None].expand(-1, count, -1)), dim=-1)
+        hidden = self.local_layers[0](inputs)
         for layer in list(self.local_layers)[1:]:
-            hidden = layer(torch.cat((hidden, told), dim=-1))
+            hidden = layer(torch.cat((hidden, inputs), dim=-1))
         positions, rotations = self.pose_out(hidden).split(self.sizes, dim=-1)
-        told = torch.cat((told, turns[:, None].expand(-1, count, -1)), dim=-1)
+        inputs = torch.cat((inputs, turns[:, None].expand(-1, count, -1)), dim=-1)
         for layer in self.turn_layers:
-            hidden = layer(torch.cat((hidden, told), dim=-1))
+            hidden = layer(torch.cat((hidden, inputs), dim=-1))
         return positions, rotations, self.turn_out(hidden)
 
     def encode(
         self, rows: Float[Tensor, "batch frames numbers"], lengths: Int64[Tensor, "batch"]
     ) -> tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor]]:
-        """μ and log σ² of both latents; what lies behind a motion's end is zeros."""
+        """μ and log σ² of both latents; frames after a motion's end are zeros."""
         if rows.shape[1] > self.config.frames:
-            raise UsageError(f"a motion of {rows.shape[1]} frames: network.frames={self.config.frames} are fewer")
+            raise UsageError(f"a motion of {rows.shape[1]} frames is longer than network.frames={self.config.frames}")
         rows = pad(rows, (0, 0, 0, self.config.frames - rows.shape[1]))
-        seen = frames_within(lengths, rows.shape[1])[..., None]
+        mask = frames_within(lengths, rows.shape[1])[..., None]
         part = self.part
         poses = rows[..., part.joint_positions.start : part.joint_rotations.stop]
-        turns = self._orientation(rows).transpose(-1, -2)[..., :2, :].flatten(-2) * seen
-        return self.local_encoder(with_changes(poses, lengths, float(self.space.fps))), self.turn_encoder(turns)
+        turns = self._orientation(rows).transpose(-1, -2)[..., :2, :].flatten(-2) * mask
+        return self.local_encoder(with_velocities(poses, lengths, float(self.space.fps))), self.turn_encoder(turns)
 
     def begin_step(self, step: int, steps: int) -> None:
-        """KL's weight grows in the first half of every cycle."""
+        """Cyclic KL annealing: the weight grows in the first half of every cycle."""
         self._progress = step / steps
 
     def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
-        """Angles of orientations and rotations, ten times L1 of joints in metres, and KL of both latents."""
-        part, seen = self.part, batch.seen
+        """Geodesic errors of orientations and rotations, weighted L1 of joints in metres, and KL of both latents."""
+        part, mask = self.part, batch.mask
         latents = self.encode(batch.rows, batch.lengths)
-        made, rotations, turns = self(batch.rows.shape[1], *(drawn(*each, generator) for each in latents))
+        made, rotations, turns = self(batch.rows.shape[1], *(reparameterized(*each, generator) for each in latents))
         scale = self.space.scale[part.joint_positions]
-        joints = l1_loss(made[seen] * scale, batch.rows[..., part.joint_positions][seen] * scale)
+        joints = l1_loss(made[mask] * scale, batch.rows[..., part.joint_positions][mask] * scale)
         true = (batch.rows * self.space.scale + self.space.mean)[..., part.joint_rotations]
-        bones = _angles(_matrices(rotations[seen]), _matrices(true[seen])).mean()
-        root = _angles(_matrices(turns[seen])[:, 0], self._orientation(batch.rows)[seen]).mean()
-        kl = torch.stack([kl_of(*each).sum(dim=1).mean() for each in latents]).sum()
+        bones = _angles(_matrices(rotations[mask]), _matrices(true[mask])).mean()
+        root = _angles(_matrices(turns[mask])[:, 0], self._orientation(batch.rows)[mask]).mean()
+        kl = torch.stack([kl_divergence(*each).sum(dim=1).mean() for each in latents]).sum()
         weight = self.config.kl_weight * min(1.0, 0.01 + 2 * (self._progress * self.config.kl_cycles % 1))
         loss = root + bones + self.config.joint_weight * joints + weight * kl
         return {"loss": loss, "root": root, "bones": bones, "joints": joints, "kl": kl}
@@ -203,10 +205,10 @@ class Nemf(nn.Module):
     def rows(
         self, local: Float[Tensor, "batch local"], turns: Float[Tensor, "batch turns"], lengths: Int64[Tensor, "batch"]
     ) -> Float[Tensor, "batch frames numbers"]:
-        """Standardised rows of latents, the path predicted; velocities of joints, which follow, are the mean."""
+        """Standardised rows from latents, with a predicted path; joint velocities are set to the mean."""
         part, space = self.part, self.space
         count = int(lengths.max())
-        # And one frame more, to which the last one turns.
+        # One extra frame, for the last frame's yaw velocity.
         positions, rotations, orientation = self(count + 1, local, turns)
         rows: Tensor = positions.new_zeros((len(positions), count, space.num_numbers))
 
@@ -216,7 +218,7 @@ class Nemf(nn.Module):
         rows[..., part.joint_positions] = positions[:, :-1]
         put(part.joint_rotations, _matrices(rotations[:, :-1]).transpose(-1, -2)[..., :2, :].flatten(-3))
         matrix = _matrices(orientation)[:, :, 0]
-        # Turns about Y between neighbours, each frame's velocity the mean of both.
+        # Yaw between neighbouring frames; a frame's yaw velocity is the mean of the two beside it.
         turned = matrix[:, 1:] @ matrix[:, :-1].transpose(-1, -2)
         steps = torch.atan2(turned[..., 0, 2] - turned[..., 2, 0], turned[..., 0, 0] + turned[..., 2, 2])
         before = torch.cat((steps[:, :1], steps[:, :-1]), dim=1)
@@ -227,15 +229,15 @@ class Nemf(nn.Module):
         put(part.contacts, contacts.sigmoid())
         return rows
 
-    def sample(self, wanted: Wanted, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
-        """Standardised rows of latents ~ N(0, I); conditions are not known."""
+    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
+        """Standardised rows from latents ~ N(0, I); conditions are ignored."""
         sizes = [self.config.local_latent, self.config.turn_latent]
-        latents = wanted.noise(sum(sizes)).to(wanted.device, torch.float32)
+        latents = batch.noise(sum(sizes)).to(batch.device, torch.float32)
         local, turns = torch.split(latents, sizes, dim=1)
-        return self.rows(local, turns, wanted.lengths.to(wanted.device))
+        return self.rows(local, turns, batch.lengths.to(batch.device))
 
     def _orientation(self, rows: Float[Tensor, "batch frames numbers"]) -> Float[Tensor, "batch frames 3 3"]:
-        """The root's, turned about Y as far as since the first frame."""
+        """The root's orientation: yaw since the first frame, about Y."""
         angle = self.space.heading(rows * self.space.scale + self.space.mean)[..., 0]
         axis = torch.stack((torch.zeros_like(angle), angle, torch.zeros_like(angle)), dim=-1)
         made: Tensor = roma.rotvec_to_rotmat(axis)
@@ -247,7 +249,7 @@ def _field_layer(inputs: int, width: int) -> nn.Sequential:
 
 
 def _matrices(columns: Float[Tensor, "*poses numbers"]) -> Float[Tensor, "*poses joints 3 3"]:
-    """Rotations of pairs of columns."""
+    """Rotation matrices from the 6D representation."""
     made: Tensor = roma.special_gramschmidt(columns.reshape(*columns.shape[:-1], -1, 2, 3).transpose(-1, -2).float())
     return made
 

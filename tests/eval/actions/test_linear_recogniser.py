@@ -58,7 +58,7 @@ def test_statistics_do_not_depend_on_place_heading_or_length_beyond_what_they_se
     np.testing.assert_array_equal(statistics_of(whole), statistics_of(part))
 
 
-def test_the_path_is_told_in_the_bodys_own_directions() -> None:
+def test_the_path_is_in_the_bodys_own_directions() -> None:
     names = slice(63 * 4, 63 * 4 + 4)
     left, right = (motion_statistics(acted(action, 1), 20.0)[names] for action in ACTIONS[1:])
     np.testing.assert_allclose(left[0], 0.4, atol=0.05)

@@ -107,7 +107,7 @@ def test_actors_spread_is_a_variance_and_no_interval() -> None:
     assert not any("there is one set" in remark for remark in found.remarks)
 
 
-def test_more_motions_than_a_protocol_counts_are_thinned_and_fewer_are_told() -> None:
+def test_more_motions_than_a_protocol_counts_are_thinned_and_fewer_are_reported() -> None:
     few = replace(find_action_protocol("mdm"), replications=3, num_motions=40)
     more = score_actions({"": recognised(90, 0).recognition.features}, [recognised(60, 1)], few, seed=0)
     assert more.sizes["generated"] == 40

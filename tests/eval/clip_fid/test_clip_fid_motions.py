@@ -74,7 +74,7 @@ def test_framerates_have_to_agree(real: list[mk.Motion]) -> None:
         clip_fid([m.joint_positions for m in real], [m.joint_positions for m in real])
 
 
-def test_what_cannot_be_compared_is_told(real: list[mk.Motion]) -> None:
+def test_what_cannot_be_compared_is_reported(real: list[mk.Motion]) -> None:
     with pytest.raises(ClipError, match="generated holds no motion"):
         clip_fid(real, [])
     with pytest.raises(ClipError, match="16 poses"):

@@ -288,7 +288,7 @@ def test_tables_over_windows(store: Path, tmp_path: Path) -> None:
         assert rows["constant velocity"].cells[column].value < rows["zero velocity"].cells[column].value
 
 
-def test_what_cannot_be_asked_is_told_in_a_line(store: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_asked_is_reported_in_a_line(store: Path, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="the condition"):
         TABLE_1.build(request(store, tmp_path, where="no_such_column = 1"))
     with pytest.raises(NoTakesError, match=r"no chosen take of .* has a framerate that is a whole multiple of 7 fps"):

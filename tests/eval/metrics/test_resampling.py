@@ -93,7 +93,7 @@ def test_the_interval_of_a_mean_is_that_of_its_takes_and_not_of_its_values() -> 
     assert half_width((None, 1.0)) is None
 
 
-def test_paired_rows_are_told_apart_where_unpaired_ones_are_not() -> None:
+def test_paired_rows_are_distinguished_where_unpaired_ones_are_not() -> None:
     rng = np.random.default_rng(2)
     hard = 10.0 * rng.normal(size=50)
     rows = [hard + shift + 0.1 * rng.normal(size=50) for shift in (0.0, -0.5)]

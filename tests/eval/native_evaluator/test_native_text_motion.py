@@ -66,7 +66,7 @@ def test_what_it_cannot_read_is_named(evaluator: NativeTextMotion) -> None:
         evaluator.embed_texts([Caption("a person walks")])
 
 
-def test_framerates_that_it_was_not_trained_at_are_told(evaluator: NativeTextMotion) -> None:
+def test_framerates_that_it_was_not_trained_at_are_reported(evaluator: NativeTextMotion) -> None:
     trained = [Fraction(fps) for fps in evaluator.evaluator.description["framerates"]]
     assert evaluator.remark_at(trained[0]) == "" and evaluator.remark_at(max(trained)) == ""
     told = evaluator.remark_at(min(trained) / 2)

@@ -65,7 +65,7 @@ def test_the_framerate_is_asked_for_with_the_line_to_write(tmp_path: Path) -> No
         (np.asfortranarray(JOINTS), JOINTS),
     ],
 )
-def test_axes_are_told_apart_by_where_the_3_stands(tmp_path: Path, array: np.ndarray, expected: np.ndarray) -> None:
+def test_axes_are_distinguished_by_where_the_3_stands(tmp_path: Path, array: np.ndarray, expected: np.ndarray) -> None:
     samples = read(folder_of(tmp_path, a=array))
     np.testing.assert_array_equal(samples.sequences.values, expected)
     assert samples.sequence_ids == ("a",)
@@ -90,7 +90,7 @@ def test_metres_are_checked(tmp_path: Path) -> None:
     assert "from ankle to head, people 1.45 m; write unit_metres = 0.01 into samples.toml if they are in cm" in told
     samples = read(folder_of(tmp_path, "fps = 20\nunit_metres = 0.01"))
     np.testing.assert_allclose(samples.sequences.values, JOINTS, rtol=1e-5, atol=1e-6)
-    assert "no usual unit mends it" in fault(folder_of(tmp_path, "fps = 20\nunit_metres = 1e-4"))
+    assert "no usual unit explains" in fault(folder_of(tmp_path, "fps = 20\nunit_metres = 1e-4"))
 
 
 def test_bones_that_breathe_are_no_body(tmp_path: Path) -> None:
@@ -143,7 +143,7 @@ def test_nothing_readable_and_nothing_at_all(tmp_path: Path) -> None:
     assert "there is no folder" in fault(tmp_path / "nowhere")
     assert "no motion was found" in fault(tmp_path)
     (tmp_path / "samples.pkl").write_bytes(b"\x80\x04N.")
-    assert "it has 1 .pkl (a .pkl or .pt is a program: export its arrays, docs/samples.md)" in fault(tmp_path)
+    assert "it has 1 .pkl (a .pkl or .pt can execute code: export its arrays, docs/samples.md)" in fault(tmp_path)
     assert "no motion can be read: 1 of 1 motions left out (nan); first" not in fault(tmp_path)
     told = fault(folder_of(tmp_path, a=np.full((4, 22, 3), np.nan)))
     assert "no motion can be read: 1 of 1 motions left out (1 nan); first" in told
@@ -189,8 +189,8 @@ def test_vectors_come_back_with_their_own_statistics(tmp_path: Path, of: str) ->
 @pytest.mark.parametrize(
     ("of", "restore_with", "claim", "says"),
     [
-        ("published", "published", "", "nothing says whether they are normalised: they look normalised"),
-        ("raw", "published", "", "nothing says whether they are normalised: they look raw"),
+        ("published", "published", "", "it is not stated whether they are normalised: they look normalised"),
+        ("raw", "published", "", "it is not stated whether they are normalised: they look raw"),
         ("published", "published", "raw", "said to be raw, but they look normalised"),
         ("raw", "published", "normalised", "said to be normalised, but they look raw"),
         ("published", "evaluator", "normalised", "root's own velocity varies 0.04 times as much"),
@@ -220,13 +220,13 @@ def test_a_standing_root_says_nothing_about_statistics() -> None:
         ("unit_metres = -1", "length of the files' unit"),
         ('up = "x"', "expected 'y' or 'z'"),
         ('statistics = "published"', "expected 'raw' or 'normalised'"),
-        ('statistics = "normalised"', "goes with mean"),
+        ('statistics = "normalised"', "needs mean"),
         ('mean = "../mean.npy"', "leaves the folder"),
         ('mean = "/etc/passwd"', "leaves the folder"),
         ('files = ["../*.npy"]', "leaves the folder"),
         ('prompts = "none.txt"', "no such file in this folder"),
         ('name = "{who}"', "unknown field {who}"),
-        ('name = "{group}{group}"', "{group} stands in it twice"),
+        ('name = "{group}{group}"', "{group} occurs twice"),
         (f'name = "{"{any}" * 300}"', "1,500 letters, expected at most 1,000"),
         (f'files = "{"*a" * 3000}"', "a glob of 6,000 letters"),
         (f"fps = 0x{'f' * 5000}", "not TOML (a whole number is beyond 64 bits)"),
@@ -273,7 +273,7 @@ def test_names_say_what_the_pattern_says(tmp_path: Path) -> None:
     assert "1 of 2 motions left out (1 name)" in read(tmp_path).describe()
 
 
-def test_a_csv_row_without_its_file_is_told(tmp_path: Path) -> None:
+def test_a_csv_row_without_its_file_is_reported(tmp_path: Path) -> None:
     folder = folder_of(tmp_path, a=JOINTS)
     (folder / "texts.csv").write_text("file,caption,num_frames\na.npy,walks,9\nb.npy,runs,\n../c.npy,x,\nd.npy,,0\n")
     samples = read(folder)
@@ -306,7 +306,7 @@ def test_dictionaries_that_say_nonsense(tmp_path: Path, extra: dict[str, object]
     assert told.value.reason == reason and len(str(told.value)) < 400
 
 
-def test_a_column_that_is_not_read_is_told(tmp_path: Path) -> None:
+def test_a_column_that_is_not_read_is_reported(tmp_path: Path) -> None:
     folder = folder_of(tmp_path, a=JOINTS)
     (folder / "texts.csv").write_text("file,caption,frames\na.npy,walks,9\n")
     assert "texts.csv: a column that is not read: 'frames' (did you mean num_frames?)" in read(folder).describe()

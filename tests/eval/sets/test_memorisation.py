@@ -113,7 +113,7 @@ def test_every_disguise_of_a_take_is_seen_through(name: str) -> None:
 
 def test_fresh_motions_are_not_accused() -> None:
     told = told_of(as_set(*(swinging(seed, 4.0) for seed in range(30, 40))))
-    assert told.told.all() and not told.accused.any()
+    assert told.decidable.all() and not told.accused.any()
     assert max(share.max() for share in told.copied_share.values()) == 0
 
 
@@ -152,7 +152,7 @@ def test_stretches_that_stand_still_say_nothing() -> None:
     assert all(nearest.distance.max() < 1e-3 for nearest in found)
     assert [moving(nearest)[nearest.motion == 0].any() for nearest in found] == [False] * 3
     told = verdicts(found, 2, Limits())
-    assert told.told.tolist() == [False, True] and told.accused.tolist() == [False, True]
+    assert told.decidable.tolist() == [False, True] and told.accused.tolist() == [False, True]
 
 
 def test_motions_apart_from_a_take_are_not_compared_with_it() -> None:

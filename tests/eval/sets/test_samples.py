@@ -121,7 +121,7 @@ def test_long_sequences_become_windows_of_equal_length() -> None:
     assert (windows[3].request.text, windows[3].request.action) == ("caption 1", "")
 
 
-def test_a_model_is_told_caption_and_action_and_takes_what_it_knows() -> None:
+def test_a_model_gets_caption_and_action_and_takes_what_it_knows() -> None:
     parts = [np.zeros((31, 22, 3), dtype=np.float32)] * 2
     real = sample_set("real", Fraction(20), parts, ["a", "b"], ["", "waves"], ["wave", "wave"])
     requests = [window.request for window in windows_of(real, 4.0)]
@@ -144,7 +144,7 @@ class ToldField:
         return Poses(np.full((len(times_seconds), 22, 3), float(self.told), dtype=np.float32))
 
 
-def test_fields_are_told_the_framerate_they_are_sampled_at() -> None:
+def test_fields_get_the_framerate_they_are_sampled_at() -> None:
     fields = {Window("take", 0, GenerationRequest(4.0)): ToldField()}
     for fps in (Fraction(20), Fraction(120)):
         made = sample_fields(fields, ["take"], fps, "model")

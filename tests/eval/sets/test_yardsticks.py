@@ -23,7 +23,7 @@ def test_copies_are_counted_to_rounding_whatever_their_order() -> None:
     assert num_copies(np.concatenate((np.zeros((9, 1)), REAL[:9, 1:]), axis=1), np.zeros((2, 12))) == 0
 
 
-def test_fewer_motions_are_told_what_as_many_real_ones_score() -> None:
+def test_fewer_motions_are_reported_with_what_as_many_real_ones_score() -> None:
     few = RNG.normal(size=(50, 12)) * np.linspace(0.1, 30, 12)
     (remark,) = size_remarks(REAL, REAL, few, seed=3)
     assert remark.startswith("as many random real motions (50) have an FID of ")

@@ -88,6 +88,6 @@ def test_the_middle_is_no_longer_than_asked(frames: int, kept: int) -> None:
     assert abs(before - after) <= 1
 
 
-def test_too_few_motions_are_told(store: Store) -> None:
+def test_too_few_motions_are_reported(store: Store) -> None:
     with pytest.raises(NoRealMotionError, match=r"1 captioned sequences at 20 fps, .*1 shorter than 1 s"):
         captioned_motions(store, "test", "sequence_id IN ('plain', 'short', 'mute')", Fraction(20), CROPPED)

@@ -155,7 +155,7 @@ def test_real_motion_scored_against_itself_has_no_distance_where_it_is_paired(se
     assert (again.values["fid"].estimate.mean > 1e-6) == (dropped > 0)
 
 
-def test_a_different_number_of_motions_is_refused_or_told() -> None:
+def test_a_different_number_of_motions_is_refused_or_reported() -> None:
     real, fewer = make_pairs(96, 0), make_pairs(64, 1)
     with pytest.raises(ValueError, match="64 generated and 96 real motions: give those that belong together"):
         score_text_motion(real, [fewer], find_text_motion_protocol("mld"), 0)
@@ -165,7 +165,7 @@ def test_a_different_number_of_motions_is_refused_or_told() -> None:
     assert told.sizes == {"real": 96, "generated": 64, "draws": 1}
 
 
-def test_what_the_data_cannot_give_is_told() -> None:
+def test_what_the_data_cannot_give_is_reported() -> None:
     remarks = score(repeated=np.zeros((3, 12, FEATURES))).remarks
     assert any("10 pairs need 20 motions of each text, there are 12" in remark for remark in remarks)
     assert any("Diversity pairs 96 motions, not 300" in remark for remark in remarks)

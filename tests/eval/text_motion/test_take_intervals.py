@@ -43,7 +43,7 @@ def test_the_interval_of_matching_distance_is_that_of_a_mean_over_takes() -> Non
     assert score_text_motion(pairs(1, 0.1), [alone], PROTOCOL, 0).values["mm_dist"].resampled == ()
 
 
-def test_rows_are_told_apart_where_one_is_worse() -> None:
+def test_rows_are_distinguished_where_one_is_worse() -> None:
     real = pairs(1, 0.1)
     good, same, bad = (score_text_motion(real, [pairs(*row)], PROTOCOL, 0) for row in ((2, 0.5), (3, 0.5), (4, 1.0)))
     verdicts = {}

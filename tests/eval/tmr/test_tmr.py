@@ -136,7 +136,7 @@ def test_the_loss_leaves_out_pairs_of_one_sentence() -> None:
     assert float(retrieval_loss(motions, texts, sentences, 0.5, 0.9)) == pytest.approx(total / 8, rel=1e-5)
 
 
-def test_what_cannot_be_trained_or_read_is_told(run: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_trained_or_read_is_reported(run: Path, tmp_path: Path) -> None:
     with StoreWriter.create(tmp_path / "mute") as writer:
         grid = TimeGrid(Fraction(20), 60)
         writer.add(replace(Motion(swinging(60, 20, 0), SMPL22, grid), sequence_id="take", split="train"))

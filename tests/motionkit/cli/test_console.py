@@ -76,7 +76,7 @@ def test_lines_stay_lines(capsys: pytest.CaptureFixture[str]) -> None:
         (OSError("odd"), "odd"),
     ],
 )
-def test_errors_of_the_system_are_told_with_their_file(error: Exception, told: str) -> None:
+def test_errors_of_the_system_are_reported_with_their_file(error: Exception, told: str) -> None:
     assert describe(error) == told
 
 

@@ -115,7 +115,7 @@ def test_what_makes_no_sense_is_refused(run_command, tmp_path, arguments, messag
 POINTS = "seconds,x,z\n0,0,5\n2,0,7\n"
 
 
-def test_a_path_is_followed_and_how_well_is_told(run_command, tmp_path):
+def test_a_path_is_followed_and_its_error_reported(run_command, tmp_path):
     (tmp_path / "points.csv").write_text(POINTS)
     result = run_command("a walk", "--path", "points.csv", "--json", model=GoesOn())
     [motion] = json.loads(result.stdout)["motions"]

@@ -87,7 +87,7 @@ def test_a_motion_that_is_not_what_was_written_is_not_gone_on_with(run_command, 
         run_command(*call)
     jump.unlink()
     run_command(*call)
-    assert any("0001-a-jump.npz is gone" in str(each.message) for each in recwarn)
+    assert any("0001-a-jump.npz is missing" in str(each.message) for each in recwarn)
     assert jump.read_bytes() == whole
     table = tmp_path / "made" / "motions.csv"
     table.write_text(table.read_text().replace("a hop", "a top"))
@@ -175,7 +175,7 @@ def test_a_full_disk_names_the_file(run_command, tmp_path):
 
 def test_nothing_is_overwritten_unasked(run_command, tmp_path):
     run_command("a walk", "--seconds", "1", "--out", "made")
-    with pytest.raises(UsageError, match="--resume goes on with them, --overwrite replaces them"):
+    with pytest.raises(UsageError, match="--resume continues them, --overwrite replaces them"):
         run_command("a walk", "--seconds", "1", "--out", "made")
     (tmp_path / "made" / "mine.txt").write_text("mine")
     run_command("a jump", "--seconds", "1", "--out", "made", "--overwrite", "--format", "humanml3d")
@@ -234,7 +234,7 @@ def test_a_folder_from_before_planting_is_gone_on_with_unplanted(run_command, tm
     (tmp_path / "made" / "0001-a-jump.npz").unlink()
     with pytest.raises(UsageError, match="which planted nothing: --no-plant goes on with it"):
         run_command(*call, "--resume")
-    with pytest.warns(MotionkitWarning, match="is gone"):
+    with pytest.warns(MotionkitWarning, match="is missing"):
         run_command(*call, "--resume", "--no-plant")
     assert contents(tmp_path / "made") == whole
 

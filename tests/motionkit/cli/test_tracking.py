@@ -19,7 +19,7 @@ class Settings:
     rate: float = 0.1
 
 
-def test_what_is_logged_is_told_to_tensorboard(tmp_path: Path) -> None:
+def test_what_is_logged_goes_to_tensorboard(tmp_path: Path) -> None:
     lines = {"first": (50, 100), "again": (75, 100)}
     for session, steps in lines.items():
         with tensorboard_events(tmp_path / "boards") as told:

@@ -100,8 +100,8 @@ def test_lost_frames_of_a_file_are_made(motion: mk.Motion) -> None:
         ({"fps": 20}, r"motion\.resample\(20\)"),
         ({"keep": [(50, 70)]}, "50:70 does not lie inside its 60 frames"),
         ({"keep": np.ones(59, bool)}, "59 frames, the motion has 60"),
-        ({"keep": np.zeros(60, bool)}, "holds no frame"),
-        ({"keep": []}, "holds no frame"),
+        ({"keep": np.zeros(60, bool)}, "is empty"),
+        ({"keep": []}, "is empty"),
         ({"keep": [(5, 2)]}, "holds no frame"),
         ({"extend": -1.0}, "neither seconds"),
         ({"extend": 100.0}, "at most 60 s"),
@@ -110,17 +110,17 @@ def test_lost_frames_of_a_file_are_made(motion: mk.Motion) -> None:
         ({"fps": 60, "model": "slerp", "run": Path("nano")}, "which no run holds"),
     ],
 )
-def test_what_cannot_be_had_is_told(motion: mk.Motion, given: dict, message: str) -> None:
+def test_what_cannot_be_had_is_reported(motion: mk.Motion, given: dict, message: str) -> None:
     with pytest.raises(mk.MotionkitError, match=message):
         mk.complete(motion, **given)
 
 
-def test_going_on_at_constant_velocity_for_long_is_told(motion: mk.Motion) -> None:
+def test_going_on_at_constant_velocity_for_long_is_reported(motion: mk.Motion) -> None:
     with pytest.warns(UserWarning, match="constant velocity for 2 s"):
         mk.complete(motion, extend=2, model="linear")
 
 
-def test_a_folder_of_several_is_told(motion: mk.Motion) -> None:
+def test_a_folder_of_several_is_reported(motion: mk.Motion) -> None:
     for name in ("one", "two"):
         motion.save(f"takes/{name}.npz")
     with pytest.raises(mk.UsageError, match="2 motions"):

@@ -27,7 +27,7 @@ def test_ranges_of_frames() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "no range"),
+        ("", "not a range"),
         ("a:b", "'a:b'"),
         ("-3:5", "'-3:5'"),
         ("0:10,,20:30", "''"),
@@ -69,7 +69,7 @@ def test_what_is_asked_of_one_clip() -> None:
         CompletionRequest()
     with pytest.raises(MotionkitError, match=r"24 fps is less than its 30.*export --fps 24"):
         CompletionRequest(fps=Fraction(24)).for_clip(motion.timegrid, whole)
-    with pytest.raises(MotionkitError, match="one frame"):
+    with pytest.raises(MotionkitError, match="single frame"):
         CompletionRequest(fps=Fraction(60)).for_clip(motion.frames(0, 1).timegrid, whole[:1])
     with pytest.raises(MotionkitError, match="61 s"):
         CompletionRequest(after=Reach(61.0)).for_clip(motion.timegrid, whole)

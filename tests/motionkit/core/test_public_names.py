@@ -34,7 +34,7 @@ def motionkit_or_eval(package: str) -> str:
 
 
 @pytest.mark.parametrize("package", [motionkit, eval], ids=lambda package: package.__name__)
-def test_type_checkers_are_told_the_same(package: ModuleType) -> None:
+def test_type_checkers_see_the_same_names(package: ModuleType) -> None:
     tree = ast.parse(Path(str(package.__file__)).read_text(encoding="utf-8"))
     typed, given = {}, {}
     for node in ast.walk(tree):

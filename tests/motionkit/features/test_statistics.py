@@ -32,7 +32,7 @@ def test_the_std_is_averaged_inside_each_block() -> None:
     assert np.allclose(found.restore(found.standardise(rows)), rows, atol=1e-3)
 
 
-def test_the_two_signatures_are_told_apart() -> None:
+def test_the_two_signatures_are_distinguished() -> None:
     plain = published()
     weighted = evaluators(plain)
     statistics.check_statistics(plain, 22, "published")

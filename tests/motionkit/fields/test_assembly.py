@@ -199,7 +199,7 @@ def test_what_cannot_be_assembled_is_named() -> None:
     with pytest.raises(ValueError, match="different skeletons"):
         other = interpolate(random_motion(0, num_frames=40, fps=Fraction(20), skeleton=SMPL22.scaled(2.0)))
         assemble([Piece(first, 0.0), Piece(other, 1.0)])
-    with pytest.raises(ValueError, match="take some time"):
+    with pytest.raises(ValueError, match="longer than 0 s"):
         assemble([Piece(first, 0.0), Piece(second, 1.0)], 0.0)
     motion = random_motion(1, num_frames=40, fps=Fraction(20))
     for poses in (Poses(motion.joint_positions), Poses(motion.joint_positions, motion.local_rotations)):

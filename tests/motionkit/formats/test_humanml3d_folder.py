@@ -70,7 +70,7 @@ def test_vectors_alone_are_enough(tmp_path: Path, golden_humanml3d: Path) -> Non
     assert "recovered" in motion.provenance.operations[0]
 
 
-def test_kit_is_told_apart_and_becomes_metres(tmp_path: Path) -> None:
+def test_kit_is_distinguished_and_becomes_metres(tmp_path: Path) -> None:
     body = np.full((25, 21, 3), 560.0, np.float32)
     entry = Entry("00001", body, captions=(Caption("a person walks"),), split="test")
     write_humanml3d(tmp_path / "kit", [entry], humanml3d.KIT)
@@ -102,7 +102,7 @@ def test_a_split_of_other_names_shows_one_of_each_side(tmp_path: Path) -> None:
     ]
 
 
-def test_a_motion_without_a_caption_is_told_once(tmp_path: Path) -> None:
+def test_a_motion_without_a_caption_is_reported_once(tmp_path: Path) -> None:
     body = np.zeros((5, 22, 3), np.float32)
     entries = [Entry("000001", body, captions=(Caption("a person walks"),)), Entry("000002", body)]
     write_humanml3d(tmp_path / "h", entries)

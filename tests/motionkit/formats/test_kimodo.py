@@ -66,7 +66,7 @@ def test_rotations_of_another_body_are_left(tmp_path):
         ({"fps": "fast"}, "framerate"),
     ],
 )
-def test_what_is_wrong_is_told(tmp_path, changes, reason):
+def test_what_is_wrong_is_reported(tmp_path, changes, reason):
     written(tmp_path / "bad.npz", 30, **changes)
     with pytest.raises(FormatError) as told:
         read_kimodo(tmp_path / "bad.npz")

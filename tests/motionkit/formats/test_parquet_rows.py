@@ -75,7 +75,7 @@ def test_a_skeleton_comes_back_with_the_users_own_map(tmp_path):
     np.testing.assert_array_equal(map_joints(after, "smpl22"), motion.joint_positions)
 
 
-def test_a_row_without_an_id_is_told(tmp_path):
+def test_a_row_without_an_id_is_reported(tmp_path):
     found = scan([save(tmp_path / "mine", LEAST, LEAST | {"sequence_id": None})])
     assert [str(problem.message) for problem in found.problems] == ["row 1: no sequence_id"]
     assert [item.sequence_id for item in found.items] == ["mine/a"]

@@ -80,7 +80,7 @@ def test_gaps_are_filled_or_cost_the_marker(tmp_path: Path) -> None:
         (lambda text: re.sub(r"\t-[0-9.]+", "\t1e30", text, count=1), "range"),
     ],
 )
-def test_what_is_wrong_is_told(tmp_path: Path, change, reason: str) -> None:
+def test_what_is_wrong_is_reported(tmp_path: Path, change, reason: str) -> None:
     text = trc_text(_points() - np.float32(5.0))
     changed = change(text)
     assert changed != text

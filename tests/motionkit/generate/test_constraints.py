@@ -84,7 +84,7 @@ def test_a_constraint_has_a_checksum_of_its_numbers() -> None:
         (lambda: Constraint.pose(BODY, 1.0, joints=["head", "tail"]), "no joint is called 'tail'"),
         (lambda: Constraint.path([(0, 0)], [0]), "two points or more"),
         (lambda: Constraint.path([(0, 0), (1, 1)], [1, 1]), "seconds that ascend"),
-        (lambda: Constraint.joint("head", (0, np.inf, 0), 1.0), "infinitely far"),
+        (lambda: Constraint.joint("head", (0, np.inf, 0), 1.0), "position is infinite"),
         (lambda: Constraint.joint("head", (0, 0, 0), -1.0), "seconds from 0 on"),
     ],
 )
@@ -132,12 +132,12 @@ def test_points_alone_are_walked_evenly(tmp_path: Path) -> None:
         ('x,z\n"0,0\n', "not a CSV table"),
     ],
 )
-def test_a_table_that_is_no_path_is_told_with_its_line(tmp_path: Path, text: str, message: str) -> None:
+def test_a_table_that_is_no_path_is_reported_with_its_line(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(mk.UsageError, match=message):
         read_path(table(tmp_path, text))
 
 
-def test_a_point_after_the_motion_is_told_with_its_line(tmp_path: Path) -> None:
+def test_a_point_after_the_motion_is_reported_with_its_line(tmp_path: Path) -> None:
     points = read_path(table(tmp_path, "seconds,x,z\n0,0,0\n3,0,3\n7.5,0,6\n"))
     with pytest.raises(mk.UsageError, match=r"points\.csv, line 4: 7\.5 s lies outside the motion's 0 … 6 s"):
         points.constraint(6.0)

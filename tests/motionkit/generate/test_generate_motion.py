@@ -77,7 +77,7 @@ def test_framerates_lengths_and_conditions_by_default(model: mk.MotionModel) -> 
     assert model.model.sampling == options  # type: ignore[attr-defined]
 
 
-def test_above_the_training_data_is_told(model: mk.MotionModel) -> None:
+def test_above_the_training_data_is_reported(model: mk.MotionModel) -> None:
     with pytest.warns(UserWarning, match="144 fps is above the 120 fps"):
         assert model.generate("walk", fps=144, seconds=6).num_frames == 864
 

@@ -63,6 +63,6 @@ def test_the_model_of_a_run_is_the_one_that_it_holds(tmp_path: Path, two: None) 
         model_of(tmp_path)
 
 
-def test_a_run_without_a_model_is_told_the_command_that_trains_one(tmp_path: Path) -> None:
+def test_a_run_without_a_model_names_the_command_that_trains_one(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="motionkit train --stage denoiser --run nothing trains NeRM"):
         model_of(tmp_path / "nothing")

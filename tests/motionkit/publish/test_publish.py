@@ -108,7 +108,7 @@ def test_a_store_that_is_damaged_or_not_whole_is_not_pulled(hub: Hub, store: mk.
         mk.Store.open(WALKS)
 
 
-def test_what_goes_to_the_wrong_place_is_told(hub: Hub, store: mk.Store) -> None:
+def test_what_goes_to_the_wrong_place_is_reported(hub: Hub, store: mk.Store) -> None:
     done(push, WALKS, "--public")
     assert hub.private == {"datasets/me/walks": False}
     assert "--public says" in str(run(push, WALKS).exception)
@@ -117,7 +117,7 @@ def test_what_goes_to_the_wrong_place_is_told(hub: Hub, store: mk.Store) -> None
     assert "expected hf://datasets/OWNER/NAME" in str(run(pull, "hf://walks").exception)
 
 
-def test_a_disk_that_is_too_small_is_told_before_anything_is_fetched(
+def test_a_disk_that_is_too_small_is_reported_before_anything_is_fetched(
     hub: Hub, store: mk.Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     done(push, WALKS)

@@ -41,7 +41,7 @@ def upsample(motion: Motion, method: str, fps: Fraction) -> Motion:
 @pytest.mark.parametrize(
     ("captured", "stated"), [(60, 120), (30, 60), (30, 90), (30, 120), (20, 120), (24, 60), (30, 100)]
 )
-def test_the_framerate_of_the_capture_is_told(method, captured, stated):
+def test_the_framerate_of_the_capture_is_reported(method, captured, stated):
     # SLERP goes through the rotations, which have to be as noisy as the positions: those of the plain performance.
     noise = 0.0 if method == "slerp" else NOISE
     upsampled = upsample(capture(Fraction(captured), "walk", 6.0, noise), method, Fraction(stated))

@@ -87,7 +87,7 @@ def test_plain_values_round_trip(config: Outer) -> None:
         ),
     )
 )
-def test_what_is_told_of_settings_sets_them(config: Outer) -> None:
+def test_settings_given_are_set(config: Outer) -> None:
     told = [f"{key}={setting_text(value)}" for key, value in flatten(config).items()]
     assert apply_overrides(Outer(), told) == config
 

@@ -38,7 +38,7 @@ def test_auto_is_bfloat16_only_where_the_processor_has_it(
         ({}, False),
     ],
 )
-def test_processors_are_told_apart_by_what_torch_says(
+def test_processors_are_distinguished_by_what_torch_says(
     capabilities: dict[str, object], found: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: capabilities, raising=False)

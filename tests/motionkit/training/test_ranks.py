@@ -60,7 +60,7 @@ def test_one_rank_does_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     assert torch.equal(DealtRows(ALONE, np.ones(4), np.arange(4)).gather(table), table)
 
 
-def test_what_fails_on_the_first_rank_is_told_there() -> None:
+def test_what_fails_on_the_first_rank_is_reported_there() -> None:
     def fail() -> None:
         raise UsageError("no")
 

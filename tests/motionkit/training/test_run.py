@@ -58,7 +58,7 @@ def test_a_run_says_what_it_was_made_from(tmp_path: Path) -> None:
 def test_what_exists_is_neither_overwritten_nor_mixed_unasked(tmp_path: Path) -> None:
     folder = _context(tmp_path).begin("first", Config(), store_fingerprint="abc")
     folder.append_metrics({"step": 1.0})
-    with pytest.raises(UsageError, match="--resume goes on with it"):
+    with pytest.raises(UsageError, match="--resume continues it"):
         _context(tmp_path).begin("first", Config(), store_fingerprint="abc")
     assert _context(tmp_path, resume=True).begin("first", Config(), store_fingerprint="abc").read_metrics()
     with pytest.raises(RunError, match=r"width 4 → 5"):
@@ -236,7 +236,7 @@ def test_what_auto_chose_is_what_auto_asks_for(tmp_path: Path) -> None:
         _context(tmp_path, resume=True).begin("first", Chosen("float32"), store_fingerprint="abc")
 
 
-def test_of_many_settings_the_first_are_told_and_the_recipe(tmp_path: Path) -> None:
+def test_of_many_settings_the_first_are_printed_and_the_recipe(tmp_path: Path) -> None:
     _context(tmp_path).begin("first", Many(), store_fingerprint="abc")
     other = StageContext(Path("store"), RunFolder(tmp_path), "paper", resume=True)
     with pytest.raises(RunError, match=r"recipe 'nano' → 'paper': a 1 → 2, .*, 2 more\): use the same ones, or train"):

@@ -319,7 +319,7 @@ def test_tables_are_known_by_what_they_show() -> None:
         assert told in str(found.value)
 
 
-def test_a_system_whose_stage_is_not_installed_is_told() -> None:
+def test_a_system_whose_stage_is_not_installed_is_reported() -> None:
     stages = World().stages()
     with pytest.raises(UsageError, match="no stage is called 'ghost'"):
         stages_for(Table(lambda: {"ghost": loader("ghost")}), stages, lambda name: (), lambda name: False)

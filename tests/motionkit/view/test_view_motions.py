@@ -73,7 +73,7 @@ def test_it_opens_the_page_where_asked(motion: mk.Motion, monkeypatch: pytest.Mo
     assert opened == [path.absolute().as_uri()]
 
 
-def test_what_cannot_be_shown_is_told(motion: mk.Motion) -> None:
+def test_what_cannot_be_shown_is_reported(motion: mk.Motion) -> None:
     far = mk.Motion.from_joints(np.full((3, 22, 3), 1e7), 30)
     with pytest.raises(mk.MotionkitError, match="unit of length"):
         mk.view(far)

@@ -17,7 +17,7 @@ from motionkit.generate.constraints import Constraint
 from motionkit.synthetic import make_body, perform
 from motionkit.training.diffusion.process import sample_ddim
 from nerm.denoiser.constrained import Search
-from nerm.field.goals import HeldTo, StandingFeet
+from nerm.field.goals import ConstraintCost, FootSliding
 
 BODY = torch.from_numpy(np.random.default_rng(0).normal(size=(22, 3))).float()
 HEAD = SMPL22.joint_names.index("head")
@@ -39,20 +39,20 @@ def test_the_search_finds_the_optimum_of_a_linear_field() -> None:
     b = torch.tensor([0.3, 1.0, -2.0]).double().repeat(2) - BODY[HEAD].double().repeat(2)
     gram = torch.eye(6).double() / sigma**2 + a.T @ a / tau**2
     best = torch.linalg.solve(gram, drawn.double() / sigma**2 + a.T @ b / tau**2)
-    found, place = Search(drawn, sigma, lambda numbers: numbers, HeldTo(joints, (wanted,))).run(60)
+    found, place = Search(drawn, sigma, lambda numbers: numbers, ConstraintCost(joints, (wanted,))).run(60)
     torch.testing.assert_close(found.double(), best, atol=2e-3, rtol=0)
     assert place.tolist() == [0.0, 0.0, 0.0]
 
 
 def test_constraints_of_one_joint_leave_the_motion_where_it_is() -> None:
-    assert not HeldTo(lambda latent: BODY[None], (Constraint.joint("head", (0, 1, 0), 0.0),)).finds_place
+    assert not ConstraintCost(lambda latent: BODY[None], (Constraint.joint("head", (0, 1, 0), 0.0),)).places_motion
 
 
 def test_a_path_says_where_the_motion_lies() -> None:
     """A body that walks along Z+ is turned and moved onto a path along X, at no cost but that of the corner."""
     path = Constraint.path([(5.0, 1.0), (7.0, 1.0)], [0.0, 2.0])
     ahead = torch.from_numpy(path.seconds).float()[:, None, None] * torch.tensor([0.0, 0.0, 1.0])
-    held = HeldTo(lambda latent: BODY - BODY[:1] * torch.tensor([1.0, 0.0, 1.0]) + ahead, (path,))
+    held = ConstraintCost(lambda latent: BODY - BODY[:1] * torch.tensor([1.0, 0.0, 1.0]) + ahead, (path,))
     place = held.place(torch.zeros(6))
     torch.testing.assert_close(place, torch.tensor([math.pi / 2, 5.0, 1.0]), atol=1e-5, rtol=0)
     assert float(held.cost(torch.zeros(6), place)) < 1e-6
@@ -66,7 +66,7 @@ def test_a_heading_costs_what_the_chord_is_long() -> None:
     north, east = (Constraint.path([(0, 0), (0, 0)], [0, 0.1], [turn, turn]) for turn in (0.0, math.pi / 2))
     free = tuple(replace(each, positions=np.full_like(each.positions, np.nan)) for each in (north, east))
     costs = [
-        float(HeldTo(lambda latent: facing.expand(2, -1, -1), (each,)).cost(torch.zeros(6), torch.zeros(3)))
+        float(ConstraintCost(lambda latent: facing.expand(2, -1, -1), (each,)).cost(torch.zeros(6), torch.zeros(3)))
         for each in free
     ]
     assert costs[0] == pytest.approx(0.0, abs=1e-6)
@@ -76,15 +76,17 @@ def test_a_heading_costs_what_the_chord_is_long() -> None:
 def test_a_pose_costs_nothing_wherever_it_stands_and_faces() -> None:
     turned = torch.stack((BODY[:, 2] + 4.0, BODY[:, 1], -BODY[:, 0] - 1.0), dim=-1)
     wanted = Constraint.pose(BODY.double().numpy(), 1.0)
-    assert float(HeldTo(lambda latent: turned[None], (wanted,)).cost(torch.zeros(6), torch.zeros(3))) < 1e-3
+    assert float(ConstraintCost(lambda latent: turned[None], (wanted,)).cost(torch.zeros(6), torch.zeros(3))) < 1e-3
     raised = turned + torch.tensor([0.0, 0.1, 0.0])
-    costs = HeldTo(lambda latent: raised[None], (wanted,)).cost(torch.zeros(6), torch.zeros(3))
+    costs = ConstraintCost(lambda latent: raised[None], (wanted,)).cost(torch.zeros(6), torch.zeros(3))
     assert float(costs) == pytest.approx(22 * 0.5 * (0.1 / wanted.deviation) ** 2, rel=1e-2)
 
 
 def test_bones_of_another_length_cost_at_poses_alone() -> None:
     wanted = (Constraint.pose(BODY.double().numpy(), 0.0), Constraint.path([(0, 0), (1, 0)], [0.0, 0.125]))
-    of_pose, of_path = (HeldTo(lambda latent, n=len(each.seconds): BODY.expand(n, -1, -1), (each,)) for each in wanted)
+    of_pose, of_path = (
+        ConstraintCost(lambda latent, n=len(each.seconds): BODY.expand(n, -1, -1), (each,)) for each in wanted
+    )
     assert of_pose.bones is not None and of_path.bones is None
     for held, more in ((of_pose, 21 * 0.5 * (0.01 / 0.003) ** 2), (of_path, 0.0)):
         same, longer = (float(held.cost(torch.zeros(6), torch.zeros(3), of_pose.bones + by)) for by in (0.0, 0.01))
@@ -94,8 +96,8 @@ def test_bones_of_another_length_cost_at_poses_alone() -> None:
 def test_feet_that_stand_cost_what_they_slide() -> None:
     performance = perform(np.random.default_rng(0), make_body("test"), ["walk"], 4.0)
     walk = torch.from_numpy(to_motion(performance, Fraction(60)).joint_positions)
-    feet = StandingFeet(lambda latent: walk, legs_of(SMPL22), torch.zeros(0, 2, 1)).seen(torch.zeros(6))
-    assert 0.3 < float((feet.stands > 0.5).float().mean()) < 0.9
+    feet = FootSliding(lambda latent: walk, legs_of(SMPL22), torch.zeros(0, 2, 1)).with_contacts_of(torch.zeros(6))
+    assert 0.3 < float((feet.contact > 0.5).float().mean()) < 0.9
     drift = torch.arange(len(walk))[:, None, None] / 60 * torch.tensor([0.0, 0.0, 0.5])
     sliding, rising = (
         replace(feet, joints=lambda latent, by=by: walk + by) for by in (drift, drift.flip(-1).roll(1, -1))

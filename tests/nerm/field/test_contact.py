@@ -12,7 +12,7 @@ from motionkit.clips.windows import cut_windows
 from motionkit.core.progress import ignore
 from motionkit.core.skeleton import SMPL22
 from motionkit.fields.assembly import Piece, assemble
-from motionkit.fields.contact.known import KnowsContacts
+from motionkit.fields.contact.predicted import PredictsContacts
 from motionkit.store.cache.row_file import RowFile
 from motionkit.training.config import apply_overrides
 from motionkit.training.run import StageFolder
@@ -77,7 +77,7 @@ def test_contacts_follow_from_the_latent_at_any_instant(trained: TrainedField) -
     rows, first = swinging_left(), 0
     for window, frames in enumerate(trained.windows.num_frames.tolist()):
         motion = trained.as_motion_field(trained.posterior_mean[window], 4.0)
-        assert isinstance(motion, KnowsContacts)
+        assert isinstance(motion, PredictsContacts)
         seconds = np.arange(frames) / trained.windows.fps[window]
         said = motion.contacts(seconds)
         assert said is not None and said.min() >= 0.0 and said.max() <= 1.0

@@ -82,5 +82,5 @@ def test_instants_that_do_not_count_are_not_fitted() -> None:
 
 
 def test_a_layout_needs_knots_that_meet() -> None:
-    with pytest.raises(ValueError, match="two knots or more"):
+    with pytest.raises(ValueError, match="at least two knots"):
         KnotLayout(8, "hann", 0.5, 0)

@@ -176,11 +176,11 @@ def test_what_a_short_window_does_not_reach_holds_its_last_pose() -> None:
 def test_banks_that_do_not_add_up_are_refused() -> None:
     with pytest.raises(UsageError, match=r"make dimension=160, not 100"):
         apply_overrides(BANKED, ["latents.dimension=100"])
-    with pytest.raises(UsageError, match="one bank each"):
+    with pytest.raises(UsageError, match="one value per bank"):
         apply_overrides(BANKED, ["latents.knots=16"])
     with pytest.raises(UsageError, match="scaling=group"):
         apply_overrides(BANKED, ["loss.scaling=number"])
-    with pytest.raises(UsageError, match="belongs to a linear model of local latents"):
+    with pytest.raises(UsageError, match=r"decoder.linear_path needs latents.layout=local"):
         apply_overrides(paper().field, ["decoder.linear_path=true"])
 
 

@@ -154,7 +154,7 @@ def test_the_dimension_is_checked(clip_folder, no_network):
     )
     context = StageContext(clip_folder, RunFolder(clip_folder), "nano")
     with pytest.raises(
-        MotionkitError, match=r"gives 12 numbers, 768 are expected .* denoiser\.conditions\.text_dimension=12"
+        MotionkitError, match=r"has 12 dimensions, expected 768 .* denoiser\.conditions\.text_dimension=12"
     ):
         DENOISER.check(context, replace(nano(), denoiser=settings))
 
@@ -169,7 +169,7 @@ def test_pickled_weights_are_refused(clip_folder, tmp_path):
     with pytest.raises(MotionkitError, match=r"has no model\.safetensors"):
         load_text_encoder(str(folder))
     torch.save({}, folder / "pytorch_model.bin")
-    with pytest.raises(MotionkitError, match=r"weights are pytorch_model\.bin alone, which can hold a program"):
+    with pytest.raises(MotionkitError, match=r"only weights are pytorch_model\.bin, which can execute code"):
         load_text_encoder(str(folder))
 
 

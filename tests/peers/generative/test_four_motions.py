@@ -17,12 +17,12 @@ from motionkit.clips.pose_vectors.native import NativeVectors
 from motionkit.features import field, native
 from motionkit.training.diffusion.settings import DiffusionConfig
 from motionkit.training.schedule import dropout_from, step_generator
-from peers.generative.batches import NO_ACTION, Conditions, ConditionSizes, MotionBatch, PoseSpace, Wanted
+from peers.generative.batches import NO_ACTION, Conditions, ConditionSizes, MotionBatch, PoseSpace, SampleBatch
 from peers.generative.networks.nemf import Nemf
 from peers.generative.peer import GenerativePeer
 from peers.generative.recipes import PEERS
 from peers.generative.settings import TransformerSizes
-from peers.generative.training import KnowsSteps
+from peers.generative.training import StepAware
 from tests.helpers.nerm_corpus import analytic_positions
 from tests.helpers.tiny_peers import tiny_config
 
@@ -83,7 +83,7 @@ def learnt(peer: GenerativePeer, *, steps: int | None = None) -> tuple[nn.Module
         batch = MotionBatch(rows[which], torch.full((len(which),), FRAMES), told, which, frames)
         for step in range(count):
             generator = step_generator(0, stage.name, step)
-            if isinstance(network, KnowsSteps):
+            if isinstance(network, StepAware):
                 network.begin_step(step, count)
             with dropout_from(generator, torch.device("cpu")):
                 loss = network.train().losses(batch, generator)["loss"]
@@ -100,13 +100,13 @@ def made(network: nn.Module, frames: int) -> Tensor:
     """One motion of each action."""
     nothing = Conditions(torch.zeros(4, 0), torch.full((4,), NO_ACTION), torch.zeros(4, dtype=torch.bool))
     generators = [torch.Generator().manual_seed(row) for row in range(4)]
-    wanted = Wanted(torch.full((4,), frames), CONDITIONS, nothing, generators, torch.device("cpu"))
+    batch = SampleBatch(torch.full((4,), frames), CONDITIONS, nothing, generators, torch.device("cpu"))
     diffusion = network.diffusion or DiffusionConfig()
     if network.diffusion is not None:
         diffusion = replace(diffusion, guidance_scale=1.0)
         if diffusion.num_steps == 1000 and diffusion.sampler == "ddpm":
             diffusion = replace(diffusion, sampler="ddim", sampling_steps=50)
-    return network.sample(wanted, diffusion).float()
+    return network.sample(batch, diffusion).float()
 
 
 def again(network: Nemf, truth: Tensor) -> Tensor:

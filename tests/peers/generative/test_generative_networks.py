@@ -11,8 +11,8 @@ from motionkit.clips.pose_vectors.convention import VectorScaling
 from motionkit.clips.pose_vectors.native import NativeVectors
 from motionkit.features import native
 from motionkit.training.diffusion.settings import DiffusionConfig
-from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, Wanted
-from peers.generative.networks.layers import diffusion_sample, drawn, noisy_at_random
+from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, SampleBatch
+from peers.generative.networks.layers import diffusion_sample, noised, reparameterized
 from peers.generative.networks.mdm import Mdm
 from peers.generative.networks.mld import Mld, MldVae
 from peers.generative.recipes import MDM, MDM_50, MLD
@@ -114,7 +114,7 @@ def test_a_pass_of_mlds_vae_is_the_one_by_hand() -> None:
     lengths, rows = torch.tensor([6, 4]), torch.randn(2, 6, 263)
     batch = MotionBatch(rows, lengths, conditions(2, 0), torch.arange(2), torch.arange(6).expand(2, -1))
     mean, log_variance = vae.encode(rows, lengths)
-    made = vae.decode(mean, batch.seen)
+    made = vae.decode(mean, batch.mask)
     weights = vae.state_dict()
     for row in range(2):
         own = int(lengths[row])
@@ -161,8 +161,8 @@ def test_many_noises_of_a_latent_are_the_mean_of_their_losses() -> None:
     batch = MotionBatch(rows, lengths, given, torch.arange(2), torch.arange(8).repeat(2, 1))
     found = network.losses(batch, torch.Generator().manual_seed(5))["loss"]
     generator = torch.Generator().manual_seed(5)
-    latents = drawn(*vae.encode(rows, lengths), generator)[:, None]
-    noisy, steps, noise = noisy_at_random(latents.repeat(3, 1, 1), network.diffusion, generator)
+    latents = reparameterized(*vae.encode(rows, lengths), generator)[:, None]
+    noisy, steps, noise = noised(latents.repeat(3, 1, 1), network.diffusion, generator)
     alone = [
         (network(noisy[own], steps[own], given) - noise[own]).square().mean()
         for own in (slice(first, first + 2) for first in (0, 2, 4))
@@ -182,10 +182,10 @@ def test_joints_are_those_of_the_vectors() -> None:
 @pytest.mark.parametrize("sampler", ["ddpm", "ddim"])
 def test_guidance_goes_beyond_the_condition(sampler: str) -> None:
     """A network that answers 1 under a condition and 0 without: guided by s it is s."""
-    wanted = Wanted(
+    batch = SampleBatch(
         lengths=torch.tensor([3, 2]),
         conditions=conditions(2),
-        unconditional=conditions(2).without(torch.ones(2, dtype=torch.bool), torch.zeros(6)),
+        unconditional=conditions(2).dropped(torch.ones(2, dtype=torch.bool), torch.zeros(6)),
         generators=[torch.Generator().manual_seed(row) for row in range(2)],
         device=torch.device("cpu"),
     )
@@ -196,7 +196,7 @@ def test_guidance_goes_beyond_the_condition(sampler: str) -> None:
     config = DiffusionConfig(
         num_steps=8, schedule="cosine", prediction="latent", sampler=sampler, sampling_steps=8, guidance_scale=2.5
     )
-    found = diffusion_sample(output, wanted, lambda: wanted.noise_of_frames(4), config)
+    found = diffusion_sample(output, batch, lambda: batch.noise_of_frames(4), config)
     torch.testing.assert_close(found, torch.full((2, 3, 4), 2.5, dtype=torch.float64))
-    plain = diffusion_sample(output, wanted, lambda: wanted.noise_of_frames(4), replace(config, guidance_scale=1.0))
+    plain = diffusion_sample(output, batch, lambda: batch.noise_of_frames(4), replace(config, guidance_scale=1.0))
     torch.testing.assert_close(plain, torch.ones((2, 3, 4), dtype=torch.float64))

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from motionkit.core.errors import UsageError
 from peers.generative.batches import Conditions, ConditionSizes, MotionBatch
-from peers.generative.networks.nemf import Nemf, NemfPath, with_changes
+from peers.generative.networks.nemf import Nemf, NemfPath, with_velocities
 from peers.generative.recipes import NEMF
 from peers.generative.settings import NemfNetworkConfig, NemfPathNetworkConfig
 from tests.peers.generative.plain_transformer import Weights, linear, norm, part
@@ -132,7 +132,7 @@ def test_a_path_is_the_one_by_hand() -> None:
     network, rows = NemfPath(PATH, space(), NONE, {}), torch.randn(1, 9, 263)
     root, contacts = network(rows, torch.tensor([9]))
     weights = network.state_dict()
-    values = with_changes(rows[..., 4:193], torch.tensor([9]), float(network.space.fps))[0]
+    values = with_velocities(rows[..., 4:193], torch.tensor([9]), float(network.space.fps))[0]
     values = torch.cat((values, rows[0, :, :1]), dim=1)
     for number, share in ((0, 1 / 2), (1, 1 / 3), (2, 1 / 4)):
         own = part(weights, f"layers.{number}.")
@@ -205,7 +205,7 @@ def test_the_weight_of_kl_grows_in_the_first_half_of_every_cycle() -> None:
 def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(ValueError, match="frames must be a multiple of 16, not 130"):
         NemfNetworkConfig(frames=130)
-    with pytest.raises(UsageError, match=r"a motion of 17 frames: network.frames=16 are fewer"):
+    with pytest.raises(UsageError, match=r"a motion of 17 frames is longer than network.frames=16"):
         tiny().encode(torch.zeros(1, 17, 263), torch.tensor([17]))
     with pytest.raises(UsageError, match=r"motions.pose_vectors=native"):
         NemfPath(PATH, field_space(), NONE, {})

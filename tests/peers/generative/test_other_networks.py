@@ -153,7 +153,7 @@ def test_a_pass_of_actor_is_the_one_by_hand() -> None:
     lengths, rows, given = torch.tensor([6, 4]), torch.randn(2, 6, 263), conditions(2)
     mean, log_variance = network.encode(rows, lengths, given)
     batch = MotionBatch(rows, lengths, given, torch.arange(2), torch.arange(6).expand(2, -1))
-    made, weights = network.decode(mean, batch.seen, given), network.state_dict()
+    made, weights = network.decode(mean, batch.mask, given), network.state_dict()
     for row in range(2):
         own = int(lengths[row])
         first = [linear(weights, f"{name}_token.text", given.text[row]) for name in ("mean", "variance")]

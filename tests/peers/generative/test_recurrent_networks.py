@@ -87,15 +87,15 @@ def test_jl2p_sees_more_and_more_frames_of_motions_or_texts() -> None:
     network, batch = Jl2p(Jl2pNetworkConfig(4, lengths=(2, 4, 9), curriculum=0.5), space(), TEXTS, {}), batch_of([9, 3])
     for step, in_sight in ((0, 2), (24, 2), (25, 4), (49, 4), (50, 9), (99, 9)):
         network.begin_step(step, 100)
-        assert network._in_sight() == in_sight
-    said = []
+        assert network._curriculum_length() == in_sight
+    from_condition = []
     for seed in range(20):
         network.zero_grad()
         network.losses(batch, torch.Generator().manual_seed(seed))["loss"].backward()
         of_text, of_motion = network.sentence.text.weight.grad, network.encoder.weight_hh_l0.grad
         assert (of_text is None) != (of_motion is None)
-        said.append(of_motion is None)
-    assert {True, False} == set(said)
+        from_condition.append(of_motion is None)
+    assert {True, False} == set(from_condition)
     # What lies behind a motion's end is no error.
     noisy = batch.rows.clone()
     noisy[1, 3:] = 9.0
@@ -164,7 +164,7 @@ def test_a_pass_of_hier_is_the_one_by_hand() -> None:
 def test_the_halves_of_a_text_are_matched_with_their_own_halves_of_the_body() -> None:
     torch.manual_seed(4)
     network, batch = Hier(TINY_HIER, space(), TEXTS, {}).eval(), batch_of([4, 2])
-    upper, lower = network.said(batch.conditions)
+    upper, lower = network.encode_condition(batch.conditions)
     text = network.sentence(batch.conditions).tanh()
     assert torch.equal(upper, text[:, :7]) and torch.equal(lower, text[:, 7:])
     codes = network.encoder(batch.rows, batch.lengths)
@@ -189,7 +189,8 @@ def test_the_critic_learns_to_tell_motions_that_learn_to_please_it() -> None:
 
     def looks(of: Hier) -> Tensor:
         return of.critic(
-            of.decoder(of.said(batch.conditions), batch.rows[:, 0], 4) * batch.seen[..., None], batch.lengths
+            of.decoder(of.encode_condition(batch.conditions), batch.rows[:, 0], 4) * batch.mask[..., None],
+            batch.lengths,
         )
 
     # A step of the decoder against the critic's part of its gradient looks more real, a step of the critic less so.

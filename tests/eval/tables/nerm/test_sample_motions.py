@@ -88,7 +88,7 @@ def test_samples_belong_to_real_motions_by_name_or_else_by_caption() -> None:
     assert told.real_rows is not None and told.real_rows.tolist() == [0, 3, 2]
 
 
-def test_samples_without_a_real_motion_are_left_out_and_told() -> None:
+def test_samples_without_a_real_motion_are_left_out_and_reported() -> None:
     for captions, rows in ((["walks", "walks", "walks"], [0, 2]), (["walks", "unheard of", "sits"], [0, 3])):
         found = sample_embeddings(folder(["0", "1", "2"], captions), real(), PAIRED, EMBEDDER)
         assert found.real_rows is not None and found.real_rows.tolist() == rows

@@ -271,7 +271,7 @@ def test_requests_that_mean_nothing(
         build(store, tmp_path / "results", run, **changes)
 
 
-def test_broken_and_too_few_motions_are_told(
+def test_broken_and_too_few_motions_are_reported(
     store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(NoRealMotionError, match="31 captioned motions take part, but a text chooses among 32"):

@@ -186,7 +186,7 @@ def test_what_cannot_be_scored_is_said(store: Path, tmp_path: Path, monkeypatch:
         build(store, tmp_path, published="t2m")
     with pytest.raises(UsageError, match="--evaluator humanact12 needs the file of its weights"):
         build(store, tmp_path, features=("humanact12",))
-    with pytest.raises(UsageError, match="--weights belongs to a published recogniser"):
+    with pytest.raises(UsageError, match="--weights needs a published recogniser"):
         build(store, tmp_path, guo=GuoFiles(tmp_path / "some.tar"))
     untrained = write_store(tmp_path / "untrained", ("test",))
     with pytest.raises(UsageError, match="has no training split, and 'linear' is fitted on one"):
@@ -205,7 +205,7 @@ def test_actions_are_found_however_they_are_spelt_and_single_motions_are_left_ou
         "actions with a single motion: sit, hop",
         "2 motions of fewer than 10 frames",
     )
-    with pytest.raises(NoActionsError, match=r"some: no motion's action is one that the recogniser knows \(dance\)"):
+    with pytest.raises(NoActionsError, match=r"some: no motion has an action that the recogniser knows \(dance\)"):
         known_actions(samples, ("dance",))
 
 
@@ -223,7 +223,7 @@ def test_a_random_choice_leaves_no_action_with_a_single_motion() -> None:
         sizes.add(chosen.samples.num_sequences)
     assert max(sizes) == 8 and len(sizes) > 1
     assert real.at_most(24, 0) is real
-    with pytest.raises(NoActionsError, match="1 motions chosen at random have no action in common"):
+    with pytest.raises(NoActionsError, match="1 randomly chosen motions have no action in common"):
         real.at_most(1, 0)
 
 
@@ -264,5 +264,5 @@ def test_rotations_come_from_the_store_at_the_recognisers_framerate(tmp_path: Pa
 
 def test_without_rotations_there_is_nothing_for_uestc_to_see(store: Path, tmp_path: Path) -> None:
     samples = sample_set("some", FPS, [acted("nod", 0)], ["000"])
-    with pytest.raises(NoActionsError, match="000 has no rotations of SMPL's joints, and this recogniser sees nothing"):
+    with pytest.raises(NoActionsError, match="000 has no rotations of SMPL's joints, which this recogniser needs"):
         with_rotations(Store.open(store), samples)

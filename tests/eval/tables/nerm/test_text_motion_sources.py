@@ -74,7 +74,7 @@ def test_the_padding_leak_is_switched_on_by_name(
         ({"features": ("temos",)}, "--evaluator temos: not an evaluator of text and motion; give native, guo"),
     ],
 )
-def test_what_cannot_be_had_is_told(changes: dict[str, object], message: str) -> None:
+def test_what_cannot_be_had_is_reported(changes: dict[str, object], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         evaluators("t2m", **changes)
 

@@ -157,13 +157,13 @@ class TestRotations:
         first = numbers[:, 3:].reshape(5, 22, 2, 3)[:, :, 0]
         np.testing.assert_allclose(matrices[..., 0], first / np.linalg.norm(first, axis=-1, keepdims=True), atol=1e-5)
 
-    def test_a_store_without_rotations_is_told(self, store: Store) -> None:
+    def test_a_store_without_rotations_is_reported(self, store: Store) -> None:
         with pytest.raises(
             UsageError, match=r"needs sequences with the joint rotations of SMPL's 22 joints .* has none"
         ):
             with_rotations(store, "sequence_id = 'bare'")
 
-    def test_rest_poses_that_differ_are_told(self, tmp_path: Path) -> None:
+    def test_rest_poses_that_differ_are_reported(self, tmp_path: Path) -> None:
         motion = to_motion(perform(np.random.default_rng(3), make_body("two"), ["walk"], 2.0), Fraction(30))
         offsets = motion.skeleton.offsets.copy()
         for elbow in (18, 19):

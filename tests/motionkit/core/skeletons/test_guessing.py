@@ -116,6 +116,6 @@ def test_rigs_of_many_tools(name: str, tmp_path: Path) -> None:
         ("LASI",),
     ],
 )
-def test_what_is_no_body_is_told(chains: tuple[str, ...]) -> None:
+def test_what_is_no_body_is_reported(chains: tuple[str, ...]) -> None:
     with pytest.raises(MotionkitError, match="no body by its tree"):
         guess_map(tree(*chains))

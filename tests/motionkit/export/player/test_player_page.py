@@ -75,7 +75,7 @@ def test_too_much_is_refused_with_a_stretch_that_fits(tmp_path: Path, monkeypatc
     assert len(shown["positions"]["narrowNumbers"]) > 50_000
 
 
-def test_a_body_that_is_nowhere_is_told_by_name(tmp_path: Path) -> None:
+def test_a_body_that_is_nowhere_is_reported_by_name(tmp_path: Path) -> None:
     far = standing("far.bvh", 2, 30)
     far = replace(far, joint_positions=far.joint_positions * np.float32(1e6))
     with pytest.raises(MotionkitError, match=r"far\.bvh: a joint is not within .* unit"):
@@ -110,7 +110,7 @@ document.body.append(Object.assign(document.createElement("pre"), { textContent:
 """
 
 
-def test_a_browser_shows_the_frame_of_the_address_and_does_what_it_is_told(tmp_path: Path) -> None:
+def test_a_browser_shows_the_frame_of_the_address_and_follows_messages(tmp_path: Path) -> None:
     """Motions at 120 and 30 fps at 0.5 s: the frames 60 and 15 of their own; then keys, mouse and two fingers."""
     browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if browser is None:

@@ -199,7 +199,7 @@ def test_a_standard_skeleton_is_in_metres_whatever_the_files_unit(tmp_path):
     assert motion.skeleton == SMPL22
 
 
-def test_formats_of_one_suffix_are_told_apart_without_reading(tmp_path):
+def test_formats_of_one_suffix_are_distinguished_without_reading(tmp_path):
     np.savez(tmp_path / "amass.npz", poses=np.zeros((4, 156)), trans=np.zeros((4, 3)), mocap_framerate=120.0)
     save(tmp_path / "ours.npz")
     np.savez(tmp_path / "statistics.npz", mean=np.zeros(3))

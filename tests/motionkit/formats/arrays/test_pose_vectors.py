@@ -99,7 +99,7 @@ def test_rotations_that_move_other_bones_are_left(tmp_path: Path, motion: mk.Mot
         (263, lambda rows: rows.astype("U8"), "not-a-number"),
     ],
 )
-def test_what_is_wrong_is_told(tmp_path: Path, motion: mk.Motion, width: int, change, reason: str) -> None:
+def test_what_is_wrong_is_reported(tmp_path: Path, motion: mk.Motion, width: int, change, reason: str) -> None:
     rows = {
         263: lambda: humanml3d.vectors(motion.joint_positions, "smpl22"),
         262: lambda: interhuman_rows(motion),
@@ -111,7 +111,7 @@ def test_what_is_wrong_is_told(tmp_path: Path, motion: mk.Motion, width: int, ch
     assert told.value.reason == reason and "\n" not in str(told.value)
 
 
-def test_what_has_no_end_is_told(tmp_path: Path, motion: mk.Motion) -> None:
+def test_what_has_no_end_is_reported(tmp_path: Path, motion: mk.Motion) -> None:
     np.save(tmp_path / "cut.npy", motionstreamer_rows(motion))
     whole = (tmp_path / "cut.npy").read_bytes()
     (tmp_path / "cut.npy").write_bytes(whole[:-7])

@@ -158,7 +158,7 @@ def test_what_a_spreadsheet_does_to_an_index(tmp_path):
         ("KIT/x, y.npy,0,5,a.npy", "index-entry", "more cells than columns"),
     ],
 )
-def test_a_bad_row_is_told_and_the_others_are_kept(tmp_path, row, reason, message):
+def test_a_bad_row_is_reported_and_the_others_are_kept(tmp_path, row, reason, message):
     index = read(tmp_path, f"{HEADER}KIT/good.npy,0,5,good.npy\n{row}\n")
     assert [entry.name for entry in index.entries] == ["good"]
     assert [(problem.reason, problem.line) for problem in index.problems] == [(reason, 3)]
@@ -230,7 +230,7 @@ def test_mirrored_annotations(tmp_path):
         ({"duration": 10**400}, "index-entry"),
     ],
 )
-def test_a_bad_annotation_is_told_and_the_others_are_kept(tmp_path, value, reason):
+def test_a_bad_annotation_is_reported_and_the_others_are_kept(tmp_path, value, reason):
     index = read(tmp_path, json.dumps({"good": tmr(), "bad": tmr(**value)}))
     assert [entry.name for entry in index.entries] == ["good"]
     assert [problem.reason for problem in index.problems] == [reason]

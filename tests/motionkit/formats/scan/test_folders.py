@@ -49,7 +49,7 @@ def test_loops_end_and_nothing_is_found_twice(source: Path) -> None:
     assert ids(source) == ["takes/b/walk"]
 
 
-def test_links_that_lead_nowhere_are_told_and_nothing_else_is_lost(source: Path) -> None:
+def test_links_that_lead_nowhere_are_reported_and_nothing_else_is_lost(source: Path) -> None:
     (source / "c").symlink_to(source / "d")
     (source / "d").symlink_to(source / "c")
     (source / "more").symlink_to("nowhere/at/all")

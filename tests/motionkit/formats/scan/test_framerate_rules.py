@@ -143,7 +143,7 @@ def test_globs_fit_the_end_of_a_path(glob: str, fits: list[str], does_not: list[
         ('[[rule]]\nfiles = "a"\nfps = 60\nsource = 3', "source must be text"),
     ],
 )
-def test_bad_rules_are_told_by_their_number(tmp_path: Path, text: str, says: str) -> None:
+def test_bad_rules_are_reported_by_their_number(tmp_path: Path, text: str, says: str) -> None:
     (tmp_path / "f.toml").write_text(text)
     with pytest.raises(UsageError, match=says):
         read_rules(tmp_path / "f.toml")

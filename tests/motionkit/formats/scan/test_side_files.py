@@ -115,7 +115,7 @@ def test_captions_that_are_no_text_cost_their_row_only(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".bvh", ".amc", ".c3d", ".json", ".npz", ".pkl", ".npy", ".csv", ".txt", ".asf"])
-def test_links_that_lead_nowhere_or_to_themselves_are_told(tmp_path, suffix):
+def test_links_that_lead_nowhere_or_to_themselves_are_reported(tmp_path, suffix):
     SOURCES["csv"](tmp_path)
     name = "a0_d1_p001_c1_color" if suffix in (".npz", ".pkl") else "walk"
     (tmp_path / f"{name}{suffix}").symlink_to(tmp_path / f"{name}{suffix}")
@@ -141,7 +141,7 @@ def test_folders_named_like_files_are_no_motions(tmp_path, suffix):
         (b"file;caption\nwalk.bvh;walks\n", "annotations", "separated by commas"),
     ],
 )
-def test_a_table_that_cannot_be_read_is_told_and_not_passed_over(
+def test_a_table_that_cannot_be_read_is_reported_and_not_passed_over(
     tmp_path: Path, content: bytes, reason: str, words: str
 ) -> None:
     (tmp_path / "walk.bvh").write_text(bvh_text())

@@ -83,7 +83,7 @@ def problem_of(path: Path, options: ReadOptions | None = None) -> str:
     return problem.message
 
 
-def test_an_unknown_array_is_told_what_it_holds(tmp_path: Path) -> None:
+def test_an_unknown_array_is_reported_with_what_it_holds(tmp_path: Path) -> None:
     many = {f"array{number}": np.zeros(number) for number in range(12)}
     np.savez(tmp_path / "many.npz", **many)
     assert "it holds array0 (0,) float64, array1 (1,) float64, " in problem_of(tmp_path / "many.npz")
@@ -102,9 +102,7 @@ def test_an_unknown_array_is_told_what_it_holds(tmp_path: Path) -> None:
         ("vectors.npz", {"motion": interhuman_rows(walk(30, 2.0))[:6], "length": np.array(6)}),
     ],
 )
-def test_the_line_that_it_is_told_writes_one_that_is_read(
-    tmp_path: Path, name: str, arrays: dict[str, np.ndarray]
-) -> None:
+def test_the_suggested_line_writes_a_readable_file(tmp_path: Path, name: str, arrays: dict[str, np.ndarray]) -> None:
     path = tmp_path / "in" / name
     path.parent.mkdir()
     np.savez(path, **arrays) if path.suffix == ".npz" else np.save(path, arrays[""])
@@ -116,7 +114,7 @@ def test_the_line_that_it_is_told_writes_one_that_is_read(
     assert read(item).num_frames == 6
 
 
-def test_a_damaged_array_is_told_so(tmp_path: Path) -> None:
+def test_a_damaged_array_is_reported(tmp_path: Path) -> None:
     np.savez(tmp_path / "whole.npz", xyz=bodies(6, 22))
     content = (tmp_path / "whole.npz").read_bytes()
     (tmp_path / "whole.npz").write_bytes(content.replace(b"\x93NUMPY", b"\x93NUMPX"))

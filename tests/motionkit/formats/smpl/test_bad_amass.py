@@ -49,7 +49,7 @@ def with_members(path: Path, members: dict[str, bytes], method: int = zipfile.ZI
     return path
 
 
-def test_arrays_that_are_no_motion_are_told_by_name_and_reason(tmp_path: Path) -> None:
+def test_arrays_that_are_no_motion_are_reported_by_name_and_reason(tmp_path: Path) -> None:
     nan = standing_poses()
     nan[2, 30] = np.nan
     huge = np.zeros((4, 3))

@@ -125,7 +125,7 @@ def test_body_poses_alone_take_the_model_s_first_joints(tmp_path: Path) -> None:
     assert motion.skeleton.joint_names == SMPL22.joint_names and motion.skeleton.name == "smplh-female"
 
 
-def test_what_is_wrong_with_a_model_is_told(tmp_path: Path) -> None:
+def test_what_is_wrong_with_a_model_is_reported(tmp_path: Path) -> None:
     layout = LAYOUTS["smpl"]
     models = tmp_path / "models"
     write_amass(tmp_path / "amass" / "a_poses.npz", smplh_fields(width=72))

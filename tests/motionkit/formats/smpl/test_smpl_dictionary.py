@@ -121,7 +121,7 @@ def test_rows_of_motion_x(tmp_path, poses, expected):
         ({"body_pose": np.array([{}], object)}, "object-array", "Python objects"),
     ],
 )
-def test_what_is_wrong_is_told_in_one_line(tmp_path, poses, changes, reason, message):
+def test_what_is_wrong_is_reported_in_one_line(tmp_path, poses, changes, reason, message):
     arrays = {**dictionary(*poses, fps=30), **changes}
     np.savez(tmp_path / "bad.npz", **{name: value for name, value in arrays.items() if value is not None})
     with pytest.raises(FormatError, match=message) as told:

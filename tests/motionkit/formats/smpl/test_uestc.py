@@ -79,7 +79,7 @@ def test_every_view_is_turned_to_the_front_one(tmp_path: Path, view: int) -> Non
     assert f"turned by {-45 * view}° about the camera's y to the front view" in side.provenance.operations
 
 
-def test_the_moving_camera_is_left_alone_and_no_translation_is_told(tmp_path: Path) -> None:
+def test_the_moving_camera_is_left_alone_and_no_translation_is_reported(tmp_path: Path) -> None:
     motion = read_uestc(write(tmp_path / "a1_d8_p001_c2_color.npz"))
     assert motion.provenance.operations[-1].startswith("the camera moves in this view")
     assert "no translation in the file: the pelvis stays in place" in motion.provenance.operations

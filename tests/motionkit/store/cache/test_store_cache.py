@@ -352,7 +352,7 @@ def test_an_index_that_was_signed_again_is_not_used(small_store, column, row, va
     assert any(says in str(each.message) for each in recwarn)
 
 
-def test_who_unpickles_a_removed_cache_is_told(small_store, make_motion):
+def test_unpickling_a_removed_cache_is_reported(small_store, make_motion):
     pickled = pickle.dumps(cache.open_cache(Store.open(small_store)))
     with StoreWriter.append(small_store) as writer:
         writer.add(make_motion("new"))

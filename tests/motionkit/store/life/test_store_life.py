@@ -178,7 +178,7 @@ def test_damage_is_not_copied_under_a_new_checksum(tmp_path, make_motion, copy):
     assert not (tmp_path / "out" / "manifest.json").exists()
 
 
-def test_who_opened_a_store_before_it_was_compacted_is_told(tmp_path, make_motion):
+def test_reading_a_store_that_was_compacted_meanwhile_is_reported(tmp_path, make_motion):
     path = write(tmp_path / "store", motions(make_motion, 6), pieces=2)
     before = Store.open(path)
     before.read(0)

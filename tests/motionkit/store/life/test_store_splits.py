@@ -174,14 +174,14 @@ def test_who_has_no_split_yet_is_no_hindrance(tmp_path, make_motion):
         (DEFAULT_SHARES, {"by": "style"}, "have no value of 'style': leave them out with --where"),
     ],
 )
-def test_what_cannot_be_split_is_told_and_left(many, shares, options, message):
+def test_what_cannot_be_split_is_reported_and_left(many, shares, options, message):
     before = Store.open(many).fingerprint
     with pytest.raises(UsageError, match=message):
         split(many, shares, **options)
     assert Store.open(many).fingerprint == before
 
 
-def test_a_store_without_performers_is_told_what_to_do(tmp_path, make_motion):
+def test_a_store_without_performers_is_reported_with_a_remedy(tmp_path, make_motion):
     named = [taken_by(make_motion, f"n{take}", "anna", source="known") for take in range(3)]
     nameless = [taken_by(make_motion, f"x{take}", "", source="unknown") for take in range(3)]
     path = write(tmp_path / "store", [*named, *nameless])

@@ -89,7 +89,7 @@ def test_a_store_says_how_it_is_read(takes: Path, tmp_path: Path) -> None:
         mk.read(tmp_path / "store")
 
 
-def test_a_table_that_is_broken_is_told_and_costs_nothing(takes: Path) -> None:
+def test_a_broken_table_is_reported_and_costs_nothing(takes: Path) -> None:
     (takes / "clips.csv").write_text("file,caption,fps\nalpha.bvh,a person walks,fast\n")
     with pytest.warns(UserWarning, match=r"clips\.csv"):
         assert mk.read(takes / "alpha.bvh").captions == ()

@@ -29,6 +29,6 @@ def test_other_joints_and_markers_are_not_compared() -> None:
 
 
 @pytest.mark.parametrize(("factor", "size"), [(2.0, "2.96"), (0.3, "0.44")])
-def test_a_body_that_is_nobody_s_is_told(factor: float, size: str) -> None:
+def test_an_impossible_body_is_reported(factor: float, size: str) -> None:
     told = BodySizes([]).warning_of(SMPL22.scaled(factor))
     assert told.startswith(f"its body is {size}") and "from ankle to head: is that its unit?" in told

@@ -1,8 +1,8 @@
-"""What could be had, beside why the rest could not."""
+"""Partial results: values, and why others are missing."""
 
 import pytest
 
-from eval.sets.found import each_found
+from eval.sets.partial import collect
 from motionkit.core.errors import MotionkitError
 
 
@@ -15,12 +15,12 @@ def half(number: int) -> int:
 
 
 def test_what_is_refused_is_missing_under_its_label() -> None:
-    found = each_found((4, 3, 2, 5), half, "number {}".format)
+    found = collect((4, 3, 2, 5), half, "number {}".format)
     assert found.value == {4: 2, 2: 1}
     assert found.missing == ("number 3: 3 is odd", "number 5: 5 is odd")
 
 
 def test_other_errors_go_through_unless_they_are_named() -> None:
     with pytest.raises(ValueError, match="negative"):
-        each_found((-2,), half)
-    assert each_found((-2,), half, refusals=(ValueError,)).missing == ("-2: negative",)
+        collect((-2,), half)
+    assert collect((-2,), half, errors=(ValueError,)).missing == ("-2: negative",)

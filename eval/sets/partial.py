@@ -1,4 +1,4 @@
-"""What could be had, beside why the rest could not: a value that functions return instead of a list they write into."""
+"""Results that may lack parts, with a message for each missing one."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -11,25 +11,25 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Found(Generic[T]):
-    """A value, and a sentence for each thing that it lacks."""
+class PartialResult(Generic[T]):
+    """A value, and a message for each missing part."""
 
     value: T
     missing: tuple[str, ...] = ()
 
 
-def each_found(
+def collect(
     keys: Iterable[K],
     find: Callable[[K], T],
     label: Callable[[K], str] = str,
-    refusals: tuple[type[Exception], ...] = (MotionkitError,),
-) -> Found[dict[K, T]]:
-    """`find` of every key; one that raises one of `refusals` is missing, as "label: error"."""
+    errors: tuple[type[Exception], ...] = (MotionkitError,),
+) -> PartialResult[dict[K, T]]:
+    """Call `find` for every key; a key for which it raises one of `errors` is missing, as "label: error"."""
     found: dict[K, T] = {}
     missing: list[str] = []
     for key in keys:
         try:
             found[key] = find(key)
-        except refusals as error:
+        except errors as error:
             missing.append(f"{label(key)}: {error}")
-    return Found(found, tuple(missing))
+    return PartialResult(found, tuple(missing))

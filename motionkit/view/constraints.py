@@ -1,4 +1,4 @@
-"""What a generated motion was held to, drawn with it: its path on the floor, poses where it was to take them."""
+"""Draws the constraints of a generated motion: its path on the floor, and target poses."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -16,17 +16,17 @@ from motionkit.generate.constraint_files import PathTable, parse_pose, read_path
 from motionkit.generate.constraints import Constraint
 
 
-def drawing_asked(path: Path | None, poses: Sequence[str], placed: bool) -> Callable[[Take], Take]:
-    """`with_asked` of a path's file and of poses as `motionkit generate` is told them; raises what reading raises."""
+def constraint_drawing(path: Path | None, poses: Sequence[str], placed: bool) -> Callable[[Take], Take]:
+    """`with_constraints` for options of `motionkit generate`: a path's file, and poses; raises what reading raises."""
     table, parsed = None if path is None else read_path(path), [parse_pose(each, placed=placed) for each in poses]
-    return lambda take: with_asked(take, table, parsed)
+    return lambda take: with_constraints(take, table, parsed)
 
 
-def with_asked(take: Take, path: PathTable | None, poses: Sequence[Constraint]) -> Take:
-    """The take with lines in its world: the path, on the floor, and the bones of poses.
+def with_constraints(take: Take, path: PathTable | None, poses: Sequence[Constraint]) -> Take:
+    """Add lines to a take: the path, on the floor, and the bones of poses.
 
-    A pose that may stand anywhere stands where the motion is at its second. Raises `UsageError` for a point of the path
-    beyond the motion's end, and for such a pose of a motion that hasn't the 22 joints.
+    A pose without a position is drawn where the motion is at its time. Raises `UsageError` for a path point beyond the
+    motion's end, and for such a pose if the motion does not have the 22 joints.
     """
     lines: list[Line] = []
     if path is not None:
@@ -39,7 +39,7 @@ def with_asked(take: Take, path: PathTable | None, poses: Sequence[Constraint]) 
 
 
 def _placed(take: Take, pose: Constraint) -> Float64[np.ndarray, "22 3"]:
-    """All 22 joints of a pose in the take's world; those of which nothing is asked are NaN."""
+    """All 22 joints of a pose in the take's world; unconstrained ones are NaN."""
     joints = np.full((SMPL22.num_joints, 3), np.nan)
     joints[pose.joint_indices] = pose.positions[0]
     if pose.frame == "world":

@@ -1,4 +1,4 @@
-"""Skeletons that are one but for the rounding of their lengths."""
+"""Identifies skeletons that differ by rounding of their lengths only."""
 
 from collections.abc import Iterable
 
@@ -10,8 +10,8 @@ from motionkit.core.skeleton import Skeleton
 SAME_METRES = 1e-6
 
 
-class AlikeSkeletons:
-    """Skeletons that differ by the rounding of lengths alone are one, the first; owns those that were seen."""
+class SameSkeletons:
+    """Maps skeletons that differ by rounding of lengths only to the first of them."""
 
     def __init__(self, known: Iterable[Skeleton] = ()) -> None:
         self._found: dict[str, Skeleton] = {}
@@ -20,7 +20,7 @@ class AlikeSkeletons:
             self._remember(skeleton, skeleton)
 
     def first_of(self, skeleton: Skeleton) -> Skeleton:
-        """The first skeleton whose lengths are those of this one to 1 µm, and all else equal; else itself."""
+        """The first skeleton that equals this one with lengths within 1 µm; else itself."""
         found = self._found.get(skeleton.fingerprint)
         if found is None:
             others = self._by_joints.get(_joints_of(skeleton), ())
