@@ -23,12 +23,12 @@ RUN_FRAMES = RUN_SEGMENTS * SEGMENT_FRAMES
 # Columns of a run of segments: the number of their sequence is not known yet.
 RUN = pa.schema([field for field in SEGMENTS if field.name != "sequence_index"])
 
-# What a motion's provenance says in columns of text.
+# Text columns of a motion's provenance.
 PROVENANCE = tuple(field.name for field in fields(Provenance) if field.name != "operations")
 
 
 def motion_row(motion: Motion) -> Row:
-    """A motion's row in the table of sequences, but for its index and the place of its segments."""
+    """A motion's row in the table of sequences, without its index and the location of its segments."""
     quality = measure(motion)
     return {
         "sequence_id": motion.sequence_id,
@@ -68,7 +68,7 @@ def motion_row(motion: Motion) -> Row:
 def write_frames(
     flat: Float32[np.ndarray, "values"], num_frames: int, out: Float32[np.ndarray, "frames *channels"]
 ) -> None:
-    """Put one segment's channel-major values into `out` [num_frames, …]."""
+    """Writes one segment's channel-major values into `out` [num_frames, …]."""
     out.reshape(num_frames, -1)[...] = flat.reshape(-1, num_frames).T
 
 
@@ -158,7 +158,7 @@ def array_of(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
 
 
 def numbers_of(column: pa.Array | pa.ChunkedArray) -> Shaped[np.ndarray, " values"]:
-    """The numbers of a column as numpy's; raises `ValueError` for nulls."""
+    """A numeric column as a numpy array; raises `ValueError` for nulls."""
     array = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
     if array.null_count:
         raise ValueError(f"{array.null_count} of {len(array)} numbers are null")
@@ -192,7 +192,7 @@ def _empty(kind: pa.DataType) -> Any:
 
 
 class RefusedMotion(StoreError):
-    """A motion that may not enter a store; `reason` is a fixed slug.
+    """A motion that cannot be stored; `reason` is a fixed slug.
 
     `duplicate-id`, `nan`, `no-id`, `frame-time`, `not-unicode`.
     """
@@ -204,10 +204,10 @@ class RefusedMotion(StoreError):
 
 @dataclass(frozen=True, eq=False)
 class EncodedMotion:
-    """A motion as the store keeps it, but for its place.
+    """An encoded motion, without its location in the store.
 
     `row` is its row in the table of sequences without the index and the place; `runs` are its segments, at most 16 in
-    each, with the columns of `RUN`. They may be computed as they are asked for, and then can be asked for once.
+    each, with the columns of `RUN`. They may be computed lazily, and can then be iterated once.
     """
 
     row: Row
@@ -226,12 +226,12 @@ class EncodedMotion:
 
 
 def encode(motion: Motion) -> EncodedMotion:
-    """Check a motion, round it to 2^-22 and describe it; its frames are brought into order run by run.
+    """Validates a motion, rounds it to 2^-22 and encodes it; its frames are encoded lazily, run by run.
 
-    Raises `RefusedMotion` for one that no store may hold.
+    Raises `RefusedMotion` for one that cannot be stored.
     """
     _check(motion)
-    motion = replace(motion, joint_positions=rounded(motion.joint_positions))  # what is stored is what is measured
+    motion = replace(motion, joint_positions=rounded(motion.joint_positions))  # measure what is stored
     return EncodedMotion(codec.motion_row(motion), motion.skeleton, _runs(motion))
 
 
@@ -252,7 +252,7 @@ def _runs(motion: Motion) -> Iterator[pa.RecordBatch]:
 
 
 def _lists(frames: Float32[np.ndarray, "frames *channels"] | None, counts: Sequence[int]) -> pa.Array:
-    """One list for each segment, which has `counts` frames: channel-major, null where there are no such numbers."""
+    """One list per segment of `counts` frames: channel-major, null if the motion has no such values."""
     if frames is None:
         return pa.nulls(len(counts), FLOAT_LIST)
     table = frames.reshape(len(frames), -1)
@@ -292,7 +292,7 @@ def _check(motion: Motion) -> None:
 
 
 def _texts_of(motion: Motion) -> list[str]:
-    """Every text that goes into the tables: file names may hold bytes that are no characters."""
+    """Every string that goes into the tables: file names may not be valid Unicode."""
     provenance = motion.provenance
     captions = [text for caption in motion.captions for text in (caption.text, caption.tokens)]
     named = [value for value in vars(provenance).values() if isinstance(value, str)]

@@ -1,4 +1,4 @@
-"""What every change of a store is made of: one lock, tables under pending names, the manifest's rename, tidying up."""
+"""Atomic changes of a store: a lock, tables under pending names, the manifest's rename as commit, and cleanup."""
 
 import os
 import re
@@ -66,12 +66,12 @@ def changing(store: Path, *, must_exist: bool = False, must_not_exist: bool = Fa
 
 
 def committed(store: Path) -> Manifest:
-    """The state that a reader would see now; `EMPTY` where there is no store yet."""
+    """The state that a reader would see now; `EMPTY` if there is no store yet."""
     return read_manifest(store) if (store / MANIFEST_FILE).exists() else EMPTY
 
 
 def require_present_version(store: Path, manifest: Manifest) -> None:
-    """Raise `StoreError`, naming the command, for a store of an earlier format version: it is read, not changed."""
+    """Raises `StoreError` with the command to run for a store of an earlier format version, which is read-only."""
     if manifest.format_version != FORMAT_VERSION:
         raise StoreError(
             f"the store {store} has format version {manifest.format_version}, which can be read but not changed: "
@@ -80,17 +80,17 @@ def require_present_version(store: Path, manifest: Manifest) -> None:
 
 
 def pending(store: Path, name: str) -> Path:
-    """Where a table is written before it is committed."""
+    """Path of a table before it is committed."""
     return store / (name + PENDING_SUFFIX)
 
 
 def unique_pending_part(store: Path, number: int) -> Path:
-    """Where a part is written that others may be writing too, of whom one will be believed."""
+    """Path of a part before it is adopted: several processes may be writing the same one."""
     return store / SEGMENTS_FOLDER / f"part-{number:05d}-{secrets.token_hex(4)}.parquet{PENDING_SUFFIX}"
 
 
 def write_pending(store: Path, name: str, table: pa.Table) -> None:
-    """Write a table where it waits for the commit; raises `OSError` that names the file."""
+    """Writes a table to its pending path; raises `OSError` that names the file."""
     path = pending(store, name)
     with files.naming(path):
         files.create(path)
@@ -107,16 +107,16 @@ def describe_pending(store: Path, num_rows: Mapping[str, int]) -> dict[str, File
 
 
 def publish(store: Path, manifest: Manifest) -> None:
-    """The commit: from the rename of the manifest on, the store is what it says; then the tables get their names."""
+    """Commits: the rename of the manifest changes the store's state; then the tables get their final names."""
     with held_back():
         commit_manifest(store, manifest)
         _tidy(store, manifest)
 
 
 def leftovers(store: Path, manifest: Manifest) -> list[Path]:
-    """What a stopped command left in a store: parts that the manifest does not name, and whatever is pending.
+    """Files left by a stopped command: parts that the manifest does not name, and pending files.
 
-    While a part that it names is missing, others are not among them: one may be that part under a wrong name.
+    While a part that it names is missing, no parts are included: one may be that part under a wrong name.
     """
     folder = store / SEGMENTS_FOLDER
     found = sorted(path for path in folder.iterdir() if _PART.fullmatch(path.name)) if folder.is_dir() else []

@@ -1,4 +1,4 @@
-"""A store that lies on the Hub: its files in the Hub's cache, named and sized as its manifest says."""
+"""Stores on the Hub: downloads a store to the Hub's cache, and checks names and sizes against its manifest."""
 
 from pathlib import Path
 
@@ -8,15 +8,15 @@ from motionkit.hub.repository import HubError, Repository, fetch, look_up
 from motionkit.store.manifest import read_manifest
 from motionkit.store.schema import MANIFEST_FILE
 
-# 300 bytes for each part: half a million of them.
+# 300 bytes per part: half a million parts.
 MOST_MANIFEST_BYTES = 150 * 2**20
 
 
 def fetch_store(repository: Repository, on_progress: OnProgress = ignore) -> Path:
-    """The folder of the cache that holds a repository's store, nothing fetched but what its manifest names.
+    """Downloads the files that a repository's manifest names; returns their folder in the cache.
 
-    Sizes are compared before anything is fetched; checksums are compared as of any store, when a file is read. Raises
-    `HubError`, and `StoreError` for a repository without a store, or with a part of one.
+    Sizes are compared before anything is downloaded; checksums when a file is read, as for any store. Raises
+    `HubError`, and `StoreError` for a repository without a store, or with an incomplete one.
     """
     snapshot = look_up(repository)
     if MANIFEST_FILE not in snapshot.sizes:

@@ -1,4 +1,4 @@
-"""The manifest: which files make up a store, with their checksums and its own; its rename is the commit."""
+"""The manifest: lists a store's files with their checksums, and its own; its rename is the commit."""
 
 import hashlib
 import json
@@ -46,7 +46,7 @@ class FileEntry:
     footer_sha256: str = ""
 
     def plain(self) -> dict[str, Any]:
-        """The entry as the manifest's JSON holds it."""
+        """The entry as a JSON object."""
         footer = {"footer_sha256": self.footer_sha256} if self.footer_sha256 else {}
         return {"sha256": self.sha256, "num_bytes": self.num_bytes, "num_rows": self.num_rows, **footer}
 
@@ -78,16 +78,16 @@ class Manifest:
 
     @property
     def num_removed_segments(self) -> int:
-        """Rows of the parts that no sequence has any more: what `motionkit compact` drops."""
+        """Rows of the parts that belong to removed sequences: `motionkit compact` drops them."""
         return sum(self.files[name].num_rows for name in self.parts) - self.num_segments
 
     @property
     def num_bytes(self) -> int:
-        """Bytes of all files that it names."""
+        """Total bytes of its files."""
         return sum(entry.num_bytes for entry in self.files.values())
 
     def plain(self) -> dict[str, Any]:
-        """The manifest as its JSON holds it, but for the checksum."""
+        """The manifest as a JSON object, without the checksum."""
         counts = {
             "sequences": self.num_sequences,
             "segments": self.num_segments,
@@ -208,7 +208,7 @@ def _count(values: dict[str, Any], name: str) -> int:
 
 
 def commit_manifest(store: Path, manifest: Manifest) -> None:
-    """Write the manifest beside the old one and rename it: from then on the store is the new one."""
+    """Writes the manifest beside the old one and renames it, which commits the new state."""
     pending = store / (MANIFEST_FILE + PENDING_SUFFIX)
     with files.naming(pending):
         files.create(pending)

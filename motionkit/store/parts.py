@@ -1,4 +1,4 @@
-"""Parts: segments of sequences in Parquet files, written in row groups of 16–31 and read by row group."""
+"""Parts: Parquet files with the segments of sequences, in row groups of 16–31 segments."""
 
 import hashlib
 import os
@@ -41,14 +41,14 @@ KEPT_ROW_GROUPS = 4
 
 @dataclass(frozen=True)
 class PendingPart:
-    """A part that is complete and on the disk, under the name that it has until its store takes it."""
+    """A complete part on disk, under its pending name."""
 
     path: Path
     entry: FileEntry
 
 
 class PartWriter:
-    """Writes one part to `path`, where nothing may be; the file is made with its first row group.
+    """Writes one part to `path`, which must not exist; the file is created with its first row group.
 
     A row group ends with the run of segments that brings it to 16, so memory is bounded by one row group.
     """
@@ -76,11 +76,11 @@ class PartWriter:
         return first_row
 
     def reaches(self, num_bytes: int) -> bool:
-        """Whether the part has so many bytes and no row group has been begun: the place to end it."""
+        """Whether the part has at least so many bytes and no open row group, so that it can be closed."""
         return self._writer is not None and not self._pending and self._path.stat().st_size >= num_bytes
 
     def finish(self) -> PendingPart | None:
-        """Complete the part and bring it to the disk; None where nothing was added."""
+        """Completes the part and syncs it to disk; None if nothing was added."""
         if self._pending:
             self._write_row_group()
         if self._writer is None:
@@ -93,7 +93,7 @@ class PartWriter:
         return PendingPart(self._path, replace(describe_file(self._path, self.num_rows), footer_sha256=footer_sha256))
 
     def abandon(self) -> None:
-        """Close the file as it is; the writer's lock deletes it."""
+        """Closes the file as it is; it is deleted when the writer's lock is released."""
         self._pending = []
         writer, self._writer = self._writer, None
         if writer is not None:
@@ -166,11 +166,10 @@ class SegmentReader:
         return runs
 
     def checked_part(self, name: str) -> Path:
-        """Path of a part that is what the manifest says, as far as its pages do not say it of themselves.
+        """Path of a part after verifying its footer against the manifest.
 
-        Pages carry checksums, which are compared when they are decoded; here it is the footer, or the whole of a part
-        whose pages have none (earlier versions wrote such), once in a process. Raises `StoreError` where it is damaged,
-        `FileNotFoundError` where it is gone.
+        Page checksums are verified on decoding; here it is the footer, or the whole file if pages have none (written by
+        earlier versions), once per process. Raises `StoreError` if it is damaged, `FileNotFoundError` if it is gone.
         """
         path, entry = self._store / name, self._entries[name]
         if name in self._sound:
@@ -226,7 +225,7 @@ class SegmentReader:
 
 
 def check_still_there(store: Path, parts: Iterable[str]) -> None:
-    """Raise `StoreError` where a later state of the store has no use for these parts, so that they were deleted."""
+    """Raises `StoreError` if a later state of the store doesn't use these parts, so that they were deleted."""
     if not set(parts) <= set(read_manifest(store).files):
         raise StoreError(
             f"the store {store} was written anew after it was opened (compacted, migrated, overwritten, or sequences "
@@ -269,7 +268,7 @@ def _check_lengths(rows: pa.Table, name: str, lengths: Int64[np.ndarray, "segmen
 
 
 def _values(rows: pa.Table, name: str) -> tuple[Float32[np.ndarray, "_"], Int64[np.ndarray, "_"]]:
-    """A column's flat values, and the bounds of each row in them."""
+    """A column's flat values and row offsets."""
     column = rows[name].chunk(0)
     return column.values.to_numpy(zero_copy_only=True), column.offsets.to_numpy()
 

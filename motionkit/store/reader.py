@@ -1,4 +1,4 @@
-"""Reading a store: tables, single motions, many motions in order, SQL."""
+"""Reads a store: tables, single motions, many motions in order, SQL."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
@@ -87,7 +87,7 @@ def read_committed_table(
 
 
 def not_committed(store: Path) -> StoreError:
-    """What to raise where `read_committed_table` finds none, however often it is asked."""
+    """The error if `read_committed_table` repeatedly finds none."""
     return StoreError(
         f"the tables of the store {store} are not those that its manifest names: "
         f"'motionkit validate --store {store}' says which; restore them from a copy or ingest again"
@@ -166,7 +166,7 @@ class Store:
         return self.columns(*SEQUENCES.names)
 
     def columns(self, *names: str) -> "pd.DataFrame":
-        """Some columns of `sequences`: what a store of many sequences should be asked for."""
+        """Some columns of `sequences`; preferable for large stores."""
         import pandas as pd
 
         frame: pd.DataFrame = self.sequences_table.select(names).to_pandas()
@@ -235,7 +235,7 @@ class Store:
         return isinstance(sequence_id, str) and pc.index(self.sequences_table["sequence_id"], sequence_id).as_py() >= 0
 
     def read_many(self, sequences: Iterable[int | np.integer | str], *, rotations: bool = True) -> Iterator[Motion]:
-        """Motions in the order asked for; in ascending order of index every row group is decoded once."""
+        """Motions in the given order; in ascending order of index every row group is decoded once."""
         for sequence in sequences:
             yield self.read(sequence, rotations=rotations)
 
@@ -309,11 +309,11 @@ class Store:
         try:
             chosen = self.query(f"SELECT sequence_index FROM sequences WHERE ({where}) ORDER BY sequence_index")
         except UsageError as error:
-            raise UsageError(f"the condition {where!r} cannot be asked: {error}") from None
+            raise UsageError(f"the condition {where!r} is not valid: {error}") from None
         return np.asarray(chosen["sequence_index"], np.int64)
 
     def select_some(self, where: str | None = None) -> Int64[np.ndarray, "selected"]:
-        """As `select`, for what needs a sequence at least: raises `UsageError` where none is selected."""
+        """As `select`, but raises `UsageError` if no sequence is selected."""
         indices = self.select(where)
         if not len(indices):
             fault = f"no sequence of {self.path} satisfies {where!r}" if where else f"{self.path} is empty"
@@ -332,7 +332,7 @@ class Store:
         return f"Store({str(self.path)!r}, {counts.num_sequences} sequences, {counts.num_frames} frames)"
 
     def _repr_html_(self) -> str:
-        """What the store holds by source, framerate and split, for notebooks."""
+        """Summary by source, framerate and split, for notebooks."""
         counted = self.sql(
             "SELECT source, fps, split, count(*) AS sequences, round(sum(duration_seconds) / 60, 1) AS minutes "
             "FROM sequences GROUP BY ALL ORDER BY ALL"

@@ -1,4 +1,4 @@
-"""What the store's files hold: Arrow schemas, sizes, resolution, how Parquet is written, and former versions.
+"""The store's file formats: Arrow schemas, sizes, resolution, Parquet options, and earlier versions.
 
 Numbers are measured choices (docs/store.md): zstd with BYTE_STREAM_SPLIT on channel-major float lists is the smallest
 that still decodes at memory speed; dictionaries make float columns larger; the row group is pyarrow's unit of access,
@@ -21,7 +21,7 @@ _TOO_LARGE = np.float32(2.0**100)
 
 
 def rounded(values: Float32[np.ndarray, "*shape"]) -> Float32[np.ndarray, "*shape"]:
-    """Each number as the nearest multiple of 2^-22, ties to even; from 2 on float32 holds nothing finer anyway."""
+    """Rounds to the nearest multiple of 2^-22, ties to even; from 2 on float32 has no finer resolution."""
     if not values.size or not (values.min() > -_TOO_LARGE and values.max() < _TOO_LARGE):
         inside = np.where(np.abs(values) < _TOO_LARGE, values, np.float32(0))
         return np.where(inside == values, rounded(inside), values) if values.size else values

@@ -1,4 +1,4 @@
-"""SQL conditions put together, and SQL over Arrow tables by duckdb, with no way to touch a file."""
+"""Combines SQL conditions, and runs SQL over Arrow tables with duckdb, without access to files."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     import duckdb
     import pyarrow as pa
 
-# How duckdb's versions report that a view's rows did not come, and how Arrow says why.
+# How versions of duckdb report that a view could not be read, and how Arrow reports the cause.
 _OF_DAMAGED_VIEWS = ("reading the stream registered as", "get_next failed", "could not verify page integrity")
 # Arrow tables and datasets.
 Views = Mapping[str, Any]
@@ -20,7 +20,7 @@ INTERRUPT_SECONDS = 0.05
 
 
 class UnknownTable(UsageError):
-    """A statement names a table that is none of the views."""
+    """A statement names an unknown table."""
 
 
 def query(views: Views, sql: str) -> "pa.Table":
@@ -77,6 +77,6 @@ def _with_unique_names(table: "pa.Table") -> "pa.Table":
 
 
 def conjunction(*conditions: str | None) -> str:
-    """The condition that all of those given (neither None nor empty) make together; empty where there is none."""
+    """Combines conditions with AND, skipping None and empty ones; empty if there is none."""
     given = [condition for condition in conditions if condition]
     return given[0] if len(given) == 1 else " AND ".join(f"({condition})" for condition in given)

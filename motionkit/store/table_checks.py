@@ -1,7 +1,7 @@
-"""Do the rows of the tables make sense: what a checksum cannot tell, for it may have been made of wrong numbers.
+"""Consistency checks of the tables' rows, which checksums don't cover.
 
-Whoever opens a store asks this, so that nothing behind it meets a negative framerate or a row that no part has.
-`motionkit validate` says all that is found.
+They run when a store is opened, so that later code never gets a negative framerate or a row outside its part.
+`motionkit validate` prints all faults.
 """
 
 from collections.abc import Iterator, Mapping
@@ -67,7 +67,7 @@ def require_sound(store: Path, manifest: Manifest, sequences: pa.Table, skeleton
 
 
 def skeleton_faults(skeletons: pa.Table, known: dict[str, Skeleton]) -> Iterator[str]:
-    """One line for each fault of the table of skeletons; those without one are put into `known` by fingerprint."""
+    """One line for each fault of the table of skeletons; valid ones are added to `known` by fingerprint."""
     for row in skeletons.to_pylist():
         try:
             skeleton = _checked_skeleton(row)
@@ -100,7 +100,7 @@ def _checked_skeleton(row: Mapping[str, Any]) -> Skeleton:
 
 
 def count_faults(manifest: Manifest, sequences: pa.Table | None, skeletons: pa.Table | None) -> Iterator[str]:
-    """Where the manifest counts otherwise than its files."""
+    """Differences between the manifest's counts and its files."""
     rows = sum(manifest.files[name].num_rows for name in manifest.parts)
     if rows < manifest.num_segments or (rows > manifest.num_segments and not may_hold_removed(manifest)):
         yield f"{MANIFEST_FILE}: counts {manifest.num_segments} segments, the parts hold {rows}"
@@ -183,7 +183,7 @@ def _wrong_skeletons(
 
 
 def caption_faults(sequences: pa.Table) -> Iterator[str]:
-    """One line for each caption whose seconds make no sense: they stop nobody from reading its motion."""
+    """One line for each caption with invalid seconds; its motion can still be read."""
     captions = sequences["captions"].combine_chunks()
     said = captions.values
     start, end = numbers_of(said.field("start_seconds")), numbers_of(pc.fill_null(said.field("end_seconds"), np.inf))

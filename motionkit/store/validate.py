@@ -1,4 +1,4 @@
-"""Is a store what its manifest says: checksums, counts, contiguous segments, finite frames, known skeletons."""
+"""Validates a store against its manifest: checksums, counts, contiguous segments, finite frames, known skeletons."""
 
 import hashlib
 from collections.abc import Callable, Iterator
@@ -36,7 +36,7 @@ from motionkit.store.table_checks import (
 
 
 def faults(path: Path, on_file: Callable[[str], None] = lambda name: None, *, deep: bool = False) -> Iterator[str]:
-    """One line for each fault of a store, none where it is intact; `on_file` is called before each file is read.
+    """One line for each fault of a store; `on_file` is called before each file is read.
 
     If `deep`, its training caches are read too. Raises `StoreError` where there is no store, its manifest is
     unreadable or of another format version, or a writer has changed it meanwhile.
@@ -114,9 +114,9 @@ def _part_faults(path: Path, manifest: Manifest, name: str, sequences: pd.DataFr
 
 
 def _file_fault(path: Path, entry: FileEntry) -> str:
-    """What is wrong with a part as a file; empty where its checksums, columns and rows are the manifest's."""
+    """The fault of a part as a file; empty if its checksums, columns and rows match the manifest."""
     if not path.is_file():
-        return "it is no file" if path.exists() else "it is missing"
+        return "it is not a file" if path.exists() else "it is missing"
     if sha256_of(path) != entry.sha256:
         return "its sha256 is not the manifest's"
     if path.stat().st_size != entry.num_bytes:
@@ -165,7 +165,7 @@ def _misplaced(keys: pd.DataFrame, owner: np.ndarray, rows: np.ndarray, expected
         of_row, of_table = (dict(zip(KEY_COLUMNS, each[first].tolist(), strict=True)) for each in (found, expected))
         return f"row {rows[first]} is {of_row}, expected {of_table}"
     stray = np.nonzero((owner < 0) & np.isin(keys["sequence_index"], expected[:, 0]))[0]
-    return f"row {stray[0]} is a segment too many of sequence {keys.iloc[stray[0], 0]}" if len(stray) else ""
+    return f"row {stray[0]} is an extra segment of sequence {keys.iloc[stray[0], 0]}" if len(stray) else ""
 
 
 def _value_faults(
@@ -198,7 +198,7 @@ def _value_faults(
 
 
 def _expected(column: str, owners: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers per frame, and whether there are any, for each segment's sequence."""
+    """Values per frame, and whether there are any, for each segment's sequence."""
     joints = owners["num_joints"].to_numpy().astype(np.int64)
     if column == "joint_positions":
         return 3 * joints, np.ones(len(joints), bool)

@@ -1,4 +1,4 @@
-"""Writing a store: parts, and tables under pending names; when all are on the disk, the manifest, the commit."""
+"""Writes a store: parts, and tables under pending names; when all are on disk, the manifest, which commits them."""
 
 import hashlib
 import os
@@ -43,7 +43,7 @@ from motionkit.store.schema import (
 )
 from motionkit.store.table_checks import CHECKED_COLUMNS, require_sound
 
-# So many are kept as text before they are sorted in among the others.
+# Number of ids kept as text before they are merged into the sorted ones.
 RECENT = 4096
 DTYPE = np.dtype([("id", "<u8"), ("id_rest", "<u8"), ("source", "<u8")])
 
@@ -56,14 +56,14 @@ class KnownSequences:
         self._sorted = np.empty(0, DTYPE)
 
     def add(self, sequence_id: str, source_sha256: str) -> None:
-        """Remember a sequence that is not among them yet."""
+        """Adds a sequence that is not in the index yet."""
         self._recent[sequence_id] = source_sha256
         if len(self._recent) == RECENT:
             self._merge(self._recent.items())
             self._recent.clear()
 
     def add_all(self, sequences: Iterable[tuple[str, str]]) -> None:
-        """Remember many pairs of an id and its source's checksum."""
+        """Adds many pairs of an id and its source's checksum."""
         self._merge(sequences)
 
     def __contains__(self, sequence_id: str) -> bool:
@@ -129,7 +129,7 @@ class StoreWriter:
         return cls(Path(path), keep=True, new=False, part_bytes=part_bytes)
 
     def __enter__(self) -> "StoreWriter":
-        """Take the lock and tidy up; raises `StoreError` for a store that is busy, missing, present or not a store."""
+        """Takes the lock and cleans up; raises `StoreError` if the store is busy, missing, present or not a store."""
         with ExitStack() as held:
             self._previous = held.enter_context(
                 changing(self.path, must_exist=self._keep, must_not_exist=self._new),
@@ -199,7 +199,7 @@ class StoreWriter:
         return self.add_encoded(encode(motion))
 
     def add_encoded(self, motion: EncodedMotion) -> int:
-        """Add a motion that is as the store keeps it; otherwise as `add`."""
+        """Adds an encoded motion; otherwise as `add`."""
         self._require_new(motion.sequence_id)
         sequence_index = self._next_sequence_index
         if self._part is None:
@@ -260,7 +260,7 @@ class StoreWriter:
         if kind is not None:
             with held_back():
                 try:
-                    self._close()  # fails, too, where the disk is full
+                    self._close()  # also fails if the disk is full
                 finally:
                     self._held.__exit__(kind, error, traceback)
         elif self._num_sequences > self._base.num_sequences or not self._keep:

@@ -1,4 +1,4 @@
-"""Sources into a store."""
+"""Ingests sources into a store."""
 
-# What the processes that read sources import, once for all of them.
+# Imported once for all worker processes.
 PRELOADED = ("motionkit.store.ingest.stretches",)

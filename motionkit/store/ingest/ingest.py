@@ -1,4 +1,4 @@
-"""Sources → store: scan, read and write stretch by stretch, commit; what cannot be read is reported and counted."""
+"""Sources → store: scan, read and write in chunks, commit; unreadable files are reported and counted."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -32,7 +32,7 @@ OnError = Literal["skip", "stop"]
 
 @dataclass(frozen=True)
 class DatasetCount:
-    """What became of an index's sequences of one dataset: files found and missing, and what failed of those found."""
+    """Counts of an index's sequences of one dataset: files found, missing and failed."""
 
     dataset: str
     num_found: int
@@ -42,7 +42,7 @@ class DatasetCount:
 
 @dataclass(frozen=True)
 class IngestReport:
-    """What an ingest did: sequences stored, those the store already held, problems that cost a sequence, warnings.
+    """Result of an ingest: sequences stored, those already in the store, problems (each costs a sequence), warnings.
 
     `datasets` says it by dataset where the sequences are an index's. `ignored` are the files of the sources' folders
     that are no sequences and belong to none, `stored` counts what was stored by what is known of it.
@@ -119,11 +119,11 @@ def ingest(
 
 
 class _Stopped(Exception):
-    """A problem under `stop`, or nothing to store: leave the writer without a commit."""
+    """A problem under `stop`, or nothing to store: leaves the writer without a commit."""
 
 
 class _Run:
-    """One ingest: owns its counts and the problems met."""
+    """One ingest: owns its counts and problems."""
 
     def __init__(
         self,
@@ -160,7 +160,7 @@ class _Run:
         try:
             for warning in found.warnings:
                 self._warn(warning)
-            # Of a spare it turns out later whether it is one.
+            # Whether a spare is needed turns out later.
             later = {spare.problem for spare in found.spares} if self._on_error == "skip" else set()
             for problem in found.problems:
                 if problem not in later:
@@ -173,7 +173,7 @@ class _Run:
         except _Stopped:
             committed = False
         except OSError as error:
-            # What readers meet is a problem of the file; this is the store's disk: full, or not ours to write.
+            # Readers report problems of files; this is the store's disk: full, or not writable.
             raise StoreError(f"the store {self._store} cannot be written ({error}); it is as it was") from None
         exists = (self._store / MANIFEST_FILE).exists()
         return IngestReport(

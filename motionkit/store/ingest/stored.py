@@ -1,4 +1,4 @@
-"""What the rows of an ingest's sequences tell of them: what looks odd, and what they lack for a training."""
+"""Warnings about ingested sequences, and counts of metadata that training needs."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ FIRST_FRAMES = 2
 
 @dataclass
 class StoredCounts:
-    """Of the sequences that were stored: how many carry which quality flag, any flag, a split, a performer."""
+    """Numbers of stored sequences with each quality flag, any flag, a split, a performer."""
 
     flags: Counter[str] = field(default_factory=Counter)
     num_flagged: int = 0
@@ -33,10 +33,10 @@ class StoredCounts:
 
 
 def warnings_of(item: SourceItem, row: Row) -> Iterator[FormatError]:
-    """Warnings about a motion that is kept; `row` is its row in the table of sequences.
+    """Warnings about a stored motion; `row` is its row in the table of sequences.
 
     `neutral-body`: no model of the subject's gender; `first-frame`: a jump after the first frame; `shortened`, or
-    `duration` of a whole file: a file is not as long as its index has it.
+    `duration` for a whole file: the file's length differs from the index's.
     """
     substitute = substituted_body(row["operations"])
     if substitute:

@@ -1,4 +1,4 @@
-"""A stretch of the sources, some megabytes: whoever takes it reads it and writes it as one part of the store."""
+"""Chunks of the sources, some megabytes each: a worker reads one and writes it as one part of the store."""
 
 import os
 import socket
@@ -16,7 +16,7 @@ from motionkit.store.commit import unique_pending_part
 from motionkit.store.parts import PartWriter, PendingPart
 from motionkit.store.schema import SEGMENTS_FOLDER
 
-# A second of reading, and a part of about 10 MB: what small corpora are cut into, so that all workers have something.
+# A second of reading, and a part of about 10 MB: keeps all workers busy for small corpora.
 STRETCH_BYTES = 32 * 2**20
 STRETCH_ITEMS = 1024
 # Larger corpora are cut into so many stretches, until their parts have the 128 MB and more that are read best. A worker
@@ -27,7 +27,7 @@ MOST_STRETCH_BYTES, MOST_STRETCH_ITEMS = 512 * 2**20, 4096
 
 @dataclass(frozen=True)
 class NumberedItem:
-    """A sequence to be read and the index that it gets; None where the store has its id, so that it is read only."""
+    """A sequence to read and its index; None if the store has its id, so that it is read but not written."""
 
     item: SourceItem
     sequence_index: int | None
@@ -38,7 +38,7 @@ class NumberedItem:
 
 @dataclass(frozen=True, eq=False)
 class ReadSequence:
-    """A sequence that was read: its row of the table, but for the part, where it was written, and its skeleton."""
+    """A sequence that was read: its row of the table without the part, its location, and its skeleton."""
 
     row: Row
     skeleton: Skeleton
@@ -46,7 +46,7 @@ class ReadSequence:
 
 @dataclass(frozen=True, eq=False)
 class ReadStretch:
-    """What became of a stretch: the part, None where nothing was to be written, and an outcome for each item."""
+    """Result of a chunk: the part, None if nothing was written, and an outcome per item."""
 
     part: PendingPart | None
     outcomes: tuple[ReadSequence | FormatError, ...]
@@ -107,9 +107,9 @@ def read_stretch(items: Sequence[NumberedItem], store: Path, options: ReadOption
 
 
 def read_or_fault(item: SourceItem, options: ReadOptions) -> EncodedMotion | FormatError:
-    """Read and encode one sequence, or say what is wrong with it.
+    """Reads and encodes one sequence, or returns its error.
 
-    An exception that no reader foresaw becomes a fault too (`unexpected`): one odd file must not end an ingest of a
+    Exceptions that readers don't handle are returned too (`unexpected`): one odd file must not end an ingest of a
     million.
     """
     try:

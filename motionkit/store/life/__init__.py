@@ -1,1 +1,1 @@
-"""What is done to a store after it was written: remove, compact, merge, migrate, split."""
+"""Operations on existing stores: remove, compact, merge, migrate, split."""

@@ -1,4 +1,4 @@
-"""Stores changed after they were written: sequences removed; migrated and compacted in place; merged into another."""
+"""Removes sequences from stores, migrates and compacts stores in place, and merges stores."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -33,7 +33,7 @@ SHOWN_CONFLICTS = 5
 
 
 def remove(path: Path, sequence_ids: Sequence[str] = (), *, where: str | None = None) -> tuple[str, ...]:
-    """Remove the sequences with these ids and those for which the SQL condition holds; the removed ids, in order.
+    """Removes the sequences with these ids and those that satisfy the SQL condition; returns the removed ids, in order.
 
     Only the table of sequences is written again. The others keep their `sequence_index`, and a number that was removed
     is not given again before the store is compacted. Parts that hold nothing else are deleted. Raises `StoreError` for
@@ -49,7 +49,7 @@ def remove(path: Path, sequence_ids: Sequence[str] = (), *, where: str | None = 
 
 
 def _divided(store: Store, sequence_ids: Sequence[str], where: str | None) -> tuple[pa.Table, pa.Table]:
-    """The rows of the sequences that are to be removed, and those of the others."""
+    """The rows of the sequences to remove, and the other rows."""
     chosen = {store.index_of(sequence_id) for sequence_id in sequence_ids}
     if where is not None:
         chosen.update(store.select(where).tolist())
@@ -58,7 +58,7 @@ def _divided(store: Store, sequence_ids: Sequence[str], where: str | None) -> tu
 
 
 def _without(path: Path, previous: Manifest, kept: pa.Table) -> Manifest:
-    """Write the table of what is kept and describe the store that it makes."""
+    """Writes the table of the kept sequences and returns the new state."""
     write_pending(path, SEQUENCES_FILE, kept)
     live = set(np.unique(kept["part"].to_numpy()).tolist())
     dead = {name for name in previous.parts if part_number(name) not in live}
@@ -74,9 +74,9 @@ def _without(path: Path, previous: Manifest, kept: pa.Table) -> Manifest:
 
 @dataclass(frozen=True)
 class Removal:
-    """What `remove` would take out of a store: ids, in order, and about how many bytes of its parts.
+    """What `remove` would delete: ids, in order, and about how many bytes.
 
-    `bytes_at_once` are those of parts that hold nothing else; `bytes_later` leave the disk with `compact`.
+    `bytes_at_once` are those of parts that hold nothing else; `bytes_later` are freed by `compact`.
     """
 
     sequence_ids: tuple[str, ...]
@@ -85,7 +85,7 @@ class Removal:
 
 
 def plan_removal(path: Path, sequence_ids: Sequence[str] = (), *, where: str | None = None) -> Removal:
-    """What `remove` with these arguments would do; nothing is changed. Raises as `remove` does."""
+    """What `remove` would do with these arguments, without changing anything; raises as `remove` does."""
     store = Store.open(path)
     require_present_version(path, store.manifest)
     removed, kept = _divided(store, sequence_ids, where)
@@ -96,7 +96,7 @@ def plan_removal(path: Path, sequence_ids: Sequence[str] = (), *, where: str | N
 
 
 def _bytes_of(manifest: Manifest, sequences: pa.Table) -> dict[str, int]:
-    """By part about how many of its bytes these sequences have: their share of its segments."""
+    """Approximate bytes of these sequences per part, by their share of its segments."""
     segments = sequences.select(["part", "num_segments"]).to_pandas().groupby("part")["num_segments"].sum()
     entries = {part_name(part): manifest.files[part_name(part)] for part in segments.index}
     shares = zip(entries.items(), segments, strict=True)
@@ -104,9 +104,9 @@ def _bytes_of(manifest: Manifest, sequences: pa.Table) -> dict[str, int]:
 
 
 def migrate(path: Path, on_sequence: OnSequence = lambda: None) -> bool:
-    """Bring a store to the present format version; False where it has it already.
+    """Migrates a store to the current format version; False if it has it already.
 
-    Every motion is read, measured and written again; until the commit the disk holds both. Raises `StoreError` where
+    Every motion is read, measured and written again; until the commit the disk holds both. Raises `StoreError` if
     there is no store, or it is damaged or busy.
     """
     with changing(path, must_exist=True) as manifest:
@@ -117,7 +117,7 @@ def migrate(path: Path, on_sequence: OnSequence = lambda: None) -> bool:
 
 
 def compact(path: Path, on_sequence: OnSequence = lambda: None, *, part_bytes: int = PART_BYTES) -> bool:
-    """Write full parts with nothing in them but the store's sequences, numbered 0, 1, 2 …; False where it is so.
+    """Rewrites a store into full parts without removed sequences, numbered 0, 1, 2 …; False if nothing changes.
 
     Figures and frames are copied as they are: the parts and rows are those of one ingest of the same motions, but for
     the numbers of the parts, which go on. Until the commit the disk holds both; then the old parts and the training
@@ -135,7 +135,7 @@ def compact(path: Path, on_sequence: OnSequence = lambda: None, *, part_bytes: i
 
 @dataclass(frozen=True)
 class Compaction:
-    """What `compact` would do: whether anything, with how many parts and bytes; `bytes_after` is an estimate."""
+    """What `compact` would do, with numbers of parts and bytes; `bytes_after` is an estimate."""
 
     is_compact: bool
     num_parts: int
@@ -145,7 +145,7 @@ class Compaction:
 
 
 def plan_compaction(path: Path, *, part_bytes: int = PART_BYTES) -> Compaction:
-    """What `compact` would do; nothing is changed. Raises as `compact` does, but for a store that is busy."""
+    """What `compact` would do, without changing anything; raises as `compact` does, except for a busy store."""
     store = Store.open(path)
     manifest = store.manifest
     require_present_version(path, manifest)
@@ -162,7 +162,7 @@ def _is_compact(manifest: Manifest, part_bytes: int) -> bool:
 
 def _write_anew(path: Path, part_bytes: int, on_sequence: OnSequence) -> None:
     with StoreWriter.create(path, overwrite=True, part_bytes=part_bytes) as writer:
-        # Opened under the lock, so that no sequence is missed that another writer adds.
+        # Opened under the lock, so that sequences added by other writers aren't missed.
         store = Store.open(path)
         for motion in _encoded(store, store.select()):
             writer.add_encoded(motion)
@@ -194,7 +194,7 @@ def _require_intact(store: Store, name: str) -> None:
 
 @dataclass(frozen=True)
 class MergeReport:
-    """What a merge did: sequences stored, those that were there already, and the ids of conflicts left out."""
+    """Result of a merge: sequences stored, those already there, and the ids of conflicts left out."""
 
     store: Path
     num_stored: int
@@ -205,7 +205,7 @@ class MergeReport:
 
 @dataclass(frozen=True, eq=False)
 class _Choice:
-    """What one source of a merge gives."""
+    """Sequences to copy from one source of a merge."""
 
     store: Store
     indices: Int[np.ndarray, "chosen"]
@@ -246,7 +246,7 @@ def merge(
 
 
 def _new_sequences(chosen: Iterable[_Choice], writer: StoreWriter) -> tuple[list[_Choice], int, list[str]]:
-    """What is to be copied, how many sequences are there already, and the ids of conflicts."""
+    """The sequences to copy, the number of those already there, and the ids of conflicts."""
     seen: dict[str, str] = {}
     news, num_known, conflicts = [], 0, []
     for choice in chosen:

@@ -1,8 +1,7 @@
-"""Which sequences are for training and which are held out: whole performers, wordings, sources, or whatever else.
+"""Splits of sequences into train, val and test by groups: performers, wordings, sources, or other values.
 
-Sequences of one group (a performer, say) come into one split together, so that nothing of who is held out is learnt
-from. Groups by several things at once are what hangs together by any of them. Only the table of sequences is written
-again.
+All sequences of a group (a performer, say) are in one split, so that there is no leakage. Groups by several values are
+the connected components of sequences that share any of them. Only the table of sequences is rewritten.
 """
 
 import re
@@ -33,7 +32,7 @@ PERFORMER = "performer"
 # The words of a caption, whatever their case and punctuation; a sequence has those of all its captions.
 WORDING = "wording"
 SHORTHANDS = {PERFORMER: "source || '/' || nullif(subject, '')"}
-# Orders of the groups that are tried, fewer where groups are many and one order does nearly as well as another.
+# Number of group orders to try; fewer if there are many groups, as orders then hardly differ.
 MOST_ORDERS = 200
 GROUPS_TRIED = 50_000
 SHOWN = 3
@@ -76,7 +75,7 @@ def split(
     seed: int = 0,
     dry_run: bool = False,
 ) -> SplitReport:
-    """Put every sequence for which the SQL condition holds into train, val or test, those of one group together.
+    """Assigns every sequence that satisfies the SQL condition to train, val or test, whole groups at a time.
 
     `by` is `performer` (source and subject together), `wording` (captions of the same words) or a SQL expression over
     the table of sequences; equal values are a group. Of several, sequences that share a value of any are one group, and
@@ -130,7 +129,7 @@ def _in_order(
     split = np.empty(len(seconds), dtype=np.int64)
     empty = set(range(len(asked)))
     for num_left, group in zip(range(len(order), 0, -1), order, strict=True):
-        # The last groups belong to splits that would else stay empty.
+        # The last groups go to splits that would otherwise stay empty.
         open_to = sorted(empty) if num_left == len(empty) else range(len(asked))
         chosen = max(open_to, key=lambda place: lacking[place])
         split[group] = chosen
@@ -153,7 +152,7 @@ def _checked(shares: Mapping[str, float]) -> dict[str, float]:
 def _plan(
     store: Store, shares: Mapping[str, float], by: tuple[str, ...], where: str | None, seed: int
 ) -> tuple[SplitReport, pa.Array]:
-    """What becomes of the chosen sequences, and the whole column `split` with it."""
+    """The assignment of the chosen sequences, and the new column `split`."""
     chosen = store.rows_of(store.select_some(where))
     wordings = _wordings(store)
     names, before = _groups(store, by, wordings), store.sequences_table["split"].to_pylist()
@@ -202,7 +201,7 @@ def _wordings(store: Store) -> list[set[str]]:
 
 
 def _groups(store: Store, by: Sequence[str], wordings: Sequence[Iterable[str]]) -> list[str | None]:
-    """The group of each sequence of the store, named by the first of its values; None where it has none."""
+    """The group of each sequence of the store, named by its first value; None if it has none."""
     values: list[list[tuple[str, str]]] = [[] for _ in wordings]
     for each in by:
         of_each = wordings if each == WORDING else _values(store, each)
@@ -224,13 +223,13 @@ def _groups(store: Store, by: Sequence[str], wordings: Sequence[Iterable[str]]) 
 
 
 def _values(store: Store, by: str) -> list[list[str]]:
-    """The value of a SQL expression for each sequence, as a list that is empty where it has none."""
+    """The value of a SQL expression for each sequence, as a list; empty if null."""
     expression = SHORTHANDS.get(by, by)
     try:
         asked = f"nullif(CAST(({expression}) AS VARCHAR), '') AS name_of_group"
         table = store.query(f"SELECT {asked} FROM sequences ORDER BY sequence_index")
     except UsageError as error:
-        raise UsageError(f"groups by {by!r} cannot be asked for: {error}") from None
+        raise UsageError(f"--by {by!r} is not a valid expression: {error}") from None
     return [[] if name is None else [name] for name in table["name_of_group"].to_pylist()]
 
 

@@ -1,1 +1,1 @@
-"""Motions as people name them: files, folders, ids of a store; found, and read one by one with their holes."""
+"""Resolves motions by name (files, folders, ids of a store) and reads them, with missing frames if any."""

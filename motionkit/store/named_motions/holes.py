@@ -1,8 +1,8 @@
-"""Clips with holes: frames that a tracker lost are nan, frames that a camera dropped leave uneven time stamps.
+"""Clips with missing frames: nan for frames that a tracker lost, uneven time stamps for dropped frames.
 
-Readers refuse both, for a corpus must not hold any. Here a copy without nan is read, each lost frame repeating a whole
-one, together with the mask that says which frames are whole and with the times at which they were. What came as
-HumanML3D's (263) or KIT-ML's (251) pose vectors is written as such again.
+Readers refuse both, as a corpus must not contain them. Here they are replaced by the previous valid frame, and
+returned with a mask of valid frames and the frames' times. HumanML3D's (263) and KIT-ML's (251) pose vectors are
+written in the same form again.
 """
 
 import io
@@ -34,7 +34,7 @@ NAN = "nan"
 
 @dataclass(frozen=True, eq=False)
 class ReadClip:
-    """A motion as read, which of its frames are whole, and where they lie in time if its grid does not say that."""
+    """A motion, a mask of its valid frames, and their times if they are not on its grid."""
 
     motion: Motion
     seen: Bool[np.ndarray, "frames"]
@@ -42,14 +42,14 @@ class ReadClip:
 
     @staticmethod
     def whole(motion: Motion) -> "ReadClip":
-        """One without holes."""
+        """A clip without missing frames."""
         return ReadClip(motion, np.ones(motion.num_frames, bool))
 
 
 def read_with_holes(item: SourceItem, options: ReadOptions) -> ReadClip:
-    """A clip with its holes; raises `FormatError` as `reading.read`, and where no frame is whole.
+    """Reads a clip with missing frames; raises `FormatError` as `reading.read`, and if no frame is valid.
 
-    Only .npz and .npy arrays may have holes, only .npz uneven times: those have to ascend.
+    Only .npz and .npy arrays may have missing frames, only .npz uneven times, which must ascend.
     """
     try:
         motion, uneven = _read_timed(item, options)
@@ -93,7 +93,7 @@ def _ascending_seconds(path: Path, error: FormatError) -> Float64[np.ndarray, "f
 def filled_rows(
     arrays: Mapping[str, np.ndarray], path: Path
 ) -> tuple[dict[str, np.ndarray], Bool[np.ndarray, "frames"]]:
-    """Arrays by frame, lost frames replaced by the whole one before, and which are whole; raises `FormatError`."""
+    """Arrays by frame with missing frames filled from the previous valid one, and the mask; raises `FormatError`."""
     finite = [np.isfinite(array.reshape(len(array), -1)).all(axis=1) for array in arrays.values()]
     if len({len(each) for each in finite}) > 1:
         raise FormatError("its arrays have different numbers of frames", path=path, reason="channel-count")
@@ -146,7 +146,7 @@ def write_vectors(motion: Motion, path: Path) -> None:
     """
     layout = next(each for each in LAYOUTS.values() if each.skeleton == motion.skeleton)
     if motion.num_frames < 2:
-        raise MotionkitError("pose vectors need two poses at least")
+        raise MotionkitError("pose vectors need at least two poses")
     name = layout.skeleton.name
     positions = facing_forward(at_origin(motion.joint_positions / np.float32(layout.unit_metres)), name)
     stated = {"fps": format_fps(motion.fps), "layout": name, "vectors": humanml3d.CONVENTION}

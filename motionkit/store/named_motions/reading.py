@@ -1,4 +1,4 @@
-"""Motions by the names that people give, files, folders, ids of a store: found, and read in one call."""
+"""Resolves names (files, folders, ids of a store) to motions, and reads them."""
 
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -40,7 +40,7 @@ class FoundMotion(Generic[ReadT]):
 
 @dataclass(frozen=True)
 class Readers(Generic[ReadT]):
-    """Conversions of motions: from files, and from a store."""
+    """Constructors: from files, and from a store."""
 
     item: Callable[[SourceItem], ReadT]
     stored: Callable[[Motion], ReadT]
@@ -228,7 +228,7 @@ def read_options(
 
 
 def check_exists(path: Path) -> None:
-    """Raise `UsageError` for a path that leads nowhere."""
+    """Raises `UsageError` for a path that doesn't exist."""
     if not path.exists():
         raise UsageError(str(dangling(path) or f"{path} does not exist"))
 

@@ -1,1 +1,1 @@
-"""What is in a store, in numbers."""
+"""Summary statistics of stores."""

@@ -1,4 +1,4 @@
-"""What the quality columns of a store add up to: flags per source, the worst sequences of each, upsampled ones."""
+"""Quality report of a store: flags per source, the worst sequences of each, upsampled sequences."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ WORST = 5
 
 @dataclass(frozen=True)
 class FlagCount:
-    """Sequences that carry a flag, and how long they last together."""
+    """Number of sequences with a flag, and their total duration."""
 
     num_sequences: int
     hours: float
@@ -45,7 +45,7 @@ class Offender:
 
 @dataclass(frozen=True)
 class WorstOf:
-    """The sequences that carry a flag for the best of reasons; `column` and `unit` say what their values are."""
+    """The worst sequences with a flag; `column` and `unit` describe their values."""
 
     flag: str
     column: str
@@ -55,7 +55,7 @@ class WorstOf:
 
 @dataclass(frozen=True)
 class Upsampled:
-    """A sequence whose frames bear witness to a lower framerate than is stated."""
+    """A sequence whose frames show a lower framerate than stated."""
 
     sequence_id: str
     stated_fps: str
@@ -65,7 +65,7 @@ class Upsampled:
 
 @dataclass(frozen=True)
 class QualityReport:
-    """All that `motionkit info --quality` says."""
+    """The report of `motionkit info --quality`."""
 
     store: str
     where: str | None
@@ -83,7 +83,7 @@ class _Figure:
     badness: Callable[[pd.Series], pd.Series] = lambda values: values
 
 
-# What a flag is about: its column, and the column that says where.
+# Each flag's figure: its column, and the column of its location.
 FIGURES = {
     "teleport": _Figure("num_teleports", "jumps", "first_teleport_seconds"),
     "joint_speed": _Figure("max_joint_speed_metres_per_second", "m/s"),
@@ -97,7 +97,7 @@ FIGURES = {
 
 def report_quality(store: Store, where: str | None = None) -> QualityReport:
     """Add up the quality columns of the sequences for which `where` (SQL) holds; raises `UsageError` for bad SQL."""
-    # All but the texts, which take most of a whole table's memory.
+    # All columns except text, which takes most of a whole table's memory.
     columns = [name for name in SEQUENCES.names if name not in ("captions", "operations")]
     rows = store.columns(*columns).loc[store.select(where)]
     return QualityReport(

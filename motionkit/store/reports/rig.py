@@ -1,4 +1,4 @@
-"""One rig: its tree, its bones, and which of the 22 joints each of its own is taken for."""
+"""One rig: its tree, its bones, and the mapping of its joints to the 22 joints."""
 
 from dataclasses import dataclass
 
@@ -30,7 +30,7 @@ class RigTree:
 
 
 def rig_of(skeleton: Skeleton) -> RigTree:
-    """What a skeleton is to the 22 joints."""
+    """The mapping of a skeleton to the 22 joints."""
     family, guessed = "", False
     missing: tuple[str, ...] = ()
     used: dict[str, list[str]] = {name: [] for name in skeleton.joint_names}

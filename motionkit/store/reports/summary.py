@@ -1,4 +1,4 @@
-"""What is in a store, in numbers: sources, framerates, splits, captions, sizes, skeletons and their layouts."""
+"""Summary of a store: sources, framerates, splits, captions, sizes, skeletons and their layouts."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -165,7 +165,7 @@ def _framerates(rows: "pd.DataFrame") -> dict[str, int]:
 
 
 def _durations(seconds: "pd.Series") -> dict[str, int]:
-    """How many sequences are so long; each class has its lower edge in it."""
+    """Histogram of durations; bins include their lower edge."""
     edges = (0.0, *DURATION_EDGES, np.inf)
     between = (f"{low:g} to {high:g} s" for low, high in pairwise(DURATION_EDGES))
     names = [f"under {DURATION_EDGES[0]:g} s", *between, f"{DURATION_EDGES[-1]:g} s and more"]
@@ -254,7 +254,7 @@ def _rig(members: list[Skeleton], num_sequences: int) -> Rig:
 
 
 class BodySizes:
-    """Remembers how long the bones are, in sum, of the first skeleton of each set of joints."""
+    """Remembers the total bone length of the first skeleton of each set of joints."""
 
     def __init__(self, known: Iterable[Skeleton]) -> None:
         self._first: dict[tuple[str, ...], tuple[float, str]] = {}

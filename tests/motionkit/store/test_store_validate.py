@@ -112,7 +112,7 @@ def test_a_segment_too_many_is_one(small_store):
     """Where a sequence was removed, a row may lie between two sequences, but not of one that is there."""
     remove(small_store, ["take-1"])
     rewrite(small_store, PART, with_value("sequence_index", 1, 4))
-    assert list(faults(small_store)) == [f"{PART}: row 1 is a segment too many of sequence 4"]
+    assert list(faults(small_store)) == [f"{PART}: row 1 is an extra segment of sequence 4"]
 
 
 @pytest.mark.parametrize(

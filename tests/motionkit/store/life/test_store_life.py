@@ -122,7 +122,7 @@ def test_a_removal_of_nothing_changes_nothing(small_store):
     assert remove(small_store, where="fps = 1") == ()
     with pytest.raises(StoreError, match="'nobody'"):
         remove(small_store, ["take-0", "nobody"])
-    with pytest.raises(UsageError, match="'nonsense = 1' cannot be asked: duckdb"):
+    with pytest.raises(UsageError, match="'nonsense = 1' is not valid: duckdb"):
         remove(small_store, where="nonsense = 1")
     assert Store.open(small_store).fingerprint == before
 

@@ -168,7 +168,7 @@ def test_who_has_no_split_yet_is_no_hindrance(tmp_path, make_motion):
         ({"train": 1.0, "test": 0.0}, {}, "positive numbers"),
         ({"train": 1.0, "test": float("nan")}, {}, "positive numbers"),
         ({}, {}, "positive numbers"),
-        (DEFAULT_SHARES, {"by": "nonsense"}, "groups by 'nonsense' cannot be asked for"),
+        (DEFAULT_SHARES, {"by": "nonsense"}, "--by 'nonsense' is not a valid expression"),
         (DEFAULT_SHARES, {"by": "source"}, "have 2 different values of 'source', which cannot fill 3 splits"),
         (DEFAULT_SHARES, {"where": "fps = 1"}, "no sequence of"),
         (DEFAULT_SHARES, {"by": "style"}, "have no value of 'style': leave them out with --where"),
