@@ -206,7 +206,7 @@ def test_what_cannot_be_assembled_is_named() -> None:
         other = INTERPOLATORS["slerp"].encode(Observation(motion.timegrid.seconds(), poses, SMPL22))
         with pytest.raises(ValueError, match="all pieces or none have rotations, all or none a root translation"):
             to_motion(assemble([Piece(first, 0.0), Piece(other, 1.0)]), Fraction(30))
-    with pytest.raises(ValueError, match="take some time, not nan"):
+    with pytest.raises(ValueError, match="longer than 0 s, not nan"):
         assemble([Piece(first, 0.0), Piece(second, 1.0)], np.nan)
     with pytest.raises(ValueError, match="out of order"):
         assemble([Piece(first, 0.0), Piece(second, np.nan)])
