@@ -179,8 +179,7 @@ def _counted(motions: int, draws: int) -> str:
 
 
 def _models(real: _Real, recogniser: ActionRecogniser, request: TableRequest) -> PartialResult[list[_System]]:
-    """Each model of the run, as it is and planted: one motion for every real one, or for a random choice of
-    `max_motions`, --draws times over."""
+    """Each model of the run, as it is and planted: `draws` motions per real one (of at most `max_motions`)."""
     models = trained_models(request.evaluated.run)
     check_names(request.evaluated.samples, models.value)
     known = known_to_all(real.compared, {name: trained.loaded for name, trained in models.value.items()})
