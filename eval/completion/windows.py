@@ -31,7 +31,6 @@ CLIPS_AT_ONCE = 512
 class PoseWindows:
     """W test windows, and statistics of training windows.
 
-
     `skeleton` has the offsets of the first training window's first frame, used for all poses, the true ones too.
     `position_std` [J, 3] is the deviation of training windows' global positions, metres. `remark` names the subjects.
     """

@@ -107,7 +107,6 @@ class SampleOptions:
 class Manifest:
     """A folder's `samples.toml`; every key is optional if the files state it.
 
-
     `files` and `exclude` are globs below the folder. `fps` and `unit_metres` override the files; `up` is the vertical
     axis. `statistics` is `raw` or `normalised` for pose vectors, `mean` and `std` the .npy files they were normalised
     with. `name` is the pattern of file names: `"sample{group}_repeat{repeat}_len{num_frames}"`.

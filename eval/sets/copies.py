@@ -1,6 +1,5 @@
 """The nearest training motion to every short stretch of a motion, invariant to body, tempo, mirroring and direction.
 
-
 Motions are compared at 20 fps, low-passed at 5 Hz. A pose is the bones of the 22-joint layout with the reference body's
 lengths, so size and proportions do not matter; stretches are aligned by a rotation about the vertical, so place and
 heading do not matter. A motion is played at nine tempi, to match training motion at 0.8 to 1.25 times its tempo, and

@@ -36,7 +36,6 @@ SAMPLES_PER_BATCH = 256
 class TrainedDenoiser:
     """ε_φ with everything needed to sample latents.
 
-
     `denoiser` holds the averaged weights; `space` is its latent space; `durations` are those of the training windows in
     units of l_max; `text_encoder` and `text_fingerprint` identify the encoder it was trained with (empty without
     texts), and `field_sha256` the field whose latents it generates.
