@@ -58,4 +58,4 @@ def test_training_and_tables(drawn: Draw, tmp_path: Path) -> None:
         "eval", "--table", 2, "--store", store, "--split", "all", "--fps", 20, "--clips", 64, "--replications", 2,
         "--evaluator", "kinematic", "--results", tmp_path / "results",
     )  # fmt: skip
-    assert "real sets" in text and "0/4" in text
+    assert "real sets" in text and "0/300" in text
