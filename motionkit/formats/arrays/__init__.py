@@ -1,1 +1,1 @@
-"""Numpy files (.npy, .npz) that may come from strangers, and the motions in them."""
+"""Readers and writers of motions in numpy files (.npy, .npz), which may be untrusted."""

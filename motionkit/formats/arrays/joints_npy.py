@@ -1,7 +1,7 @@
 """Joint positions in .npy files [T, J, 3], with the framerate from `motions.json`, an annotation CSV or an option.
 
-`motions.json` beside the files may say `{"fps": "30000/1001", "layout": "smpl22", "unit_metres": 1.0}`; without it the
-layout follows from J: 22, 24 and 52 joints are SMPL's, SMPL-H's 30 of the hands dropped, 21 are KIT's.
+`motions.json` beside the files has the form `{"fps": "30000/1001", "layout": "smpl22", "unit_metres": 1.0}`; without it
+the layout follows from J: 22, 24 and 52 joints are SMPL's (SMPL-H's 30 hand joints are dropped), 21 are KIT's.
 """
 
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ LAYOUT_BY_JOINTS = {21: "kit21", 22: "smpl22", 24: "smpl22", 52: "smpl22"}
 
 @dataclass(frozen=True)
 class Manifest:
-    """What `motions.json` says about the arrays beside it."""
+    """The contents of `motions.json`, which describes the arrays beside it."""
 
     fps: Fraction | None = None
     layout: str = ""
@@ -37,26 +37,26 @@ class Manifest:
 
 
 def accepts(path: Path) -> bool:
-    """Whether a .npy file is a sequence of joints; a broken header passes, so that reading it says what is wrong."""
+    """Whether a .npy file is a sequence of joints; a broken header passes, so that reading it reports the fault."""
     shape = npy.peek_shape(path)
     return shape is None or (len(shape) == 3 and shape[2] == 3)
 
 
 def manifests(folder: Path) -> tuple[Path, ...]:
-    """What says something about the arrays of a folder."""
+    """The manifests that apply to the arrays of a folder."""
     return (folder / MANIFEST,)
 
 
 def manifest_of(path: Path) -> Path:
-    """The `motions.json` beside a file, else that of the folder above, there or not."""
+    """The path of `motions.json` beside a file, else in the folder above, whether or not it exists."""
     beside = path.with_name(MANIFEST)
     return beside if beside.is_file() else path.parent.with_name(MANIFEST)
 
 
 def read_joints_npy(path: Path, options: ReadOptions | None = None) -> Motion:
-    """Read one array as positions in metres, turned to y up where the body stands along z.
+    """Read one array as positions in metres, rotated to y up if the body stands along z.
 
-    Raises `FormatError`, with the reason `no-framerate` where nothing says the framerate.
+    Raises `FormatError`, with the reason `no-framerate` if no framerate is given.
     """
     options = options or ReadOptions()
     manifest = read_manifest(path.parent / MANIFEST)
@@ -74,7 +74,7 @@ def read_joints_npy(path: Path, options: ReadOptions | None = None) -> Motion:
     data = source_file.read_bytes(path)
     positions = npy.read_npy(path, data, (None, None, 3))
     skeleton = _skeleton(positions.shape[1], manifest, path)
-    # Without that file there is no place in which another framerate could be stated.
+    # Without that file nothing else can state a framerate.
     operations = clock.replaced_fps(fps, manifest.fps or fps, who=MANIFEST)
     if positions.shape[1] != skeleton.num_joints:
         operations.append(f"kept the first {skeleton.num_joints} of {positions.shape[1]} joints")
@@ -99,8 +99,8 @@ def read_joints_npy(path: Path, options: ReadOptions | None = None) -> Motion:
 def write_joints_npy(motion: Motion, path: Path) -> None:
     """Write the positions in metres and their framerate into `motions.json` beside them.
 
-    Another skeleton than a standard one is brought to the 22 joints. Raises `SkeletonMapError` where that cannot be,
-    `ValueError` where the folder's `motions.json` has another framerate or layout.
+    Skeletons other than the standard ones are mapped to the 22 joints. Raises `SkeletonMapError` if that fails,
+    `ValueError` if the folder's `motions.json` has another framerate or layout.
     """
     if motion.skeleton not in STANDARD_SKELETONS.values():
         motion = Motion(map_joints(motion, SMPL22.name), SMPL22, motion.timegrid)
@@ -115,7 +115,7 @@ def write_joints_npy(motion: Motion, path: Path) -> None:
 
 
 def read_manifest(path: Path) -> Manifest:
-    """Read `motions.json`; an absent one says nothing. Raises `FormatError` (`manifest`)."""
+    """Read `motions.json`; a missing file gives an empty manifest. Raises `FormatError` (`manifest`)."""
     if not path.is_file():
         return Manifest()
     try:

@@ -1,4 +1,4 @@
-""".npy arrays of numbers or strings from strangers: the header is checked against the bytes before use."""
+"""Untrusted .npy arrays of numbers or strings: the header is checked against the bytes before use."""
 
 import ast
 import io
@@ -21,7 +21,7 @@ MAX_LENGTH_ERROR = 0.01
 def checked_numbers(array: np.ndarray, path: Path, name: str = "") -> Float32[np.ndarray, "..."]:
     """An array as float32, frames first; raises `FormatError` (`nan`, `range`) with the first bad frame."""
     if array.dtype == np.float16:
-        array = array.astype(np.float32)  # a million is beyond what float16 can be compared with
+        array = array.astype(np.float32)  # a million is beyond the range of float16
     rows = array.reshape(len(array), -1)
     for reason, bad in (("nan", ~np.isfinite(rows)), ("range", (rows > MAX_NUMBER) | (rows < -MAX_NUMBER))):
         if bad.any():
@@ -33,7 +33,7 @@ def checked_numbers(array: np.ndarray, path: Path, name: str = "") -> Float32[np
 
 
 def checked_rotations(rotations: Float[np.ndarray, "frames joints 4"], path: Path, name: str) -> None:
-    """Raise `FormatError` (`range`) where a quaternion's length is off 1 by more than 0.01."""
+    """Raise `FormatError` (`range`) if the norm of a quaternion differs from 1 by more than 0.01."""
     error = np.abs(np.linalg.norm(rotations, axis=-1) - 1.0).max(axis=1)
     if error.max() > MAX_LENGTH_ERROR:
         raise FormatError(
@@ -53,13 +53,13 @@ STRINGS = re.compile(r"[<>|=]?[US][1-9]\d{0,6}")
 
 
 def peek_shape(path: Path) -> tuple[int, ...] | None:
-    """Shape that a .npy file's header states, None where there is no such header; reads no data."""
+    """Shape in a .npy file's header, None if it has no valid header; reads no data."""
     found = peek_header(path)
     return None if found is None else found[0]
 
 
 def peek_header(path: Path) -> tuple[tuple[int, ...], bool, str] | None:
-    """What a .npy file's header states (`read_header`), None where there is no such header; reads no data."""
+    """The contents of a .npy file's header (`read_header`), None if it has no valid header; reads no data."""
     try:
         with path.open("rb") as file:
             return read_header(io.BytesIO(file.read(HEADER_BYTES)))
@@ -68,7 +68,7 @@ def peek_header(path: Path) -> tuple[tuple[int, ...], bool, str] | None:
 
 
 def read_npy(path: Path, data: bytes, shape: tuple[int | None, ...]) -> Float32[np.ndarray, "..."]:
-    """A numeric array as float32 that agrees with `shape` (None: any size), without empty axes and of finite numbers.
+    """A numeric array as float32 that matches `shape` (None: any size), with finite numbers and no empty axes.
 
     Raises `FormatError` as `parse_npy` does, and with the reasons `no-frames`, `nan` and `range`.
     """
@@ -81,7 +81,7 @@ def read_npy(path: Path, data: bytes, shape: tuple[int | None, ...]) -> Float32[
 def parse_npy(
     path: Path, data: bytes, shape: tuple[int | None, ...] | None, codes: re.Pattern[str] = NUMBERS
 ) -> np.ndarray:
-    """The array in a file's bytes, as it is, of a type among `codes` and of a `shape` (None: any, whole or by axis).
+    """The array in a file's bytes, with a type among `codes` and a `shape` (None: any, as a whole or per axis).
 
     Raises `FormatError` (`not-what-it-says`, `object-array`, `not-a-number`, `channel-count`, `truncated`).
     """
@@ -122,10 +122,10 @@ def parse_npy(
 
 
 def read_header(file: io.BytesIO) -> tuple[tuple[int, ...], bool, str]:
-    """Shape, whether columns come first, and the type's code, from the head of a .npy file; raises `ValueError`.
+    """Shape, Fortran order and type code, from the header of a .npy file; raises `ValueError`.
 
-    The header is a Python literal of a dictionary (numpy's NEP 1); it is read here, so that nothing in it can name a
-    type other than plain numbers.
+    The header is a Python literal of a dictionary (numpy's NEP 1); it is parsed here so that it cannot name a type
+    other than plain numbers.
     """
     magic = file.read(8)
     if magic[:6] != MAGIC or magic[6:] not in (b"\x01\x00", b"\x02\x00"):

@@ -1,11 +1,11 @@
 """The project's own .npz: one motion as named numpy arrays, without Python objects.
 
 `joint_positions` [T, J, 3] in metres, y up, and a clock are required: `fps_numerator` and `fps_denominator`, or `fps`,
-or `time_seconds` [T], evenly spaced; all that are there must agree. Everything else is optional: `local_rotations`
+or `time_seconds` [T], evenly spaced; all that are present must agree. Everything else is optional: `local_rotations`
 [T, J, 4] unit quaternions (w, x, y, z), `root_translation` [T, 3]; the skeleton (formats/npz_skeleton.py); `captions`
 [C], `caption_seconds` [C, 2] (NaN: to the end), `caption_tokens` [C]; single strings `action`, `style`, `split`,
-`sequence_id`, `source`, `subset`, `licence`, `subject`, `stated_fps`; `operations` [K]. Written with all of these, a
-motion comes back as it was.
+`sequence_id`, `source`, `subset`, `licence`, `subject`, `stated_fps`; `operations` [K]. With all of these, writing and
+reading a motion is lossless.
 """
 
 from collections.abc import Mapping, Sequence
@@ -32,7 +32,7 @@ from motionkit.formats.source.body_frame import in_metres
 
 
 def skeleton_arrays(skeleton: Skeleton) -> dict[str, Any]:
-    """Everything that a skeleton is: names, parents, offsets in metres; pairs, feet, end sites, map if it has them."""
+    """All fields of a skeleton: names, parents, offsets in metres; pairs, feet, end sites and map if it has them."""
     arrays: dict[str, Any] = {
         "skeleton": np.array(skeleton.name),
         "joint_names": np.array(skeleton.joint_names),
@@ -52,10 +52,10 @@ def skeleton_arrays(skeleton: Skeleton) -> dict[str, Any]:
 
 
 def read_skeleton(archive: NpzArchive, joint_positions: Float32[np.ndarray, "frames joints 3"]) -> Skeleton:
-    """The skeleton that the arrays describe; what they leave out is taken from a standard layout or from frame 0.
+    """The skeleton that the arrays describe; missing parts are taken from a standard layout or from frame 0.
 
-    Without `joint_names`, 22 joints are SMPL's and 21 KIT's. Names and parents of a standard layout are that layout.
-    Without `offsets` the rest pose is that of frame 0; without `parents` all joints hang from the first. Raises
+    Without `joint_names`, 22 joints are SMPL's and 21 KIT's. Names and parents of a standard layout give that layout.
+    Without `offsets` the rest pose is that of frame 0; without `parents` all joints are children of the first. Raises
     `FormatError` (`channel-count`, `bones`).
     """
     num_joints = joint_positions.shape[1]
@@ -72,7 +72,7 @@ def read_skeleton(archive: NpzArchive, joint_positions: Float32[np.ndarray, "fra
 
 
 def unnamed_skeleton(num_joints: int, path: Path) -> Skeleton:
-    """The standard skeleton of so many joints; raises `FormatError` (`channel-count`) where there is none."""
+    """The standard skeleton with `num_joints` joints; raises `FormatError` (`channel-count`) if there is none."""
     for skeleton in STANDARD_SKELETONS.values():
         if skeleton.num_joints == num_joints:
             return skeleton
@@ -81,7 +81,7 @@ def unnamed_skeleton(num_joints: int, path: Path) -> Skeleton:
 
 
 def checked_layout_map(text: str, path: Path) -> str:
-    """A skeleton's own map as it is; raises `FormatError` (`skeleton-map`) for an invalid map."""
+    """A skeleton's own map, unchanged; raises `FormatError` (`skeleton-map`) if it is invalid."""
     try:
         if text:
             parse_layout_map(text)
@@ -91,7 +91,7 @@ def checked_layout_map(text: str, path: Path) -> str:
 
 
 def bones_of_pose(pose: Float32[np.ndarray, "joints 3"], parents: tuple[int, ...]) -> Float32[np.ndarray, "joints 3"]:
-    """Offsets in metres that make one pose the rest pose; the root's is zero."""
+    """Offsets in metres that make a pose the rest pose; the root's is zero."""
     return np.asarray(pose - pose[np.maximum(parents, 0)], np.float32)
 
 
@@ -154,7 +154,7 @@ PROVENANCE = ("source", "subset", "licence", "subject")
 
 
 def accepts(path: Path) -> bool:
-    """Whether an .npz file holds joint_positions by its directory; a broken one passes, so that reading it says how."""
+    """Whether an .npz file lists joint_positions; a broken file passes, so that reading it reports the fault."""
     keys = npz_archive.peek_keys(path)
     return not keys or "joint_positions" in keys
 
@@ -162,7 +162,7 @@ def accepts(path: Path) -> bool:
 def read_npz(path: Path, options: ReadOptions | None = None) -> Motion:
     """Read one motion; lengths are multiplied by `options.unit_metres`, `options.fps` replaces the clock's framerate.
 
-    Raises `FormatError`, with the reason `no-framerate` where there is no clock and `frame-time` for uneven stamps.
+    Raises `FormatError`, with the reason `no-framerate` if there is no clock and `frame-time` for uneven time stamps.
     """
     options = options or ReadOptions()
     data = source_file.read_bytes(path)
@@ -194,12 +194,12 @@ def read_npz(path: Path, options: ReadOptions | None = None) -> Motion:
 
 
 def write_npz(motion: Motion, path: Path) -> None:
-    """Write a motion with all it knows; what `read_npz` gives back differs in the file's own name and hash alone."""
+    """Write a motion with all its fields; that read by `read_npz` differs only in the file's name and hash."""
     write_arrays(path, motion_arrays(motion))
 
 
 def motion_arrays(motion: Motion) -> dict[str, Any]:
-    """The arrays of one motion by the names of the schema; what the motion does not know is left out."""
+    """The arrays of one motion by the names of the schema; absent fields are omitted."""
     provenance = motion.provenance
     texts = {"action": motion.action, "style": motion.style, "split": motion.split, "sequence_id": motion.sequence_id}
     texts |= {name: getattr(provenance, name) for name in PROVENANCE}
@@ -214,7 +214,7 @@ def motion_arrays(motion: Motion) -> dict[str, Any]:
         **skeleton_arrays(motion.skeleton),
         **caption_arrays(motion.captions),
         **{name: np.array(text) for name, text in texts.items() if text},
-        # Also where the source said nothing: else a reader would take the clock above for what it said.
+        # Also if the source stated none: else a reader would take the clock above for the stated framerate.
         "stated_fps": np.array(provenance.stated_fps),
         "operations": np.array(provenance.operations) if provenance.operations else None,
     }
@@ -222,7 +222,7 @@ def motion_arrays(motion: Motion) -> dict[str, Any]:
 
 
 def caption_arrays(captions: Sequence[Caption]) -> dict[str, Any]:
-    """`captions`, their seconds (NaN: to the end), and their tokens if any has some; nothing where there are none."""
+    """`captions`, their seconds (NaN: to the end), and tokens if any caption has them; empty without captions."""
     if not captions:
         return {}
     ends = [np.nan if caption.end_seconds is None else caption.end_seconds for caption in captions]

@@ -1,6 +1,6 @@
-"""Members of .npz archives from strangers: sizes are bounded before anything is unpacked, objects are never unpickled.
+"""Members of untrusted .npz archives: sizes are bounded before anything is unpacked, objects are never unpickled.
 
-An .npz file is a zip of .npy members. Nothing is extracted to disk: a member's name is a key and never a path.
+An .npz file is a zip of .npy members. Nothing is extracted to disk: a member's name is a key, never a path.
 """
 
 import contextlib
@@ -20,7 +20,7 @@ from motionkit.core.errors import FormatError
 from motionkit.formats.arrays import npy, pickled_data
 from motionkit.formats.source import source_file
 
-# Deflate reaches 1,032 at most, on constant bytes; arrays of measurements stay below 10. Small members may be constant.
+# Deflate's ratio is at most 1,032, for constant bytes; measurements stay below 10. Small members may be constant.
 MAX_RATIO = 200
 HARMLESS_BYTES = 1 << 26
 SCALAR_BYTES = 1 << 14
@@ -42,7 +42,7 @@ class NpzArchive:
 
 
 def peek_keys(path: Path) -> frozenset[str]:
-    """Keys that a file's zip directory lists, none where it has no such directory; reads no member."""
+    """Keys in a file's zip directory, empty if it has none; reads no member."""
     try:
         with zipfile.ZipFile(path) as archive:
             return frozenset(info.filename.removesuffix(".npy") for info in archive.infolist())
@@ -61,8 +61,8 @@ def open_archive(path: Path, data: bytes) -> NpzArchive:
     try:
         zipped = zipfile.ZipFile(io.BytesIO(data))
         for info in zipped.infolist():
-            # Its name is compared with that beside its content: a member may be optional. What cannot be unpacked is
-            # said of what is read.
+            # Compares its name with that in the local header. A member that cannot be unpacked is reported only when
+            # it is read, for it may be optional.
             with contextlib.suppress(NotImplementedError, RuntimeError):
                 zipped.open(info).close()
     except (*BROKEN, NotImplementedError) as error:
@@ -75,7 +75,7 @@ def open_archive(path: Path, data: bytes) -> NpzArchive:
 
 
 def read_header(archive: NpzArchive, key: str) -> tuple[tuple[int, ...], bool, str]:
-    """What a member's header states (`npy.read_header`); raises `FormatError` as `read_shape` does."""
+    """The contents of a member's header (`npy.read_header`); raises `FormatError` as `read_shape` does."""
     info = _checked_info(archive, key)
     try:
         return npy.read_header(io.BytesIO(_unpack(archive, info, npy.HEADER_BYTES)))
@@ -84,12 +84,12 @@ def read_header(archive: NpzArchive, key: str) -> tuple[tuple[int, ...], bool, s
 
 
 def read_shape(archive: NpzArchive, key: str) -> tuple[int, ...]:
-    """Shape that a member's header states; raises `FormatError` (`missing-key`, `truncated`, `too-large`)."""
+    """Shape in a member's header; raises `FormatError` (`missing-key`, `truncated`, `too-large`)."""
     return read_header(archive, key)[0]
 
 
 def read_numbers(archive: NpzArchive, key: str, shape: tuple[int | None, ...]) -> Float32[np.ndarray, "..."]:
-    """A numeric member as float32 that agrees with `shape` (None: any size).
+    """A numeric member as float32 that matches `shape` (None: any size).
 
     Raises `FormatError` as `npy.read_npy` does, and with `missing-key` or `too-large`.
     """
@@ -101,7 +101,7 @@ def read_numbers(archive: NpzArchive, key: str, shape: tuple[int | None, ...]) -
 
 
 def read_exact(archive: NpzArchive, key: str, shape: tuple[int | None, ...]) -> Float64[np.ndarray, "..."]:
-    """A numeric member as float64 that agrees with `shape` (None: any size); NaN and empty arrays are let through.
+    """A numeric member as float64 that matches `shape` (None: any size); NaN and empty arrays are allowed.
 
     For clocks, indices and bounds. Raises `FormatError` as `npy.parse_npy` does, and with `missing-key` or `too-large`.
     """
@@ -109,12 +109,12 @@ def read_exact(archive: NpzArchive, key: str, shape: tuple[int | None, ...]) -> 
 
 
 def read_plain(archive: NpzArchive, key: str) -> np.ndarray:
-    """A numeric member as it is, of any shape and type; NaN is let through. Raises `FormatError` as `read_exact`."""
+    """A numeric member with its own shape and type; NaN is allowed. Raises `FormatError` as `read_exact` does."""
     return _parse(archive, key, None, npy.NUMBERS)
 
 
 def read_strings(archive: NpzArchive, key: str) -> tuple[str, ...]:
-    """A member of strings in one list (a single string is a list of one); raises `FormatError` as `read_exact`."""
+    """A member of strings (a single string gives one element); raises `FormatError` as `read_exact` does."""
     found = _parse(archive, key, None, npy.STRINGS).ravel()
     try:
         return tuple(str(value.decode() if isinstance(value, bytes) else value) for value in found.tolist())
@@ -123,9 +123,9 @@ def read_strings(archive: NpzArchive, key: str) -> tuple[str, ...]:
 
 
 def read_scalar(archive: NpzArchive, key: str) -> str | int | float | None:
-    """A member that holds one number or one string, of any type; bytes are decoded.
+    """A member with one number or one string, of any type; bytes are decoded.
 
-    None where it is an object whose pickle is more than one constant (`pickled_data`): nothing is unpickled. Raises
+    None for an object whose pickle is more than one constant (`pickled_data`): nothing is unpickled. Raises
     `FormatError` (`missing-key`, `truncated`, `channel-count`, `not-a-number`).
     """
     info = _checked_info(archive, key)

@@ -1,10 +1,10 @@
-"""Plain data in a pickle that numpy wrote, built from its opcodes: nothing is unpickled, so nothing in a file can run.
+"""Plain data in a pickle written by numpy, built from its opcodes: nothing is unpickled, so no code in a file can run.
 
 `np.save(path, {"motion": …, "text": […]})` writes an array of one Python object, hence a pickle; many repositories that
-generate motion publish their samples so. Here the opcodes are only listed (`pickletools.genops`) and a small machine
-puts together what they describe: text, numbers, lists, tuples, dictionaries, and numpy arrays of numbers or text. The
-calls that numpy writes are known by name and never made; a pickle with any other is refused. AMASS's `gender` and Guo's
-lists of words are read so, too. Source: numpy's `ndarray.__reduce__` and `numpy.lib.format`, pickle protocols 2 to 5.
+generate motion publish their samples this way. The opcodes are only listed (`pickletools.genops`); a small interpreter
+builds the data they describe: strings, numbers, lists, tuples, dictionaries, and numpy arrays of numbers or strings.
+The calls that numpy writes are recognised by name and never made; a pickle with any other is refused. AMASS's `gender`
+and Guo's lists of words are read this way. Source: numpy's `ndarray.__reduce__` and `numpy.lib.format`, pickle 2 to 5.
 """
 
 import io
@@ -49,7 +49,7 @@ _MARK = object()
 
 
 class PickleError(ValueError):
-    """A pickle that holds something else than plain data and numpy arrays, or is broken."""
+    """A pickle that is broken or holds anything but plain data and numpy arrays."""
 
 
 @dataclass
@@ -74,9 +74,9 @@ class _Array:
 
 
 def read_pickled_dict(path: Path) -> dict[str, Any]:
-    """The dictionary in a .npy file of one Python object: arrays, lists, texts and numbers by name.
+    """The dictionary in a .npy file of one Python object: arrays, lists, strings and numbers by name.
 
-    Raises `FormatError` (`pickle`) where the object is no dictionary or holds other things than plain data.
+    Raises `FormatError` (`pickle`) if the object is not a dictionary of plain data.
     """
     if path.stat().st_size > source_file.MAX_BYTES:
         raise FormatError("too large, expected at most 4 GB", path=path, reason="too-large")
@@ -85,7 +85,7 @@ def read_pickled_dict(path: Path) -> dict[str, Any]:
         try:
             shape, _, _ = npy.read_header(head)
             mapped.seek(head.tell())
-            # A memory map reads no more than there is, whatever length an opcode states.
+            # A memory map never reads beyond the file, whatever length an opcode states.
             value = parse_pickle(mapped)
         except ValueError as error:
             raise FormatError(f"a pickle that is not read: {error}", path=path, reason="pickle") from None
@@ -96,7 +96,7 @@ def read_pickled_dict(path: Path) -> dict[str, Any]:
 
 
 def is_pickled(path: Path) -> bool:
-    """Whether a .npy file's header says that Python objects follow; reads no more than the header."""
+    """Whether a .npy file's header declares Python objects; reads only the header."""
     try:
         with path.open("rb") as file:
             return "O" in npy.read_header(io.BytesIO(file.read(npy.HEADER_BYTES)))[2]
@@ -105,10 +105,10 @@ def is_pickled(path: Path) -> bool:
 
 
 def parse_pickle(file: io.BytesIO | mmap.mmap) -> Any:
-    """What a pickle holds; an array of objects becomes the list of its elements. Raises `PickleError`."""
+    """The data in a pickle; an array of objects becomes a list of its elements. Raises `PickleError`."""
     machine = _Machine()
     try:
-        with warnings.catch_warnings(action="ignore"):  # of odd escapes in protocol 0's strings
+        with warnings.catch_warnings(action="ignore"):  # about invalid escapes in protocol 0's strings
             for opcode, argument, _ in pickletools.genops(cast(IO[bytes], file)):
                 machine.step(opcode.name, argument)
         return _finished(machine.stack.pop(), {})
@@ -119,7 +119,7 @@ def parse_pickle(file: io.BytesIO | mmap.mmap) -> Any:
 
 
 def parse_scalar(content: bytes) -> str | int | float | None:
-    """The string or number in the pickle of an object array of size 1; None where it is anything else."""
+    """The string or number in the pickle of an object array of size 1; None for anything else."""
     try:
         value = parse_pickle(io.BytesIO(content))
     except PickleError:
@@ -132,14 +132,14 @@ def parse_scalar(content: bytes) -> str | int | float | None:
 
 
 class _Machine:
-    """The stack and the memo that a pickle's opcodes work on."""
+    """The stack and memo of the pickle machine."""
 
     def __init__(self) -> None:
         self.stack: list[Any] = []
         self._memo: dict[int, Any] = {}
 
     def step(self, name: str, argument: Any) -> None:
-        """Do what one opcode says to the stack. Raises `PickleError` for an opcode that plain data has not."""
+        """Apply one opcode to the stack. Raises `PickleError` for an opcode that plain data does not need."""
         stack = self.stack
         if name in CONSTANTS:
             stack.append(argument)
@@ -201,7 +201,7 @@ class _Machine:
 
 
 def _text(value: object) -> str:
-    # Shared lists may be nested so that to write one out would take for ever.
+    # Nested shared lists may grow exponentially when printed.
     if not isinstance(value, str):
         raise PickleError(f"broken (a {type(value).__name__} where a text belongs)")
     return value
@@ -214,7 +214,7 @@ def _known(name: str) -> _Name:
 
 
 def _result(function: str, arguments: tuple[Any, ...]) -> object:
-    """What a call that numpy writes would give."""
+    """The result of a call that numpy writes, without making it."""
     if function in RECONSTRUCT:
         return _Array()
     if function == DTYPE:
@@ -249,7 +249,7 @@ def _fill(target: object, state: tuple[Any, ...]) -> None:
 
 
 def _finished(value: Any, done: dict[int, Any], depth: int = 0) -> Any:
-    """Arrays in place of their descriptions, in whatever they lie; what is shared is finished once (`done`, by id)."""
+    """Replace descriptions of arrays by arrays, recursively; shared objects are converted once (`done`, by id)."""
     if depth > MAX_DEPTH:
         raise PickleError(f"nested more than {MAX_DEPTH} deep")
     if isinstance(value, (str, bytes, int, float)) or value is None:

@@ -1,12 +1,12 @@
-"""Rows of pose vectors in a .npy file of their own: HumanML3D's and KIT-ML's, InterHuman's, MotionStreamer's.
+"""Pose vectors in single .npy files: HumanML3D's and KIT-ML's, InterHuman's, MotionStreamer's.
 
 HumanML3D's 263 numbers and KIT-ML's 251 are those of `formats.humanml3d`. InterHuman's 262 are positions of SMPL's 22
 joints in the scene (66), their velocities (66), rotations of 21 joints (126, without the root's), four contacts; two
-persons are [T, 2, 262] or [T, 524]; the data set's own files have 492 numbers, the positions of 62 joints first, z up
+persons are [T, 2, 262] or [T, 524]; the data set's files have 492 numbers, the positions of 62 joints first, z up
 (https://github.com/tr3e/InterGen, utils/utils.py, utils/preprocess.py). MotionStreamer's 272 are the root's velocity in
-x and z (2) and the yaw since the frame before as a rotation (6), positions (66) and velocities (66) of the 22 joints
-relative to the root's place on the floor and the body's heading, and SMPL's local rotations (132), the root's without
-its heading; a rotation is the first two rows of its matrix (https://github.com/Li-xingXiao/272-dim-Motion-Representation,
+x and z (2) and the yaw since the previous frame as a rotation (6), positions (66) and velocities (66) of the 22 joints
+relative to the root's floor projection and the body's heading, and SMPL's local rotations (132), the root's without
+heading; a rotation is the first two rows of its matrix (https://github.com/Li-xingXiao/272-dim-Motion-Representation,
 representation_272.py).
 """
 
@@ -43,7 +43,7 @@ SMALLEST_CROSS = 1e-6
 
 
 def _shape(path: Path) -> tuple[int, ...]:
-    # Frames and numbers; models save batches of one.
+    # Without the batch axis of one that models save.
     shape = npy.peek_shape(path) or ()
     return shape[1:] if len(shape) == 3 and shape[0] == 1 else shape
 
@@ -55,7 +55,7 @@ def accepts(path: Path) -> bool:
 
 
 def accepts_interhuman(path: Path) -> bool:
-    """Whether a .npy file holds rows of one or two persons' 262 numbers, or of the data set's 492."""
+    """Whether a .npy file holds rows of 262 numbers for one or two persons, or the data set's 492."""
     return _is_interhuman(npy.peek_shape(path) or ())
 
 
@@ -65,7 +65,7 @@ def _is_interhuman(shape: tuple[int, ...]) -> bool:
 
 
 def persons(path: Path) -> tuple[str, ...]:
-    """The persons of an InterHuman file that holds two; none where it is one person's."""
+    """The persons' keys in an InterHuman file with two persons; empty for one."""
     shape = npy.peek_shape(path) or ()
     return PERSONS if len(shape) == 3 or shape[1:] == (2 * INTERHUMAN_WIDTH,) else ()
 
@@ -79,7 +79,7 @@ def accepts_motionstreamer(path: Path) -> bool:
 def read_pose_vectors(path: Path, options: ReadOptions | None = None) -> Motion:
     """Read HumanML3D's or KIT-ML's vectors as joint positions in metres; normalised ones are refused.
 
-    The framerate is the data set's unless `options`, or a `motions.json` there or one folder above, say another.
+    The framerate is the data set's unless `options`, or a `motions.json` there or one folder above, gives another.
     """
     options = options or ReadOptions()
     data = source_file.read_bytes(path)
@@ -92,7 +92,7 @@ def read_pose_vectors(path: Path, options: ReadOptions | None = None) -> Motion:
 
 
 def read_interhuman(item: SourceItem, options: ReadOptions) -> Motion:
-    """Read one person of a file of InterHuman's vectors: joint positions in metres, y up, in the scene."""
+    """Read one person of InterHuman's vectors: joint positions in metres, y up, in scene coordinates."""
     path, data = item.path, source_file.read_bytes(item.path)
     values = npy.read_npy(path, data, (None,) * len(npy.parse_npy(path, data, None).shape))
     if not _is_interhuman(values.shape):
@@ -106,15 +106,15 @@ def read_interhuman(item: SourceItem, options: ReadOptions) -> Motion:
 
 
 def read_motionstreamer(path: Path, options: ReadOptions | None = None) -> Motion:
-    """Read MotionStreamer's vectors: positions in metres, y up, and SMPL's local rotations where these reproduce them.
+    """Read MotionStreamer's vectors: positions in metres, y up, and SMPL's local rotations if they reproduce them.
 
-    Yaw and path are summed from the first frame on, so errors add up. Raises `FormatError` (`range`) for rotations that
-    are none, and for normalised vectors.
+    Yaw and path are integrated from the first frame, so errors accumulate. Raises `FormatError` (`range`) for invalid
+    rotations and for normalised vectors.
     """
     options = options or ReadOptions()
     data = source_file.read_bytes(path)
     values = _rows(path, data).astype(np.float64)
-    # The body is seen from its heading: to go back is to turn by minus the yaw.
+    # Vectors are relative to the heading: rotating by minus the yaw gives world coordinates.
     yaw = np.cumsum(np.arctan2(values[:, YAW][:, 2], values[:, YAW][:, 0]))
     back = np.stack((np.cos(-yaw / 2), 0 * yaw, np.sin(-yaw / 2), 0 * yaw), axis=-1)
     steps = np.insert(values[:, PATH], 1, 0.0, axis=1)
@@ -135,7 +135,7 @@ def _rows(path: Path, data: bytes) -> Float32[np.ndarray, "frames numbers"]:
 
 
 def _matrices(rows: Float64[np.ndarray, "frames joints 2 3"], path: Path) -> Float64[np.ndarray, "frames joints 3 3"]:
-    """Rotations from the first two rows of their matrices; refused where these have no length or one direction."""
+    """Rotation matrices from their first two rows; zero or parallel rows are refused."""
     across = np.linalg.norm(np.cross(rows[..., 0, :], rows[..., 1, :]), axis=-1)
     bad = (across < SMALLEST_CROSS).any(axis=1)
     if bad.any():

@@ -1,1 +1,1 @@
-"""Characters: rigs with their own bones, names and proportions, that motions are written onto."""
+"""Characters: rigs with their own bones, names and proportions, onto which motions are retargeted."""

@@ -1,4 +1,4 @@
-"""A character's file, and motions written onto it: bones, names and all else that the file holds stay its own."""
+"""A character's file, and motions written onto it; its bones, names and other contents are kept."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ FRAMES_AT_ONCE = 4096
 
 @dataclass(frozen=True, eq=False)
 class Character:
-    """A rig that motions go onto: its skeleton, local rotations in which it stands (None: unturned), how it writes."""
+    """A retargeting target: its skeleton, local rotations of its standing pose (None: identity), and its writer."""
 
     skeleton: Skeleton
     rest: Float64[np.ndarray, "joints 4"] | None
@@ -32,8 +32,8 @@ class Character:
     write: Callable[[Motion, Path], None]
 
     def perform(self, motion: Motion, *, plant: bool = False) -> Motion:
-        """The motion on this rig, its path scaled by the legs; `plant` lets feet stand that slide. Raises as `retarget`
-        does.
+        """The motion retargeted to this rig, its path scaled by leg length; `plant` removes foot sliding. Raises as
+        `retarget` does.
         """
         made = retarget(motion, self.skeleton, self.rest)
         if not plant:
@@ -44,8 +44,8 @@ class Character:
 
 
 def read_character(path: Path, options: ReadOptions) -> Character:
-    """A character's .bvh or .glb; raises `UsageError` for another file and for a rig that never stands, and
-    `FormatError`.
+    """Read a character's .bvh or .glb; raises `FormatError`, and `UsageError` for another file or a rig without a
+    standing pose.
     """
     if path.suffix.lower() == ".bvh":
         document = read_document(path, options)
@@ -59,7 +59,7 @@ def read_character(path: Path, options: ReadOptions) -> Character:
 
 
 def character_format(character: Character, plant: bool) -> Format:
-    """How a motion is written onto a character, as any format's motion is."""
+    """A `Format` that writes motions onto a character."""
 
     def write(motion: Motion, path: Path) -> None:
         character.write(character.perform(motion, plant=plant), path)
@@ -68,7 +68,7 @@ def character_format(character: Character, plant: bool) -> Format:
 
 
 def _standing_pose(document: BvhDocument) -> Float64[np.ndarray, "joints 4"] | None:
-    """None where unturned bones stand; else the first frame's rotations, if these do."""
+    """None if the rest pose stands; else the first frame's rotations, if that pose does."""
     if stands(document.skeleton):
         return None
     first = document.poses(np.zeros(1, np.int64)).local_rotations

@@ -27,10 +27,10 @@ REASON = "gltf"
 
 @dataclass(frozen=True, eq=False)
 class GltfRig:
-    """A .glb: `document` and `binary` as they are, the node of each of the skeleton's joints, its rotations at rest.
+    """A .glb: unchanged `document` and `binary`, the node of each joint of the skeleton, its rotations at rest.
 
-    `carrier` (4 × 4) is where the root's parent nodes put it; `above` of a joint is how nodes without a joint between
-    it and its parent are turned.
+    `carrier` (4 × 4) is the transform of the root's parent nodes; `above` of a joint is the rotation of the nodes
+    between it and its parent joint.
     """
 
     document: dict[str, Any]
@@ -68,7 +68,7 @@ class GltfRig:
 
 
 def read_rig(path: Path, options: ReadOptions) -> GltfRig:
-    """The rig of a .glb; raises `FormatError` (`gltf`) for what is none, or has no skin with one root."""
+    """The rig of a .glb; raises `FormatError` (`gltf`) for any other file, or one without a skin with a single root."""
     data = read_at_most(path, LARGEST_BYTES)
     try:
         document, binary = _chunks(data)
@@ -110,7 +110,7 @@ def _rig(document: dict[str, Any], binary: bytes, path: Path, options: ReadOptio
     between = [chains[joint][1 : _stop(chains[joint], joints)] for joint in order]
     above = [_turn(_product([matrices[each] for each in reversed(chain)])) for chain in between]
     carrier = _product([matrices[each] for each in reversed(chains[order[0]][1:])])
-    # Relative to the parent joint, whatever nodes lie between: `above` takes it to the node's own parent.
+    # Relative to the parent joint, across any nodes in between: `above` converts it to the node's own parent.
     rest = turns.copy()
     own = np.zeros_like(places)
     own[0] = places[0]
@@ -150,7 +150,7 @@ def _matrix(node: dict[str, Any]) -> Float64[np.ndarray, "4 4"]:
 
 
 def _in_parts(node: dict[str, Any]) -> dict[str, Any]:
-    """A node with translation, rotation and scale in place of a matrix, which no animated node may have (§3.5.3)."""
+    """A node with translation, rotation and scale in place of a matrix, as animated nodes require (§3.5.3)."""
     if "matrix" not in node:
         return node
     matrix = _matrix(node)
@@ -165,7 +165,7 @@ def _product(matrices: list[Float64[np.ndarray, "4 4"]]) -> Float64[np.ndarray, 
 
 
 def _turn(matrix: Float64[np.ndarray, "4 4"]) -> Float64[np.ndarray, "3 3"]:
-    """What a matrix turns, without what it stretches."""
+    """The rotation of a matrix, without its scale."""
     u, sizes, vt = np.linalg.svd(matrix[:3, :3])
     if sizes[-1] < 1e-9 * sizes[0] or np.linalg.det(u @ vt) < 0:
         raise ValueError("a node that flattens or mirrors")

@@ -1,8 +1,8 @@
-"""A motion on another skeleton: world rotations carried over between rest poses, the path scaled by the legs.
+"""Retargeting: world rotations transferred between rest poses, the path scaled by leg length.
 
-A joint of the target turns in the world as its counterpart in the source does. Between two rest poses that both stand
-the trunk, feet and hands are taken for alike, and upper arms, forearms, thighs and shanks are turned onto one another,
-so an A-pose follows a T-pose. The target's bones keep their lengths.
+A joint of the target has its counterpart's world rotation relative to the rest pose. Between two standing rest poses,
+the trunk, feet and hands are assumed equal, and upper arms, forearms, thighs and shanks are aligned by rotation, so
+that an A-pose can follow a T-pose. The target's bones keep their lengths.
 """
 
 from dataclasses import dataclass, replace
@@ -24,7 +24,7 @@ from motionkit.formats.smpl.body import mean_shape_skeleton
 from motionkit.formats.source.joint_channels import joint_channels
 
 _LIMBS = {"shoulder": "elbow", "elbow": "wrist", "hip": "knee", "knee": "ankle"}
-# What no standing body's bones exceed at rest, against those of SMPL's T-pose; arms may hang.
+# Limits on a standing body's bones at rest, relative to SMPL's T-pose; arms may hang.
 _MOST_DEGREES = {"shoulder": 60.0, "hip": 80.0, "elbow": 110.0, "wrist": 110.0, "foot": 50.0, "head": 70.0}
 _MOST_OTHERS_DEGREES = 45.0
 _LOW = 0.05
@@ -33,12 +33,12 @@ Quaternion = Float64[np.ndarray, "4"]
 
 
 def retarget(motion: Motion, target: Skeleton, rest: Float64[np.ndarray, "joints 4"] | None = None) -> Motion:
-    """The motion on another skeleton that the 22-joint layout is known of, at the same instants, y up, metres.
+    """The motion on another skeleton with a known map to the 22-joint layout, at the same instants, y up, metres.
 
-    `rest` are the target's local rotations in a pose that stands, where its bones at no rotation do not. Where the
-    source has no rotations, or a rest pose that does not stand, rotations are those of inverse kinematics on SMPL's 22
-    joints: what turns a limb about itself is lost, and hands with it. Raises `SkeletonMapError`, and `MotionkitError`
-    for a target that does not stand.
+    `rest` are the target's local rotations in a standing pose, needed if its rest pose is not one. If the source has
+    no rotations, or no standing rest pose, rotations come from inverse kinematics on SMPL's 22 joints, without twist
+    of the limbs and without hands. Raises `SkeletonMapError`, and `MotionkitError` for a target without a standing
+    pose.
     """
     standing = target if rest is None else standing_skeleton(target, rest)
     if not stands(standing):
@@ -64,7 +64,7 @@ def retarget(motion: Motion, target: Skeleton, rest: Float64[np.ndarray, "joints
 
 
 def standing_skeleton(skeleton: Skeleton, rest: Float64[np.ndarray, "joints 4"]) -> Skeleton:
-    """The skeleton whose offsets, unturned, give the pose that these local rotations give of another one."""
+    """The skeleton whose rest pose is the pose of `skeleton` under these local rotations."""
     world = kinematics.global_rotations(rest[None], skeleton)[0]
     offsets = kinematics.quaternion_rotate(world[skeleton.parents_or_self], skeleton.offsets.astype(np.float64))
     offsets[0] = skeleton.offsets[0]
@@ -78,7 +78,7 @@ def standing_skeleton(skeleton: Skeleton, rest: Float64[np.ndarray, "joints 4"])
 def _rotations(
     source: Motion, target: Skeleton
 ) -> tuple[Float64[np.ndarray, "frames joints 4"], Float64[np.ndarray, "frames joints 4"]]:
-    """The target's rotations relative to the parent, and to the world."""
+    """The target's local and world rotations."""
     assert source.local_rotations is not None
     turned = kinematics.global_rotations(source.local_rotations.astype(np.float64), source.skeleton)
     world = np.zeros((source.num_frames, target.num_joints, 4))
@@ -103,12 +103,12 @@ def _local(world: Float64[np.ndarray, "frames joints 4"], skeleton: Skeleton) ->
 def _from_rest(
     turns: Float64[np.ndarray, "frames joints 4"], rest: Float64[np.ndarray, "joints 4"], target: Skeleton
 ) -> Float64[np.ndarray, "frames joints 4"]:
-    """Local rotations of a target that at rest is turned, from its turns in the world since then."""
+    """Local rotations of a target with rotations at rest, from its world rotations relative to them."""
     return _local(kinematics.quaternion_multiply(turns, kinematics.global_rotations(rest[None], target)), target)
 
 
 def stands(skeleton: Skeleton) -> bool:
-    """Whether a skeleton's rest pose is that of somebody who stands, arms anywhere between out and down."""
+    """Whether a skeleton's rest pose is a standing one, with arms anywhere between horizontal and hanging."""
     rest, usual = _rest22(skeleton), rest_positions(mean_shape_skeleton())
     turn = _facing(usual, rest)
     for joint, parent in enumerate(SMPL22.parents):
@@ -133,14 +133,14 @@ def _rest22(skeleton: Skeleton) -> Float32[np.ndarray, "22 3"]:
 
 
 def _fitted(motion: Motion) -> Motion:
-    """The motion's 22 joints with rotations from SMPL's rest pose, on bones as long as its own."""
+    """The motion's 22 joints with rotations relative to SMPL's rest pose, on bones of its own lengths."""
     positions = map_joints(motion, SMPL22.name).astype(np.float32)
     made = joint_channels(Motion(positions, mean_shape_skeleton(), motion.timegrid))
     return Motion(positions, made.skeleton, motion.timegrid, made.rotations, positions[:, 0])
 
 
 def _facing(target: Float32[np.ndarray, "22 3"], source: Float32[np.ndarray, "22 3"]) -> Quaternion:
-    """The turn that takes a target's trunk at rest to the source's."""
+    """The rotation of a target's trunk at rest to the source's."""
 
     def trunk(rest: Float32[np.ndarray, "22 3"]) -> Float64[np.ndarray, "1 bones 3"]:
         place = {name: rest[joint].astype(np.float64) for joint, name in enumerate(SMPL22.joint_names)}
@@ -174,7 +174,7 @@ class _Rig:
 
 
 def _pairs(source: Skeleton, target: Skeleton) -> dict[int, tuple[int, Quaternion]]:
-    """Of the target's joints that have a counterpart: it, and the turn from the target's rest pose to the source's."""
+    """Target joint → its counterpart, and the rotation from the target's rest pose to the source's."""
     facing = _facing(_rest22(target), _rest22(source))
     mine, theirs = _Rig.of(target), _Rig.of(source)
     shared = [name for name in SMPL22.joint_names if name in mine.own and name in theirs.own]
@@ -190,7 +190,7 @@ def _pairs(source: Skeleton, target: Skeleton) -> dict[int, tuple[int, Quaternio
         elif joint == "wrist" and above in turns:
             turns[name] = turns[above]
     pairs = {mine.own[name]: (theirs.own[name], turns[name]) for name in shared}
-    # Fingers and what else is called alike in both turn as what they hang on is aligned.
+    # Fingers and other joints with the same name in both take their parent's alignment.
     named = {called: place for place, called in enumerate(canonical_names(source.joint_names))}
     used = {counterpart for counterpart, _ in pairs.values()}
     for own, called in enumerate(canonical_names(target.joint_names)):
@@ -203,7 +203,7 @@ def _pairs(source: Skeleton, target: Skeleton) -> dict[int, tuple[int, Quaternio
 def _path(
     source: Motion, local: Float64[np.ndarray, "frames joints 4"], target: Skeleton
 ) -> tuple[float, Float64[np.ndarray, "frames 3"]]:
-    """How much longer the target's legs are, and where its root goes: hips as high above the floor as legs are long."""
+    """The ratio of leg lengths, target to source, and the root's path, with hip heights scaled by it."""
     mine, theirs = legs_of(target), legs_of(source.skeleton)
     share = _leg_length(target, mine) / max(_leg_length(source.skeleton, theirs), 1e-6)
     at_origin = kinematics.forward_kinematics(local, np.zeros((len(local), 3)), target)
@@ -228,7 +228,7 @@ def _leg_length(skeleton: Skeleton, legs: Legs) -> float:
 
 
 def _sole(skeleton: Skeleton, legs: Legs) -> float:
-    """How far the lowest of ankles and toes is above the lowest point of the feet at rest, metres."""
+    """Height of the lowest of ankles and toes above the lowest point of the feet at rest, metres."""
     rest = rest_positions(skeleton)[:, 1]
     below = {joint for leg in (legs.left, legs.right) for joint in (leg.ankle, *leg.foot)}
     points = [rest[joint] for joint in below]

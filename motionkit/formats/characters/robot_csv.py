@@ -1,9 +1,9 @@
-"""Motions as a table for retargeting and imitation by robots: pelvis first, z up, velocities and contacts beside it.
+"""Motions as a table for retargeting to robots and imitation: pelvis first, z up, with velocities and contacts.
 
 The first seven columns are those of Unitree's LAFAN1 Retargeting Dataset (XYZ, QXQYQZQW), whose other columns are a
-robot's joint angles; here they are what retargeters ask for instead: where each joint is in the world and how it is
-turned (GMR, README, "Human/Robot Motion Data Formulation"), and when feet are down (ProtoMotions' key points). Axes are
-those of ROS' REP 103: x forward, y left, z up.
+robot's joint angles; here they are the input of retargeters: each joint's world position and rotation (GMR, README,
+"Human/Robot Motion Data Formulation"), and foot contacts (ProtoMotions' key points). Axes are those of ROS' REP 103:
+x forward, y left, z up.
 Source: https://huggingface.co/datasets/unitreerobotics/LAFAN1_Retargeting_Dataset
 """
 
@@ -33,11 +33,11 @@ Column = Float64[np.ndarray, "frames"]
 
 
 def write_robot_csv(motion: Motion, path: Path) -> None:
-    """Write the 22 joints' places (metres), turns (x, y, z, w) and velocities (m/s, the root's rad/s) in the world.
+    """Write the 22 joints' world positions (metres), rotations (x, y, z, w) and velocities (m/s; root: also rad/s).
 
-    A joint that is unturned stands as in a T-pose that faces x. Turns of skeletons other than SMPL's are carried over
-    to its rest pose (`retarget`). Velocities are central differences of the frames, contacts those that planting
-    starts from. Raises `SkeletonMapError`.
+    Identity rotations are a T-pose that faces x. Rotations of skeletons other than SMPL's are transferred to its rest
+    pose (`retarget`). Velocities are central differences of the frames, contacts those that planting starts from.
+    Raises `SkeletonMapError`.
     """
     fps = float(motion.fps)
     joints = map_joints(motion, SMPL22.name).astype(np.float64)
@@ -68,7 +68,7 @@ def _add(
 
 
 def _turns(motion: Motion) -> Float64[np.ndarray, "frames 22 4"]:
-    """World rotations of SMPL's joints from its T-pose, (w, x, y, z), signs without jumps."""
+    """World rotations of SMPL's joints relative to its T-pose, (w, x, y, z), with continuous signs."""
     made = motion if rests_as_smpl(motion) else retarget(motion, mean_shape_skeleton())
     assert made.local_rotations is not None
     world = kinematics.global_rotations(made.local_rotations.astype(np.float64), made.skeleton)[:, : SMPL22.num_joints]
@@ -86,7 +86,7 @@ def _velocities(places: Float64[np.ndarray, "frames joints 3"], fps: float) -> F
 
 
 def _angular_velocities(turns: Float64[np.ndarray, "frames 4"], fps: float) -> Float64[np.ndarray, "frames 3"]:
-    # The frame before each and the one after it; at the ends the frame itself.
+    # Neighbouring frames; at the ends the frame itself.
     frames = np.arange(len(turns))
     before, after = np.maximum(frames - 1, 0), np.minimum(frames + 1, len(turns) - 1)
     steps = kinematics.quaternion_multiply(turns[after], kinematics.quaternion_conjugate(turns[before]))
