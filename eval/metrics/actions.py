@@ -13,8 +13,8 @@ from eval.metrics.metric import Metric, by_frames
 def accuracy(scores: Float[np.ndarray, "samples classes"], labels: Int[np.ndarray, "samples"]) -> float:
     """Share of samples whose own class has the highest score; classes that tie for it share the hit.
 
-    So a recogniser that gives every class the same score has chance accuracy, whatever the order of classes. Raises
-    `ValueError` for no samples, unequal numbers, labels outside the classes, NaN or infinity. Source: action-to-motion.
+    Equal scores for all classes thus have chance accuracy, in any order of classes. Raises `ValueError` for no samples,
+    unequal numbers, labels outside the classes, NaN or infinity. Source: action-to-motion.
     """
     return float(shares_of_hits(scores, labels).mean())
 
@@ -22,7 +22,7 @@ def accuracy(scores: Float[np.ndarray, "samples classes"], labels: Int[np.ndarra
 def shares_of_hits(
     scores: Float[np.ndarray, "samples classes"], labels: Int[np.ndarray, "samples"]
 ) -> Float64[np.ndarray, "samples"]:
-    """1 where a sample's own class has the highest score, a share where others tie; raises what `accuracy` does."""
+    """1 if a sample's own class has the highest score, a fraction for ties; raises as `accuracy`."""
     if len(scores) != len(labels) or not len(labels):
         raise ValueError(f"there are {len(scores)} rows of scores and {len(labels)} labels")
     if not np.isfinite(scores).all():
@@ -47,9 +47,9 @@ CLASS_PAIRS = 20
 def multimodality(
     features: Float[np.ndarray, "texts generations features"], *, rng: np.random.Generator, num_pairs: int = NUM_PAIRS
 ) -> float:
-    """Mean distance of pairs of motions of one text; each text has its own pairs, and no motion is in two of them.
+    """Mean distance of pairs of motions of the same text; pairs are drawn per text, and no motion is in two of them.
 
-    NeRM Eq. 8: two distinct random subsets of `num_pairs` motions of every text. Raises `ValueError` where a text has
+    NeRM Eq. 8: two distinct random subsets of `num_pairs` motions of every text. Raises `ValueError` if a text has
     fewer than 2 · `num_pairs` generations, for NaN or infinity.
     """
     values = _checked(features)
@@ -71,7 +71,7 @@ MULTIMODALITY = Metric("multimodality", "MultiModality", "", None, "NeRM Eq. 8",
 def multimodality_shared_pairs(
     features: Float[np.ndarray, "texts generations features"], *, rng: np.random.Generator, num_pairs: int = NUM_PAIRS
 ) -> float:
-    """Mean distance of pairs of motions of one text, all texts with the same index pairs, as the reference code does.
+    """Mean distance of pairs of motions of one text, with the same index pairs for all texts, as the reference code.
 
     Each side is drawn without replacement, independently: a motion may be paired with itself (distance 0), which makes
     this smaller than `multimodality` by the factor 1 − 1/generations in expectation. Source: text-to-motion,
@@ -103,15 +103,15 @@ def multimodality_by_class(
     rng: np.random.Generator,
     num_pairs: int = CLASS_PAIRS,
 ) -> float:
-    """Mean distance of random pairs of two different motions of one class, as many pairs of every class there is.
+    """Mean distance of random pairs of two different motions of one class, with equally many pairs per class.
 
-    Raises `ValueError` for a class with a single motion, NaN or infinity. Defined here: the action protocols' own
-    pairs may be a motion with itself (`multimodality_by_class_with_replacement`).
+    Raises `ValueError` for a class with a single motion, NaN or infinity. Defined here; the action protocols may pair a
+    motion with itself (`multimodality_by_class_with_replacement`).
     """
 
     def draw(members: int) -> tuple[Int64[np.ndarray, "pairs"], Int64[np.ndarray, "pairs"]]:
         first = rng.integers(members, size=num_pairs)
-        # A step of 1 … members − 1 around the circle never comes back to where it began.
+        # An offset of 1 … members − 1, modulo members, never pairs a motion with itself.
         return first, (first + rng.integers(1, members, size=num_pairs)) % members
 
     return _by_class(features, labels, draw, least=2)
@@ -135,7 +135,7 @@ def multimodality_by_class_with_replacement(
     rng: np.random.Generator,
     num_pairs: int = CLASS_PAIRS,
 ) -> float:
-    """Mean distance of random pairs of one class, both sides drawn with replacement, as many pairs of every class.
+    """Mean distance of random pairs of one class, both sides drawn with replacement, with equally many pairs per class.
 
     A motion may be paired with itself. The reference draws pairs from the whole set until every class has its share,
     which is the same distribution. Raises `ValueError` for NaN or infinity. Source: action-to-motion.

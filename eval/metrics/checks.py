@@ -1,4 +1,4 @@
-"""What every metric refuses, and confidence intervals over replications."""
+"""Input validation of the metrics, and confidence intervals over replications."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -38,14 +38,14 @@ def checked_difference(
 
 
 def checked_quaternions(predicted: Float[np.ndarray, "*predicted 4"], target: Float[np.ndarray, "*target 4"]) -> None:
-    """Raise `ValueError` where a quaternion has not unit length."""
+    """Raise `ValueError` if a quaternion does not have unit length."""
     for name, quaternions in (("predicted", predicted), ("target", target)):
         if not np.allclose(np.linalg.norm(quaternions, axis=-1), 1.0, atol=1e-3):
             raise ValueError(f"{name}: quaternions must have unit length")
 
 
 def checked_fps(fps: float) -> float:
-    """A framerate; raises `ValueError` where it is not positive and finite."""
+    """Return the framerate; raises `ValueError` if it is not positive and finite."""
     if not 0 < fps < np.inf:
         raise ValueError(f"fps must be positive and finite, not {fps}")
     return float(fps)
@@ -74,5 +74,5 @@ def estimate(values: Sequence[float]) -> Estimate:
 
 
 def variance_spread(values: Sequence[float]) -> float:
-    """1.96 · variance (ddof 0) over replications: what ACTOR prints after "±". It is no interval of anything."""
+    """1.96 · variance (ddof 0) over replications: what ACTOR prints after "±". It is not a confidence interval."""
     return float(1.96 * np.var(np.asarray(values, dtype=np.float64)))

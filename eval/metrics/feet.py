@@ -1,4 +1,4 @@
-"""Foot skating as animation has it, horizontal motion that counts the more, the lower the foot; labels of contact.
+"""Foot skating as in computer animation, horizontal foot speed weighted by closeness to the floor; contact labels.
 
 Both take one sequence, y up, metres; velocities are per second, from each frame to the next.
 """
@@ -20,7 +20,7 @@ def skating_speed(
     *,
     floor: float = 0.0,
 ) -> float:
-    """Mean of v·(2 − 2^clamp(h/H, 0, 1)) over frames and foot joints, m/s: sliding counts the more, the lower the foot.
+    """Mean of v·(2 − 2^clamp(h/H, 0, 1)) over frames and foot joints, m/s: lower feet have more weight.
 
     `heights` are H of each foot joint, 8 cm for ankles and 4 cm for toes; v is horizontal speed from a frame to the
     next, h the height at the first of the two. Source: Zhang et al. 2018 (MANN), as in NeMF (He et al. 2022).
@@ -56,11 +56,11 @@ def contact_consistency(
     fps: float,
     contact_speed: float = CONTACT_SPEED,
 ) -> float:
-    """Share of labels (frames × foot joints) that agree with the speed of the foot at that frame.
+    """Fraction of labels (frames × foot joints) that agree with the speed of the foot at that frame.
 
     A label above ½ says contact; a foot is in contact when it moves slower than `contact_speed` (m/s, all three axes;
-    0.894 is what HumanML3D's threshold means at 20 fps) to the next frame. The last frame has no next one and doesn't
-    count. Defined here: nobody publishes it under a fixed definition.
+    0.894 is HumanML3D's threshold at 20 fps) to the next frame. The last frame is ignored. Defined here: there is no
+    published definition.
     """
     if feet.shape[:2] != contacts.shape or not contacts.shape[1]:
         raise ValueError(f"contacts are {contacts.shape}, feet are {feet.shape}: the same frames and foot joints")

@@ -1,4 +1,4 @@
-"""Distances of distributions of features: Gaussians fitted to them, the Fréchet distance, the kernel distance."""
+"""Distances between distributions of features: fitted Gaussians, the Fréchet distance, the kernel distance."""
 
 import math
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ class Gaussian:
 
     @cached_property
     def factor(self) -> Float64[np.ndarray, "features features"]:
-        """L with L·Lᵀ = covariance, from its eigenvalues; those that rounding made negative count as zero."""
+        """L with L·Lᵀ = covariance, from its eigenvalues; those negative by rounding are set to zero."""
         eigenvalues, eigenvectors = np.linalg.eigh(self.covariance)
         return np.asarray(eigenvectors * np.sqrt(np.maximum(eigenvalues, 0.0)), dtype=np.float64)
 
@@ -43,9 +43,9 @@ class Gaussian:
 
 @dataclass(frozen=True, eq=False)
 class FeatureSums:
-    """What a Gaussian is made of: number of samples, their mean, Σ(x − mean)(x − mean)ᵀ. Without arguments: no samples.
+    """Sufficient statistics of a Gaussian: number of samples, mean, Σ(x − mean)(x − mean)ᵀ. The default has no samples.
 
-    Sums about the mean, not raw second moments: those lose all digits of a small spread far from zero.
+    Sums are about the mean: raw second moments lose all digits of a small spread far from zero.
     """
 
     num_samples: int = 0
@@ -104,7 +104,7 @@ def frechet_distance(a: Gaussian, b: Gaussian) -> float:
 
 
 def quick_frechet_distance(a: Gaussian, b: Gaussian) -> float:
-    """The same to 1e-7 of the variances, by the eigenvalues of L₁ᵀΣ₂L₁: for many b against one a, that keeps L₁."""
+    """`frechet_distance` to 1e-7 of the variances, by the eigenvalues of L₁ᵀΣ₂L₁: caches L₁ for many b and one a."""
     if a.mean.shape != b.mean.shape:
         raise ValueError(f"the two sets have {a.mean.size} and {b.mean.size} features")
     eigenvalues = np.linalg.eigvalsh(a.factor.T @ b.covariance @ a.factor)
@@ -115,7 +115,7 @@ def quick_frechet_distance(a: Gaussian, b: Gaussian) -> float:
 
 def fid(real: Float[np.ndarray, "n features"], generated: Float[np.ndarray, "m features"]) -> float:
     """Fréchet distance between the Gaussians of two feature sets, in float64; see `frechet_distance`."""
-    # On a busy machine the linear algebra library's threads wait for one another: ten times slower than one.
+    # On a busy machine the BLAS threads wait for one another: ten times slower than a single one.
     with threadpool_limits(1, "blas"):
         return frechet_distance(fit_gaussian(real), fit_gaussian(generated))
 
@@ -146,11 +146,11 @@ def fid_infinity(
 ) -> Extrapolation:
     """FID extrapolated to infinitely many samples, by a least-squares line over 1/N (Chong & Forsyth 2020, §4).
 
-    Both sides are thinned to the same N (the paper thins the generated side alone, its real statistics being fixed),
-    so that the limit is free of both sides' bias to first order; subsets are prefixes of one random order, N evenly
-    spaced from `smallest_fraction` of the smaller set to all of it. Raises `ValueError` where the fewest are no more
-    than the features: FID of singular covariances is no line over 1/N, and its extrapolation is far off (two draws of
-    256 from one 128-dimensional normal distribution: 7.7 instead of 0).
+    Both sides are thinned to the same N (the paper thins the generated side alone, its real statistics being fixed), so
+    that the limit is free of both sides' bias to first order; subsets are prefixes of one random order, N evenly spaced
+    from `smallest_fraction` of the smaller set to all of it. Raises `ValueError` if the smallest subset has no more
+    samples than features: FID of singular covariances is not linear in 1/N, its extrapolation far off (two draws of 256
+    from one 128-dimensional normal distribution: 7.7 instead of 0).
     """
     largest, features = min(len(real), len(generated)), real.shape[1]
     sizes = np.unique(np.linspace(smallest_fraction * largest, largest, num_points).astype(np.int64))
@@ -186,7 +186,7 @@ BLOCK_ROWS = 512
 
 
 def kid(real: Float[np.ndarray, "n features"], generated: Float[np.ndarray, "m features"]) -> float:
-    """Unbiased squared MMD under k(x, y) = (x·y / features + 1)³; may be negative, zero expected for equal sets.
+    """Unbiased squared MMD with k(x, y) = (x·y / features + 1)³; may be negative; expectation 0 for equal sets.
 
     Published figures average over random subsets of 1,000; the U-statistic over whole sets, used here, has the same
     expectation and less variance. Symmetric. Source: Bińkowski et al. 2018, §4.

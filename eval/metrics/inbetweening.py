@@ -34,9 +34,9 @@ def l2q(
 ) -> float:
     """Mean over frames of √Σ(q̂ − q)² over all joints' global quaternions, each with the sign nearer to the true one.
 
-    q and −q are one rotation: without aligned signs the figure depends on how quaternions were made. Raises
-    `ValueError` for quaternions that are not of unit length. Source: Harvey et al. 2020; signs as in
-    delta-interpolator (Oreshkin et al. 2022).
+    q and −q are the same rotation: without aligned signs the value depends on how the quaternions were computed. Raises
+    `ValueError` for quaternions that are not of unit length. Source: Harvey et al. 2020; signs as in delta-interpolator
+    (Oreshkin et al. 2022).
     """
     difference = checked_difference(predicted, target)
     checked_quaternions(predicted, target)
@@ -51,10 +51,10 @@ L2Q = Metric("l2q", "L2Q", "", False, "Harvey et al. 2020", "predicted, target",
 def l2q_as_signed(
     predicted: Float[np.ndarray, "clips frames joints 4"], target: Float[np.ndarray, "clips frames joints 4"]
 ) -> float:
-    """`l2q` with the signs that the quaternions come with: what the benchmark's own code computes.
+    """`l2q` without aligning the signs: what the benchmark's own code computes.
 
-    A figure of quaternions whose signs run on through each clip, on both sides from the same first one; a body that
-    turns by more than half a turn is then farther from where it began than `l2q` says. Source: Harvey et al. 2020.
+    Signs should be continuous in each clip and start alike on both sides; a body that turns by more than half a turn is
+    then farther from its first pose than by `l2q`. Source: Harvey et al. 2020.
     """
     difference = checked_difference(predicted, target)
     checked_quaternions(predicted, target)
@@ -80,8 +80,8 @@ def npss(
 
     The distance is the L1 distance of cumulative spectra (an earth mover's distance). As in the LaFAN1 benchmark, power
     is the square of the **real part** of the Fourier coefficients, not of their modulus: figures are comparable only
-    so, and depend on where a clip starts. A number without predicted power has an empty spectrum; one without true
-    power has no weight. Raises `ValueError` where nothing has power. Source: Gopalakrishnan et al. 2019, §4.2.
+    so, and depend on where a clip starts. A number without predicted power has a zero spectrum; one without true power
+    has no weight. Raises `ValueError` if nothing has power. Source: Gopalakrishnan et al. 2019, §4.2.
     """
     checked_difference(predicted, target)
     true = _power(target)
@@ -94,7 +94,7 @@ def npss(
 
 
 def npss_weight(target: Float[np.ndarray, "clips frames numbers"]) -> float:
-    """The total true power by which a batch's NPSS counts in the NPSS of many batches of equal length."""
+    """The total true power: the weight of a batch's NPSS in the NPSS of many batches of equal length."""
     return float(_power(target).sum())
 
 

@@ -1,4 +1,4 @@
-"""How a metric declares itself beside its function: unit, direction, source; and, where it is a mean, over what."""
+"""Metadata of metrics: unit, direction, source and, for means, the weights."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -20,13 +20,13 @@ Arguments = Literal[
 class Metric:
     """A metric as tables name it.
 
-    `higher_is_better` is None where the best value is the real set's own. `source` is the paper, or the code, that
-    defines it; `calibration` says how it was tried to be gamed, and where that stands. `arguments` says what the
-    function's first arrays are, in order: those of "predicted, target, fps" are clips of joint positions
-    [clips, frames, joints, 3], and are in every table of interpolated motion. `weight` gives the weight of a batch from
-    the function's arrays; it is None where the metric is no mean (a stream of such a metric needs other sums, or all
-    rows). `exponent` is 2 where the metric is the root of a mean of squares. `version` is raised when a value changes
-    its meaning.
+    `higher_is_better` is None if the best value is the real set's own. `source` is the paper, or the code, that defines
+    it; `calibration` says how its robustness to gaming was tested, and where that is documented. `arguments` says what
+    the function's first arrays are, in order: those of "predicted, target, fps" are clips of joint positions [clips,
+    frames, joints, 3], and are in every table of interpolated motion. `weight` gives the weight of a batch from the
+    function's arrays; it is None if the metric is not a mean (a stream of such a metric needs other sums, or all rows).
+    `exponent` is 2 where the metric is the root of a mean of squares. `version` is incremented when the meaning of its
+    values changes.
     """
 
     name: str
@@ -44,7 +44,7 @@ class Metric:
 
 @dataclass(frozen=True)
 class MeanSums:
-    """Σ weight·value and Σ weight of the batches so far; without arguments, of none.
+    """Σ weight·value and Σ weight of the batches so far; the default has none.
 
     A weight is the number of things that a batch's value is a mean over (`Metric.weight` gives it).
     """
@@ -64,14 +64,14 @@ class MeanSums:
 
     @property
     def mean(self) -> float:
-        """The mean over all batches. Raises `ValueError` where there are none."""
+        """The mean over all batches. Raises `ValueError` if there are none."""
         if not self.weight:
             raise ValueError("there is nothing to average: no batch was added")
         return self.total / self.weight
 
 
 class MeanStream:
-    """A metric over batches and ranks: `update` with what its function takes, `merge` other ranks, read `value`."""
+    """A metric over batches and ranks: `update` with its function's arguments, `merge` other ranks, read `value`."""
 
     def __init__(self, metric: Metric) -> None:
         if metric.weight is None:
@@ -89,7 +89,7 @@ class MeanStream:
         self.sums = self.sums.added(value**self._metric.exponent, self._weight(*arrays))
 
     def merge(self, other: "MeanStream") -> None:
-        """Add what another rank's stream of the same metric has seen."""
+        """Add the state of another rank's stream of the same metric."""
         if other._metric.name != self._metric.name:
             raise ValueError(f"a stream of {self._metric.name} cannot take in one of {other._metric.name}")
         self.sums = self.sums.merged(other.sums)
@@ -101,38 +101,38 @@ class MeanStream:
 
 
 def by_frames(first: Array, *_: Array) -> float:
-    """A weight: frames (or samples), the first axis."""
+    """Weight: number of frames (or samples), the first axis."""
     return float(len(first))
 
 
 def by_steps(first: Array, *_: Array) -> float:
-    """A weight: steps from a frame to the next."""
+    """Weight: number of steps from a frame to the next."""
     return float(len(first) - 1)
 
 
 def by_clips(first: Array, *_: Array) -> float:
-    """A weight: clips [*clips, frames, numbers]."""
+    """Weight: number of clips [*clips, frames, numbers]."""
     return float(np.prod(first.shape[:-2]))
 
 
 def by_clip_steps(order: int) -> Callable[..., float]:
-    """A weight: differences of an order along the frames of clips [*clips, frames, joints, 3]."""
+    """Weight: number of differences of this order along the frames of clips [*clips, frames, joints, 3]."""
     return lambda first, *_: float(np.prod(first.shape[:-3]) * (first.shape[-3] - order))
 
 
 def by_clip_frames(first: Array, *_: Array) -> float:
-    """A weight: frames of clips [clips, frames, …]."""
+    """Weight: number of frames of clips [clips, frames, …]."""
     return float(first.shape[0] * first.shape[1])
 
 
 def by_numbers(first: Array, *_: Array) -> float:
-    """A weight: single numbers."""
+    """Weight: number of elements."""
     return float(first.size)
 
 
 @cache
 def all_metrics() -> Mapping[str, Metric]:
-    """Every metric by name: what the modules of `eval.metrics` declare as a `Metric` or a tuple of them."""
+    """All metrics by name: those that the modules of `eval.metrics` declare as a `Metric` or a tuple of them."""
     import eval.metrics
 
     found: dict[str, Metric] = {}

@@ -28,8 +28,8 @@ def prdc(
 ) -> Prdc:
     """Precision and recall (Kynkäänniemi et al. 2019), density and coverage (Naeem et al. 2020), not symmetric.
 
-    A point's ball reaches to its k-th neighbour in its own set, itself not counted; a point on the boundary is outside.
-    Raises `ValueError` for NaN, sets of no more than k samples, or a real set whose rows are all the same.
+    A point's ball reaches to its k-th neighbour in its own set, excluding itself; the boundary is outside. Raises
+    `ValueError` for NaN, sets of no more than k samples, or a real set with identical rows.
     """
     x = checked_features(real, "real", minimum=num_neighbours + 1)
     y = checked_features(generated, "generated", minimum=num_neighbours + 1)
@@ -81,8 +81,8 @@ class _Points:
 class _SquaredDistances:
     """|a|² + |b|² − 2ab of all pairs, by one matrix product.
 
-    The centre keeps |a|² as small as the spread of the points; a comparison that rounding could still decide is made
-    again with the sum of squared differences, which cancels nothing.
+    Centring keeps |a|² as small as the spread of the points; a comparison within rounding error is repeated with the
+    exact sum of squared differences.
     """
 
     x: _Points

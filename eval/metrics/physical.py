@@ -1,10 +1,10 @@
-"""What bodies on a floor do: where the floor is, whether feet rest on it or slide, how rough motion is, rigid bones.
+"""Physical plausibility of motion: height of the floor, foot contact and sliding, jerk and jitter, bone lengths.
 
-Each function takes one motion, joint positions [frames, joints, 3] in metres, y up (float64 inside, whatever comes),
-and its framerate, and means the same at every framerate: speeds are taken over 0.1 s, heights over time, roughness of
-bands that are resampled to one framerate. None where a motion has nothing to measure. PhysDiff's Penetrate and Float
-(`eval.metrics.physical_published`) stand beside them, with the motion's own floor (`ground_height`): captures' floors
-are not at y = 0.
+Each function takes one motion, joint positions [frames, joints, 3] in metres, y up (computed in float64), and its
+framerate. Values are comparable across framerates: speeds are taken over 0.1 s, heights over time, jerk and jitter in
+bands resampled to one framerate. None if a motion has nothing to measure. Tables show PhysDiff's Penetrate and Float
+(`eval.metrics.physical_published`) beside them, with the motion's own floor (`ground_height`): captures' floors are not
+at y = 0.
 """
 
 from dataclasses import dataclass
@@ -32,16 +32,16 @@ BONE_SECONDS = 0.5
 
 
 def ground_height(positions: Positions, fps: Framerate) -> float:
-    """Height in millimetres of the floor under a motion: its lowest joint is lower for 5 % of the time.
+    """Height in millimetres of the floor under a motion: the 5 % quantile over time of its lowest joint.
 
-    Not the lowest instant of all, which one bad frame decides. `fps` has no say.
+    Not the minimum, which a single bad frame determines. `fps` is not used.
     """
     return 1000.0 * float(np.quantile(_checked(positions)[..., 1].min(axis=1), GROUND_QUANTILE))
 
 
 @dataclass(frozen=True)
 class FootRests:
-    """At the instants of a motion that have 0.1 s before them: which foot joints stay low, how fast each goes, m/s."""
+    """Foot joints that stay low, and the speed of each in m/s, at instants up to 0.1 s before a motion's end."""
 
     low: Bool[np.ndarray, "instants feet"]
     speed: Float64[np.ndarray, "instants feet"]
@@ -56,9 +56,9 @@ class FootRests:
 def foot_rests(positions: Positions, fps: Framerate, skeleton: Skeleton = SMPL22) -> FootRests:
     """Which ankles and toes are on the ground, and their horizontal speed over the 0.1 s that follow.
 
-    A joint is low while it stays within 2 cm of its own lowest level (exceeded for 95 % of the time): ankles stand
-    higher than toes, and within 5 cm the feet of runners swing. Between frames it goes straight. Raises `ValueError`
-    for a skeleton without feet.
+    A joint is low while it stays within 2 cm of its own lowest level (exceeded for 95 % of the time): ankles are higher
+    than toes, and within 5 cm runners' feet swing. Positions are linearly interpolated. Raises `ValueError` for a
+    skeleton without feet.
     """
     feet = skeleton.feet
     if feet is None:
@@ -81,32 +81,32 @@ def foot_rests(positions: Positions, fps: Framerate, skeleton: Skeleton = SMPL22
 
 
 def slide_speed(positions: Positions, fps: Framerate) -> float | None:
-    """Mean speed of the steadiest foot joint on the ground, m/s: what stands, or rolls over one point, has none.
+    """Mean speed of the slowest foot joint on the ground, m/s: 0 for a foot that stands or rolls over one point.
 
-    While a body stands, walks or runs, one joint of the feet that are down rests, so one that drags its other foot
-    doesn't skate. None where no foot stays down for 0.1 s.
+    While a body stands, walks or runs, one joint of the feet on the ground rests, so dragging the other foot is not
+    skating. None if no foot stays down for 0.1 s.
     """
     steadiest = foot_rests(positions, fps).steadiest
     return float(steadiest.mean()) if len(steadiest) else None
 
 
 def slide_share(positions: Positions, fps: Framerate) -> float | None:
-    """Share of the time on the ground in which the steadiest foot joint goes faster than 0.25 m/s; None as above."""
+    """Fraction of the time on the ground in which the slowest foot joint exceeds 0.25 m/s; None as `slide_speed`."""
     steadiest = foot_rests(positions, fps).steadiest
     return float((steadiest > SLIDING_SPEED).mean()) if len(steadiest) else None
 
 
 def contact_share(positions: Positions, fps: Framerate) -> float | None:
-    """Share of time in which a foot is on the ground: 1 for what stands frozen, 0 for what shakes or climbs."""
+    """Fraction of time in which a foot is on the ground: 1 for a frozen body, 0 for one that shakes or climbs."""
     low = foot_rests(positions, fps).low
     return float(low.any(axis=1).mean()) if len(low) else None
 
 
 def height_speed_agreement(positions: Positions, fps: Framerate) -> float | None:
-    """Share of (time × foot joints) in which height and speed agree on contact: low and under 0.25 m/s, or neither.
+    """Fraction of (time × foot joints) in which height and speed agree on contact: low and under 0.25 m/s, or neither.
 
-    Disagreement is a foot that slides on the ground, or stops in the air, which real feet do too, but less. Needs no
-    labels; of labels `contact_consistency` says how they agree with the speed.
+    They disagree for a foot that slides on the ground or stops in the air, which real feet do too, but less. Needs no
+    labels; `contact_consistency` compares labels with the speed.
     """
     rests = foot_rests(positions, fps)
     return float((rests.low == (rests.speed < SLIDING_SPEED)).mean()) if len(rests.low) else None
@@ -115,7 +115,7 @@ def height_speed_agreement(positions: Positions, fps: Framerate) -> float | None
 def jerk(positions: Positions, fps: Framerate) -> float | None:
     """Mean third derivative of joint positions below 10 Hz, m/s³: differences after resampling to 20 fps.
 
-    The raw difference at a capture's own framerate is its noise times the cube of the framerate. None under 0.5 s.
+    The raw difference at a capture's own framerate is its noise times the framerate cubed. None under 0.5 s.
     """
     motion = _at(positions, fps, JERK_FPS)
     if len(motion) <= SHORTEST_SECONDS * JERK_FPS:
@@ -126,8 +126,8 @@ def jerk(positions: Positions, fps: Framerate) -> float | None:
 def jitter(positions: Positions, fps: Framerate) -> float | None:
     """Median displacement between 10 and 20 Hz over joints and time, in millimetres.
 
-    At 40 fps, through a Butterworth high-pass run both ways. The median: what is fast there makes the mean. None below
-    40 fps, whose frames don't hold that band, and under 0.5 s.
+    Computed at 40 fps with a zero-phase Butterworth high-pass. The median, since fast movement dominates the mean. None
+    below 40 fps, which cannot represent that band, and under 0.5 s.
     """
     from scipy.signal import butter, sosfiltfilt
 
@@ -143,7 +143,7 @@ def jitter(positions: Positions, fps: Framerate) -> float | None:
 def bone_length_drift(positions: Positions, fps: Framerate, skeleton: Skeleton = SMPL22) -> float | None:
     """Mean over bones of (longest − shortest) / mean length, lengths averaged over stretches of about 0.5 s.
 
-    Averages, for noise and resampling bend every frame a little. None where no bone has a length.
+    Averaged because noise and resampling perturb every frame a little. None if no bone has a length.
     """
     values = _checked(positions)
     joints = [joint for joint, parent in enumerate(skeleton.parents) if parent >= 0]

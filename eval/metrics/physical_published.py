@@ -1,8 +1,8 @@
-"""The field's figures of feet and floors as their projects compute them, thresholds and units included.
+"""Published metrics of feet and floors as their projects compute them, thresholds and units included.
 
-Each takes one motion in the 22-joint layout (metres, y up, floor at `floor`) and its framerate, in float64. What is
-counted per frame in a project is counted per frame here, and `fps` then has no say: such a figure changes with the
-framerate alone (docs/results/physical.md). Read at the sources that the functions name; written anew.
+Each takes one motion in the 22-joint layout (metres, y up, floor at `floor`) and its framerate, in float64. What a
+project counts per frame is counted per frame here, without `fps`: such a value depends on the framerate
+(docs/results/physical.md). Implemented anew from the sources that the functions name.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ from motionkit.core.skeleton import SMPL22
 Positions = Float[np.ndarray, "frames 22 3"]
 
 GMD_FPS = 20.0
-"""The framerate of HumanML3D, a constant in GMD's code whatever it is given."""
+"""The framerate of HumanML3D, a constant in GMD's code."""
 GMD_HEIGHT, GMD_SPEED, GMD_WINDOW = 0.05, 0.5, 5
 MDM_CONTACT_METRES = 0.01
 HUMANML3D_CONTACT_SQUARED = 0.002
@@ -24,7 +24,7 @@ MBENCH_REST, MBENCH_STILL, MBENCH_SLOW, MBENCH_FAST, MBENCH_RUN = 1e-3, 1.2e-4, 
 KIMODO_HEIGHT, KIMODO_SPEED = 0.05, 0.2
 PHYSDIFF_TOLERANCE = 0.005
 SMALL = 1e-6
-"""What MBench and Kimodo add to a number of contacts before they divide by it."""
+"""What MBench and Kimodo add to a number of contacts before dividing by it."""
 
 assert SMPL22.feet is not None
 TOES = [SMPL22.feet.left_toe, SMPL22.feet.right_toe]
@@ -32,9 +32,9 @@ FEET = [SMPL22.feet.left_ankle, SMPL22.feet.left_toe, SMPL22.feet.right_ankle, S
 
 
 def gmd_skating_ratio(positions: Positions, fps: float, floor: float = 0.0) -> float:
-    """Share of steps in which a toe is under 5 cm in both frames and faster than 0.5 m/s, itself and on average.
+    """Fraction of steps in which a toe is under 5 cm in both frames and faster than 0.5 m/s, both then and on average.
 
-    Speeds are steps × 20, at any framerate: 2.5 cm a frame. The average is over 5 steps, with zeros beyond the ends.
+    Speeds are steps × 20, at any framerate: 2.5 cm per frame. The average is over 5 steps, with zeros beyond the ends.
     Source: GMD (Karunratanakul et al. 2023), korrawe/guided-motion-diffusion@2f6264a,
     data_loaders/humanml/utils/metrics.py, calculate_skating_ratio; CondMDI and CLoSD have the same.
     """
@@ -48,7 +48,7 @@ def gmd_skating_ratio(positions: Positions, fps: float, floor: float = 0.0) -> f
 
 
 def mdm_contact_share(positions: Positions, fps: float, floor: float = 0.0) -> float:
-    """Share of (steps × ankles and toes) that MDM's contact loss takes for contact: at most 1 cm a frame.
+    """Fraction of (steps × ankles and toes) that MDM's contact loss treats as contact: at most 1 cm per frame.
 
     Source: MDM (Tevet et al. 2023), GuyTevet/motion-diffusion-model@d4fd88c, diffusion/gaussian_diffusion.py,
     the mask of the term "fc".
@@ -59,15 +59,15 @@ def mdm_contact_share(positions: Positions, fps: float, floor: float = 0.0) -> f
 def mdm_contact_loss(positions: Positions, fps: float, floor: float = 0.0) -> float:
     """MDM's foot contact term of a motion against itself: mean square over coordinates of the steps in contact, m².
 
-    Contacts are those of `mdm_contact_share`; other steps count as 0. In MDM they are the true motion's, and the
-    steps the model's. Source: as there.
+    Contacts are those of `mdm_contact_share`; other steps count as 0. In MDM contacts are of the true motion, steps of
+    the model's. Source: as `mdm_contact_share`.
     """
     steps = _steps(positions)
     return float((np.square(steps) * (steps <= MDM_CONTACT_METRES)).mean() / 3.0)
 
 
 def humanml3d_contact_share(positions: Positions, fps: float, floor: float = 0.0) -> float:
-    """Share of (steps × ankles and toes) with HumanML3D's contact label: a squared step under 0.002 m² (4.5 cm).
+    """Fraction of (steps × ankles and toes) with HumanML3D's contact label: a squared step under 0.002 m² (4.5 cm).
 
     Source: HumanML3D (Guo et al. 2022), as in GuyTevet/motion-diffusion-model@d4fd88c,
     data_loaders/humanml/scripts/motion_process.py, foot_detect with the threshold 0.002.
@@ -76,7 +76,7 @@ def humanml3d_contact_share(positions: Positions, fps: float, floor: float = 0.0
 
 
 def mbench_foot_sliding(positions: Positions, fps: float, floor: float = 0.0) -> float:
-    """Mean horizontal step of a toe in contact, metres a frame, the mean of both feet.
+    """Mean horizontal step of a toe in contact, metres per frame, averaged over both feet.
 
     In contact: a step under 1 cm, or a height under 2 cm. The last step counts twice. Source: MBench (ViMoGen, 2025),
     SMPLCap/ViMoGen@230b14f, mbench/motion_quality.py, get_contact and compute_foot_sliding.
@@ -87,7 +87,7 @@ def mbench_foot_sliding(positions: Positions, fps: float, floor: float = 0.0) ->
 
 
 def mbench_penetration(positions: Positions, fps: float, floor: float = 0.0) -> float:
-    """Mean depth in metres of the toes that are more than 5 mm under the floor, over those alone; 0 without any.
+    """Mean depth in metres of the toes that are more than 5 mm under the floor, over these only; 0 if there are none.
 
     Source: MBench, as `mbench_foot_sliding`, compute_ground_penetration.
     """
@@ -97,7 +97,7 @@ def mbench_penetration(positions: Positions, fps: float, floor: float = 0.0) -> 
 
 
 def mbench_jitter(positions: Positions, fps: float, floor: float = 0.0) -> float:
-    """Mean second difference of joints in the world plus that relative to the root, metres a frame a frame.
+    """Mean second difference of joints in the world plus that relative to the root, metres per frame².
 
     MBench has 24 joints or 22, by the file. Source: MBench, as `mbench_foot_sliding`, compute_jitter_degree.
     """
@@ -107,13 +107,13 @@ def mbench_jitter(positions: Positions, fps: float, floor: float = 0.0) -> float
 
 
 def mbench_foot_floating(positions: Positions, fps: float, floor: float = 0.0) -> float:
-    """Frames in which feet hang, over all frames: MBench adds three counts, so it may pass 1.
+    """Fraction of frames in which feet float; MBench adds three counts, so it may exceed 1.
 
-    A toe that touches (as for `mbench_foot_sliding`) hangs where it moves, the root goes 1 mm a frame or more, and the
-    toe's step relative to the root is less than 0.6 or more than 1.75 of the root's; the frame counts where all toes
-    that touch do. Of four frames and more without touch, those count half for each toe whose relative step is under 0.4
-    of the root's, unless the root rests for more than half of them; and all of those without touch of either toe in
-    which the left one's direction from the first of them turns to and fro more than twice. Source: MBench, as
+    A toe in contact (as for `mbench_foot_sliding`) floats if it moves, the root moves 1 mm per frame or more, and the
+    toe's step relative to the root is less than 0.6 or more than 1.75 of the root's; a frame counts if all toes in
+    contact float. In runs of four or more frames without contact, each toe whose relative step is under 0.4 of the
+    root's counts half a frame, unless the root rests for more than half of the run; runs without contact of either toe
+    count whole if the left one's direction from its first place turns to and fro more than twice. Source: MBench, as
     `mbench_foot_sliding`, compute_foot_floating.
     """
     motion = _motion(positions, floor)
@@ -135,7 +135,7 @@ def mbench_foot_floating(positions: Positions, fps: float, floor: float = 0.0) -
 
 
 def kimodo_foot_skate(positions: Positions, fps: float, floor: float = 0.0) -> float:
-    """Mean speed (all three axes) of toes under 5 cm, m/s. Per second, from each frame to the next.
+    """Mean speed (all three axes) of toes under 5 cm, m/s. Differences of successive frames, per second.
 
     Source: Kimodo (NVIDIA 2026), nv-tlabs/kimodo@7330e7e, kimodo/metrics/foot_skate.py, FootSkateFromHeight.
     """
@@ -146,10 +146,10 @@ def kimodo_foot_skate(positions: Positions, fps: float, floor: float = 0.0) -> f
 
 
 def kimodo_skate_ratio(positions: Positions, fps: float, floor: float = 0.0) -> float:
-    """Share of the steps of toes that are under 5 cm in both frames in which they are faster than 0.2 m/s.
+    """Fraction faster than 0.2 m/s of the steps of toes that are under 5 cm in both frames.
 
-    Source: Kimodo, as `kimodo_foot_skate`, FootSkateRatio. Its FootContactConsistency needs the contacts that a model
-    puts out (0.15 m/s, 10 cm), which joint positions don't hold.
+    Source: Kimodo, as `kimodo_foot_skate`, FootSkateRatio. Its FootContactConsistency needs contacts predicted by a
+    model (0.15 m/s, 10 cm), which joint positions don't hold.
     """
     toes = _motion(positions, floor)[:, TOES]
     speed = np.linalg.norm(np.diff(toes, axis=0), axis=-1) * checked_fps(fps)
@@ -158,7 +158,7 @@ def kimodo_skate_ratio(positions: Positions, fps: float, floor: float = 0.0) -> 
 
 
 def physdiff_penetrate(positions: Positions, fps: float, floor: float = 0.0) -> float:
-    """Mean over frames of how far the lowest joint is under the floor by more than 5 mm, millimetres.
+    """Mean over frames of the lowest joint's depth under the floor beyond 5 mm, millimetres.
 
     Source: PhysDiff (Yuan et al. 2023, section 4), which has no public code and takes the lowest vertex of a mesh; of
     joints as in GuyTevet/CLoSD@a9ac7a9, closd/diffusion_planner/data_loaders/humanml/utils/metrics.py,
@@ -168,7 +168,7 @@ def physdiff_penetrate(positions: Positions, fps: float, floor: float = 0.0) -> 
 
 
 def physdiff_float(positions: Positions, fps: float, floor: float = 0.0) -> float:
-    """Mean over frames of how far the lowest joint is above the floor by more than 5 mm, millimetres.
+    """Mean over frames of the lowest joint's height above the floor beyond 5 mm, millimetres.
 
     Source: as `physdiff_penetrate`, calculate_floating.
     """
@@ -202,7 +202,7 @@ def _steps(positions: Positions) -> Float64[np.ndarray, "steps 4"]:
 def _mbench_contact(
     motion: Float64[np.ndarray, "frames 22 3"],
 ) -> tuple[Bool[np.ndarray, "frames 2"], Float64[np.ndarray, "frames 2 3"]]:
-    """Which toes MBench has in contact, and their steps, the last one twice."""
+    """MBench's contact of the toes, and their steps, the last one repeated."""
     toes = motion[:, TOES]
     steps = np.diff(toes, axis=0)
     steps = np.concatenate((steps, steps[-1:]))
@@ -216,7 +216,7 @@ def _mbench_steps(joints: Float64[np.ndarray, "frames joints 3"]) -> Float64[np.
 
 
 def _runs(holds: Bool[np.ndarray, "frames"]) -> list[tuple[int, int]]:
-    """First frame and end of every run of frames for which it holds."""
+    """First frame and end of every run of frames that are true."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], holds, [False])).astype(np.int8)))
     return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
 

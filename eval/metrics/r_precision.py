@@ -1,7 +1,7 @@
 """R-Precision: how often a sentence's own motion is among the nearest in a pool (text-to-motion, final_evaluations.py).
 
-The reference protocol ranks, for each text, the motions of its pool; the NeRM paper words it the other way round, for
-each motion its texts. Both come from one matrix of distances a pool; a table says which it used.
+The reference protocol ranks, for each text, the motions of its pool; the NeRM paper describes the reverse, for each
+motion its texts. Both come from one matrix of distances per pool; a table says which it used.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ class RPrecision:
     num_queries: int
 
     def merged(self, other: "RPrecision") -> "RPrecision":
-        """What both batches of pools give together; every query has the same weight."""
+        """The result over the pools of both; every query has the same weight."""
         total = self.num_queries + other.num_queries
         share, rest = self.num_queries / total, other.num_queries / total
         distance = share * self.matching_distance + rest * other.matching_distance
@@ -34,7 +34,7 @@ class RPrecision:
 
 @dataclass(frozen=True, eq=False)
 class BothWays:
-    """R-Precision of the same pools in both directions; the matching distance is the same in either."""
+    """R-Precision of the same pools in both directions; the matching distance is the same in both."""
 
     text_asks: RPrecision
     motion_asks: RPrecision
@@ -88,7 +88,7 @@ def r_precision_both_ways(
     pool: int = REFERENCE_POOL,
     ranks: int = RANKS,
 ) -> BothWays:
-    """`r_precision` of texts that ask for motions and of motions that ask for texts, from the same pools."""
+    """`r_precision` with texts as queries and with motions as queries, from the same pools."""
     return ranked_both_ways(pool_distances(texts, motions, rng.permutation(len(texts)), pool), ranks)
 
 
@@ -113,7 +113,7 @@ def pool_distances(
 def hits(
     distances: Float64[np.ndarray, "pools pool pool"], ranks: int = RANKS
 ) -> Float64[np.ndarray, "ranks pools pool"]:
-    """Whether each query's own candidate, a query a row, is among the 1, 2, … nearest; ties share the hit."""
+    """Whether each query's (row's) own candidate is among the 1, 2, … nearest; ties share the hit."""
     own = np.diagonal(distances, axis1=1, axis2=2)
     nearer = (distances < own[..., None]).sum(axis=-1)
     tied = (distances == own[..., None]).sum(axis=-1)
@@ -121,12 +121,12 @@ def hits(
 
 
 def ranked(distances: Float64[np.ndarray, "pools pool pool"], ranks: int = RANKS) -> RPrecision:
-    """R-Precision of pools' distances, a query a row."""
+    """R-Precision from pools' distances with queries as rows."""
     own = np.diagonal(distances, axis1=1, axis2=2)
     top = np.array([found.mean() for found in hits(distances, ranks)])
     return RPrecision(top, float(own.mean()), own.size)
 
 
 def ranked_both_ways(distances: Float64[np.ndarray, "pools texts motions"], ranks: int = RANKS) -> BothWays:
-    """R-Precision of pools' distances, a text a row and a motion a column, in both directions."""
+    """R-Precision in both directions from pools' distances with texts as rows and motions as columns."""
     return BothWays(ranked(distances, ranks), ranked(distances.swapaxes(1, 2), ranks))

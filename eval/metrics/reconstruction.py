@@ -1,7 +1,6 @@
-"""How far reconstructed poses are from the true ones: positions, angles, a vector's raw units, bones, derivatives.
+"""Reconstruction errors of poses: positions, angles, pose vectors in raw units, bones, derivatives.
 
-Arrays hold valid frames only, of one sequence or of many concatenated; every frame has the same weight and padding
-has none.
+Arrays hold valid frames only, of one sequence or of many concatenated; every frame has the same weight.
 """
 
 import numpy as np
@@ -14,7 +13,7 @@ from eval.metrics.metric import Metric, by_clip_steps, by_frames, by_numbers
 def mpjpe_global(
     predicted: Float[np.ndarray, "frames joints 3"], target: Float[np.ndarray, "frames joints 3"]
 ) -> float:
-    """Mean distance between predicted and true joints in metres, the body's path included."""
+    """Mean distance between predicted and true joints in metres, in global coordinates."""
     difference = checked_difference(predicted, target)
     return float(np.linalg.norm(difference, axis=-1).mean())
 
@@ -27,7 +26,7 @@ MPJPE_GLOBAL = Metric(
 def mpjpe_root_aligned(
     predicted: Float[np.ndarray, "frames joints 3"], target: Float[np.ndarray, "frames joints 3"], root: int = 0
 ) -> float:
-    """Mean distance in metres with every frame's root moved onto the true one (the root itself counts, as 0).
+    """Mean distance in metres with every frame's root aligned to the true one (the root itself is included, as 0).
 
     This is what motion-latent-diffusion and the NeRM paper's Table 4 call MPJPE.
     """
@@ -51,7 +50,7 @@ MPJPE = Metric(
 def mpjpe_procrustes(
     predicted: Float[np.ndarray, "frames joints 3"], target: Float[np.ndarray, "frames joints 3"]
 ) -> float:
-    """Mean distance in metres after the best rotation, translation and scale of every frame (PA-MPJPE; Gower 1975)."""
+    """Mean distance in metres after aligning rotation, translation and scale of every frame (PA-MPJPE; Gower 1975)."""
     checked_difference(predicted, target)
     x, y = predicted.astype(np.float64), target.astype(np.float64)
     x -= x.mean(axis=1, keepdims=True)
@@ -73,9 +72,9 @@ MPJPE_PROCRUSTES = Metric(
 def rotation_angle_error(
     predicted: Float[np.ndarray, "frames joints 4"], target: Float[np.ndarray, "frames joints 4"]
 ) -> float:
-    """Mean angle in degrees of the turn from each predicted joint rotation to the true one (geodesic distance).
+    """Mean geodesic distance in degrees between predicted and true joint rotations.
 
-    Unit quaternions of either sign, local or global ones on both sides. Raises `ValueError` for others.
+    Unit quaternions of either sign, local or global on both sides. Raises `ValueError` for others.
     """
     checked_difference(predicted, target)
     checked_quaternions(predicted, target)
@@ -116,7 +115,7 @@ MRE = Metric(
 def mean_vector_distance(
     predicted: Float[np.ndarray, "frames numbers"], target: Float[np.ndarray, "frames numbers"]
 ) -> float:
-    """Mean Euclidean distance between pose vectors: MRE as the paper words it (L2 norm, raw units)."""
+    """Mean Euclidean distance between pose vectors: MRE as the paper describes it (L2 norm, raw units)."""
     return float(np.linalg.norm(checked_difference(predicted, target), axis=-1).mean())
 
 
@@ -136,7 +135,7 @@ def bone_length_variation(positions: Float[np.ndarray, "frames joints 3"], paren
     """Mean over bones of (standard deviation over frames ÷ mean length), ddof 0, of one sequence; 0 for a rigid body.
 
     `parents` are indices of parent joints, −1 for the root. Bones of length zero (joints on their parent in every
-    frame) don't count. Raises `ValueError` where no bone is left, for NaN or infinity. Defined here.
+    frame) are ignored. Raises `ValueError` if no bone is left, for NaN or infinity. Defined here.
     """
     lengths = _lengths(positions, parents)
     mean = lengths.mean(axis=0)
@@ -255,8 +254,8 @@ def _derivative_error(
     *,
     order: int,
 ) -> float:
-    # Differences across the seam of two sequences would count as motion, so clips have an axis of their own. They are
-    # linear: the difference of derivatives is the derivative of the difference.
+    # Clips have an axis of their own, so that no difference is taken across two sequences. Differences are linear: the
+    # difference of derivatives is the derivative of the difference.
     difference = checked_difference(predicted, target)
     num_frames = difference.shape[-3]
     if num_frames <= order:

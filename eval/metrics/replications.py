@@ -1,4 +1,4 @@
-"""What a protocol makes of embeddings: every metric's value in every replication, and how many samples it had."""
+"""Scores of a protocol: every metric's value in every replication, and the numbers of samples."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -11,9 +11,9 @@ from eval.metrics.resampling import Difference, Resampled, half_width, paired_di
 
 @dataclass(frozen=True)
 class Score:
-    """One metric's values, a replication each; raises `ValueError` for none or one that is not finite.
+    """One metric's values, one per replication; raises `ValueError` for none or one that is not finite.
 
-    `resampled` are its values with other takes; () where these are not known.
+    `resampled` are its values in the bootstrap over takes; () if these are not known.
     """
 
     values: tuple[float, ...]
@@ -24,17 +24,17 @@ class Score:
 
     @property
     def drawing(self) -> Estimate:
-        """Mean ± 1.96·std/√R over the replications: how much pools, pairs and generations of the protocol differ."""
+        """Mean ± 1.96·std/√R over the replications: the variation by pools, pairs and generations of the protocol."""
         return estimate(self.values)
 
     @property
     def estimate(self) -> Estimate:
-        """Mean ± half the 95 % interval over takes and replications; over replications alone where no take is known."""
+        """Mean ± half the 95 % interval over takes and replications; over replications alone if takes are not known."""
         drawing, width = self.drawing, half_width(self.resampled)
         return drawing if width is None else replace(drawing, ci95=float(np.hypot(width, drawing.ci95)))
 
     def less(self, other: "Score") -> Difference | None:
-        """This score's mean less another row's, by the same resampled takes; None without them."""
+        """This score's mean minus another row's, with the same resampled takes; None without them."""
         return paired_difference(self.drawing.mean, self.resampled, other.drawing.mean, other.resampled)
 
     @property
@@ -45,9 +45,9 @@ class Score:
 
 @dataclass(frozen=True)
 class Scores:
-    """Metrics by their names in `eval.metrics.metric`; `sizes` counts what they were computed on.
+    """Metrics by their names in `eval.metrics.metric`; `sizes` are the numbers of samples.
 
-    `remarks` says where the data gave less than the protocol asks for, and what was left out because of it.
+    `remarks` says where the data has less than the protocol asks for, and what was left out because of it.
     """
 
     protocol: str
@@ -58,22 +58,22 @@ class Scores:
 
 @dataclass
 class Tally:
-    """Scores while they are being made."""
+    """Scores under construction."""
 
     values: dict[str, list[float]] = field(default_factory=dict)
     resampled: dict[str, Resampled] = field(default_factory=dict)
     remarks: dict[str, None] = field(default_factory=dict)
 
     def add(self, name: str, value: float) -> None:
-        """One more replication of a metric."""
+        """Add a replication of a metric."""
         self.values.setdefault(name, []).append(value)
 
     def remark(self, text: str) -> None:
-        """Say something, once."""
+        """Add a remark, once."""
         self.remarks[text] = None
 
     def remark_on_draws(self, draws: int, replications: int) -> None:
-        """Say what an interval does not hold where there are fewer sets of motions than replications."""
+        """Add a remark on the interval if there are fewer sets of motions than replications."""
         if draws < replications:
             sets = "is one set" if draws == 1 else f"are {draws} sets"
             self.remark(
@@ -82,6 +82,6 @@ class Tally:
             )
 
     def scores(self, protocol: str, sizes: Mapping[str, int], remarks: Sequence[str]) -> Scores:
-        """All of it, the protocol's own remarks first."""
+        """The scores, with the protocol's own remarks first."""
         values = {name: Score(tuple(values), self.resampled.get(name, ())) for name, values in self.values.items()}
         return Scores(protocol, values, dict(sizes), tuple(dict.fromkeys((*remarks, *self.remarks))))

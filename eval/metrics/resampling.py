@@ -1,9 +1,9 @@
-"""How far a number would move with other takes: a bootstrap that draws takes, not frames or clips of them.
+"""Bootstrap over takes, not over their frames or clips.
 
-How often a take appears in one resampling is Poisson(1), from a generator that is seeded by the take's name. So a take
-counts as often in every set that holds it: what is made of one take is drawn together with it, and differences between
-rows are paired. Motions of one take are not independent, takes are (Field & Welsh 2007); Poisson counts stand for
-multinomial ones (Chamandy et al. 2012, "Estimating uncertainty for massive data streams").
+A take's count in one resampling is Poisson(1), from a generator seeded by the take's name. A take thus has the same
+count in every set that holds it, and differences between rows are paired. Motions of one take are not independent,
+takes are (Field & Welsh 2007); Poisson counts replace multinomial ones (Chamandy et al. 2012, "Estimating uncertainty
+for massive data streams").
 """
 
 import hashlib
@@ -20,25 +20,25 @@ from eval.metrics.gaussian import Gaussian, quick_frechet_distance
 Weights = Float64[np.ndarray, "resamplings units"]
 Labels = Int64[np.ndarray, "labels"]
 Resampled = tuple[float | None, ...]
-"""A number in every resampling of the takes; None where a resampling drew none of what it is made of."""
+"""A number in every resampling of the takes; None if a resampling drew none of its samples."""
 
 RESAMPLINGS = 200
 GAUSSIANS_AT_ONCE = 16
 NORMAL_95 = 1.96
 MOST_PRODUCTS = 1 << 25
-"""Numbers that the products of all takes may hold; where there would be more, takes are drawn in blocks."""
+"""Maximum number of elements of all takes' products; beyond it, takes are resampled in blocks."""
 FEWEST_BLOCKS, MOST_BLOCKS = 32, 1024
 
 
 @dataclass(frozen=True)
 class Resampling:
-    """How often takes are drawn anew, and from which seed."""
+    """Number of resamplings, and their seed."""
 
     count: int = RESAMPLINGS
     seed: int = 0
 
     def weights(self, names: Sequence[str]) -> Weights:
-        """How often each of the named takes appears in each resampling: the same numbers for a name wherever it is."""
+        """Counts of the named takes in each resampling: the same numbers for a name in any set."""
         columns = [_appearances(name, self.count, self.seed) for name in names]
         return np.stack(columns, axis=1) if columns else np.zeros((self.count, 0))
 
@@ -51,7 +51,7 @@ def _appearances(name: str, count: int, seed: int) -> Float64[np.ndarray, "resam
 
 @dataclass(frozen=True, eq=False)
 class Units:
-    """What is drawn as a whole: the take of every motion, and the generation it is of where there are several.
+    """Resampling units: the take of every motion, and its generation if there are several.
 
     `unit` [motions] counts units from 0, each a take (or a block of takes) in one generation; `takes` and `generations`
     [units] name both.
@@ -62,7 +62,7 @@ class Units:
     generations: tuple[str, ...]
 
     def weights(self, resampling: Resampling) -> Weights:
-        """How often each unit appears: its take's count, times its generation's where there are several (Owen 2007)."""
+        """Count of each unit: its take's, times its generation's if there are several (Owen 2007)."""
         takes, place = np.unique(self.takes, return_inverse=True)
         weights = resampling.weights([f"take {name}" for name in takes.tolist()])[:, place]
         generations, place = np.unique(self.generations, return_inverse=True)
@@ -72,7 +72,7 @@ class Units:
 
 
 def units_of(takes: Sequence[str], generations: Sequence[int] = (), blocks: int | None = None) -> Units:
-    """Units of motions by the takes they belong to; with `blocks`, takes are put into so many blocks by their names."""
+    """Units of motions by their takes; with `blocks`, takes are grouped into that many blocks by their names."""
     names = list(takes) if blocks is None else [_block(take, blocks) for take in takes]
     pairs = list(zip(names, map(str, generations) if generations else [""] * len(names), strict=True))
     place = {pair: index for index, pair in enumerate(dict.fromkeys(pairs))}
@@ -81,7 +81,7 @@ def units_of(takes: Sequence[str], generations: Sequence[int] = (), blocks: int 
 
 
 def blocks_for(num_takes: int, num_features: int) -> int | None:
-    """Into how many blocks takes are put so that their products fit into memory; None where each may be by itself."""
+    """Number of blocks of takes whose products fit into memory; None if no blocks are needed."""
     most = int(np.clip(MOST_PRODUCTS // num_features**2, FEWEST_BLOCKS, MOST_BLOCKS))
     return most if num_takes > most else None
 
@@ -110,7 +110,7 @@ class UnitSums:
             self._products[index] += rows.T @ rows
 
     def gaussians(self, weights: Weights) -> Iterator[Gaussian | None]:
-        """The Gaussian of every resampling; None where fewer than two samples were drawn."""
+        """The Gaussian of every resampling; None if fewer than two samples were drawn."""
         size = self.centre.size
         products = self._products.reshape(len(self._products), size * size)
         for first in range(0, len(weights), GAUSSIANS_AT_ONCE):
@@ -136,10 +136,10 @@ def weighted_means(
 
 
 def half_width(resampled: Resampled) -> float | None:
-    """1.96 standard deviations of a number's resamplings; None where no two of them differ.
+    """1.96 standard deviations of a number's resamplings; None if no two of them differ.
 
-    The standard deviation and not the quantiles: the few takes that a resampling holds push distances of distributions
-    up, so its quantiles lie above the number itself (docs/deviations.md has the coverage).
+    Not the quantiles: distances of distributions are larger for the fewer distinct takes of a resampling, so its
+    quantiles lie above the number itself (docs/deviations.md has the coverage).
     """
     values = [value for value in resampled if value is not None]
     return float(NORMAL_95 * np.std(values, ddof=1)) if len(set(values)) > 1 else None
@@ -150,14 +150,14 @@ Verdict = Literal["lower", "higher", "not told apart"]
 
 @dataclass(frozen=True)
 class Difference:
-    """One row's number less another's; `ci95` is half the width of its paired 95 % interval."""
+    """One row's number minus another's; `ci95` is half the width of its paired 95 % interval."""
 
     value: float
     ci95: float
 
     @property
     def verdict(self) -> Verdict:
-        """Whether the interval leaves out 0, and on which side it lies."""
+        """Whether the interval excludes 0, and on which side it lies."""
         if abs(self.value) <= self.ci95:
             return "not told apart"
         return "lower" if self.value < 0 else "higher"
@@ -166,7 +166,7 @@ class Difference:
 def paired_difference(
     value: float, resampled: Resampled, other: float, other_resampled: Resampled
 ) -> Difference | None:
-    """The difference of two rows' numbers, whose resamplings drew the same takes; None where either has no interval."""
+    """The difference of two rows' numbers with the same resampled takes; None if either has no interval."""
     if len(resampled) != len(other_resampled):
         return None
     pairs = zip(resampled, other_resampled, strict=True)
@@ -175,7 +175,7 @@ def paired_difference(
 
 
 Score = Callable[[Gaussian, Gaussian], float]
-"""A number of two sets of feature vectors that depends on their means and covariances alone: real, other."""
+"""A score of two sets of feature vectors, real and other, by their means and covariances."""
 
 
 def resampled_scores(
@@ -196,9 +196,9 @@ Features = Float[np.ndarray, "_samples features"]
 def resampled_fid(
     real: Features, real_takes: Sequence[str], other: Features, other_units: Callable[[int | None], Units]
 ) -> Resampled:
-    """FID in every resampling of the takes of both sets; `other_units` gives the other set's units for so many blocks.
+    """FID in every resampling of the takes of both sets; `other_units` gives the other set's units by number of blocks.
 
-    () where either set has a single take.
+    () if either set has a single take.
     """
     blocks = blocks_for(max(len(set(real_takes)), len(other)), real.shape[1])
     sides = []
@@ -217,7 +217,7 @@ PAIRS = 4096
 def resampled_mean_distance(
     features: Features, unit: Int64[np.ndarray, "samples"], weights: Weights, labels: Labels | None = None
 ) -> Resampled:
-    """The mean distance of random pairs of different samples; with labels of pairs of one class, classes alike."""
+    """The mean distance of random pairs of different samples; with labels, of one class, classes weighted equally."""
     rng = np.random.default_rng(len(features))
     classes = [np.arange(len(features))] if labels is None else [np.flatnonzero(labels == each) for each in set(labels)]
     found = []

@@ -1,6 +1,6 @@
-"""Retrieval: where a query's own candidate stands among all, when others may be right, too; similarity of pairs.
+"""Retrieval among all candidates, of which several may be relevant; similarity of pairs.
 
-R-Precision (`r_precision`) asks the same in pools of 32 and for the first three ranks.
+R-Precision (`r_precision`) is retrieval in pools of 32 at the first three ranks.
 """
 
 from dataclasses import dataclass
@@ -16,9 +16,9 @@ RECALL_RANKS = (1, 2, 3, 5, 10)
 
 @dataclass(frozen=True, eq=False)
 class Retrieval:
-    """`recall`: share of queries of which a right candidate is among the k nearest, for each k of `RECALL_RANKS`.
+    """`recall`: fraction of queries with a relevant candidate among the k nearest, for each k of `RECALL_RANKS`.
 
-    `median_rank` is the median over the queries of the rank of their nearest right candidate, 1 being the best.
+    `median_rank` is the median over the queries of the rank of their nearest relevant candidate, from 1.
     """
 
     recall: Float64[np.ndarray, "ranks"]
@@ -29,12 +29,12 @@ class Retrieval:
 def retrieval(
     distances: Float[np.ndarray, "queries candidates"], right: Bool[np.ndarray, "queries candidates"] | None = None
 ) -> Retrieval:
-    """Rank every query's candidates by distance and look where the first right one stands.
+    """Rank every query's candidates by distance and find the first relevant one.
 
-    `right` says which candidates answer a query; by default candidate i answers query i alone. Candidates at one
+    `right` says which candidates are relevant to a query; by default candidate i to query i alone. Candidates at one
     distance share their ranks: a hit counts by its expectation over their random order, so an evaluator that maps
     everything to one point scores chance. Raises `ValueError` for distances that are not finite, or not square without
-    `right`, and for a query without a right candidate. Source: TMR (Petrovich et al. 2023).
+    `right`, and for a query without a relevant candidate. Source: TMR (Petrovich et al. 2023).
     """
     if not np.isfinite(distances).all() or not distances.size:
         raise ValueError("retrieval needs finite distances, of one query at least")
@@ -47,7 +47,7 @@ def retrieval(
     own = np.where(right, distances, np.inf).min(axis=1, keepdims=True)
     nearer, tied = (distances < own).sum(axis=1), distances == own
     equals, answers = tied.sum(axis=1), (tied & right).sum(axis=1)
-    # The chance that none of the right ones is among the first `free` of the tied ones, drawn one after another.
+    # The probability that none of the relevant ones is among the first `free` of the tied ones, without replacement.
     recall = []
     for rank in RECALL_RANKS:
         missed = np.ones(len(distances))
@@ -129,9 +129,9 @@ def cosines(
 
 
 def least_similar(similarity: Float[np.ndarray, "rows rows"], number: int) -> Int64[np.ndarray, "chosen"]:
-    """Rows that are as little similar to one another as a greedy choice finds, in ascending order.
+    """Rows of least mutual similarity by a greedy choice, in ascending order.
 
-    First the row of the least mean similarity, then always the one whose greatest similarity to those chosen is least.
+    First the row of the least mean similarity, then always the one whose maximum similarity to those chosen is least.
     """
     chosen = [int(similarity.mean(axis=1).argmin())]
     nearest = similarity[chosen[0]].astype(np.float64)

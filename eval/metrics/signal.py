@@ -1,6 +1,6 @@
 """PSNR and SSIM of motion: pose vectors as one-dimensional signals, scaled to a range of 1.
 
-There is no precedent for either on motion; this definition is motionkit's own (docs/metrics.md).
+Neither has a published definition for motion; this one is motionkit's own (docs/metrics.md).
 """
 
 import math
@@ -22,7 +22,7 @@ def to_unit_range(
 ) -> Float64[np.ndarray, "*frames numbers"]:
     """0.5 + (x − μ)/(4σ), not clipped: ± 2 standard deviations of the *training* data span the range of 1.
 
-    σ must have been floored for each group of features; raises `ValueError` where it is not positive.
+    σ must have been floored for each group of features; raises `ValueError` if it is not positive.
     """
     if not (std > 0).all():
         raise ValueError("a standard deviation is not positive: floor it for each group of features")
@@ -37,9 +37,8 @@ def psnr(
 ) -> float:
     """−10·log₁₀ of the mean squared error of a clip in the unit range, dB, over its synthesised frames alone.
 
-    Given frames are right by definition: counted, they would raise the figure with the share of them. Of several clips,
-    which have the same frames given, the mean of their dB. Infinite where nothing of a clip differs, unless each clip
-    counts with at most `ceiling_db`.
+    Given frames have no error by definition and would raise the value. For several clips with the same frames given,
+    the mean of their dB. Infinite for a clip without error, unless clips are capped at `ceiling_db`.
     """
     num_frames = predicted.shape[-2]
     if synthesised.shape != (num_frames,):
@@ -60,9 +59,9 @@ def ssim(
 ) -> float:
     """Structural similarity of a clip in the unit range: windows of 7 frames of each number, mean over all.
 
-    Uniform windows that lie wholly inside the clip, sample (N − 1) variances, K₁ = 0.01, K₂ = 0.03: what scikit-image
-    computes with win_size 7, data_range 1, channel_axis −1; of several clips of one length, the mean. At most 1, which
-    identical clips have; symmetric. Raises `ValueError` for clips of fewer than 7 frames. Source: Wang et al. 2004.
+    Uniform windows wholly inside the clip, sample (N − 1) variances, K₁ = 0.01, K₂ = 0.03: what scikit-image computes
+    with win_size 7, data_range 1, channel_axis −1; of several clips of one length, the mean. At most 1, for identical
+    clips; symmetric. Raises `ValueError` for clips of fewer than 7 frames. Source: Wang et al. 2004.
     """
     checked_difference(predicted, target)
     if predicted.shape[-2] < SSIM_WINDOW:
