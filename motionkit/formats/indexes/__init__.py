@@ -1,1 +1,1 @@
-"""Indexes: files that say which stretches of which motion files make a corpus, under which names and captions."""
+"""Indexes: files that list the segments of motion files that form a corpus, with names and captions."""

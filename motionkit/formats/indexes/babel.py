@@ -1,8 +1,8 @@
 """BABEL's labels: train.json, val.json, test.json and their extra_ forms, sequence → file of AMASS, labels in seconds.
 
-A sequence has labels of the whole (`seq_ann`, extra: `seq_anns`) and of stretches (`frame_ann`, extra: `frame_anns`);
+A sequence has labels of the whole (`seq_ann`, extra: `seq_anns`) and of segments (`frame_ann`, extra: `frame_anns`);
 either may be null, and test.json has none. Each label has `raw_label` (the annotator's words), `proc_label`, `act_cat`
-(categories), and, for stretches, `start_t` and `end_t`. Source: https://github.com/abhinanda-punnakkal/BABEL.
+(categories), and, for segments, `start_t` and `end_t`. Source: https://github.com/abhinanda-punnakkal/BABEL.
 """
 
 import re
@@ -27,14 +27,14 @@ NAME = "babel"
 
 
 def recognise(first: Any) -> bool:
-    """Whether a JSON index whose first value is this is of this kind."""
+    """Whether a JSON index is of this kind, judged by its first value."""
     return isinstance(first, dict) and "feat_p" in first
 
 
 def read_babel(path: Path) -> Index:
-    """Read all sequences, their split from the file's name; one that cannot be used becomes a problem.
+    """Read all sequences, with the split from the file's name; unusable ones become problems.
 
-    Captions are the annotators' own words. The action is the category of the whole, where there is exactly one.
+    Captions are the raw labels. The action is the category of the whole sequence if there is exactly one.
     Raises `FormatError` (`index`).
     """
     named = re.search(r"train|val|test", path.stem)

@@ -1,4 +1,4 @@
-"""What an index says: entries, each a named stretch of a file; and the checks that every kind of index shares."""
+"""The entries of an index, each a named segment of a file, and the checks shared by all kinds of index."""
 
 import json
 import re
@@ -26,10 +26,10 @@ ENDINGS = ("_poses", "_stageii")
 
 @dataclass(frozen=True)
 class Dataset:
-    """One dataset: its folder's name in AMASS' first release, and how HumanML3D read its files.
+    """A dataset of AMASS: its folder's name in the first release, and how HumanML3D read its files.
 
-    `trim_frames` are dropped before it counts; `seen_fps` is what its code saw where a file may say something else, by
-    the folder of a subject, under "" for all others.
+    `trim_frames` are dropped before frames are counted; `seen_fps` is the framerate that its code read where a file may
+    state another, by the subject's folder, under "" for all others.
     """
 
     name: str
@@ -37,12 +37,12 @@ class Dataset:
     seen_fps: Mapping[str, float] = field(default_factory=dict)
 
     def seen_fps_of(self, parts: Sequence[str]) -> float | None:
-        """What HumanML3D's code saw of a file by its path; None where nothing else than the file says it."""
+        """The framerate that HumanML3D's code read for a file, by its path; None if only the file states it."""
         return next((self.seen_fps[part] for part in (*parts, "") if part in self.seen_fps), None)
 
 
 def dataset_of(parts: Sequence[str]) -> tuple[Dataset, int] | None:
-    """The dataset that a path's folders name and that folder's position; of several the last, since some are nested."""
+    """The dataset named by a path's folders, and that folder's position; the last of several, since some are nested."""
     known = _known()
     for position in range(len(parts) - 2, -1, -1):
         found = known.get(_plain(parts[position]))
@@ -52,10 +52,10 @@ def dataset_of(parts: Sequence[str]) -> tuple[Dataset, int] | None:
 
 
 def file_key(parts: Sequence[str]) -> Key:
-    """What stays of a file's path when spelling is taken away: the dataset's name, the folders below it, the file.
+    """A file's path normalised across spellings: the dataset's name, the folders below it, the file.
 
-    Case, runs of blanks and underscores, `_poses` and `_stageii`, and the file's suffix don't count; without a known
-    dataset the path counts from its beginning.
+    Case, runs of blanks and underscores, `_poses` and `_stageii`, and the file's suffix are ignored; without a known
+    dataset the whole path is used.
     """
     found = dataset_of(parts)
     first = 0 if found is None else found[1] + 1
@@ -64,7 +64,7 @@ def file_key(parts: Sequence[str]) -> Key:
 
 
 def stem(name: str) -> str:
-    """A file's name without suffix and without AMASS' endings."""
+    """A file's name without its suffix and AMASS' endings."""
     plain = name.rpartition(".")[0] or name
     for ending in ENDINGS:
         plain = plain.removesuffix(ending)
@@ -95,10 +95,10 @@ MAX_NAME = 120
 
 @dataclass(frozen=True)
 class Entry:
-    """One sequence that an index names: which stretch of which file it is, and what is said about it.
+    """A sequence of an index: the file, the segment of it, and its annotations.
 
-    `parts` is the file's path as the index spells it. `cut` None takes the whole file; `place` says where in the index
-    the entry stands, and `line` is its line where there are lines.
+    `parts` is the file's path as the index spells it. `cut` None takes the whole file; `place` is the entry's location
+    in the index, for messages, and `line` its line if there are lines.
     """
 
     name: str
@@ -113,21 +113,21 @@ class Entry:
 
     @property
     def key(self) -> Key:
-        """What all spellings of the file's path share."""
+        """The file's normalised path (`file_key`)."""
         return file_key(self.parts)
 
     @property
     def dataset(self) -> str:
-        """Name of the dataset that the file is of; the first folder's where it is of none that is known."""
+        """Name of the file's dataset; the first folder's name if the dataset is unknown."""
         found = dataset_of(self.parts)
         return found[0].name if found else (self.parts[0] if len(self.parts) > 1 else "")
 
 
 @dataclass(frozen=True)
 class Index:
-    """One index: its name, which its sequences' ids begin with, its entries, and the rows that could not be used.
+    """An index: its name, a prefix of its sequences' ids; its entries; and the rows that could not be used.
 
-    `in_published_frames` says that its stretches are `StepCut`s, and that each has a mirrored copy without a row.
+    `in_published_frames`: its segments are `StepCut`s, and each has a mirrored copy without a row.
     """
 
     name: str
@@ -138,7 +138,7 @@ class Index:
 
 
 def source_parts(value: object, path: Path, place: str, line: int | None) -> tuple[str, ...]:
-    """The parts of a path inside an index; raises `FormatError` (`path`) for one that could leave the source's folder.
+    """The parts of a path in an index; raises `FormatError` (`path`) for one that could leave the source's folder.
 
     `.` and HumanML3D's leading `pose_data` are dropped.
     """
@@ -157,7 +157,7 @@ def source_parts(value: object, path: Path, place: str, line: int | None) -> tup
 
 
 def sequence_name(value: object, path: Path, place: str, line: int | None) -> str:
-    """A sequence's name, a part of its id and its text file's name; raises `FormatError` (`path`) for no plain name."""
+    """A sequence's name, part of its id and its text file's name; raises `FormatError` (`path`) if it is not plain."""
     text = value if isinstance(value, str) else ""
     if not text or text in (".", "..") or not _is_plain(text, limit=MAX_NAME) or "/" in text or "\\" in text:
         raise FormatError(
@@ -170,7 +170,7 @@ def sequence_name(value: object, path: Path, place: str, line: int | None) -> st
 
 
 def read_json_index(path: Path) -> Mapping[str, Any]:
-    """The object of a JSON index, sequence name → what is said about it; raises `FormatError` (`index`, `encoding`)."""
+    """The object of a JSON index, sequence name → its annotations; raises `FormatError` (`index`, `encoding`)."""
     text = source_file.decode(source_file.read_bytes(path), path)
     try:
         value = parse_json(text, object_pairs_hook=_once_each)
@@ -186,7 +186,7 @@ def read_json_index(path: Path) -> Mapping[str, Any]:
 
 
 def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    # JSON allows a name twice, of which Python would keep the last without a word.
+    # JSON allows duplicate names, of which Python would silently keep the last.
     value = dict(pairs)
     if len(value) != len(pairs):
         (twice, _), *_ = Counter(name for name, _ in pairs).most_common(1)
@@ -195,7 +195,7 @@ def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def seconds_of(value: object, what: str, path: Path, place: str) -> float:
-    """A number of seconds in a JSON index; raises `FormatError` (`index-entry`) for anything else, or less than 0."""
+    """A number of seconds in a JSON index; raises `FormatError` (`index-entry`) if it is no number, or negative."""
     number = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else -1.0
     if not 0.0 <= number < 1e6:
         raise FormatError(
@@ -207,7 +207,7 @@ def seconds_of(value: object, what: str, path: Path, place: str) -> float:
 def read_entries(
     name: str, path: Path, rows: Iterable[Row], entry_of: Callable[[Row], Entry], *, in_published_frames: bool = False
 ) -> Index:
-    """The index that rows make; those that cannot be used, or name a sequence again (`duplicate-id`), are problems."""
+    """The index built from rows; unusable rows and duplicate names (`duplicate-id`) become problems."""
     kept: dict[str, Entry] = {}
     problems: list[FormatError] = []
     repeated: list[FormatError] = []

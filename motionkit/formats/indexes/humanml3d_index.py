@@ -1,6 +1,6 @@
 """HumanML3D's index.csv: source_path, start_frame, end_frame, new_name; 14,616 rows.
 
-Frames are counted as `formats.cuts` explains. Rows of humanact12 have the end −1 and take the whole file. Source:
+`formats.cuts` explains how frames are counted. Rows of humanact12 have the end −1 and take the whole file. Source:
 https://github.com/EricGuo5513/HumanML3D (index.csv, raw_pose_processing.ipynb).
 """
 
@@ -28,12 +28,12 @@ HUMANACT12 = "humanact12"
 WHOLE_FILE = -1
 # Cells beyond the last column.
 EXTRA = "\0"
-# A day at 20 fps: more is no number of a capture's frame.
+# A day at 20 fps: no capture has more frames.
 MAX_FRAME = 24 * 3600 * 20
 
 
 def recognise(head: str) -> bool:
-    """Whether a file that begins so is an index of this kind: its header names the first and the last column."""
+    """Whether the beginning of a file is an index of this kind: its header names the first and the last column."""
     line = head.lstrip().partition("\n")[0]
     return "source_path" in line and "new_name" in line
 
@@ -41,7 +41,7 @@ def recognise(head: str) -> bool:
 def read_humanml3d_index(path: Path) -> Index:
     """Read an index; a bad row becomes one of its problems, with its line.
 
-    Raises `FormatError` (`index`, `encoding`, `empty`) for a file that is no such table.
+    Raises `FormatError` (`index`, `encoding`, `empty`) for any other file.
     """
     text = source_file.decode(source_file.read_bytes(path), path)
     reader = csv.DictReader(text.splitlines(keepends=True), restkey=EXTRA, strict=True)
@@ -88,7 +88,7 @@ def _entry(row: Mapping[str, str | None], path: Path, line: int) -> Entry:
 
 def _frame(row: Mapping[str, str | None], column: str, path: Path, line: int) -> int:
     cell = (row[column] or "").strip()
-    # Pandas writes whole numbers with a point where another row of the column is empty.
+    # Pandas writes integers as floats if another row of the column is empty.
     if re.fullmatch(r"-?\d{1,8}(\.0)?", cell, re.ASCII) and -1 <= int(float(cell)) <= MAX_FRAME:
         return int(float(cell))
     raise FormatError(

@@ -1,6 +1,6 @@
-"""An index and a folder of motions → what to read: each entry's file is found by its name alone, however it is spelled.
+"""Finding the files of an index's entries in a folder of motions, by name alone, whatever the spelling.
 
-Names are walked, files are not opened: of a folder of all AMASS only the files that an index names are read.
+Only names are compared, files are not opened: in a folder of all of AMASS only the files of the index are read.
 """
 
 import json
@@ -30,22 +30,22 @@ ItemOf = Callable[[Path, Path], SourceItem | None]
 
 @dataclass(frozen=True)
 class Sidecars:
-    """What is said about an index's sequences outside of it: a split for some names, and a folder of captions."""
+    """Annotations of an index's sequences in other files: a split for some names, and a folder of captions."""
 
     splits: Mapping[str, str]
     texts: Path | None
     warnings: tuple[FormatError, ...] = ()
 
     def captions(self, name: str) -> tuple[Caption, ...] | None:
-        """Captions of a sequence, None where there are none; raises `FormatError` for an invalid file."""
+        """Captions of a sequence, None if it has none; raises `FormatError` for an invalid file."""
         path = self.texts / f"{name}.txt" if self.texts else None
         return texts.read_texts(path) if path is not None and path.is_file() else None
 
 
 def scan_indexes(sources: Sequence[Path], options: IndexOptions, item_of: ItemOf) -> ScanResult:
-    """The sequences of all indexes whose files lie below the sources; the others are problems (`missing-file`).
+    """The sequences of all indexes whose files are below the sources; the others are problems (`missing-file`).
 
-    Sequences of one file follow each other, in the order in which the indexes first name the file. Raises `UsageError`
+    Sequences of one file are consecutive, in the order in which the indexes first name the file. Raises `UsageError`
     for sources that are not folders and options that exclude each other, `FormatError` for an unreadable index.
     """
     indexes = [_chosen(read_index(path), options) for path in options.paths]
@@ -67,7 +67,7 @@ def scan_indexes(sources: Sequence[Path], options: IndexOptions, item_of: ItemOf
 
 
 def _chosen(index: Index, options: IndexOptions) -> Index:
-    """The index as the options want it: with or without mirrored sequences, and in which frames."""
+    """The index after applying the options: with or without mirrored sequences, and in which frames."""
     if options.published and not index.in_published_frames:
         raise UsageError(f"only HumanML3D's index.csv has frames at 20 fps to reproduce, {index.path} has none")
     entries = list(index.entries)
@@ -87,7 +87,7 @@ def _chosen(index: Index, options: IndexOptions) -> Index:
 def _find_files(
     sources: Sequence[Path], wanted: set[Key], on_lost: Callable[[FormatError], None]
 ) -> dict[Key, list[tuple[Path, Path]]]:
-    """Files below the sources by the key under which an index may want them, best first, each with its source."""
+    """Files below the sources by their `file_key`, best first, each with its source."""
     found: dict[Key, list[tuple[Path, Path]]] = {}
     for source in sources:
         if not source.is_dir():
@@ -180,7 +180,7 @@ def _sidecars(index: Index, options: IndexOptions) -> Sidecars:
     if folder is None:
         return Sidecars({}, options.texts)
     names = dict.fromkeys(entry.name for entry in index.entries)
-    # Half of HumanML3D's split is mirrored; those who did not ask for mirrored sequences don't miss them.
+    # Half of HumanML3D's split is mirrored; these are missing only if mirrored sequences were requested.
     copies = {} if options.mirrored else dict.fromkeys(MIRROR + name for name in names)
     splits, warnings = read_splits(folder, names | copies, index.path.name)
     return Sidecars(splits, options.texts, tuple(warnings))
@@ -205,7 +205,7 @@ def _one_file_at_a_time(items: Iterable[SourceItem]) -> Iterator[SourceItem]:
         yield from group
 
 
-# What has to be read of a JSON index to know its first value, whose captions may be long.
+# How much of a JSON index is read to get its first value, whose captions may be long.
 HEAD_BYTES = 1 << 16
 
 JSON_KINDS: tuple[tuple[Callable[[Any], bool], Callable[[Path], Index]], ...] = (
@@ -236,7 +236,7 @@ def read_index(path: Path) -> Index:
 
 
 def _first_value(head: str) -> Any:
-    # The value of the first name of a JSON object, parsed from the beginning of the file; None where there is none.
+    # The first value of a JSON object, parsed from the beginning of the file; None if there is none.
     found = re.match(r'\s*\{\s*"(?:[^"\\]|\\.)*"\s*:\s*', head)
     if found is None:
         return None

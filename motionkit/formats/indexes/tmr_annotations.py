@@ -21,19 +21,19 @@ from motionkit.formats.indexes.entries import (
 from motionkit.formats.scan.cuts import TimeCut
 
 MIRROR = "M"
-# Durations in the file are rounded, to a millisecond or to some ten digits.
+# Durations in the file are rounded to a millisecond, or to about ten digits.
 SAME_SECONDS = 2e-3
 
 
 def recognise(first: Any) -> bool:
-    """Whether a JSON index whose first value is this is of this kind."""
+    """Whether a JSON index is of this kind, judged by its first value."""
     return isinstance(first, dict) and {"path", "annotations"} <= set(first)
 
 
 def read_tmr_annotations(path: Path) -> Index:
-    """Read all sequences; one that cannot be used becomes a problem. Raises `FormatError` (`index`).
+    """Read all sequences; unusable ones become problems. Raises `FormatError` (`index`).
 
-    A sequence spans all of its captions; where they cover the stated duration, the whole file.
+    A sequence spans all of its captions, or the whole file if they cover the stated duration.
     """
     return read_entries(index_name(path), path, read_json_index(path).items(), lambda row: _entry(*row, path))
 
@@ -74,12 +74,12 @@ def _caption(value: Any, path: Path, name: str) -> Caption:
 
 
 def _from_start(caption: Caption, start: float, end: float | None) -> Caption:
-    # Seconds of the file → seconds of the sequence; a caption of all of it says so.
+    # Seconds of the file → seconds of the sequence; the end is None for a caption that reaches the end.
     stop = caption.end_seconds or 0.0
     to_end = end is None or stop >= end - SAME_SECONDS
     return Caption(caption.text, caption.start_seconds - start, None if to_end else stop - start)
 
 
 def _with_suffix(parts: tuple[str, ...]) -> tuple[str, ...]:
-    # Paths in these files have no suffix, but names may have a point in them.
+    # Paths in these files have no suffix, but names may contain a point.
     return (*parts[:-1], f"{parts[-1]}.npz")

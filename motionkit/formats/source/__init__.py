@@ -1,1 +1,1 @@
-"""What readers of every format share: files, tables of numbers, clocks, units and axes."""
+"""Shared parts of all readers: files, tables of numbers, clocks, units and axes."""

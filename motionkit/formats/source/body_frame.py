@@ -1,4 +1,4 @@
-"""Which unit and which axis a source uses, judged by the body that the numbers describe; lengths in metres."""
+"""Inference of a source's unit and up axis from the size and pose of the body; lengths in metres."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -11,7 +11,7 @@ from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, family_unit_metres, joint_map, rest_positions
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "1/0.45 inch": 0.0254 / 0.45}
-# From the ankles through the hips to the base of the skull: SMPL's mean body has 1.45 m.
+# From the ankles through the hips to the base of the skull: 1.45 m in SMPL's mean body.
 TYPICAL_HEIGHT_METRES = 1.45
 # For a skeleton with unknown names, the longest chain from the root to a fingertip or a toe.
 TYPICAL_CHAIN_METRES = 1.25
@@ -37,12 +37,12 @@ class Unit:
 
 @lru_cache(maxsize=64)  # the takes of a corpus share their skeletons
 def infer_unit(skeleton: Skeleton) -> Unit | None:
-    """The unit of a skeleton whose offsets are still in file units; None where none makes it a human body.
+    """The unit of a skeleton whose offsets are in file units; None if no unit gives a human body.
 
-    A family with a unit of its own (the CMU database: 0.0254 / 0.45 m; MakeHuman: a decimetre) has that one if the body
-    then is plausible.
-    Otherwise it is the one among m, cm, mm, inch and the CMU database's that brings the rest skeleton's standing height
-    (ankles to head along the bones) nearest to 1.45 m; for unknown joint names, the longest chain nearest to 1.25 m.
+    A family with its own unit (the CMU database: 0.0254 / 0.45 m; MakeHuman: a decimetre) gets it if the body is then
+    plausible. Otherwise it is the one among m, cm, mm, inch and the CMU database's that brings the rest skeleton's
+    standing height (ankles to head along the bones) nearest to 1.45 m; for unknown joint names, the longest chain
+    nearest to 1.25 m.
     """
     size, typical, what = _size(skeleton)
     own = family_unit_metres(skeleton)
@@ -57,7 +57,7 @@ def infer_unit(skeleton: Skeleton) -> Unit | None:
 
 
 def rests_along_z(skeleton: Skeleton) -> bool:
-    """Whether the rest pose of a skeleton whose joints are known stands along +z rather than along +y."""
+    """Whether the rest pose of a skeleton with known joints stands along +z rather than +y."""
     try:
         _, y, z = _upward(skeleton) @ rest_positions(skeleton)
     except SkeletonMapError:
@@ -66,20 +66,20 @@ def rests_along_z(skeleton: Skeleton) -> bool:
 
 
 def stands_along_z(skeleton: Skeleton, mean_positions: Float32[np.ndarray, "joints 3"]) -> bool:
-    """Whether joints, their places averaged over time, stand along +z; raises `SkeletonMapError` for unknown ones."""
+    """Whether a body, its joints averaged over time, stands along +z; raises `SkeletonMapError` for unknown joints."""
     _, y, z = _upward(skeleton) @ mean_positions
     return bool(z > abs(y))
 
 
 def _upward(skeleton: Skeleton) -> Float32[np.ndarray, " joints"]:
-    # Weights of the joints whose sum is the way from the ankles to the head.
+    # Weights of the joints whose sum is the vector from the ankles to the head.
     weights = joint_map(skeleton, SMPL22.name).weights
     ankles = weights[SMPL22.index("left_ankle")] + weights[SMPL22.index("right_ankle")]
     upward: Float32[np.ndarray, " joints"] = weights[SMPL22.index("head")] - np.float32(0.5) * ankles
     return upward
 
 
-# The half and the quarter turn about x that bring −y and z to y.
+# The rotations about x, by 180° and 90°, that take −y and z to y.
 TURNS = {
     "-y": np.array([0.0, 1.0, 0.0, 0.0], np.float32),
     "z": np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0], np.float32),
@@ -95,7 +95,7 @@ TURNED = {
 def upright_turn(
     skeleton: Skeleton, joint_positions: Float32[np.ndarray, "frames joints 3"]
 ) -> tuple[Float32[np.ndarray, "4"], list[str]]:
-    """The turn that `upright` makes as a quaternion, and its log line."""
+    """The rotation that `upright` applies, as a quaternion, and its log line."""
     axis = _axis_of(skeleton, joint_positions)
     return TURNS[axis], TURNED[axis]
 
@@ -111,9 +111,9 @@ def _axis_of(skeleton: Skeleton, joint_positions: Float32[np.ndarray, "frames jo
 def upright(
     skeleton: Skeleton, joint_positions: Float32[np.ndarray, "frames joints 3"]
 ) -> tuple[Float32[np.ndarray, "frames joints 3"], list[str]]:
-    """Positions of a standard layout turned so that the body, on average, stands along +y; a log line if it did not.
+    """Positions of a standard layout rotated so that the body on average stands along +y; a log line if it did not.
 
-    Turns about x only, so left stays left: from z up, (x, y, z) → (x, z, −y); from y down, (x, −y, −z).
+    Rotations are about x, so left and right are kept: from z up, (x, y, z) → (x, z, −y); from y down, (x, −y, −z).
     """
     axis = _axis_of(skeleton, joint_positions)
     if axis == "z":
@@ -158,7 +158,7 @@ def skeleton_to_y_up(skeleton: Skeleton) -> Skeleton:
 
 
 def turn_to_y_up(vectors: Float32[np.ndarray, "*shape 3"]) -> Float32[np.ndarray, "*shape 3"]:
-    """Vectors from z up to y up, left staying left: (x, y, z) → (x, z, −y)."""
+    """Rotate vectors from z up to y up: (x, y, z) → (x, z, −y)."""
     return vectors[..., [0, 2, 1]] * np.array([1.0, 1.0, -1.0], np.float32)
 
 
@@ -174,7 +174,7 @@ def standing_metres(skeleton: Skeleton, joint_positions: Float32[np.ndarray, "fr
 
 
 def is_plausible(metres: float) -> bool:
-    """Whether a person may measure this from ankle to head."""
+    """Whether this is a plausible length from ankle to head."""
     return _factor(metres, TYPICAL_HEIGHT_METRES) <= PLAUSIBLE_FACTOR
 
 
@@ -208,9 +208,9 @@ def _longest_chain(skeleton: Skeleton) -> float:
 
 
 def in_metres(motion: Motion, unit_metres: float | None) -> Motion:
-    """Every length of a motion and its skeleton times `unit_metres`, logged; None or 1 leaves it as it is.
+    """Scale all lengths of a motion and its skeleton by `unit_metres`, and log it; None or 1 changes nothing.
 
-    A standard skeleton, which stands for one that the file does not describe, is in metres already.
+    A standard skeleton, used if the file describes none, is in metres already.
     """
     if unit_metres is None or unit_metres == 1.0:
         return motion

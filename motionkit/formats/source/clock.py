@@ -1,4 +1,4 @@
-"""Which framerate is used and what is said of it; time stamps of frames → a uniform grid, or an explained refusal."""
+"""The framerate in use and its log lines; time stamps of frames → a uniform grid, or an error that explains why not."""
 
 from collections.abc import Callable
 from fractions import Fraction
@@ -11,17 +11,17 @@ from motionkit.core.errors import FormatError
 from motionkit.core.framerate import parse_fps
 from motionkit.core.timegrid import TimeGrid
 
-# Milliseconds, rounded, are off by 0.06 of a frame at 120 fps; a frame that is missing is off by 1.
+# Rounding to milliseconds is an error of 0.06 frames at 120 fps; a missing frame is one of 1.
 UNEVEN_FRAMES = 0.1
 
 
 def fps_in_use(
     given: Fraction | None, stated: Callable[[], Fraction], *, words: str = ""
 ) -> tuple[Fraction, list[str]]:
-    """The framerate that is given, else the one that is stated; and what `replaced_fps` logs of it.
+    """The given framerate, else the stated one; and the log lines of `replaced_fps`.
 
-    `stated` reads what the file states. A `FormatError` that it raises is one where nothing is given; else the file
-    says `words`, or none.
+    `stated` reads the file's framerate. If it raises `FormatError`, that is raised only without a given framerate;
+    otherwise the log names `words` as the file's statement, or none.
     """
     if given is None:
         return stated(), []
@@ -33,17 +33,17 @@ def fps_in_use(
 
 
 def replaced_fps(fps: Fraction, stated: Fraction | str | None, *, by: str = "", who: str = "the file") -> list[str]:
-    """The log line of a framerate that is used where `who` states another one or none; no line where both are the same.
+    """The log line of a framerate that replaces the one that `who` states, if any; empty if both are the same.
 
-    `by` names what decided.
+    `by` names the source of the decision.
     """
     return [] if fps == stated else [f"framerate set to {fps}{by}; {who} says {stated or 'none'}"]
 
 
 def grid_of_seconds(seconds: Float64[np.ndarray, "frames"], path: Path, fps: Fraction | None = None) -> TimeGrid:
-    """The grid of evenly spaced time stamps in seconds; `fps` is what else says the framerate, and must agree.
+    """The grid of evenly spaced time stamps in seconds; `fps`, if given, must agree.
 
-    Raises `FormatError` (`no-framerate` for one time stamp alone, `frame-time` for uneven ones).
+    Raises `FormatError` (`no-framerate` for a single time stamp, `frame-time` for uneven ones).
     """
     finite = np.isfinite(seconds)
     if not finite.all():
@@ -58,7 +58,7 @@ def grid_of_seconds(seconds: Float64[np.ndarray, "frames"], path: Path, fps: Fra
 
 
 def _uneven(seconds: Float64[np.ndarray, "frames"], fps: Fraction, path: Path, frame: int) -> FormatError:
-    # A frame that is missing shifts the mean of all steps; their median says where it is.
+    # A missing frame shifts the mean of all steps; their median locates it.
     steps = np.diff(seconds)
     usual = float(np.median(steps))
     odd = np.abs(steps - usual) > np.abs(usual) / 2

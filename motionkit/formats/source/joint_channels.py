@@ -1,4 +1,4 @@
-"""What animation files hold of a motion: local rotations, and translations of the joints that need them."""
+"""The channels of animation files: local rotations, and translations of the joints that need them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -11,7 +11,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.contact.bones import Bones
 
-# Rigid bones that miss no position by more are what animators want; else every joint gets a translation of its own.
+# Animators expect rigid bones; above this position error every joint gets a translation of its own instead.
 RIGID_METRES = 2e-3
 BONE_SAMPLES = 1000
 
@@ -29,10 +29,10 @@ class JointChannels:
 
 
 def joint_channels(motion: Motion) -> JointChannels:
-    """True rotations where the motion has them; else inverse kinematics on the bones that the motion has.
+    """The motion's rotations if it has them; else those of inverse kinematics on its bones.
 
-    Where rigid bones would miss a position by more than 2 mm, every joint gets a translation, so that forward
-    kinematics gives the positions in any case.
+    If rigid bones would miss a position by more than 2 mm, every joint gets a translation, so that forward kinematics
+    always gives the positions.
     """
     if motion.local_rotations is not None and motion.root_translation is not None:
         return JointChannels(motion.skeleton, motion.local_rotations, {0: motion.root_translation})
@@ -51,7 +51,7 @@ def joint_channels(motion: Motion) -> JointChannels:
 
 
 def _with_observed_bones(motion: Motion) -> Skeleton:
-    """The skeleton with the motion's own bones, each joint's turned to where they rest."""
+    """The skeleton with the motion's own bones, rotated to their rest directions."""
     skeleton = motion.skeleton
     some = np.unique(np.linspace(0, motion.num_frames - 1, BONE_SAMPLES).astype(np.int64))
     bones = Bones.of(motion.joint_positions[some], skeleton)

@@ -1,4 +1,4 @@
-"""Markers of a capture as joints without bones: where they were not seen, which of them are kept, their skeleton."""
+"""Markers of a capture as joints without bones: their gaps, the selection of markers, their skeleton."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,10 +12,10 @@ from motionkit.core.errors import FormatError
 from motionkit.core.skeleton import Skeleton
 
 UNITS = {"mm": 0.001, "cm": 0.01, "dm": 0.1, "m": 1.0, "in": 0.0254, "inch": 0.0254, "ft": 0.3048}
-# Linear filling of 0.1 s is off by a·t²/8: 6 mm at 5 m/s².
+# Linear interpolation over 0.1 s has an error of a·t²/8: 6 mm at 5 m/s².
 MAX_GAP_SECONDS = Fraction(1, 10)
 MAX_METRES = 1e5
-# Ends of stretches are looked for on a grid of so many steps; a take has some hundred markers that come and go.
+# Number of grid steps of the search for a block's ends; a take has about a hundred markers with gaps.
 GRID_STEPS = 256
 
 Runs = tuple[Int64[np.ndarray, "runs"], Int64[np.ndarray, "runs"], Int64[np.ndarray, "runs"]]
@@ -23,7 +23,7 @@ Runs = tuple[Int64[np.ndarray, "runs"], Int64[np.ndarray, "runs"], Int64[np.ndar
 
 @dataclass(frozen=True)
 class Block:
-    """Frames [start, stop) and the markers that are seen throughout, short gaps aside; empty where there are none."""
+    """Frames [start, stop) and the markers visible throughout, apart from short gaps; possibly empty."""
 
     start: int
     stop: int
@@ -40,10 +40,10 @@ def runs_of(mask: Bool[np.ndarray, "frames markers"]) -> Runs:
 
 
 def largest_block(missing: Bool[np.ndarray, "frames markers"], max_gap: int) -> Block:
-    """The stretch of frames with most markers × frames, of markers without a gap longer than `max_gap` frames in it.
+    """The block that maximises markers × frames, of markers without gaps longer than `max_gap` frames in it.
 
-    Exact for takes of up to 256 frames; in longer ones the ends are looked for on a grid of 256 steps and then moved
-    out as far as the markers that were found allow.
+    Exact for takes of up to 256 frames; in longer ones the ends are searched on a grid of 256 steps and then extended
+    as far as the chosen markers allow.
     """
     num_frames, num_markers = missing.shape
     marker, start, stop = _visible_runs(missing, max_gap)
@@ -65,7 +65,7 @@ def largest_block(missing: Bool[np.ndarray, "frames markers"], max_gap: int) -> 
 
 
 def _visible_runs(missing: Bool[np.ndarray, "frames markers"], max_gap: int) -> Runs:
-    # Runs of frames in which a marker is seen, gaps of up to `max_gap` frames aside.
+    # Runs of frames in which a marker is visible, apart from gaps of up to `max_gap` frames.
     marker, start, stop = runs_of(missing)
     never = np.asarray(missing.all(axis=0), np.bool_)
     long = (stop - start > max_gap) | never[marker]
@@ -77,7 +77,7 @@ def _visible_runs(missing: Bool[np.ndarray, "frames markers"], max_gap: int) -> 
 
 @dataclass(frozen=True)
 class Markers:
-    """Their names, positions in the file's unit and axes (NaN where one was not seen), and what was done to them."""
+    """Marker names, positions in the file's unit and axes (NaN if not visible), and the operation log."""
 
     names: tuple[str, ...]
     positions: Float64[np.ndarray, "frames markers 3"]
@@ -85,10 +85,10 @@ class Markers:
 
 
 def without_gaps(markers: Markers, fps: Fraction, path: Path) -> Markers:
-    """The markers and the stretch of frames of which most positions remain without a gap longer than 0.1 s, filled.
+    """The largest block of markers and frames without gaps longer than 0.1 s, with the shorter gaps filled.
 
-    Shorter gaps are filled linearly, at the ends of the take with the nearest position. Raises `FormatError` (`gaps`)
-    where no marker remains.
+    Gaps are filled linearly, at the ends of the take with the nearest position. Raises `FormatError` (`gaps`) if no
+    marker remains.
     """
     missing = np.isnan(markers.positions[..., 0])
     block = largest_block(missing, int(MAX_GAP_SECONDS * fps))
@@ -115,7 +115,7 @@ def without_gaps(markers: Markers, fps: Fraction, path: Path) -> Markers:
 def _filled(
     positions: Float64[np.ndarray, "frames markers 3"], missing: Bool[np.ndarray, "frames markers"], block: Block
 ) -> tuple[Float64[np.ndarray, "kept markers 3"], list[str]]:
-    # What is left out beyond the block still says where a marker was on the other side of a gap.
+    # Frames outside the block still give a marker's position on the other side of a gap.
     kept = positions[block.start : block.stop].copy()
     gone = missing[block.start : block.stop]
     for marker in np.flatnonzero(gone.any(axis=0)):
@@ -132,14 +132,14 @@ def _filled(
 
 
 def marker_skeleton(names: tuple[str, ...]) -> Skeleton:
-    """The first marker is the root, all others its children, with offsets of zero: it says nothing but their names."""
+    """A skeleton that only names the markers: the first is the root, all others its children, with offsets of zero."""
     return Skeleton("markers", names, (-1, *([0] * (len(names) - 1))), np.zeros((len(names), 3), np.float32))
 
 
 def checked_metres(
     markers: Markers, metres: Float64[np.ndarray, "frames markers 3"], path: Path
 ) -> Float32[np.ndarray, "frames markers 3"]:
-    """Their positions in metres as float32; raises `FormatError` (`range`) for one that is 100 km away."""
+    """Marker positions in metres as float32; raises `FormatError` (`range`) for one 100 km away."""
     bad = ~(np.abs(metres) < MAX_METRES)
     if bad.any():
         frame, marker, _ = (int(index[0]) for index in np.nonzero(bad))
@@ -153,5 +153,5 @@ def checked_metres(
 
 
 def some(names: Sequence[str]) -> str:
-    """A few names, and how many more there are."""
+    """The first few names, and the number of the others."""
     return ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")

@@ -1,8 +1,8 @@
-"""Tables of numbers separated by white space: fast where they are regular, exact about what is wrong where they aren't.
+"""Tables of numbers separated by white space: fast for regular tables, precise error messages for others.
 
-The fast way finds all words of a block of lines with array operations, lays Arrow's 16-byte string views over them
-(https://arrow.apache.org/docs/format/Columnar.html, variable-size binary view layout) and lets Arrow cast them to
-float64, so that no word becomes a Python object. Whatever that cannot read is read again line by line.
+The fast path finds all words of a block of lines with array operations, views them as Arrow's 16-byte string views
+(https://arrow.apache.org/docs/format/Columnar.html, variable-size binary view layout) and casts these to float64 with
+Arrow, so that no word becomes a Python object. Blocks that this fails to parse are parsed again line by line.
 """
 
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float64, Int32, Int64, UInt8
 from motionkit.core.errors import FormatError
 
 LARGEST_VALUE = 1e9
-# A block and its word tables fit into a core's cache, and each is small enough for malloc to use its memory again: from
+# A block and its word tables fit into a core's cache, and each is small enough for malloc to reuse its memory: from
 # 128 KB on every table would be mapped anew, with a page fault for each 4 KB, a third of the time of parsing.
 BLOCK_BYTES = 3 << 15
 INLINE_BYTES = 12
@@ -26,7 +26,7 @@ NEWLINE, SPACE = 10, 32
 
 @dataclass(frozen=True)
 class Words:
-    """The words of a text: `padded` is the text with newlines before and after it, `starts` are places in that.
+    """The words of a text: `padded` is the text with newlines before and after it, `starts` are offsets into it.
 
     `opens_line` marks the words that are the first of their line.
     """
@@ -37,29 +37,29 @@ class Words:
     opens_line: Bool[np.ndarray, "words"]
 
     def take(self, places: Int64[np.ndarray, "*shape"]) -> "Words":
-        """Some of the words, in the order of `places`."""
+        """The words at the indices `places`, in that order."""
         places = places.reshape(-1)
         return Words(self.padded, self.starts[places], self.lengths[places], self.opens_line[places])
 
     def inline(self) -> np.ndarray:
-        """The first 12 bytes from each word's start, as one opaque value a word."""
+        """The first 12 bytes from each word's start, as one opaque value per word."""
         letters: np.ndarray = self._windows(INLINE_BYTES)[self.starts]
         return letters
 
     def views(self) -> Int32[np.ndarray, "words 4"]:
         """A string view for each word: its length, then its first 12 bytes."""
-        # A window opens so much before its word that the length finds room in it.
+        # A window begins before its word, to leave room for the length.
         views: np.ndarray = self._windows(VIEW_BYTES)[self.starts - LENGTH_BYTES].view("<i4").reshape(-1, 4)
         views[:, 0] = self.lengths
         return views
 
     def _windows(self, num_bytes: int) -> np.ndarray:
-        # That many bytes from every place of the text, without a copy.
+        # `num_bytes` bytes from every offset of the text, without a copy.
         return np.ndarray((len(self.padded) - num_bytes,), dtype=f"V{num_bytes}", buffer=self.padded, strides=(1,))
 
 
 def find_words(text: bytes) -> Words:
-    """All words of a text, with array operations only."""
+    """All words of a text, found with array operations."""
     padded = b"".join((b"\n" * LENGTH_BYTES, text, b"\n" * (VIEW_BYTES + 1)))
     characters = np.frombuffer(padded, np.uint8)
     solid = characters > SPACE
@@ -71,7 +71,7 @@ def find_words(text: bytes) -> Words:
 def _opens_line(
     characters: UInt8[np.ndarray, "bytes"], starts: Int64[np.ndarray, "words"], ends: Int64[np.ndarray, "words"]
 ) -> Bool[np.ndarray, "words"]:
-    # The byte before a word tells, except where there are several between two words.
+    # The byte before a word decides, unless there are several between two words.
     opens: np.ndarray = characters[starts - 1] == NEWLINE
     gap_starts = np.concatenate(([0], ends[:-1]))[: len(starts)]
     unclear = np.flatnonzero(~opens & (starts - gap_starts > 1))
@@ -83,13 +83,13 @@ def _opens_line(
 
 
 def to_numbers(words: Words) -> Float64[np.ndarray, "words"] | None:
-    """The words as numbers; None where one is not a finite number of a sane size."""
+    """The words as numbers; None if one is not a finite number in the valid range."""
     import pyarrow as pa
 
     views = words.views()
     long = np.flatnonzero(words.lengths > INLINE_BYTES)
     if long.size:
-        # Longer words are stored as four bytes, a buffer's number and a place in it.
+        # Longer words are stored as four bytes, a buffer's number and an offset into it.
         views[long, 2], views[long, 3] = 0, words.starts[long]
     buffers = [None, pa.py_buffer(views), pa.py_buffer(words.padded)]
     try:
@@ -102,7 +102,7 @@ def to_numbers(words: Words) -> Float64[np.ndarray, "words"] | None:
 
 @dataclass(frozen=True, eq=False)
 class RowsFound:
-    """The rows of a text, and the byte of it at which the line of each one begins."""
+    """The rows of a text, and the byte offset of each one's line."""
 
     table: Float64[np.ndarray, "rows columns"]
     starts: Int64[np.ndarray, "rows"]
@@ -110,9 +110,9 @@ class RowsFound:
 
 @dataclass(frozen=True)
 class TablePart:
-    """Where a block of whole lines lies: its first line in the file, its first row of the table's declared `num_rows`.
+    """The location of a block of whole lines: its first line in the file, its first row of the declared `num_rows`.
 
-    `is_end` says that the text ends with it.
+    `is_end`: it is the last block of the text.
     """
 
     first_line: int
@@ -125,7 +125,7 @@ def find_rows(text: bytes, num_columns: int, path: Path, part: TablePart) -> Row
     """The rows of one block of a table; empty lines are skipped.
 
     Raises `FormatError` (`truncated`, `channel-count`, `frame-count`, `not-a-number`, `nan`, `range`) naming the line
-    and the frame. That rows are missing at the end is for the caller to see (`too_few_rows`).
+    and the frame. The caller checks for missing rows at the end (`too_few_rows`).
     """
     found = _rows_of_block(text, num_columns)
     if found is not None and part.first_row + len(found.table) <= part.num_rows:
@@ -138,7 +138,7 @@ def find_rows(text: bytes, num_columns: int, path: Path, part: TablePart) -> Row
 
 
 def format_table(table: Float64[np.ndarray, "rows columns"]) -> bytes:
-    """One line of numbers a row, separated by spaces, each with as many digits as it needs."""
+    """One line per row, numbers separated by spaces, each with its shortest exact digits."""
     import pyarrow as pa
     from pyarrow import csv
 
@@ -213,7 +213,7 @@ def _parse_lines(text: bytes, num_columns: int, path: Path, part: TablePart) -> 
 
 
 def parse_number(word: bytes | str, path: Path, line: int, frame: int | None = None) -> float:
-    """One finite number of a sane size; raises `FormatError` (`not-a-number`, `nan`, `range`) naming the place."""
+    """A finite number in the valid range; raises `FormatError` (`not-a-number`, `nan`, `range`) naming the line."""
     shown = word.decode("utf-8", "backslashreplace") if isinstance(word, bytes) else word
     try:
         if "_" in shown:

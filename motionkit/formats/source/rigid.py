@@ -1,4 +1,4 @@
-"""Rotations that a file has beside its positions: kept where they put rigid bones where the joints are."""
+"""Rotations stored beside positions: kept if forward kinematics with rigid bones reproduces the positions."""
 
 from dataclasses import replace
 
@@ -8,17 +8,17 @@ from jaxtyping import Float
 from motionkit.core import kinematics
 from motionkit.core.motion import Motion
 
-# Beyond this the joints are not where the rotations put them.
+# Tolerance of positions against those of the rotations.
 RIGID_METRES = 0.002
-# Beyond this a matrix is no rotation.
+# Tolerance of orthogonality of a rotation matrix.
 MAX_MATRIX_ERROR = 0.01
 
 
 def with_rotations(motion: Motion, local_matrices: Float[np.ndarray, "frames joints 3 3"]) -> Motion:
-    """The motion with rotations, given as matrices relative to the parent, and with the bones that these need.
+    """The motion with rotations, given as matrices relative to the parent, and the bones that fit them.
 
-    Where they are no rotations or miss a position by more than 2 mm, the motion stays as it is but for a line in its
-    log.
+    If a matrix is not a rotation, or a position is missed by more than 2 mm, the motion is unchanged except for a line
+    in its log.
     """
     error = float(np.abs(np.einsum("tjki,tjkl->tjil", local_matrices, local_matrices) - np.eye(3)).max())
     if error > MAX_MATRIX_ERROR or (np.linalg.det(local_matrices) < 0).any():

@@ -1,4 +1,4 @@
-"""Reading a file once: its bytes, its hash, its text; and telling what a mislabelled file is."""
+"""Reading a file once: its bytes, its hash, its text; and identifying mislabelled files."""
 
 import hashlib
 import os
@@ -16,7 +16,7 @@ MAX_BYTES = 4 << 30
 HEADER_BYTES = 1 << 20
 BLANK = b" \t\r\n\0"
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")
-# 9.7 hours at 120 fps; and frames × joints, of each of which reading takes at most 60 bytes: 4 GB.
+# 9.7 hours at 120 fps; and frames × joints, at most 60 bytes of memory each: 4 GB.
 MAX_FRAMES = 1 << 22
 MAX_POSES = 1 << 26
 
@@ -36,7 +36,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def check_file(path: Path) -> os.stat_result:
-    """What the system knows of a file; raises `FormatError` (`unreadable`) for anything but a file."""
+    """`os.stat` of a file; raises `FormatError` (`unreadable`) for anything but a regular file."""
     try:
         status = path.stat()
     except OSError as error:
@@ -59,19 +59,19 @@ def check_size(num_frames: int, num_joints: int, path: Path) -> None:
 
 
 def unreadable(path: Path, error: OSError) -> FormatError:
-    """The error of a file that the system does not give out."""
+    """The error of a file that cannot be opened or read."""
     return dangling(path) or FormatError(f"cannot be read ({error.strerror or error})", path=path, reason="unreadable")
 
 
 def sha256(data: bytes) -> str:
-    """Hash of a file's bytes in hex."""
+    """SHA-256 of a file's bytes in hex."""
     return hashlib.sha256(data).hexdigest()
 
 
 def provenance(
     path: Path, data: bytes, source_format: str, operations: Iterable[str], *, stated_fps: str = "", subject: str = ""
 ) -> Provenance:
-    """Where a motion comes from that was read of a file's bytes, and what was done to it."""
+    """The provenance of a motion read from a file's bytes, with its operation log."""
     return Provenance(
         source_path=path.name,
         source_sha256=sha256(data),
@@ -97,7 +97,7 @@ def decode(data: bytes, path: Path) -> str:
 
 
 def header_names(path: Path) -> list[str]:
-    """The names in a table's first line, whatever encodes and separates them; none where there is no such line."""
+    """The names in a table's first line, in any encoding and with any separator; empty if there is no such line."""
     try:
         if not path.is_file():
             return []
@@ -110,7 +110,7 @@ def header_names(path: Path) -> list[str]:
 
 
 def describe_content(data: bytes) -> str:
-    """What the first bytes of a file look like, for messages about files that are not what their names say."""
+    """A description of a file by its first bytes, for messages about mislabelled files."""
     head = data[:4096].lstrip(b"\xef\xbb\xbf \t\r\n")
     signatures = (
         (b"HIERARCHY", "a BVH file"),
@@ -141,9 +141,9 @@ LONGEST_LINE = 16 << 20
 
 @dataclass(frozen=True)
 class FileParts:
-    """A file as it was when it was first looked at.
+    """Parts of a file, which must not change after it is opened.
 
-    Where its lines end in a carriage return alone, as those of old Macintoshes do, parts have newlines there.
+    Line ends that are a single carriage return, as on old Macintoshes, are read as newlines.
     """
 
     path: Path
@@ -154,7 +154,7 @@ class FileParts:
 
     @classmethod
     def of(cls, path: Path, *, held_bytes: int = 0) -> "FileParts":
-        """Look at a file; one of at most `held_bytes` is read at once, whole, into `content`.
+        """Open a file; one of at most `held_bytes` is read at once into `content`.
 
         Raises `FormatError` (`unreadable`, `empty`).
         """
@@ -167,7 +167,7 @@ class FileParts:
         return parts if any(b"\n" in part for part in parts._all()) else replace(parts, old_line_ends=True)
 
     def read(self, start: int, stop: int) -> bytes:
-        """Bytes [start, stop); raises `FormatError` (`unreadable`, or `changed` since it was first looked at)."""
+        """Bytes [start, stop); raises `FormatError` (`unreadable`, or `changed` since it was opened)."""
         data = self._from_disk(start, stop) if self.content is None else self.content[start:stop]
         return data.replace(b"\r", b"\n") if self.old_line_ends else data
 
@@ -186,7 +186,7 @@ class FileParts:
             raise FormatError("it was changed while it was read: call again", path=self.path, reason="changed")
 
     def line_blocks(self, start: int, stop: int, block_bytes: int) -> Iterator[tuple[int, bytes]]:
-        """Pieces of [start, stop) of whole lines, about `block_bytes` long, each with the place of its first byte.
+        """Blocks of whole lines of [start, stop), about `block_bytes` long, each with the offset of its first byte.
 
         Raises `FormatError` (`range`) for a line of more than 16 MiB.
         """
@@ -205,7 +205,7 @@ class FileParts:
             start, rest = start + whole, data[whole:]
 
     def end_of_text(self) -> int:
-        """Where the last line that is not blank ends."""
+        """The byte offset at which the last line that is not blank ends."""
         stop = self.size
         while stop:
             part = self.read(max(0, stop - PART_BYTES), stop)
@@ -215,7 +215,7 @@ class FileParts:
         return 0
 
     def sha256(self) -> str:
-        """Hash of the file's bytes in hex; raises `FormatError` as `read` does."""
+        """SHA-256 of the file's bytes in hex; raises `FormatError` as `read` does."""
         if self.content is not None:
             return sha256(self.content)
         self._check_same()
