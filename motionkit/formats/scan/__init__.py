@@ -1,1 +1,1 @@
-"""From a folder to sequences: what lies in it, which stretch of which file, and reading it."""
+"""From a folder to sequences: finding them, cutting files into them, and reading them."""

@@ -1,10 +1,10 @@
-"""Sidecar CSV files: captions, actions, splits, framerates, licences of motions that carry none of these themselves.
+"""Sidecar CSV files: captions, actions, splits, framerates, licences of motions whose files cannot hold them.
 
 The first row names the columns: `file` (path from the CSV's folder) and any of `caption`, `caption_kit` (a second
 caption), `captions` (any number, as JSON), `action`, `style`, `subject` (or `performer`), `split`, `fps`, `stated_fps`,
-`licence`, `source`, `subset`, `skip_frames` (how many frames at the start are no motion: a T-pose); of generated
-motions also `group` (those of one prompt share it) and `num_frames` (how many of the file's frames are motion, the rest
-being padding). Others are not read, which is a warning.
+`licence`, `source`, `subset`, `skip_frames` (number of frames to drop at the start: a T-pose); for generated motions
+also `group` (shared by those of one prompt) and `num_frames` (number of frames without padding). Unknown columns are
+ignored with a warning.
 """
 
 import csv
@@ -30,9 +30,9 @@ COLUMNS = frozenset(
         *("fps", "stated_fps", "licence", "source", "subset", "group", "num_frames", "skip_frames"),
     )
 )
-# What motionkit itself writes beside these, for people and for its own checks.
+# Columns that motionkit itself writes, for information and for its own checks.
 OTHER_COLUMNS = frozenset(("file", "sequence_id", "seconds", "files_sha256", "checksum"))
-# What others call the column `file`.
+# Other tools' names of the column `file`.
 NAMES_OF_FILE = frozenset(("filename", "file_name", "filepath", "file_path", "path"))
 SHOWN = 5
 # In bytes, on Linux.
@@ -44,7 +44,7 @@ MAX_LICENCE_LINE = 120
 
 @dataclass(frozen=True)
 class Annotation:
-    """What one row says about one file; empty where it says nothing."""
+    """A row's annotations of one file; fields are empty if the row gives none."""
 
     captions: tuple[Caption, ...] = ()
     action: str = ""
@@ -66,7 +66,7 @@ class Annotation:
 class AnnotationTable:
     """The rows of one CSV by absolute path of the file they describe, and the rows that could not be used.
 
-    `warnings` name the columns that are not read (`unknown-column`) and splits that no command knows (`unknown-split`).
+    `warnings` name the ignored columns (`unknown-column`) and splits unknown to any command (`unknown-split`).
     """
 
     path: Path
@@ -77,10 +77,10 @@ class AnnotationTable:
 
 
 def tables_in(folder: Path) -> tuple[list[AnnotationTable], list[FormatError]]:
-    """The tables among a folder's CSV files, and what is wrong with those that cannot be read.
+    """The annotation tables among a folder's CSV files, and the errors of those that cannot be read.
 
-    A table has a column `file` and at least one other that is known; in another encoding or with other separators it is
-    one of those that cannot be read. Where a column is only nearly known, the table has no rows and says so.
+    A table has a column `file` and at least one other known column; one with another encoding or separator cannot be
+    read. If a column's name is only similar to a known one, the table has no rows and a warning.
     """
     tables: list[AnnotationTable] = []
     problems: list[FormatError] = []
@@ -100,7 +100,7 @@ def tables_in(folder: Path) -> tuple[list[AnnotationTable], list[FormatError]]:
 
 
 def _nearly_tables(names: Collection[str], path: Path) -> Iterator[AnnotationTable]:
-    """A table without rows that says what its column of files has to be called, where one seems to be of files."""
+    """A table without rows, with a warning that a column which seems to hold files must be called `file`."""
     for name in NAMES_OF_FILE.intersection(names):
         message = f"the table is not read: it has a column {shown(name)}, which has to be called 'file'"
         warning = FormatError(message, path=path, reason="unknown-column", line=1)
@@ -108,11 +108,11 @@ def _nearly_tables(names: Collection[str], path: Path) -> Iterator[AnnotationTab
 
 
 def read_annotations(path: Path, folder: Path | None = None) -> AnnotationTable:
-    """Read a CSV; paths in it count from `folder` (its own by default) and may not leave it.
+    """Read a CSV; paths in it are relative to `folder` (its own by default) and may not leave it.
 
-    Raises `FormatError` for a file that is no such table; a bad row becomes one of the table's `problems`.
+    Raises `FormatError` for any other file; invalid rows become the table's `problems`.
     """
-    folder = Path(os.path.normpath((folder or path.parent).absolute()))  # links stay, as in the paths of a scan
+    folder = Path(os.path.normpath((folder or path.parent).absolute()))  # links kept, as in the paths of a scan
     text = source_file.decode(source_file.read_bytes(path), path)
     reader = csv.DictReader(io.StringIO(text, newline=""), restkey="", strict=True)
     rows: dict[Path, Annotation] = {}
@@ -133,7 +133,7 @@ def read_annotations(path: Path, folder: Path | None = None) -> AnnotationTable:
                     )
                 rows[target] = _annotation(row, path, reader.line_num)
             except FormatError as problem:
-                # Tracebacks would keep the frames of every bad row.
+                # Tracebacks would keep every bad row's stack frames in memory.
                 problem.__context__ = None
                 problems.append(problem.with_traceback(None))
     except csv.Error as error:
@@ -166,12 +166,12 @@ def _unknown_splits(rows: Collection[Annotation], path: Path) -> Iterator[Format
 
 
 def licence_files(folder: Path) -> list[Path]:
-    """The files of a folder that say its licence, by their names."""
+    """The licence files of a folder, by their names."""
     return sorted(entry for entry in folder.iterdir() if entry.name.upper().startswith(("LICENSE", "LICENCE")))
 
 
 def find_licence(folder: Path) -> str:
-    """First line of the folder's LICENSE file (or their names, where there are several); empty where there is none."""
+    """First line of the folder's licence file (the files' names if there are several); empty if there is none."""
     files = licence_files(folder)
     lines = list(dict.fromkeys(line for entry in files if entry.is_file() for line in _first_line(entry)))
     if len(lines) == 1:
@@ -192,10 +192,10 @@ def _first_line(path: Path) -> Iterator[str]:
 
 
 def _inside(name: str | None, folder: Path, path: Path, line: int) -> Path:
-    # A path from a file's content is used only where it stays inside the folder; links in there are the user's own.
+    # A path from a file's content must stay inside the folder; links in it are the user's own.
     relative = (name or "").replace("\\", "/")
     within = str(folder).rstrip("/")
-    # Texts, for a table may have a hundred thousand rows and paths cost ten times as much.
+    # Strings, since a table may have a hundred thousand rows and `Path` is ten times as slow.
     target = os.path.normpath(f"{within}/{relative}")
     if not name or "\0" in name or relative.startswith("/") or not f"{target}/".startswith(f"{within}/"):
         raise FormatError(

@@ -1,9 +1,9 @@
-"""Which stretch of a file a sequence is: stretches in seconds, and stretches in HumanML3D's frames.
+"""Cutting files into sequences: stretches in seconds, and stretches in HumanML3D's frames.
 
-HumanML3D counts in frames of its own. Of a file that states `fps` it keeps every `step`-th frame, step = int(fps / 20),
-calls the result 20 fps, drops a trim from the front of some datasets, and then takes frames [start, end). Since the
-step is a whole number, those frames are at fps / step, not at 20 (150 fps: 21.43; 59.9999885 fps: 30), so they are
-resolved in native frames, once the file says its framerate. Source: HumanML3D, raw_pose_processing.ipynb, issue 176.
+HumanML3D counts in frames of its own. From a file that states `fps` it keeps every `step`-th frame, step =
+int(fps / 20), calls the result 20 fps, trims the start for some datasets, and then takes frames [start, end). Since the
+step is an integer, those frames are at fps / step, not at 20 (150 fps: 21.43; 59.9999885 fps: 30), so they are
+converted to native frames once the file's framerate is known. Source: HumanML3D, raw_pose_processing.ipynb, issue 176.
 """
 
 import math
@@ -17,7 +17,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.timegrid import SAME_SECONDS, TimeGrid
 
 PUBLISHED_FPS = 20
-# AMASS' releases differ by some frames at the ends of files; wrong framerates are off by a fifth or more.
+# AMASS' releases differ by some frames at the ends of files; wrong framerates differ by a fifth or more.
 UNLIKE_SECONDS = 0.25
 UNLIKE_SHARE = 0.05
 
@@ -32,16 +32,16 @@ class TimeCut:
 
     @property
     def is_whole(self) -> bool:
-        """Whether it is all of the file."""
+        """Whether it is the whole file."""
         return self.start_seconds == 0.0 and self.end_seconds is None
 
 
 @dataclass(frozen=True)
 class StepCut:
-    """Frames [start_frame, end_frame) among every step-th of a file, without the first `trim_frames` of them.
+    """Frames [start_frame, end_frame) of every step-th frame of a file, after dropping `trim_frames` of them.
 
     All native frames in between are kept: [(trim + start)·step, (trim + end)·step); `end_frame` None is the file's end.
-    `seen_fps` is the framerate that HumanML3D's code saw, where other files of the take may state another one.
+    `seen_fps` is the framerate that HumanML3D's code read, if other files of the take may state another one.
     """
 
     start_frame: int
@@ -52,7 +52,7 @@ class StepCut:
 
 @dataclass(frozen=True)
 class PublishedCut:
-    """The frames that HumanML3D published: every step-th of a stretch, called 20 fps whatever they are."""
+    """The frames that HumanML3D published: every step-th of a stretch, treated as 20 fps."""
 
     stretch: StepCut
 
@@ -61,10 +61,10 @@ Cut = TimeCut | StepCut | PublishedCut
 
 
 def crop(motion: Motion, cut: Cut, path: Path) -> Motion:
-    """The stretch as a motion whose clock starts at 0; a file that ends early gives what there is of it.
+    """The stretch as a motion whose clock starts at 0; it is shorter if the file ends early.
 
-    The motion's captions are the stretch's own; those of a `StepCut` are in seconds of 20 frames and become true ones.
-    Raises `FormatError`: `beyond-end` where the file ends before the stretch starts, `step` for a framerate below 20.
+    Captions are relative to the stretch; those of a `StepCut` are converted from seconds of 20 frames to true seconds.
+    Raises `FormatError`: `beyond-end` if the file ends before the stretch starts, `step` for a framerate below 20.
     """
     match cut:
         case TimeCut():
@@ -78,7 +78,7 @@ def crop(motion: Motion, cut: Cut, path: Path) -> Motion:
 
 
 def without_first(motion: Motion, num_frames: int, path: Path) -> Motion:
-    """The motion without its first frames, its clock from 0 on; raises `FormatError` where no frame is left."""
+    """The motion without its first frames, its clock starting at 0; raises `FormatError` if no frame is left."""
     if num_frames == 0:
         return motion
     if num_frames >= motion.num_frames:
@@ -90,13 +90,13 @@ def without_first(motion: Motion, num_frames: int, path: Path) -> Motion:
 
 
 def missing_seconds(cut: Cut, path: Path, num_frames: int, fps: Fraction, stated_fps: str) -> float:
-    """By how much a cropped motion is shorter than its cut asks for; 0 where a frame's rounding explains it."""
+    """How much shorter a cropped motion is than its cut, in seconds; 0 within the rounding to frames."""
     match cut:
         case TimeCut(start, end, _):
             missing = 0.0 if end is None else end - start - float(num_frames / fps)
             return missing if missing > 1.5 / float(fps) else 0.0
         case StepCut(start_frame, end_frame):
-            # The last published frame stands for `step` native ones, of which a file needs to have but the first.
+            # The last published frame represents `step` native ones, of which the file needs only the first.
             step = published_step(cut, path, fps, stated_fps)
             found = math.ceil(num_frames / step)
             return 0.0 if end_frame is None else float((end_frame - start_frame - found) * step / fps)
@@ -105,11 +105,11 @@ def missing_seconds(cut: Cut, path: Path, num_frames: int, fps: Fraction, stated
 
 
 def published_step(cut: StepCut, path: Path, fps: Fraction, stated_fps: str) -> int:
-    """HumanML3D's step, int(fps / 20), by the framerate that its code saw, to the last digit; 0 below 20 fps.
+    """HumanML3D's step, int(fps / 20), from the exact framerate that its code read; 0 below 20 fps.
 
-    It read SMPL+H files (NAME_poses), which therefore say it themselves: a framerate that was corrected to `fps`
-    changes what a frame's time is, not which frames were published. Of other files the index may know it. SMPL-X files
-    (NAME_stageii) say 120 for nearly all takes, and `framerate_rules` gives them what the SMPL+H files say.
+    Its code read SMPL+H files (NAME_poses), so these state that framerate themselves: a correction to `fps` changes a
+    frame's time, not which frames were published. For other files the index may give it. SMPL-X files (NAME_stageii)
+    state 120 for nearly all takes; `framerate_rules` corrects them to the SMPL+H files' framerates.
     """
     return int(_seen_rate(cut, path, fps, stated_fps) / PUBLISHED_FPS)
 
@@ -123,16 +123,16 @@ def _seen_rate(cut: StepCut, path: Path, fps: Fraction, stated_fps: str) -> floa
 
 
 def unlike_stated_seconds(cut: Cut, num_frames: int, fps: Fraction) -> bool:
-    """Whether a whole file lasts notably longer or shorter than its index says: a framerate that is wrong shows so."""
+    """Whether a whole file's duration differs notably from its index's: a sign of a wrong framerate."""
     if not isinstance(cut, TimeCut) or not cut.is_whole or cut.file_seconds is None:
         return False
     return abs(float(num_frames / fps) - cut.file_seconds) > max(UNLIKE_SECONDS, UNLIKE_SHARE * cut.file_seconds)
 
 
 def stated_rate(stated_fps: str, fps: Fraction) -> float:
-    """The framerate that a file states, unrounded where it is a number, else the one in use.
+    """The framerate that a file states, unrounded if it is a number, else the one in use.
 
-    BVH's `Frame Time` is printed with few digits (.00833334 s), so there the snapped rate counts.
+    BVH's `Frame Time` is printed with few digits (.00833334 s), so the snapped framerate is used there.
     """
     stated = stated_fps.strip()
     try:

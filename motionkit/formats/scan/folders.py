@@ -1,4 +1,4 @@
-"""Walking a source: every real folder once, linked ones too, whatever loops the links make."""
+"""Walking a source: every folder once, following links, safe against loops."""
 
 import os
 from collections.abc import Callable, Iterator
@@ -14,10 +14,9 @@ def walk(
 ) -> Iterator[tuple[Path, list[Path]]]:
     """The folders below `root`, itself first, in sorted order, each with its files; hidden ones are left out.
 
-    A folder that `is_whole` is not entered. Links to folders are followed once all real folders are done, so that a
-    folder which is there both ways goes by its real path; one that was seen before, or that contains the source, is
-    not followed. Folders that cannot be listed (`unreadable`) and links that lead nowhere (`dangling-link`) go to
-    `on_problem`.
+    A folder that `is_whole` is not entered. Links to folders are followed after all real folders, so that a folder
+    reachable both ways gets its real path; folders already visited, and those that contain the source, are skipped.
+    Folders that cannot be listed (`unreadable`) and dangling links (`dangling-link`) go to `on_problem`.
     """
     seen: set[tuple[int, int]] = set()
     starts = [root]
@@ -46,7 +45,7 @@ def walk(
 
 
 def dangling(link: Path) -> FormatError | None:
-    """What is to be said of a link that leads nowhere; None for all else that a folder holds."""
+    """The error of a dangling link; None for any other entry of a folder."""
     try:
         target = link.readlink()
     except OSError:
@@ -74,7 +73,7 @@ def _sorted_out(
         problem = dangling(path) if is_link else None
         if problem is not None:
             on_problem(problem)
-        elif entry.is_file():  # and no pipe, which would be waited for
+        elif entry.is_file():  # not a pipe, which would block
             files.append(path)
         elif entry.is_dir() and not entry.name.startswith(HIDDEN):
             (linked if is_link else below).append(path)

@@ -1,8 +1,8 @@
-"""Corrections of framerates that files state wrongly: rules that the user gives, and those that are shipped.
+"""Corrections of framerates that files state wrongly: the user's rules, and those shipped with motionkit.
 
-A rule names files by globs, the framerate that they state wrongly (`stated`, left out: whatever they say), the right
-one, and where that is known from. The user's rules come first and the first that fits counts; an explicit framerate
-(--fps, or the column fps of an annotation CSV) goes before all rules. The shipped ones are framerate_rules.toml.
+A rule has globs of files, the wrong framerate that they state (`stated`; omitted: any), the right one, and its source.
+The user's rules come first, and the first matching rule applies; an explicit framerate (--fps, or the column fps of an
+annotation CSV) overrides all rules. The shipped ones are framerate_rules.toml.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ SHIPPED = "framerate_rules.toml"
 
 @dataclass(frozen=True)
 class FramerateRule:
-    """Files whose framerate is `fps` where they state `stated` (None: whatever they state).
+    """Files whose framerate is `fps` although they state `stated` (None: any).
 
     `where` names the rule for logs: its file's name and its number.
     """
@@ -38,7 +38,7 @@ class FramerateRule:
 
 
 def read_rules(path: Path) -> tuple[FramerateRule, ...]:
-    """The rules of a TOML file in its order; raises `UsageError` that names the file, the rule, and what is wrong."""
+    """The rules of a TOML file in its order; raises `UsageError` that names the file, the rule and the fault."""
     try:
         text = read_at_most(path, LONGEST_TOML).decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -65,13 +65,13 @@ def parse_rules(text: str, name: str) -> tuple[FramerateRule, ...]:
 
 
 def matching_rules(path: Path, root: Path, rules: tuple[FramerateRule, ...]) -> tuple[FramerateRule, ...]:
-    """The rules whose globs fit a file, seen from the folder that holds its source."""
+    """The rules whose globs match a file's path, relative to the parent folder of its source."""
     place = f"{root.name}/{path.relative_to(root).as_posix()}"
     return tuple(rule for rule in rules if any(parse_glob(glob).fits(place) for glob in rule.files))
 
 
 def corrected_fps(fps: Fraction, rules: tuple[FramerateRule, ...]) -> tuple[Fraction, list[str]]:
-    """The framerate by the first rule that a file's own fits, and a log line that names the rule where it changes."""
+    """The framerate by the first rule that applies to the file's own, and a log line naming the rule if it changes."""
     rule = next((rule for rule in rules if rule.stated in (None, fps)), None)
     if rule is None:
         return fps, []

@@ -1,7 +1,7 @@
-"""Globs over paths, matched in time proportional to the glob's length times the path's, however many wildcards.
+"""Globs over paths, matched in time proportional to the glob's length times the path's, for any number of wildcards.
 
-A pattern comes from a file that a stranger may have written, so no pattern may need exponential time: each part of it
-takes the first place where it fits, and that choice is never taken back (a later place can only leave less room).
+A pattern may come from an untrusted file, so no pattern may need exponential time: matching is greedy, each part takes
+the first position where it matches, without backtracking (a later position can only leave less room).
 """
 
 import fnmatch
@@ -10,22 +10,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-# Longer than any path that a system opens.
+# Longer than any path of an operating system.
 LONGEST_GLOB = 4096
 ANY_FOLDERS = "**"
 
 
 @dataclass(frozen=True)
 class Glob:
-    """A glob that fits the end of a path, from the beginning of a folder's or the file's name.
+    """A glob that matches the end of a path, from the beginning of a folder's or the file's name.
 
-    `runs` are the patterns of names in a row between two `**/`, in order; the last run ends with the file's name.
+    `runs` are the patterns of consecutive names between two `**/`, in order; the last run ends with the file's name.
     """
 
     runs: tuple[tuple[re.Pattern[str], ...], ...]
 
     def fits(self, path: str) -> bool:
-        """Whether it fits a path whose names are separated by `/`."""
+        """Whether it matches a path whose names are separated by `/`."""
         names = path.split("/")
         last = len(names) - len(self.runs[-1])
         if last < 0 or not _fit(self.runs[-1], names, last):
@@ -41,9 +41,9 @@ class Glob:
 
 @lru_cache(maxsize=1024)
 def parse_glob(text: str) -> Glob:
-    """The glob of a text; raises `ValueError` for one longer than 4,096 letters.
+    """Parse a glob; raises `ValueError` if it is longer than 4,096 characters.
 
-    `*` and `?` stay inside a name, `**/` is any number of folders, `[abc]` one of these letters, `[!abc]` another one.
+    `*` and `?` match within a name, `**/` any number of folders, `[abc]` one of these letters, `[!abc]` any other one.
     """
     if len(text) > LONGEST_GLOB:
         raise ValueError(f"a glob of {len(text):,} letters, expected at most {LONGEST_GLOB:,}")

@@ -1,4 +1,4 @@
-"""What a scan finds, and the options of readers: small values that travel between processes."""
+"""Results of a scan and options of readers: small picklable values."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,11 +13,11 @@ from motionkit.formats.scan.framerate_rules import FramerateRule
 
 @dataclass(frozen=True)
 class IndexOptions:
-    """Which sequences of which indexes are wanted.
+    """Which sequences of which indexes to read.
 
     `paths` are the indexes, `texts` a folder of captions (NAME.txt), `splits` one of train.txt, val.txt and test.txt.
-    `mirrored` adds mirrored sequences; `published` takes the frames that HumanML3D published, at 20 fps, not all, and
-    gives them the bodies that its code gave them.
+    `mirrored` adds mirrored sequences; `published` takes only the frames that HumanML3D published, at 20 fps, with the
+    bodies that its code used.
     """
 
     paths: tuple[Path, ...]
@@ -29,15 +29,15 @@ class IndexOptions:
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """How sources are to be read.
+    """Options of readers.
 
-    `fps` and `unit_metres` (metres per file unit) replace whatever the file or its annotations say; `captions` is a CSV
-    file of annotations that replaces those found beside the motions. `skeleton_maps` are the user's tables as
-    `skeletons.families.read_skeleton_map` gives them; a skeleton that one of them fits takes it along.
-    `fps_rules` are the user's corrections of framerates, before the shipped ones (`framerate_rules`). `body_models` is
-    the user's folder of SMPL-family models. `index` picks stretches of a source's files. `skip_frames` at the start of
-    every whole file are left out, where its annotations don't say how many. Of folders, `leave_out_made` leaves out the
-    files that `motionkit complete` and `motionkit plant` have put there (`made`).
+    `fps` and `unit_metres` (metres per file unit) override the file and its annotations; `captions` is a CSV file of
+    annotations that replaces those found beside the motions. `skeleton_maps` are the user's tables, as returned by
+    `skeletons.families.read_skeleton_map`; a skeleton keeps the one that fits it. `fps_rules` are the user's
+    corrections of framerates, before the shipped ones (`framerate_rules`). `body_models` is the user's folder of
+    SMPL-family models. `index` selects stretches of a source's files. `skip_frames` frames are dropped at the start of
+    every whole file whose annotations give no number. `leave_out_made` skips the outputs of `motionkit complete` and
+    `motionkit plant` in folders (`made`).
     """
 
     format: str = "auto"
@@ -54,12 +54,12 @@ class ReadOptions:
 
 @dataclass(frozen=True)
 class SourceItem:
-    """One sequence that a scan found; picklable, so that ingest can hand it to another process.
+    """A sequence found by a scan; picklable, so that ingest can pass it to another process.
 
     `path` is the file that holds it, `root` the source folder, `key` the sequence's name inside a folder format (empty
-    where a file holds one sequence). `fps` and `stated_fps` are what an annotation says; the file's own are read later.
-    `cut` is the stretch of the file that the sequence is, None for all of it but for its first `skip_frames` (None: as
-    many as the options say).
+    if a file holds one sequence). `fps` and `stated_fps` are those of an annotation; the file's own are read later.
+    `cut` is the sequence's stretch of the file, None for all of it except its first `skip_frames` (None: the number in
+    the options).
     """
 
     format: str
@@ -87,7 +87,7 @@ class SourceItem:
 
 @dataclass(frozen=True, eq=False)
 class Spare:
-    """A sequence whose id an earlier one has: to be read where that one cannot be, and otherwise the `problem`."""
+    """A sequence with the id of an earlier one: read if that one cannot be, and otherwise reported as `problem`."""
 
     item: SourceItem
     problem: FormatError
@@ -95,12 +95,12 @@ class Spare:
 
 @dataclass(frozen=True)
 class ScanResult:
-    """What a scan found: `items` to read, `problems` that cost a sequence, and `warnings` that cost none.
+    """The result of a scan: `items` to read, `problems` that lose a sequence, and `warnings` that do not.
 
-    A motion without a caption, in a source that has captions, is a warning: the motion is kept. `missing` counts, by
-    dataset, the sequences of an index whose files are not there, `refused` those whose captions cannot be read; each is
-    one of the problems too, as are those of the `spares`. `ignored` are the files of a folder that are no sequences and
-    belong to none; of an index's folders there are none.
+    A motion without a caption, in a source with captions, is a warning: the motion is kept. `missing` counts, by
+    dataset, the sequences of an index whose files are missing, `refused` those whose captions cannot be read; each is
+    also one of the problems, as are those of the `spares`. `ignored` are the files of a folder that are not sequences
+    and belong to none; it is empty for an index's folders.
     """
 
     items: tuple[SourceItem, ...]

@@ -1,4 +1,4 @@
-"""Reading one sequence that a scan found: its file, its framerate corrected, its stretch, its mirror image."""
+"""Reading a sequence found by a scan: its file, with the framerate corrected, cropped and mirrored as required."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,7 +16,7 @@ from motionkit.formats.scan import cuts, framerate_rules
 from motionkit.formats.scan.items import ReadOptions, SourceItem
 from motionkit.formats.source.source_file import check_size
 
-# Reasons for which a file is refused where only its framerate is missing or unusable.
+# Reasons for refusing a file that lacks only a usable framerate.
 NO_FRAMERATE = frozenset({"no-framerate", "framerate", "frame-time"})
 
 
@@ -24,7 +24,7 @@ Read = TypeVar("Read", Motion, BvhDocument)
 
 
 def read(item: SourceItem, options: ReadOptions | None = None) -> Motion:
-    """Read one sequence with its annotations; raises `FormatError`, `too-large` for more than a store takes."""
+    """Read one sequence with its annotations; raises `FormatError`, `too-large` beyond a store's limit."""
     options = _with_clock(item, options)
     if item.cut is None and not item.mirrored:
         motion = _read_file(item, options)
@@ -38,9 +38,9 @@ def read(item: SourceItem, options: ReadOptions | None = None) -> Motion:
 
 
 def read_document(item: SourceItem, options: ReadOptions | None = None) -> BvhDocument | None:
-    """The document of a whole file with its annotations, None where its format has none.
+    """The document of a whole file with its annotations, None if its format has none.
 
-    Its skeleton, frames and clock are those that `read` finds. Raises `FormatError`.
+    Its skeleton, frames and clock are those of `read`. Raises `FormatError`.
     """
     options, document = _with_clock(item, options), readers()[item.format].document
     if document is None:
@@ -82,7 +82,7 @@ def _read_file(item: SourceItem, options: ReadOptions) -> Motion:
 
 
 def _on_clock(item: SourceItem, options: ReadOptions, read: Callable[[ReadOptions], Read]) -> Read:
-    # All of a file, its framerate corrected by a rule unless the user has given one.
+    # The whole file, its framerate corrected by a rule unless the user has given one.
     if options.fps is not None:
         return read(options)
     rules = framerate_rules.matching_rules(item.path, item.root, (*options.fps_rules, *framerate_rules.shipped_rules()))
@@ -118,8 +118,8 @@ def _read_stretch(item: SourceItem, options: ReadOptions) -> Motion:
 
 @lru_cache(maxsize=1)
 def _read_once(whole: SourceItem, options: ReadOptions, version: tuple[int, int]) -> Motion:
-    # The stretches of a file follow each other, and reading a file costs far more than cutting it. A file that has
-    # changed since is read again.
+    # The stretches of a file are consecutive, and reading it costs far more than cutting it. A file that has changed
+    # since is read again.
     return _read_file(whole, options)
 
 
@@ -127,5 +127,5 @@ def _version(path: Path) -> tuple[int, int]:
     try:
         status = path.stat()
     except OSError:
-        return 0, 0  # the reader will say so
+        return 0, 0  # the reader will report it
     return status.st_mtime_ns, status.st_size

@@ -1,6 +1,6 @@
-"""Finding the sequences of a source; reading one (`formats.reading`).
+"""Finding the sequences of a source, to be read by `formats.reading`.
 
-`scan` looks at names and folders only, `read` opens one sequence: so ingest can scan once and read in many processes.
+`scan` only lists names and folders, `read` opens one sequence: so ingest can scan once and read in many processes.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -20,10 +20,10 @@ from motionkit.formats.scan.items import ReadOptions, ScanResult, SourceItem, Sp
 
 
 def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanResult:
-    """Find all sequences of files and folders; nothing bad in a source raises, it becomes one of the `problems`.
+    """Find all sequences of files and folders; faults in a source are returned as `problems`, not raised.
 
-    Raises `UsageError` for an unknown format or a source that is neither a file nor a folder, `FormatError` for
-    `options.captions` that are no such table.
+    Raises `UsageError` for an unknown format or a source that is neither a file nor a folder, `FormatError` for an
+    invalid `options.captions`.
     """
     options = options or ReadOptions()
     if options.format != "auto" and options.format not in readers():
@@ -65,9 +65,9 @@ def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanRes
 def _file_items(
     options: ReadOptions, seen: list[AnnotationTable], broken: list[FormatError]
 ) -> Callable[[Path, Path], SourceItem | None]:
-    """Path and source folder → the motion that a file holds, with the framerate and licence that stand beside it.
+    """A function (path, source folder) → the file's motion, with the framerate and licence given beside it.
 
-    The annotation tables beside the files are added to `seen`, faults of unreadable ones to `broken`.
+    Annotation tables beside the files are appended to `seen`, errors of unreadable ones to `broken`.
     """
     candidates = [entry for entry in readers().values() if options.format in ("auto", entry.name)]
 
@@ -81,10 +81,10 @@ def _file_items(
 
     def item_of(path: Path, root: Path) -> SourceItem | None:
         kind = next((entry for entry in candidates if _takes(entry, path)), None)
-        if kind is None or kind.keys(path):  # whose of several an index does not say
+        if kind is None or kind.keys(path):  # an index does not say which of several
             return None
         licence, tables = around(path.parent, root)
-        # What a table says about a whole file need not be true of a stretch.
+        # Annotations of a whole file need not hold for a stretch of it.
         return replace(_annotate(_file_item(kind, path, root, licence), tables), captions=(), split="")
 
     return item_of
@@ -123,7 +123,7 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
     warnings += [warning for table in beside for warning in table.warnings]
     problems += [problem for table in beside for problem in table.problems]
     problems += lost
-    # Of a single file the other rows of its folder's table are not missing; where nothing is read, all of them are.
+    # For a single file, or if nothing is read, rows without a motion are not reported.
     if source.is_dir() and items:
         known = {item.path for item in items}
         rows = [(table, path, row) for table in beside for path, row in table.rows.items()]
@@ -139,7 +139,7 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
 
 
 def _left_out(path: Path, root: Path, made: list[Path]) -> bool:
-    # Whoever names a folder of completed clips means them.
+    # The source folder's own name is ignored: whoever names a folder of completed clips means them.
     known = any(_takes(entry, path) for entry in readers().values())
     if known and is_derived(path if path.parent != root else Path(path.name)):
         made.append(path)
@@ -159,7 +159,7 @@ def _made_files(root: Path, made: Sequence[Path]) -> list[FormatError]:
 
 
 def _problems_of_given(tables: Sequence[AnnotationTable], known: set[Path]) -> list[FormatError]:
-    # One table was read once for each source; a row is missing where no source has its motion.
+    # One table was read once for each source; a row is missing if no source has its motion.
     if not tables:
         return []
     found = {row.line for table in tables for path, row in table.rows.items() if path in known}
@@ -168,7 +168,7 @@ def _problems_of_given(tables: Sequence[AnnotationTable], known: set[Path]) -> l
 
 
 def _no_motion(table: AnnotationTable, path: Path, row: Annotation, known: set[Path]) -> FormatError:
-    # Names without a suffix are the commonest slip; the suffixes of what was found are few.
+    # Names without a suffix are the commonest mistake; the motions found have few different suffixes.
     meant = [name for suffix in {each.suffix for each in known} if (name := Path(f"{path}{suffix}")) in known]
     message = f"describes {path.name}, but there is no such motion in the source"
     message += f" (did you mean {meant[0].name}?)" if meant else ""
@@ -196,9 +196,9 @@ def _scan_folder(folder: Path, files: Iterable[Path], root: Path, licence: str, 
 
 
 def with_tables_above(item: SourceItem, levels: int = 4) -> SourceItem:
-    """The item of a single file with what the nearest annotation table says of it: `scan` takes those beside it only.
+    """The item of a single file with annotations from the nearest table above it: `scan` uses only those beside it.
 
-    Tables that cannot be read say nothing.
+    Unreadable tables are ignored.
     """
     for folder in item.path.parents[:levels]:
         for table in annotations.tables_in(folder)[0]:
@@ -208,7 +208,7 @@ def with_tables_above(item: SourceItem, levels: int = 4) -> SourceItem:
 
 
 def _recognise(path: Path, licence: str, options: ReadOptions) -> ScanResult:
-    # A single file whose name says nothing is known by how it begins.
+    # A single file with an uninformative name is recognised by its first bytes.
     with path.open("rb") as file:
         head = file.read(4096).removeprefix(b"\xef\xbb\xbf")
     words = next((line.strip() for line in head.splitlines() if line.strip() and not line.startswith(b"#")), b"")
@@ -244,7 +244,7 @@ def _takes(entry: Format, path: Path) -> bool:
 
 
 def _annotate(item: SourceItem, tables: Sequence[AnnotationTable]) -> SourceItem:
-    # A table nearer to the file was found later and has the last word.
+    # A table nearer to the file comes later and takes precedence.
     for table in tables:
         row = table.rows.get(item.path)
         if row is not None:
@@ -265,7 +265,7 @@ def _stated(item: SourceItem, row: Annotation) -> SourceItem:
         skip_frames=item.skip_frames if row.skip_frames is None else row.skip_frames,
         licence=row.licence or item.licence,
         source=row.source or item.source,
-        # A folder's name is no subset of a source that the row names itself.
+        # The folder's name is not a subset of a source that the row gives.
         subset=row.subset or ("" if row.source else item.subset),
     )
 
@@ -280,7 +280,7 @@ def _motions_without_caption(items: Iterable[SourceItem], folders: Sequence[Path
 
 
 def _unique(found: ScanResult) -> ScanResult:
-    # Of sequences with one id all but the first are spares.
+    # Of sequences with the same id, all but the first are spares.
     kept: dict[str, SourceItem] = {}
     spares: list[Spare] = []
     for item in found.items:

@@ -1,4 +1,4 @@
-"""Files that are no motions: which ones a source has, and what is said of them."""
+"""Files that are not motions: finding them in a source, and messages about them."""
 
 import shlex
 from collections import Counter
@@ -16,14 +16,14 @@ from motionkit.formats.scan import annotations
 from motionkit.formats.scan.items import ReadOptions, ScanResult
 from motionkit.formats.source import source_file
 
-# What a folder without motions is said to hold.
+# Limits of the message about a folder without motions.
 SEEN_FILES, SHOWN_KINDS = 1_000, 3
 
 
 def ignored(files: Iterable[Path], found: Sequence[tuple[Path, ScanResult]], read: Iterable[Path]) -> tuple[Path, ...]:
-    """The files that are no sequence, no problem and nothing that belongs to a sequence.
+    """The files that are neither sequences nor problems and do not belong to a sequence.
 
-    `found` are the folders of the source with what was found in each, `read` what was read besides.
+    `found` are the folders of the source with the result for each, `read` other files that were read.
     """
     known = set(read)
     for folder, result in found:
@@ -41,7 +41,7 @@ def kinds_of(paths: Iterable[Path]) -> dict[str, int]:
 
 
 def no_motion(source: Path, options: ReadOptions) -> FormatError:
-    """The problem of a file or folder in which nothing is a motion."""
+    """The problem of a file or folder without motions."""
     expected = options.format if options.format != "auto" else ", ".join(readers())
     if source.is_file():
         if options.format == "auto" and source.suffix.lower() in PICKLES:
@@ -59,7 +59,7 @@ def no_motion(source: Path, options: ReadOptions) -> FormatError:
 
 
 FBX = ".fbx"
-# What Python would import to load it, and how.
+# The modules to import in Python to load it, and the call.
 _TORCH = ("torch", "torch.load({!r}, map_location='cpu', weights_only=True)")
 _PICKLE = ("pathlib, pickle", "pickle.loads(pathlib.Path({!r}).read_bytes())")
 PICKLES = {".pt": _TORCH, ".pth": _TORCH, ".pkl": _PICKLE, ".pickle": _PICKLE}
@@ -77,7 +77,7 @@ def _of_pickle(path: Path) -> str:
 
 
 def _of_fbx(path: Path) -> str:
-    # No reader of FBX in the registry is kept well enough to be trusted with strangers' files.
+    # No FBX reader on PyPI is maintained well enough for untrusted files.
     script = (
         f"import bpy; bpy.ops.wm.read_factory_settings(use_empty=True); bpy.ops.import_scene.fbx(filepath={str(path)!r}"
         "); rig = next(each for each in bpy.data.objects if each.type == 'ARMATURE'); "
@@ -108,7 +108,7 @@ class _Array:
 
     @property
     def of_pose_vectors(self) -> str:
-        """The data set whose pose vectors are as wide, if there is one."""
+        """The data set whose pose vectors have this width, if any."""
         return POSE_VECTOR_WIDTHS.get(self.shape[1], "") if len(self.shape) == 2 else ""
 
     def _kind(self) -> str:
@@ -123,7 +123,7 @@ class _Array:
 
 
 def describe_arrays(path: Path) -> str:
-    """What arrays a file holds, and how to write one that can be read; empty for a file of another kind."""
+    """A description of a file's arrays, and how to make the file readable; empty for a file of another kind."""
     arrays = _arrays(path)
     if arrays is None:
         return ""

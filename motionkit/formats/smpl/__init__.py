@@ -1,1 +1,1 @@
-"""SMPL bodies: AMASS and UESTC, joints from a body model or the mean shape."""
+"""Motions of SMPL bodies (AMASS, UESTC, …), with joints from a body model or the mean shape."""

@@ -1,9 +1,9 @@
 """AMASS motions (.npz): SMPL, SMPL-H and SMPL-X poses as axis–angle vectors, z up, with the subject's shape.
 
-A joint's rotation is the vector's direction and length; the pelvis is at trans + J₀, where J₀ is its rest position for
-the subject's betas, and everything turns about it. Sources: https://github.com/nghorbani/amass (arrays, notebooks),
-Loper et al., "SMPL: A Skinned Multi-Person Linear Model", 2015, Eq. 2–4 and 10 (joints), and the file listings of its
-issues 8, 49 and 68 (names of the two generations of files).
+The pelvis is at trans + J₀, where J₀ is its rest position for the subject's betas, and the centre of the root rotation.
+Sources: https://github.com/nghorbani/amass (arrays, notebooks) and the file listings of its issues 8, 49 and 68 (names
+of the two generations of files); Loper et al., "SMPL: A Skinned Multi-Person Linear Model", 2015, Eq. 2–4 and 10
+(joints).
 """
 
 from fractions import Fraction
@@ -45,12 +45,12 @@ MAX_RADIANS = 50.0
 # The default number of betas of smplx.create, which GMR uses.
 WRITTEN_BETAS = 10
 GENDERS = ("male", "female", "neutral")
-# The quarter turn about x that takes z up to y up: (x, y, z) → (x, z, −y).
+# The rotation by −90° about x from z up to y up: (x, y, z) → (x, z, −y).
 UPRIGHT = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0], np.float32)
 
 
 def accepts(path: Path) -> bool:
-    """Whether an .npz file is an AMASS motion; the shapes beside them (`shape.npz`, `…_stagei.npz`) are not."""
+    """Whether an .npz file is an AMASS motion, not a shape beside one (`shape.npz`, `…_stagei.npz`)."""
     if _is_shape(path):
         return False
     if path.stem.endswith(MOTION_NAMES):
@@ -60,7 +60,7 @@ def accepts(path: Path) -> bool:
 
 
 def shapes(folder: Path) -> list[Path]:
-    """The files of a folder that hold a subject's shape and no motion."""
+    """The files of a folder that hold a subject's shape, not a motion."""
     return [path for path in folder.glob("*.npz") if _is_shape(path)]
 
 
@@ -69,10 +69,10 @@ def _is_shape(path: Path) -> bool:
 
 
 def read_amass(item: SourceItem, options: ReadOptions) -> Motion:
-    """Read one motion at its stated framerate: true local rotations, positions in metres, turned to y up.
+    """Read one motion at its stated framerate: true local rotations, positions in metres, y up.
 
-    Without a body model the joints are the 22 of SMPL's mean shape, and finger, jaw and eye rotations are left out.
-    Raises `FormatError`, with the reason `no-framerate` where nothing states one, `framerate` where it is invalid.
+    Without a body model the joints are the 22 of SMPL's mean shape, and finger, jaw and eye rotations are dropped.
+    Raises `FormatError`, with the reason `no-framerate` if none is stated, `framerate` if it is invalid.
     """
     path = item.path
     data = source_file.read_bytes(path)
@@ -110,7 +110,7 @@ def _body(archive: NpzArchive, layout: PoseLayout, options: ReadOptions) -> Body
         return mean_body(layout)
     gender, betas = _gender(archive), _betas(archive)
     if options.index is not None and options.index.published:
-        # HumanML3D's code: the female model for every gender but male, and ten betas (raw_pose_processing.ipynb).
+        # As HumanML3D's code: the female model for every gender but male, and ten betas (raw_pose_processing.ipynb).
         gender, betas = "male" if gender == "male" else "female", betas[:PUBLISHED_BETAS]
     return own_body(options.body_models, layout, LAYOUTS.get(_family(archive), SMPLH), gender, betas)
 
@@ -191,7 +191,7 @@ def _stated_fps(value: str | int | float | None, key: str | None, path: Path) ->
 
 
 def _family(archive: NpzArchive) -> str:
-    # The body model that a file names, without a variant's suffix ("smplx_locked_head").
+    # The file's body model, without a variant's suffix ("smplx_locked_head").
     return _text(archive, "surface_model_type").split("_")[0]
 
 
@@ -201,12 +201,11 @@ def _text(archive: NpzArchive, key: str) -> str:
 
 
 def write_amass(motion: Motion, path: Path) -> None:
-    """Write a motion as SMPL-X's 165 numbers a pose, z up, at its own framerate, for readers of AMASS.
+    """Write a motion as SMPL-X's 165 numbers per pose, z up, at its own framerate, for readers of AMASS.
 
-    Rotations of SMPL's, SMPL-H's and SMPL-X's joints are written as they are, fingers and face too. Any other skeleton
-    is brought onto SMPL's mean shape (`retarget`), hands and face unturned. Betas are zeros in either case: a `Motion`
-    knows bones and no shape. Both generations' names of the framerate and of the poses are there. Raises
-    `SkeletonMapError`.
+    Rotations of SMPL's, SMPL-H's and SMPL-X's joints are written unchanged, with fingers and face. Any other skeleton
+    is retargeted to SMPL's mean shape (`retarget`), with identity rotations of hands and face. Betas are always zeros:
+    a `Motion` has bones, not a shape. Framerate and poses have both generations' names. Raises `SkeletonMapError`.
     """
     made = motion if rests_as_smpl(motion) else retarget(motion, mean_shape_skeleton())
     assert made.local_rotations is not None and made.root_translation is not None

@@ -1,4 +1,4 @@
-"""SMPL's bodies: the joint layouts of AMASS's pose arrays, body models, and a mean body where there is none.
+"""SMPL's bodies: the joint layouts of AMASS's pose arrays, body models, and the mean body used without one.
 
 Names are those of the `smplx` package's joint lists without its suffix for eyes; the order of SMPL-X's pose array is
 root, body, jaw, eyes, hands. Source: https://github.com/nghorbani/amass and https://github.com/vchoutas/smplx.
@@ -26,7 +26,7 @@ FACE = ("jaw", "left_eye", "right_eye")
 
 @dataclass(frozen=True)
 class PoseLayout:
-    """Joints of one body model, in the order of its pose array (3 numbers each).
+    """Joints of a body model, in the order of its pose array (3 numbers each).
 
     `family` names the body model (smpl, smplh, smplx) whose shape space the betas belong to; the body
     joints alone have none.
@@ -42,7 +42,7 @@ class PoseLayout:
         return len(self.joint_names)
 
     def skeleton(self, name: str, rest_joints: Float[np.ndarray, "joints 3"]) -> Skeleton:
-        """The skeleton whose joints rest at these places in metres."""
+        """The skeleton with these rest positions in metres."""
         offsets = rest_joints - rest_joints[np.maximum(self.parents, 0)]
         offsets[0] = rest_joints[0]
         return Skeleton(
@@ -81,11 +81,11 @@ SMPLH = _layout("smplh", *HANDS)
 SMPLX = _layout("smplx", *FACE, *HANDS)
 LAYOUTS: Mapping[str, PoseLayout] = {layout.family: layout for layout in (SMPL, SMPLH, SMPLX)}
 
-# The parts in which SMPL-H and SMPL-X files also give their poses, in the order of the pose array.
+# The separate arrays in which SMPL-H and SMPL-X files also give their poses, in the order of the pose array.
 POSE_PARTS = (("root_orient", 3), ("pose_body", 63), ("pose_jaw", 3), ("pose_eye", 6), ("pose_hand", 90))
 
 
-# SMPL-X files hold 300 directions of shape and then 100 of facial expression; the small ones 10 and 10.
+# SMPL-X files hold 300 shape directions and then 100 of facial expression; the small ones 10 and 10.
 SMPLX_DIRECTIONS, SMPLX_BETAS, SMALL_SMPLX_BETAS = 400, 300, 10
 
 
@@ -99,7 +99,7 @@ class BodyModel:
     shape_directions: Float64[np.ndarray, "joints 3 betas"]
 
     def rest_joints(self, betas: Float[np.ndarray, "betas"]) -> Float64[np.ndarray, "joints 3"]:
-        """Joints of the body with these betas at rest; betas beyond the model's are left out."""
+        """Joints of the body with these betas at rest; betas beyond the model's are ignored."""
         used = min(len(betas), self.shape_directions.shape[-1])
         moved: Float64[np.ndarray, "joints 3"] = self.shape_directions[..., :used] @ betas[:used].astype(np.float64)
         joints: Float64[np.ndarray, "joints 3"] = self.mean_joints + moved
@@ -107,9 +107,9 @@ class BodyModel:
 
 
 def find_body_model(folder: Path, layout: PoseLayout, gender: str) -> BodyModel:
-    """The model of a family for a gender, or its neutral one where the folder has no other.
+    """The model of a family for a gender, or the neutral one if the folder has no other.
 
-    Raises `FormatError` (`no-body-model`) where there is none, naming the files that would do.
+    Raises `FormatError` (`no-body-model`) if there is none, naming the accepted files.
     """
     genders = dict.fromkeys((gender, "neutral")) if gender else ("neutral",)
     for wanted in genders:
@@ -155,7 +155,7 @@ def load_body_model(path: Path, layout: PoseLayout, gender: str) -> BodyModel:
 
 
 def _candidates(folder: Path, family: str, gender: str, suffix: str = ".npz") -> Iterator[Path]:
-    # As the sites of SMPL, MANO (SMPL-H) and SMPL-X pack them, with or without the family's folder.
+    # File names as published for SMPL, MANO (SMPL-H) and SMPL-X, with or without the family's folder.
     for parent in (folder / family, folder):
         yield parent / f"{family.upper()}_{gender.upper()}{suffix}"
         yield parent / gender / f"model{suffix}"
@@ -199,12 +199,12 @@ def mean_shape_skeleton() -> Skeleton:
     return BODY.skeleton("smpl22-mean-shape", rest)
 
 
-# Bones of men's and women's bodies rest within this of the mean shape's.
+# Bones of the male and female bodies at rest are within this of the mean shape's.
 _SAME_REST_COSINE = 0.8
 
 
 def rests_as_smpl(motion: Motion) -> bool:
-    """Whether a motion's rotations are those of SMPL's joints from SMPL's rest pose."""
+    """Whether a motion's rotations are those of SMPL's joints, relative to SMPL's rest pose."""
     skeleton = motion.skeleton
     if motion.local_rotations is None or motion.root_translation is None:
         return False
@@ -215,20 +215,20 @@ def rests_as_smpl(motion: Motion) -> bool:
     return bool((np.sum(bones * usual, axis=-1) / sizes > _SAME_REST_COSINE).all())
 
 
-# The log line of a body whose gender is not the subject's.
+# The log line of a neutral body in place of the subject's gender.
 SUBSTITUTE = re.compile(r"joints: (?P<family>\w+) neutral \(the file's gender: (?P<gender>male|female)\)")
 
 
 @dataclass(frozen=True)
 class Body:
-    """A skeleton and the log lines that say whose it is."""
+    """A skeleton and the log lines of its origin."""
 
     skeleton: Skeleton
     operations: tuple[str, ...]
 
 
 def mean_body(layout: PoseLayout) -> Body:
-    """The 22 joints of SMPL's mean shape; what else the layout turns is left out, and the log says so."""
+    """The 22 joints of SMPL's mean shape; the layout's other joints are dropped, and the log says so."""
     operations = ["joints: SMPL's mean shape, no body model given"]
     left_out = layout.num_joints - BODY.num_joints
     if left_out:
@@ -239,10 +239,10 @@ def mean_body(layout: PoseLayout) -> Body:
 def own_body(
     models: Path, layout: PoseLayout, family: PoseLayout, gender: str, betas: Float[np.ndarray, "betas"]
 ) -> Body:
-    """The joints of a layout as a model of the user's folder has them for these betas.
+    """The joints of a layout from a model in the user's folder, for these betas.
 
-    The body joints alone (`BODY`) are of no family, any other layout is its own. `gender` is empty where nobody says
-    it. Raises `FormatError` (`no-body-model`).
+    `BODY`, the body joints alone, belongs to no family; any other layout is its own. `gender` is empty if unknown.
+    Raises `FormatError` (`no-body-model`).
     """
     model = find_body_model(models, family if layout is BODY else layout, gender)
     rest = model.rest_joints(betas)[: layout.num_joints]
@@ -253,9 +253,9 @@ def own_body(
 
 
 def substituted_body(operations: Iterable[str]) -> str:
-    """What to tell of a motion by its log where a neutral body stands in for a man's or a woman's; else empty.
+    """A message if a motion's log says that a neutral body replaces a male or female one; else empty.
 
-    Betas are of one gender's shape space: in the neutral model's they make another body.
+    Betas belong to one gender's shape space: the neutral model gives another body for them.
     """
     found = next(filter(None, map(SUBSTITUTE.match, operations)), None)
     if found is None:

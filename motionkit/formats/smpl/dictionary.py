@@ -34,22 +34,22 @@ WORLD, ORIENT, POSE = "pose_world", "global_orient", "body_pose"
 TRANSLATIONS = ("transl", "trans", "trans_world")
 RATES = ("fps", *FRAMERATE_KEYS)
 LAYOUTS = {BODY.num_joints: BODY, SMPL.num_joints: SMPL}
-# Motion-X: its width, and where what is read lies.
+# Motion-X: its width, and the slices that are read.
 WIDTH, BODY_NUMBERS, MOVED, SHAPE = 322, slice(0, 66), slice(309, 312), slice(312, 322)
 MOTION_X_FPS = Fraction(30)
 
 
 def accepts(path: Path) -> bool:
-    """Whether an .npz file is such a dictionary: a file of another sort has names of its own."""
+    """Whether an .npz file is such a dictionary, judged by its names."""
     keys = npz_archive.peek_keys(path)
     return {ORIENT, POSE} <= keys or WORLD in keys
 
 
 def read_smpl(path: Path, options: ReadOptions | None = None) -> Motion:
-    """Read one dictionary: true local rotations, positions in metres, y up (the body says what is up: y, z or −y).
+    """Read one dictionary: true local rotations, positions in metres, y up (up is inferred from the body: y, z or −y).
 
-    Without a body model the joints are those of SMPL's mean shape; hands and face are left out. Raises `FormatError`,
-    with the reason `no-framerate` where neither the file nor the options say one.
+    Without a body model the joints are those of SMPL's mean shape; hands and face are dropped. Raises `FormatError`,
+    with the reason `no-framerate` if neither the file nor the options give one.
     """
     options = options or ReadOptions()
     data = source_file.read_bytes(path)
@@ -87,7 +87,7 @@ def _whole(
 
 
 def _values(archive: NpzArchive, key: str) -> Float32[np.ndarray, "..."]:
-    """Numbers of any shape but a single one."""
+    """An array of numbers of any shape, but not a scalar."""
     shape = npz_archive.read_shape(archive, key)
     if not shape:
         raise FormatError(f"{key}: a single number, expected an array", path=archive.path, reason="channel-count")
@@ -95,14 +95,14 @@ def _values(archive: NpzArchive, key: str) -> Float32[np.ndarray, "..."]:
 
 
 def _rotations(archive: NpzArchive, key: str, num_joints: int | None = None) -> Float32[np.ndarray, "frames joints 4"]:
-    """Rotations of a key as quaternions, whatever they are written as."""
+    """Rotations of a key as quaternions, from rotation vectors or matrices."""
     values = _values(archive, key)
-    # Of several joints [1, joints, 3] is one frame, and [1, 3, 3] is a matrix.
+    # For several joints, [1, joints, 3] is one frame, and [1, 3, 3] is a matrix.
     of_frames = values.shape[-1] > 3 or (num_joints == 1 and values.shape[1:] != (3, 3))
     if values.ndim == 3 and len(values) == 1 and values.shape[-1] % 3 == 0 and of_frames:
         values = values[0]  # one body of a batch
     frames, size = len(values), values[0].size
-    # Of one joint [3, 3] are three frames of vectors, and of several [frames, 3, 3] three joints'.
+    # For one joint, [3, 3] is three frames of vectors; for several, [frames, 3, 3] is three joints' vectors.
     if values.shape[-2:] == (3, 3) and values.ndim in ((4,) if num_joints is None else (3, 4)):
         matrices = values.reshape(frames, -1, 3, 3)
         error = np.abs(np.einsum("tjki,tjkl->tjil", matrices, matrices) - np.eye(3)).max()
@@ -168,7 +168,7 @@ def _motion(
     fps: Fraction,
     options: ReadOptions,
 ) -> Motion:
-    """The motion of a body, upright; what was decided stands in its log."""
+    """The motion of a body, rotated to y up; decisions are in its log."""
     if options.body_models is None:
         body = mean_body(layout)
     else:
@@ -192,13 +192,13 @@ def _motion(
 
 
 def accepts_motion_x(path: Path) -> bool:
-    """Whether a .npy file has Motion-X's 322 numbers a frame."""
+    """Whether a .npy file has Motion-X's 322 numbers per frame."""
     shape = npy.peek_shape(path)
     return shape is not None and len(shape) == 2 and shape[1] == WIDTH
 
 
 def read_motion_x(path: Path, options: ReadOptions | None = None) -> Motion:
-    """Read one sequence of Motion-X at its 30 fps: the body's true local rotations; hands and face are left out."""
+    """Read one sequence of Motion-X at its 30 fps: the body's true local rotations; hands and face are dropped."""
     options = options or ReadOptions()
     data = source_file.read_bytes(path)
     values = npy.read_npy(path, data, (None, WIDTH))

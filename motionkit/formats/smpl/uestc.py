@@ -1,8 +1,8 @@
-"""UESTC as ACTOR uses it: SMPL poses that VIBE estimated from the videos, 40 actions, 118 subjects, 30 fps.
+"""UESTC as used by ACTOR: SMPL poses estimated by VIBE from the videos, 40 actions, 118 subjects, 30 fps.
 
 They are published in one Python pickle, which is not loaded here, because a pickle can run code; docs/formats.md shows
-the lines that turn it into one .npz a sequence, `a1_d2_p003_c2_color.npz`, with `pose` [T, 72] (axis–angle vectors of
-SMPL's 24 joints in the camera's frame, y down) and, where wanted, `trans` [T, 3] metres and `betas` [T, 10]. Sources:
+how to convert it to one .npz per sequence, `a1_d2_p003_c2_color.npz`, with `pose` [T, 72] (axis–angle vectors of
+SMPL's 24 joints in the camera's frame, y down) and optionally `trans` [T, 3] metres and `betas` [T, 10]. Sources:
 https://github.com/Mathux/ACTOR, src/datasets/uestc.py (arrays, view rotations, sets); the README of the UESTC RGB-D
 database (names, 30 Hz, sides and views).
 """
@@ -50,7 +50,7 @@ ACTIONS = (
     *("knee-to-chest", "knee-circling", "alternate-knee-lifting", "bent-over-twist", "rope-skipping"),
     *("standing-toe-touches", "standing-gastrocnemius-calf", "single-leg-lateral-hopping", "high-knees-running"),
 )
-# Half a turn about x: the camera's y points down and its z away from it.
+# 180° about x: the camera's y points down and its z away from it.
 FROM_CAMERA = np.array([0.0, 1.0, 0.0, 0.0], np.float32)
 
 
@@ -63,22 +63,22 @@ class _Name:
 
     @property
     def split(self) -> str:
-        # The moving camera's own view belongs to neither set.
+        # The moving camera's view belongs to neither set.
         if (self.view == MOVING_VIEW and not self.front) or not 1 <= self.subject <= NUM_SUBJECTS:
             return ""
         return "train" if self.subject in TRAIN_SUBJECTS else "test"
 
 
 def accepts(path: Path) -> bool:
-    """Whether a file is a converted sequence by its name, or the pickle, which is refused with what to do."""
+    """Whether a file is, by its name, a converted sequence or the pickle, which is refused with instructions."""
     return path.name == PICKLE or (path.suffix.lower() == ".npz" and NAME.fullmatch(path.stem) is not None)
 
 
 def read_uestc(path: Path, options: ReadOptions | None = None) -> Motion:
-    """Read one converted sequence: true local rotations, positions in metres, y up, turned to the front view.
+    """Read one converted sequence: true local rotations, positions in metres, y up, rotated to the front view.
 
     The joints are the 22 of SMPL's mean shape, or with `options.body_models` those of the neutral SMPL model with the
-    sequence's mean betas. The pelvis is at `trans`, which counts from the first frame; without that it stays in place.
+    sequence's mean betas. The pelvis is at `trans`, relative to the first frame; without it the pelvis stays in place.
     Action, subject and ACTOR's split come from the name. Raises `FormatError`, with the reason `pickle` for the
     published file itself.
     """
@@ -145,7 +145,7 @@ def _body(archive: NpzArchive, num_frames: int, options: ReadOptions) -> Body:
 
 
 def _to_front(name: _Name) -> tuple[Float32[np.ndarray, "4"], list[str]]:
-    # Cameras of the side stand at multiples of 45 degrees; the front one, and the one that moves, are not turned back.
+    # Side cameras are at multiples of 45 degrees; views of the front and the moving camera are not rotated.
     upright = "turned from the camera's frame to y up: (x, y, z) → (x, −y, −z)"
     if name.front:
         return FROM_CAMERA, [upright]
