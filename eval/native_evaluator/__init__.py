@@ -1,1 +1,1 @@
-"""The learned evaluator that describes clips of any framerate."""
+"""The learned evaluator that embeds clips of any framerate."""

@@ -1,8 +1,8 @@
-"""Real motion brought to each framerate that a learned evaluator is trained at, and random clips of it.
+"""Real motion resampled to each framerate that a learned evaluator is trained at, and random clips of it.
 
-As in clip-fid/1, sequences whose native rate is below a framerate never enter it, and those above are brought down by
-the same anti-aliased resampling that the metric's real set uses. A bank is bounded in seconds, so a store of any size
-can be trained on.
+As in clip-fid/1, sequences with a native rate below a framerate are excluded, and those above are downsampled by the
+same anti-aliased resampling as the metric's real set. A bank is bounded in seconds, so a store of any size can be
+trained on.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ from motionkit.fields.resample import resample_positions
 class Takes:
     """Sequences of 22 joints at their native rates.
 
-    `captions` holds each sequence's sentences with their seconds from its start, in any number.
+    `captions` holds any number of sentences per sequence, with their seconds from its start.
     """
 
     sequences: Ragged
@@ -37,7 +37,7 @@ class Takes:
 
 @dataclass(frozen=True, eq=False)
 class DrawnClips:
-    """Clips, the take that each comes from, and the time of each clip's middle in seconds from the take's start."""
+    """Clips, the take of each, and the time of each clip's middle in seconds from the take's start."""
 
     positions: Float64[np.ndarray, "clips poses 22 3"]
     take: Int64[np.ndarray, "clips"]
@@ -46,7 +46,7 @@ class DrawnClips:
 
 @dataclass(frozen=True, eq=False)
 class ClipBank:
-    """Sequences at one framerate; `sequence_index` says where in the takes each comes from."""
+    """Sequences at one framerate; `sequence_index` is the index of each in the takes."""
 
     fps: Fraction
     sequences: Ragged
@@ -55,8 +55,8 @@ class ClipBank:
     def draw(self, rng: np.random.Generator, num_clips: int, num_poses: int, margin: int = 0) -> DrawnClips:
         """Random clips of `num_poses` poses, with `margin` more on either side.
 
-        Every position of the clip inside a sequence is equally likely. Margins that reach beyond a sequence continue it
-        by point reflection about its end pose. Raises `ValueError` where no sequence is long enough.
+        Every position of the clip inside a sequence is equally likely. Margins beyond a sequence are filled by point
+        reflection about its end pose. Raises `ValueError` if no sequence is long enough.
         """
         places = np.maximum(self.sequences.num_frames - num_poses + 1, 0)
         total = np.cumsum(places)
@@ -88,7 +88,7 @@ class ClipBank:
 def build_bank(takes: Takes, fps: Fraction, max_seconds: float, min_poses: int, rng: np.random.Generator) -> ClipBank:
     """A bank at one framerate from sequences of at least that rate, in random order up to `max_seconds`.
 
-    Raises `UsageError` where no sequence reaches the framerate with `min_poses` poses.
+    Raises `UsageError` if no sequence reaches the framerate with `min_poses` poses.
     """
     seconds = takes.duration_seconds()
     chosen = [
@@ -108,7 +108,7 @@ def build_bank(takes: Takes, fps: Fraction, max_seconds: float, min_poses: int, 
 def build_banks(
     takes: Takes, framerates: Sequence[Fraction], max_seconds: float, min_poses: int, seed: int
 ) -> tuple[ClipBank, ...]:
-    """One bank for each framerate that some sequence reaches; raises `UsageError` where none does."""
+    """One bank for each framerate that some sequence reaches; raises `UsageError` if none does."""
     highest = max(takes.fps, default=Fraction(0))
     reached = [fps for fps in framerates if fps <= highest]
     if not reached:

@@ -1,7 +1,7 @@
-"""The native-rate evaluator: a trained network that describes clips of any framerate and matches them with sentences.
+"""The native-rate evaluator: a trained network that embeds clips of any framerate and matches them with sentences.
 
-It implements `eval.clip_fid.score.FeatureSet`. Weights, input statistics, and the fingerprint of the store that
-it was trained on are one file; its own fingerprint is part of every result that it is used for.
+It implements `eval.clip_fid.score.FeatureSet`. One file holds weights, input statistics, and the fingerprint of the
+training store; the evaluator's own fingerprint is part of every result that uses it.
 """
 
 import hashlib
@@ -60,11 +60,11 @@ class NativeEvaluator:
         return "native"
 
     def remark_at(self, fps: Fraction) -> str:
-        """What must be said of its numbers at a framerate; empty where it was trained around there."""
+        """The remark on its numbers at a framerate; empty if it was trained near that framerate."""
         return self.remark_as(self.name, STAGE_NAME, fps)
 
     def remark_as(self, name: str, stage: str, fps: Fraction) -> str:
-        """The same of an evaluator of another name that a stage trains."""
+        """The same remark for an evaluator of another name, trained by a stage."""
         trained = [Fraction(each) for each in self.description["framerates"]]
         if min(trained) <= fps <= max(trained):
             return ""
@@ -107,13 +107,13 @@ class NativeEvaluator:
     def strengths(
         self, clips: Float[np.ndarray, "clips poses joints 3"], fps: Fraction
     ) -> Float64[np.ndarray, "clips targets"]:
-        """What the evaluator reads off each clip: the log strengths named in `native_network.TARGETS`."""
+        """Predicted log strengths of each clip's damage, named in `native_network.TARGETS`."""
         return self._each(clips, fps, self.network.strengths)
 
     def embed_texts(self, texts: Sequence[str]) -> Float64[np.ndarray, "texts shared"]:
         """One vector per sentence in the space shared with motions.
 
-        Raises `MotionkitError` where the evaluator was trained without captions, or its text encoder is not at hand.
+        Raises `MotionkitError` if the evaluator was trained without captions, or its text encoder is not available.
         """
         if self._text_encoder is None:
             raise MotionkitError("this evaluator was trained on a store without captions: it knows no sentences")
@@ -144,7 +144,7 @@ class NativeEvaluator:
             raise ValueError(f"clips have {clips.shape[1]} poses; the evaluator needs at least {MIN_POSES}")
         rows = []
         with torch.inference_mode():
-            # One empty batch at least, so that no clips give no rows of the right width.
+            # At least one batch, so that the result for no clips has the right width.
             for start in range(0, max(len(clips), 1), CLIPS_AT_ONCE):
                 some = torch.from_numpy(prepare(clips[start : start + CLIPS_AT_ONCE], float(fps)))
                 inputs = standardised(rich_input(some, float(fps)), self.mean, self.scale)
@@ -158,9 +158,9 @@ def load_native(run: Path) -> NativeEvaluator:
 
 
 def load_networks(run: Path, stage: str, version: str) -> NativeEvaluator:
-    """Load what a stage of these networks left in a run folder.
+    """Load a stage of these networks from a run folder.
 
-    Raises `RunError` where it is not trained to its end and `CheckpointError` where the file is of another version.
+    Raises `RunError` if its training is not finished and `CheckpointError` if the file is of another version.
     """
     folder = RunFolder(run).stage(stage)
     folder.read_summary()
@@ -183,7 +183,7 @@ def load_networks(run: Path, stage: str, version: str) -> NativeEvaluator:
 def describe_training(
     config: dict[str, Any], store_fingerprint: str, framerates: Sequence[Fraction], encoder: TextEncoder | None
 ) -> dict[str, Any]:
-    """The header of an evaluator's file; `targets` are named so that the heads can be read."""
+    """The header of an evaluator's file; `targets` are the heads' outputs."""
     return {
         "version": VERSION,
         "config": config,
@@ -204,9 +204,9 @@ def shrunk_whitening(
 ) -> Float32[np.ndarray, "features features"]:
     """The symmetric matrix (C + c·1)^(−½) for clean clips' mean covariance C at one framerate, c its mean variance.
 
-    Features times it vary about equally in all directions in which clean motion varies at all: a direction of far less
-    than the mean variance stays small, so that what is nearly constant is not blown up. The framerates' means do not
-    count: a comparison is between sets of one framerate. Raises `ValueError` where some framerate has one clip.
+    It makes variances about equal in all directions in which clean motion varies; directions of far less than the mean
+    variance stay small, so nearly constant ones are not amplified. The framerates' means are ignored: only sets of one
+    framerate are compared. Raises `ValueError` if some framerate has one clip.
     """
     if any(len(embeddings) < 2 for embeddings in embeddings_by_framerate):
         raise ValueError("a covariance needs at least two clips of every framerate")

@@ -1,8 +1,8 @@
-"""The native-rate evaluator's network: Guo et al.'s movement and motion encoders, made small (evaluator of clips).
+"""The native-rate evaluator's network: Guo et al.'s movement and motion encoders, smaller, for clips.
 
-Two convolutions of kernel 4 and stride 2, a bidirectional GRU, one embedding; from it linear heads for the strength of
-every kind of damage, and a projection into a space shared with sentences.
-Architecture after text-to-motion (networks/modules.py), on inputs per second.
+Two convolutions of kernel 4 and stride 2, a bidirectional GRU, one embedding; on it linear heads that regress the
+strength of every kind of damage, and a projection into a space shared with sentences. Architecture after text-to-motion
+(networks/modules.py), on inputs per second.
 """
 
 import math
@@ -19,15 +19,15 @@ NUM_JOINTS = 22
 NUM_CHANNELS = 63 + 1 + 66 + 66 + 22 + 4 + 4 + 2 + 1
 MIN_POSES = 8
 CUTOFF_HZ = 25.0
-"""Half amplitude of the smoothing; at framerates below twice as much it passes nearly everything."""
+"""The smoothing's half-amplitude frequency; at framerates below twice as much it has little effect."""
 MOST_DEVIATIONS = 5.0
 REFERENCE_FPS = 60.0
 
 SLIP_HALF_SECONDS = 0.05
-# Floors under the logarithms: below them lies measurement noise.
+# Floors of the logarithms, at the level of measurement noise.
 ACCELERATION_FLOOR = 0.1
 SPEED_FLOOR = 0.005
-# Accelerations above this grow logarithmically: a glitch must not swamp the standardisation.
+# Accelerations above this are compressed logarithmically, so that a glitch does not dominate the standardisation.
 ACCELERATION_SCALE = 4.0
 
 assert SMPL22.feet is not None
@@ -35,20 +35,20 @@ FEET = (SMPL22.feet.left_ankle, SMPL22.feet.left_toe, SMPL22.feet.right_ankle, S
 
 
 def prepare(clips: Float[np.ndarray, "clips poses 22 3"], fps: float) -> Float32[np.ndarray, "clips poses 22 3"]:
-    """Clips as `rich_input` wants them: smoothed, and moved so that the first root lies above the origin.
+    """Clips as `rich_input` expects them: smoothed, and translated so that the first root is above the origin.
 
-    Near the origin single precision is enough for accelerations.
+    Near the origin single precision suffices for accelerations.
     """
     exact = clips.astype(np.float64)
     return smooth(exact - exact[:, :1, :1] * np.array([1.0, 0.0, 1.0]), fps).astype(np.float32)
 
 
 def smooth(clips: Float64[np.ndarray, "clips poses 22 3"], fps: float) -> Float64[np.ndarray, "clips poses 22 3"]:
-    """The curves that trade distance from the poses for squared acceleration per second, half amplitude at 25 Hz.
+    """Smoothing splines of the poses, half amplitude at 25 Hz.
 
     They minimise Σ‖x − y‖² + λ·Σ‖second difference of x‖², λ = (fps / (2π·25 Hz))⁴ (Whittaker 1923; Eilers 2003, "A
     perfect smoother"): zero phase, gain 1 / (1 + λ·(2 sin(πf/fps))⁴), which is 1 / (1 + (f / 25 Hz)⁴) far below the
-    framerate. A clip's ends need no continuation, and constant velocity passes unchanged.
+    framerate. A clip's ends need no padding, and constant velocity is unchanged.
     """
     from scipy.linalg import solveh_banded
 
@@ -65,7 +65,7 @@ def smooth(clips: Float64[np.ndarray, "clips poses 22 3"], fps: float) -> Float6
 
 
 def rich_input(positions: Float[Tensor, "clips poses 22 3"], fps: float) -> Float[Tensor, "clips poses channels"]:
-    """229 numbers per pose of prepared clips, unchanged when the whole clip is moved or turned about the vertical axis.
+    """229 numbers per pose of prepared clips, invariant to translation and to rotation about the vertical axis.
 
     Velocity is the forward difference and acceleration the second one; both repeat at the clip's ends.
     """
@@ -85,7 +85,7 @@ def rich_input(positions: Float[Tensor, "clips poses 22 3"], fps: float) -> Floa
         torch.log(acceleration.norm(dim=-1) + ACCELERATION_FLOOR),
         torch.log(velocity[:, :, FEET, ::2].norm(dim=-1) + SPEED_FLOOR),
         slip,
-        # The steadiest joint of the steadier foot, and of the other: what stands should not move.
+        # The slowest joint of the slower foot, and of the other: a foot that stands should not move.
         torch.stack((slip[..., :2].amin(-1), slip[..., 2:].amin(-1)), -1).sort(dim=-1).values,
         torch.full_like(positions[:, :, :1, 0], math.log(fps / REFERENCE_FPS)),
     )
@@ -95,16 +95,16 @@ def rich_input(positions: Float[Tensor, "clips poses 22 3"], fps: float) -> Floa
 def standardised(
     raw: Float[Tensor, "clips poses channels"], mean: Float[Tensor, "channels"], scale: Float[Tensor, "channels"]
 ) -> Float[Tensor, "clips poses channels"]:
-    """Inputs as the network sees them, none further than 5 deviations from its mean.
+    """Standardised inputs, clipped to 5 standard deviations.
 
-    A few frames of a capture are glitches of hundreds of deviations; unbounded, they alone would rule the distribution
-    of embeddings, and with it every Fréchet distance.
+    A few frames of a capture are glitches of hundreds of deviations; unclipped, they would dominate the distribution of
+    embeddings and every Fréchet distance.
     """
     return ((raw - mean) * scale).clamp(-MOST_DEVIATIONS, MOST_DEVIATIONS)
 
 
 def _repeat_ends(values: Float[Tensor, "clips some 22 3"], num_poses: int) -> Float[Tensor, "clips poses 22 3"]:
-    """As many rows as there are poses: one missing row repeats the last, two repeat the first and the last."""
+    """Pad to the number of poses: one missing row repeats the last, two repeat the first and the last."""
     head = values[:, : (num_poses - values.shape[1]) // 2]
     return torch.cat((head, values, values[:, -1:]), dim=1)
 
@@ -140,7 +140,7 @@ def _slip(feet: Float[Tensor, "clips poses 4 2"], fps: float) -> Float[Tensor, "
 
 
 TARGETS = ("upsampling", "foot-sliding", "jitter", "low-pass")
-"""What the heads regress: log strengths of damage."""
+"""Targets of the heads: log strengths of damage."""
 
 
 class NativeNetwork(nn.Module):
@@ -163,7 +163,7 @@ class NativeNetwork(nn.Module):
         """One embedding per clip; all clips of a batch have the same number of poses, at least 8."""
         movements = self.convolutions(inputs.transpose(1, 2)).transpose(1, 2)
         _, last = self.recurrent(movements)
-        # The mean over time beside the last states: strengths are averages, and a GRU forgets a long clip's beginning.
+        # The mean over time besides the last states: strengths are averages, and a GRU forgets a long clip's beginning.
         summary = torch.cat((last[0], last[1], movements.mean(dim=1)), dim=-1)
         embeddings: Tensor = self.embedding(summary)
         return embeddings

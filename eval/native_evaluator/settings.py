@@ -16,15 +16,14 @@ class NativeNetworkConfig:
 
 @dataclass(frozen=True)
 class NativeTrainingConfig:
-    """What a step sees and how much each task counts.
+    """Batches of a training step, and the tasks' weights.
 
     A step draws one framerate from `framerates` (those that the store reaches) and one m, a multiple of 4 in
-    `min_poses` … `max_poses`; `clean_fraction` of its clips stay as they are, and
-    `compound_fraction` of those that lost detail get noise too. Input statistics
-    are those of `statistics_batches` batches; the embedding's scale is that of `whitening_batches` batches of clean
-    clips at every framerate. `bank_seconds` bounds the motion that is
-    held in memory per framerate, `where` chooses the store's sequences. `text_encoder` is "" (no text) or a name that
-    `motionkit.training.text` knows.
+    `min_poses` … `max_poses`; `clean_fraction` of its clips stay unchanged, and `compound_fraction` of those that lost
+    detail get noise too. Input statistics are those of `statistics_batches` batches; the embedding's scale is that of
+    `whitening_batches` batches of clean clips at every framerate. `bank_seconds` bounds the motion held in memory per
+    framerate, `where` selects the store's sequences. `text_encoder` is "" (no text) or a name of
+    `motionkit.training.text`.
     """
 
     steps: int = 1500
@@ -60,7 +59,7 @@ class NativeTrainingConfig:
 
 @dataclass(frozen=True)
 class NativeConfig:
-    """Everything that a trained native-rate evaluator depends on besides store and seed."""
+    """All settings of a trained native-rate evaluator besides store and seed."""
 
     network: NativeNetworkConfig = field(default_factory=NativeNetworkConfig)
     training: NativeTrainingConfig = field(default_factory=NativeTrainingConfig)

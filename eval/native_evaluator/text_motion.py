@@ -1,4 +1,4 @@
-"""The native-rate evaluator on whole motions: a `TextMotionEvaluator` made of one that describes clips."""
+"""The native-rate evaluator on whole motions, as a `TextMotionEvaluator`."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,9 +18,9 @@ from motionkit.core.skeleton import SMPL22
 
 @dataclass(frozen=True, eq=False)
 class NativeTextMotion:
-    """Whole motions and sentences in the space that the evaluator matches them in.
+    """Embeddings of whole motions and sentences in the shared space.
 
-    It was trained on clips of at most 64 poses; its GRU and its mean over time go on over longer motions.
+    The evaluator was trained on clips of at most 64 poses; its GRU and its mean over time extend to longer motions.
     """
 
     evaluator: NativeEvaluator
@@ -32,12 +32,12 @@ class NativeTextMotion:
 
     @property
     def fingerprint(self) -> str:
-        """The evaluator's own, and that whole motions were embedded."""
+        """The evaluator's fingerprint, marked as that of whole motions."""
         return f"{self.evaluator.fingerprint}-whole"
 
     @property
     def fps(self) -> Fraction | None:
-        """Any framerate may be given."""
+        """None: any framerate is accepted."""
         return None
 
     @property
@@ -46,13 +46,13 @@ class NativeTextMotion:
         return SMPL22.name
 
     def remark_at(self, fps: Fraction) -> str:
-        """That it was not trained at such a framerate; empty where it was."""
+        """A remark if it was not trained at this framerate, else empty."""
         return self.evaluator.remark_at(fps)
 
     def embed_motions(self, samples: SampleSet) -> Float64[np.ndarray, "sequences features"]:
-        """One row per sequence, in the order of the set; sequences of one length go through the network together.
+        """One row per sequence, in the order of the set; sequences of one length form a batch.
 
-        Raises `MotionkitError` where one has fewer than 8 poses.
+        Raises `MotionkitError` if one has fewer than 8 poses.
         """
         shortest = int(samples.sequences.num_frames.min())
         if shortest < MIN_POSES:
@@ -69,5 +69,5 @@ class NativeTextMotion:
         return np.stack([rows[index] for index in range(samples.num_sequences)])
 
     def embed_texts(self, captions: Sequence[Caption]) -> Float64[np.ndarray, "texts features"]:
-        """One row per caption, in order. Raises `MotionkitError` where it was trained without captions."""
+        """One row per caption, in order. Raises `MotionkitError` if it was trained without captions."""
         return self.evaluator.embed_texts([caption.text for caption in captions])

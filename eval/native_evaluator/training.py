@@ -1,9 +1,9 @@
-"""How the native-rate evaluator learns: from damage whose strength is known, and from captions.
+"""Training of the native-rate evaluator: from damage of known strength, and from captions.
 
-A step takes clips of one framerate and one length, spoils most of them with one family of `eval.sets.corruptions` at a
-random strength, some with noise on top, and lets the embedding tell by linear heads how much of what was done. Clips
-left clean are matched with their captions (InfoNCE); pairs with the same caption are no negatives. Classifying the kind
-of damage saturates at its mildest level (measured), so its log strength is regressed.
+A step takes clips of one framerate and one length, corrupts most of them with one family of `eval.sets.corruptions` at
+a random strength, some with added noise, and regresses the strengths by linear heads on the embedding. Clean clips are
+matched with their captions (InfoNCE); pairs with the same caption are not negatives. Classifying the kind of damage
+saturates at its mildest level (measured), so its log strength is regressed.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -36,10 +36,10 @@ MARGIN_SECONDS = 0.3
 
 @dataclass(frozen=True, eq=False)
 class Sentences:
-    """Distinct sentences with their embeddings, and where each is said.
+    """Distinct sentences with their embeddings, and the takes they describe.
 
-    One row per utterance: `take` (ascending), `sentence` (a row of `embeddings`), and the seconds
-    [start_seconds, end_seconds) of the take that it is about (infinity: to the end).
+    One row per annotation: `take` (ascending), `sentence` (a row of `embeddings`), and the seconds [start_seconds,
+    end_seconds) of the take that it describes (infinity: to the end).
     """
 
     embeddings: Float32[np.ndarray, "sentences text"]
@@ -50,11 +50,11 @@ class Sentences:
 
     @property
     def dimension(self) -> int:
-        """Size of a sentence embedding; 0 where there is no text."""
+        """Size of a sentence embedding; 0 if there is no text."""
         return int(self.embeddings.shape[1])
 
     def about(self, take: int, seconds: float) -> Int64[np.ndarray, "found"]:
-        """Sentences said about an instant of a take."""
+        """Sentences that describe an instant of a take."""
         rows = slice(*np.searchsorted(self.take, (take, take + 1)))
         said = (self.start_seconds[rows] <= seconds) & (seconds < self.end_seconds[rows])
         return self.sentence[rows][said]
@@ -79,7 +79,7 @@ def collect_sentences(
 
 @dataclass(frozen=True, eq=False)
 class SpoiledClips:
-    """Clips as the network is to see them, the first `num_clean` as they were, and the strengths it should tell."""
+    """Input clips, the first `num_clean` of them clean, and the target strengths."""
 
     positions: Float32[np.ndarray, "clips poses 22 3"]
     targets: Float32[np.ndarray, "clips targets"]
@@ -95,10 +95,10 @@ def spoil(
     compound_fraction: float,
     rng: np.random.Generator,
 ) -> SpoiledClips:
-    """Spoil all but the first `num_clean` clips, families in turn, strengths at random; then cut the margins off.
+    """Corrupt all but the first `num_clean` clips, families in turn, strengths at random; then cut the margins off.
 
-    So many of the clips that lost detail get jitter on top: damage must be seen under noise too. What is left is made
-    ready for the network's input (`native_input.prepare`).
+    A fraction of the clips that lost detail get jitter on top: damage must be recognised under noise too. The result is
+    prepared for the network's input (`native_input.prepare`).
     """
     spoiled = clips.copy()
     targets = np.zeros((len(clips), len(TARGETS)))
@@ -123,7 +123,7 @@ def matching_loss(
     sentence_ids: Int64[np.ndarray, "pairs"],
     temperature: float,
 ) -> Float[Tensor, ""]:
-    """Symmetric InfoNCE on negative squared distances; other pairs with the same caption are left out of the sums.
+    """Symmetric InfoNCE on negative squared distances; other pairs with the same caption are excluded.
 
     Distances, not cosines, because the metrics that use these embeddings (R-Precision, MM-Dist) are Euclidean.
     """
@@ -135,7 +135,7 @@ def matching_loss(
 def symmetric_cross_entropy(
     logits: Float[Tensor, "pairs pairs"], same: Bool[Tensor, "pairs pairs"]
 ) -> Float[Tensor, ""]:
-    """Mean of both directions' cross-entropy of each pair with itself; other pairs that are the `same` do not count."""
+    """Mean cross-entropy of both directions with the diagonal as targets; other pairs that are `same` are masked."""
     own = torch.arange(len(logits), device=logits.device)
     logits = logits.masked_fill(same & (own[:, None] != own), float("-inf"))
     cross_entropy = torch.nn.functional.cross_entropy
@@ -190,12 +190,12 @@ class NativeTraining:
         return self.model_tensors() | prefixed("optimizer", optimizer_tensors(self.optimizer))
 
     def model_tensors(self) -> dict[str, Tensor]:
-        """What `load_native` reads besides the whitening: networks and statistics of inputs."""
+        """Networks and statistics of inputs, which `load_native` reads besides the whitening."""
         networks = prefixed("network", self.network.state_dict()) | prefixed("text", self.text.state_dict())
         return networks | {"statistics.mean": self.mean, "statistics.scale": self.scale}
 
     def load_state_tensors(self, tensors: Mapping[str, Tensor]) -> None:
-        """Go back to a state of `state_tensors`."""
+        """Restore a state of `state_tensors`."""
         self.network.load_state_dict(unprefixed("network", tensors))
         self.text.load_state_dict(unprefixed("text", tensors))
         self.mean = tensors["statistics.mean"].to(self.device)
@@ -214,7 +214,7 @@ class NativeTraining:
         return spoiled, drawn, fps
 
     def _draw_length(self, bank: ClipBank, rng: np.random.Generator) -> int:
-        """Poses of a batch's clips: a multiple of 4 that some sequence of the bank holds."""
+        """Number of poses of a batch's clips: a multiple of 4, at most the longest sequence of the bank."""
         training = self.config.training
         longest = min(training.max_poses, int(bank.sequences.num_frames.max()) // 4 * 4)
         return 4 * int(rng.integers(training.min_poses // 4, longest // 4 + 1))

@@ -1,8 +1,8 @@
-"""Which motions are copies of training motion; remarks on sets that hold real motions, or that stand still.
+"""Detection of motions copied from training motion; remarks on sets with real motions or without movement.
 
-A stretch is copied where its nearest training stretch (`copies`) is nearer, for how much it moves, than held-out takes
-of the same store come; a motion is accused where enough of its moving stretches are. Stretches that hardly move are
-near everything and say nothing.
+A stretch is copied if its nearest training stretch (`copies`) is nearer, relative to its movement, than those of
+held-out takes of the same store; a motion is accused if enough of its moving stretches are. Stretches that hardly move
+are near everything and are ignored.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,24 +17,24 @@ from eval.sets.copies import Nearest, TrainingMotion, nearest_training
 from eval.sets.sets import SampleSet
 
 STILL_BONES = 0.03
-"""Metres that bones leave their means by in a stretch (root mean square); with less it says nothing."""
+"""Minimum movement of a stretch, the bones' RMS deviation from their means in metres; others are ignored."""
 # No training take of CMU is as near to another: docs/results/memorisation.md.
 SHARES = {0.5: 0.075, 1.0: 0.085, 2.0: 0.095}
-"""Of its own movement: a stretch of so many seconds that is farther from training motion is nowhere called copied."""
+"""Fractions of the movement, by seconds of a stretch: stretches farther from training motion are never copied."""
 ACCUSED_SHARE = 0.25
-"""Of the moving stretches of one length that a motion holds; more are copied in a motion that is accused."""
+"""Fraction of a motion's moving stretches of one length; a motion with more copied ones is accused."""
 ACCUSED_HELD_OUT = 0.01
-"""The share of held-out motions that a store's limits accuse."""
+"""The fraction of held-out motions that a store's limits accuse."""
 LEAST_FACTOR = 0.5
-"""What is nearer than this part of the shares is copied in every store, held-out motion or not."""
+"""Fraction of the shares; anything nearer is copied in every store, even held-out motion."""
 FEWEST_HELD_OUT, MOST_HELD_OUT = 50, 200
 
 
 @dataclass(frozen=True)
 class Limits:
-    """How near a copied stretch is: less than `factor` times the share of its movement that `SHARES` has.
+    """Maximum distance of copied stretches: `factor` times the share of their movement in `SHARES`.
 
-    The factor was found from `num_motions` motions, which `found_from` names.
+    The factor was estimated from `num_motions` motions, named by `found_from`.
     """
 
     factor: float = 1.0
@@ -49,7 +49,7 @@ class Limits:
 
 @dataclass(frozen=True, eq=False)
 class Verdicts:
-    """Per motion: number of moving stretches of each length, the share of these that is copied, and whether accused.
+    """Per motion: number of moving stretches of each length, the copied fraction of them, and whether it is accused.
 
     A motion without moving stretches is not `decidable`; its shares are 0.
     """
@@ -71,12 +71,12 @@ def copied(nearest: Nearest, limits: Limits) -> Bool[np.ndarray, "stretches"]:
 
 
 def _factors(nearest: Nearest) -> Float64[np.ndarray, "stretches"]:
-    """The distance over the share of the movement; of still stretches, of the least movement that counts."""
+    """The distance divided by the share of the movement; for still stretches, of the minimum movement."""
     return np.asarray(nearest.distance / (SHARES[nearest.seconds] * np.maximum(nearest.movement, STILL_BONES)))
 
 
 def verdicts(found: Sequence[Nearest], num_motions: int, limits: Limits) -> Verdicts:
-    """What the stretches of 0.5, 1 and 2 s say of each motion: `copies.nearest_training` gives them."""
+    """Verdicts on motions from their stretches of 0.5, 1 and 2 s, as `copies.nearest_training` returns them."""
     numbers, shares = {}, {}
     for nearest in found:
         number = np.bincount(nearest.motion[moving(nearest)], minlength=num_motions)
@@ -89,7 +89,7 @@ def verdicts(found: Sequence[Nearest], num_motions: int, limits: Limits) -> Verd
 
 
 def least_factors(found: Sequence[Nearest], num_motions: int) -> Float64[np.ndarray, "motions"]:
-    """The factor up to which limits let each motion go; infinite where nothing can be said of it."""
+    """The largest factor that does not accuse each motion; infinite if it is not decidable."""
     least = np.full(num_motions, np.inf)
     for nearest in found:
         some = moving(nearest)
@@ -103,10 +103,10 @@ def least_factors(found: Sequence[Nearest], num_motions: int) -> Float64[np.ndar
 
 
 def limits_from(found: Sequence[Nearest], num_motions: int, found_from: str) -> Limits:
-    """The widest limits that accuse 1 % of held-out motions at most, never beyond `SHARES` or under half of them.
+    """The widest limits that accuse at most 1 % of held-out motions, never beyond `SHARES` or under half of them.
 
-    The first cap keeps "copied" what it says where held-out motion is far from all training motion; the second where
-    it holds training motion itself.
+    The upper bound matters if held-out motion is far from all training motion, the lower one if it contains training
+    motion.
     """
     least = np.sort(least_factors(found, num_motions))
     least = least[np.isfinite(least)]
@@ -117,10 +117,10 @@ def limits_from(found: Sequence[Nearest], num_motions: int, found_from: str) -> 
 
 
 def limits_of(training: SampleSet, indexed: TrainingMotion, validation: SampleSet | None) -> Limits:
-    """A store's own limits, from validation motion, or from training motions each beside all others where that is less.
+    """A store's limits, from validation motion; if there is too little, from training motions each against all others.
 
-    Of either at most 200 random motions are looked at; fewer than 50 validation motions are too few where there are
-    more for training.
+    At most 200 random motions of either are used; fewer than 50 validation motions are too few if there are more for
+    training.
     """
     rng = np.random.default_rng(0)
     if validation is not None and validation.num_sequences >= min(FEWEST_HELD_OUT, training.num_sequences):
@@ -135,16 +135,16 @@ def limits_of(training: SampleSet, indexed: TrainingMotion, validation: SampleSe
 
 CHOICES = 10
 SAME = 1e-6
-"""Of the spread of the real features: embeddings of one motion differ by far less, those of two by far more."""
+"""Fraction of the real features' spread: embeddings of one motion differ by far less, those of two by far more."""
 
 Features = Float[np.ndarray, "_samples features"]
 
 
 def size_remarks(real: Features, reference: Features, other: Features, seed: int) -> list[str]:
-    """Sentences about motions that are real ones, and about what it costs to be fewer than the reference.
+    """Remarks on motions that are real ones, and on the FID of sets smaller than the reference.
 
-    `reference` are those of the real motions that FID compares with. The second sentence has the FID that as many
-    random motions of the reference have from all of it: its mean, and the range of ten choices.
+    `reference` are those of the real motions that FID compares with. The second remark has the FID of equally many
+    random motions of the reference against all of it: its mean, and the range of ten draws.
     """
     remarks = []
     copies = num_copies(real, other)
@@ -166,7 +166,7 @@ def size_remarks(real: Features, reference: Features, other: Features, seed: int
 
 
 def num_copies(real: Features, other: Features) -> int:
-    """How many rows are some row of the real features, to rounding."""
+    """Number of rows that equal a row of the real features, up to rounding."""
     tolerance = SAME * float(real.std())
     order = np.argsort(real[:, 0], kind="stable")
     first = real[order, 0]
@@ -182,7 +182,7 @@ STILL_METRES = 1e-6
 
 
 def set_remarks(real: SampleSet, rows: Mapping[str, SampleSet]) -> list[str]:
-    """One sentence for each row that holds sequences of the real set, or in which nothing moves."""
+    """One remark for each row that holds sequences of the real set, or in which nothing moves."""
     remarks = []
     for name, samples in rows.items():
         copies = _num_copied_sequences(real, samples)
@@ -200,7 +200,7 @@ def set_remarks(real: SampleSet, rows: Mapping[str, SampleSet]) -> list[str]:
 
 
 def _num_copied_sequences(real: SampleSet, samples: SampleSet) -> int:
-    """How many sequences are some sequence of the real set, to rounding."""
+    """Number of sequences that equal a sequence of the real set, up to rounding."""
     known: dict[int, list[Float32[np.ndarray, "_ joints 3"]]] = {}
     for sequence in real.sequences:
         known.setdefault(len(sequence), []).append(sequence)

@@ -1,1 +1,1 @@
-"""A small evaluator after TMR that a store trains: texts and motions in one space, for retrieval."""
+"""A small TMR-style evaluator trained on a store: texts and motions in one space, for retrieval."""

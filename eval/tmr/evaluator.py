@@ -1,4 +1,4 @@
-"""A trained TMR-style evaluator: whole motions and sentences as unit vectors, whose cosine says how well they match."""
+"""A trained TMR-style evaluator: unit vectors of whole motions and sentences, matched by their cosine."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ STAGE_NAME = "tmr"
 
 @dataclass(frozen=True, eq=False)
 class TmrEvaluator:
-    """The networks on whole motions; every embedding has length 1, so that Euclidean order is that of cosines."""
+    """The networks on whole motions; embeddings have length 1, so Euclidean distances and cosines rank alike."""
 
     motions: NativeTextMotion
 
@@ -30,7 +30,7 @@ class TmrEvaluator:
 
     @property
     def pair_score(self) -> str:
-        """What TMR and Kimodo print of pairs."""
+        """The score of pairs that TMR and Kimodo report."""
         return "tmr_score"
 
     @property
@@ -40,7 +40,7 @@ class TmrEvaluator:
 
     @property
     def fps(self) -> Fraction | None:
-        """Any framerate may be given."""
+        """None: any framerate is accepted."""
         return None
 
     @property
@@ -49,15 +49,15 @@ class TmrEvaluator:
         return self.motions.layout
 
     def remark_at(self, fps: Fraction) -> str:
-        """That it was not trained at such a framerate; empty where it was."""
+        """A remark if it was not trained at this framerate, else empty."""
         return self.motions.evaluator.remark_as(self.name, STAGE_NAME, fps)
 
     def embed_motions(self, samples: SampleSet) -> Float64[np.ndarray, "sequences features"]:
-        """One row per sequence, in the order of the set; raises what `NativeTextMotion.embed_motions` raises."""
+        """One row per sequence, in the order of the set; raises as `NativeTextMotion.embed_motions`."""
         return _unit(self.motions.embed_motions(samples))
 
     def embed_texts(self, captions: Sequence[Caption]) -> Float64[np.ndarray, "texts features"]:
-        """One row per caption, in order; raises what `NativeTextMotion.embed_texts` raises."""
+        """One row per caption, in order; raises as `NativeTextMotion.embed_texts`."""
         return _unit(self.motions.embed_texts(captions))
 
 
@@ -68,6 +68,6 @@ def _unit(rows: Float64[np.ndarray, "rows features"]) -> Float64[np.ndarray, "ro
 def load_tmr(run: Path) -> TmrEvaluator:
     """Load the evaluator from a run folder (`motionkit train --stage tmr`).
 
-    Raises `RunError` where it is not trained to its end and `CheckpointError` where the file is of another version.
+    Raises `RunError` if its training is not finished and `CheckpointError` if the file is of another version.
     """
     return TmrEvaluator(NativeTextMotion(load_networks(run, STAGE_NAME, VERSION)))

@@ -11,9 +11,9 @@ class TmrTrainingConfig:
 
     A step draws one framerate from `framerates` (those that the store reaches) and one duration between `min_seconds`
     and `max_seconds`, at most `max_poses` poses. Pairs whose sentences have a score above `same_above` (½ + ½ · cosine
-    of `text_encoder`'s embeddings) are no negatives of each other. `noise` is the standard deviation, in those of the
-    inputs, of what is added to them. `bank_seconds` bounds the motion held in memory per framerate, `where` chooses
-    the store's sequences.
+    of `text_encoder`'s embeddings) are not negatives of each other. `noise` is the standard deviation of the noise
+    added to the standardised inputs. `bank_seconds` bounds the motion held in memory per framerate, `where` selects the
+    store's sequences.
     """
 
     steps: int = 600
@@ -45,7 +45,7 @@ class TmrTrainingConfig:
 
 @dataclass(frozen=True)
 class TmrConfig:
-    """Everything that a trained TMR-style evaluator depends on besides store and seed."""
+    """All settings of a trained TMR-style evaluator besides store and seed."""
 
     network: NativeNetworkConfig = field(default_factory=NativeNetworkConfig)
     training: TmrTrainingConfig = field(default_factory=TmrTrainingConfig)

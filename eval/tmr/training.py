@@ -1,8 +1,8 @@
-"""How the TMR-style evaluator learns: pairs of motion and sentence against all other pairs of a batch.
+"""Training of the TMR-style evaluator: pairs of motion and sentence against all other pairs of a batch.
 
-TMR's contrastive loss: InfoNCE on cosines, in which pairs with nearly the same sentence are no negatives of each other
-(Petrovich et al. 2023; src/model/losses.py of Mathux/TMR @ 6d74688). Its decoder, and with it the reconstruction
-and the Gaussian latents, is left out: it is there to generate.
+TMR's contrastive loss: InfoNCE on cosines, in which pairs with nearly the same sentence are not negatives of each other
+(Petrovich et al. 2023; src/model/losses.py of Mathux/TMR @ 6d74688). Its decoder, reconstruction loss and Gaussian
+latents are left out: they serve generation.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,7 +28,7 @@ def retrieval_loss(
     temperature: float,
     same_above: float,
 ) -> Float[Tensor, ""]:
-    """Symmetric InfoNCE on cosines; other pairs whose sentences score above `same_above` are left out of the sums."""
+    """Symmetric InfoNCE on cosines; other pairs whose sentences score above `same_above` are excluded."""
     normalize = torch.nn.functional.normalize
     logits = normalize(texts, dim=1) @ normalize(motions, dim=1).T / temperature
     unit = normalize(sentences, dim=1)
@@ -82,7 +82,7 @@ class TmrTraining:
         }
 
     def load_state_tensors(self, tensors: Mapping[str, Tensor]) -> None:
-        """Go back to a state of `state_tensors`."""
+        """Restore a state of `state_tensors`."""
         self.network.load_state_dict(unprefixed("network", tensors))
         self.text.load_state_dict(unprefixed("text", tensors))
         self.mean = tensors["statistics.mean"].to(self.device)
@@ -92,7 +92,7 @@ class TmrTraining:
     def _pairs(
         self, rng: np.random.Generator
     ) -> tuple[Float32[np.ndarray, "pairs poses 22 3"], Int64[np.ndarray, "pairs"], float]:
-        """Clips of one framerate and length that somebody describes, and a sentence about the middle of each."""
+        """Captioned clips of one framerate and length, and a sentence about the middle of each."""
         training = self.config.training
         bank = self.banks[int(rng.integers(len(self.banks)))]
         fps = float(bank.fps)

@@ -1,7 +1,7 @@
 """The project's metrics as `torchmetrics.Metric`s: update, compute, reset, on any device, over batches and processes.
 
-Each holds what the pure function of `eval.metrics` needs and calls it in `compute`, so the value is the function's own,
-whatever the batches were. They need the extra `metrics`; the functions do not.
+Each accumulates the inputs of a pure function of `eval.metrics` and calls it in `compute`, so the value does not depend
+on the batches. They need the extra `metrics`; the functions do not.
 """
 
 from importlib.util import find_spec

@@ -1,4 +1,4 @@
-"""Between a metric's states, tensors on a device, and the arrays that the functions of `eval.metrics` take."""
+"""Conversion of a metric's states, tensors on a device, to the arrays that the functions of `eval.metrics` take."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from torchmetrics.utilities import dim_zero_cat
 
 
 def array_of(values: Tensor | npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Values as an array; numbers of half precision, which numpy's do not all know, become float32, exactly."""
+    """Values as an array; half-precision types, which numpy lacks in part, become float32, exactly."""
     if not isinstance(values, Tensor):
         return np.asarray(values)
     if values.is_floating_point() and values.dtype not in (torch.float32, torch.float64):
@@ -20,7 +20,7 @@ def array_of(values: Tensor | npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def rows_of(state: list[Tensor] | Tensor, what: str) -> npt.NDArray[Any]:
-    """All rows of a list state, those of other processes included. Raises `ValueError` where there are none."""
+    """All rows of a list state, including those of other processes. Raises `ValueError` if there are none."""
     if not len(state):
         raise ValueError(f"there are no {what}: call update first")
     return array_of(dim_zero_cat(state))

@@ -1,4 +1,4 @@
-"""clip-FID as a metric that motions are given to batch by batch."""
+"""clip-FID as a torchmetrics metric."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -23,11 +23,11 @@ Some = Sequence[Float[Tensor, "_frames 22 3"]] | Float[Tensor, "motions frames 2
 class ClipFID(Metric):
     """clip-FID of generated motions against real ones at one framerate, as `eval.clip_fid` computes it.
 
-    `real` are the motions that are compared with, and `train` those that the descriptor is fitted on (by default the
-    real ones): `Motion`s of `fps`, or arrays [frames, 22, 3] in metres, y up. `features` is the kinematic descriptor,
-    or a run whose learned evaluator is used. `update` takes motions of any lengths; they are kept, for clips are drawn
-    in proportion to the duration of all of them. The value is that of `eval.clip_fid` on the same motions in the same
-    order. Scores compare only with the same real motions, framerate, features, and number of clips.
+    `real` are the reference motions, and `train` those that the descriptor is fitted on (by default the real ones):
+    `Motion`s of `fps`, or arrays [frames, 22, 3] in metres, y up. `features` is the kinematic descriptor, or a run with
+    a learned evaluator. `update` takes motions of any lengths and keeps them, since clips are drawn in proportion to
+    the duration of all of them. The value is that of `eval.clip_fid` on the same motions in the same order. Scores are
+    comparable only for the same real motions, framerate, features, and number of clips.
 
     Raises `UsageError`, `ClipError` and `MotionkitError` as `eval.clip_fid` does, for the real motions when the metric
     is first computed.
@@ -69,9 +69,9 @@ class ClipFID(Metric):
         self.add_state("num_frames", [], dist_reduce_fx="cat")
 
     def update(self, motions: Some, num_frames: Int[Tensor, "motions"] | None = None) -> None:
-        """Add motions [frames, 22, 3] of any lengths, or a padded batch of which `num_frames` are each motion's own.
+        """Add motions [frames, 22, 3] of any lengths, or a padded batch with each motion's `num_frames`.
 
-        Raises `UsageError` for other shapes, and `ValueError` for lengths that a batch does not hold or NaN.
+        Raises `UsageError` for other shapes, and `ValueError` for lengths beyond the batch or NaN.
         """
         lengths = [len(motion) for motion in motions] if num_frames is None else [int(each) for each in num_frames]
         if len(lengths) != len(motions) or any(

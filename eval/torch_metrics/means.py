@@ -19,10 +19,10 @@ from motionkit.core.framerate import Framerate, parse_fps
 class DeclaredMean(Metric):
     """A metric of `eval.metrics` that is a mean, by its name there, over batches and processes.
 
-    `update` takes what the function takes: arrays by position; settings, such as `fps`, are given once, here. Other
-    keywords are torchmetrics' own. Frames count alike in whatever batches they come: a batch counts with the number of
-    things that its value is a mean over. Raises `KeyError` for a name that is not declared and `ValueError` for a
-    metric that is no mean.
+    `update` takes the function's arrays by position; settings, such as `fps`, are passed here. Other keywords are
+    torchmetrics' own. A batch is weighted by the number of elements that its value is a mean over, so the result does
+    not depend on the batches. Raises `KeyError` for a name that is not declared and `ValueError` for a metric that is
+    not a mean.
 
     >>> metric = DeclaredMean("velocity_error", fps=60)
     >>> metric.update(torch.zeros(2, 30, 22, 3), torch.zeros(2, 30, 22, 3))
@@ -54,7 +54,7 @@ class DeclaredMean(Metric):
         return find_metric(self.metric_name).higher_is_better
 
     def update(self, *arrays: Tensor | npt.NDArray[Any]) -> None:
-        """Add a batch. Raises what the function raises."""
+        """Add a batch. Raises as the function."""
         metric, given = find_metric(self.metric_name), [array_of(each) for each in arrays]
         assert metric.weight is not None
         value = metric.function(*given, **self.settings)
@@ -64,7 +64,7 @@ class DeclaredMean(Metric):
         self.weight += batch.weight
 
     def compute(self) -> Tensor:
-        """The mean over all batches, float64. Raises `ValueError` where there are none."""
+        """The mean over all batches, float64. Raises `ValueError` if there are none."""
         mean = MeanSums(float(self.total), float(self.weight)).mean
         exponent = 1 / find_metric(self.metric_name).exponent
         return torch.tensor(mean**exponent, dtype=torch.float64, device=self.total.device)
@@ -119,7 +119,7 @@ class JerkError(DeclaredMean):
 
 
 class SkatingSpeed(DeclaredMean):
-    """Foot skating, m/s, of one sequence an update: `update(feet [frames, 4, 3])`, ankle and toe of either foot.
+    """Foot skating, m/s, of one sequence per update: `update(feet [frames, 4, 3])`, ankle and toe of either foot.
 
     >>> metric = SkatingSpeed(fps=60, floor=0.0)
     >>> metric.update(torch.zeros(30, 4, 3))
@@ -169,11 +169,11 @@ class NPSS(DeclaredMean):
 
 
 class MotionMean(Metric):
-    """A physical figure of `eval.metrics.physical` or `physical_published` by name, the mean over motions.
+    """A metric of `eval.metrics.physical` or `physical_published` by name, averaged over motions.
 
     `update` takes motions [frames, 22, 3] in metres, y up, of any lengths, each with its own floor (`ground_height`).
-    Motions weigh by their seconds; those that have nothing to measure, such as contacts, do not count. This is the mean
-    of `motionkit eval --table physical`. Raises `KeyError` for a name that is not declared.
+    Motions are weighted by their seconds; those with nothing to measure, such as contacts, are ignored. This is the
+    mean of `motionkit eval --table physical`. Raises `KeyError` for a name that is not declared.
 
     >>> metric = MotionMean("bone_length_drift", fps=60)
     >>> metric.update([torch.rand(1, 22, 3).expand(90, 22, 3)])
@@ -198,7 +198,7 @@ class MotionMean(Metric):
         return find_metric(self.metric_name).higher_is_better
 
     def update(self, motions: Sequence[Float[Tensor, "_frames joints 3"]]) -> None:
-        """Add motions. Raises what the function raises."""
+        """Add motions. Raises as the function."""
         function = find_metric(self.metric_name).function
         over_floor = "floor" in signature(function).parameters
         for motion in motions:
@@ -211,6 +211,6 @@ class MotionMean(Metric):
                 self.seconds += seconds
 
     def compute(self) -> Tensor:
-        """The mean over motions, float64. Raises `ValueError` where none could be measured."""
+        """The mean over motions, float64. Raises `ValueError` if none could be measured."""
         mean = MeanSums(float(self.total), float(self.seconds)).mean
         return torch.tensor(mean, dtype=torch.float64, device=self.total.device)

@@ -17,9 +17,9 @@ from eval.torch_metrics.arrays import array_of, rows_of
 class FID(Metric):
     """Fréchet distance of two sets of features, as `eval.metrics.gaussian.fid`: `update(features, real=True | False)`.
 
-    Any features, of any network: [samples, features]. A state is number, mean and scatter of what was seen, so memory
-    does not grow with the samples; those of other batches and processes are merged about their means in float64, which
-    loses nothing far from zero.
+    Features of any network: [samples, features]. The states are number, mean and scatter of the samples, so memory is
+    constant; those of other batches and processes are merged about their means in float64, which is accurate far from
+    zero.
 
     >>> metric = FID()
     >>> features = torch.randn(100, 4, generator=torch.Generator().manual_seed(0))
@@ -47,13 +47,13 @@ class FID(Metric):
         state[:] = [_packed(_merged(state).merged(added)).to(self.device)]
 
     def compute(self) -> Float[Tensor, ""]:
-        """The distance, float64. Raises `ValueError` where a side has fewer than 2 samples."""
+        """The distance, float64. Raises `ValueError` if a side has fewer than 2 samples."""
         distance = frechet_distance(_merged(self.real).gaussian, _merged(self.generated).gaussian)
         return torch.tensor(distance, dtype=torch.float64, device=self.device)
 
 
 def _packed(sums: FeatureSums) -> Float[Tensor, "1 size size"]:
-    """One matrix: the number in a corner, the mean beside it, the scatter inside."""
+    """The sums as one matrix: the number in a corner, the mean beside it, the scatter inside."""
     assert sums.mean is not None and sums.scatter is not None
     packed = np.zeros((1, sums.mean.size + 1, sums.mean.size + 1))
     packed[0, 0, 0], packed[0, 0, 1:], packed[0, 1:, 1:] = sums.num_samples, sums.mean, sums.scatter
@@ -108,7 +108,7 @@ class RPrecision(Metric):
 
 
 class _Rows(Metric):
-    """A set that is kept whole, and how many random pairs of it are compared."""
+    """A set of embeddings, and the number of random pairs compared."""
 
     full_state_update = False
     is_differentiable = False
@@ -153,8 +153,8 @@ class Diversity(_Rows):
 class MultiModality(_Rows):
     """Mean distance of motions of one text, as `eval.metrics.actions.multimodality` (NeRM Eq. 8).
 
-    `update(features [texts, generations, features])`; every text has as many generations, 2 · `num_pairs` at least. The
-    best value is the real set's own.
+    `update(features [texts, generations, features])`; all texts have the same number of generations, at least 2 ·
+    `num_pairs`. The best value is the real set's own.
 
     >>> metric = MultiModality(num_pairs=2)
     >>> metric.update(torch.zeros(3, 4, 8))
@@ -170,6 +170,6 @@ class MultiModality(_Rows):
         self.rows.append(features.detach().double())
 
     def compute(self) -> Float[Tensor, ""]:
-        """The mean distance, float64. Raises `ValueError` where a text has too few generations."""
+        """The mean distance, float64. Raises `ValueError` if a text has too few generations."""
         features, rng = self._all("texts")
         return self._value(multimodality(features, rng=rng, num_pairs=self.num_pairs))
