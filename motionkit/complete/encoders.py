@@ -163,7 +163,7 @@ def _why_untrained(preferred: str | None, runs: Path) -> str:
     if preferred is None:
         return ""
     command = encoder_loader(preferred).train_command()
-    return f", for no run in {runs} has a trained {preferred}: {command} trains one"
+    return f", since no run in {runs} has a trained {preferred}: {command} trains one"
 
 
 def _is_interpolator(name: str) -> TypeGuard[Method]:

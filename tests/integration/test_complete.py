@@ -264,7 +264,7 @@ def test_a_bad_file_costs_nothing_of_the_others(motionkit: Run, tmp_path: Path, 
         "deep/d.npz",
     ]
     assert [Path(each["clip"]).name for each in report["failed"]] == ["b.bvh", "c.bvh"]
-    assert "one frame" in outcome.stderr and "the file ends" in outcome.stderr
+    assert "a single frame" in outcome.stderr and "the file ends" in outcome.stderr
     assert sorted(path.name for path in (tmp_path / "out").rglob("*.*")) == ["a.bvh", "d.npz"]
     # A second call on the folder does not take what the first one made for clips.
     assert motionkit("complete", folder / "a.bvh", "--fps", "60").code == 0
@@ -299,7 +299,7 @@ def test_trained_encoders_complete_own_skeletons(motionkit: Run, tmp_path: Path,
     dog.write_text(re.sub(r"\b(Left|Right|Hips|Spine|Neck|Head)", r"dog\1", walk.read_text("utf-8")), "utf-8")
     outcome = motionkit("complete", dog, *asked)
     (clip,) = json.loads(outcome.stdout)["clips"]
-    assert clip["encoder"] == "rotation-cubic" and "learnt does not know its skeleton" in clip["warnings"][0]
+    assert clip["encoder"] == "rotation-cubic" and "learnt does not support its skeleton" in clip["warnings"][0]
     outcome = motionkit("complete", walk, "--fps", "60", "--model", "learnt", "--runs", tmp_path)
     assert outcome.code == 2 and "train --stage learnt" in outcome.stderr
 

@@ -11,7 +11,7 @@ from motionkit.core.errors import LinkError, UsageError
 
 def test_another_demo_takes_the_place_of_the_first_and_nothing_else(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("mine")
-    with pytest.raises(UsageError, match="something else"):
+    with pytest.raises(UsageError, match="has other content than an earlier demo"):
         run_demo(DemoFolder(tmp_path), SMALLEST, seed=0)
     assert (tmp_path / "thesis.tex").read_text() == "mine"
 

@@ -84,7 +84,7 @@ def test_wrong_files_are_one_line(motionkit: Callable[..., Any], store: Path, we
     table = ("eval", "--table", 2, "--store", store, "--results", tmp_path, "--fps", 20, *CLIPS)
     for arguments, code, message in (
         (("--evaluator", "guo"), 2, "--evaluator guo needs its weights: --weights finest.tar"),
-        (("--glove", tmp_path), 2, "--glove belongs to a published evaluator"),
+        (("--glove", tmp_path), 2, "--glove needs a published evaluator"),
     ):
         outcome = motionkit(*table, *arguments)
         assert outcome.code == code and message in " ".join(outcome.stderr.split())

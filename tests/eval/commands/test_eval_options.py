@@ -63,7 +63,7 @@ def test_options_become_what_tables_take(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("ask", "told"),
     [
-        (lambda: EvaluatorOptions(glove=Path("glove")).chosen(), "--glove belongs to a published evaluator"),
+        (lambda: EvaluatorOptions(glove=Path("glove")).chosen(), "--glove needs a published evaluator"),
         (lambda: EvaluatedOptions(samples_fps="x").chosen(), "--samples-fps x"),
         (lambda: EvaluatedOptions(samples=["real=here"]).chosen(), "choose another name"),
         (lambda: ClipOptions(sizes="64:16").chosen(0), "--sizes 64:16"),

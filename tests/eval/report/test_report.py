@@ -113,9 +113,9 @@ def test_a_value_that_is_no_finite_number_is_named_and_nothing_else_is_lost(
     write_result(result, tmp_path)
     with pytest.raises(ResultError, match=f"1 of 2 results in '{tmp_path}' could not be read"):
         report(tmp_path)
-    told = capsys.readouterr()
-    assert "broken.json" in told.err.replace("\n", "")
-    assert told.out == f"{tmp_path / 'report.html'}\n"
+    message = capsys.readouterr()
+    assert "broken.json" in message.err.replace("\n", "")
+    assert message.out == f"{tmp_path / 'report.html'}\n"
     assert "Table 2" in (tmp_path / "report.html").read_text()
 
 
@@ -169,9 +169,9 @@ def test_results_of_another_version_are_named(
     (tmp_path / "mine.json").write_text('{"mine": 1}')
     with pytest.raises(ResultError, match="1 of 1 results"):
         report(tmp_path)
-    told = capsys.readouterr().err.replace("\n", "")
-    assert "motionkit-result/9" in told
-    assert "not results, and not shown: mine.json" in told
+    message = capsys.readouterr().err.replace("\n", "")
+    assert "motionkit-result/9" in message
+    assert "skipped, not results: mine.json" in message
 
 
 def test_the_page_is_not_written_through_a_link(result: Result, tmp_path: Path) -> None:
