@@ -17,7 +17,7 @@ from eval.sets.corruptions import Family, families
 
 @dataclass(frozen=True)
 class CostCurve:
-    """Points (seconds, value ± half-width) with a label each, and levels that cost nothing: (label, value)."""
+    """Labelled points (seconds, value ± half-width), and levels without cost: (label, value)."""
 
     title: str
     x_label: str
@@ -30,7 +30,7 @@ class CostCurve:
 
 
 def cost_curve_of(result: Result) -> CostCurve | None:
-    """The first block whose columns begin with seconds and end with a quality; None where there is no such block."""
+    """The first block whose columns begin with seconds and end with a quality; None if there is no such block."""
     for block in result.blocks:
         points = _points(block)
         if points and "seconds" in block.columns[0]:
@@ -54,7 +54,7 @@ def cost_curve_of(result: Result) -> CostCurve | None:
 
 
 def cost_figure(curve: CostCurve, width_inches: float = 6.4) -> Figure:
-    """Both axes begin at zero, so that distances are what they are; levels are dashed lines."""
+    """Both axes begin at zero, so that distances are to scale; levels are dashed lines."""
     figure = Figure(figsize=(width_inches, 0.65 * width_inches), layout="constrained")
     axes = figure.subplots()
     axes.errorbar(curve.seconds, curve.values, curve.half_widths, color=BLUE, marker="o", markersize=4.5, capsize=2.0)
@@ -79,13 +79,13 @@ def _points(block: Block) -> Sequence[Row]:
     return [row for row in block.rows if block.columns[0] in row.cells and block.columns[-1] in row.cells]
 
 
-# "120 fps", "×2.4", "15 frames", "λ = 0.5": what comes before the number, the number, what comes after it.
+# "120 fps", "×2.4", "15 frames", "λ = 0.5": prefix, number, unit.
 COLUMN = re.compile(r"(?P<before>×|\w+ = |)(?P<number>\d+(?:\.\d+)?)(?P<after> fps| frames|)")
 X_LABELS = {("", " fps"): FRAMERATE_LABEL, ("", " frames"): "frames asked for", ("×", ""): "scale"}
 
 
 def panels_of(result: Result, y_label: str = "lower is better") -> tuple[Panel, ...]:
-    """One panel per block, for numbers of different blocks can't be compared; ours first, the paper's after them.
+    """One panel per block, since numbers of different blocks are not comparable; ours first, then the paper's.
 
     `y_label` is that of the blocks in which lower is better; others have none. Blocks whose columns are not all values
     of one quantity ("120 fps", "×4", "30 frames", "λ = 0.5") are left out, and so are differences between rows.
@@ -106,7 +106,7 @@ def panels_of(result: Result, y_label: str = "lower is better") -> tuple[Panel, 
 
 
 def _quantity(block: Block) -> str | None:
-    """What the columns are values of, as an axis says it; None where they are not of one quantity."""
+    """The axis label of the columns' quantity; None if they are not of one quantity."""
     found = [COLUMN.fullmatch(column) for column in block.columns]
     kinds = {None if match is None else (match["before"], match["after"]) for match in found}
     kind = kinds.pop() if len(kinds) == 1 else None
@@ -157,7 +157,7 @@ def calibration_figure(result: Result) -> Figure:
     """Scores of every level in multiples of the same-take floor, on a logarithmic axis, with 95 % intervals.
 
     The shaded band is where a harmless transform must stay, the dotted lines are the floors of disjoint takes (P2).
-    Raises `ResultError` where the result is no calibration.
+    Raises `ResultError` if the result is no calibration.
     """
     blocks = [block for block in result.blocks if block.provenance.get("shows") == "scores" and block.columns]
     if not blocks:
@@ -193,7 +193,7 @@ def _draw_flat(axes: Axes, block: Block, rows: Sequence[Row]) -> None:
 
 
 def _draw_family(axes: Axes, block: Block, rows: dict[str, Row], family: Family) -> None:
-    """A family's levels from mild to severe; a level that is no damage at a framerate is left out of its curve."""
+    """A family's levels from mild to severe; levels without damage at a framerate are left out of its curve."""
     for index, column in enumerate(block.columns):
         found = [rows.get(level_name(family, level)) for level in family.levels]
         _draw_curve(axes, index, column, [row.cells.get(column) if row else None for row in found], line="-")

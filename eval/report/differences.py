@@ -1,4 +1,4 @@
-"""Which rows differ: differences of two rows' numbers with paired 95 % intervals, and what they allow to say."""
+"""Differences of two rows' numbers with paired 95 % intervals, and their verdicts."""
 
 from collections.abc import Iterable, Mapping
 from itertools import combinations
@@ -14,19 +14,19 @@ NOTE = (
 )
 DRAWING = "± over replications alone"
 SUFFIX = ": differences between rows"
-"""What stands behind a block's title in that of its rows' differences."""
-# Differences of two rows (the first less the second) by column.
+"""Suffix of a block's title for the block of its rows' differences."""
+# Differences of two rows (the first minus the second) by column.
 Differences = Mapping[tuple[str, str], Mapping[str, Difference]]
 
 
 def pairs_of(rows: Iterable[str], references: Iterable[str] = ()) -> list[tuple[str, str]]:
-    """Which rows are compared: each with every later one, and with the references."""
+    """The compared pairs of rows: each with every later one, and with the references."""
     own = list(rows)
     return [*combinations(own, 2), *((row, reference) for row in own for reference in references)]
 
 
 def score_differences(rows: Mapping[str, Mapping[str, Score]], column_of: Mapping[str, str]) -> Differences:
-    """Of every two rows' metrics, which are named by `column_of` for their columns."""
+    """Differences of all pairs of rows; `column_of` maps metrics to columns."""
     found: dict[tuple[str, str], dict[str, Difference]] = {}
     for first, second in pairs_of(rows):
         for name, column in column_of.items():
@@ -38,10 +38,11 @@ def score_differences(rows: Mapping[str, Mapping[str, Score]], column_of: Mappin
 
 
 def of_interest(block: Block, differences: Differences, best: Iterable[str] = ()) -> Differences:
-    """Of the differences between all rows of a block those that say something; nearly all pairs of many rows do not.
+    """Select the informative differences between the rows of a block.
 
-    They hold the best row of a column or a reference, or the same motions treated in two ways, whose names begin alike
-    ("X" and "X, planted"). `best` names the best rows where the columns do not. Where no row can be best, all are.
+    These are with the best row of a column or a reference, or of the same motions processed in two ways, whose names
+    begin alike ("X" and "X, planted"). `best` names the best rows if the columns do not. If no row can be best, all
+    are.
     """
     best = {*best} or {names[0] for names in _ranked(block).values()}
     shown = best | {row.name for row in block.rows if row.origin == "reference"}
@@ -53,7 +54,7 @@ def of_interest(block: Block, differences: Differences, best: Iterable[str] = ()
 
 
 def differences_block(block: Block, differences: Differences) -> Block | None:
-    """A row for each pair of a block's rows, and what it allows to say; None where there is no pair."""
+    """A row for each pair of a block's rows, with its verdict; None if there is no pair."""
     rows = tuple(
         Row(
             f"{first} − {second}",
@@ -70,7 +71,7 @@ def differences_block(block: Block, differences: Differences) -> Block | None:
 
 
 def _ranked(block: Block) -> dict[str, list[str]]:
-    """By column a block's own rows, the best one first; none of columns where real motion's number is best."""
+    """A block's own rows by column, best first; none for columns in which real motion's number is best."""
     by_column = {measure.column: measure.better for measure in block.metrics}
     found = {}
     for column in block.columns:
@@ -84,9 +85,9 @@ def _ranked(block: Block) -> dict[str, list[str]]:
 
 
 def said(found: Mapping[str, Difference], metrics: tuple[Measure, ...]) -> str:
-    """In which columns the first row is better, worse, or not told apart; "lower" and "higher" where neither is better.
+    """Columns in which the first row is better, worse, or no different; "lower" and "higher" if neither is better.
 
-    A metric holds for the column that it names, or for all where it names none.
+    A metric applies to the column that it names, or to all if it names none.
     """
     by_column = {measure.column: measure.better for measure in metrics}
     columns: dict[str, list[str]] = {}
@@ -100,10 +101,10 @@ def said(found: Mapping[str, Difference], metrics: tuple[Measure, ...]) -> str:
 
 
 def best_in_column(block: Block, blocks: Iterable[Block]) -> dict[str, frozenset[str]]:
-    """By column the best of a block's own rows and those that the paired test does not tell from it.
+    """By column the best of a block's own rows and those not significantly different from it.
 
-    `blocks` are all of the result, that of the block's differences among them. Columns have none where the best is
-    compared with no other row, or real motion's number is best.
+    `blocks` are all of the result, including the differences. Columns have none if the best row is compared with no
+    other, or real motion's number is best.
     """
     tests = next((each for each in blocks if each.title == block.title + SUFFIX), None)
     if tests is None:

@@ -1,4 +1,4 @@
-"""Pictures: strips of skeletons over time, and tables as curves over the framerate. No pyplot, no global state."""
+"""Figures: strips of skeletons over time, and tables as curves over the framerate. No pyplot, no global state."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import map_joints
 
-# Characters of a legend's line; two columns of longer ones are wider than a panel.
+# Maximum characters of a legend's line in two columns.
 LABEL_WIDTH = 40
 # Okabe and Ito's palette: distinguishable with any colour vision.
 BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE, GREY = (
@@ -25,7 +25,7 @@ BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE, GREY = (
 CURVE_COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, GREY)
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 SIDE_COLOURS = {"left": BLUE, "right": VERMILLION, "middle": "#303030"}
-# The camera stands to the front right of the first pose, so that a walk goes to the right of the picture.
+# The camera is to the front right of the first pose, so that a walk goes to the right of the picture.
 CAMERA_YAW = np.deg2rad(118.0)
 CAMERA_PITCH = np.deg2rad(8.0)
 SLOT_METRES = 0.95
@@ -34,7 +34,7 @@ FRAMERATE_LABEL = "framerate (frames per second)"
 
 @dataclass(frozen=True, eq=False)
 class Strip:
-    """One row of a picture: poses [K, J, 3] in metres at times in seconds, and what to write above it."""
+    """One row of a figure: poses [K, J, 3] in metres at times in seconds, and its title."""
 
     title: str
     joint_positions: Float32[np.ndarray, "poses joints 3"]
@@ -44,7 +44,7 @@ class Strip:
 
 @dataclass(frozen=True)
 class Curve:
-    """One row of a table over a quantity: values and half-widths of their 95 % intervals (0 where there is none)."""
+    """One row of a table over a quantity: values and half-widths of their 95 % intervals (0 if there is none)."""
 
     label: str
     places: tuple[float, ...]
@@ -54,7 +54,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Panel:
-    """Curves that may be compared with one another, in one pair of axes; decibels need not be seen from zero."""
+    """Comparable curves in one pair of axes; the axis of decibels need not include zero."""
 
     title: str
     y_label: str
@@ -64,9 +64,9 @@ class Panel:
 
 
 def strip_of(motion: Motion, title: str, num_poses: int = 10, seconds: float | None = None) -> Strip:
-    """Frames of a motion at about equal distances of time over its first `seconds` (all of it by default).
+    """Frames of a motion, about evenly spaced over its first `seconds` (all of it by default).
 
-    They are drawn in the 22-joint layout. Raises `SkeletonMapError` where the skeleton has no such joints.
+    They are drawn in the 22-joint layout. Raises `SkeletonMapError` if the skeleton cannot be mapped to it.
     """
     span = motion.timegrid.span_seconds if seconds is None else min(seconds, motion.timegrid.span_seconds)
     frames = np.round(np.linspace(0.0, span, num_poses) * float(motion.fps)).astype(int)
@@ -87,7 +87,7 @@ def curves_and_strips_figure(panels: Sequence[Panel], strips: Sequence[Strip], w
 
 
 def curves_figure(panels: Sequence[Panel], width_inches: float = 12.0) -> Figure:
-    """Panels of curves alone, at most three in a line."""
+    """Panels of curves only, at most three per line."""
     columns = min(3, len(panels))
     lines = -(-len(panels) // columns)
     figure = Figure(figsize=(width_inches, 5.0 * lines), layout="constrained")
@@ -113,7 +113,7 @@ def draw_strip(axes: Axes, strip: Strip) -> None:
     places = np.arange(len(strip.seconds)) * SLOT_METRES
     floor = min(0.0, float(segments[..., 1].min()))
     axes.axhline(floor, color="#C8C8C8", linewidth=0.8, zorder=0)
-    # A reach or a fall may leave the slot; the frame follows the drawing.
+    # A reach or a fall may leave the slot; the limits follow the drawing.
     left, right = float(segments[..., 0].min()), float(segments[..., 0].max())
     axes.set_xlim(min(left, -0.5 * SLOT_METRES), max(right, places[-1] + 0.5 * SLOT_METRES))
     axes.set_ylim(floor - 0.05, max(1.75, float(segments[..., 1].max()) + 0.05))
@@ -146,12 +146,12 @@ def strip_segments(strip: Strip) -> tuple[Float64[np.ndarray, "lines 2 2"], list
 
 
 def draw_curves(axes: Axes, panel: Panel) -> None:
-    """Draw curves with shaded intervals; the axis is logarithmic where the values span more than a decade."""
+    """Draw curves with shaded intervals; the axis is logarithmic if the values span more than a decade."""
     curves = panel.curves
     for index, curve in enumerate(curves):
         places, values, widths = (np.array(column) for column in (curve.places, curve.values, curve.half_widths))
         colour, marker = CURVE_COLOURS[index % len(CURVE_COLOURS)], MARKERS[index % len(MARKERS)]
-        # Colours come round again after six curves; the next six are dashed.
+        # Colours repeat after six curves; the next six are dashed.
         style = "-" if index < len(CURVE_COLOURS) else "--"
         lines = axes.plot(places, values, style, color=colour, marker=marker, markersize=4.5, linewidth=1.6)
         lines[0].set_label(fill(curve.label, LABEL_WIDTH))

@@ -44,9 +44,9 @@ def to_html(
     cards: Sequence[str] = (),
     figures: Mapping[int, "Figure"] = {},
 ) -> str:
-    """All results as one page that needs no other file and no network.
+    """All results as one self-contained page.
 
-    `cards` are articles, as HTML, in front; `figures` stand in the results of these numbers, from 0.
+    `cards` are articles, as HTML, in front; `figures` are placed in the results with these indices.
     """
     page = _environment(html=True).get_template("report.html.j2")
     return page.render(results=results, title=title, cards=cards, figures=figures)
@@ -65,7 +65,7 @@ def picture(figure: "Figure") -> str:
 
 
 def origin_line(result: Result) -> str:
-    """By which command, at which commit and from which store a result was made, as far as it says."""
+    """The command, commit and store that a result comes from, as far as known."""
     environment = result.provenance.get("environment", {})
     store = result.provenance.get("store", {}).get("fingerprint", "")
     facts = {
@@ -92,7 +92,7 @@ def to_csv(result: Result) -> str:
 
 
 def format_number(value: float | int) -> str:
-    """Three significant digits without exponents between 1e-4 and 1e6; a count with all its digits."""
+    """Three significant digits, without exponents between 1e-4 and 1e6; a count with all its digits."""
     if isinstance(value, int):
         return f"{value:,}"
     decimals = _decimals(value)
@@ -100,7 +100,7 @@ def format_number(value: float | int) -> str:
 
 
 def _decimals(value: float | int) -> int | None:
-    """Decimals that show three significant digits; None where an exponent is better."""
+    """Number of decimals for three significant digits; None if an exponent is better."""
     if value == 0:
         return 0
     # The magnitude after rounding: 0.9999 shows as 1.00.
@@ -119,14 +119,14 @@ def format_cell(cell: Cell | None, as_printed: bool = False) -> str:
     decimals = _decimals(cell.value)
     if decimals is None:
         return f"{cell.value:.2e} ± {cell.ci95:.2e}"
-    # One significant digit of the half width at least, so that it never reads as 0 when it is not.
+    # At least one significant digit of the half-width, so that a nonzero one never shows as 0.
     leading = -math.floor(math.log10(cell.ci95)) if cell.ci95 > 0 else 0
     decimals = max(decimals, min(leading, MAX_DECIMALS))
     return f"{cell.value:.{decimals}f} ± {cell.ci95:.{decimals}f}"
 
 
 def format_measure(measure: Measure) -> str:
-    """A metric's unit, direction, source and calibration in a line."""
+    """A metric's unit, direction, source and calibration in one line."""
     unit = f" in {measure.unit}" if measure.unit else ""
     better = "best as real motion has it" if measure.better == "as real" else f"{measure.better} is better"
     calibration = f"; calibration: {measure.calibration}" if measure.calibration else ""
@@ -135,7 +135,7 @@ def format_measure(measure: Measure) -> str:
 
 @dataclass(frozen=True)
 class DetailTable:
-    """One further metric of a block: the rows and columns that have a number of it, in the block's order."""
+    """One further metric of a block: its rows and columns, in the block's order."""
 
     name: str
     columns: tuple[str, ...]

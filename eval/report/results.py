@@ -1,4 +1,4 @@
-"""Results: one JSON file per table, holding every number with what it means and where it comes from."""
+"""Results: one JSON file per table, with every number's definition and provenance."""
 
 import json
 import os
@@ -20,7 +20,7 @@ from motionkit.store.manifest import read_manifest
 from motionkit.training.run import RunFolder, commit, versions
 
 FORMAT = "motionkit-result/1"
-# Of a result or its picture: no path.
+# The name of a result's or figure's file, without a folder.
 _FILE_NAME = re.compile(r"\w[\w.+-]*", re.ASCII)
 FORMAT_OF_ANY_VERSION = FORMAT.rpartition("/")[0] + "/"
 MEND = "run the evaluation again, or restore the file from a copy"
@@ -33,9 +33,9 @@ class ResultError(MotionkitError):
 
 @dataclass(frozen=True)
 class Cell:
-    """One number: `ci95` half its 95 % interval (None: there is none), `details` further metrics by name.
+    """One number: `ci95` is half the width of its 95 % interval (None: unknown), `details` further metrics by name.
 
-    A count is an int, and is shown with all its digits.
+    A count is an int, shown with all its digits.
     """
 
     value: float | int
@@ -58,9 +58,9 @@ class Row:
 
 @dataclass(frozen=True)
 class Measure:
-    """What numbers of a block are, as their metric declares it; `column` is empty where all columns are of one metric.
+    """The metric of a block's numbers, as it is declared; `column` is empty if all columns are of one metric.
 
-    `unit` is that of the block, `better` says which of two numbers is: the "lower", the "higher", or the one "as real".
+    `unit` is the block's, `better` the direction of better numbers: "lower", "higher", or "as real".
     """
 
     metric: str
@@ -74,7 +74,7 @@ class Measure:
 
 
 def measure(metric: Metric | str, *, unit: str | None = None, column: str = "") -> Measure:
-    """A metric (or its name) as a block has it, in another unit than its own where one is given."""
+    """The `Measure` of a metric (or its name), in `unit` if given."""
     known = find_metric(metric) if isinstance(metric, str) else metric
     better: dict[bool | None, Literal["lower", "higher", "as real"]] = {True: "higher", False: "lower", None: "as real"}
     return Measure(
@@ -91,7 +91,7 @@ def measure(metric: Metric | str, *, unit: str | None = None, column: str = "") 
 
 @dataclass(frozen=True)
 class Block:
-    """Rows that may be compared with one another; numbers of different blocks may not."""
+    """Comparable rows; numbers of different blocks are not comparable."""
 
     title: str
     columns: tuple[str, ...]
@@ -104,10 +104,10 @@ class Block:
 
 @dataclass(frozen=True)
 class Result:
-    """One table: blocks of rows, the definition of its numbers, what is missing, and where everything came from.
+    """One table: blocks of rows, the definition of its numbers, what is missing, and the provenance.
 
-    `task` names it ("nerm-table2"), `version` is raised when its meaning changes. `provenance` holds store, run, seed,
-    environment. `figure` is the name of a picture beside the file, "" where there is none.
+    `task` names it ("nerm-table2"), `version` is incremented when its meaning changes. `provenance` holds store, run,
+    seed, environment. `figure` is the name of an image beside the file, "" if there is none.
     """
 
     task: str
@@ -122,7 +122,7 @@ class Result:
     figure: str = ""
 
     def _repr_html_(self) -> str:
-        """The tables as `motionkit report` has them, for notebooks."""
+        """The tables as `motionkit report` renders them, for notebooks."""
         from eval.report.render import to_html
 
         inside = escape(to_html([self], self.title))
@@ -130,7 +130,7 @@ class Result:
 
 
 def environment() -> dict[str, Any]:
-    """Versions, processors, time, the command, and the commit where this runs from a git checkout."""
+    """Versions, processors, time, the command, and the commit in a git checkout."""
     return {
         "command": _command(sys.argv),
         "versions": versions(),
@@ -141,15 +141,15 @@ def environment() -> dict[str, Any]:
 
 
 def _command(words: list[str]) -> str:
-    """A command line without the folders of absolute paths, which are nobody else's."""
+    """A command line with absolute paths reduced to file names."""
     program = Path(words[0]).name if words else ""
     return shlex.join([program, *(re.sub(r"(^|=)/(?:[^/]+/)*", r"\1", word) for word in words[1:])])
 
 
 def provenance(store: Path | None = None, runs: Iterable[Path] = ()) -> dict[str, Any]:
-    """Where figures come from: a store's fingerprint, the sha256 of what every stage of some runs learnt, environment.
+    """Provenance of figures: a store's fingerprint, the sha256 of the weights of every stage of some runs, environment.
 
-    Raises `StoreError` for a store that is missing.
+    Raises `StoreError` for a missing store.
     """
     stages = {run: sorted(path.name for path in run.iterdir()) for run in runs}
     weights = {run.name: RunFolder(run).fingerprints(names) for run, names in stages.items()}
@@ -158,7 +158,7 @@ def provenance(store: Path | None = None, runs: Iterable[Path] = ()) -> dict[str
 
 
 def write_result(result: Result, folder: Path) -> Path:
-    """Write `folder/TASK.json`, whole or not at all; raises `ValueError` for NaN."""
+    """Write `folder/TASK.json` atomically; raises `ValueError` for NaN."""
     path = folder / f"{result.task}.json"
     write_json(path, {"format": FORMAT, **asdict(result)})
     return path
@@ -167,7 +167,7 @@ def write_result(result: Result, folder: Path) -> Path:
 def read_result(path: Path | str) -> Result:
     """Read what `write_result` wrote.
 
-    Raises `DamagedFileError` for a file that is not what was written, `ResultError` for other files or another version.
+    Raises `DamagedFileError` for a damaged file, `ResultError` for other files or another version.
     """
     path = Path(path)
     try:
@@ -178,7 +178,7 @@ def read_result(path: Path | str) -> Result:
 
 @dataclass(frozen=True)
 class FoundResults:
-    """What lies in a folder: results by task, why other results could not be read, and JSON files of another kind."""
+    """Contents of a folder: results by task, why other results could not be read, and other JSON files."""
 
     results: tuple[Result, ...] = ()
     faults: tuple[str, ...] = ()
@@ -186,7 +186,7 @@ class FoundResults:
 
 
 def find_results(folder: Path) -> FoundResults:
-    """Read every result in a folder; what cannot be read as JSON at all may be one, and counts as a fault."""
+    """Read every result in a folder; a file that is not valid JSON counts as an unreadable result."""
     results, faults, others = [], [], []
     for path in sorted(folder.glob("*.json")):
         try:
@@ -204,7 +204,7 @@ def find_results(folder: Path) -> FoundResults:
 
 
 def _is_no_object(path: Path) -> bool:
-    """Whether a file is whole JSON, but no object, as every result is."""
+    """Whether a file is valid JSON, but not an object, as every result is."""
     try:
         return not isinstance(json.loads(path.read_bytes()), dict)
     except (OSError, ValueError, RecursionError):
@@ -231,7 +231,7 @@ def _result(path: Path, document: dict[str, Any]) -> Result:
 
 def _block(document: dict[str, Any]) -> Block:
     rows = tuple(map(_row, document["rows"]))
-    # Results of before declare no metrics.
+    # Older results declare no metrics.
     metrics = tuple(Measure(**each) for each in document.get("metrics", ()))
     block = Block(**{**document, "rows": rows, "columns": _texts(document["columns"]), "metrics": metrics})
     for each in metrics:
@@ -251,13 +251,13 @@ def _row(document: dict[str, Any]) -> Row:
 
 
 def _require_file_name(name: str) -> None:
-    """Raise `ValueError` where what names a file beside the result would lead elsewhere."""
+    """Raise `ValueError` if the name of a file beside the result contains a path."""
     if not _FILE_NAME.fullmatch(name):
         raise ValueError(f"{shown(name)} where a file's name was expected")
 
 
 def parse_cell(document: dict[str, Any]) -> Cell:
-    """A cell out of JSON; raises `TypeError`, `ValueError` or `AttributeError` for anything but finite numbers."""
+    """A cell from JSON; raises `TypeError`, `ValueError` or `AttributeError` for anything but finite numbers."""
     cell = Cell(**document)
     for value in (cell.value, *([] if cell.ci95 is None else [cell.ci95]), *cell.details.values()):
         if type(value) not in (int, float) or abs(value) > sys.float_info.max:

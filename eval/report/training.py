@@ -1,4 +1,4 @@
-"""A run's training: what each of its stages was trained from, and its losses over the steps."""
+"""A run's training: the inputs of each of its stages, and the losses over the steps."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from eval.report.figures import CURVE_COLOURS
 from eval.report.render import card
 from motionkit.training.run import RunError, RunFolder, weights_sha256
 
-# In lines of metrics.jsonl that are no losses.
+# Keys of metrics.jsonl that are not losses.
 CLOCK = ("step", "seconds")
 COLUMNS = 3
 
@@ -27,7 +27,7 @@ class StageTraining:
 def stages_of(run: Path) -> list[StageTraining]:
     """Every stage of a run, by name.
 
-    Raises `RunError` for a folder without stages, `DamagedFileError` for files that are not what was written.
+    Raises `RunError` for a folder without stages, `DamagedFileError` for damaged files.
     """
     folders = sorted(path for path in run.glob("*") if (path / "config.json").is_file())
     if not folders:
@@ -52,7 +52,7 @@ def stages_of(run: Path) -> list[StageTraining]:
 
 
 def training_figure(stages: Sequence[StageTraining], width_inches: float = 12.0) -> Figure | None:
-    """What was logged of each stage over its steps, on logarithmic axes; None where nothing was."""
+    """Logged values of each stage over its steps, on logarithmic axes; None if there are none."""
     logged = [stage for stage in stages if stage.lines]
     if not logged:
         return None
@@ -83,7 +83,7 @@ def training_figure(stages: Sequence[StageTraining], width_inches: float = 12.0)
 
 
 def run_card(run: Path, motions: Sequence[tuple[str, str]] = ()) -> str:
-    """An article about a run for the report's page; `motions` are titles and pages of moving skeletons.
+    """An article about a run for the report's page; `motions` are titles and pages of animated skeletons.
 
     Raises as `stages_of`.
     """

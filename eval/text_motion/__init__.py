@@ -1,1 +1,1 @@
-"""From a store, trained runs and sample folders to embeddings of texts and motions, row by row of a table."""
+"""Embeddings of texts and motions from stores, trained runs and sample folders, for each row of a table."""

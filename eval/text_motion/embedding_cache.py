@@ -1,8 +1,8 @@
-"""Embeddings that are computed once: a file for each (data, evaluator, settings), checked when it is read.
+"""Cache of embeddings: one file per (data, evaluator, settings), checked when it is read.
 
-They lie in RESULTS/embeddings; whatever of the key changes, they are computed anew. Deleting the folder is safe. Only
-embeddings of whole motions and of texts are kept: clip-FID draws other clips in every replication, hundreds of
-megabytes a table, and its finished numbers are kept by `eval.tables.parts` where tables share them.
+The files are in RESULTS/embeddings; when any part of the key changes, embeddings are recomputed. Deleting the folder is
+safe. Only embeddings of whole motions and of texts are cached: clip-FID draws other clips in every replication,
+hundreds of megabytes per table, and `eval.tables.parts` caches its final numbers if tables share them.
 """
 
 import hashlib
@@ -33,18 +33,18 @@ Embeddings = Float64[np.ndarray, "rows features"]
 
 @dataclass(frozen=True, eq=False)
 class Embedder:
-    """One evaluator with a cache folder; None keeps nothing."""
+    """One evaluator with a cache folder; None disables the cache."""
 
     evaluator: TextMotionEvaluator
     folder: Path | None
 
     def motions(self, samples: SampleSet) -> Embeddings:
-        """One row per sequence, known by the positions themselves."""
+        """One row per sequence; the positions are the key."""
         key = {"motions": fingerprint_of(samples)}
         return self.kept(key, samples.num_sequences, lambda: self.evaluator.embed_motions(samples))
 
     def texts(self, captions: Sequence[Caption]) -> Embeddings:
-        """One row per caption; each different one is embedded once."""
+        """One row per caption; each distinct one is embedded once."""
         different = list(dict.fromkeys(captions))
         place = {caption: row for row, caption in enumerate(different)}
         texts = json.dumps([asdict(caption) for caption in different]).encode()
@@ -53,10 +53,10 @@ class Embedder:
         return rows[[place[caption] for caption in captions]]
 
     def kept(self, key: Mapping[str, Any], num_rows: int, compute: Callable[[], Embeddings]) -> Embeddings:
-        """What was computed for this key by this evaluator, else `compute()`, which is written.
+        """The cached embeddings of this key and evaluator, else `compute()`, which is cached.
 
-        A file that is damaged, of another key or shape, or not finite is computed anew with a warning. Raises
-        `ValueError` where `compute` gives another number of rows.
+        A file that is damaged, of another key or shape, or not finite is recomputed with a warning. Raises `ValueError`
+        if `compute` returns another number of rows.
         """
         whole = {"format": FORMAT, "evaluator": [self.evaluator.name, self.evaluator.fingerprint], **key}
         text = json.dumps(whole, sort_keys=True)
@@ -75,7 +75,7 @@ class Embedder:
 
 
 def fingerprint_of(samples: SampleSet) -> str:
-    """Hex sha256 over framerate, lengths and positions; ids and captions are no part of it."""
+    """Hex sha256 over framerate, lengths and positions; ids and captions are not included."""
     digest = hashlib.sha256(f"{samples.fps} {samples.sequences.values.shape[1]} ".encode())
     digest.update(samples.sequences.num_frames.astype("<i8").tobytes())
     digest.update(np.ascontiguousarray(samples.sequences.values, dtype="<f4").data.cast("B"))

@@ -1,4 +1,4 @@
-"""What R-Precision, MultiModal Dist and the FID of whole motions need of an evaluator of text and motion."""
+"""Interface of text-motion evaluators for R-Precision, MultiModal Dist and the FID of whole motions."""
 
 from collections.abc import Sequence
 from fractions import Fraction
@@ -15,7 +15,7 @@ from motionkit.core.motion import Caption
 class TextMotionEvaluator(Protocol):
     """Embeds whole motions and sentences in one space; distances there are Euclidean.
 
-    A motion's row depends on that motion alone: not on its batch, not on its place in it.
+    A motion's row depends on that motion alone, not on its batch.
     """
 
     @property
@@ -25,12 +25,12 @@ class TextMotionEvaluator(Protocol):
 
     @property
     def fingerprint(self) -> str:
-        """Hash of everything that the numbers depend on: definition, weights, statistics, settings."""
+        """Hash of everything that the embeddings depend on: definition, weights, statistics, settings."""
         ...
 
     @property
     def fps(self) -> Fraction | None:
-        """The only framerate at which motions may be given; None where any may."""
+        """The required framerate of the motions; None if any is accepted."""
         ...
 
     @property
@@ -39,7 +39,7 @@ class TextMotionEvaluator(Protocol):
         ...
 
     def remark_at(self, fps: Fraction) -> str:
-        """What a table must say of its numbers at a framerate; empty for nothing."""
+        """The remark of a table on its numbers at a framerate; may be empty."""
         ...
 
     def embed_motions(self, samples: SampleSet) -> Float64[np.ndarray, "sequences features"]:
@@ -47,23 +47,23 @@ class TextMotionEvaluator(Protocol):
         ...
 
     def embed_texts(self, captions: Sequence[Caption]) -> Float64[np.ndarray, "texts features"]:
-        """One row per caption, in order. Raises `MotionkitError` where one cannot be read."""
+        """One row per caption, in order. Raises `MotionkitError` if one cannot be read."""
         ...
 
 
 @runtime_checkable
 class CosineEvaluator(TextMotionEvaluator, Protocol):
-    """One whose embeddings have length 1: how well a text and its motion match is the cosine of their angle."""
+    """An evaluator with embeddings of length 1; texts and motions match by the cosine of their angle."""
 
     @property
     def pair_score(self) -> str:
-        """Name, in `eval.metrics.metric`, of the score of pairs that its authors print."""
+        """Name, in `eval.metrics.metric`, of the score of pairs that its authors report."""
         ...
 
 
 @runtime_checkable
 class PoseVectorEvaluator(TextMotionEvaluator, Protocol):
-    """One that reads pose vectors: motions that come as such reach it as they are, as in published comparisons."""
+    """An evaluator of pose vectors, which are passed unchanged, as in published comparisons."""
 
     @property
     def vector_size(self) -> int:
@@ -73,8 +73,8 @@ class PoseVectorEvaluator(TextMotionEvaluator, Protocol):
     def embed_vectors(
         self, motions: Sequence[Float32[np.ndarray, "_frames numbers"]], lengths: Sequence[int] | None = None
     ) -> Float64[np.ndarray, "motions features"]:
-        """One row per motion given as pose vectors in their own units; what lies past `lengths` is padding.
+        """One row per motion given as pose vectors in their own units; frames past `lengths` are padding.
 
-        Raises `MotionkitError` for what are none.
+        Raises `MotionkitError` for invalid pose vectors.
         """
         ...

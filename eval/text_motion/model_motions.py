@@ -1,6 +1,6 @@
-"""What a trained model makes for the captions and durations of real motions, as embeddings that are kept.
+"""Motions that a trained model generates for the captions and durations of real ones, as cached embeddings.
 
-Every motion is generated once, and embedded as it is and planted: two rows of a table.
+Every motion is generated once and embedded both as it is and planted: two rows of a table.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -30,11 +30,11 @@ REPEATED_FROM = 1_000_000
 
 @dataclass(frozen=True, eq=False)
 class ModelMotions:
-    """A model and what it is asked for; `identity` is all that its motions depend on besides request and seed.
+    """A model and its requests; `identity` is all that its motions depend on besides request and seed.
 
-    What it returns are the model's row, called `name`, and that of its planted motions. With `kit_lengths` motions are
-    brought to KIT-ML's 21 joints before they are embedded. Raises what the model raises for a caption it cannot take,
-    when motions are first asked for.
+    It yields the model's row, called `name`, and that of its planted motions. With `kit_lengths` motions are converted
+    to KIT-ML's 21 joints before embedding. Raises what the model raises for a caption it does not support, when motions
+    are first requested.
     """
 
     name: str
@@ -58,9 +58,9 @@ class ModelMotions:
     def repeated(
         self, wanted: CaptionedMotions, rule: MultiModalityRule, most_motions: int, embedder: Embedder
     ) -> dict[str, Float64[np.ndarray, "texts generations features"]]:
-        """Several motions of one caption each, of as many captions as the rule asks and `most_motions` allows.
+        """Several motions per caption, for as many captions as the rule asks and `most_motions` allows.
 
-        Empty where not two motions of one text fit.
+        Empty if not even two motions of one text are allowed.
         """
         generations = min(rule.num_generations, most_motions)
         if generations < 2:
@@ -110,6 +110,6 @@ class ModelMotions:
 
 
 def _requests(wanted: CaptionedMotions) -> list[GenerationRequest]:
-    """Text and duration alone: a model that was trained without texts cannot have a row of text-to-motion."""
+    """Text and duration only: a model trained without texts cannot have a row of text-to-motion."""
     texts = [caption.text for caption in wanted.captions]
     return [GenerationRequest(seconds, text) for seconds, text in zip(wanted.durations_seconds, texts, strict=True)]

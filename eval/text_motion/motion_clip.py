@@ -1,4 +1,4 @@
-"""MotionCLIP as MARDM trained it: a text and a motion encoder whose embeddings' cosine is its CLIP-score.
+"""MotionCLIP as trained by MARDM: a text and a motion encoder; the cosine of their embeddings is its CLIP-score.
 
 It reads the 67 numbers (KIT-ML: 64) that MARDM's other evaluator reads. The text encoder has CLIP's vocabulary and
 token embeddings and a transformer of its own; it attends to all 77 places. Source: neu-vi/MARDM @ 443313b,
@@ -56,7 +56,7 @@ def _transformer(sizes: MotionClipSizes) -> nn.TransformerEncoder:
 
 
 class _Positions(nn.Module):
-    """Sines and cosines by place, as the checkpoint stores them."""
+    """Sinusoidal positional encoding, as the checkpoint stores it."""
 
     pe: Tensor
 
@@ -78,7 +78,7 @@ class _MotionEncoder(nn.Module):
         self.out = nn.Linear(sizes.width, sizes.width)
 
     def forward(self, frames: Float[Tensor, "batch frames numbers"]) -> Float[Tensor, "batch width"]:
-        """The state of a token of its own, put before motions of one length."""
+        """The output of a class token that is prepended to motions of one length."""
         token = self.query_token.expand(len(frames), 1, -1)
         steps = torch.cat((token, self.embed_motion(frames)), dim=1)
         states = self.transformer(steps + self.sequence_pos_encoder.pe[: steps.shape[1]])
@@ -87,7 +87,7 @@ class _MotionEncoder(nn.Module):
 
 
 class MotionClip(nn.Module):
-    """Both encoders, without weights until they are filled; parameters have the published names."""
+    """Both encoders, uninitialised until weights are loaded; parameters have the published names."""
 
     def __init__(self, kind: GuoKind, sizes: MotionClipSizes = PUBLISHED) -> None:
         super().__init__()
@@ -102,7 +102,7 @@ class MotionClip(nn.Module):
         self.eval().requires_grad_(False)
 
     def embed_motions(self, motions: list[Tensor], num_tokens: list[int]) -> Float[Tensor, "batch width"]:
-        """Unit-length embeddings of standardised frames [frames, numbers]; padding is never seen."""
+        """Unit-length embeddings of standardised frames [frames, numbers]; padding is masked."""
         lengths = np.array([number * FRAMES_PER_TOKEN for number in num_tokens])
         embedded = torch.empty(len(motions), self.num_features)
         for length in np.unique(lengths).tolist():
@@ -111,22 +111,22 @@ class MotionClip(nn.Module):
         return nn.functional.normalize(embedded, dim=1)
 
     def embed_texts(self, tokens: Int64[Tensor, "texts places"]) -> Float[Tensor, "texts width"]:
-        """Unit-length embeddings: the state at the first end of text, whose number is the greatest."""
+        """Unit-length embeddings: the state at the first end-of-text token, which has the highest id."""
         states = self.text_ln(self.textTransEncoder(self.token_embedding(tokens) + self.positional_embedding))
         embedded: Tensor = self.out(states[torch.arange(len(tokens)), tokens.argmax(dim=1)])
         return nn.functional.normalize(embedded, dim=1)
 
     def published(self) -> dict[str, dict[str, Tensor]]:
-        """Parameters and the table of positions by the checkpoint's key and names."""
+        """Parameters and positional encodings by the checkpoint's key and names."""
         return {KEY: {name: tensor.data for name, tensor in self.state_dict().items()}}
 
 
 def clip_tokens(
     numbers: Sequence[Sequence[int]], start: int, end: int, context: int
 ) -> Int64[np.ndarray, "texts context"]:
-    """Word pieces between start and end of text, zeros behind; too long a text is cut and ends in the end of text.
+    """Tokens between start and end of text, padded with zeros; longer texts are truncated, with the end of text last.
 
-    As `clip.tokenize(…, truncate=True)` lays them out (openai/CLIP, clip/clip.py).
+    As `clip.tokenize(…, truncate=True)` (openai/CLIP, clip/clip.py).
     """
     rows = np.zeros((len(numbers), context), dtype=np.int64)
     for row, pieces in zip(rows, numbers, strict=True):
@@ -137,7 +137,7 @@ def clip_tokens(
 
 @dataclass(frozen=True, eq=False)
 class MotionClipEvaluator:
-    """The networks with what belongs to them; embeddings have length 1, and their cosine is MARDM's CLIP-score."""
+    """The networks with statistics and tokeniser; embeddings have length 1, their cosine is MARDM's CLIP-score."""
 
     networks: MotionClip
     motions: GuoEvaluator
@@ -150,7 +150,7 @@ class MotionClipEvaluator:
 
     @property
     def pair_score(self) -> str:
-        """What its authors print of pairs."""
+        """The score of pairs that its authors report."""
         return "clip_score"
 
     @property
@@ -160,7 +160,7 @@ class MotionClipEvaluator:
 
     @property
     def fps(self) -> Fraction:
-        """The only framerate at which motions may be given: 20, or 12.5 for KIT."""
+        """The required framerate of the motions: 20, or 12.5 for KIT."""
         return self.motions.fps
 
     @property
@@ -170,15 +170,15 @@ class MotionClipEvaluator:
 
     @property
     def vector_size(self) -> int:
-        """Numbers of the pose vectors that it takes, of which it reads the first 67 (KIT: 64)."""
+        """Size of the pose vectors, of which it reads the first 67 numbers (KIT: 64)."""
         return self.motions.vector_size
 
     def remark_at(self, fps: Fraction) -> str:
-        """Nothing: it reads one framerate, and others are refused."""
+        """Empty: other framerates are refused."""
         return ""
 
     def embed_motions(self, samples: SampleSet) -> Float64[np.ndarray, "sequences features"]:
-        """One row per sequence, in order; raises what `GuoEvaluator.embed_motions` raises."""
+        """One row per sequence, in order; raises as `GuoEvaluator.embed_motions`."""
         return self.motions.embed_motions(samples)
 
     def embed_vectors(
@@ -188,7 +188,7 @@ class MotionClipEvaluator:
         return self.motions.embed_vectors(motions, lengths)
 
     def embed_texts(self, captions: Sequence[Caption]) -> Float64[np.ndarray, "texts features"]:
-        """One row per caption, in order; texts of more than 75 word pieces are cut."""
+        """One row per caption, in order; texts of more than 75 tokens are truncated."""
         plain = [self.tokenizer(caption.text, add_special_tokens=False)["input_ids"] for caption in captions]
         start, end = (int(self.tokenizer.convert_tokens_to_ids(token)) for token in (START, END))
         tokens = torch.from_numpy(clip_tokens(plain, start, end, self.networks.sizes.context))
@@ -198,13 +198,13 @@ class MotionClipEvaluator:
 
 
 def load_motion_clip(folder: Path, sizes: MotionClipSizes = PUBLISHED) -> MotionClipEvaluator:
-    """Load a folder with MARDM's weights and statistics and CLIP's words.
+    """Load a folder with MARDM's weights and statistics and CLIP's vocabulary.
 
     finest.tar of its `text_mot_match_clip/model`; eval_mean.npy and eval_std.npy of `utils/eval_mean_std`; vocab.json
     and merges.txt.
 
-    Raises `CheckpointError` for weights, and `GuoError` for other files, that are not what they must be, and
-    `MissingExtraError` without the extra `text`.
+    Raises `CheckpointError` for invalid weights, `GuoError` for other invalid files, and `MissingExtraError` without
+    the extra `text`.
     """
     weights = folder / WEIGHTS
     found = foreign_tensors(read_foreign(weights), KEY, weights, WHAT)

@@ -1,4 +1,4 @@
-"""Embeddings of texts and their motions, and how far scores of them move with other takes."""
+"""Embeddings of texts and their motions, and their scores in the bootstrap over takes."""
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
@@ -22,7 +22,7 @@ from eval.metrics.resampling import (
 Pairs = Float[np.ndarray, "_pairs _numbers"]
 Distances = Float64[np.ndarray, "_pools _pool _pool"]
 AddTerms = Callable[[Distances, Int64[np.ndarray, "_chosen"]], None]
-"""Takes in pools' distances, a text a row and a motion a column, and the pairs that they were cut from."""
+"""Consumes pools' distances (texts as rows, motions as columns) and the rows of the pairs in the pools."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +30,7 @@ class TextMotionPairs:
     """Embeddings of texts and of the motions that belong to them, row by row, in one space.
 
     `takes` name the real take of each pair, which intervals resample; without them each row is a take of its own.
-    Raises `ValueError` for unequal numbers or widths, or none.
+    Raises `ValueError` for unequal numbers or widths, or no pairs.
     """
 
     texts: Float[np.ndarray, "texts numbers"]
@@ -53,12 +53,12 @@ class TextMotionPairs:
 
     @property
     def take_names(self) -> tuple[str, ...]:
-        """The take of each pair: its row's number, where nothing else is known."""
+        """The take of each pair; by default its row's index."""
         return self.takes or tuple(map(str, range(len(self.motions))))
 
 
 class PairTerms:
-    """What the metrics of one row are means of, pair by pair over all replications, and of which take each pair is."""
+    """Per-pair terms of one row's metrics over all replications, and the take of each pair."""
 
     def __init__(self, draws: Sequence[TextMotionPairs]) -> None:
         self._draws = draws
@@ -67,7 +67,7 @@ class PairTerms:
         self._rows: list[Int64[np.ndarray, _queries]] = []
 
     def of_draw(self, which: int) -> AddTerms:
-        """What adds the pools of one draw."""
+        """A function that adds the pools of one draw."""
         return partial(self._add, self._first[which])
 
     def _add(self, first: int, distances: Distances, order: Int64[np.ndarray, "_chosen"]) -> None:
@@ -79,7 +79,7 @@ class PairTerms:
         self._values["mm_dist"].append(np.diagonal(distances, axis1=1, axis2=2).ravel())
 
     def resampled(self, real: TextMotionPairs) -> dict[str, Resampled]:
-        """Every metric's values with other takes; none where there is a single one."""
+        """Every metric's values in the bootstrap over takes; none if there is a single take."""
         units = self._units(None)
         if len(set(units.takes)) < 2:
             return {}
@@ -90,7 +90,7 @@ class PairTerms:
         }
 
     def resampled_means(self) -> dict[str, Resampled]:
-        """R-Precision and MM-Dist with other takes; none where pools have a known bug."""
+        """R-Precision and MM-Dist in the bootstrap; none if pools have a known bug."""
         if not self._rows:
             return {}
         units = self._units(None)
@@ -98,7 +98,7 @@ class PairTerms:
         return {name: weighted_means(np.concatenate(values), unit, weights) for name, values in self._values.items()}
 
     def resampled_mean(self, metric: Callable[[Pairs, Pairs], float]) -> Resampled:
-        """A mean over pairs with other takes."""
+        """A mean over pairs in the bootstrap."""
         values = [
             metric(text[None], motion[None])
             for draw in self._draws
@@ -116,7 +116,7 @@ class PairTerms:
 def resampled_multimodality(
     repeated: Float[np.ndarray, "texts generations features"] | None, name: str
 ) -> dict[str, Resampled]:
-    """MultiModality under its name with other texts; none for a single text or a single motion of each."""
+    """MultiModality, by name, in a bootstrap over texts; none for a single text or a single motion of each."""
     if repeated is None or min(repeated.shape[:2]) < 2:
         return {}
     distances = np.linalg.norm(repeated - np.roll(repeated, 1, axis=1), axis=-1).mean(axis=1)

@@ -1,7 +1,7 @@
 """Protocols of text-to-motion: what each published evaluation draws, pairs, drops and repeats.
 
-Their sources were read, not run. What their loaders draw anew in every replication is not part of a protocol here: one
-of a motion's captions, and a random crop to a multiple of four frames.
+They follow the sources, which were not run. The published loaders also draw one of a motion's captions and a random
+crop to a multiple of four frames in every replication; that is not part of a protocol here.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from motionkit.core.errors import UsageError
 
 @dataclass(frozen=True)
 class KnownBug:
-    """A fault of published code that changes numbers; `part` is what has to know of it."""
+    """A bug of published code that changes numbers; `part` is the component that it affects."""
 
     name: str
     part: Literal["scores", "evaluator"]
@@ -42,7 +42,7 @@ KNOWN_BUGS = (FLOAT32_DISTANCES, NAN_IS_BEST, PADDING_LEAK)
 
 
 def chosen_bugs(protocol: str, has: Sequence[str], asked: Sequence[str]) -> tuple[KnownBug, ...]:
-    """The bugs that were asked for by name. Raises `UsageError` for one that the protocol's code does not have."""
+    """The requested bugs by name. Raises `UsageError` for one that the protocol's code does not have."""
     for name in asked:
         if name not in has:
             raise UsageError(
@@ -73,7 +73,7 @@ class MultiModalityRule:
 
 @dataclass(frozen=True)
 class LengthRule:
-    """Which real motions take part: from `shortest_seconds` to `longest_seconds`, and what becomes of longer ones.
+    """Durations of the real motions used: `shortest_seconds` to `longest_seconds`, and what happens to longer ones.
 
     Seconds count from the first pose to the last: T poses at s fps, of which there are T − 1 pose vectors, last
     (T − 1)/s.
@@ -84,18 +84,18 @@ class LengthRule:
     longer: Literal["cropped", "left out"]
 
     def most_frames(self, fps: Fraction) -> int:
-        """Poses of the longest motion that takes part whole."""
+        """Number of poses of the longest uncropped motion."""
         return floor(self.longest_seconds * float(fps) + 1e-6) + 1
 
 
 @dataclass(frozen=True)
 class RetrievalRule:
-    """One table of retrieval: who is ranked among whom, and what counts as right.
+    """One table of retrieval: the candidates, and which of them are relevant.
 
-    All pairs are ranked together, or those of pools of `pool` in a random order, or the `least_similar` ones by their
-    sentences. Texts of a score above `same_above` (½ + ½ · cosine; None: none) count as one: by a sentence encoder that
-    belongs to no evaluator (`same_by` "sentences"), or by the evaluator's own embeddings ("texts"), by which one that
-    cannot tell texts apart finds everything.
+    All pairs are ranked together, or in random pools of `pool`, or only the `least_similar` ones by their sentences.
+    Texts with a score above `same_above` (½ + ½ · cosine; None: never) count as the same: by an independent sentence
+    encoder (`same_by` "sentences"), or by the evaluator's own embeddings ("texts"), by which an evaluator with equal
+    embeddings for all texts is always right.
     """
 
     name: str
@@ -109,22 +109,22 @@ class RetrievalRule:
 PUBLISHED_LENGTHS = LengthRule(2.0, 9.95, "left out")
 """40 to 199 pose vectors at 20 fps (text-to-motion, data/dataset.py)."""
 PUBLISHED_KIT_LENGTHS = LengthRule(1.92, 15.92, "left out")
-"""24 to 199 pose vectors at 12.5 fps (the same)."""
+"""24 to 199 pose vectors at 12.5 fps (same source)."""
 KIT_FPS = Fraction(25, 2)
 
 
 @dataclass(frozen=True)
 class TextMotionProtocol:
-    """One way to turn embeddings of texts and motions into a table's numbers.
+    """Protocol from embeddings of texts and motions to a table's numbers.
 
-    `pool`: motions that a text chooses among, cut from a random order of all of them. (Published code calls a pool a
-    batch of its shuffled loader; the distribution is the same.) `remainder`: what the motions of the last, incomplete
-    pool are left out of. `num_motions`: how many generated motions count, None for all. `reference`: FID against the
-    whole real set ("whole"), the real motions of the same texts ("paired") or another random order of the real set with
-    its own remainder ("redraw"). `asks`: the direction whose R-Precision the source quotes; both are computed.
-    `details`: metrics that are computed once, on the first draw. `retrieval`: tables of retrieval. `known_bugs`: names
-    in `eval.text_motion.protocol` that its published code has. `leak`: what the padding leak shows, zeros or the
-    generated frames that follow. `kit_lengths` are the `lengths` of KIT-ML. Raises `ValueError` for senseless numbers.
+    `pool`: number of candidates per text, in a random order of all motions. (In published code a pool is a batch of a
+    shuffled loader; the distribution is the same.) `remainder`: metrics that leave out the last, incomplete pool.
+    `num_motions`: number of generated motions used, None for all. `reference`: FID against the whole real set
+    ("whole"), the real motions of the same texts ("paired") or another random order of the real set with its own
+    remainder ("redraw"). `asks`: the direction of the source's R-Precision; both are computed. `details`: metrics that
+    are computed once, on the first draw. `retrieval`: tables of retrieval. `known_bugs`: names in
+    `eval.text_motion.protocol` that its published code has. `leak`: content of the padding leak, zeros or the generated
+    frames that follow. `kit_lengths` are the `lengths` of KIT-ML. Raises `ValueError` for invalid numbers.
     """
 
     name: str
@@ -187,7 +187,7 @@ MDM = TextMotionProtocol(
     reference="redraw",
     multimodality=MultiModalityRule(num_texts=128, replications=5),
     known_bugs=(FLOAT32_DISTANCES.name, PADDING_LEAK.name),
-    # Its generated motions are 196 frames long whatever their length, and are handed on so.
+    # Its generated motions are passed to the evaluator with 196 frames, whatever their length.
     leak="frames",
     remarks=("MDM generates 1,024 motions: its FID does not compare with that of 4,640.",),
 )
@@ -230,7 +230,7 @@ MARDM = TextMotionProtocol(
     source="neu-vi/MARDM @ 443313b, evaluation_MARDM.py and utils/eval_utils.py",
     multimodality=MultiModalityRule(num_texts=96),
     known_bugs=(FLOAT32_DISTANCES.name, PADDING_LEAK.name),
-    # A batch is decoded as long as its longest motion, and handed on so.
+    # A batch is decoded to the length of its longest motion, and passed on like that.
     leak="frames",
     remarks=("MARDM's evaluators read 67 numbers (KIT-ML: 64): --evaluator guo,motion-clip with its own weights.",),
 )
@@ -275,7 +275,7 @@ TEXT_MOTION_PROTOCOLS = (NATIVE, NERM, T2M, MDM, MLD, T2M_GPT, MOMASK, MARDM, TM
 
 
 def find_text_motion_protocol(name: str) -> TextMotionProtocol:
-    """A protocol by name. Raises `UsageError` with the names there are."""
+    """A protocol by name. Raises `UsageError` that lists the names."""
     for protocol in TEXT_MOTION_PROTOCOLS:
         if protocol.name == name:
             return protocol

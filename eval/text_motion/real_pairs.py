@@ -1,4 +1,4 @@
-"""Real captioned motions of whole length at one framerate: what text-to-motion metrics compare with."""
+"""Real captioned motions of whole length at one framerate: the reference of text-to-motion metrics."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class CaptionedMotions:
-    """Motions with the caption of each; `known_captions` are all captions of the split by their text.
+    """Motions, each with its caption; `known_captions` are all captions of the split by their text.
 
-    `left_out` counts sequences by the reason why they do not take part, `num_cropped` those that were shortened.
+    `left_out` counts excluded sequences by reason, `num_cropped` cropped ones.
     """
 
     samples: SampleSet
@@ -38,7 +38,7 @@ class CaptionedMotions:
 
     @property
     def durations_seconds(self) -> list[float]:
-        """From the first pose to the last of each motion."""
+        """Duration from the first pose to the last of each motion."""
         return [float((frames - 1) / self.samples.fps) for frames in self.samples.sequences.num_frames.tolist()]
 
     def select(self, rows: npt.NDArray[np.int64]) -> "CaptionedMotions":
@@ -48,7 +48,7 @@ class CaptionedMotions:
 
 
 def limited(rule: LengthRule, longest_seconds: float) -> LengthRule:
-    """The rule for a model that cannot make motions as long: real ones are cropped to what it can."""
+    """The rule for a model of shorter motions: real ones are cropped to its longest duration."""
     if longest_seconds >= rule.longest_seconds:
         return rule
     return LengthRule(min(rule.shortest_seconds, longest_seconds), longest_seconds, "cropped")
@@ -57,10 +57,10 @@ def limited(rule: LengthRule, longest_seconds: float) -> LengthRule:
 def captioned_motions(
     store: "Store", split: str, where: str | None, fps: Fraction, rule: LengthRule, layout: str = SMPL22.name
 ) -> CaptionedMotions:
-    """Captioned sequences of native rate ≥ fps, brought to fps: of each the stretch that its first caption is about.
+    """Captioned sequences of native rate ≥ fps, resampled to fps: of each the stretch that its first caption describes.
 
-    Their joints are those of `layout`. A longer one is cropped to its middle, or left out, as the rule says. Raises
-    `NoRealMotionError` where fewer than two remain, and what `real_motion` raises.
+    Their joints are those of `layout`. Longer ones are cropped to the middle or left out, by the rule. Raises
+    `NoRealMotionError` if fewer than two remain, and as `real_motion`.
     """
     everything = real_motion(store, split, where, layout)
     captions_of = _captions(store)
@@ -117,7 +117,7 @@ MADE_OF_22 = "its 21 joints made of 22, with the real motions' bone lengths"
 
 
 def kit_bone_lengths(real: SampleSet) -> Float32[np.ndarray, "21"] | None:
-    """The bones of a real set of KIT's 21 joints in metres: medians over the first poses, for KIT-ML has one body.
+    """Bone lengths of a real set of KIT's 21 joints in metres: medians over the first poses, as KIT-ML has one body.
 
     None for a set of 22 joints.
     """

@@ -1,4 +1,4 @@
-"""Retrieval under a protocol's rules: which pairs take part, which texts count as the same, who asks for what."""
+"""Retrieval by a protocol's rules: the candidates, texts that count as the same, and both directions."""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -12,7 +12,7 @@ from eval.text_motion.pairs import TextMotionPairs
 from eval.text_motion.protocol import RetrievalRule
 
 RETRIEVAL = 9
-"""The stream of random numbers that pools are drawn from."""
+"""The random stream of pools."""
 SUFFIXES: Mapping[str, str] = {
     "text asks for motion": "",
     "motion asks for text": "_motion_asks",
@@ -31,8 +31,8 @@ def score_retrieval(
     """Recalls and median ranks by their names in `eval.metrics.metric`, means over the draws (and over pools).
 
     Row i of every draw was generated for text i, whose real motion is row i of `real` and whose sentence embedding, of
-    an encoder that no evaluator trained, is row i of `sentences`. Candidates are ranked by `distance`, Euclidean by
-    default: of embeddings of length 1 that is the order of cosines. Raises `ValueError` for fewer pairs than a pool.
+    an independent encoder, is row i of `sentences`. Candidates are ranked by `distance`, Euclidean by default: of
+    embeddings of length 1 that is the order of cosines. Raises `ValueError` for fewer pairs than a pool.
     """
     found: dict[str, list[float]] = {}
     for draw in draws:
@@ -56,14 +56,14 @@ def score_retrieval(
 def no_distance(
     queries: Float[np.ndarray, "queries numbers"], candidates: Float[np.ndarray, "candidates numbers"]
 ) -> Float[np.ndarray, "queries candidates"]:
-    """The distances of an evaluator that sees nothing: retrieval by them is chance."""
+    """Constant distances, by which retrieval is chance."""
     return np.zeros((len(queries), len(candidates)))
 
 
 def share_of_same_texts(
     rule: RetrievalRule, pairs: TextMotionPairs, sentences: Float[np.ndarray, "pairs numbers"]
 ) -> float:
-    """What share of the other texts count as a text's own under the rule, on average: what chance gains by it."""
+    """Mean fraction of the other texts that count as the same by the rule, which chance gains from."""
     right = _right(rule, pairs, sentences)
     number = len(pairs.texts)
     return 0.0 if right is None or number < 2 else float((right.sum() - number) / (number * (number - 1)))
@@ -72,7 +72,7 @@ def share_of_same_texts(
 def _right(
     rule: RetrievalRule, draw: TextMotionPairs, sentences: Float[np.ndarray, "pairs numbers"]
 ) -> Bool[np.ndarray, "pairs pairs"] | None:
-    """Which candidates answer a query: those whose text is the same by the rule."""
+    """Relevant candidates of every query: those with the same text by the rule."""
     if rule.same_above is None:
         return None
     texts = sentences if rule.same_by == "sentences" else draw.texts

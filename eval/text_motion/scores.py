@@ -1,4 +1,4 @@
-"""Text-to-motion's numbers from embeddings of texts, of real and of generated motions."""
+"""Text-to-motion scores from embeddings of texts, of real and of generated motions."""
 
 from collections.abc import Callable, Sequence
 
@@ -22,10 +22,10 @@ def ranked_as_published(
     pool: int,
     bug: str,
 ) -> BothWays:
-    """R-Precision and MM-Dist of pools cut from the pairs in `order`, with a bug of `eval.text_motion.protocol`.
+    """R-Precision and MM-Dist of pools of the pairs in `order`, with a bug of `eval.text_motion.protocol`.
 
     "float32-distances": a rounding error below zero under the root gives NaN, which ranks last and makes MM-Dist NaN.
-    "nan-is-best": the same NaN becomes 0, the nearest of all. Ties go to the candidate that comes first. The random
+    "nan-is-best": the same NaN becomes 0, the smallest distance. Ties are broken by the candidates' order. The random
     order, float64 sums and exact counts are this project's. Source: text-to-motion utils/metrics.py; MLD tm2t.py.
     """
     if len(order) < pool:
@@ -57,7 +57,7 @@ def _ranked(distances: Float32[np.ndarray, "pools pool pool"]) -> RPrecision:
 
 PAIR_SCORES = {"clip_score": clip_score, "tmr_score": tmr_score}
 GENERATED, REAL, DIVERSITY, MULTIMODALITY = range(4)
-"""Streams of random numbers of one replication: what one metric draws does not move another's."""
+"""Random streams of one replication, so that a metric's draws do not affect another's."""
 
 Order = Int64[np.ndarray, "_chosen"]
 
@@ -73,14 +73,14 @@ def score_text_motion(
     pair_score: str = "",
     on_replication: Callable[[], None] = lambda: None,
 ) -> Scores:
-    """R-Precision in both directions, MM-Dist, FID, Diversity and MultiModality of generated motions under a protocol.
+    """R-Precision in both directions, MM-Dist, FID, Diversity and MultiModality of generated motions by a protocol.
 
     `draws` are independent generations of the whole set; replication r takes draw r modulo their number, so with fewer
-    draws than replications the interval holds less than the protocol means, and a remark says so. `repeated` holds
-    several motions of one text for MultiModality, which is left out without it. With the protocol's reference "paired",
-    row i of a draw was generated for the text of row i of `real`. To score real motion itself give `[real]`: its FID
-    is then 0, or what the dropped remainders leave ("redraw"). `compat` names known bugs to switch on, `pair_score` a
-    metric of pairs of embeddings of length 1 (`CosineEvaluator`).
+    draws than replications the interval covers less than the protocol's, and a remark says so. `repeated` holds several
+    motions of one text for MultiModality, which is left out without it. With the protocol's reference "paired", row i
+    of a draw was generated for the text of row i of `real`. To score real motion itself give `[real]`: its FID is then
+    0, or what the dropped remainders leave ("redraw"). `compat` names known bugs to switch on, `pair_score` a metric of
+    pairs of embeddings of length 1 (`CosineEvaluator`).
 
     Raises `ValueError` for pairs that do not fit together or are not finite, fewer than a pool of them, and
     `UsageError` for a bug that the protocol does not have.
@@ -91,7 +91,7 @@ def score_text_motion(
     for draw in draws:
         _check(real, draw, protocol)
     tally, fids, terms = Tally(), _Fids(real, draws, protocol), PairTerms(draws)
-    # As in `fid`: one thread of the linear algebra library is the fastest for matrices of this size.
+    # As in `fid`: a single BLAS thread is the fastest for matrices of this size.
     with threadpool_limits(1, "blas"):
         for replication in range(protocol.replications):
             which = replication % len(draws)
@@ -139,7 +139,7 @@ def _check(real: TextMotionPairs, draw: TextMotionPairs, protocol: TextMotionPro
 
 
 def _counted(number: int, protocol: TextMotionProtocol) -> int:
-    """How many of the generated motions count."""
+    """Number of generated motions used."""
     return _kept(number if protocol.num_motions is None else min(number, protocol.num_motions), protocol)
 
 
@@ -172,7 +172,7 @@ def _add_precision(
 
 
 class _Fids:
-    """FID of each replication; what does not change from one to the next is fitted once."""
+    """FID of each replication; constant parts are fitted once."""
 
     def __init__(self, real: TextMotionPairs, draws: Sequence[TextMotionPairs], protocol: TextMotionProtocol) -> None:
         self._real, self._draws, self._protocol = real.motions, draws, protocol
@@ -193,7 +193,7 @@ class _Fids:
         return distance
 
     def _reference(self, order: Order, seed: int, replication: int) -> Order | None:
-        """Rows of the real set that are compared with; None for all of them."""
+        """Rows of the real set in the reference; None for all."""
         everything = len(self._real)
         if self._protocol.reference == "whole":
             return None
@@ -249,7 +249,7 @@ def _add_multimodality(
 def _add_details(
     real: TextMotionPairs, draw: TextMotionPairs, protocol: TextMotionProtocol, seed: int, tally: Tally
 ) -> None:
-    """FID_∞ and KID of the first draw, once: they cost more than all the rest, and neither draws pools or pairs."""
+    """FID_∞ and KID of the first draw only: they cost more than everything else, and draw no pools or pairs."""
     if real is draw:
         return
     if "fid_infinity" in protocol.details:

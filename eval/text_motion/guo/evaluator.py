@@ -37,15 +37,15 @@ VERSION = "guo/1"
 MAX_FRAMES = 196
 """Frames of the longest motion in the published protocol, whose loaders drop motions of 200 frames and more."""
 ROWS_AT_ONCE = 64
-# Heights of standardised vectors are negative half of the time, heights above the floor hardly ever.
+# Standardised heights are negative half of the time, heights above the floor hardly ever.
 MAX_NEGATIVE_HEIGHTS = 0.1
-# A body that lies down has its root at a seventh of its usual height; a wrong unit is 39-fold (inches) at least.
+# The root of a lying body is at a seventh of its usual height; a wrong unit is a factor of at least 39 (inches).
 MOST_HEIGHT_FACTOR = 10.0
 
 
 @dataclass(frozen=True, eq=False)
 class GuoEvaluator:
-    """The networks with what belongs to them; `words` is None where no captions are to be read."""
+    """The networks with their statistics and word vectors; `words` is None if no captions are read."""
 
     networks: MotionNetworks
     statistics: Statistics
@@ -54,7 +54,7 @@ class GuoEvaluator:
 
     @property
     def kind(self) -> GuoKind:
-        """Which of the published evaluators it is."""
+        """The kind of published evaluator."""
         return self.networks.kind
 
     @property
@@ -64,7 +64,7 @@ class GuoEvaluator:
 
     @property
     def fps(self) -> Fraction:
-        """The only framerate at which motions may be given: 20, or 12.5 for KIT."""
+        """The required framerate of the motions: 20, or 12.5 for KIT."""
         return self.kind.fps
 
     @property
@@ -74,7 +74,7 @@ class GuoEvaluator:
 
     @property
     def vector_size(self) -> int:
-        """Numbers of the pose vectors that it reads: 263, or 251 for KIT."""
+        """Size of the pose vectors: 263, or 251 for KIT."""
         return self.kind.vector_size
 
     @cached_property
@@ -93,7 +93,7 @@ class GuoEvaluator:
         return digest.hexdigest()[:16]
 
     def remark_at(self, fps: Fraction) -> str:
-        """Nothing: it reads one framerate, and others are refused."""
+        """Empty: other framerates are refused."""
         return ""
 
     def embed_motions(self, samples: SampleSet) -> Float64[np.ndarray, "sequences features"]:
@@ -114,10 +114,10 @@ class GuoEvaluator:
     ) -> Float64[np.ndarray, "motions features"]:
         """One row per motion given as pose vectors in their own units (not standardised), at the evaluator's framerate.
 
-        This is the path of published comparisons: a generator's vectors, times its std plus its mean, straight into the
-        evaluator. `lengths` are the motions' numbers of frames where the arrays are padded. Of a length that is no
-        multiple of 4 the last frames are left out. Raises `GuoError` for vectors of another size, NaN, vectors that are
-        still standardised or in another unit, and lengths under 4, over 199 or past the array's end.
+        As in published comparisons, a generator's vectors, times its std plus its mean, are passed directly to the
+        evaluator. `lengths` are the motions' numbers of frames if the arrays are padded. Lengths are truncated to a
+        multiple of 4. Raises `GuoError` for vectors of another size, NaN, vectors that are still standardised or in
+        another unit, and lengths under 4, over 199 or past the array's end.
         """
         return self._embed(list(motions), "motion {}".format, lengths)
 
@@ -141,19 +141,18 @@ class GuoEvaluator:
     def describe(
         self, clips: Float[np.ndarray, "clips poses joints 3"], fps: Fraction
     ) -> Float64[np.ndarray, "clips features"]:
-        """One embedding per clip, in order: each clip is put on the floor, turned and made into vectors of its own."""
+        """One embedding per clip, in order: each clip is put on the floor, rotated and converted by itself."""
         self.check_fps(fps, "clips")
         return self._embed([self.pose_vectors(clip) for clip in clips], "clip {}".format, None)
 
     def pose_vectors(
         self, joint_positions: Float[np.ndarray, "poses joints 3"]
     ) -> Float32[np.ndarray, "frames numbers"]:
-        """The pose vectors of one motion as HumanML3D makes them: T poses give T − 1, for velocities need a next pose.
+        """The pose vectors of one motion as HumanML3D makes them: T poses give T − 1, as velocities need a next pose.
 
-        `joint_positions` in metres, y up, in the evaluator's `layout`; the clip is brought to the floor, the origin and
-        Z+. Bones of the 22 joints are brought to HumanML3D's lengths. Those of KIT's 21 stay as they are, for the clip
-        that KIT-ML took its lengths from is in its files alone, which all have them. Raises `GuoError` for another
-        layout.
+        `joint_positions` in metres, y up, in the evaluator's `layout`; the clip is moved to the floor and the origin,
+        facing Z+. Bones of the 22 joints are scaled to HumanML3D's lengths. Those of KIT's 21 are unchanged: KIT-ML's
+        own files all have its reference lengths. Raises `GuoError` for another layout.
         """
         layout = self.kind.layout
         joints = pose_layout(layout).num_joints
@@ -169,7 +168,7 @@ class GuoEvaluator:
         return humanml3d.vectors(placed(joint_positions / np.float32(self.kind.unit_metres), layout), layout)
 
     def check_fps(self, fps: Fraction, name: str) -> None:
-        """Raise `GuoError` for a framerate at which the evaluator means nothing."""
+        """Raise `GuoError` for a framerate other than the evaluator's."""
         if fps != self.fps:
             raise GuoError(
                 f"{name}: {fps} fps, but {self.kind.dataset}'s evaluator was trained at {float(self.fps):g} fps and "
@@ -197,11 +196,11 @@ class GuoEvaluator:
     def _inputs(
         self, motion: Float[np.ndarray, "frames numbers"], num_frames: int
     ) -> Float64[np.ndarray, "inputs read"]:
-        """Standardised frames of whole tokens, and after them what the padding lets the convolutions see."""
+        """Standardised frames of whole tokens, followed by the padding within the convolutions' reach."""
         own, num_inputs = num_frames // FRAMES_PER_TOKEN * FRAMES_PER_TOKEN, self.kind.num_inputs
         reach = 0 if self.padding == "masked" or own >= MAX_FRAMES else REACH_FRAMES
         inputs = np.zeros((own + reach, num_inputs))
-        # Published loaders crop real motion to whole tokens: only what was stored past a motion's end can be seen.
+        # Published loaders crop real motion to whole tokens: only frames stored past a motion's end are read.
         follows = reach if self.padding == "frames" and len(motion) > num_frames else 0
         seen = motion[: own + follows, :num_inputs].astype(np.float64)
         inputs[: len(seen)] = (seen - self.statistics.mean[:num_inputs]) / self.statistics.std[:num_inputs]
@@ -210,7 +209,7 @@ class GuoEvaluator:
     def _in_batches(
         self, sizes: Sequence[int], embed: Callable[[list[int]], torch.Tensor]
     ) -> Float64[np.ndarray, "rows features"]:
-        """Rows in the order of the input; a batch holds inputs of about one size."""
+        """Rows in the order of the input; batches have inputs of similar size."""
         result = np.empty((len(sizes), self.networks.num_features))
         with torch.inference_mode():
             by_size = np.argsort(sizes, kind="stable").tolist()
@@ -262,9 +261,9 @@ class GuoEvaluator:
 def load_guo(files: GuoFiles, widths: GuoWidths = PUBLISHED) -> GuoEvaluator:
     """Load `text_mot_match/model/finest.tar`, and the statistics and word vectors that belong to it.
 
-    Without a folder of statistics (mean.npy, std.npy) they are looked for where the published archive has them. The
-    weights' sizes say whether it is HumanML3D's evaluator or KIT's, Guo's or MARDM's. Raises `CheckpointError` for
-    weights and `GuoError` for other files that are not what they must be.
+    Without a folder of statistics (mean.npy, std.npy) the published archive's location is searched. The weights' sizes
+    distinguish HumanML3D's evaluator from KIT's, and Guo's from MARDM's. Raises `CheckpointError` for invalid weights
+    and `GuoError` for other invalid files.
     """
     networks = networks_of(read_foreign(files.weights), files.weights, widths)
     folder = files.statistics or _published_statistics(files.weights)

@@ -1,7 +1,7 @@
-"""The published evaluators of text-to-motion: networks, statistics, and the files that they lie in.
+"""The published evaluators of text-to-motion: networks, statistics, and their files.
 
-Guo et al. 2022 trained one on HumanML3D and one on KIT; MARDM (Meng et al. 2024) trained the same networks again on the
-numbers that a model generates. The movement encoder's input size tells the four apart.
+Guo et al. 2022 trained one on HumanML3D and one on KIT; MARDM (Meng et al. 2024) retrained the same networks on the
+numbers that a model generates. The movement encoder's input size distinguishes the four.
 """
 
 from collections.abc import Mapping
@@ -26,14 +26,14 @@ SIGNATURE_TOLERANCE = 0.01
 
 
 class GuoError(MotionkitError):
-    """Files that are not a published evaluator's, or motions and captions that it cannot read."""
+    """Files that are not a published evaluator's, or invalid motions and captions."""
 
 
 @dataclass(frozen=True)
 class GuoKind:
-    """One published evaluator: it reads the first `num_inputs` numbers of a `layout`'s pose vector at `fps`.
+    """A published evaluator that reads the first `num_inputs` numbers of a `layout`'s pose vector at `fps`.
 
-    `statistics_name` is what MDM calls the dataset in its copies of the files. `root_height` is the mean of the root's
+    `statistics_name` is MDM's name of the data set in its copies of the files. `root_height` is the mean of the root's
     height, `block_std` the std of each of the vector's blocks, in the files that belong to these weights.
     """
 
@@ -49,12 +49,12 @@ class GuoKind:
 
     @property
     def vector_size(self) -> int:
-        """Numbers of a whole pose vector."""
+        """Size of a whole pose vector."""
         return pose_layout(self.layout).vector.size
 
     @property
     def unit_metres(self) -> float:
-        """How long the unit of the data set's files is: a metre, or a thousandth of KIT-ML's body of 1.7 m."""
+        """The length unit of the data set's files in metres: 1, or a thousandth of KIT-ML's body of 1.7 m."""
         return KIT.unit_metres if self.layout == KIT.skeleton.name else 1.0
 
     @property
@@ -91,8 +91,8 @@ KINDS: Mapping[int, GuoKind] = {
 def read_statistics(folder: Path, kind: GuoKind) -> Statistics:
     """mean.npy and std.npy that belong to an evaluator's weights.
 
-    Raises `GuoError` where they are missing, of another size, or of another convention: a wrong file changes every
-    number and causes no other error, so nothing is guessed and nothing is repaired.
+    Raises `GuoError` if they are missing, of another size, or of another convention: a wrong file changes every
+    number without any other error, so nothing is guessed or repaired.
     """
     names = (*STATISTICS_NAMES, (f"{kind.statistics_name}_mean.npy", f"{kind.statistics_name}_std.npy"))
     found = next((pair for pair in names if all((folder / name).is_file() for name in pair)), None)
@@ -139,10 +139,10 @@ def _title(kind: GuoKind) -> str:
 
 
 REACH_FRAMES = 3
-"""How far past the frames that it stands for the last token's convolutions see."""
+"""Reach of the last token's convolutions past its own frames."""
 
 Padding = Literal["masked", "zeros", "frames"]
-"""What the last token sees past a motion's end: nothing (`masked`), standardised zeros up to frame 196 (`zeros`: the
+"""Input of the last token past a motion's end: nothing (`masked`), standardised zeros up to frame 196 (`zeros`: the
 published protocol), or the frames that follow there, then zeros (`frames`: where generated ones were left in)."""
 
 

@@ -47,7 +47,7 @@ class MotionNetworks(Protocol):
     num_features: int
 
     def embed_motions(self, motions: list[Tensor], num_tokens: list[int]) -> Float[Tensor, "batch shared"]:
-        """One embedding for each motion's frames [frames, numbers], of which its tokens count."""
+        """One embedding per motion [frames, numbers], over its `num_tokens` tokens."""
         ...
 
     def published(self) -> dict[str, dict[str, Tensor]]:
@@ -60,7 +60,7 @@ class MovementEncoder(nn.Module):
 
     def __init__(self, num_inputs: int, width: int) -> None:
         super().__init__()
-        # The published dropouts stand at 1 and 4; at evaluation they do nothing.
+        # The published dropouts are modules 1 and 4; at evaluation they do nothing.
         self.main = nn.Sequential(
             *(nn.Conv1d(num_inputs, width, 4, 2, 1), nn.Identity(), nn.LeakyReLU(SLOPE)),
             *(nn.Conv1d(width, width, 4, 2, 1), nn.Identity(), nn.LeakyReLU(SLOPE)),
@@ -95,7 +95,7 @@ class SequenceEncoder(nn.Module):
 
 
 class GuoNetworks(nn.Module):
-    """The evaluator of one kind, without weights until `fill_networks`."""
+    """The networks of one evaluator, uninitialised until `fill_networks`."""
 
     def __init__(self, kind: GuoKind, widths: GuoWidths = PUBLISHED) -> None:
         super().__init__()
@@ -107,7 +107,7 @@ class GuoNetworks(nn.Module):
         self.double().eval().requires_grad_(False)
 
     def embed_motions(self, motions: list[Tensor], num_tokens: list[int]) -> Float64[Tensor, "batch shared"]:
-        """Embeddings of standardised frames [frames, numbers]; what follows a motion's tokens the convolutions see."""
+        """Embeddings of standardised frames [frames, numbers]; the convolutions also see frames past the tokens."""
         tokens = [self.movement(frames)[:number] for frames, number in zip(motions, num_tokens, strict=True)]
         embeddings: Tensor = self.motion(tokens)
         return embeddings
@@ -130,9 +130,9 @@ class GuoNetworks(nn.Module):
 
 
 def networks_of(loaded: Mapping[str, Any], path: Path, widths: GuoWidths = PUBLISHED) -> GuoNetworks:
-    """The networks with the weights of a checkpoint (`finest.tar`); keys of other names are left alone.
+    """The networks with the weights of a checkpoint (`finest.tar`); other keys are ignored.
 
-    Raises `CheckpointError` that names the tensor where one is missing, too many, of another shape, or not finite.
+    Raises `CheckpointError` that names a tensor that is missing, unexpected, of another shape, or not finite.
     """
     found = {key: foreign_tensors(loaded, key, path, WHAT) for key in ("movement_encoder", "motion_encoder")}
     found["text_encoder"] = foreign_tensors(loaded, "text_encoder", path, WHAT)
@@ -150,7 +150,7 @@ def networks_of(loaded: Mapping[str, Any], path: Path, widths: GuoWidths = PUBLI
 
 
 def weights_digest(terms: str, tensors: Mapping[str, torch.Tensor]) -> str:
-    """First 16 hex digits of the sha256 over settings and weights, whatever order the weights come in."""
+    """First 16 hex digits of the sha256 over settings and weights, independent of the weights' order."""
     digest = hashlib.sha256(terms.encode())
     for name in sorted(tensors):
         digest.update(name.encode() + np.ascontiguousarray(tensors[name].numpy(), dtype="<f4").tobytes())

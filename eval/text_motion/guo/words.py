@@ -23,14 +23,14 @@ PREFIX = "our_vab"
 NUM_NUMBERS = 300
 LARGEST_BYTES = 64 << 20
 MAX_TOKENS = 20
-"""Tokens of a caption that are read; `sos` and `eos` come on top."""
+"""Maximum number of a caption's tokens, without `sos` and `eos`."""
 PARTS_OF_SPEECH = (
     *("VERB", "NOUN", "DET", "ADP", "NUM", "AUX", "PRON", "ADJ", "ADV"),
     *("Loc_VIP", "Body_VIP", "Obj_VIP", "Act_VIP", "Desc_VIP", "OTHER"),
 )
 OTHER = PARTS_OF_SPEECH.index("OTHER")
 START, END, UNKNOWN = "sos", "eos", "unk"
-# What an exported folder has for captions without tokens. A tagger says it of single words, hardly of whole sentences.
+# The tag of captions without tokens in exported folders. A tagger gives it to single words, hardly to whole sentences.
 UNTAGGED, UNTAGGED_WORDS = "X", 3
 
 _IMPORTANT = {
@@ -46,12 +46,12 @@ _IMPORTANT = {
 IMPORTANT_WORDS: Mapping[str, int] = {
     word: PARTS_OF_SPEECH.index(part) for part, words in _IMPORTANT.items() for word in words.split()
 }
-"""Words whose part of speech is their own, whatever the token says."""
+"""Words with their own part of speech, which overrides the token's."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sentence:
-    """What the text encoder reads of one caption: `words` [steps, 300], `parts` [steps, 15] one-hot."""
+    """The text encoder's input for one caption: `words` [steps, 300], `parts` [steps, 15] one-hot."""
 
     words: Float64[np.ndarray, "steps 300"]
     parts: Float64[np.ndarray, "steps parts"]
@@ -59,7 +59,7 @@ class Sentence:
 
 @dataclass(frozen=True, eq=False)
 class WordVectors:
-    """GloVe vectors [words, 300] of a vocabulary; `row` gives a word's."""
+    """GloVe vectors [words, 300] of a vocabulary; `row` is the index of a word."""
 
     vectors: Float64[np.ndarray, "words 300"]
     row: Mapping[str, int]
@@ -104,7 +104,7 @@ def _tokens(caption: Caption) -> list[tuple[str, str]]:
 def read_word_vectors(folder: Path) -> WordVectors:
     """The three published files of a folder, the pickles among them read without unpickling.
 
-    Raises `GuoError` where one is missing, damaged, holds anything but words and numbers, or where they disagree.
+    Raises `GuoError` if one is missing, damaged, holds anything but words and numbers, or if they disagree.
     """
     words, places = _read_words(folder / f"{PREFIX}_words.pkl"), _read_places(folder / f"{PREFIX}_idx.pkl")
     path = folder / f"{PREFIX}_data.npy"
