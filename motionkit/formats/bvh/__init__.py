@@ -1,1 +1,1 @@
-"""BVH: hierarchy, channels and motion, and the data sets that name their BVH files."""
+"""BVH: hierarchy, channels and motion, and the data sets published as BVH."""

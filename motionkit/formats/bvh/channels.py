@@ -1,4 +1,4 @@
-"""From a BVH file's channel table to local rotations, a root path and bones, still in file units; Euler angles."""
+"""From a BVH file's channel table to local rotations, a root path and bones, in file units; Euler angles."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -13,15 +13,15 @@ from motionkit.core.skeleton import Skeleton
 from motionkit.formats.bvh.text import BvhHierarchy
 
 PART_FRAMES = 4096
-# A bone is not so short, in lengths of its OFFSET.
+# Bones are longer than this, relative to their OFFSET.
 NO_BONE = 1e-3
-# So much of all frames at once is enough to find where joints rest.
+# Memory limit of the median offsets: joints are processed in groups of this many bytes over all frames.
 MEDIAN_BYTES = 16 << 20
 
 
 @dataclass(frozen=True)
 class ChannelPose:
-    """What the channels say, lengths in file units.
+    """The decoded channels, lengths in file units.
 
     `places` are the offsets that position channels give to `placed_joints`, which are below the root.
     """
@@ -34,7 +34,7 @@ class ChannelPose:
     operations: tuple[str, ...] = ()
 
     def parts(self) -> Iterator["ChannelPose"]:
-        """The same, some thousand frames at a time."""
+        """The same in chunks of some thousand frames."""
         for start in range(0, len(self.root), PART_FRAMES):
             part = slice(start, start + PART_FRAMES)
             yield replace(self, rotations=self.rotations[part], root=self.root[part], places=self.places[part])
@@ -70,13 +70,13 @@ def read_channels(table: Float64[np.ndarray, "frames channels"], hierarchy: BvhH
     if cells:
         rows, axes, columns = (list(part) for part in zip(*cells, strict=True))
         places[rows, axes] = table.take(columns, axis=1).T
-    # Time is contiguous in memory, as everything that follows wants it.
+    # Time is contiguous in memory, as later operations run along it.
     places = places.transpose(2, 0, 1)
     return ChannelPose(skeleton, _rotations(table, hierarchy), places[:, 0], placed, places[:, 1:], operations)
 
 
 def join(pieces: Iterable[ChannelPose], num_frames: int) -> ChannelPose:
-    """Poses of `num_frames` frames in all that follow each other as one; the first says what they have in common."""
+    """Concatenate consecutive poses, `num_frames` frames in total; common fields are those of the first."""
     rest = iter(pieces)
     first = next(rest)
     if len(first.root) == num_frames:
@@ -98,8 +98,8 @@ def join(pieces: Iterable[ChannelPose], num_frames: int) -> ChannelPose:
 def starts_with_t_pose(table: Float64[np.ndarray, "frames channels"], hierarchy: BvhHierarchy) -> bool:
     """Whether frame 0 is the T-pose that B. Hahne's conversions of the CMU database begin with.
 
-    The rule: in frame 0 the root is unturned and every angle is a whole number of degrees, in frame 1 neither holds,
-    and the root is in the same place in both. A captured pose does not fulfil it.
+    The rule: in frame 0 the root has no rotation and every angle is a whole number of degrees, in frame 1 neither
+    holds, and the root's position is the same in both. Captured poses do not satisfy it.
     """
     if len(table) < 2:
         return False
@@ -116,7 +116,7 @@ def starts_with_t_pose(table: Float64[np.ndarray, "frames channels"], hierarchy:
 
 
 def fold_reference(pose: ChannelPose) -> ChannelPose:
-    """Let a root that only carries one moving joint go: that joint becomes the root (Bandai-Namco's `joint_Root`)."""
+    """Remove a root that only carries one moving joint, which becomes the root (Bandai-Namco's `joint_Root`)."""
     skeleton = pose.skeleton
     if (
         1 not in pose.placed_joints
@@ -150,7 +150,7 @@ def fold_reference(pose: ChannelPose) -> ChannelPose:
 
 
 def first_skeleton(pose: ChannelPose) -> Skeleton:
-    """The skeleton with the bones that it has in the first frame: position channels overrule an OFFSET."""
+    """The skeleton with its bones in the first frame: position channels override an OFFSET."""
     offsets, joints, places = pose.skeleton.offsets.copy(), list(pose.placed_joints), pose.places[0]
     offsets[joints] = np.where(_says_nothing(places, places, offsets[joints])[:, None], offsets[joints], places)
     return replace(pose.skeleton, offsets=offsets)
@@ -161,7 +161,7 @@ def _says_nothing(
     highest: Float64[np.ndarray, "placed 3"],
     offsets: Float[np.ndarray, "placed 3"],
 ) -> Bool[np.ndarray, "placed"]:
-    """Whether position channels are 0 but for rounding where the OFFSET is not (MakeHuman): it is the place then."""
+    """Whether position channels are 0 up to rounding but the OFFSET is not (MakeHuman): the OFFSET then applies."""
     farthest = np.maximum(np.abs(lowest), np.abs(highest)).max(axis=1, initial=0.0)
     return np.asarray(farthest < NO_BONE * np.linalg.norm(offsets, axis=1))
 
@@ -169,11 +169,11 @@ def _says_nothing(
 def settle_offsets(
     pose: ChannelPose, pieces: Callable[[], Iterator[ChannelPose]], tolerance: float
 ) -> tuple[Skeleton, tuple[int, ...]]:
-    """The bones of all frames, still in file units, and the joints whose place no bone holds.
+    """The bones of all frames, in file units, and the joints that move relative to their parents.
 
-    Where position channels stay within `tolerance` file units, they are a plain offset. A constant that agrees with the
-    file's OFFSET, or is 0 beside one, leaves the OFFSET as it is, so that takes share their skeleton. `pieces` gives
-    all frames as often as it is called.
+    Position channels that stay within `tolerance` file units are a constant offset. A constant that agrees with the
+    file's OFFSET, or is 0 where that is not, leaves the OFFSET unchanged, so that takes share their skeleton. Each call
+    of `pieces` iterates over all frames.
     """
     if not pose.placed_joints:
         return pose.skeleton, ()
@@ -198,7 +198,7 @@ def settle_offsets(
 
 
 def unique_names(names: list[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names made unique by _2, _3 …, and a log line where that was needed."""
+    """Names made unique by _2, _3 …, and a log line if any was changed."""
     taken: set[str] = set()
     unique: list[str] = []
     for name in names:
@@ -212,7 +212,7 @@ def unique_names(names: list[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 def joints_by_order(hierarchy: BvhHierarchy) -> dict[str, list[int]]:
-    """The joints that turn, by the order of their axes."""
+    """The joints with rotation channels, by the order of their axes."""
     orders: dict[str, list[int]] = {}
     for index, joint in enumerate(hierarchy.joints):
         if joint.order:
@@ -223,7 +223,7 @@ def joints_by_order(hierarchy: BvhHierarchy) -> dict[str, list[int]]:
 def _rotations(
     table: Float64[np.ndarray, "frames channels"], hierarchy: BvhHierarchy
 ) -> Float32[np.ndarray, "frames joints 4"]:
-    # Component-major in memory, as forward kinematics wants it. Joints with one order of axes are done together.
+    # Component-major in memory, as forward kinematics needs it. Joints with the same order of axes are batched.
     components = np.zeros((4, len(hierarchy.joints), len(table)), np.float32)
     components[0] = 1.0
     for order, members in joints_by_order(hierarchy).items():
@@ -247,11 +247,11 @@ def anchored_angles(
     anchors: Float64[np.ndarray, "anchors joints axes"],
     after: Int64[np.ndarray, "times"],
 ) -> Float64[np.ndarray, "times joints axes"]:
-    """Angles in degrees about the axes of `order` (one to three), whose product is each rotation.
+    """Euler angles in degrees about the axes of `order` (one to three) of each rotation.
 
-    Row t follows row t − 1 where both come after the same anchor, else the anchor `after[t]` itself (degrees). Where
-    the `expected` angles turn as wanted, they are the answer, so a channel that rests stays as it is to the last digit.
-    An order of fewer than three axes gives the angles whose rotation is nearest in those axes.
+    Row t is continuous with row t − 1 if both come after the same anchor, else with the anchor `after[t]` (degrees). If
+    the `expected` angles give the rotation, they are returned, so a constant channel keeps its exact digits. An order
+    of fewer than three axes gives the angles of the nearest rotation about those axes.
     """
     axes = order + "".join(axis for axis in "XYZ" if axis not in order) if len(order) < 3 else order
     pad = ((0, 0), (0, 0), (0, 3 - len(order)))
@@ -265,13 +265,13 @@ def anchored_angles(
 def _principal(
     rotations: Float64[np.ndarray, "times joints 4"], axes: str, expected: Float64[np.ndarray, "times joints 3"]
 ) -> Float64[np.ndarray, "times joints 3"]:
-    # One triple for each rotation; at the pole the one with the expected last angle.
+    # One triple per rotation; in gimbal lock the one with the expected last angle.
     import warnings
 
     from scipy.spatial.transform import Rotation
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about the pole, of which we know
+        warnings.simplefilter("ignore")  # about gimbal lock, handled below
         found = Rotation.from_quat(rotations.reshape(-1, 4), scalar_first=True).as_euler(axes)  # type: ignore[call-overload]
     angles = np.asarray(found).reshape(expected.shape)
     second = angles[..., 1]
@@ -292,13 +292,13 @@ def _followed(
     *,
     is_proper: bool,
 ) -> Float64[np.ndarray, "times joints 3"]:
-    # Steps between consecutive rows are taken in either triple; they differ in the sign of the second angle alone.
+    # Steps between consecutive rows in either triple; they differ only in the sign of the second angle.
     first_of_run = np.concatenate(([True], after[1:] != after[:-1]))
     start = anchors[after]
     before = np.where(first_of_run[:, None, None], start, np.concatenate((start[:1], found[:-1])))
     straight, crossed = _turned(found - before), _turned(_other(found, is_proper) - before)
     crosses = np.abs(crossed).sum(axis=-1) < np.abs(straight).sum(axis=-1)
-    # Which triple a row is in: what its run has crossed so far. Counted over all runs, less what was before the run.
+    # A row's triple is the parity of its run's changes so far: counted over all runs, less those before the run.
     total = np.cumsum(crosses, axis=0)
     run_start = np.maximum.accumulate(np.where(first_of_run, np.arange(len(after)), 0))
     counted = total - total[run_start] + crosses[run_start]
@@ -307,7 +307,7 @@ def _followed(
     previous = np.where(first_of_run[:, None, None], start, np.concatenate((start[:1], chosen[:-1])))
     steps = np.cumsum(_turned(chosen - previous), axis=0)
     unwound = start + steps - np.where(run_start[:, None, None] > 0, steps[run_start - 1], 0.0)
-    # The sum says how many whole turns; the angle itself is not summed up.
+    # The sum gives only the number of full turns, so that rounding errors of the angle do not accumulate.
     turns = np.rint((unwound - chosen) / (2 * np.pi))
     return np.asarray(chosen + 2 * np.pi * turns)
 

@@ -1,12 +1,12 @@
-"""BVH (BioVision Hierarchy): a text file of joints with offsets and channels, then one line of numbers a frame.
+"""BVH (BioVision Hierarchy): a text file of joints with offsets and channels, then one line of numbers per frame.
 
 Channels are degrees and file units; a joint's rotation is the product of its rotation channels in the order in which
 they are listed; position channels replace the joint's OFFSET. Source: M. Meredith and S. Maddock, "Motion Capture File
 Formats Explained", University of Sheffield CS-01-11, 2001.
 
-`read_bvh` reads a file at once, in one pass. `read_document` looks through it and reads frames where they are needed,
-so a file of any length needs the memory of a short one; it also knows how the file was written. Both find the same
-skeleton, frames and clock, by `_find_body` and `_Body.poses`.
+`read_bvh` reads a file at once, in one pass. `read_document` indexes it and reads frames on demand, so that memory does
+not grow with the file's length; it also keeps the file's text. Both find the same skeleton, frames and clock, by
+`_find_body` and `_Body.poses`.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -33,11 +33,11 @@ from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.source import body_frame, clock
 from motionkit.formats.source.source_file import FileParts, check_size
 
-# Bones that change by less are noise of printed digits; a bone that changes by more is not rigid.
+# Smaller changes of a bone are noise of printed digits; a bone with larger ones is not rigid.
 RIGID_METRES = 1e-3
-# The log line by which readers of whole data sets know that frames count from one later.
+# The log line by which readers of data sets know that frame numbers are shifted by one.
 T_POSE_DROPPED = "frame 0 dropped: a T-pose (root unturned, all angles whole degrees, root where frame 1 is)"
-# A file as large as this is read at once, a larger one piece by piece.
+# A file up to this size is read at once, a larger one piece by piece.
 HELD_BYTES = 8 << 20
 
 Pieces = Callable[[], Iterator[ChannelPose]]
@@ -45,9 +45,9 @@ Pieces = Callable[[], Iterator[ChannelPose]]
 
 @dataclass(frozen=True, eq=False)
 class BvhBody:
-    """How the channels of a file become poses: its bones in metres along the file's axes, `turned` where they lie in z.
+    """How a file's channels become poses: its bones in metres along the file's axes, `turned` if these are z up.
 
-    `moving` are the joints whose place in their parent changes; no bone holds them.
+    `moving` are the joints that move relative to their parents.
     """
 
     skeleton: Skeleton
@@ -69,7 +69,7 @@ class BvhBody:
         return Poses(positions, rotations, root)
 
     def motion(self, pieces: Iterable[ChannelPose], num_frames: int, fps: Fraction) -> Motion:
-        """All frames; without rotations where bones move."""
+        """All frames; without rotations if bones move."""
         joints = self.skeleton.num_joints
         positions = np.empty((num_frames, joints, 3), np.float32)
         rotations = None if self.moving else np.empty((num_frames, joints, 4), np.float32)
@@ -91,10 +91,10 @@ class BvhBody:
 
 @dataclass(frozen=True, eq=False)
 class BvhDocument:
-    """A file's text, and where in it the frames are of the motion that it describes.
+    """A file's text, and the location of the motion's frames in it.
 
     `lines` are its frames as written and their numbers (file units, degrees). `reference` is the T-pose line that some
-    conversions begin with, no frame. All else is what `read_bvh` reads of it.
+    conversions begin with, which is not a frame. The other fields are as `read_bvh` reads them.
     """
 
     head: BvhText
@@ -122,7 +122,7 @@ class BvhDocument:
 
     @property
     def seen(self) -> Bool[np.ndarray, "frames"]:
-        """Which frames have numbers that are all finite; the others repeat a neighbour."""
+        """Mask of the frames whose numbers are all finite; the others repeat a neighbour."""
         return self.lines.seen
 
     def poses(self, frames: Int64[np.ndarray, "rows"]) -> Poses:
@@ -130,7 +130,7 @@ class BvhDocument:
         return self.body.poses(_decoded(self.lines.table(frames), self.head.hierarchy, self.body.skeleton.name))
 
     def motion(self) -> Motion:
-        """All of it, in memory; raises `FormatError` (`too-large`)."""
+        """The whole motion, in memory; raises `FormatError` (`too-large`)."""
         check_size(self.num_frames, self.skeleton.num_joints, self.lines.file.path)
         pieces = (_decoded(table, self.head.hierarchy, self.body.skeleton.name) for table in self.lines.tables())
         made = self.body.motion(pieces, self.num_frames, self.fps)
@@ -149,7 +149,7 @@ class BvhDocument:
         )
 
     def frames(self, start: int, stop: int) -> "BvhDocument":
-        """Frames [start, stop), at the times that they have."""
+        """Frames [start, stop), at their own times."""
         grid = TimeGrid(self.fps, stop - start, self.timegrid.start_seconds + float(start / self.fps))
         return replace(self, lines=self.lines.frames(start, stop), timegrid=grid)
 
@@ -169,7 +169,7 @@ def read_bvh(path: Path, options: ReadOptions | None = None) -> Motion:
     """Read one BVH file: positions in metres, y up, true local rotations, at the stated framerate.
 
     The unit is `options.unit_metres` or inferred (`body_frame.infer_unit`); a T-pose in frame 0, as B. Hahne's
-    conversions of the CMU database have it, is dropped; a z-up body is turned. All of it is in the operation log.
+    conversions of the CMU database have it, is dropped; a z-up body is rotated. All of this is in the operation log.
     Raises `FormatError` with a reason, the line and the frame.
     """
     options = options or ReadOptions()
@@ -190,9 +190,9 @@ def read_bvh(path: Path, options: ReadOptions | None = None) -> Motion:
 
 
 def read_document(path: Path, options: ReadOptions | None = None) -> BvhDocument:
-    """Look through a BVH file that is to be written again; raises `FormatError` as `read_bvh` does, but for two things.
+    """Open a BVH file to be written again; raises `FormatError` as `read_bvh` does, with two exceptions.
 
-    Frames that hold `nan` are not `seen`, and a skeleton that is no human body in any unit is taken as it is.
+    Frames with `nan` are not `seen`, and a skeleton that is not a human body in any unit is accepted.
     """
     options = options or ReadOptions()
     file = FileParts.of(path)
@@ -236,7 +236,7 @@ def _provenance(file: FileParts, head: BvhText, operations: tuple[str, ...]) -> 
 def _find_body(
     pieces: Pieces, options: ReadOptions, path: Path, *, any_size: bool = False
 ) -> tuple[BvhBody, tuple[str, ...]]:
-    """The body that all frames, given by `pieces` as often as is asked, describe; and log lines of how it was found."""
+    """The body of all frames, over which each call of `pieces` iterates; and log lines of how it was found."""
     first = next(pieces())
     first = replace(first, skeleton=with_layout_map(first.skeleton, options.skeleton_maps))
     unit, reason = _unit(first, options, path, any_size)
@@ -269,7 +269,7 @@ def _unit(pose: ChannelPose, options: ReadOptions, path: Path, any_size: bool) -
 
 
 def _stands_along_z(body: BvhBody, pieces: Pieces) -> bool:
-    # Few rest poses lie along z: only for those all frames are asked.
+    # Few rest poses lie along z: only these need a pass over all frames.
     if not body_frame.rests_along_z(body.skeleton):
         return False
     total, num_frames = np.zeros((body.skeleton.num_joints, 3)), 0

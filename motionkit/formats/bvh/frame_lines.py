@@ -1,8 +1,8 @@
-"""The lines of numbers of a BVH file, whose text is never in memory as a whole.
+"""The lines of numbers of a BVH file, without holding its whole text in memory.
 
-`read_tables` reads their numbers once, in order. `find_frame_lines` finds and checks all of them, to be read again
-where they are needed: memory holds eight bytes a frame, the place of its line, and the few blocks of lines that were
-asked for last.
+`read_tables` reads their numbers once, in order. `find_frame_lines` indexes and checks all of them for random access:
+memory holds the byte offset of each frame's line (eight bytes per frame), and the few blocks of lines that were
+accessed last.
 """
 
 import re
@@ -30,9 +30,9 @@ _NAN = re.compile(rb"(?i)(?<![^\s])[-+]?nan(?![^\s])")
 
 @dataclass(frozen=True, eq=False)
 class FrameLines:
-    """Lines of a file by frame. `starts[k]` is the byte where the line of frame k begins; the last is where they end.
+    """Lines of a file by frame. `starts[k]` is the byte offset of frame k's line; the last one is the end.
 
-    `seen` marks the frames whose numbers are all finite: in the numbers the others repeat the one before, or the first.
+    `seen` marks the frames whose numbers are all finite: others repeat those of the last such frame, or of the first.
     """
 
     file: FileParts
@@ -48,7 +48,7 @@ class FrameLines:
         return replace(self, starts=self.starts[start : stop + 1], seen=self.seen[start:stop])
 
     def line(self, frame: int) -> bytes:
-        """The line of a frame as written, without the white space around it."""
+        """The line of a frame as written, stripped of white space."""
         number, place = divmod(frame, FRAMES_AT_ONCE)
         return self._kept_block(number).lines[place]
 
@@ -62,7 +62,7 @@ class FrameLines:
         return result
 
     def tables(self) -> Iterator[Float64[np.ndarray, "some channels"]]:
-        """The numbers of all frames, block after block."""
+        """The numbers of all frames, block by block."""
         for start in range(0, len(self), FRAMES_AT_ONCE):
             yield self.table(np.arange(start, min(start + FRAMES_AT_ONCE, len(self))))
 
@@ -100,10 +100,10 @@ class _Block:
 
 
 def read_tables(file: FileParts, head: BvhText) -> Iterator[Float64[np.ndarray, "some channels"]]:
-    """All frames' numbers (file units, degrees) in order, in tables of at least 4,096 frames but for the last.
+    """All frames' numbers (file units, degrees) in order, in tables of at least 4,096 frames except the last.
 
-    Nothing is yielded of a file too small for the frames that it declares. Raises `FormatError`: `too-large` before the
-    first table, for frames that are missing after the last, and else as `number_table.find_rows` does.
+    Nothing is yielded for a file too small for the frames that it declares. Raises `FormatError`: `too-large` before
+    the first table, for missing frames after the last, and otherwise as `number_table.find_rows` does.
     """
     end = file.end_of_text()
     # A number takes at least a digit and a separator.
@@ -124,7 +124,7 @@ def read_tables(file: FileParts, head: BvhText) -> Iterator[Float64[np.ndarray, 
 def find_frame_lines(file: FileParts, head: BvhText) -> FrameLines:
     """Find and check all lines of numbers; raises `FormatError` as `number_table.find_rows` does.
 
-    Lines that hold `nan` are frames that are not seen; where all do, that is an error.
+    Lines with `nan` are frames that are not seen; it is an error if all have it.
     """
     end = file.end_of_text()
     starts, seen = [], []
@@ -141,7 +141,7 @@ Rows = TypeVar("Rows", bound=RowsFound)
 def _blocks_of_rows(
     file: FileParts, head: BvhText, end: int, find: Callable[[bytes, int, Path, TablePart], Rows]
 ) -> Iterator[tuple[int, Rows]]:
-    """The byte where each block of lines begins, and what `find` finds in it; raises `FormatError` (`truncated`)."""
+    """The byte offset of each block of lines, and the result of `find` for it; raises `FormatError` (`truncated`)."""
     line, found = head.body_line, 0
     for place, block in file.line_blocks(head.body_start, end, number_table.BLOCK_BYTES):
         part = TablePart(line, found, head.num_frames, is_end=place + len(block) == end)
@@ -154,7 +154,7 @@ def _blocks_of_rows(
 
 
 def checked_seen(seen: Bool[np.ndarray, "frames"], path: Path) -> Bool[np.ndarray, "frames"]:
-    """The mask; raises `FormatError` (`nan`) where no frame is seen."""
+    """The mask, unchanged; raises `FormatError` (`nan`) if no frame is seen."""
     if not seen.any():
         raise FormatError("every frame holds nan: nothing is observed", path=path, reason="nan")
     return seen
@@ -162,7 +162,7 @@ def checked_seen(seen: Bool[np.ndarray, "frames"], path: Path) -> Bool[np.ndarra
 
 @dataclass(frozen=True, eq=False)
 class _SeenRows(RowsFound):
-    """Rows, and which hold no nan: the others need not be numbers at all."""
+    """Rows, and a mask of those without nan: the others need not be numbers."""
 
     seen: Bool[np.ndarray, "rows"]
 
@@ -175,7 +175,7 @@ def _find_seen_rows(block: bytes, num_columns: int, path: Path, part: TablePart)
     there = np.array([bool(line.strip()) for line in lines], bool)
     starts = np.cumsum([0, *map(len, lines)])[:-1][there]
     seen = np.array([_NAN.search(line) is None for line in lines], bool)[there]
-    # What has nan becomes zeros, so that lines and frames are counted as they are.
+    # Lines with nan become zeros, so that the counts of lines and frames stay right.
     zeros = b" ".join([b"0"] * num_columns) + b"\n"
     clean = b"".join(zeros if _NAN.search(line) else line for line in lines)
     return _SeenRows(number_table.find_rows(clean, num_columns, path, part).table, starts, seen)

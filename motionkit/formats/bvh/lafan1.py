@@ -2,7 +2,7 @@
 
 Source: https://github.com/ubisoft/ubisoft-laforge-animation-dataset (README.md: names and themes; evaluate.py: the
 actors of both sets; lafan1/extract.py and utils.py: windows, centring, facing). The same names at 60 fps are
-https://github.com/orangeduck/lafan1-resolved, which is read alike.
+https://github.com/orangeduck/lafan1-resolved, which is read the same way.
 """
 
 import re
@@ -38,8 +38,8 @@ Read = TypeVar("Read", Motion, BvhDocument)
 class BenchmarkWindows:
     """Windows of one take as the benchmark prepares them: `start_frames` in the take, root path in metres, rotations.
 
-    Every window is centred on its mean in x and z and turned about y so that in frame 9 the root's own y axis, along
-    which LaFAN1's hips face, points to +x on the ground. Quaternions run on through the take without changes of sign.
+    Every window is centred on its mean in x and z and rotated about y so that in frame 9 the root's own y axis, along
+    which LaFAN1's hips face, points to +x on the ground. Quaternions have continuous signs over the take.
     """
 
     start_frames: Int64[np.ndarray, "windows"]
@@ -55,14 +55,14 @@ def accepts(path: Path) -> bool:
 def read_lafan1(path: Path, options: ReadOptions | None = None) -> Motion:
     """Read one take with its theme as the action, its subject, and the benchmark's split: subject 5 is the test set.
 
-    The root's OFFSET, which is where a take starts, is set to zero, so that takes of one subject share their skeleton;
+    The root's OFFSET, a take's starting position, is set to zero, so that takes of one subject share their skeleton;
     position channels replace it anyway. Raises `FormatError` as `read_bvh` does.
     """
     return _labelled(read_bvh(path, options), path)
 
 
 def read_lafan1_document(path: Path, options: ReadOptions | None = None) -> BvhDocument:
-    """The same, its frames where they are needed; raises `FormatError` as `read_document` does."""
+    """The same, with frames read on demand; raises `FormatError` as `read_document` does."""
     return _labelled(read_document(path, options), path)
 
 
@@ -87,9 +87,9 @@ def _split(subject: str) -> str:
 def benchmark_windows(motion: Motion, *, window_frames: int, step_frames: int) -> BenchmarkWindows:
     """Cut a take into the benchmark's windows (test: 65 frames every 40; training: 50 every 20).
 
-    A window starts at every multiple of the step at which start + window < number of frames: the comparison is strict,
+    A window starts at every multiple of the step for which start + window < number of frames: the comparison is strict,
     so a window that ends with the last frame is left out. Raises `ValueError` for a motion without rotations, or for
-    windows that do not reach the frame by which they are turned.
+    windows too short to have the frame that sets their heading.
     """
     if motion.local_rotations is None or motion.root_translation is None:
         raise ValueError(f"{motion.sequence_id} has no rotations, which the benchmark is about")

@@ -1,7 +1,7 @@
-"""100STYLE: BVH at 60 fps, `Style/Style_FW.bvh`, cut to the frames that `Frame_Cuts.csv` keeps.
+"""100STYLE: BVH at 60 fps, `Style/Style_FW.bvh`, cut to the frames listed in `Frame_Cuts.csv`.
 
-The table has a row for each style: `STYLE_NAME`, then for each kind of movement `BR_START`, `BR_STOP`, … (`N/A` where
-there is no such file); what lies outside is calibration and walking into place. Source: I. Mason, S. Starke, T. Komura,
+The table has a row for each style: `STYLE_NAME`, then for each kind of movement `BR_START`, `BR_STOP`, … (`N/A` if
+there is no such file); frames outside are calibration and approach. Source: I. Mason, S. Starke, T. Komura,
 "Real-Time Style Modelling of Human Locomotion via Feature-Wise Transformations and Local Motion Phases", 2022,
 https://www.ianxmason.com/100style/.
 """
@@ -50,26 +50,26 @@ def accepts(path: Path) -> bool:
 
 
 def find_cuts(path: Path) -> Path | None:
-    """The table of cuts that counts for a file: in its folder, or in the one above."""
+    """The table of cuts of a file: in its folder, or in the one above."""
     return next((table for table in tables_of_cuts(path.parent) if table.is_file()), None)
 
 
 def tables_of_cuts(folder: Path) -> tuple[Path, ...]:
-    """Where a folder's takes may have their table of cuts, the nearest first."""
+    """Possible paths of the table of cuts of a folder's takes, nearest first."""
     return folder / CUTS_FILE, folder.parent / CUTS_FILE
 
 
 def read_100style(path: Path, options: ReadOptions | None = None) -> Motion:
-    """Read frames START up to, not including, STOP of one take, counted from 0, with its style and movement.
+    """Read frames [START, STOP) of one take, counted from 0, with its style and movement.
 
     Times count from the first frame kept. Raises `FormatError` as `read_bvh` does, and with the reason `frame-cuts`
-    where the table has no cut for the take or one that does not lie in it.
+    if the table has no cut for the take, or one outside it.
     """
     return _kept(read_bvh(path, options), path)
 
 
 def read_100style_document(path: Path, options: ReadOptions | None = None) -> BvhDocument:
-    """The same, its frames where they are needed; raises `FormatError` as `read_document` does."""
+    """The same, with frames read on demand; raises `FormatError` as `read_document` does."""
     return _kept(read_document(path, options), path)
 
 
@@ -142,7 +142,7 @@ def _cuts(table: Path, modified: int) -> Cuts:
 
 
 def _numbers(cells: list[str], table: Path, line: int) -> tuple[int, int]:
-    # Tables that went through a spreadsheet or pandas have 120.0 for 120.
+    # Tables saved by a spreadsheet or pandas have 120.0 for 120.
     values = [cell.removesuffix(".0") for cell in cells]
     if not all(value.isascii() and value.isdecimal() and len(value) < 12 for value in values):
         raise FormatError(

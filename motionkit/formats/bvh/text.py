@@ -1,4 +1,4 @@
-"""A BVH file as text: the head with its hierarchy, the clock, and the lines of numbers, each still as written."""
+"""A BVH file as text: the head with its hierarchy, the clock, and the lines of numbers, all as written."""
 
 import re
 from dataclasses import dataclass, field
@@ -19,7 +19,7 @@ CHANNELS = {f"{axis}{kind}": (axis, kind) for axis in "XYZ" for kind in ("positi
 
 @dataclass
 class BvhJoint:
-    """One joint as written: `position_columns` maps an axis 0…2 to its column, `rotation_columns` follow `order`."""
+    """A joint as written: `position_columns` maps an axis 0…2 to its column, `rotation_columns` are in `order`."""
 
     name: str
     parent: int
@@ -44,13 +44,13 @@ def parse_hierarchy(text: str, path: Path) -> BvhHierarchy:
     try:
         return parsed(text)
     except FormatError:
-        # The same complaint, about this file: what failed is not kept.
+        # Failures are not cached; this raises the error for this file.
         return _Parser(path).parse(text)
 
 
 @lru_cache(maxsize=64)
 def parsed(text: str) -> BvhHierarchy:
-    """A hierarchy that may have been read before: the takes of a corpus share theirs, to the letter."""
+    """A cached hierarchy: the takes of a corpus have identical ones."""
     return _Parser(Path()).parse(text)
 
 
@@ -64,7 +64,7 @@ class _Parser:
         self.pending: int | None = None  # what the next "{" opens
 
     def parse(self, text: str) -> BvhHierarchy:
-        """Feed all lines, then check that nothing is missing."""
+        """Feed all lines, then check for completeness."""
         for self.line, line in enumerate(text.splitlines(), start=1):
             self.feed(line.strip())
         if self.open or self.pending is not None:
@@ -74,11 +74,11 @@ class _Parser:
         return BvhHierarchy(tuple(self.joints), self.num_channels)
 
     def fault(self, message: str, reason: str = "hierarchy") -> FormatError:
-        """A complaint about the current line."""
+        """An error at the current line."""
         return FormatError(message, path=self.path, reason=reason, line=self.line)
 
     def feed(self, line: str) -> None:
-        """One line, which may hold braces as well."""
+        """Parse one line, which may contain braces."""
         for part in re.split(r"([{}])", line) if "{" in line or "}" in line else (line,):
             match part.strip():
                 case "":
@@ -183,7 +183,7 @@ _MOTION = re.compile(rb"(?m)^[ \t]*MOTION[ \t]*\r?$")
 
 @dataclass(frozen=True)
 class BvhText:
-    """What stands before the lines of numbers: `head` ends with the word MOTION; lines count from 1.
+    """The text before the lines of numbers: `head` ends with the word MOTION; lines count from 1.
 
     The numbers begin with byte `body_start` of the file.
     """
@@ -198,7 +198,7 @@ class BvhText:
 
 
 def read_head(file: FileParts) -> BvhText:
-    """What stands before the numbers of a file, of which not much more is read; raises `FormatError` as `split_text`.
+    """The text before the numbers of a file, read with little more; raises `FormatError` as `split_text` does.
 
     A hierarchy of more than 64 MiB is `too-large`.
     """
@@ -214,7 +214,7 @@ def read_head(file: FileParts) -> BvhText:
 
 
 def split_text(data: bytes, path: Path) -> BvhText:
-    """Take a file's beginning apart; raises `FormatError` naming the line for what is missing, or for no BVH file."""
+    """Parse a file's beginning; raises `FormatError` naming the line of a missing part, or if it is not a BVH file."""
     # Lines of old Macintoshes end in a carriage return alone.
     data = data if b"\n" in data else data.replace(b"\r", b"\n")
     head = data[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()
@@ -252,7 +252,7 @@ def split_text(data: bytes, path: Path) -> BvhText:
 
 @dataclass
 class _Clock:
-    """What the lines after MOTION say, as written; `end` is where the numbers begin, after `last_line`."""
+    """The lines after MOTION, as written; `end` is the offset of the numbers, after `last_line`."""
 
     end: int
     last_line: int
@@ -294,7 +294,7 @@ def _read_clock(data: bytes, start: int, path: Path) -> _Clock:
 
 
 def holds_head(data: bytes) -> bool:
-    """Whether the beginning of a file that this is goes at least as far as its lines of numbers, or is no BVH file."""
+    """Whether the beginning of a file reaches its lines of numbers, or is not a BVH file."""
     start = data.removeprefix(b"\xef\xbb\xbf").lstrip()[:9].upper()
     if not b"HIERARCHY".startswith(start):
         return True
@@ -329,7 +329,7 @@ def stated_fps(file: BvhText, path: Path) -> Fraction:
 
 @lru_cache(maxsize=256)
 def _fps_of(frame_time: str) -> Fraction:
-    # The few frame times of a corpus come back in all of its files.
+    # Cached: a corpus has few different frame times.
     seconds = float(frame_time)
     if not seconds > 0:
         raise ValueError("it must be positive")

@@ -1,4 +1,4 @@
-"""BVH files as they are written: a motion with its skeleton, or a document's own text with new frames in it."""
+"""Writing BVH files: a motion with its skeleton, or a document's own text with new frames."""
 
 from collections.abc import Iterable
 from itertools import pairwise
@@ -23,12 +23,12 @@ WRITTEN_DECIMALS = 6
 
 
 def write_bvh(motion: Motion, path: Path, *, unit_metres: float = 0.01) -> None:
-    """Write a motion with its skeleton: centimetres unless `unit_metres` says otherwise, ZXY rotations, six decimals.
+    """Write a motion with its skeleton: in centimetres unless `unit_metres` is given, ZXY rotations, six decimals.
 
     Reading it back gives the same framerate, the joints (depth first), and positions within 0.15 mm. A motion without
-    rotations gets them by inverse kinematics on its own bones. Where these change so little that no joint is missed by
-    more than 2 mm, the root alone has position channels (and joints are as near as that); else every joint has. The
-    frame time is written with all its digits.
+    rotations gets them by inverse kinematics on its own bones. If rigid bones miss no joint by more than 2 mm, only the
+    root has position channels (and joints are within that distance); else every joint has them. The frame time is
+    written with all its digits.
     """
     made = joint_channels(motion)
     skeleton, translations = made.skeleton, made.translations
@@ -47,7 +47,7 @@ def write_bvh(motion: Motion, path: Path, *, unit_metres: float = 0.01) -> None:
 
 
 def _zxy_angles(matrices: Float64[np.ndarray, "frames joints 3 3"]) -> Float64[np.ndarray, "frames joints 3"]:
-    # R = Rz·Rx·Ry; at the pole, where only z ± y is determined, y is set to zero.
+    # R = Rz·Rx·Ry; in gimbal lock, where only z ± y is determined, y is set to zero.
     across = np.hypot(matrices[..., 0, 1], matrices[..., 1, 1])
     pole = across < 1e-9
     x = np.arctan2(matrices[..., 2, 1], across)
@@ -102,7 +102,7 @@ def _hierarchy_lines(skeleton: Skeleton, order: list[int], translated: frozenset
 
 
 def check_writable(document: BvhDocument) -> None:
-    """Raise `FormatError` (`channels`) for a joint whose rotation does not say its angles."""
+    """Raise `FormatError` (`channels`) for a joint whose angles do not follow from its rotation."""
     for joint in document.head.hierarchy.joints:
         if any(first == second for first, second in pairwise(joint.order)):
             message = (
@@ -111,14 +111,14 @@ def check_writable(document: BvhDocument) -> None:
             raise FormatError(message, path=document.lines.file.path, reason="channels")
 
 
-# Places that differ by less from what is expected are as good: positions are float32.
+# Tolerance of positions against the expected ones, which are float32.
 _SAME_METRES = 2e-6
 
 
 class ChannelLines:
-    """Turns poses into lines of a document, in order of time; owns the last row, from which the next one goes on.
+    """Converts poses to lines of a document, in order of time; owns the last row, which the next one continues.
 
-    `anchors` are the document's frames that are known, ascending, and `seconds` when they were.
+    `anchors` are the document's known frames, ascending, and `seconds` their times.
     """
 
     def __init__(
@@ -137,9 +137,9 @@ class ChannelLines:
         given_rows: Int64[np.ndarray, "given"],
         given_frames: Int64[np.ndarray, "given"],
     ) -> list[bytes]:
-        """The lines of consecutive frames; `given_rows` of them are `given_frames` of the document, as written there.
+        """The lines of consecutive frames; `given_rows` of them are the document's `given_frames`, copied verbatim.
 
-        All frames before the first known one have to come in one call, the first.
+        All frames before the first known one must be in the first call.
         """
         rows = self._rows(seconds, poses)
         rows[given_rows] = self._document.lines.table(given_frames)
@@ -168,7 +168,7 @@ class ChannelLines:
     def _anchors(
         self, after: Int64[np.ndarray, "times"]
     ) -> tuple[Float64[np.ndarray, "anchors channels"], Int64[np.ndarray, "times"]]:
-        # The known rows that count here; a stretch that began in the call before goes on from its last row.
+        # The relevant known rows; a stretch that began in the previous call continues from its last row.
         first, goes_on = int(after[0]), self._last_row is not None and self._last_after == after[0]
         known = self._document.lines.table(self._frames[first : int(after[-1]) + 1])
         if goes_on and self._last_row is not None:
@@ -177,7 +177,7 @@ class ChannelLines:
         return known, after - first
 
     def _expected(self, seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times channels"]:
-        # Channels on straight lines between known frames, and at rest beyond them.
+        # Channels interpolated linearly between known frames, and constant beyond them.
         known = self._known_seconds
         left = np.clip(np.searchsorted(known, seconds, side="right") - 1, 0, max(0, len(known) - 2))
         right = np.minimum(left + 1, len(known) - 1)
@@ -200,7 +200,7 @@ class ChannelLines:
             rotations[..., 1:], positions = y_up_to_z_up(rotations[..., 1:]), y_up_to_z_up(positions)
         placed = (0, *document.body.moving)
         places = _places(rotations, positions, document.skeleton, placed)
-        # Where the file's root only carries the next joint, that one is the body's root.
+        # If the file's root only carries the next joint, that one is the body's root.
         carried = len(hierarchy.joints) - document.skeleton.num_joints
         if carried:
             carrier = channels.read_channels(expected, hierarchy, "")
@@ -233,7 +233,7 @@ def _places(
     skeleton: Skeleton,
     joints: tuple[int, ...],
 ) -> Float64[np.ndarray, "times placed 3"]:
-    # Where joints are in their parent's frame; the root, in the world.
+    # Positions of joints in their parent's frame; the root's in the world.
     world = kinematics.global_rotations(rotations, skeleton)
     places = positions[:, list(joints)]
     for column, joint in enumerate(joints):
