@@ -1,6 +1,6 @@
-"""Parts of tables that are computed once and kept: rows that several tables share, and what a stopped table had.
+"""Cached parts of tables: rows that several tables share, and those of an interrupted table.
 
-A part lies in RESULTS/parts/ under the hash of all that it depends on; whatever of this changes, it is computed anew.
+A part is in RESULTS/parts/ under the hash of everything it depends on; when any of this changes, it is recomputed.
 """
 
 import csv
@@ -24,14 +24,14 @@ FORMAT = "motionkit-part/1"
 
 @dataclass(frozen=True)
 class Part:
-    """Numbers by row and column, and why some are not there."""
+    """Numbers by row and column, and why some are missing."""
 
     rows: Mapping[str, Mapping[str, Cell]]
     missing: tuple[str, ...] = ()
 
 
 def kept(results: Path, name: str, terms: Mapping[str, Any], compute: Callable[[], Part]) -> Part:
-    """The part `name` for these terms (plain values), read where it was computed before, else computed and written."""
+    """The part `name` for these terms (plain values): read if it is cached, else computed and written."""
     part = find_part(results, name, terms)
     if part is None:
         part = compute()
@@ -40,7 +40,7 @@ def kept(results: Path, name: str, terms: Mapping[str, Any], compute: Callable[[
 
 
 def find_part(results: Path, name: str, terms: Mapping[str, Any]) -> Part | None:
-    """The part that was kept for these terms; None where there is none, or a damaged one, which is warned of."""
+    """The cached part for these terms; None if there is none, or with a warning if it is damaged."""
     path, key = _place(results, name, terms)
     if not path.is_file():
         return None
@@ -55,7 +55,7 @@ def find_part(results: Path, name: str, terms: Mapping[str, Any]) -> Part | None
 
 
 def keep_part(results: Path, name: str, terms: Mapping[str, Any], part: Part) -> None:
-    """Write a part for `find_part`; raises `LinkError` where the folder of parts is a link."""
+    """Write a part for `find_part`; raises `LinkError` if the folder of parts is a link."""
     path, key = _place(results, name, terms)
     require_no_link(path.parent, "delete the link, or name another folder with --results")
     write_json(path, {"key": key, **asdict(part)})
@@ -85,7 +85,7 @@ SOURCES = {
 
 @dataclass(frozen=True)
 class Reported:
-    """One printed figure; `value` or `ci95` is None where the paper prints none or it is illegible."""
+    """One printed figure; `value` or `ci95` is None if the paper prints none or it is illegible."""
 
     paper: str
     table: str
@@ -114,7 +114,7 @@ def printed_rows(
     name: Callable[[Reported], str] = lambda figure: figure.method,
     factor: float = 1.0,
 ) -> tuple[Row, ...]:
-    """Rows of a paper's figures, times a factor; what it does not print, or illegibly, is left out."""
+    """Rows of a paper's figures, times a factor; missing or illegible ones are left out."""
     cells: dict[str, dict[str, Cell]] = {}
     for figure in figures:
         if figure.value is not None:

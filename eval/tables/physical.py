@@ -1,6 +1,6 @@
-"""How bodies behave on a floor: real motion, a run's models and samples, by figures that no framerate moves.
+"""Physical plausibility of real motion, a run's models and samples, by metrics that do not depend on the framerate.
 
-Beside them stand the field's own figures, by name and as their projects compute them.
+Published metrics are shown beside them, by name and as their projects compute them.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -38,7 +38,7 @@ VERSION = "physical/1"
 COLUMNS = (Fraction(20), Fraction(120))
 REAL = "real"
 SKATING = find_metric("slide_speed").title
-# Per instant, so no framerate moves them, whoever defined them first.
+# Published metrics that do not depend on the framerate, as they are per instant.
 PER_INSTANT = ("physdiff_penetrate", "physdiff_float")
 OURS = (*METRICS[:4], *(find_metric(name) for name in PER_INSTANT), *METRICS[4:])
 PER_FRAME = tuple(metric for metric in PUBLISHED if metric.name not in PER_INSTANT)
@@ -55,9 +55,9 @@ PUBLISHED_NOTE = (
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """Every metric of every motion of a set, NaN where a motion has nothing to measure.
+    """Every metric of every motion of a set, NaN if a motion has nothing to measure.
 
-    `seconds` are the motions' durations, `units` their takes, which a bootstrap draws.
+    `seconds` are the motions' durations, `units` their takes for the bootstrap.
     """
 
     values: Mapping[str, Float64[np.ndarray, "motions"]]
@@ -65,7 +65,7 @@ class Measured:
     units: Units
 
     def mean(self, metric: Metric, resampling: Resampling) -> "Mean | None":
-        """The mean over motions, weighing by seconds; None where none has the metric."""
+        """The mean over motions, weighted by seconds; None if none has the metric."""
         values = self.values[metric.name]
         seconds = np.where(np.isfinite(values), self.seconds, 0.0)
         if not seconds.any():
@@ -78,30 +78,30 @@ class Measured:
 
 @dataclass(frozen=True)
 class Mean:
-    """A row's number, and what it is in every resampling of takes."""
+    """A row's number, and its values in the bootstrap over takes."""
 
     value: float
     resampled: Resampled
 
     @property
     def cell(self) -> Cell:
-        """The number as a table shows it."""
+        """The number as a table's cell."""
         return Cell(self.value, half_width(self.resampled))
 
     def less(self, other: "Mean") -> Difference | None:
-        """This row's number less another's, whose takes were drawn alike."""
+        """This row's number minus another's with the same resampled takes."""
         return paired_difference(self.value, self.resampled, other.value, other.resampled)
 
 
 def floors_of(samples: SampleSet) -> list[float]:
-    """The height of every motion's own floor in metres."""
+    """The floor height of every motion in metres."""
     return [ground_height(positions, samples.fps) / 1000.0 for positions in samples.sequences]
 
 
 def measured(
     samples: SampleSet, on_motion: Callable[[], None] = lambda: None, *, floors: Sequence[float] | None = None
 ) -> Measured:
-    """Measure every motion of a set, over its own floor unless others are given; `on_motion` is called after each."""
+    """Measure every motion of a set, over its own floor unless `floors` are given; `on_motion` is called after each."""
     found: dict[str, list[float]] = {metric.name: [] for metric in (*OURS, *PER_FRAME)}
     fps = float(samples.fps)
     for positions, floor in zip(samples.sequences, floors or floors_of(samples), strict=True):
@@ -115,14 +115,14 @@ def measured(
 
 
 def _number(value: object) -> float:
-    # Rounding leaves 1e-17 of what is not there.
+    # Rounding errors leave 1e-17 instead of 0.
     return round(value, 12) if isinstance(value, float) else np.nan
 
 
 def build_physical(request: TableRequest) -> Result:
-    """Every row that can be had, at each framerate.
+    """Every available row at each framerate.
 
-    Raises `UsageError` or `StoreError` for a store that cannot be used, and `NoRealMotionError` where no column has
+    Raises `UsageError` or `StoreError` for a store that cannot be used, and `NoRealMotionError` if no column has
     real motion.
     """
     store = request.open_store()
@@ -164,7 +164,7 @@ TABLE = Table("nerm", "physical", "feet, floor and roughness", build_physical, s
 def _sets(
     fps: Fraction, real: RealMotion, fields: ModelFields, request: TableRequest
 ) -> PartialResult[dict[str, SampleSet]]:
-    """What the rows of one framerate are of: motions for its real takes."""
+    """The rows' motions at one framerate, for its real takes."""
     reference = real.at(fps)
     samples = samples_at(request.sample_folders, real, fps, request.on_progress)
     generated = {name: sample_fields(own, reference.sequence_ids, fps, name) for name, own in fields.items()}
@@ -176,7 +176,7 @@ def _sets(
 def _blocks(
     fps: Fraction, sets: Mapping[str, SampleSet], training: Mapping[str, str], request: TableRequest
 ) -> list[Block]:
-    """Ours and the field's, at one framerate."""
+    """The blocks of our and the published metrics, at one framerate."""
     rows: dict[str, Measured] = {}
     for name, samples in sets.items():
         with task(request.on_progress, f"{name}, {framerate_label(fps)}", samples.num_sequences) as work:
@@ -192,7 +192,7 @@ def _blocks(
 def blocks_of(
     title: str, metrics: Sequence[Metric], rows: Mapping[str, Measured], notes: Mapping[str, str], note: str, seed: int
 ) -> list[Block]:
-    """A block with a column for each metric that some row has, and which rows differ; `real` is the reference."""
+    """A block with a column for each metric that some row has, and the rows' differences; `real` is the reference."""
     means = {name: _means(metrics, row, Resampling(seed=seed)) for name, row in rows.items()}
     shown = [metric for metric in metrics if any(metric.title in row for row in means.values())]
     columns = tuple(metric.title for metric in shown)
@@ -221,18 +221,18 @@ def blocks_of(
 
 
 def _nearest(means: Mapping[str, Mapping[str, Mean]]) -> list[str]:
-    """The row whose feet skate most nearly as real ones do; none of blocks without that column."""
+    """The row with the foot skating nearest to real motion's; none for blocks without that column."""
     speeds = {name: row[SKATING].value for name, row in means.items() if SKATING in row}
     real = speeds.pop(REAL, None)
     return [] if real is None else sorted(speeds, key=lambda name: abs(speeds[name] - real))[:1]
 
 
 def _means(metrics: Sequence[Metric], row: Measured, resampling: Resampling) -> dict[str, Mean]:
-    """What a row has, by column."""
+    """A row's means by column."""
     found = {metric.title: row.mean(metric, resampling) for metric in metrics}
     return {title: mean for title, mean in found.items() if mean is not None}
 
 
 def _size(samples: SampleSet) -> str:
-    """How many motions a row has, of how many takes, and how long."""
+    """Number of motions and takes of a row, and their duration."""
     return f"{samples.num_takes} takes, {samples.num_sequences} motions, {samples.duration_seconds:.0f} s"

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RealMotions:
-    """What is compared with: the sequences of a store's split ("all": any) for which `where` (SQL) holds."""
+    """The reference: the sequences of a store's split ("all": any) for which `where` (SQL) holds."""
 
     store: Path
     split: str = "test"
@@ -39,7 +39,7 @@ class RealMotions:
 
     @property
     def named(self) -> str:
-        """How captions name it: the split, and the condition where there is one."""
+        """Its name in captions: the split, and the condition if there is one."""
         return f"split {self.split!r}" + (f" where {self.where}" if self.where else "")
 
 
@@ -47,8 +47,7 @@ class RealMotions:
 class Evaluated:
     """What is evaluated: the models and encoders of a run, folders of other systems' samples, encoders of other runs.
 
-    A model is asked for at most `max_motions` motions, `draws` times over. `encoders` are pairs of an encoder's name
-    and a run.
+    A model generates at most `max_motions` motions, `draws` times. `encoders` are pairs of an encoder's name and a run.
     """
 
     run: Path | None = None
@@ -61,7 +60,7 @@ class Evaluated:
 
 @dataclass(frozen=True)
 class Evaluators:
-    """By what: evaluators (feature sets, recognisers) by name, None for all there are; files of published ones.
+    """The evaluators (feature sets, recognisers) by name, None for all; files of published ones.
 
     `motion_clip` is the folder of MARDM's MotionCLIP.
     """
@@ -73,7 +72,7 @@ class Evaluators:
 
 @dataclass(frozen=True)
 class ClipFidSettings:
-    """How clip-FID draws; `low_pass_hz`, where given, smooths every set alike before clips are drawn."""
+    """Settings of clip-FID; `low_pass_hz`, if given, low-passes every set before clips are drawn."""
 
     protocol: Protocol = field(default_factory=Protocol)
     low_pass_hz: float | None = None
@@ -81,7 +80,7 @@ class ClipFidSettings:
 
 @dataclass(frozen=True)
 class PublishedProtocol:
-    """Which protocol tables of whole motions follow, by name, and which of its known bugs are switched on."""
+    """The protocol of tables of whole motions, by name, and which of its known bugs are switched on."""
 
     name: str = "native"
     compat: tuple[str, ...] = ()
@@ -89,7 +88,7 @@ class PublishedProtocol:
 
 @dataclass(frozen=True)
 class TableRequest:
-    """What a table is built from, and where its results go.
+    """Inputs of a table, and the folder of its results.
 
     `fps` None means the table's own columns. `on_progress` is called during long steps.
     """
@@ -111,17 +110,16 @@ class TableRequest:
         return Store.open(self.real.store, on_progress=self.on_progress)
 
     def provenance(self, store: "Store", *others: Path, **more: Any) -> dict[str, Any]:
-        """Where a result comes from: the store, the weights of what is evaluated and of other runs, seed, environment,
-        and what else there is to say."""
+        """Provenance of a result: the store, the weights of evaluated and other runs, seed, environment, and `more`."""
         asked = (*([] if self.evaluated.run is None else [self.evaluated.run]), *others)
         runs = [run for run in (*asked, *(run for _, run in self.evaluated.encoders)) if run.is_dir()]
         return {**provenance(store.path, runs), **more, "seed": self.seed}
 
     @cached_property
     def sample_folders(self) -> tuple[SampleFolder, ...]:
-        """The motions of every folder of samples, read when they are first asked for; raises `SampleFolderError`."""
+        """The motions of every folder of samples, read when first accessed; raises `SampleFolderError`."""
         folders = []
-        # Published evaluators alone read pose vectors and KIT-ML's joints.
+        # Only published evaluators read pose vectors and KIT-ML's joints.
         keep = self.evaluators.guo is not None or self.evaluators.motion_clip is not None
         options = replace(self.evaluated.sample_options, keep_published=keep)
         for name, path in self.evaluated.samples.items():
@@ -132,11 +130,11 @@ class TableRequest:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of a paper that can be built here; without `takes_samples` it has no rows of other systems' motions.
+    """A table of a paper; without `takes_samples` it has no rows of other systems' motions.
 
-    `shown` gives the loaders that it has rows of, `reads` names other stages of a run that it reads, evaluators, and
-    `settings` is what its systems are trained with, as `--set` takes it: by these `motionkit train --for` knows what it
-    lacks (`motionkit.training.systems.ShowsSystems`).
+    `shown` gives the loaders of its rows, `reads` names the evaluators among a run's stages that it reads, and
+    `settings` are its systems' training settings, as for `--set`: `motionkit train --for` uses these to find what is
+    missing (`motionkit.training.systems.ShowsSystems`).
     """
 
     paper: str
@@ -150,7 +148,7 @@ class Table:
 
     @property
     def is_default(self) -> bool:
-        """Whether it is of the paper that is meant where none is named."""
+        """Whether it is of the default paper."""
         return self.paper == "nerm"
 
 
@@ -160,7 +158,7 @@ def installed_tables() -> dict[str, str]:
 
 
 def find_table(paper: str, number: str) -> Table:
-    """Load one table. Raises `UsageError` with the ones there are."""
+    """Load one table. Raises `UsageError` that lists the tables."""
     found = entry_points(group="motionkit.tables", name=f"{paper}-{number}")
     if not found:
         known = ", ".join(installed_tables()) or "none"

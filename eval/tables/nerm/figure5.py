@@ -24,10 +24,9 @@ ANY_CONDITION = "it never learnt to do without a condition: each motion has that
 
 
 def build_figure5(request: TableRequest) -> Result:
-    """clip-FID and diversity of motions that were generated without a condition, or under any where a model needs one.
+    """clip-FID and diversity of motions generated without a condition, or with any one if a model needs it.
 
-    Raises `UsageError` without a run, `RunError` where it holds no model or none generates, and what loading the store
-    raises.
+    Raises `UsageError` without a run, `RunError` if it holds no model or none generates, and as loading the store.
     """
     if request.evaluated.run is None:
         raise UsageError("figure 5 needs trained systems: --run NAME (motionkit train --for figure:5)")
@@ -100,7 +99,7 @@ def _note(trained: TrainedModel) -> str:
 
 
 def _rows(parts: Mapping[str, Part], quantity: str, notes: Mapping[str, str]) -> list[Row]:
-    """Each model's row of a quantity, with a note, and its planted motions'."""
+    """Each model's row of a quantity, with a note, and that of its planted motions."""
     return [
         Row(form.format(name), "ours", part.rows.get(form.format(quantity), {}), note)
         for name, part in parts.items()

@@ -68,12 +68,12 @@ GENERATED_LOW_NOTE = (
     "in for detail that a smooth motion lacks (docs/metrics.md)"
 )
 SMALL_SECONDS = 3600.0
-"""Less real motion than this at any framerate makes a table a small-scale one, and its caption says so."""
+"""With less real motion at any framerate, the caption calls the table small-scale."""
 
 
 @dataclass(frozen=True)
 class _Scored:
-    """One feature set's cells of one column, by row, their differences, and what is to be said of them."""
+    """One feature set's cells of one column by row, their differences and remarks."""
 
     cells: Mapping[str, Cell]
     differences: Mapping[tuple[str, str], Difference]
@@ -81,14 +81,14 @@ class _Scored:
     warnings: tuple[str, ...]
 
 
-# Of one feature set, by the columns' labels.
+# One feature set's scores by the columns' labels.
 _Sheet = Mapping[str, _Scored]
 
 
 def build_table2(request: TableRequest) -> Result:
-    """Compute every row that can be computed, and name what cannot.
+    """Compute every possible row, and name those that are not.
 
-    Raises `UsageError` or `StoreError` for a store that cannot be used, and `NoRealMotionError` where no column has
+    Raises `UsageError` or `StoreError` for a store that cannot be used, and `NoRealMotionError` if no column has
     real motion.
     """
     store = request.open_store()
@@ -108,7 +108,7 @@ def build_table2(request: TableRequest) -> Result:
     remarks: list[str] = []
     slow: list[str] = []
     for fps in rates.value:
-        # One column's motions at a time: those of all framerates together are three times as many.
+        # One column's motions at a time: all framerates together need three times the memory.
         samples = samples_at(folders, real, fps, request.on_progress)
         made = make_column(fps, real, train, fields, samples.value)
         column = made.value.low_passed(request.clip_fid.low_pass_hz)
@@ -173,7 +173,7 @@ def _model_notes(models: Iterable[str], trained: Mapping[str, str] = {}) -> dict
 
 
 def _validation(store: Store, compared: str) -> SampleSet | None:
-    """Motion that is neither trained on nor compared here; None where the store has none."""
+    """Motion that is neither trained on nor the reference; None if the store has none."""
     if compared in ("val", "all"):
         return None
     try:
@@ -190,7 +190,7 @@ def _copies(
     folders: Sequence[SampleFolder],
     notes: Mapping[str, str],
 ) -> PartialResult[tuple[Block, ...]]:
-    """The block that tells copies; none where there is no training split or it is too short."""
+    """The block on copies of training motion; none if there is no training split or it is too short."""
     try:
         if train.name == real.name:
             raise NoRealMotionError("the compared motion is the training motion")
@@ -270,7 +270,7 @@ def _blocks(
 
 
 def _counted(cells: Mapping[str, Cell]) -> str:
-    """How many motions and takes a row has: "52 motions of 30 takes at 100 and 120 fps"."""
+    """Numbers of motions and takes of a row: "52 motions of 30 takes at 100 and 120 fps"."""
     columns: dict[str, list[str]] = {}
     for label, cell in cells.items():
         motions, takes = (int(cell.details[name]) for name in (MOTIONS, TAKES))
@@ -280,7 +280,7 @@ def _counted(cells: Mapping[str, Cell]) -> str:
 
 
 def _too_few(column: Column, comparison: Comparison) -> list[str]:
-    """What must be said where there are no more samples than features: covariances are then singular."""
+    """Remarks on columns with no more samples than features, whose covariances are singular."""
     protocol = comparison.protocol
     size = num_features(comparison.features, column.real, int(protocol.sizes.sizes(column.fps).min()))
     advice = "quote KID, precision and recall (in the JSON's details), and give more"
@@ -295,7 +295,7 @@ def _too_few(column: Column, comparison: Comparison) -> list[str]:
     few = {name: count for name, count in counts.items() if count <= size}
     if few:
         named = ", ".join(f"{name} ({count})" for name, count in few.items())
-        # The first is the same for all columns, and said once.
+        # The first is the same for all columns, and added once.
         found += [
             f"Where clips are parts of a few motions, clip-FID says how those differ; {advice} motions.",
             f"At {column.label} these have no more motions than there are features ({size}): {named}.",

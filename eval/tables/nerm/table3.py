@@ -1,4 +1,4 @@
-"""NeRM's Table 3: motions generated for actions, as a recogniser of actions sees them."""
+"""NeRM's Table 3: motions generated for actions, scored by an action recogniser."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -61,7 +61,7 @@ SMALL_MOTIONS = 1000
 
 @dataclass(frozen=True, eq=False)
 class _Real:
-    """The real motions that a recogniser knows: those compared with, and the training split's where there is one."""
+    """Real motions of the recogniser's actions: the reference, and those of the training split if there is one."""
 
     compared: ActionSet
     train: ActionSet | None
@@ -69,7 +69,7 @@ class _Real:
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """One row: independent draws of its motions, and what is said of them."""
+    """One row: independent draws of its motions, and remarks."""
 
     name: str
     draws: tuple[LabelledRecognition, ...]
@@ -81,7 +81,7 @@ def build_table3(request: TableRequest) -> Result:
     """Accuracy, FID, Diversity and MultiModality of real motion, the run's and other systems' samples.
 
     Raises `UsageError` for an unknown recogniser or protocol or missing weights, `CheckpointError` for other weights,
-    and `NoActionsError` where the store has no motion of an action that the recogniser knows.
+    and `NoActionsError` if the store has no motion of the recogniser's actions.
     """
     source, protocols = _choices(request)
     store = request.open_store()
@@ -276,7 +276,7 @@ def _block(
 
 
 def _note(system: _System, scores: Scores, protocol: ActionProtocol) -> str:
-    """What is said below the table: how many motions, and where they are fewer than the protocol or FID needs."""
+    """The note below the table: the number of motions, and whether the protocol or FID needs more."""
     lines = [system.note]
     if not system.is_reference:
         lines += [line for line in scores.remarks if line not in protocol.remarks]
@@ -295,7 +295,7 @@ def _cells(scores: Scores, columns: dict[str, str]) -> dict[str, Cell]:
 def _with_kid(
     cells: dict[str, Cell], fids: dict[str, str], against: dict[str, np.ndarray], system: _System
 ) -> dict[str, Cell]:
-    """KID beside every FID, of the first draw: without bias where motions are few."""
+    """KID beside every FID, of the first draw, since it is unbiased for few motions."""
     for name, features in against.items():
         column = fids[f"fid_{name}"]
         found = kid(features, system.draws[0].recognition.features)
@@ -304,7 +304,7 @@ def _with_kid(
 
 
 def _cell(score: Score) -> Cell:
-    """Mean and interval over motions; details hold interval and variance over replications, where these differ."""
+    """Mean and interval over motions; details are interval and variance over replications, if these differ."""
     width = half_width(score.resampled)
     if np.ptp(score.values) <= 1e-9 * abs(score.values[0]):
         return Cell(score.estimate.mean, width)
@@ -313,7 +313,7 @@ def _cell(score: Score) -> Cell:
 
 
 def _by_action(recogniser: ActionRecogniser, systems: Sequence[_System]) -> Block:
-    """Accuracy action by action, over all draws: what is generated well, and what the recogniser itself confuses."""
+    """Accuracy per action, over all draws."""
     labels = systems[0].draws[0].labels
     rows = []
     for label, action in enumerate(recogniser.actions):

@@ -40,7 +40,7 @@ PAPER_NOTE = "100 sequences of another data set; the paper says neither if they 
 
 @dataclass(frozen=True, eq=False)
 class DescribedWindows:
-    """Some windows of a source with what a model makes of each: a motion field in the window's own frame."""
+    """Windows of a source, each with a model's reconstruction: a motion field in the window's own frame."""
 
     source: PositionSource
     windows: Windows
@@ -48,26 +48,26 @@ class DescribedWindows:
     described: str
 
     def reconstructed(self, rows: Int64[np.ndarray, "chosen"], fps: Fraction) -> Iterator[Reconstruction]:
-        """Some of the windows beside their truth at a framerate."""
+        """Some of the windows with their ground truth at a framerate."""
         return reconstructions(self.source, self.windows.select(rows), [self.fields[row] for row in rows], fps)
 
 
 @dataclass(frozen=True, eq=False)
 class _Measured:
-    """The errors of windows at each framerate, and which of them have a truth at every one."""
+    """The errors of windows at each framerate, and which windows have a ground truth at all of them."""
 
     errors: dict[Fraction, dict[int, WindowErrors]]
     comparable: frozenset[int]
 
     def at(self, fps: Fraction, *, same: bool) -> list[WindowErrors]:
-        """Errors at one framerate: of all windows that have a truth there, or of the same windows at each."""
+        """Errors at one framerate, of all windows with a ground truth, or of the same windows at every framerate."""
         return [error for row, error in self.errors[fps].items() if row in self.comparable or not same]
 
 
 def build_table4(request: TableRequest) -> Result:
     """MPJPE and MRE of training and of held-out windows by framerate.
 
-    Raises `UsageError` without a run or with a run of another store, and what loading the run or the store raises.
+    Raises `UsageError` without a run or with a run of another store, and as loading the run or the store.
     """
     if request.evaluated.run is None:
         raise UsageError("table 4 needs a trained model that reconstructs windows of motion: --run NAME")
@@ -132,7 +132,7 @@ TABLE = Table(
 def described_windows(
     encoder: ReconstructsWindows, store: "Store", request: TableRequest
 ) -> PartialResult[dict[str, DescribedWindows]]:
-    """Samples of the windows that an encoder was trained on, and of another split's where there are any."""
+    """Samples of the windows that an encoder was trained on, and of another split's if there are any."""
     found = {TRAINING: _described(encoder.training_windows(store), request)}
     try:
         if request.real.split in ("all", "train"):
@@ -149,7 +149,7 @@ def _described(windows: ModelWindows, request: TableRequest) -> DescribedWindows
 
 
 def _sample(rows: Int64[np.ndarray, "windows"], windows: Windows, request: TableRequest) -> Int64[np.ndarray, "chosen"]:
-    """At most `MOST_WINDOWS` of the rows, in order: drawn from the seed, those fast enough for every column first."""
+    """At most `MOST_WINDOWS` random rows, in order; those with a sufficient framerate for every column come first."""
     shuffled = np.random.default_rng(request.seed).permutation(rows)
     fast = comparable(windows, request.fps or COLUMNS)[shuffled]
     first_fast = np.concatenate((shuffled[fast], shuffled[~fast]))

@@ -1,4 +1,4 @@
-"""Table 1: the evaluators of text and motion that can be had, and the blocks of their rows."""
+"""Table 1: the available text-motion evaluators, and the blocks of their rows."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -33,10 +33,10 @@ DEFAULT = ("native",)
 def text_motion_evaluators(
     request: TableRequest, protocol: TextMotionProtocol
 ) -> PartialResult[list[TextMotionEvaluator]]:
-    """The evaluators that were asked for, `native` where none was.
+    """The requested evaluators, by default `native`.
 
-    Raises `UsageError` for a name that is no evaluator of text and motion, for a known bug that the protocol or the
-    evaluator does not have, and where not one can be had.
+    Raises `UsageError` for a name that is not a text-motion evaluator, for a known bug that the protocol or the
+    evaluator does not have, and if no evaluator is available.
     """
     chosen_bugs(protocol.name, protocol.known_bugs, request.published.compat)
     known: dict[str, Callable[[TableRequest], TextMotionEvaluator]] = {
@@ -112,7 +112,7 @@ PRINTED_NOTES = (
 
 @dataclass(frozen=True)
 class ScoredRow:
-    """A row before it has cells; `retrieval` has a table's values for each of the protocol's rules."""
+    """A row's scores; `retrieval` has a table's values for each of the protocol's rules."""
 
     name: str
     origin: Origin
@@ -136,7 +136,7 @@ def scored_blocks(
     head: str,
     provenance: Mapping[str, str],
 ) -> tuple[Block, ...]:
-    """All metrics with the protocol's direction of R-Precision, that the other way round, and which rows differ."""
+    """All metrics with the protocol's direction of R-Precision, the other direction, and differences of rows."""
     texts_ask = [f"r_precision_top{rank}" for rank in (1, 2, 3)]
     motions_ask = [f"{name}_motion_asks" for name in texts_ask]
     shared = [remark for remark in rows[0].scores.remarks if all(remark in row.scores.remarks for row in rows)]
@@ -180,7 +180,7 @@ def scored_blocks(
 
 
 def paper_block(fps: Fraction) -> Block:
-    """What the paper prints for the data set of this framerate."""
+    """The paper's figures for the data set of this framerate."""
     dataset = "KIT" if fps == Fraction(25, 2) else "HumanML3D"
     figures = [figure for figure in reported_figures("nerm", "1") if figure.dataset == dataset]
     names = [
@@ -226,17 +226,17 @@ def _score_cell(score: Score) -> Cell:
 
 
 def _cell(value: Estimate) -> Cell:
-    """A value that no replication changes has no interval."""
+    """A cell, without interval if the replications do not differ."""
     return Cell(value.mean, value.ci95 if _is_drawn(value) else None)
 
 
 def _is_drawn(value: Estimate) -> bool:
-    """Whether replications differ by more than rounding: those of the FID of one set of motions do not."""
+    """Whether replications differ by more than rounding; FID of one set of motions does not."""
     return value.replications > 1 and value.ci95 > 1e-9 * abs(value.mean)
 
 
 def _oracle(real: TextMotionPairs, protocol: TextMotionProtocol, seed: int) -> dict[str, Cell]:
-    """R-Precision of texts that stand for their own motions."""
+    """R-Precision of an oracle that embeds motions as their texts."""
     tally, own = Tally(), TextMotionPairs(real.texts, real.texts, real.takes)
     terms = PairTerms([own])
     for replication in range(protocol.replications):

@@ -1,8 +1,8 @@
 """PA-HiRes' Table 4 and Figures 5 and 6: runs of `motionkit ablate --paper pahires`, by interpolation at ×4.
 
-A variant is a cell: its entry says row and column. Where it was trained from several starts (seeds) its number
-is their mean, and a block shows them one by one: what a start does by itself is no effect of a setting. What is not
-trained has no number, and a note says which command trains it.
+A variant is a cell; its entry names row and column. If it was trained from several seeds its number is their mean, and
+a block shows them one by one, to separate the seeds' effect from the setting's. Variants that are not trained have no
+number; a note names the command that trains them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -35,10 +35,9 @@ MOST_SEEDS = 100
 
 
 def build_ablation(ablation: Ablation, request: TableRequest) -> Result:
-    """What the runs RUN-VARIANT score, on every data set at the framerate that they were trained for.
+    """Scores of the runs RUN-VARIANT on every data set, at their training framerate.
 
-    Raises `UsageError` without a run's name, or where none of the runs is trained, and what `build_interpolation`
-    raises.
+    Raises `UsageError` without a run's name, or if none of the runs is trained, and as `build_interpolation`.
     """
     trained = _trained(ablation, request)
     store, protocol = request.open_store(), InterpolationProtocol()
@@ -89,7 +88,7 @@ TABLE_4, FIGURE_5, FIGURE_6 = (
 )
 
 
-# Runs of the entries that are trained, by label: one a seed, by seed.
+# Trained runs by the entries' labels, then by seed.
 _Trained = Mapping[str, Mapping[int, RunFolder]]
 
 
@@ -122,7 +121,7 @@ def _command(ablation: Ablation, request: TableRequest, variant: Variant) -> str
 
 
 def _described_training(runs: Sequence[RunFolder]) -> str:
-    """Steps, form and batch of the runs; those that differ are all named."""
+    """Steps, form and batch of the runs; all values if they differ."""
     training = [recorded_settings(run, STAGE)["training"] for run in runs]
     values = {
         name: sorted({str(each[part][setting]) for each in training})
@@ -166,7 +165,7 @@ def _blocks(ablation: Ablation, scope: Scope, trained: _Trained) -> list[Block]:
 
 
 def _starts(scopes: Sequence[Scope], trained: _Trained) -> list[Block]:
-    """Runs that differ by their seed alone, one by one."""
+    """Runs that differ in their seed only, one by one."""
     several = {label: runs for label, runs in trained.items() if len(runs) > 1}
     if not several:
         return []
@@ -201,7 +200,7 @@ def _by_seed(scope: Scope, runs: Mapping[int, RunFolder], metric: str) -> dict[i
 
 
 def _flat(scope: Scope, name: str, metric: str, columns: Sequence[str]) -> dict[str, Cell]:
-    """One number in every column: what does not depend on the setting."""
+    """The same number in every column, for rows that do not depend on the setting."""
     return {column: Cell(value(scope.rows[name], metric, scale_label(SCALE))) for column in columns}
 
 

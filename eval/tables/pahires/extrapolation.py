@@ -1,4 +1,4 @@
-"""Extrapolation: a second of motion continued, forwards and backwards, beside standing still and going on."""
+"""Extrapolation: a second of motion continued, forwards and backwards; baselines are zero and constant velocity."""
 
 from dataclasses import replace
 from functools import partial
@@ -24,7 +24,7 @@ METRICS = {"mpjpe_global": "MPJPE (cm)", "l2p": "L2P", "l2q": "L2Q", "npss": "NP
 
 
 def build_extrapolation(request: TableRequest) -> Result:
-    """Rows of every data set at 30 fps that the store holds; raises what `build_inbetweening` does."""
+    """Rows of every data set at 30 fps that the store holds; raises as `build_inbetweening`."""
     table = WindowTable("extrapolation", EXTRAPOLATION_VERSION, continuations(), METRICS, {}, ROWS, "extrapolation")
     found = measure_table(table, request)
     return Result(

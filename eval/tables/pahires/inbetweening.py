@@ -19,7 +19,7 @@ ROWS = tuple(
 )
 METRICS = {"l2p": "L2P", "l2q": "L2Q", "npss": "NPSS"}
 DETAILS = {"l2p": {"mpjpe_global": "MPJPE (cm)"}, "l2q": {"l2q_as_signed": "L2Q, signs as they come"}}
-# Why a printed row says less than it seems to.
+# Limitations of printed rows.
 CAVEATS = {
     "MC-Trans": "its L2Q equals ERD-QV's digit for digit; its authors' own L2Q at 30 frames is 0.61",
     "NeMF": "its authors never published figures on LaFAN1",
@@ -29,8 +29,7 @@ CAVEATS = {
 def build_inbetweening(request: TableRequest) -> Result:
     """Rows of every data set at 30 fps that the store holds.
 
-    Raises `NoTakesError` where there is none, `UsageError` for an encoder that nothing has, and what opening the store
-    raises.
+    Raises `NoTakesError` if there is none, `UsageError` for an unknown encoder, and as opening the store.
     """
     questions = gaps()
     table = WindowTable("inbetweening", INBETWEENING_VERSION, questions, METRICS, DETAILS, ROWS, "inbetweening")
@@ -67,7 +66,7 @@ TABLE = Table(
 
 
 def definition(request: TableRequest) -> dict[str, object]:
-    """Every choice that the figures depend on."""
+    """All settings that the figures depend on."""
     return {
         "windows": f"{lafan1.TEST_WINDOW_FRAMES} frames every {lafan1.TEST_STEP_FRAMES}, start + window < frames of "
         f"the take; centred on their mean in x and z, frame {lafan1.NUM_PAST_FRAMES - 1} facing +x",
@@ -84,7 +83,7 @@ def definition(request: TableRequest) -> dict[str, object]:
 
 
 def _published(columns: tuple[str, ...]) -> list[Block]:
-    """Figures that others print for LaFAN1: the paper's, and those of the rows' own authors."""
+    """Published figures for LaFAN1: the paper's, and those of the rows' own authors."""
     figures = [
         *reported_figures("pahires", "3"),
         *(

@@ -1,4 +1,4 @@
-"""PA-HiRes' Tables 1 and 2: frames between given ones, at integer scales and at others."""
+"""PA-HiRes' Tables 1 and 2: interpolation between given frames, at integer and other scales."""
 
 from collections.abc import Sequence
 from fractions import Fraction
@@ -26,7 +26,7 @@ METRICS = {
 
 
 def _details() -> dict[str, dict[str, str]]:
-    """Further metrics, and whatever else is declared for clips of joint positions."""
+    """Further metrics, and all others declared for clips of joint positions."""
     names = ["rotation_angle_error", *(name for name in timed_metrics() if name not in METRICS)]
     titles = {}
     for metric in map(find_metric, names):
@@ -39,10 +39,9 @@ SMALL_TAKES = 100
 
 
 def build_interpolation(number: str, scales: Sequence[Fraction], request: TableRequest) -> Result:
-    """All rows of all data sets that the store holds, and what cannot be had.
+    """All rows of all data sets of the store, and which are not available.
 
-    Raises `NoTakesError` where no data set has takes, `UsageError` for an encoder that nothing has, and what opening
-    the store raises.
+    Raises `NoTakesError` if no data set has takes, `UsageError` for an unknown encoder, and as opening the store.
     """
     store, protocol = request.open_store(), InterpolationProtocol()
     store.select(request.real.condition)  # raises at once for SQL that is wrong
@@ -91,7 +90,7 @@ NOTES = (
 
 
 def caption(measured: Sequence[Measured], protocol: InterpolationProtocol, request: TableRequest) -> str:
-    """What the numbers are of, small samples said."""
+    """The data of the numbers, with a remark on small samples."""
     counts = ", ".join(
         f"{each.clips.num_clips:,} clips of {each.clips.num_takes:,} takes of {each.data_set.label}"
         for each in measured
@@ -105,7 +104,7 @@ def caption(measured: Sequence[Measured], protocol: InterpolationProtocol, reque
 
 
 def definition(protocol: InterpolationProtocol, request: TableRequest) -> dict[str, Any]:
-    """Every choice that the figures depend on."""
+    """All settings that the figures depend on."""
     return {
         "frames": "every k-th real frame of sequences whose native framerate is k times the table's",
         "given": f"{protocol.num_kept} frames, the i-th at floor(i·s), with their true times",
@@ -124,7 +123,7 @@ def definition(protocol: InterpolationProtocol, request: TableRequest) -> dict[s
 
 
 def _paper_blocks(number: str, columns: tuple[str, ...]) -> list[Block]:
-    """The paper's figures, a block for each data set and metric."""
+    """The paper's figures, one block per data set and metric."""
     groups: dict[tuple[str, str], list[Reported]] = {}
     for figure in reported_figures("pahires", number):
         if figure.value is not None:

@@ -1,4 +1,4 @@
-"""One data set's interpolation figures, row by row; what was measured before is read from RESULTS/parts."""
+"""One data set's interpolation figures by row, cached in RESULTS/parts."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ WEIGHT = "weight"
 def find_scores(
     results: Path, name: str, terms: Mapping[str, Any], metrics: Collection[str], columns: Collection[str]
 ) -> Scores | None:
-    """The scores of these metrics and columns that were kept for the terms; None where there are none."""
+    """The cached scores of these metrics and columns for the terms; None if there are none."""
     part = find_part(results, _name(name), terms)
     if part is None:
         return None
@@ -41,7 +41,7 @@ def _means(cells: Mapping[str, Cell]) -> TakeMeans:
 
 
 def keep_scores(results: Path, name: str, terms: Mapping[str, Any], scores: Scores) -> None:
-    """Write scores for `find_scores`: means of every take, and the weights by which those of others join them."""
+    """Write scores for `find_scores`: means of every take, and their weights."""
     rows = {
         f"{metric} {column}": {
             take: Cell(sums.mean, None, {WEIGHT: sums.weight}) for take, sums in means.by_take.items()
@@ -62,7 +62,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """One data set's figures by row, and what is to be said of it."""
+    """One data set's figures by row, and remarks."""
 
     data_set: DataSet
     clips: TrueClips
@@ -71,7 +71,7 @@ class Measured:
 
     @property
     def scope(self) -> Scope:
-        """Its clips as blocks have them."""
+        """The clips' scope for blocks."""
         return Scope(self.data_set.label, self.data_set.fps, self.rows)
 
 
@@ -82,7 +82,7 @@ def measure_all(
     completers: Sequence[Completer],
     request: TableRequest,
 ) -> PartialResult[list[Measured]]:
-    """The figures of every data set that has clips; raises `NoTakesError` where none has."""
+    """The figures of every data set that has clips; raises `NoTakesError` if none has."""
     found = collect(
         data_sets,
         lambda data_set: _measure(store, data_set, scales, completers, request),
@@ -103,9 +103,9 @@ def _measure(
     completers: Sequence[Completer],
     request: TableRequest,
 ) -> PartialResult[Measured]:
-    """A data set's figures: those that were measured before for the same terms are read from RESULTS/parts.
+    """A data set's figures; those cached for the same terms are read from RESULTS/parts.
 
-    Raises `NoTakesError` where the compared split has no clip.
+    Raises `NoTakesError` if the compared split has no clip.
     """
     protocol = InterpolationProtocol()
     clips = open_clips(

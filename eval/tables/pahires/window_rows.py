@@ -1,4 +1,4 @@
-"""Tables over windows of poses: all their rows on all data sets at 30 fps, measured once and kept."""
+"""Tables over windows of poses: all their rows on all data sets at 30 fps, measured once and cached."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class WindowTable:
-    """What a table asks of every window, its blocks and rows.
+    """A table's task, blocks and rows.
 
-    `metrics` are blocks by metric, with their titles; `details` further metrics of a block, likewise. The table looks
-    in its run for the encoders of its `task`.
+    `metrics` are blocks by metric, with their titles; `details` further metrics of a block, likewise. The run's
+    encoders of the `task` are used.
     """
 
     name: str
@@ -42,7 +42,7 @@ class WindowTable:
 
 @dataclass(frozen=True, eq=False)
 class WindowBlocks:
-    """All blocks of a table, what is to be said of each data set, and what could not be had."""
+    """All blocks of a table, remarks on each data set, and what is not available."""
 
     blocks: tuple[Block, ...]
     remarks: tuple[str, ...]
@@ -51,10 +51,9 @@ class WindowBlocks:
 
 
 def measure_table(table: WindowTable, request: TableRequest) -> WindowBlocks:
-    """Every row of every data set at 30 fps; `--fps` has no say here.
+    """Every row of every data set at 30 fps; `--fps` is ignored.
 
-    Raises `NoTakesError` where the store has no windows, `UsageError` for an encoder that nothing has, and what opening
-    the store raises.
+    Raises `NoTakesError` if the store has no windows, `UsageError` for an unknown encoder, and as opening the store.
     """
     store = request.open_store()
     store.select(request.real.condition)  # raises at once for SQL that is wrong
@@ -80,7 +79,7 @@ def measure_table(table: WindowTable, request: TableRequest) -> WindowBlocks:
 
 
 def _all_windows(store: "Store", request: TableRequest) -> PartialResult[list[PoseWindows]]:
-    """The windows of every data set at 30 fps that has any."""
+    """The windows of all data sets at 30 fps that have any."""
 
     def windows(data_set: DataSet) -> PoseWindows:
         with task(request.on_progress, f"windows of {data_set.name}") as work:
