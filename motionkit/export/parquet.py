@@ -1,8 +1,8 @@
 """A Parquet data set with a card: one self-contained row per sequence, for `datasets`, pandas, polars and duckdb.
 
 Arrays are flat lists, frame by frame, to be reshaped to [num_frames, num_joints, 3]: fixed-size lists decode at half
-the speed (docs/store.md), and not every reader knows them. Files are `data/SPLIT-00000-of-0000N.parquet` of at most
-256 MB, in small row groups, so that one sequence can be had without its neighbours.
+the speed (docs/store.md), and not every reader supports them. Files are `data/SPLIT-00000-of-0000N.parquet` of at most
+256 MB, in small row groups, so that single sequences can be read.
 """
 
 from collections import Counter, defaultdict
@@ -23,7 +23,7 @@ from motionkit.export.files import render
 from motionkit.export.selection import Outcome, Selection
 from motionkit.formats import parquet
 
-# The Hub's names of licences that motion captures come with (huggingface.co/docs/hub/repositories-licenses).
+# The Hub's names of motion captures' usual licences (huggingface.co/docs/hub/repositories-licenses).
 HUB_LICENCES = (
     *("mit", "apache-2.0", "bsd-3-clause", "cc0-1.0", "odc-by", "pddl", "unlicense"),
     *(f"cc-by{kind}-{version}" for kind in ("", "-sa", "-nc", "-nd", "-nc-sa", "-nc-nd") for version in ("3.0", "4.0")),
@@ -33,7 +33,7 @@ NO_LICENCE = "not stated"
 
 
 class Tally:
-    """Counts what goes into a data set; owns the counts."""
+    """Statistics of a data set's sequences; owns the counts."""
 
     def __init__(self) -> None:
         self.num_sequences = 0
@@ -65,7 +65,7 @@ class Tally:
 
 
 def card(tally: Tally, num_files: Mapping[str, int], schema: pa.Schema, meaning: Mapping[str, str], data: Path) -> str:
-    """The text of README.md for the files in `data`; `meaning` says what columns hold whose names do not."""
+    """The text of README.md for the files in `data`; `meaning` describes columns whose names are not clear."""
     return render(
         "dataset_card.md.j2",
         tally=tally,
@@ -79,7 +79,7 @@ def card(tally: Tally, num_files: Mapping[str, int], schema: pa.Schema, meaning:
 
 
 def card_head(licences: Iterable[str], num_sequences: int) -> dict[str, Any]:
-    """What the head of a card says of licences and size in the Hub's words (templates/card_head.j2)."""
+    """The licences and size in a card's metadata, in the Hub's terms (templates/card_head.j2)."""
     names = sorted(licences)
     known = [_hub_licence(name) for name in names]
     return {
@@ -117,12 +117,12 @@ SHARD_BYTES = 256 * 2**20
 ROW_GROUP_BYTES = 8 * 2**20
 # A list's offsets are 32 bits wide.
 MAX_VALUES = 2**31 - 1
-# "validation" is what the Hub's viewer and `datasets` call the split that HumanML3D calls val.
+# The Hub's viewer and `datasets` call HumanML3D's split val "validation".
 SPLIT_NAMES = {"": "unassigned", "val": "validation"}
 
 
 def export_parquet(selection: Selection, folder: Path) -> Iterator[Outcome]:
-    """Write `data/*.parquet` by split and the card; raises `UsageError` for a split that cannot be a file's name."""
+    """Write `data/*.parquet` by split and the card; raises `UsageError` for a split that is not a valid file name."""
     for split in set(selection.table["split"].to_pylist()):
         if not _split_name(split).isidentifier():
             raise UsageError(f"the split {split!r} cannot be a file's name: leave its sequences out with --where")
@@ -154,7 +154,7 @@ def _split_name(split: str) -> str:
 
 
 class _Shards:
-    """Writes the files of one split; owns the open file and the rows that wait for their row group."""
+    """Writes the files of one split; owns the open file and the rows buffered for the next row group."""
 
     def __init__(self, folder: Path, split: str) -> None:
         self._folder = folder
@@ -166,7 +166,7 @@ class _Shards:
         self._row_bytes = 0
 
     def add(self, motion: Motion) -> None:
-        """Take in one sequence; a file that it would make larger than a shard is closed first."""
+        """Add one sequence; closes the current file first if the sequence would exceed a shard's size."""
         row = parquet.row_of(motion)
         num_bytes = sum(row[name].nbytes for name in parquet.MOTION_COLUMNS if row[name] is not None)
         if self._file_bytes and self._file_bytes + num_bytes > SHARD_BYTES:
@@ -178,7 +178,7 @@ class _Shards:
             self._flush()
 
     def finish(self) -> int:
-        """Close the last file and give all files their names; returns their number."""
+        """Close the last file and rename all files; returns their number."""
         self._close()
         count = len(self._paths)
         for number, path in enumerate(self._paths):

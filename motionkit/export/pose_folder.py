@@ -40,14 +40,14 @@ MISSING = {
     "split": "in no split: train.txt, val.txt and test.txt lack them; 'motionkit split --store {store}' makes some",
     "length": "shorter than the usual data loader takes (40 frames, for kit 24): it drops them without a word",
 }
-"""What motions of such a folder may lack, what comes of it, and what to do."""
+"""What motions of such a folder may lack, the consequence, and the remedy."""
 
 
 @dataclass(frozen=True)
 class Kind:
-    """One published dataset: its layout, how many of its units a unit of the layout's skeleton is, and its loader.
+    """A published data set: its layout, the number of its units per unit of the layout's skeleton, and its loader.
 
-    `loader_min_frames` is what text-to-motion's data loader needs; it drops shorter clips without a word.
+    `loader_min_frames` is the minimum of text-to-motion's data loader, which silently drops shorter clips.
     """
 
     layout: Layout
@@ -55,11 +55,11 @@ class Kind:
     loader_min_frames: int
 
     def at(self, fps: Fraction) -> "Kind":
-        """The same at another framerate than the published one."""
+        """The same at another framerate."""
         return replace(self, layout=replace(self.layout, fps=fps))
 
 
-# KIT21 is in heights of a body, KIT-ML's files are in thousandths of it.
+# KIT21 is in units of the body's height, KIT-ML's files in thousandths of it.
 HUMANML3D_KIND = Kind(HUMANML3D, 1.0, 40)
 KIT_KIND = Kind(KIT, 1000.0, 24)
 
@@ -110,7 +110,7 @@ def _lacks(entry: Entry, kind: Kind) -> tuple[str, ...]:
 
 
 def pose_entry(motion: Motion, name: str, kind: Kind) -> Entry | Outcome:
-    """A motion's processed joints and pose vectors at its own framerate, T − 1 rows each, or why there are none."""
+    """A motion's processed joints and pose vectors at its own framerate, T − 1 rows each, or the reason for none."""
     layout = kind.layout.skeleton.name
     if motion.num_frames < MIN_POSES:
         message = f"{motion.num_frames} pose at {format_fps(motion.fps)} fps; pose vectors need at least {MIN_POSES}"
@@ -140,7 +140,7 @@ def write_folder_manifest(folder: Path, layout: Layout) -> None:
 
 
 def _describe(folder: Path, kind: Kind, num_sequences: int, lacks: Counter[str]) -> None:
-    """What the folder is, for readers (`motions.json`) and for people (`README.md`)."""
+    """Describe the folder, for readers (`motions.json`) and for people (`README.md`)."""
     layout = kind.layout
     published = LAYOUTS[layout.name].fps
     write_folder_manifest(folder, layout)

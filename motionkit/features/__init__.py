@@ -1,1 +1,1 @@
-"""Pose vectors made from motions, their inverse, their statistics."""
+"""Pose vectors of motions, their inverse and their statistics."""

@@ -1,6 +1,6 @@
 """Swing-only bone rotations of the pose vectors, as 6D numbers.
 
-Arrays are laid out [component, joint, frame], so that every operation runs along contiguous time.
+Arrays have the shape [component, joint, frame], so that every operation runs along contiguous time.
 """
 
 from dataclasses import dataclass
@@ -27,9 +27,9 @@ class BoneTree:
 
     `start` is the joint a bone starts at; `previous` is the bone before it in its chain, or 0, the root, for the first
     bone of every chain, the arms' included; `direction` [3, J, 1] is the rest direction u, along an axis, Z+ for the
-    root; `sideways` is an axis at right angles to it. Number i of the quaternion (u·v, u × v) of a direction v,
-    component after component and joint after joint, is number `source[i]` of v times `sign[i]`, since u lies on an
-    axis. `runs` are (joints, parents) as slices, in an order in which every parent comes before its children.
+    root; `sideways` is an axis perpendicular to it. Since u is along an axis, element i of the quaternion
+    (u·v, u × v) of a direction v, flattened over components and joints, is element `source[i]` of v times `sign[i]`.
+    `runs` are (joints, parents) as slices, with every parent before its children.
     """
 
     runs: tuple[tuple[slice, slice], ...]
@@ -48,7 +48,7 @@ def bone_tree(layout_name: str) -> BoneTree:
     bones = sorted((chain[i], chain[i - 1], i) for chain in layout.chains for i in range(1, len(chain)))
     direction = np.array(layout.bone_directions, dtype=np.float32)
     direction[0] = (0, 0, 1)
-    # [joint, quaternion component, component of v]: the linear map v → (u·v, u × v), one number a row.
+    # [joint, quaternion component, component of v]: the linear map v → (u·v, u × v), at most one element per row.
     product = np.stack((direction, *np.cross(direction[:, None], np.eye(3)).transpose(2, 0, 1)), axis=1)
     place = np.abs(product).argmax(axis=2)
     sign = np.take_along_axis(product, place[:, :, None], axis=2)[:, :, 0]
@@ -65,7 +65,7 @@ def bone_tree(layout_name: str) -> BoneTree:
 
 
 def _runs(starts: list[int]) -> tuple[tuple[slice, slice], ...]:
-    """Consecutive joints whose parents are consecutive too, or one and the same, and no joint of the run."""
+    """Runs of consecutive joints whose parents are consecutive, or one joint, and outside the run."""
     runs: list[tuple[slice, slice]] = []
     joint = 1
     while joint <= len(starts):
@@ -86,11 +86,11 @@ def rotations_6d(
     tree: BoneTree,
     out: Float32[np.ndarray, "bones 6 frames"],
 ) -> None:
-    """Write the first two columns of each bone's rotation relative to the bone before it.
+    """Write the first two columns of each bone's rotation relative to the previous bone.
 
     A bone's world rotation is the shortest one from its rest direction u to its direction v: the quaternion
-    (1 + u·v, u × v). The root's is a turn about Y by twice `half_turn` radians. A bone without length points along its
-    rest direction; one that points the opposite way makes a half turn. Source: HumanML3D, common/skeleton.py
+    (1 + u·v, u × v). The root's is a rotation about Y by twice `half_turn` radians. A bone of length zero points along
+    its rest direction; one that points the opposite way is rotated by 180°. Source: HumanML3D, common/skeleton.py
     (`inverse_kinematics_np`).
     """
     toward = np.empty_like(joints)
@@ -114,9 +114,9 @@ def _squared_length(
     fallback: Float32[np.ndarray, "3 joints 1"],
     start: Float32[np.ndarray, "joints frames"] | None = None,
 ) -> Float32[np.ndarray, "joints frames"]:
-    """Squared lengths of vectors, or of quaternions where their real parts are given as `start`.
+    """Squared lengths of vectors, or of quaternions if their real parts are given as `start`.
 
-    What has no length is replaced by the fallback, a unit vector, in place.
+    Zero vectors are replaced by the fallback, a unit vector, in place.
     """
     squared = np.square(vectors[0])
     squared += np.square(vectors[1])

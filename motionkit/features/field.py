@@ -1,4 +1,4 @@
-"""`field` pose vectors: what a motion field learns, every number a function of time alone.
+"""`field` pose vectors: the targets of a motion field, every number a function of time alone.
 
 Per pose 3·J numbers: the root's x, height and z in the window's frame, then joints 1 … J − 1 relative to the root along
 the same axes. A window's frame has its origin under the root at the window's first instant and faces Z+ there. No pose
@@ -75,7 +75,7 @@ def encode(
     yaw: Float[np.ndarray, "windows"],
     origin: Float[np.ndarray, "windows 2"],
 ) -> Float32[np.ndarray, "windows poses numbers"]:
-    """World positions in metres → `field` vectors in the frames that `window_frame` gave."""
+    """World positions in metres → `field` vectors in the frames of `window_frame`."""
     local = to_window(joint_positions, yaw, origin)
     local[:, :, 1:] -= local[:, :, :1]
     return local.reshape(*local.shape[:2], 3 * local.shape[2])

@@ -1,7 +1,7 @@
 """`humanml3d` pose vectors: the published convention and processing, quirks included, for interchange.
 
 T poses give T − 1 rows of 12·J − 1 numbers (263 for 22 joints at 20 fps, 251 for 21 joints at 12.5 fps); velocities are
-per frame, so the numbers mean what they mean at that framerate alone. Two quirks are kept because every published file
+per frame, so the numbers are valid only at that framerate. Two quirks are kept because every published file
 has them: facing swaps the hips (HumanML3D issues #107, #119, #131), and the first frame's heading is the identity.
 Smoothing (σ = 20 frames) looks 80 frames ahead, so rows of the last 80 frames depend on where the clip was cut.
 Source: HumanML3D, motion_representation.ipynb and common/skeleton.py.
@@ -19,7 +19,7 @@ from motionkit.formats.humanml3d import recover_positions
 
 CONVENTION = "humanml3d"
 SMOOTHING_FRAMES = 20.0
-# What a block needs fits into a core's cache; rows of 2ⁿ bytes would all compete for the same few places in it.
+# A block's arrays fit into a core's cache; rows of 2ⁿ bytes would compete for the same cache sets.
 _FRAMES_AT_ONCE = 200
 
 
@@ -50,8 +50,8 @@ def vectors(joint_positions: Float[np.ndarray, "frames joints 3"], layout: str) 
 def positions(vectors: Float[np.ndarray, "rows numbers"], layout: str) -> Float32[np.ndarray, "rows joints 3"]:
     """Joint positions from pose vectors, one per row: frame 0 is at the origin and faces Z+.
 
-    Rates and displacements are summed, so rounding adds up along the clip. Raises `ValueError` for vectors of another
-    length than the layout's.
+    Rates and displacements are summed, so rounding errors accumulate along the clip. Raises `ValueError` for vectors
+    whose length differs from the layout's.
     """
     body = pose_layout(layout)
     if vectors.shape[1] != body.vector.size:
@@ -60,7 +60,7 @@ def positions(vectors: Float[np.ndarray, "rows numbers"], layout: str) -> Float3
 
 
 def _half_angles(positions: Float32[np.ndarray, "frames joints 3"], body: PoseLayout) -> Float64[np.ndarray, "frames"]:
-    """Half the turn about Y that brings each smoothed facing to Z+; the hips are swapped, frame 0 is not turned."""
+    """Half the angle about Y from each smoothed facing to Z+; the hips are swapped, frame 0 has 0."""
     facing = body.facing
     across = positions[:, facing.left_hip] - positions[:, facing.right_hip]
     across += positions[:, facing.right_shoulder] - positions[:, facing.left_shoulder]
@@ -78,13 +78,13 @@ def _block(
     body: PoseLayout,
     tree: BoneTree,
 ) -> Float32[np.ndarray, "numbers rows"]:
-    """The rows of consecutive poses, the last of which only ends the displacements."""
+    """The rows of consecutive poses; the last pose is used only for displacements."""
     part = body.vector
     result = np.empty((part.size, joints.shape[2] - 1), dtype=np.float32)
     poses, change = joints[:, :, :-1], joints[:, :, 1:] - joints[:, :, :-1]
     angle = 2 * half_angle
     cosine, sine = np.cos(angle).astype(np.float32), np.sin(angle).astype(np.float32)
-    # The published rate comes from quaternions: a heading that passes ±π folds back through the arcsine.
+    # The published rate comes from quaternions: a heading beyond ±π is folded back by the arcsine.
     result[part.root_yaw_velocity] = np.arcsin(np.sin(half_angle[1:] - half_angle[:-1]))
     turn(change[:, 0], cosine[1:], sine[1:], out=result[part.root_velocity])
     cosine, sine = cosine[:-1], sine[:-1]
@@ -117,8 +117,8 @@ def uniform_skeleton(
 ) -> Float32[np.ndarray, "frames joints 3"]:
     """The same bone directions with the target's bone lengths; the root's path is scaled by the ratio of leg lengths.
 
-    The source's leg is measured on frame 0 alone. The published code goes through inverse and forward kinematics with
-    swing-only rotations, which turns each target bone exactly into the source bone's direction.
+    The source's leg is measured on frame 0 only. The published code uses inverse and forward kinematics with
+    swing-only rotations, which gives each target bone exactly the source bone's direction.
     """
     body, tree = pose_layout(layout), bone_tree(layout)
     leg = list(body.leg_joints)
@@ -154,11 +154,11 @@ def at_origin(joint_positions: Float[np.ndarray, "frames joints 3"]) -> Float[np
 def facing_forward(
     joint_positions: Float[np.ndarray, "frames joints 3"], layout: str
 ) -> Float[np.ndarray, "frames joints 3"]:
-    """The clip turned about the Y axis so that frame 0 faces Z+."""
+    """The clip rotated about the Y axis so that frame 0 faces Z+."""
     body: PoseLayout = pose_layout(layout)
     x, z = facing_direction(joint_positions[0], body.facing)
     length = np.hypot(x, z)
-    # A body that faces nowhere, straight up or down, stays as it is.
+    # A body without a heading, facing straight up or down, is not rotated.
     cosine, sine = (z / length, x / length) if length > 0 else (1.0, 0.0)
     x, z = joint_positions[..., 0], joint_positions[..., 2]
     turned = np.empty_like(joint_positions)
@@ -181,5 +181,5 @@ def process(
 def placed(
     joint_positions: Float[np.ndarray, "frames joints 3"], layout: str
 ) -> Float32[np.ndarray, "frames joints 3"]:
-    """All steps but the first, for joints that have the data set's bones: on the floor, at the origin, facing Z+."""
+    """All steps but the first, for joints with the data set's bone lengths: on the floor, at the origin, facing Z+."""
     return facing_forward(at_origin(on_floor(joint_positions.astype(np.float32, copy=False))), layout)

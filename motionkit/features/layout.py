@@ -1,4 +1,4 @@
-"""What the pose-vector conventions need to know about a joint layout: facing joints, chains, slices of the vector."""
+"""Joint layouts of the pose-vector conventions: facing joints, chains, slices of the vector."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -13,7 +13,7 @@ from motionkit.formats.humanml3d import vector_blocks
 
 @dataclass(frozen=True)
 class FacingJoints:
-    """The four joints whose sideways axes say where the body faces."""
+    """The four joints (hips and shoulders) whose lateral axes give the facing direction."""
 
     right_hip: int
     left_hip: int
@@ -129,7 +129,7 @@ LAYOUTS: dict[str, PoseLayout] = {layout.name: layout for layout in (SMPL22_LAYO
 
 
 def pose_layout(name: str) -> PoseLayout:
-    """The layout called `smpl22` or `kit21`; raises `UsageError` for others."""
+    """The layout `smpl22` or `kit21`, by name; raises `UsageError` for others."""
     if name not in LAYOUTS:
         raise UsageError(f"pose vectors are defined for the layouts {', '.join(LAYOUTS)}, not for {name!r}")
     return LAYOUTS[name]
@@ -161,9 +161,9 @@ _TRUNCATE = 4.0
 
 
 def smooth(values: Float[np.ndarray, "frames columns"], sigma_frames: float) -> Float64[np.ndarray, "frames columns"]:
-    """Gaussian smoothing along time; beyond both ends the end values go on.
+    """Gaussian smoothing along time, with the end values repeated beyond both ends.
 
-    The kernel is sampled at whole frames and cut at 4σ, as `scipy.ndimage.gaussian_filter1d(mode="nearest")` does.
+    The kernel is sampled at whole frames and truncated at 4σ, as in `scipy.ndimage.gaussian_filter1d(mode="nearest")`.
     """
     kernel = _kernel(sigma_frames)
     reach = len(kernel) // 2
@@ -193,5 +193,5 @@ def _convolve(
 
 
 def to_z_half_angle(direction: Float[np.ndarray, "frames 2"]) -> Float64[np.ndarray, "frames"]:
-    """Half the angle about Y, in (−π/2, π/2], that turns each horizontal direction (x, z) to Z+."""
+    """Half the angle about Y, in (−π/2, π/2], from each horizontal direction (x, z) to Z+."""
     return np.asarray(0.5 * np.arctan2(-direction[:, 0], direction[:, 1]), dtype=np.float64)

@@ -1,10 +1,10 @@
-"""`native` pose vectors: the slices of the published vector, meaning the same at every framerate.
+"""`native` pose vectors: the slices of the published vector, with the same meaning at every framerate.
 
-T poses give T rows. Yaw rate in rad/s (of the turn to Z+, whole angle), velocities per second in the body's heading at
-the row's own instant, facing smoothed with σ = 1 s and without the published swap of hips, contacts below 0.894 m/s.
-Bone rotations are taken in the body's heading; the published ones are taken in the world's, so they change when a
-clip is turned. Derivatives are those of the cubic spline through all frames: fourth order in the frame interval, where
-central differences would be off by several percent at 20 fps. At framerate F, the yaw rate is 2·F times the published.
+T poses give T rows. Yaw rate in rad/s (of the rotation to Z+, full angle), velocities per second in the heading frame
+at the row's own instant, facing smoothed with σ = 1 s and without the published swap of hips, contacts below 0.894 m/s.
+Bone rotations are relative to the body's heading; the published ones are relative to the world, so they change when a
+clip is rotated. Derivatives are those of the cubic spline through all frames: fourth order in the frame interval;
+central differences err by several percent at 20 fps. At framerate F, the yaw rate is 2·F times the published.
 """
 
 from fractions import Fraction
@@ -24,7 +24,7 @@ def turn(
     sine: Float32[np.ndarray, "rows"],
     out: Float32[np.ndarray, "2 *rest"],
 ) -> None:
-    """Write the x and z of vectors [x, y, z] turned about Y by the angle of the given cosine and sine."""
+    """Write the x and z of vectors [x, y, z] rotated about Y by the angle of the given cosine and sine."""
     np.add(cosine * vectors[0], sine * vectors[2], out=out[0])
     np.subtract(cosine * vectors[2], sine * vectors[0], out=out[1])
 
@@ -36,7 +36,7 @@ def fill_positions(
     sine: Float32[np.ndarray, "rows"],
     part: VectorLayout,
 ) -> None:
-    """Write root height and root-relative joint positions, turned by the angle that brings each pose to Z+."""
+    """Write root height and root-relative joint positions, rotated so that each pose faces Z+."""
     num_rows = joints.shape[2]
     rows[part.root_height] = joints[1, 0]
     relative = rows[part.joint_positions].reshape(part.num_joints - 1, 3, num_rows)
@@ -53,7 +53,7 @@ def fill_joint_velocities(
     sine: Float32[np.ndarray, "rows"],
     part: VectorLayout,
 ) -> None:
-    """Write the joints' displacements or velocities, turned with the body."""
+    """Write the joints' displacements or velocities in the heading frame."""
     velocities = rows[part.joint_velocities].reshape(part.num_joints, 3, change.shape[2])
     turn(change, cosine, sine, out=velocities[:, ::2].transpose(1, 0, 2))
     velocities[:, 1] = change[1]
@@ -69,7 +69,7 @@ _FRAMES_AT_ONCE = 256
 def vectors(
     joint_positions: Float[np.ndarray, "frames joints 3"], layout: str, fps: Fraction
 ) -> Float32[np.ndarray, "frames numbers"]:
-    """Pose vectors, one row per pose, of joint positions that need not be at the origin or face anywhere.
+    """Pose vectors, one row per pose, of joint positions with any origin and heading.
 
     Metres for `smpl22`; any unit for `kit21`, whose contact speed is scaled by the length of the leg. Raises
     `ValueError` for another number of joints or fewer than two poses.
@@ -99,8 +99,8 @@ def positions(
 ) -> Float32[np.ndarray, "frames joints 3"]:
     """Joint positions from pose vectors: frame 0's root is above the origin and its smoothed facing is Z+.
 
-    Heading and root path are integrated over time by the trapezoidal rule. Raises `ValueError` for vectors of another
-    length than the layout's.
+    Heading and root path are integrated over time by the trapezoidal rule. Raises `ValueError` for vectors whose length
+    differs from the layout's.
     """
     return positions_at(vectors, layout, TimeGrid(fps, len(vectors)).seconds())
 
@@ -108,7 +108,7 @@ def positions(
 def positions_at(
     vectors: Float[np.ndarray, "times numbers"], layout: str, seconds: Float64[np.ndarray, "times"]
 ) -> Float32[np.ndarray, "times joints 3"]:
-    """`positions` for vectors at any ascending time stamps; the first one's root is above the origin."""
+    """`positions` for vectors at any ascending times in seconds; the first one's root is above the origin."""
     body = pose_layout(layout)
     part = body.vector
     if vectors.shape[1] != part.size:
@@ -125,14 +125,14 @@ def positions_at(
 
 
 def mirrored(vectors: Float[np.ndarray, "*poses numbers"], layout: str) -> Float[np.ndarray, "*poses numbers"]:
-    """The vectors of the mirror image (x ← −x, left and right joints exchanged), number for number."""
+    """The vectors of the mirror image (x ← −x, left and right joints exchanged)."""
     source, sign = _mirror_map(layout)
     return np.asarray(vectors[..., source] * sign)
 
 
 @lru_cache(maxsize=4)
 def _mirror_map(layout: str) -> tuple[Int[np.ndarray, "numbers"], Float32[np.ndarray, "numbers"]]:
-    """Which number each number of a mirrored vector is taken from, and its sign."""
+    """Source index and sign of each element of a mirrored vector."""
     body = pose_layout(layout)
     part, joints = body.vector, np.arange(body.num_joints)
     for left, right in body.skeleton.left_right_pairs:
@@ -140,7 +140,7 @@ def _mirror_map(layout: str) -> tuple[Int[np.ndarray, "numbers"], Float32[np.nda
     source, sign = np.arange(part.size), np.ones(part.size, np.float32)
     sign[part.root_yaw_velocity] = -1.0
     sign[part.root_velocity] = (-1.0, 1.0)
-    # The reflection M = diag(−1, 1, 1) turns a bone's rotation R into M·R·M; 6D numbers are R's first two columns.
+    # The reflection M = diag(−1, 1, 1) maps a bone's rotation R to M·R·M; 6D numbers are R's first two columns.
     for block, order, signs in (
         (part.joint_positions, joints[1:] - 1, (-1, 1, 1)),
         (part.joint_rotations, joints[1:] - 1, (1, -1, -1, -1, 1, 1)),
@@ -155,11 +155,11 @@ def _mirror_map(layout: str) -> tuple[Int[np.ndarray, "numbers"], Float32[np.nda
 def _angle_to_z(
     positions: Float64[np.ndarray, "frames joints 3"], body: PoseLayout, fps: Fraction
 ) -> Float64[np.ndarray, "frames"]:
-    """The angle about Y, continuous in time, that turns each smoothed facing to Z+."""
+    """The angle about Y, continuous in time, from each smoothed facing to Z+."""
     facing = body.facing
     across = positions[:, facing.right_hip] - positions[:, facing.left_hip]
     across = across + positions[:, facing.right_shoulder] - positions[:, facing.left_shoulder]
-    # A body that lies on its side has little horizontal extent across, and so little say in the smoothed facing.
+    # A body lying on its side has a short horizontal lateral axis, and so little weight in the smoothed facing.
     length = np.linalg.norm(across, axis=-1, keepdims=True)
     forward = np.stack((across[:, 2], -across[:, 0]), axis=-1) / np.where(length > 0, length, 1.0)
     return np.unwrap(2 * to_z_half_angle(smooth(forward, SMOOTHING_SECONDS * float(fps))))
@@ -201,7 +201,7 @@ def _contact_speed(positions: Float64[np.ndarray, "frames joints 3"], body: Pose
 
 
 def _derivative(values: Float64[np.ndarray, "frames columns"], fps: Fraction) -> Float64[np.ndarray, "frames columns"]:
-    """Change per second at every frame, of the cubic spline through all frames (not-a-knot ends)."""
+    """Time derivative per second at every frame, of the cubic spline through all frames (not-a-knot ends)."""
     from scipy.interpolate import CubicSpline
 
     frames = np.arange(len(values), dtype=np.float64)

@@ -1,8 +1,8 @@
 """Poses as rotations: the root's position, then the first two columns of every local rotation (Zhou et al. 2019).
 
-3 + 6·J numbers a pose, 135 for 22 joints. They are what is learnt where bones must keep their length; bones lie beside
-them, as observed, so that the inverse restores the positions exactly. All numbers are in the world's frame, or in a
-window's: `turned` goes from one to the other.
+3 + 6·J numbers per pose, 135 for 22 joints, for models whose bones must keep their lengths. The observed bones are
+kept beside them, so that the inverse restores the positions exactly. All numbers are in the world frame, or in a
+window's: `turned` converts from one to the other.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from motionkit.core.skeletons.mapping import map_joints
 from motionkit.fields.interpolation.joints import Joints
 from motionkit.fields.motion_field import Poses
 
-# A mirrored rotation M·R·M with M = diag(−1, 1, 1): what becomes of its first and of its second column.
+# Signs of the first and second column of a mirrored rotation M·R·M with M = diag(−1, 1, 1).
 _FLIPPED_COLUMNS = np.array([1, -1, -1, -1, 1, 1], np.float32)
 
 
@@ -25,7 +25,7 @@ _FLIPPED_COLUMNS = np.array([1, -1, -1, -1, 1, 1], np.float32)
 class PoseRows:
     """Poses as `vectors` (root position in metres, two columns per joint) and `bones` in their parent's frame, metres.
 
-    `skeleton` says how the joints hang together; its offsets are those that the rotations turn.
+    `skeleton` gives the hierarchy; rotations are relative to its rest pose.
     """
 
     vectors: Float32[np.ndarray, "frames numbers"]
@@ -33,7 +33,7 @@ class PoseRows:
     skeleton: Skeleton
 
     def poses(self) -> Poses:
-        """The poses again, with rotations."""
+        """The poses, with rotations."""
         return poses_of(self.vectors, self.bones, self.skeleton)
 
 
@@ -45,8 +45,8 @@ def num_numbers(num_joints: int) -> int:
 def rotation_rows(motion: Motion) -> PoseRows:
     """Any motion in the 22-joint layout.
 
-    True local rotations are kept where the motion's own joints are the layout's; elsewhere positions are mapped and
-    rotations come from `inverse_kinematics_in_time`. Raises `SkeletonMapError` where a joint has no source.
+    True local rotations are kept if the motion's own joints are the layout's; otherwise positions are mapped and
+    rotations come from `inverse_kinematics_in_time`. Raises `SkeletonMapError` if a joint has no source.
     """
     if motion.skeleton.joint_names == SMPL22.joint_names:
         return rows_of_poses(Poses.of(motion), motion.skeleton)
@@ -57,7 +57,7 @@ def rows_of_poses(poses: Poses, skeleton: Skeleton) -> PoseRows:
     """Poses of any skeleton, in order of time, as rows.
 
     Poses without rotations get those of inverse kinematics; in the 22-joint layout from that layout's own rest pose, so
-    that rows of all sources mean the same.
+    that rows of all sources are comparable.
     """
     if poses.local_rotations is None and skeleton.joint_names == SMPL22.joint_names:
         skeleton = SMPL22
@@ -69,7 +69,7 @@ def rows_of_poses(poses: Poses, skeleton: Skeleton) -> PoseRows:
 def poses_of(
     vectors: Float[np.ndarray, "frames numbers"], bones: Float[np.ndarray, "*frames joints 3"], skeleton: Skeleton
 ) -> Poses:
-    """The poses that vectors describe: the closest rotations to the columns, then forward kinematics on the bones."""
+    """The poses of vectors: the closest rotations to the columns, then forward kinematics on the bones."""
     matrices = kinematics.closest_rotations(vectors[:, 3:].astype(np.float64))
     root = vectors[:, :3].astype(np.float64)
     positions, _ = kinematics.forward_kinematics_matrices(matrices, root, skeleton, bones.astype(np.float64))
@@ -88,7 +88,7 @@ def turned(
     yaw: Float[np.ndarray, "windows"],
     origin: Float[np.ndarray, "windows 2"],
 ) -> Float32[np.ndarray, "windows poses numbers"]:
-    """World → window: the origin (x, z in metres) is taken away, then root and root rotation turn by −yaw about +Y."""
+    """World → window: subtract the origin (x, z in metres), then rotate the root by −yaw about +Y."""
     result = vectors.astype(np.float32)
     result[..., 0] -= origin[:, None, 0]
     result[..., 2] -= origin[:, None, 1]
@@ -110,9 +110,9 @@ def turned_back(
 
 
 def heading(vectors: Float[np.ndarray, "*poses numbers"], skeleton: Skeleton = SMPL22) -> Float64[np.ndarray, "*poses"]:
-    """Yaw in radians of where each pelvis faces: 0 is Z+, positive turns towards X+.
+    """Yaw in radians of each pelvis' facing direction: 0 is Z+, positive turns towards X+.
 
-    Ahead is perpendicular to the line through the skeleton's hips (its first left/right pair), and to the vertical.
+    Forward is perpendicular to the line through the skeleton's hips (its first left/right pair), and to the vertical.
     """
     left, right = skeleton.left_right_pairs[0]
     across = skeleton.offsets[left].astype(np.float64) - skeleton.offsets[right]
@@ -124,7 +124,7 @@ def heading(vectors: Float[np.ndarray, "*poses numbers"], skeleton: Skeleton = S
 def mirrored(
     vectors: Float[np.ndarray, "*poses numbers"], skeleton: Skeleton = SMPL22
 ) -> Float32[np.ndarray, "*poses numbers"]:
-    """The same poses seen in a mirror: x negated, left and right joints exchanged."""
+    """The mirrored poses: x negated, left and right joints exchanged."""
     partners = np.arange(skeleton.num_joints)
     for left, right in skeleton.left_right_pairs:
         partners[left], partners[right] = right, left

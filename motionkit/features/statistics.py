@@ -1,4 +1,4 @@
-"""Mean and standard deviation of pose vectors, with the convention that they are of."""
+"""Mean and standard deviation of pose vectors, with their convention."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -18,7 +18,7 @@ _ROOT_TO_JOINT_SPEED = 0.17
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """What pose vectors are standardised with; `convention` is `humanml3d`, `native` or `field`."""
+    """Mean and std for standardising pose vectors; `convention` is `humanml3d`, `native` or `field`."""
 
     convention: str
     mean: Float64[np.ndarray, "numbers"]
@@ -42,7 +42,7 @@ class Statistics:
 def block_statistics(found: Moments, convention: str, num_joints: int) -> Statistics:
     """Statistics with the std averaged inside each of the vector's seven blocks.
 
-    Source: HumanML3D, cal_mean_variance.ipynb. Raises `ValueError` where a block never varies or the size is another.
+    Source: HumanML3D, cal_mean_variance.ipynb. Raises `ValueError` for a constant block or a wrong size.
     """
     layout = vector_layout(num_joints)
     if found.mean.size != layout.size:
@@ -54,11 +54,11 @@ def block_statistics(found: Moments, convention: str, num_joints: int) -> Statis
 
 
 def check_statistics(found: Statistics, num_joints: int, expected: Signature) -> None:
-    """Raise `ValueError` unless statistics carry the signature asked for.
+    """Raise `ValueError` unless statistics have the expected signature.
 
-    `published` is Mean.npy and Std.npy of HumanML3D and KIT; `evaluator` is what Guo's evaluators were trained with,
-    root and contacts weighted 25-fold. Both have one std per block; the ratio of root speed to joint speed tells them
-    apart. The wrong file changes every FID without an error, so nothing is guessed.
+    `published` is Mean.npy and Std.npy of HumanML3D and KIT; `evaluator` is that of Guo's evaluators, with root and
+    contacts weighted 25-fold. Both have one std per block; the ratio of root speed to joint speed distinguishes them.
+    The wrong file changes every FID without an error, so nothing is guessed.
     """
     layout = layout_of(num_joints).vector
     if found.mean.size != layout.size:

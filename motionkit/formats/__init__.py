@@ -1,1 +1,1 @@
-"""Formats: a file or a folder each, reader and writer together; `catalogue` lists them, `registry` finds and reads."""
+"""Readers and writers of file and folder formats, listed in `catalogue`; `scan` finds and reads sequences."""

@@ -37,10 +37,10 @@ class AsfBone:
 
 @dataclass(frozen=True)
 class AsfSkeleton:
-    """The root and all bones, parents first, with each one's parent index; `degrees` says how angles are given.
+    """The root and all bones, parents first, with parent indices; `degrees`: angles are in degrees.
 
-    `skeleton` has a joint where every bone starts, named as the bone: lfemur is the hip. Its offsets are in metres, and
-    a leaf bone's end is an End Site.
+    `skeleton` has a joint at the start of every bone, with the bone's name: lfemur is the hip. Its offsets are in
+    metres, and a leaf bone's end is an End Site.
     """
 
     bones: tuple[AsfBone, ...]
@@ -51,7 +51,7 @@ class AsfSkeleton:
 
     @cached_property
     def axis_frames(self) -> Float64[np.ndarray, "bones 4"]:
-        """C of every bone as a quaternion; the axis angles turn about fixed axes in the order in which they stand."""
+        """C of every bone as a quaternion; the axis angles are about fixed axes, in the order listed."""
         scale = np.pi / 180.0 if self.degrees else 1.0
         return np.stack(
             [
@@ -100,17 +100,17 @@ class _Parser:
         self.parents: dict[str, str] = {}
 
     def fault(self, message: str) -> FormatError:
-        """A complaint about the current line."""
+        """An error at the current line."""
         return FormatError(message, path=self.path, reason="asf", line=self.line)
 
     def numbers(self, words: list[str], count: int) -> list[float]:
-        """Exactly `count` numbers at the head of `words`."""
+        """Exactly `count` numbers at the beginning of `words`."""
         if len(words) < count:
             raise self.fault(f"{len(words)} numbers, expected {count}")
         return [parse_number(word, self.path, self.line) for word in words[:count]]
 
     def feed(self, words: list[str]) -> None:
-        """One line without its comment."""
+        """Parse one line without its comment."""
         if words[0].startswith(":"):
             self.section = words[0][1:].lower()
             return
@@ -125,7 +125,7 @@ class _Parser:
                 self.hierarchy(words)
 
     def units(self, words: list[str]) -> None:
-        """Length unit and kind of angles."""
+        """Length unit and angle unit."""
         if words[0] == "length":
             self.length_unit = self.numbers(words[1:], 1)[0]
             if not self.length_unit > 0:
@@ -136,7 +136,7 @@ class _Parser:
             self.degrees = words[1] == "deg"
 
     def root_entry(self, words: list[str]) -> None:
-        """Order of channels, axis frame and rest place of the root."""
+        """Order of channels, axis frame and rest position of the root."""
         match words[0].lower():
             case "order":
                 self.root.dof = tuple(word.lower() for word in words[1:])

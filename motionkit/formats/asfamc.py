@@ -1,8 +1,8 @@
 """AMC motions over ASF skeletons, as the CMU motion capture database publishes them.
 
 A bone's local rotation is L = C·R(dof)·C⁻¹, its global one parent·L, its end start + global·(direction·length). Joints
-are where bones start (`asf.AsfSkeleton`), so these are the motion's local rotations as they stand. AMC says nothing
-about its framerate. Source: http://mocap.cs.cmu.edu, and the page named in `asf`.
+are at the starts of bones (`asf.AsfSkeleton`), so L is the joint's local rotation. AMC does not state a framerate.
+Source: http://mocap.cs.cmu.edu, and the page named in `asf`.
 """
 
 import re
@@ -45,7 +45,7 @@ def read_asfamc(path: Path, options: ReadOptions | None = None, skeleton_path: P
     """Read one AMC file and the ASF skeleton beside it: positions in metres, y up, true local rotations.
 
     The skeleton is `skeleton_path`, or SUBJECT.asf for SUBJECT_TAKE.amc, or the folder's only ASF file. Raises
-    `FormatError`; with the reason `no-framerate` where `options.fps` does not say the framerate, which AMC cannot.
+    `FormatError`, with the reason `no-framerate` without `options.fps`, since AMC does not state a framerate.
     """
     options = options or ReadOptions()
     data = source_file.read_bytes(path)
@@ -102,7 +102,7 @@ def skeletons(folder: Path) -> list[Path]:
 def parse_amc(data: bytes, path: Path) -> AmcTable:
     """The channel values of all frames; raises `FormatError` naming the line and the frame.
 
-    Files whose frames all look like the first one, which is every file that a program wrote, are parsed by array
+    Files whose frames all have the layout of the first one, as those written by programs do, are parsed by array
     operations.
     """
     start = re.search(rb"(?m)^[ \t]*\d+[ \t]*\r?$", data)
@@ -130,8 +130,8 @@ def parse_amc(data: bytes, path: Path) -> AmcTable:
 
 
 def _parse_regular(body: bytes, first: bytes) -> Float64[np.ndarray, "frames values"] | None:
-    # Frame numbers and channel values, or None where a frame deviates from the first one's layout: the same names at
-    # the same places of the same lines, and numbers everywhere else.
+    # Frame numbers and channel values, or None if a frame deviates from the first one's layout: the same names at the
+    # same positions in the same lines, and numbers elsewhere.
     pattern = find_words(first)
     width = len(pattern.starts)
     is_name = pattern.opens_line.copy()
@@ -162,7 +162,7 @@ def _parse_regular(body: bytes, first: bytes) -> Float64[np.ndarray, "frames val
 
 
 def _same_words(words: Words, expected: Words) -> bool:
-    # Whether the words are the expected ones, over and over; at most 12 letters count.
+    # Whether the words are the expected ones, repeated; only the first 12 bytes are compared.
     repeats = len(words.starts) // max(1, len(expected.starts))
     if (words.lengths.reshape(repeats, -1) != expected.lengths).any():
         return False

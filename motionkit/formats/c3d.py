@@ -1,9 +1,9 @@
 """C3D markers: points of a capture without bones, at the point rate, in metres and y up.
 
 A motion of markers has the first marker as its root and all others as the root's children, with offsets of zero: a
-skeleton that says nothing but their names. A `--skeleton-map` makes the 22 joints from them. Source: "The C3D File
-Format User Guide", Motion Lab Systems 2021, https://www.c3d.org (units, screen axes, residuals, the lists of points
-that are no positions).
+skeleton that only names them. A `--skeleton-map` computes the 22 joints from them. Source: "The C3D File Format User
+Guide", Motion Lab Systems 2021, https://www.c3d.org (units, screen axes, residuals, the lists of points that are not
+positions).
 """
 
 import re
@@ -23,9 +23,9 @@ from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.source import clock, source_file
 from motionkit.formats.source.markers import UNITS, Markers, checked_metres, marker_skeleton, some, without_gaps
 
-# Vicon's models put angles, forces and the like among the points, and list them.
+# Vicon's models store angles, forces and the like among the points, and list them.
 NO_POSITIONS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
-# From the axis that points up to a turn (det +1) that makes it +y.
+# Up axis → the rotation (det +1) that takes it to +y.
 TURNS = {
     "+X": ((1, 0, 2), (-1, 1, 1)),
     "-X": ((1, 0, 2), (1, -1, 1)),
@@ -40,12 +40,11 @@ ASSUMED_UP = "+Z"
 def read_c3d(path: Path, options: ReadOptions | None = None) -> Motion:
     """Read the markers of one file as positions in metres, y up; unlabelled ones and model outputs are left out.
 
-    Up is the axis that POINT:Y_SCREEN names, z where it names none, in the direction in which most markers are (makers
-    disagree about the sign); the unit is POINT:UNITS, mm where it says nothing. A marker was not seen where its
-    residual is negative, or it is NaN or exactly 0, 0, 0. Kept are the markers and the stretch of frames of which most
-    positions remain without a gap longer than 0.1 s; shorter gaps are filled linearly, at the ends of the take with the
-    nearest position. All of it is in the operation log. Raises `FormatError`, with the reason `gaps` where no marker
-    remains.
+    Up is the axis in POINT:Y_SCREEN, by default z, with the sign of most markers' coordinates (vendors disagree about
+    the sign); the unit is POINT:UNITS, by default mm. A marker is not visible if its residual is negative, or it is NaN
+    or exactly 0, 0, 0. The largest block of markers and frames without a gap longer than 0.1 s is kept; shorter gaps
+    are filled linearly, at the ends of the take with the nearest position. All of this is in the operation log. Raises
+    `FormatError`, with the reason `gaps` if no marker remains.
     """
     options = options or ReadOptions()
     data = source_file.read_bytes(path)
@@ -80,7 +79,7 @@ def _stated_fps(rate: float, path: Path) -> Fraction:
 
 
 def _labelled(file: C3dFile, path: Path) -> Markers:
-    # Markers with a label that are positions, NaN where they were not seen.
+    # Labelled markers that are positions, NaN where not visible.
     num_points = file.points.shape[1]
     numbered = sorted(name for name in file.parameters if re.fullmatch(r"POINT:LABELS\d*", name))
     labels = [label for name in sorted(numbered, key=len) for label in file.texts(name)][:num_points]
@@ -110,7 +109,7 @@ def _labelled(file: C3dFile, path: Path) -> Markers:
 
 
 def _without_subject(labels: list[str]) -> list[str]:
-    # "Anna:LFHD", where all are Anna's.
+    # "Anna:LFHD" → "LFHD", if all have the same subject.
     prefixes = {label.partition(":")[0] if ":" in label else "" for label in labels}
     return [label.partition(":")[2] for label in labels] if len(prefixes) == 1 and "" not in prefixes else labels
 

@@ -1,9 +1,8 @@
 """The C3D container: header, parameters, and the block of points, checked against the file's bytes before use.
 
-All three number formats are read (Intel, DEC/VAX, MIPS) and both kinds of points (integers with a scale, floats).
-Source: "The C3D File Format User Guide", Motion Lab Systems 2021, https://www.c3d.org. There are libraries for it; a
-damaged file ends the process that uses them or never returns, which an ingest of many files cannot bear
-(docs/deviations.md).
+All three number formats (Intel, DEC/VAX, MIPS) and both kinds of points (scaled integers, floats) are supported.
+Source: "The C3D File Format User Guide", Motion Lab Systems 2021, https://www.c3d.org. No library is used: with the
+existing ones, a damaged file may crash or hang the process, and with it an ingest of many files (docs/deviations.md).
 """
 
 import math
@@ -28,9 +27,9 @@ Parameter = tuple[str, ...] | tuple[float, ...]
 
 @dataclass(frozen=True)
 class C3dFile:
-    """What a file holds: `parameters` by "GROUP:NAME", and points [frames, points, 4]: x, y, z in file units, residual.
+    """A file's `parameters` by "GROUP:NAME", and points [frames, points, 4]: x, y, z in file units, residual.
 
-    A negative residual marks a point that was not seen.
+    A negative residual marks a point that is not visible.
     """
 
     parameters: Mapping[str, Parameter]
@@ -38,11 +37,11 @@ class C3dFile:
     header_rate: float
 
     def texts(self, name: str) -> tuple[str, ...]:
-        """A parameter's strings, stripped; empty where there are none."""
+        """A parameter's strings, stripped; empty if there are none."""
         return tuple(value for value in self.parameters.get(name, ()) if isinstance(value, str))
 
     def numbers(self, name: str) -> tuple[float, ...]:
-        """A parameter's numbers; empty where there are none."""
+        """A parameter's numbers; empty if there are none."""
         return tuple(value for value in self.parameters.get(name, ()) if not isinstance(value, str))
 
 
@@ -94,18 +93,18 @@ def _header(data: bytes, processor: int) -> _Header:
 
 
 def _floats(data: bytes, processor: int) -> Float64[np.ndarray, "numbers"]:
-    with np.errstate(invalid="ignore"):  # NaN of the signalling kind, in bytes that are no numbers
+    with np.errstate(invalid="ignore"):  # signalling NaN, in bytes that are not floats
         if processor == MIPS:
             return np.frombuffer(data, ">f4").astype(np.float64)
         if processor == INTEL:
             return np.frombuffer(data, "<f4").astype(np.float64)
-        # VAX F: the 16-bit words change places, and the exponent counts from two more.
+        # VAX F: the 16-bit words are swapped, and the exponent's bias is larger by two.
         words = np.ascontiguousarray(np.frombuffer(data, "<u2").reshape(-1, 2)[:, ::-1])
         return words.view("<f4")[:, 0].astype(np.float64) / 4.0
 
 
 def _parameters(data: bytes, start: int, processor: int, path: Path) -> dict[str, Parameter]:
-    # Records of groups (negative id) and of their parameters, in any order; each says how far the next one is.
+    # Records of groups (negative id) and of their parameters, in any order; each has the offset to the next one.
     end = min(len(data), start + max(data[start + 2], 1) * BLOCK)
     groups: dict[int, str] = {}
     found: list[tuple[int, str, Parameter]] = []
@@ -184,7 +183,7 @@ def _points(
             path=path,
             reason="frame-count",
         )
-    # Analog values stand behind the points of each frame, and are often the most of a file.
+    # Analog values follow the points of each frame, and are often most of a file.
     whole = np.frombuffer(data, f"<u{size}", num_frames * values, start).reshape(num_frames, values)
     body, shape = whole[:, : 4 * header.num_points].tobytes(), (num_frames, header.num_points, 4)
     if size == 4:
@@ -195,7 +194,7 @@ def _points(
 
 
 def _num_frames(header: _Header, parameters: Mapping[str, Parameter]) -> int:
-    # The header's words hold frames up to 65,535; of longer takes the parameters know, as two words or as one number.
+    # The header's words hold frames up to 65,535; for longer takes parameters have the count, as two words or a number.
     actual = [_words(parameters.get(f"TRIAL:ACTUAL_{end}_FIELD", ())) for end in ("START", "END")]
     if all(len(words) == 2 for words in actual):
         first, last = (low + 65536 * high for low, high in actual)

@@ -18,7 +18,7 @@ from motionkit.formats.smpl import amass, dictionary, uestc
 
 GROUP = "motionkit.formats"
 
-# The first that accepts a file has it.
+# The first that accepts a file reads it.
 _BUILT_IN = (
     *(
         lafan1.FORMAT,
@@ -39,18 +39,18 @@ _BUILT_IN = (
 
 @cache
 def readers() -> Mapping[str, Format]:
-    """The formats that are read, by name, in the order in which files are offered to them: installed ones first."""
+    """The formats with a reader, by name, in the order in which they are tried: installed ones first."""
     return {each.name: each for each in _all() if each.read is not None}
 
 
 @cache
 def writers() -> Mapping[str, Format]:
-    """The formats of which a file holds one motion that is written, by name."""
+    """The formats that write one motion per file, by name."""
     return {each.name: each for each in _all() if each.write is not None}
 
 
 def writer_of(suffix: str) -> Format | None:
-    """The format that is written to files of a suffix; of several, the one that is called like it."""
+    """The format that writes files of a suffix; of several, the one with the suffix's name."""
     fitting = [each for each in writers().values() if each.suffixes[0] == suffix]
     return next((each for each in fitting if each.name == suffix[1:]), fitting[0] if fitting else None)
 
@@ -61,18 +61,18 @@ def _all() -> list[Format]:
 
 
 def write(motion: Motion, path: str | Path) -> None:
-    """Write a motion to a file; its suffix says the format.
+    """Write a motion to a file; the suffix selects the format.
 
-    - `.npz`: everything that the motion knows, to the last bit
-    - `.bvh`: the skeleton and its rotations, in centimetres; found by inverse kinematics where the motion has none
+    - `.npz`: all of the motion, lossless
+    - `.bvh`: the skeleton and its rotations, in centimetres; by inverse kinematics if the motion has none
     - `.glb`: glTF, an animated skeleton with a visible body, for engines and viewers
     - `.csv`: time stamps and joint positions in metres
-    - `.npy`: joint positions [T, J, 3] in metres of the 22 joints (KIT-ML's 21 where the motion has these), the
+    - `.npy`: joint positions [T, J, 3] in metres of the 22 joints (KIT-ML's 21 if the motion has these), the
       framerate in `motions.json` beside the file
 
-    Folders are made, an existing file is replaced, and the file appears whole or not at all. Raises `UsageError` for
-    any other suffix, `ValueError` for an `.npy` beside those of another framerate, `MotionkitError` for one of a
-    skeleton that cannot be brought to the 22 joints, and `OSError`.
+    Folders are created, an existing file is replaced, and the file is written atomically. Raises `UsageError` for any
+    other suffix, `ValueError` for an `.npy` beside those of another framerate, `MotionkitError` for one of a skeleton
+    that cannot be mapped to the 22 joints, and `OSError`.
 
     >>> motion = mk.read("walk.bvh")
     >>> mk.write(motion, "out/walk.npz")

@@ -37,15 +37,15 @@ HEAD_BYTES = 4096
 FRAMES_KEY = b'"Frames"'
 ROTATION_SIZES = {"spherical": 4, "revolute": 1, "fixed": 0}
 FIRST_ROTATION = 4
-# In the published clips quaternions are off unit length by up to 0.42 (kick; most by less than 0.01), and DeepMimic
-# normalises them: so are they here, and logged. One that is shorter or longer than this is something else.
+# In the published clips quaternions differ from unit norm by up to 0.42 (kick; most by less than 0.01), and DeepMimic
+# normalises them; so does this reader, and logs it. Norms outside these limits are refused.
 MAX_LENGTH_ERROR, LOGGED_LENGTH_ERROR = 0.5, 0.01
 NAME = re.compile(r"(?:sie_)?humanoid3d_(?P<action>[a-z]\w*?)_?\d*", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
 class Character:
-    """A skeleton and how many numbers of a frame turn each of its joints."""
+    """A skeleton and the number of rotation values per frame of each of its joints."""
 
     skeleton: Skeleton
     rotation_sizes: tuple[int, ...]
@@ -69,8 +69,8 @@ def accepts(path: Path) -> bool:
 def read_deepmimic(path: Path, options: ReadOptions | None = None) -> Motion:
     """Read one file: positions in metres, y up, true local rotations, at the framerate that the durations state.
 
-    The last frame's duration says nothing (mostly 0: nothing follows). Durations that differ by more than 0.1 % are
-    refused (`frame-time`) unless `options.fps` replaces them: a Motion has one framerate and nothing is resampled.
+    The last frame's duration is ignored (mostly 0). Durations that differ by more than 0.1 % are refused (`frame-time`)
+    unless `options.fps` replaces them: a Motion has one framerate, and nothing is resampled.
     The action is taken from names such as `humanoid3d_zombie_walk`. Raises `FormatError`.
     """
     options = options or ReadOptions()
@@ -170,7 +170,7 @@ def _is_number(value: object) -> bool:
 def _framerate(
     durations: Float64[np.ndarray, "intervals"], given: Fraction | None, path: Path
 ) -> tuple[Fraction, str, list[str]]:
-    # The framerate, what the file states, and the log.
+    # The framerate, the file's stated framerate, and the log.
     values, counts = np.unique(np.round(durations, 7), return_counts=True)
     order = np.argsort(-counts, kind="stable")
     stated = ", ".join(f"{counts[i]} × {values[i]:g} s" for i in order[:3]) + (" …" if len(values) > 3 else "")
@@ -179,7 +179,7 @@ def _framerate(
 
 
 def _stated_fps(durations: Float64[np.ndarray, "intervals"], stated: str, path: Path) -> Fraction:
-    # Durations are compared with the commonest one's.
+    # Durations are compared with the commonest one.
     values, group, counts = np.unique(np.round(durations, 7), return_inverse=True, return_counts=True)
     if not len(values):
         raise FormatError(

@@ -1,4 +1,4 @@
-"""What a file format is: how its files are found and read, how a motion is written."""
+"""The description of a file format: how its files are found and read, and how a motion is written."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -13,18 +13,18 @@ Reader = Callable[[SourceItem, ReadOptions], Motion]
 
 @dataclass(frozen=True)
 class Format:
-    """One format: how its files are found, how they are read, how a motion is written.
+    """A format: how its files are found, how they are read, how a motion is written.
 
-    A file format has `suffixes`, and `accepts` where the suffix alone does not tell; a single file of another name is
-    known by a word that it `begins` with, comments aside. A folder format has `claims`, which says whether a folder is
-    one, and `find`, which lists its sequences; a claimed folder is not searched further.
-    `beside` lists the files of a folder, there or not, that belong to its sequences without being one: what is read
-    with them, and what a data set is known to put there. `keys` names the sequences of a file that holds several. A
-    text file that can be written again with its own lines has `document`, which reads the same skeleton, frames and
-    clock as `read`, but frames where they are needed.
+    A file format has `suffixes`, and `accepts` if the suffix is ambiguous; a single file with another name is
+    recognised by the word that it `begins` with, apart from comments. A folder format has `claims`, which recognises a
+    folder, and `find`, which lists its sequences; a claimed folder is not searched further.
+    `beside` lists possible files of a folder that belong to its sequences without being one: files read with them, and
+    known files of the data set. `keys` names the sequences of a file that holds several. A text format whose files can
+    be written again with their own lines has `document`, which reads the same skeleton, frames and clock as `read`, but
+    frames on demand.
 
-    `write` writes one motion to a file of the first of its `suffixes`. Where all files of a folder share a framerate
-    and their joints, `shared_file` is the name of the file beside them that says which.
+    `write` writes one motion to a file of the first of its `suffixes`. If all files of a folder share framerate and
+    joints, `shared_file` is the name of the file beside them that states these.
     """
 
     name: str
@@ -42,5 +42,5 @@ class Format:
 
 
 def of_path(read: Callable[[Path, ReadOptions], Motion]) -> Reader:
-    """A reader for which a file is all there is to a sequence."""
+    """A reader of sequence items from a reader of paths, for formats with one sequence per file."""
     return lambda item, options: read(item.path, options)

@@ -1,7 +1,7 @@
 """glTF 2.0 binary (.glb): a skinned skeleton with one animation at the motion's own frames, for viewers and engines.
 
-Nodes are joints, metres, y up. Rotations (and the root's translation) have a key at every frame; a body of octahedra
-makes the skeleton visible. `asset.extras` holds what glTF has no place for: the exact framerate, captions, licence.
+Nodes are joints, metres, y up. Rotations (and the root's translation) have a key at every frame; octahedra make the
+bones visible. `asset.extras` holds what glTF has no field for: the exact framerate, captions, licence.
 Source: Khronos, glTF 2.0 specification, §3.7.3 (skins) and §3.11 (animations).
 """
 
@@ -26,11 +26,11 @@ from motionkit.formats.source.joint_channels import JointChannels, joint_channel
 
 Side = Literal["left", "right", "middle"]
 
-# A bone is thickest at a sixth of its length, and as thick as Blender draws it.
+# A bone is thickest at a sixth of its length, with the thickness of Blender's bones.
 WAIST, THICKNESS = 1 / 6, 0.1
 JOINT_RADIUS_METRES = 0.015
 SHORTEST_METRES = 1e-3
-# Corners: start, four around the waist, tip. Faces are seen counter-clockwise from outside.
+# Vertices: start, four around the waist, tip. Faces are counter-clockwise seen from outside.
 FACES = np.array([(0, 2, 1), (0, 3, 2), (0, 4, 3), (0, 1, 4), (5, 1, 2), (5, 2, 3), (5, 3, 4), (5, 4, 1)])
 
 
@@ -54,8 +54,8 @@ class _Octahedron:
 def bone_meshes(skeleton: Skeleton) -> list[BoneMesh]:
     """One mesh for each side of the body that has joints; metres.
 
-    A bone's tip is bound to the joint that it ends in, all else to the joint that it starts from: so tips stay at their
-    joints also where bones change their length.
+    A bone's tip is bound to its end joint, its other vertices to its start joint, so that tips stay at their joints if
+    bones change length.
     """
     rest = rest_positions(skeleton)
     sides = _sides(skeleton)
@@ -71,7 +71,7 @@ def bone_meshes(skeleton: Skeleton) -> list[BoneMesh]:
 
 
 def _sides(skeleton: Skeleton) -> list[Side]:
-    """The side of each joint by the skeleton's pairs, else by the joints of the 22 that it is; children go with it."""
+    """The side of each joint by the skeleton's pairs, else by its map to the 22 joints; children inherit it."""
     sides: list[Side] = ["middle"] * skeleton.num_joints
     for left, right in skeleton.left_right_pairs or _mapped_pairs(skeleton):
         sides[left], sides[right] = "left", "right"
@@ -105,7 +105,7 @@ def _corners(
     start: Float32[np.ndarray, "3"], tip: Float32[np.ndarray, "3"], waist: float, radius: float
 ) -> Float32[np.ndarray, "6 3"]:
     along = (tip - start) / np.linalg.norm(tip - start)
-    # Any axis that is not nearly parallel will do.
+    # Any axis that is not nearly parallel.
     first = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
     first /= np.linalg.norm(first)
     second = np.cross(along, first)
@@ -131,7 +131,7 @@ VERTICES = 34962
 class GlbBuffer:
     """Collects arrays into one buffer, each aligned to four bytes; owns the bytes and their descriptions.
 
-    It goes on from the buffer of another file, where that is given with its views and accessors.
+    It can extend the buffer of another file, given with its views and accessors.
     """
 
     def __init__(
@@ -142,10 +142,10 @@ class GlbBuffer:
         self._accessors = list(accessors)
 
     def add(self, array: np.ndarray, *, bounds: bool = False, vertices: bool = False) -> int:
-        """Append float32 or uint16 values, an element a row; returns the accessor's index.
+        """Append float32 or uint16 values, one element per row; returns the accessor's index.
 
-        `bounds` states least and greatest values (required of positions and key times), `vertices` marks data of
-        vertices. Raises `KeyError` for another type or width.
+        `bounds` adds minimum and maximum (required for positions and key times), `vertices` marks vertex data. Raises
+        `KeyError` for another type or width.
         """
         rows = np.ascontiguousarray(array.reshape(len(array), -1))
         view: dict[str, Any] = {"buffer": 0, "byteOffset": len(self._content), "byteLength": rows.nbytes}
@@ -190,9 +190,9 @@ IDENTITY = np.array([0.0, 0.0, 0.0, 1.0], np.float32)
 def write_gltf(motion: Motion, path: Path) -> None:
     """Write one motion as .glb; the first frame is at 0 s, keys are interpolated linearly (rotations by SLERP).
 
-    A motion without rotations gets them by inverse kinematics, and translations where rigid bones would miss its
-    positions (`joint_channels`). Key times are float32, as glTF wants them: exact to a thousandth of a frame for the
-    first 16,000 frames, and to half a frame for 8 million.
+    A motion without rotations gets them by inverse kinematics, and translations if rigid bones would miss its positions
+    (`joint_channels`). Key times are float32, as glTF requires: exact to a thousandth of a frame for the first 16,000
+    frames, and to half a frame for 8 million.
     """
     channels = joint_channels(motion)
     buffer = GlbBuffer()
@@ -222,7 +222,7 @@ def _nodes(skeleton: Skeleton) -> list[dict[str, Any]]:
 
 
 def _skin(skeleton: Skeleton, buffer: GlbBuffer) -> dict[str, Any]:
-    # At rest nothing is turned, so an inverse bind matrix only moves the joint to the origin; columns come first.
+    # Rest rotations are identities, so an inverse bind matrix is a translation to the origin; in column-major order.
     inverse = np.tile(np.eye(4, dtype=np.float32), (skeleton.num_joints, 1, 1))
     inverse[:, 3, :3] = -rest_positions(skeleton)
     return {"joints": list(range(skeleton.num_joints)), "skeleton": 0, "inverseBindMatrices": buffer.add(inverse)}

@@ -1,8 +1,8 @@
 """HumanAct12: 1,191 clips of 12 actions, (T, 24, 3) joints in metres, 20 fps, the action's code in the file name.
 
-Source: https://github.com/EricGuo5513/action-to-motion. Its author says that the capture really ran at 15 fps
-(HumanML3D issue 124) and users report left and right swapped (issue 147): `--fps 15` sets the one; the files' sides are
-kept as they are.
+Source: https://github.com/EricGuo5513/action-to-motion. According to its author, the capture really ran at 15 fps
+(HumanML3D issue 124; set `--fps 15`). Users report that left and right are swapped (issue 147); the files' sides are
+not changed.
 """
 
 import re
@@ -36,7 +36,7 @@ ACTIONS = (
 
 
 def accepts(path: Path) -> bool:
-    """Whether a .npy file is a HumanAct12 clip: its name has the dataset's form and its array is [T, 24, 3]."""
+    """Whether a .npy file is a HumanAct12 clip: its name has the data set's form and its array is [T, 24, 3]."""
     shape = npy.peek_shape(path)
     return NAME.fullmatch(path.stem) is not None and (shape is None or shape[1:] == (NUM_JOINTS, 3))
 

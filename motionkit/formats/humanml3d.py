@@ -32,7 +32,7 @@ JOINTS_FOLDER, VECTORS_FOLDER, TEXTS_FOLDER = "new_joints", "new_joint_vecs", "t
 
 @dataclass(frozen=True)
 class Layout:
-    """One of the two published datasets of this shape; `unit_metres` is how long a unit of its files is."""
+    """One of the two published data sets of this form; `unit_metres` is the length of its files' unit."""
 
     name: str
     skeleton: Skeleton
@@ -46,7 +46,7 @@ class Layout:
 
 
 def vector_blocks(num_joints: int) -> tuple[slice, ...]:
-    """The 7 parts of a pose vector of 12·J − 1 numbers, inside each of which the published Std is one number.
+    """The 7 blocks of a pose vector of 12·J − 1 numbers, inside each of which the published Std is constant.
 
     Root yaw rate, root velocity, root height, joint positions, joint rotations, joint velocities, contacts.
     """
@@ -56,14 +56,14 @@ def vector_blocks(num_joints: int) -> tuple[slice, ...]:
 
 
 HUMANML3D = Layout("humanml3d", SMPL22, Fraction(20), 1.0)
-# KIT-ML's files have the root at 560 units on average, the hips' height of a body of 1,000; here that is 1.7 m tall.
+# KIT-ML's files have the root at 560 units on average, the hip height of a body of 1,000; that is taken as 1.7 m.
 BODY_HEIGHT_METRES = 1.7
 KIT = Layout("kit", KIT21, Fraction(25, 2), BODY_HEIGHT_METRES / 1000.0)
 LAYOUTS = {layout.name: layout for layout in (HUMANML3D, KIT)}
 
 
 def claims(folder: Path, layout: Layout = HUMANML3D) -> bool:
-    """Whether a folder is one of this layout, judged by the shape of the first array that states one."""
+    """Whether a folder has this layout, judged by the first array with a valid shape."""
     for name, shape in (
         (JOINTS_FOLDER, (layout.skeleton.num_joints, 3)),
         (VECTORS_FOLDER, (layout.num_values,)),
@@ -114,7 +114,7 @@ def find(folder: Path, root: Path, layout: Layout = HUMANML3D) -> ScanResult:
 
 
 def files_of_folder(folder: Path) -> Iterator[Path]:
-    """The files of a folder's arrays, texts, splits and statistics, and what says its framerate."""
+    """The files of a folder's arrays, texts, splits, statistics and framerate."""
     for name in (JOINTS_FOLDER, VECTORS_FOLDER):
         yield from (folder / name).glob("*.npy")
     yield from (folder / TEXTS_FOLDER).glob("*.txt")
@@ -123,10 +123,10 @@ def files_of_folder(folder: Path) -> Iterator[Path]:
 
 
 def read_humanml3d(item: SourceItem, options: ReadOptions, layout: Layout = HUMANML3D) -> Motion:
-    """Read one sequence: joints where the folder has them, else recovered from its pose vectors, in metres.
+    """Read one sequence: joints if the folder has them, else recovered from its pose vectors, in metres.
 
-    The framerate is the published one unless the folder's `motions.json` (formats/joints_npy.py) or `options` say
-    another. The published 6D rotations have lost their twist and are not offered as rotations. Raises `FormatError`.
+    The framerate is the published one unless the folder's `motions.json` (formats/joints_npy.py) or `options` gives
+    another. The published 6D rotations lack twist and are not used as rotations. Raises `FormatError`.
     """
     data = source_file.read_bytes(item.path)
     operations: list[str] = []
@@ -162,8 +162,8 @@ def recover_positions(
 ) -> Float32[np.ndarray, "frames joints 3"]:
     """Joint positions, in the vectors' own unit, from the first 4 + 3·(J − 1) of 12·J − 1 numbers.
 
-    The yaw rate (half angles per frame) and the root's displacements are summed from the first frame on, so errors add
-    up; the other joints are read from their root-relative positions. Source: HumanML3D, recover_from_ric.
+    The yaw rate (half angles per frame) and the root's displacements are integrated from the first frame, so errors
+    accumulate; the other joints come from their root-relative positions. Source: HumanML3D, recover_from_ric.
     """
     values = vectors.astype(np.float64)
     angle = np.zeros(len(values))
@@ -182,7 +182,7 @@ def recover_positions(
 def _turned_back(
     vectors: Float64[np.ndarray, "frames joints 3"], angle: Float64[np.ndarray, "frames"]
 ) -> Float64[np.ndarray, "frames joints 3"]:
-    # The inverse of the heading quaternion (cos, 0, sin, 0): a turn about y by −angle.
+    # The inverse of the heading quaternion (cos, 0, sin, 0): a rotation about y by −angle.
     cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
     return np.stack((cosine * x - sine * z, y, sine * x + cosine * z), axis=-1)
@@ -190,7 +190,7 @@ def _turned_back(
 
 @dataclass(frozen=True)
 class Entry:
-    """One sequence to write: joints in the layout's unit, its pose vectors if there are any, captions and split."""
+    """A sequence to write: joints in the layout's unit, pose vectors if any, captions and split."""
 
     name: str
     joint_positions: Float32[np.ndarray, "frames joints 3"]
@@ -200,9 +200,9 @@ class Entry:
 
 
 class FolderWriter:
-    """Writes a folder of the published form sequence by sequence; owns lists of names and what Mean, Std are made of.
+    """Writes a folder of the published form sequence by sequence; owns lists of names and the moments of Mean and Std.
 
-    `layout.fps` says how long the sequences are, for captions that last to their end.
+    `layout.fps` gives the sequences' durations, for captions that last to their end.
     """
 
     def __init__(self, folder: Path, layout: Layout = HUMANML3D) -> None:
@@ -216,7 +216,7 @@ class FolderWriter:
             (folder / name).mkdir(parents=True, exist_ok=True)
 
     def add(self, entry: Entry) -> None:
-        """Write one sequence; raises `ValueError` for a name that is repeated or no plain file name."""
+        """Write one sequence; raises `ValueError` for a repeated name or one that is not a plain file name."""
         if Path(entry.name).name != entry.name or entry.name in self._names:
             raise ValueError(f"{entry.name!r} is not a plain file name, or is repeated")
         self._names.add(entry.name)
@@ -240,7 +240,7 @@ class FolderWriter:
         """Write the splits, `Mean.npy` and `Std.npy`; returns the number of sequences.
 
         The statistics (in float64; Std averaged inside each block, as published) are of the training vectors, or of
-        all where no sequence is marked train.
+        all vectors if no sequence is in the training split.
         """
         members = {**self._members, "train_val": [*self._members["train"], *self._members["val"]]}
         for split, names in members.items():

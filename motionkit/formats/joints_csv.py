@@ -1,7 +1,7 @@
-"""Joint positions as a CSV table: a row a frame, `time_seconds` or `frame`, then JOINT_x, JOINT_y, JOINT_z in metres.
+"""Joint positions as a CSV table: a row per frame, `time_seconds` or `frame`, then JOINT_x, JOINT_y, JOINT_z in metres.
 
-The header names the joints; those of a standard layout, in any order, are that layout, all others hang from the first
-(a table has no bones; an .npz has). `frame` counts frames and needs a framerate from an annotation CSV or an option.
+The header names the joints; those of a standard layout, in any order, give that layout, otherwise all are children of
+the first (tables have no bones). `frame` counts frames and needs a framerate from an annotation CSV or an option.
 """
 
 import csv
@@ -30,13 +30,13 @@ from motionkit.formats.source.body_frame import in_metres
 TIME, FRAME = "time_seconds", "frame"
 AXES = ("x", "y", "z")
 HEADER_BYTES = 1 << 20
-# What pyarrow says; rows are lines, the header being the first.
+# pyarrow's messages; rows are lines, the header is the first.
 NO_NUMBER = re.compile(r"column #(\d+): Row #(\d+): .*invalid value '(.{0,40}?)'")
 OTHER_WIDTH = re.compile(r"Row #(\d+): Expected (\d+) columns, got (\d+)")
 
 
 def accepts(path: Path) -> bool:
-    """Whether a CSV's first row has a clock and at least one joint, and no robots' table of turns; reads no further."""
+    """Whether a CSV's first row has a clock and at least one joint, and is not of `robot_csv`; reads no further."""
     names = source_file.header_names(path)
     is_ours = any(name.endswith("_x") for name in names) and "root_qw" not in names
     return is_ours and (TIME in names or FRAME in names)
@@ -94,7 +94,7 @@ def _header(data: bytes, path: Path) -> tuple[str, ...]:
 
 
 def _joints(names: tuple[str, ...], path: Path) -> tuple[str, ...]:
-    """Joint names in order of appearance; every joint has three columns and no other columns are there."""
+    """Joint names in order of appearance; every joint must have three columns, without any other columns."""
     joints = tuple(dict.fromkeys(name[:-2] for name in names if name[-2:] in ("_x", "_y", "_z")))
     expected = {f"{joint}_{axis}" for joint in joints for axis in AXES}
     odd = sorted(expected.symmetric_difference(set(names) - {TIME, FRAME}))
@@ -174,7 +174,7 @@ def _fps_if_even(seconds: Float64[np.ndarray, "frames"], path: Path) -> Fraction
 
 
 def _skeleton(joints: tuple[str, ...]) -> tuple[Skeleton | None, tuple[str, ...]]:
-    """A standard skeleton that has just these joints, and the order in which to take the columns."""
+    """The standard skeleton with exactly these joints, and the order of their columns."""
     for skeleton in STANDARD_SKELETONS.values():
         if set(joints) == set(skeleton.joint_names):
             return skeleton, skeleton.joint_names

@@ -1,7 +1,7 @@
 """Kimodo's .npz: `posed_joints` [T, J, 3] in metres, y up, and `global_rot_mats` [T, J, 3, 3].
 
-Bodies are SOMA of 30 or 77 joints and SMPL-X of 22, whose joints the file does not name; its 30 fps it does not say
-either. `foot_contacts` and what else can be computed from the joints is left. Source:
+Bodies are SOMA with 30 or 77 joints and SMPL-X with 22; files state neither joint names nor the framerate of 30 fps.
+`foot_contacts` and other arrays that can be computed from the joints are ignored. Source:
 https://github.com/nv-tlabs/kimodo (skeleton/definitions.py).
 """
 
@@ -23,7 +23,7 @@ from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.source import clock, rigid, source_file
 
 Bones = tuple[tuple[str, str], ...]
-"""Joints, each with the one above it."""
+"""Joints, each with its parent."""
 
 FPS = Fraction(30)
 JOINTS, ROTATIONS = "posed_joints", "global_rot_mats"
@@ -81,7 +81,7 @@ def accepts(path: Path) -> bool:
 
 
 def read_kimodo(path: Path, options: ReadOptions | None = None) -> Motion:
-    """Read one file: positions as they are, local rotations where the file's reproduce them on bones of one length.
+    """Read one file: positions, and local rotations if they reproduce these with bones of constant length.
 
     Raises `FormatError` (`channel-count`) for another number of joints, such as the robot's 34.
     """

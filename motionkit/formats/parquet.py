@@ -1,8 +1,8 @@
-"""Motions as rows of Parquet files: what `motionkit export --format parquet` writes, read again.
+"""Motions as rows of Parquet files, as written by `motionkit export --format parquet`.
 
-A row is a sequence and needs nothing but itself; arrays are flat lists, frame by frame. `sequence_id`,
-`joint_positions`, `num_joints` and a framerate (`fps_numerator` and `fps_denominator`, or `fps`) are required, all
-other columns may be missing. A folder is one of this form where its files, or those in its folder `data`, have these.
+A row is a self-contained sequence; arrays are flat lists, frame by frame. `sequence_id`, `joint_positions`,
+`num_joints` and a framerate (`fps_numerator` and `fps_denominator`, or `fps`) are required, all other columns are
+optional. A folder has this form if its files, or those in its folder `data`, have the required columns.
 """
 
 import hashlib
@@ -34,9 +34,9 @@ from motionkit.formats.source.body_frame import in_metres
 DATA_FOLDER = "data"
 CARD = "README.md"
 REQUIRED = frozenset(("sequence_id", "joint_positions", "num_joints"))
-# What a scan reads of every row.
+# Columns that a scan reads.
 STATED = ("sequence_id", "source", "subset", "licence")
-# A row group is unpacked whole.
+# A row group is decoded as a whole.
 MAX_ROW_GROUP_BYTES = 2 << 30
 CHECKSUMS = "checksums.json"
 MEND = "export again, or restore the file from a copy"
@@ -101,12 +101,12 @@ def read_parquet(item: SourceItem, options: ReadOptions) -> Motion:
 
 
 def beside(folder: Path) -> tuple[Path, ...]:
-    """What an export writes beside the folder of its rows."""
+    """The files that an export writes beside the folder of its rows."""
     return folder / CHECKSUMS, folder / CARD
 
 
 def _require_intact(path: Path) -> None:
-    # Of other files nobody knows what they should be.
+    # Without recorded checksums there is nothing to compare with.
     record = path.parent.parent / CHECKSUMS
     try:
         intact = not record.is_file() or sha256_of(path) == read_json(record, MEND).get(path.name)
@@ -216,7 +216,7 @@ def _frames(row: Mapping[str, Any], name: str, shape: tuple[int, ...], path: Pat
 
 
 def _caption(value: str | Mapping[str, Any]) -> Caption:
-    # A list of plain sentences is what most tables have.
+    # Most tables have a list of plain sentences.
     if isinstance(value, str):
         return Caption(value)
     return Caption(
@@ -259,7 +259,7 @@ def _array(row: Mapping[str, Any], name: str) -> np.ndarray:
 
 
 def _sha256(fps: Fraction, *arrays: Float32[np.ndarray, "frames ..."] | None) -> str:
-    """Hash of what the row holds: a file holds thousands, and is not read for each."""
+    """Hash of the row's contents, not of its file, which holds thousands of rows."""
     digest = hashlib.sha256(str(fps).encode())
     for array in arrays:
         digest.update(b"-" if array is None else np.ascontiguousarray(array, "<f4").tobytes())

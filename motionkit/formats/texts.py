@@ -1,6 +1,6 @@
-"""HumanML3D's text files: one caption a line, `caption#word/POS word/POS …#start#end`, in seconds.
+"""HumanML3D's text files: one caption per line, `caption#word/POS word/POS …#start#end`, in seconds.
 
-0.0#0.0 means the whole motion; so does nan. Source: https://github.com/EricGuo5513/HumanML3D (texts.zip, README).
+0.0#0.0 and nan mean the whole motion. Source: https://github.com/EricGuo5513/HumanML3D (texts.zip, README).
 """
 
 import math
@@ -13,7 +13,7 @@ from motionkit.formats.source import source_file
 
 
 def read_texts(path: Path) -> tuple[Caption, ...]:
-    """Captions with their segments; swapped ends are put right. A line without `#` is a caption of the whole motion.
+    """Captions with their segments; swapped ends are reordered. A line without `#` is a caption of the whole motion.
 
     Raises `FormatError` (`text`, `encoding`, `empty`) naming the line.
     """
@@ -58,10 +58,10 @@ SPLITS = ("train", "val", "test")
 
 
 def read_splits(folder: Path, known: Collection[str], where: str) -> tuple[dict[str, str], list[FormatError]]:
-    """Split by name, and a warning (`split-without-motion`) for each file with names that `where` does not know.
+    """Split by name, and a warning (`split-without-motion`) for each file with names not in `known`.
 
-    Where none of a file's names is known, the warning shows one of each side: they are spelled differently, or the
-    files are another corpus's.
+    If none of a file's names is known, the warning shows one of each side: the spelling differs, or the files belong
+    to another corpus.
     """
     splits: dict[str, str] = {}
     warnings: list[FormatError] = []

@@ -1,7 +1,7 @@
-"""TRC: tracks of markers, or of the joints that markerless systems see, as OpenSim's table of text.
+"""TRC: tracks of markers, or of joints from markerless systems, as OpenSim's text table.
 
-Five lines of header (file, names of the values, the values, names of the markers, axes), then a row a frame: number,
-time, x, y, z of every marker, separated by tabs; empty cells, NaN and 0, 0, 0 are a marker that was not seen. Source:
+Five header lines (file, names of the values, the values, names of the markers, axes), then one row per frame: number,
+time, x, y, z of every marker, separated by tabs; empty cells, NaN and 0, 0, 0 are markers not visible. Source:
 OpenSim's user's guide, "Marker (.trc) Files"; https://github.com/perfanalytics/pose2sim writes them.
 """
 
@@ -28,9 +28,9 @@ NOT_SEEN = ("", "nan")
 
 
 def read_trc(path: Path, options: ReadOptions | None = None) -> Motion:
-    """Read one table as positions in metres, y up, with gaps as `formats.c3d` has them; raises `FormatError`.
+    """Read one table as positions in metres, y up, with gaps treated as in `formats.c3d`; raises `FormatError`.
 
-    Where the markers are joints by their names, the body says which way is up, y, z or −y; else y is, as in OpenSim.
+    If the markers are joints by their names, up is inferred from the body (y, z or −y); else it is y, as in OpenSim.
     """
     options = options or ReadOptions()
     data = source_file.read_bytes(path)
@@ -64,7 +64,7 @@ def read_trc(path: Path, options: ReadOptions | None = None) -> Motion:
 
 
 def _header(lines: list[str], path: Path) -> tuple[dict[str, str], list[str]]:
-    """The values that the header states by their names, and the markers' names."""
+    """The header's values by name, and the markers' names."""
     if len(lines) < HEADER_LINES or not lines[0].startswith("PathFileType"):
         message = f"{HEADER_LINES} lines of header were expected, the first of them PathFileType"
         raise FormatError(message, path=path, reason="not-what-it-says", line=1)

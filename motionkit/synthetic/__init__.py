@@ -1,4 +1,4 @@
-"""Procedural human motions with exact ground truth at any instant: the embedded demo corpus, the tests' known answers.
+"""Procedural human motions with exact ground truth at any time, for the embedded demo corpus and the tests.
 
 `perform` gives a random performance of named actions by a body; the result is a `MotionField`, so
 `motionkit.fields.motion_field.to_motion(field, fps)` samples it at any framerate.

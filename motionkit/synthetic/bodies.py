@@ -31,10 +31,10 @@ LIMBS = {"legs": ("knee", "ankle"), "arms": ("elbow", "wrist"), "trunk": ("spine
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A person: a skeleton named like SMPL's 22 joints, and the lengths in metres that moving needs.
+    """A person: a skeleton with the names of SMPL's 22 joints, and lengths in metres used by the actions.
 
     `leg_length` is thigh + shin; `ankle_height` the ankle's height over the floor when the foot is flat;
-    `hip_drop` how far the hips lie under the pelvis; `stance_half_width` half the distance between the standing feet.
+    `hip_drop` the hips' distance below the pelvis; `stance_half_width` half the distance between the standing feet.
     """
 
     name: str
@@ -49,7 +49,7 @@ class Body:
 def make_body(
     name: str, height: float = REFERENCE_HEIGHT, legs: float = 1.0, arms: float = 1.0, trunk: float = 1.0
 ) -> Body:
-    """A body of a height in metres; `legs`, `arms` and `trunk` stretch those bones before the height is scaled."""
+    """A body with a height in metres; `legs`, `arms` and `trunk` scale those bones before the whole is scaled."""
     stretch = {
         bone: factor for limb, factor in (("legs", legs), ("arms", arms), ("trunk", trunk)) for bone in LIMBS[limb]
     }

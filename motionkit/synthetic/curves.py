@@ -20,9 +20,9 @@ def smoothstep(u: Float64[np.ndarray, "*shape"]) -> Float64[np.ndarray, "*shape"
 
 
 def glide(u: Float64[np.ndarray, "*shape"], ramp: float = 0.35) -> Float64[np.ndarray, "*shape"]:
-    """0 below u = 0, 1 above u = 1, between them at constant speed but for smooth ramps of length `ramp`.
+    """0 below u = 0, 1 above u = 1, at constant speed between them except for smooth ramps of length `ramp`.
 
-    Its highest speed is 1 / (1 − ramp), where `smoothstep` has 1.875: a swinging foot moves like this.
+    Its maximum speed is 1 / (1 − ramp), against 1.875 for `smoothstep`; used for swinging feet.
     """
     x = np.clip(u, 0.0, 1.0)
     return np.asarray(np.where(x < 0.5, _eased(x, ramp), (1.0 - ramp) - _eased(1.0 - x, ramp)) / (1.0 - ramp))
@@ -76,7 +76,7 @@ def scaled(factor: float, curve: Curve) -> Curve:
 
 
 def shock(start: float, height: float, frequency_hertz: float = 17.0) -> Curve:
-    """A damped oscillation that begins at `start`: what a heel strike sends up the body."""
+    """A damped oscillation that begins at `start`, as after a heel strike."""
     return partial(_shock_at, start=start, height=height, frequency_hertz=frequency_hertz)
 
 

@@ -1,7 +1,7 @@
-"""The embedded demo corpus: synthetic motions at eight framerates, on disk in the formats that real corpora come in.
+"""The embedded demo corpus: synthetic motions at eight framerates, on disk in the formats of real corpora.
 
-Most are BVH files with a CSV of captions, actions and splits beside them; those at 20 fps are also what a HumanML3D
-folder holds. So whatever uses it goes through the same readers as a real corpus.
+Most are BVH files with a CSV of captions, actions and splits beside them; those at 20 fps also form a HumanML3D
+folder. It is therefore read by the same readers as a real corpus.
 """
 
 import csv
@@ -21,8 +21,7 @@ from motionkit.synthetic import ACTIONS, Body, SyntheticMotion, draw_body, perfo
 from motionkit.synthetic.curves import band_noise
 from motionkit.synthetic.script import SIDES, Layer
 
-# Shares of the corpus: half of it at 60 fps and above, so that there is something to compare with at every framerate
-# of Table 2.
+# Shares of the corpus: half of it at 60 fps and above, so that every framerate of Table 2 has reference motions.
 BVH_SHARES = {20: 20, 24: 20, 30: 40, 50: 32, 60: 52, 100: 32, 120: 62, 250: 22}
 HUMANML3D_SHARE = 40
 NUM_PERFORMERS = 12
@@ -35,7 +34,7 @@ LICENCE = "CC0 1.0 (public domain): synthetic motions made by motionkit, no capt
 
 @dataclass(frozen=True, eq=False)
 class DemoSequence:
-    """One performance of the corpus before it is written; `name` is its file's."""
+    """A performance of the corpus before it is written; `name` is its file name."""
 
     name: str
     fps: Fraction
@@ -46,7 +45,7 @@ class DemoSequence:
 
 @dataclass(frozen=True)
 class DemoCorpus:
-    """What was written: the folder to ingest, and how much is in it."""
+    """The written corpus: the folder to ingest, and its size."""
 
     folder: Path
     num_bvh: int
@@ -98,7 +97,7 @@ def _framerates(num_sequences: int) -> list[Fraction]:
     shares = np.array([HUMANML3D_SHARE, *BVH_SHARES.values()], dtype=np.float64)
     counts = np.maximum(np.floor(num_sequences * shares / shares.sum()).astype(int), 1)
     counts[0] = round(num_sequences * shares[0] / shares.sum())
-    # What rounding leaves over, or takes away, is made up at the commonest framerate.
+    # The commonest framerate absorbs the rounding error.
     counts[1 + int(np.argmax(shares[1:]))] += num_sequences - int(counts.sum())
     rates = np.repeat([20, *BVH_SHARES], counts)
     return [Fraction(int(rate)) for rate in rates]
@@ -107,7 +106,7 @@ def _framerates(num_sequences: int) -> list[Fraction]:
 def _draw(index: int, fps: Fraction, seed: int, performers: Sequence[Body]) -> DemoSequence:
     rng = np.random.default_rng((seed, 1, index))
     names = tuple(ACTIONS)
-    # 7 has no divisor in common with the number of actions: every framerate meets every action.
+    # 7 is coprime to the number of actions: every framerate gets every action.
     actions = [names[(7 * index) % len(names)]]
     if rng.random() < COMBINED:
         others = [name for name in names if name != actions[0]]
@@ -115,7 +114,7 @@ def _draw(index: int, fps: Fraction, seed: int, performers: Sequence[Body]) -> D
     body = performers[int(rng.integers(len(performers)))]
     shortest = SHORTEST_SECONDS if len(actions) == 1 else 4.8
     seconds = shortest + (LONGEST_SECONDS - shortest) * float(rng.beta(1.3, 2.0))
-    # A whole number of frames, so that the last frame is the motion's end.
+    # An integer number of frames, so that the last frame is the motion's end.
     seconds = float(round(seconds * fps) / fps)
     name = f"{index:06d}_{'_then_'.join(actions)}"
     field = perform(rng, body, actions, seconds)
@@ -124,16 +123,16 @@ def _draw(index: int, fps: Fraction, seed: int, performers: Sequence[Body]) -> D
 
 
 def _soft_soles(rng: np.random.Generator) -> tuple[Layer, ...]:
-    """What skin, shoes and capture leave of a standing foot: it moves by a millimetre or so, never by nothing.
+    """Small movements of planted feet, about a millimetre, as caused by skin, shoes and capture noise.
 
-    Beside feet that stand exactly still, every model's foot sliding would be infinitely worse than the corpus's.
+    If planted feet did not move at all, every model's foot sliding would be infinitely worse than the corpus's.
     """
     directions = ("foot_forward", "foot_out")
     return tuple(Layer(f"{side}_{way}", band_noise(rng, SOLE_METRES, 0.3, 6.0)) for side in SIDES for way in directions)
 
 
 def humanml3d_entries(sequences: Sequence[DemoSequence]) -> Iterator[Entry]:
-    """Performances as a published HumanML3D folder holds them: at 20 fps, joints processed and their vectors."""
+    """Performances as entries of a HumanML3D folder: at 20 fps, processed joints and pose vectors."""
     for sequence in sequences:
         joints = to_motion(sequence.field, HUMANML3D.fps).joint_positions
         processed = humanml3d.process(joints, "smpl22")

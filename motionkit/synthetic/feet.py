@@ -1,4 +1,4 @@
-"""Where the feet are: planted exactly between swings, carried along smooth arcs during them."""
+"""Paths of the feet: exactly planted between swings, along smooth arcs during them."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from motionkit.synthetic.curves import glide, smoothstep
 from motionkit.synthetic.script import Swing, Trajectory, turned
 
 TOE_OUT = 0.12  # radians
-TOE_DOWN_LAG = 0.30  # how long after touchdown the toe still comes down, as a fraction of the swing's duration
+TOE_DOWN_LAG = 0.30  # time from touchdown until the toe is down, as a fraction of the swing's duration
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,8 +18,8 @@ class FootPath:
     """One foot at some instants.
 
     `base` [T, 3] is the ankle of the flat foot (m, world); `yaw`, `heel_rise`, `toe_up` in radians; `airborne` is 0
-    where the foot is planted and reaches 1 in the middle of a swing. While planted, the toe stays exactly where it is
-    as long as `toe_up` is 0, and the ankle as long as `heel_rise` is 0.
+    where the foot is planted and reaches 1 in the middle of a swing. While planted, the toe is exactly stationary
+    while `toe_up` is 0, and the ankle while `heel_rise` is 0.
     """
 
     base: Float64[np.ndarray, "times 3"]
@@ -30,19 +30,19 @@ class FootPath:
 
     @property
     def ankle_planted(self) -> Bool[np.ndarray, " times"]:
-        """Where the ankle does not move."""
+        """Mask of the times at which the ankle is stationary."""
         return np.asarray((self.airborne == 0.0) & (self.heel_rise == 0.0))
 
     @property
     def toe_planted(self) -> Bool[np.ndarray, " times"]:
-        """Where the toe does not move."""
+        """Mask of the times at which the toe is stationary."""
         return np.asarray((self.airborne == 0.0) & (self.toe_up == 0.0))
 
 
 def foot_path(
     side: str, swings: tuple[Swing, ...], trajectory: Trajectory, body: Body, times: Float64[np.ndarray, " times"]
 ) -> FootPath:
-    """The path of one foot through its swings; raises `ValueError` where two swings of a foot overlap."""
+    """The path of one foot through its swings; raises `ValueError` if two swings overlap."""
     own = sorted((swing for swing in swings if swing.side == side), key=lambda swing: swing.liftoff)
     liftoff = np.array([swing.liftoff for swing in own])
     touchdown = np.array([swing.touchdown for swing in own])

@@ -28,7 +28,7 @@ class Spring:
 def _spring(start: float, crouch: float, rise: float, dip: float) -> tuple[Spring, float, float, float]:
     """Height of the pelvis (m over standing) through crouch, flight and landing; liftoff, touchdown and end in s.
 
-    A C² piecewise quintic whose flight is exactly a parabola: speed and −g are given at both ends of it.
+    A C² piecewise quintic whose flight is exactly a parabola: speed and −g are prescribed at both of its ends.
     """
     speed = float(np.sqrt(2.0 * GRAVITY * rise))
     flight = 2.0 * speed / GRAVITY

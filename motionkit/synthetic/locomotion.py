@@ -1,4 +1,4 @@
-"""Actions that travel: walking in all its directions, jogging, running, marching and turning on the spot."""
+"""Locomotion: walking in all directions, jogging, running, marching and turning on the spot."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True)
 class Gait:
-    """How somebody steps: m, m/s, strides per second, radians; `duty` is the fraction of a stride a foot stands."""
+    """Parameters of a gait: m, m/s, strides per second, radians; `duty` is the stance fraction of a stride."""
 
     forward_speed: float
     cadence: float
@@ -36,7 +36,7 @@ class Gait:
 def travel(
     rng: np.random.Generator, gait: Gait, start: float, end: float
 ) -> tuple[tuple[Layer, ...], tuple[Swing, ...], Curve]:
-    """Layers and swings of stepping from standing at `start` to standing at `end`, and the envelope of its speed."""
+    """Layers and swings of locomotion from standing at `start` to standing at `end`, and the envelope of its speed."""
     stride = 1.0 / gait.cadence
     first = SIDES[int(rng.integers(2))]
     swings = _alternating(rng, gait, first, start, end)
@@ -45,7 +45,7 @@ def travel(
     lead = 0.0 if first == "left" else 0.5
     left_middle = start + (1.0 - gait.duty / 2.0 + lead) * stride
     sign = -1.0 if gait.forward_speed < 0.0 else 1.0
-    # Walking, the body is highest over the standing leg; with a flight phase (duty < 1/2) it is lowest there.
+    # In walking the body is highest over the stance leg; with a flight phase (duty < 1/2) it is lowest there.
     rising = -1.0 if gait.duty > 0.5 else 1.0
     fore_aft = scaled(sign, product(moving, wave(gait.cadence, left_middle)))
     over_left = product(moving, cosine(gait.cadence, left_middle))
@@ -89,7 +89,7 @@ def _alternating(rng: np.random.Generator, gait: Gait, first: str, start: float,
             lift=gait.lift * float(uneven[k]),
             heel_rise=gait.heel_rise * float(uneven[k]),
             toe_up=gait.toe_up * float(uneven[k]),
-            # Running, the heel must not rise before the foot has landed.
+            # In running the heel must not rise before the foot has landed.
             heel_lead=min(0.7, 0.7 * gait.duty / (1.0 - gait.duty)),
             out=gait.out,
         )

@@ -1,4 +1,4 @@
-"""Synthetic motions, exact at every instant: actions put together, one after another, with captions in varied words."""
+"""Synthetic motions, exact at every time: sequences of actions with varied captions."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -58,9 +58,9 @@ RUN_IN_SECONDS = 3.0
 
 @dataclass(frozen=True, eq=False)
 class SyntheticMotion:
-    """A `MotionField` on [0, end_seconds] with exact ground truth: any framerate samples the same functions of time.
+    """A `MotionField` on [0, end_seconds] with exact ground truth: all framerates sample the same functions of time.
 
-    The floor is y = 0; the pelvis starts over the origin with `heading` radians about +Y (0 faces +Z).
+    The floor is y = 0; the pelvis starts above the origin with a heading of `heading` radians about +Y (0 faces +Z).
     """
 
     body: Body
@@ -83,7 +83,7 @@ class SyntheticMotion:
 
     @cached_property
     def trajectory(self) -> Trajectory:
-        """The path on the floor, some seconds longer than the motion at both ends for steps that cross them."""
+        """The path on the floor, some seconds longer than the motion at both ends, for steps that cross these."""
         return integrate(self.layers, -RUN_IN_SECONDS, self.end_seconds + RUN_IN_SECONDS, self.heading)
 
     def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
@@ -93,7 +93,7 @@ class SyntheticMotion:
         return pose(self.body, self.trajectory, feet, evaluate(self.layers, times_seconds), times_seconds)
 
     def contacts(self, times_seconds: Float64[np.ndarray, "times"]) -> Bool[np.ndarray, "times 4"]:
-        """Whether left ankle, left toe, right ankle, right toe stand still on the floor by construction."""
+        """Ground-truth contacts of left ankle, left toe, right ankle, right toe: stationary on the floor."""
         check_times(self, times_seconds)
         planted = [self._foot(side, times_seconds) for side in SIDES]
         return np.stack([contact for foot in planted for contact in (foot.ankle_planted, foot.toe_planted)], axis=-1)
@@ -103,10 +103,10 @@ class SyntheticMotion:
 
 
 def perform(rng: np.random.Generator, body: Body, actions: Sequence[str], duration_seconds: float) -> SyntheticMotion:
-    """A random performance of one action, or of several one after another, with captions and an action label.
+    """A random performance of one action or a sequence of several, with captions and an action label.
 
-    The label is the first action's. Raises `UsageError` for an unknown action, and where less than two seconds are
-    left for each.
+    The label is the first action's. Raises `UsageError` for an unknown action, and for less than two seconds per
+    action.
     """
     unknown = [action for action in actions if action not in ACTIONS]
     if unknown or not actions:
@@ -128,7 +128,7 @@ def perform(rng: np.random.Generator, body: Body, actions: Sequence[str], durati
 
 
 def _sequence(rng: np.random.Generator, body: Body, actions: Sequence[str], duration: float) -> list[Part]:
-    """The parts in time; a single travelling action may already be under way at 0 and go on after the end."""
+    """The parts in order of time; a single locomotion action may begin before 0 and end after the end."""
     if len(actions) == 1:
         under_way = actions[0] in TRAVELLING and rng.random() < 0.5
         start = -float(rng.uniform(1.0, 2.0)) if under_way else float(rng.uniform(0.05, 0.2))
@@ -148,7 +148,7 @@ def _sequence(rng: np.random.Generator, body: Body, actions: Sequence[str], dura
 
 
 def posture(rng: np.random.Generator) -> tuple[Layer, ...]:
-    """How a performer holds and breathes: constant angles, slow sway, and a tremor of up to 45 Hz."""
+    """Posture and breathing of a performer: constant angles, slow sway, and a tremor of up to 45 Hz."""
     slouch = float(rng.normal(0.03, 0.03))
     breath = float(rng.uniform(0.2, 0.35))
     layers = [
@@ -177,7 +177,7 @@ def posture(rng: np.random.Generator) -> tuple[Layer, ...]:
 
 
 def _captions(rng: np.random.Generator, parts: Sequence[Part], duration: float) -> tuple[Caption, ...]:
-    """Three sentences about the whole motion; of several actions also one about each, with its seconds."""
+    """Three captions of the whole motion; for several actions also one of each, with its seconds."""
     captions = []
     subjects = (*SUBJECTS, "a man" if rng.random() < 0.5 else "a woman")
     for index in rng.permutation(max(3, len(parts[0].phrases)))[:3]:

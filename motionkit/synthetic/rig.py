@@ -13,11 +13,11 @@ from motionkit.synthetic.script import SIDES, Trajectory, turned
 Channels = dict[str, Float64[np.ndarray, " times"]]
 
 STANDING_STRETCH = 0.985  # of a leg's length when standing upright
-PLANTED_STRETCH = 0.986  # the pelvis is kept low enough for a planted leg never to need more than this
-STRETCH_MARGIN = 0.010  # within which a leg that reaches for more saturates smoothly
+PLANTED_STRETCH = 0.986  # maximum for a planted leg; the pelvis is kept low enough for it
+STRETCH_MARGIN = 0.010  # width of the smooth saturation of a leg's length
 SOFT_MINIMUM_PER_METRE = 220.0
-SWING_FLEXION = 0.09  # by which a leg stays shorter in the middle of a swing
-FREED_BY_SWING = 0.08  # metres by which a leg in the air ceases to hold the pelvis down
+SWING_FLEXION = 0.09  # shortening of a leg in the middle of a swing
+FREED_BY_SWING = 0.08  # metres by which a leg in the air relaxes its limit on the pelvis' height
 JOINT = {name: index for index, name in enumerate(SMPL22.joint_names)}
 
 
@@ -86,7 +86,7 @@ def _pose_arm(local: Float64[np.ndarray, "times 22 3 3"], side: str, channels: C
 def _ankle(
     body: Body, side: str, foot: FootPath, heading: Float64[np.ndarray, " times"], channels: Channels
 ) -> Float64[np.ndarray, "times 3"]:
-    """Where the ankle should be: the flat foot's, turned about the planted toe as the heel rises."""
+    """The ankle's target: the flat foot's ankle, rotated about the planted toe as the heel rises."""
     sign = 1.0 if side == "left" else -1.0
     toe = body.skeleton.offsets[JOINT[f"{side}_foot"]].astype(np.float64)
     flat = turned(np.broadcast_to(toe, foot.base.shape), foot.yaw)
@@ -107,7 +107,7 @@ def _pelvis(
     channels: Channels,
     times: Float64[np.ndarray, " times"],
 ) -> Float64[np.ndarray, "times 3"]:
-    """The pelvis over its path: as high as wished, but never so high that a planted foot would have to move."""
+    """The pelvis above its path, at the desired height or lower, so that planted feet stay within reach."""
     aside = np.stack((channels["pelvis_left"], np.zeros(times.size), channels["pelvis_forward"]), axis=-1)
     root: Float64[np.ndarray, "times 3"] = trajectory.position(times) + turned(aside, heading)
     upright = body.ankle_height + STANDING_STRETCH * body.leg_length + body.hip_drop
@@ -122,7 +122,7 @@ def _pelvis(
 
 
 def _soft_minimum(values: Float64[np.ndarray, "terms times"]) -> Float64[np.ndarray, " times"]:
-    """A smooth function that is never above the smallest of its terms."""
+    """A smooth lower bound of the minimum over terms."""
     least = values.min(axis=0)
     weights = np.exp(-SOFT_MINIMUM_PER_METRE * (values - least)).sum(axis=0)
     return np.asarray(least - np.log(weights) / SOFT_MINIMUM_PER_METRE)
@@ -143,7 +143,7 @@ def _pose_leg(
     thigh, shin = -bones[JOINT[f"{side}_knee"], 1], -bones[JOINT[f"{side}_ankle"], 1]
     hip = root + local[:, 0] @ bones[JOINT[f"{side}_hip"]]
     reach, down = _within_reach(ankle - hip, thigh + shin, foot.airborne)
-    # The knee's hinge points to the body's left, half way between the pelvis and the foot, and is square to the leg.
+    # The knee's axis points to the body's left, half way between pelvis and foot, and is perpendicular to the leg.
     knee_yaw = heading + (foot.yaw - heading) / 2.0 + channels["pelvis_yaw"] / 2.0 + sign * channels[f"{side}_knee_out"]
     hinge = turned(np.broadcast_to([1.0, 0.0, 0.0], hip.shape), knee_yaw)
     hinge = hinge - np.sum(hinge * down, axis=-1, keepdims=True) * down
@@ -162,7 +162,7 @@ def _pose_leg(
 def _within_reach(
     span: Float64[np.ndarray, "times 3"], length: float, airborne: Float64[np.ndarray, " times"]
 ) -> tuple[Float64[np.ndarray, " times"], Float64[np.ndarray, "times 3"]]:
-    """Distance and direction hip → ankle; the distance of a planted foot is kept, that of one in the air saturates."""
+    """Distance and direction hip → ankle; the distance is exact for planted feet and saturates for feet in the air."""
     distance = np.linalg.norm(span, axis=-1)
     free = (PLANTED_STRETCH - SWING_FLEXION * airborne) * length
     margin = (STRETCH_MARGIN + 0.8 * SWING_FLEXION * airborne) * length
@@ -171,5 +171,5 @@ def _within_reach(
 
 
 def _frame(x: Float64[np.ndarray, "times 3"], y: Float64[np.ndarray, "times 3"]) -> Float64[np.ndarray, "times 3 3"]:
-    """Rotation matrices whose first two columns are given unit vectors at right angles."""
+    """Rotation matrices whose first two columns are the given orthonormal vectors."""
     return np.stack((x, y, np.cross(x, y)), axis=-1)

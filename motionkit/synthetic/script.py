@@ -1,4 +1,4 @@
-"""The script of a performance: curves on named channels, and steps. Parts add up, so actions can follow and overlap."""
+"""The script of a performance: curves on named channels, and steps. Parts are summed, so that actions can overlap."""
 
 from dataclasses import dataclass, field
 
@@ -41,7 +41,7 @@ CHANNELS = (
 
 @dataclass(frozen=True)
 class Layer:
-    """One curve added to one channel: m, m/s, rad or rad/s. Raises `ValueError` for a channel that doesn't exist."""
+    """A curve added to a channel: m, m/s, rad or rad/s. Raises `ValueError` for an unknown channel."""
 
     channel: str
     curve: Curve
@@ -53,12 +53,12 @@ class Layer:
 
 @dataclass(frozen=True)
 class Swing:
-    """One foot leaves the floor at `liftoff` and is planted again at `touchdown` (seconds).
+    """A foot's swing: it leaves the floor at `liftoff` and is planted again at `touchdown` (seconds).
 
-    It lands where the trajectory is in the middle of the stance that follows, `out` metres to its own side (None: the
-    body's standing width) and `forward` metres ahead; `lift` is how high the ankle is raised, `heel_rise` and `toe_up`
-    the foot's pitch in radians at liftoff and at touchdown. The heel begins to rise `heel_lead` swing durations before
-    liftoff.
+    It lands at the trajectory's position in the middle of the following stance, `out` metres to its own side (None: the
+    body's standing width) and `forward` metres ahead; `lift` is the ankle's height in the swing, `heel_rise` and
+    `toe_up` the foot's pitch in radians at liftoff and at touchdown. The heel begins to rise `heel_lead` swing
+    durations before liftoff.
     """
 
     side: str
@@ -74,7 +74,7 @@ class Swing:
 
 @dataclass(frozen=True)
 class Part:
-    """An action between two instants: layers, swings, the words for it, and its label."""
+    """An action in an interval of time: layers, swings, its phrases and its label."""
 
     action: str
     start: float
@@ -87,7 +87,7 @@ class Part:
 def evaluate(
     layers: tuple[Layer, ...], times: Float64[np.ndarray, " times"]
 ) -> dict[str, Float64[np.ndarray, " times"]]:
-    """All channels at some times: the sums of their layers."""
+    """All channels at the given times: the sums of their layers."""
     values = {channel: np.zeros(times.shape) for channel in CHANNELS}
     for layer in layers:
         values[layer.channel] = values[layer.channel] + layer.curve(times)
@@ -99,7 +99,7 @@ SECONDS_BETWEEN_KNOTS = 1.0 / 60.0
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """A path on the floor: splines with continuous acceleration, so that it is exact at every instant."""
+    """A path on the floor, as splines with continuous acceleration."""
 
     start_seconds: float
     end_seconds: float
@@ -126,7 +126,7 @@ def turned(
 
 
 def integrate(layers: tuple[Layer, ...], start_seconds: float, end_seconds: float, heading: float = 0.0) -> Trajectory:
-    """The path that the travel channels' speeds lead along, from the origin at time 0 with a heading in radians."""
+    """Integrate the travel channels' speeds to a path from the origin at time 0, with an initial heading in radians."""
     num_knots = int(np.ceil((end_seconds - start_seconds) / SECONDS_BETWEEN_KNOTS)) + 1
     knots = np.linspace(start_seconds, end_seconds, num_knots)
     speeds = evaluate(layers, knots)
