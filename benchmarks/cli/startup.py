@@ -1,4 +1,4 @@
-"""How long `motionkit --help` takes beside an empty Python program and beside importing torch.
+"""Startup time of `motionkit --help`, against an empty Python program and importing torch.
 
     python benchmarks/cli/startup.py [--repeats 10] [--json]
 

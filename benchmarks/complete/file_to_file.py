@@ -3,8 +3,8 @@
     python benchmarks/complete/file_to_file.py [--minutes 1 10 60 180] [--fps 120] [--arguments "--run RUN"] [--json]
 
 The clip is a synthetic motion of the 22 joints at 30 fps, as BVH. Each figure is of a process of its own: wall seconds,
-CPU seconds (user and system), peak resident memory. The floor is a process that reads the clip's numbers and writes as
-many as the result has, repeated, piece by piece with the same parser and writer: what is left is completing.
+CPU seconds (user and system), peak resident memory. The baseline is a process that reads the clip's numbers and writes
+as many as the result has, in pieces, with the same parser and writer; the difference is the cost of completion.
 """
 
 import resource
@@ -40,7 +40,7 @@ COMPLETE = "from motionkit.cli.app import main; main()"
 
 
 def write_clip(path: Path, minutes: float) -> None:
-    """A BVH file at 30 fps: a minute's motion there and back, over and over."""
+    """A BVH file at 30 fps: a minute's motion, repeated forwards and backwards."""
     from motionkit.fields.motion_field import to_motion
     from motionkit.formats.bvh.writing import write_bvh
     from motionkit.synthetic import make_body, perform

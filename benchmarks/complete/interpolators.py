@@ -1,12 +1,12 @@
-"""How far interpolators are from captures: more frames between, gaps closed, ends continued.
+"""Errors of interpolators on captures: upsampling, gaps, and extrapolation.
 
     python benchmarks/complete/interpolators.py CAPTURES [--takes 40] [--seed 0] [--json]
 
-CAPTURES is a folder with BVH files of one or more sources, searched for; of each take at most 20 s count. Figures are
-the mean distance of all joints from the truth in mm over all made frames. `4×`: every fourth frame of takes at 120 fps.
-The others are at 30 fps (faster takes filtered down): gaps of so many frames between ten known ones, and continuations
-by so many frames from every 25th frame on. `settling` is what `motionkit complete` does beyond the ends. `hold` is the
-floor.
+CAPTURES is a folder that is searched for BVH files of one or more sources; at most 20 s of each take are used. Figures
+are the mean distance of all joints from the ground truth in mm over all completed frames. `4×`: every fourth frame of
+takes at 120 fps. The others are at 30 fps (faster takes filtered down): gaps of so many frames between ten known ones,
+and continuations by so many frames from every 25th frame on. `settling` is what `motionkit complete` does beyond the
+ends. `hold` is the floor.
 """
 
 import random

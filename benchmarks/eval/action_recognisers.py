@@ -3,8 +3,8 @@
     python benchmarks/eval/action_recognisers.py --store STORE --cmu action_recognition_model_mocap_new.tar [--json]
     python benchmarks/eval/action_recognisers.py --repository ACTION-TO-MOTION [--json]
 
-The first gives every CMU take of a store (source 'cmu') whose description names one of the recogniser's actions to it,
-and prints how many it knows, by action, and what other framerates and lengths of clips do. The second needs a checkout
+The first classifies every CMU take of a store (source 'cmu') whose description names one of the recogniser's actions,
+and prints the accuracy by action, and the effect of other framerates and lengths of clips. The second needs a checkout
 of https://github.com/EricGuo5513/action-to-motion, which holds 20 motions that its authors generated for HumanAct12's
 actions: how many the recogniser knows as they are, in other axes, without their hands, and with the random initial
 state of the published evaluation.
@@ -43,7 +43,7 @@ RANDOM_STATES = 30
 
 
 def main() -> None:
-    """Print what was asked for."""
+    """Print the requested figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--store", type=Path)
     parser.add_argument("--cmu", type=Path, help="weights of the CMU recogniser")
@@ -101,7 +101,7 @@ def _action(takes: RealMotion, index: int) -> str:
 
 
 def own_samples(repository: Path) -> dict[str, object]:
-    """How many of the authors' generated motions are known, and what each step of the preparation is worth."""
+    """Accuracy on the authors' generated motions, and the effect of each step of the preprocessing."""
     folder = repository / SAMPLES
     motions = np.load(next(folder.glob("motion_joints*.npy")), allow_pickle=False)
     labels = np.load(folder / "motion_class.npy", allow_pickle=False).astype(np.int64)

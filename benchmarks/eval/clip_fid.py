@@ -1,4 +1,4 @@
-"""What a column of Table 2 costs: describing 4,096 clips, FID, KID, PRDC, and a whole replication.
+"""Cost of a column of Table 2: features of 4,096 clips, FID, KID, PRDC, and a whole replication.
 
     python benchmarks/eval/clip_fid.py [--clips 4096] [--fps 60] [--json]
     python benchmarks/eval/clip_fid.py --row    a model's whole row: 5 framerates × 20 replications, fits and details

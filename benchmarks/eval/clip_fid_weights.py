@@ -1,4 +1,4 @@
-"""How the weights of the kinematic descriptor were chosen: by linear programming on training takes alone.
+"""Choice of the kinematic descriptor's weights: by linear programming on training takes only.
 
     python -m benchmarks.eval.clip_fid_weights STORE [--fps 40 …] [--rise 1.3] [--json]
 
@@ -40,14 +40,14 @@ FIXED = {"pose": 1.0, "spread": 1.0, "speed": 1.0}
 """Weights that set the scale of a score."""
 LEAST, MOST = 0.01, 6.0
 LEAST_SCORE = 0.08
-"""What upsampling from 20 fps scores at least."""
+"""Minimum score of upsampling from 20 fps."""
 ABOVE_FLOOR = 0.003
-"""By how much the mildest damage scores more than none."""
+"""Minimum difference of scores between the mildest damage and none."""
 Parts = npt.NDArray[np.float64]
 
 
 class Sets:
-    """What every damaged set of one framerate scores by its parts, at weights of 1: vectors in the order of `PARTS`."""
+    """Scores of every damaged set of one framerate by part, at weights of 1: vectors in the order of `PARTS`."""
 
     def __init__(self, train: SampleSet) -> None:
         order = np.random.default_rng(1).permutation(train.num_sequences)
@@ -85,7 +85,7 @@ class Sets:
         )
 
     def parts(self, samples: SampleSet) -> Parts:
-        """What a set scores beside the real one."""
+        """A set's scores against the real one, by part."""
         return self._compared(self.reference, self._gaussians(samples, OTHER))
 
     def _gaussians(self, samples: SampleSet, side: int, among: npt.NDArray[np.int64] | None = None) -> list[Gaussian]:
@@ -109,7 +109,7 @@ class Sets:
 
 
 def solved(sets: list[Sets], share: float, rise: float) -> Parts | None:
-    """Weights at which every game leaves `share`, and other takes score least; None where there are none."""
+    """Weights at which every game leaves `share`, and other takes score least; None if there are none."""
     bounds: list[Parts] = []
     limits: list[float] = []
     for each in sets:
@@ -129,7 +129,7 @@ def solved(sets: list[Sets], share: float, rise: float) -> Parts | None:
 
 
 def best(sets: list[Sets], rise: float) -> tuple[float, Parts]:
-    """The largest share, in hundredths, that weights are found for. Raises `ValueError` where there are none."""
+    """The largest feasible share, in hundredths, and its weights. Raises `ValueError` if there are none."""
     for share in np.arange(0.99, 0.0, -0.01):
         weights = solved(sets, float(share), rise)
         if weights is not None:
@@ -138,7 +138,7 @@ def best(sets: list[Sets], rise: float) -> tuple[float, Parts]:
 
 
 def report(sets: list[Sets], weights: Parts) -> list[dict[str, object]]:
-    """What weights make of the sets at every framerate."""
+    """Scores of the sets under the weights at every framerate."""
     rows = []
     for each in sets:
         score = {name: float(parts @ weights) for name, parts in each.scores.items()}

@@ -1,4 +1,4 @@
-"""Within what the demo's figures differ: `motionkit demo` with several numbers of threads and seeds, cell by cell.
+"""Variation of the demo's figures: `motionkit demo` with several numbers of threads and seeds, cell by cell.
 
     python benchmarks/eval/demo_spread.py --threads 1,2 --seeds 0        # the smallest demo; --full: the whole one
 

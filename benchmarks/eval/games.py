@@ -1,4 +1,4 @@
-"""Who wins clip-FID without moving better? Both versions of the kinematic descriptor, on takes they have not seen.
+"""Robustness of clip-FID to gaming: both versions of the kinematic descriptor, on held-out takes.
 
     python -m benchmarks.eval.games TRAINING_STORE STORE[:SPLIT] … [--fps 40 …] [--results docs/results] [--json]
 

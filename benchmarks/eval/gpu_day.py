@@ -1,4 +1,4 @@
-"""What a day of one GPU gives each generative peer's recipe `paper`: an estimate, from one training step counted here.
+"""Training per GPU day of each generative peer's recipe `paper`, estimated from the operations of one step.
 
     python -m benchmarks.eval.gpu_day --store STORE [--windows 23384]
 

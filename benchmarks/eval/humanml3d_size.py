@@ -1,4 +1,4 @@
-"""A folder of HumanML3D's size: what ingest, training of every system and Table 2 take, and whether they go on.
+"""Cost of ingest, training of every system and Table 2 on data of HumanML3D's size, and whether they resume.
 
     python -m benchmarks.eval.humanml3d_size [--clips 14616] [--folder FOLDER] [--budget 45s]
 
@@ -39,7 +39,7 @@ def measured(folder: Path, *command: str, stop_after_seconds: float | None = Non
         process = subprocess.Popen((*MOTIONKIT, *command), cwd=folder, stdout=log, stderr=log)
         if stop_after_seconds is not None:
             time.sleep(stop_after_seconds)
-            # Popen.terminate would take the exit status away; SIGINT is ignored by what a script starts behind it.
+            # Popen.terminate would lose the exit status; SIGINT is ignored by background processes of a script.
             os.kill(process.pid, signal.SIGTERM)
         _, status, usage = os.wait4(process.pid, 0)
     code = process.returncode = os.waitstatus_to_exitcode(status)
@@ -66,7 +66,7 @@ def stages_done(folder: Path) -> list[str]:
 
 
 def main() -> None:
-    """Write the folder, run the commands, print what they took."""
+    """Write the folder, run the commands, print their costs."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--clips", type=int, default=14_616)
     parser.add_argument("--folder", type=Path)

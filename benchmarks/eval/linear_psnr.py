@@ -1,4 +1,4 @@
-"""How many decibels linear interpolation has, by the rotations that PSNR is taken of.
+"""PSNR of linear interpolation, by the rotations it is computed on.
 
     python -m benchmarks.eval.linear_psnr --store ./store [--split test] [--json]
 

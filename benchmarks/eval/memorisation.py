@@ -1,12 +1,11 @@
-"""Are copies of training takes found under every disguise, and held-out takes let go?
+"""Detection rate of transformed copies of training takes, and false positives on held-out takes.
 
     python -m benchmarks.eval.memorisation STORE [STORE …] [--held-out STORE …] [--takes 30] [--json FILE]
 
-Each store's limits are found as tables find them. Stretches of 2.5 to 6 s of random training takes are disguised and
-looked for among all training takes; accused must be nearly all. Held-out takes, whole, must be let go: those of the
-splits val (where there are enough, the limits come from these) and test, and, beside the first store, the test takes of
-others.
-The search of 60 test takes of each store is timed beside the matrix products that it cannot do without.
+Each store's limits are found as tables find them. Stretches of 2.5 to 6 s of random training takes are transformed
+("disguised") and searched for among all training takes; nearly all must be accused. Whole held-out takes must not be:
+those of the splits val (if there are enough, the limits come from these) and test, and, for the first store, the test
+takes of others. The search of 60 test takes of each store is timed against its matrix products alone.
 """
 
 import argparse
@@ -104,7 +103,7 @@ def kept_at_20(piece: Piece, rng: np.random.Generator) -> Piece:
 
 
 def wobbling(millimetres: float) -> Disguise:
-    """An error of each joint below 2 Hz: what a model that reconstructs badly leaves of its copy."""
+    """An error of each joint below 2 Hz, like that of a model that reconstructs its copy badly."""
 
     def disguise(piece: Piece, rng: np.random.Generator) -> Piece:
         error = low_pass(rng.standard_normal(piece[0].shape), float(piece[1]), 2.0)
@@ -161,7 +160,7 @@ def spliced(real: RealMotion, parts: int, rng: np.random.Generator) -> Piece:
 
 
 def retargeted(store: Store, number: int, rng: np.random.Generator) -> Iterator[Piece]:
-    """Training takes whose rotations another performer's skeleton of the same joints has."""
+    """Training takes retargeted to another performer's skeleton of the same joints."""
     chosen = store.select("split = 'train' AND has_rotations")
     bodies = [store.read(int(index)).skeleton for index in chosen]
     for index in rng.permutation(len(chosen))[:number]:
@@ -204,7 +203,7 @@ def copies(store: Store, real: RealMotion, number: int) -> dict[str, list[np.nda
 
 
 def judged(found: Sequence[Nearest], first: int, number: int, limits: Limits) -> dict[str, Any]:
-    """What the table says of motions `first` to `first + number`."""
+    """The table's figures of motions `first` to `first + number`."""
     result = verdicts(found, int(max(each.motion.max() for each in found)) + 1, limits)
     some = slice(first, first + number)
     stretches = {}
@@ -227,7 +226,7 @@ def judged(found: Sequence[Nearest], first: int, number: int, limits: Limits) ->
     }
 
 
-# What was found of motions laid end to end: how many each name has, and the search.
+# Results for concatenated motions: their number by name, and the search.
 Found = tuple[dict[str, int], tuple[Nearest, ...]]
 
 
@@ -284,7 +283,7 @@ def timed(path: str) -> dict[str, float]:
 
 
 def judge(found: Sequence[Found], limits: Limits) -> dict[str, Any]:
-    """What the table says of each of the names."""
+    """The table's figures by name."""
     result = {}
     for numbers, nearest in found:
         first = 0

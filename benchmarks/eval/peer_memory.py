@@ -1,4 +1,4 @@
-"""What a training step of each generative peer keeps for its gradients, by the framerate it is trained at (E.4).
+"""Memory that a training step of each generative peer keeps for its gradients, by training framerate (E.4).
 
     python -m benchmarks.eval.peer_memory
 

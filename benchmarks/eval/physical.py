@@ -1,10 +1,10 @@
-"""What the framerate alone does to physical figures, and what wins them without being better.
+"""Dependence of the physical metrics on the framerate, and their robustness to gaming.
 
     python -m benchmarks.eval.physical STORE [--results docs/results] [--json]
 
 Both are of the test takes that were captured at 120 fps or faster, in the figures of `motionkit eval --table physical`.
-`physical-framerates.json` has the same takes at six framerates; `physical-games.json` has them at 120 fps sliding as a
-whole, and what somebody may do to look better.
+`physical-framerates.json` has the same takes at six framerates; `physical-games.json` has them at 120 fps, sliding as a
+whole, and manipulated to score better.
 """
 
 import argparse
@@ -37,7 +37,7 @@ Change = Callable[[np.ndarray, np.random.Generator], np.ndarray]
 
 
 def changed(samples: SampleSet, name: str, change: Change) -> SampleSet:
-    """Every motion of a set after a change, each with chances of its own."""
+    """Every motion of a set after a change, each with its own random numbers."""
     made = [
         change(motion.astype(np.float64), np.random.default_rng((0, index))).astype(np.float32)
         for index, motion in enumerate(samples.sequences)
@@ -65,7 +65,7 @@ def rise(motion: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def lift(motion: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Ten centimetres higher all along."""
+    """The whole motion raised by ten centimetres."""
     return motion + np.array([0.0, 0.1, 0.0])
 
 
@@ -98,7 +98,7 @@ def by_framerate(real: RealMotion) -> dict[str, Measured]:
 
 
 def games(real: RealMotion) -> dict[str, Measured]:
-    """What real takes score, the same sliding, and what is made of these."""
+    """Metrics of real takes, the same sliding, and manipulated versions of these."""
     takes = real.at(NATIVE)
     sliding = changed(takes, "sliding", slide)
     low = upsampled(at_the_fast(real, RATES[0]), NATIVE, "upsampled")
@@ -108,7 +108,7 @@ def games(real: RealMotion) -> dict[str, Measured]:
         "half speed": measured(slower(sliding)),
         "frozen": measured(changed(sliding, "frozen", freeze)),
         "rising": measured(changed(sliding, "rising", rise)),
-        # As the field's own code has it, whose floor is at 0 wherever the body is.
+        # As in published code, with the floor at 0 wherever the body is.
         "raised": measured(changed(sliding, "raised", lift), floors=floors_of(sliding)),
         "shaking": measured(changed(sliding, "shaking", shake)),
         "noise": measured(changed(sliding, "noise", noise)),

@@ -1,4 +1,4 @@
-"""Do intervals over takes hold what they say? Gaussian takes whose Fréchet distances are known, drawn again and again.
+"""Coverage of intervals over takes: repeated draws of Gaussian takes with known Fréchet distances.
 
     python benchmarks/eval/take_intervals.py [--trials 300] [--json]
 
@@ -62,7 +62,7 @@ def true_distance(shift: float) -> float:
 
 
 def drawing_of_clips(real: np.ndarray, other: np.ndarray, rng: np.random.Generator) -> float:
-    """Half the 95 % interval of the mean over draws of half of the clips: what was printed once."""
+    """Half the 95 % interval of the mean over draws of half of the clips, as in earlier versions."""
     scores = []
     for _ in range(DRAWS):
         a, b = (each[rng.choice(len(each), len(each) // 2, replace=False)] for each in (real, other))
@@ -75,7 +75,7 @@ def trial(case: Case, seed: int) -> dict[str, float]:
     centres = rng.normal(size=(case.takes, FEATURES))
     made = []
     for shift in (case.shift, case.other_shift):
-        # Half of what sets takes apart is what they were made for.
+        # Half of the variance between takes is shared with the real takes that they were generated for.
         own = rng.normal(size=centres.shape)
         made.append(shift + (np.sqrt(0.5) * (centres + own) if case.paired else own))
     sets = [clips_of(each, rng) for each in (centres, *made)]

@@ -1,4 +1,4 @@
-"""What the text metrics cost: FID of 512 numbers from 10,000 samples, and a table's row of 20 replications.
+"""Cost of the text metrics: FID of 512 features from 10,000 samples, and a table's row of 20 replications.
 
     python benchmarks/eval/text_metrics.py [--motions 4640] [--protocol native] [--json]
 

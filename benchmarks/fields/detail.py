@@ -1,4 +1,4 @@
-"""What detail is worth: on real takes that were low-passed, on a run's generated motion, and what it costs.
+"""Effect of detail on low-passed real takes and on a run's generated motion, and its cost.
 
     python -m benchmarks.fields.detail TRAINING [TESTED] [--run RUN] [--fps 60 120] [--json]
 
@@ -68,7 +68,7 @@ Positions = npt.NDArray[np.floating]
 
 @dataclass(frozen=True, eq=False)
 class Flat(Detail):
-    """Detail whose strength is everywhere what it is on average over half a minute: noise that follows nothing."""
+    """Detail with constant strength, its average over half a minute: noise independent of the motion."""
 
     def power(self, slow: SlowMotion) -> npt.NDArray[np.float64]:
         """The mean of every joint and band."""
@@ -83,7 +83,7 @@ def fast_takes(real: RealMotion) -> list[Positions]:
 
 
 def field_of(take: Positions) -> MotionField:
-    """A take at 120 fps at any instant."""
+    """A take at 120 fps as a motion field."""
     return interpolate(Motion.from_joints(take.astype(np.float32), GRID, SMPL22), "cubic")
 
 
@@ -160,7 +160,7 @@ def scored(rows: Mapping[str, SampleSet], real: SampleSet, train: SampleSet, aga
 
 
 def following(comparison: Comparison, samples: SampleSet) -> float:
-    """By how much log power rises where the predictor says 1."""
+    """The slope of log power against the predictor's."""
     descriptor = comparison.features
     assert isinstance(descriptor, KinematicDescriptor)
     rows = readable(samples, descriptor)
@@ -215,7 +215,7 @@ def strikes_of(height: Positions, lowest: Positions) -> list[tuple[int, float]]:
 
 
 def costs(detail: Detail) -> dict[str, float]:
-    """Frames a second of the process's own time, and what is held at most beside the frames."""
+    """Frames per second of process time, and peak memory besides the frames."""
     rng = np.random.default_rng(0)
     motion = to_motion(perform(rng, draw_body(rng, "somebody"), ["walk"], 60.0 * MINUTES[0]), GRID)
     base = interpolate(replace(motion, local_rotations=None, root_translation=None), "linear")
@@ -238,7 +238,7 @@ def costs(detail: Detail) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class Repeated:
-    """A field over and over, as if it were longer."""
+    """A field repeated periodically."""
 
     once: MotionField
     end_seconds: float

@@ -1,4 +1,4 @@
-"""What planting does to real takes, whose feet stand already: how far it moves them, and what clip-FID says of that.
+"""Effect of planting on real takes, whose feet already rest: how far it moves them, and their clip-FID.
 
     python -m benchmarks.fields.planted_takes STORE [--split test] [--fps 20,60,120] [--json]
 
@@ -29,7 +29,7 @@ SHOWN = 5
 
 
 def planted_takes(real: RealMotion) -> tuple[RealMotion, list[Change]]:
-    """The takes with feet that stand, and what that changed."""
+    """The planted takes, and the changes."""
     made, changes = [], []
     for number, fps in enumerate(real.fps):
         motion = Motion.from_joints(np.asarray(real.sequences[number]), fps)
@@ -41,7 +41,7 @@ def planted_takes(real: RealMotion) -> tuple[RealMotion, list[Change]]:
 
 
 def scores(store: Store, split: str, framerates: list[Fraction]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """By framerate and version the floor, what planted takes score, and the ratio; and what was moved."""
+    """By framerate and version the floor, the score of planted takes, and the ratio; and the changes."""
     real = real_motion(store, split)
     train = training_motion(store, real)
     planted, changes = planted_takes(real)

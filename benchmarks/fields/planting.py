@@ -1,4 +1,4 @@
-"""How fast feet are planted, in how much memory, and what real feet do that the limits were taken from.
+"""Speed and memory of planting, and the statistics of real feet that its limits come from.
 
     python -m benchmarks.fields.planting [--store STORE] [--json]
 
@@ -42,7 +42,7 @@ QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95, 0.98)
 
 
 def walk(minutes: float, sliding: float) -> Motion:
-    """A walk, forth and back in time again and again."""
+    """A walk, repeated forwards and backwards in time."""
     rng = np.random.default_rng(0)
     once = to_motion(perform(rng, draw_body(rng, "somebody"), ["walk"], SECONDS), FPS)
     count = int(minutes * 60 * FPS)
@@ -63,7 +63,7 @@ def walk(minutes: float, sliding: float) -> Motion:
 
 
 def bare(motion: Motion) -> Motion:
-    """Its positions alone."""
+    """The motion without rotations."""
     return replace(motion, local_rotations=None, root_translation=None)
 
 
@@ -96,7 +96,7 @@ def speeds() -> dict[str, float]:
 
 
 def most_megabytes(minutes: int) -> float:
-    """What is held at most beside the frames, which come from one repeated walk."""
+    """Peak memory besides the frames, which come from one repeated walk."""
     once = bare(walk(0.5, 0.0)).joint_positions
     count = int(minutes * 60 * FPS)
     grid = TimeGrid(FPS, count)

@@ -48,7 +48,7 @@ def smplx_name(entry: Entry) -> Path:
 
 def write_file(path: Path, num_frames: int, rng: np.random.Generator) -> None:
     seconds = np.arange(num_frames)[:, None] / FPS
-    # Smooth and then noisy in the last digits, as captures are: what compression can and cannot take away.
+    # Smooth, with noise in the last digits, so that it compresses as captures do.
     poses = 0.3 * np.sin(seconds * rng.uniform(1, 5, 156)) + 1e-4 * rng.normal(size=(num_frames, 156))
     trans = np.cumsum(rng.normal(scale=1e-3, size=(num_frames, 3)), axis=0)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""What `motionkit ingest` needs for one long BVH file: the peak of its resident memory, and CPU time.
+"""Cost of `motionkit ingest` for one long BVH file: peak resident memory and CPU time.
 
     python -m benchmarks.formats.long_takes [--frames 10000 100000 1000000]
 
@@ -20,7 +20,7 @@ from benchmarks.command import arguments_parser, print_table_and_json
 SPINE = ["Spine", "Spine1", "Neck", "Head"]
 ARM = ["Shoulder", "Arm", "ForeArm", "Hand"]
 LEG = ["UpLeg", "Leg", "Foot", "ToeBase"]
-# Each chain with what it hangs from, and how its bones lie (cm).
+# Each chain with its parent, and the offsets of its bones (cm).
 CHAINS = [
     ("Hips", SPINE, (0, 17, 0)),
     *(("Spine1", [f"{side}{bone}" for bone in ARM], (18 * sign, 0, 0)) for side, sign in (("Left", 1), ("Right", -1))),

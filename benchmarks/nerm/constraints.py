@@ -1,4 +1,4 @@
-"""How well generated motions keep to a path, and what that costs.
+"""How well generated motions follow a path, and the cost in quality.
 
     python benchmarks/nerm/constraints.py RUN --store STORE [--motions 96] [--steps 10] [--seed 0] [--json]
 
@@ -48,7 +48,7 @@ def requests_of(real: SampleSet, longest_seconds: float, count: int) -> dict[int
 
 
 def made(model: NermModel, requests: dict[int, GenerationRequest], seed: int, steps: int) -> tuple[dict, list, float]:
-    """Poses at 60 fps by take, what was followed of each, and seconds a motion."""
+    """Poses at 60 fps by take, how far each followed its path, and seconds per motion."""
     begin, poses, met = time.process_time(), {}, []
     for number, request in requests.items():
         [field] = model.generate([request], seed=seed, first=number, sampling=SamplingOptions(steps=steps))

@@ -1,10 +1,10 @@
-"""What generating costs: 9.8 s at 20 and at 120 fps, and the decoder beside the machine's matrix products.
+"""Cost of generation: 9.8 s at 20 and at 120 fps, and the decoder's rate against the machine's matrix products.
 
     python benchmarks/nerm/generate.py [--recipe nano] [--run runs/nano] [--motions 1] [--json]
 
 Generation is what `NermModel` does for unconditional motions: diffusion, coordinate branch, decoding to joint positions
 (files are left out). Weights are those of a run, or random ones of a recipe's sizes (what it costs does not depend on
-their values). The field's grids are forgotten before each repeat, so that the coordinate branch is paid for each time.
+their values). The field's cached grids are cleared before each repeat, so that the coordinate branch is timed as well.
 
 The peak is measured: torch.mm at the decoder's own shapes, [poses × hidden] · [hidden × hidden], one after another. The
 decoder's rate counts the multiplications and additions of its matrix products alone, over all the time it takes.
@@ -88,7 +88,7 @@ def random_model(recipe: str) -> NermModel:
 
 
 def cpu_seconds(work: Callable[[], object], repeats: int) -> float:
-    """The quickest of some repeats, after one that doesn't count."""
+    """The fastest of some repeats, after a warm-up."""
     work()
     return best_cpu_seconds(work, repeats)
 
@@ -115,7 +115,7 @@ def generation_costs(model: NermModel, motions: int, repeats: int) -> dict[str, 
 
 
 def decoding_rate(model: NermModel, repeats: int) -> dict[str, object]:
-    """The decoder's matrix products a second at 120 fps, of torch.mm's at the same shapes."""
+    """The decoder's matrix products per second at 120 fps, relative to torch.mm's at the same shapes."""
     field = field_of(model)
     config, fps = field.config, RATES[-1]
     times = np.arange(round(SECONDS * float(fps))) / float(fps)

@@ -1,4 +1,4 @@
-"""Long motions where they are joined: pieces that each begin as the one before ends, and pieces that cross-fade.
+"""Joins of long motions: pieces that each begin as the one before ends, and pieces that cross-fade.
 
     python benchmarks/nerm/joins.py RUN [--seconds 30] [--overlap 0.5] [--motions 20] [--steps 10] [--seed 0] [--json]
 
@@ -44,7 +44,7 @@ FEET = tuple(SMPL22.joint_names.index(f"{side}_{joint}") for side in ("left", "r
 
 @dataclass(frozen=True)
 class Figures:
-    """Of one motion; pairs are at joins and elsewhere."""
+    """Figures of one motion; pairs are at joins and elsewhere."""
 
     apart_cm: float
     foot_speed: tuple[float, float]
@@ -64,7 +64,7 @@ def cross_faded(
 
 
 def figures_of(field: AssembledField, script: Script, seconds: float) -> Figures:
-    """All but the skating is of the motion as it is, unplanted."""
+    """Figures of the unplanted motion, except skating."""
     apart = []
     for number, (before, after) in enumerate(zip(field.pieces, field.pieces[1:], strict=False)):
         times = np.linspace(field.fade_start[number], field.fade_end[number], INSTANTS)

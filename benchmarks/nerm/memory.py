@@ -72,7 +72,7 @@ def train_here(store: Path, runs: Path, settings: list[str]) -> dict[str, float]
 
 
 class OwnMemory:
-    """The highest anonymous memory of this process while it is watched, looked at every 5 ms."""
+    """Peak anonymous memory of this process, sampled every 5 ms."""
 
     def __init__(self) -> None:
         self.highest_mb = 0.0
@@ -110,7 +110,7 @@ def measure(minutes: float, settings: list[str]) -> dict[int, dict[str, float]]:
             write_corpus(store, fps, minutes)
             again = [sys.executable, __file__, "--store", str(store), "--runs", str(Path(scratch) / f"runs-{fps}")]
             again += [part for setting in settings for part in ("--set", setting)]
-            # Once for the cache, whose building is not training; the second process finds it.
+            # The first process builds the cache, which is not training; the second reads it.
             for last in ("first", "second"):
                 done = subprocess.run([*again, "--run", last], capture_output=True, text=True, check=False)
                 if done.returncode:

@@ -1,4 +1,4 @@
-"""Generated motions before and after planting: what is moved, how fast feet slide, how far they sink; pages of both.
+"""Generated motions before and after planting: displacement, foot skating and penetration; pages of both.
 
     python benchmarks/nerm/planting.py RUN --store STORE [--motions 20] [--seed 0] [--pages DIR] [--json]
 
@@ -56,13 +56,13 @@ def drawn(real: RealMotion, count: int, seed: int) -> list[int]:
 
 
 def skating(positions: np.ndarray, fps: Fraction) -> float | None:
-    """In cm/s; None of feet that are never down."""
+    """Skating in cm/s; None if feet are never on the ground."""
     speed = slide_speed(positions, fps)
     return None if speed is None else 100.0 * speed
 
 
 def figures_of(shown: PlantedField, before: Motion, after: Motion) -> dict[str, float | None]:
-    """Of one motion; lengths in mm, speeds in cm/s."""
+    """Figures of one motion; lengths in mm, speeds in cm/s."""
     change, _ = measure_change(shown, before.timegrid.seconds())
     metres_a_second = (change.sliding_before, change.sliding_after)
     slides = [None if each is None else 100.0 * each for each in metres_a_second]

@@ -1,4 +1,4 @@
-"""What reading a batch's poses costs: rows from the cache's file, from a map of it, and from a map whose pages go back.
+"""Cost of reading a batch's poses: rows from the cache's file, from a memory map, and from one that releases its pages.
 
     python benchmarks/nerm/reading.py STORE [--repeats 60] [--json]
 
@@ -44,7 +44,7 @@ class Mapped:
         return cls(**{name: getattr(cache, name) for name in cls.__dataclass_fields__})
 
     def give_back(self) -> None:
-        """Drop the map's pages from the process; the kernel keeps the file at hand."""
+        """Release the map's pages from the process; the kernel keeps the file cached."""
         base = self.positions
         while isinstance(base, np.ndarray):
             base = base.base
@@ -53,7 +53,7 @@ class Mapped:
 
 
 def milliseconds(poses: WindowPoses, windows: Windows, batch: tuple[int, int, bool], repeats: int, after) -> float:
-    """CPU milliseconds of a batch, `after` it included; the first three are not counted."""
+    """CPU milliseconds of a batch, including `after`; the first three are not counted."""
     size, num_poses, contiguous = batch
     generator = torch.Generator().manual_seed(0)
     rows = torch.randint(len(windows), (size,), generator=generator)

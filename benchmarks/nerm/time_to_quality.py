@@ -1,4 +1,4 @@
-"""How soon training windows are reconstructed to 25 mm: our settings beside the paper's, on the same windows.
+"""Training time until windows are reconstructed to 25 mm: our settings against the paper's, on the same windows.
 
     python benchmarks/nerm/time_to_quality.py STORE --out DIR [--ours-seconds 150] [--paper-seconds 450] [--json]
 
@@ -109,7 +109,7 @@ def _error_mm(training: FieldTraining, chosen: np.ndarray, store: Store) -> floa
 
 
 def reached(points: list[Point]) -> float | None:
-    """CPU seconds until the error is at the target and stays there; None where it never is."""
+    """CPU seconds until the error reaches the target and stays there; None if it never does."""
     for index, point in enumerate(points):
         if all(later.aligned_mm <= TARGET_MM for later in points[index:]):
             return point.cpu_seconds

@@ -1,4 +1,4 @@
-"""How well a run follows wordings that training has not.
+"""How well a run follows rephrased captions that are not in its training data.
 
     python -m benchmarks.nerm.wordings RUN --store STORE [--wordings FILE.csv] [--guidance 2] [--steps 10] [--seed 0]
 
@@ -45,7 +45,7 @@ def second_wordings(path: Path) -> dict[str, str]:
 def made(
     model: NermModel, texts: Sequence[str], real: CaptionedMotions, sampling: SamplingOptions, seed: int
 ) -> list[np.ndarray]:
-    """Planted joint positions [frames, 22, 3], one motion a text, each as long as the real one."""
+    """Planted joint positions [frames, 22, 3], one motion per text, each as long as the real one."""
     asked = [GenerationRequest(*each) for each in zip(real.durations_seconds, texts, strict=True)]
     positions = []
     for first in range(0, len(asked), AT_ONCE):

@@ -1,4 +1,4 @@
-"""The parametric activation by table, beside its ζ sines for every number, beside the layer's own matrix product.
+"""The parametric activation by lookup table, against computing its ζ sines, and the layer's own matrix product.
 
     python benchmarks/pahires/activation.py [--rows 1024] [--width 256] [--sines 16] [--repeats 5] [--json]
 
@@ -18,7 +18,7 @@ from pahires.activation import FourierActivation, linear
 
 
 def cpu_seconds(sides: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
-    """The quickest of some repeats of each side, taken in turn."""
+    """The fastest of some repeats of each side, taken in turn."""
     found = dict.fromkeys(sides, float("inf"))
     for _ in range(repeats):
         for name, side in sides.items():

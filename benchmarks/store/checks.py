@@ -1,4 +1,4 @@
-"""What it costs that a store, its parts and its caches are compared with their checksums.
+"""Cost of verifying the checksums of a store, its parts and its caches.
 
     python -m benchmarks.store.checks STORE [--sources FOLDER …] [--repeats 5] [--json]
 
@@ -35,7 +35,7 @@ Patch = Callable[[], Any]
 
 
 def seconds(work: Callable[[], object]) -> float:
-    """Processor time of this process and of those that it waits for."""
+    """Processor time of this process and of its children."""
     begun = time.process_time()
     work()
     return time.process_time() - begun
@@ -59,7 +59,7 @@ def read_all(store: Store) -> None:
 
 
 def first_reads(store: Store, entries: dict[str, FileEntry]) -> None:
-    """What a process compares of each part before it reads from it."""
+    """The checks of each part before a process first reads from it."""
     reader = SegmentReader(store.path, entries)
     for name in store.manifest.parts:
         reader.checked_part(name)

@@ -57,7 +57,7 @@ def warm(sources: list[Path]) -> None:
 
 
 def adopt_orphans() -> None:
-    """Workers are children of a server that outlives the command by a moment: let their time be counted here."""
+    """Become the workers' parent, so that their time is counted: their server briefly outlives the command."""
     set_child_subreaper = 36  # prctl, Linux
     ctypes.CDLL(None).prctl(set_child_subreaper, 1, 0, 0, 0)
 

@@ -1,12 +1,12 @@
-"""A store of 100,000 sequences: does it open, answer, sample and grow as a small one does?
+"""Performance of a store of 100,000 sequences: opening, queries, sampling and writing.
 
     python -m benchmarks.store.scale [--sequences 100000] [--folder FOLDER]
 
-The store is synthetic and made for this alone, straight through `StoreWriter`: stretches of 40–400 frames (log-uniform,
-22 joints, five framerates, two captions each) of one smooth random walk. Whatever is timed runs in a process of its
-own, which has imported the libraries before; wall time, files in the operating system's cache; what is said to be the
-first is that, the rest is the best of five. Beside each figure stand its floor (the least that can be done with the
-same bytes) and a peer on the same machine in the same run. A table goes to stderr, JSON to stdout.
+The store is synthetic, written directly with `StoreWriter`: stretches of 40–400 frames (log-uniform, 22 joints, five
+framerates, two captions each) of one smooth random walk. Everything is timed in a process of its own, after its
+imports; wall time, files in the operating system's cache; the best of five unless called the first. Beside each figure
+are its floor (the minimum work on the same bytes) and a peer on the same machine in the same run. A table goes to
+stderr, JSON to stdout.
 """
 
 import argparse
@@ -71,7 +71,7 @@ def motions(count: int, generator: np.random.Generator) -> Iterator[Motion]:
 
 
 def memory_bytes() -> dict[str, int]:
-    """This process's own memory, and what it has of files in memory, which the system takes back as it likes."""
+    """This process's own memory, and its resident file pages, which the system can reclaim."""
     lines = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
     return {name: int(lines[key].split()[0]) * 1024 for name, key in (("own", "RssAnon"), ("files", "RssFile"))}
 
@@ -110,7 +110,7 @@ def best(work: Callable[[], object], repeats: int = 5) -> float:
 
 
 def measure_reader(path: Path) -> dict[str, Any]:
-    """Open, ask, choose, read; the memory that all of it took."""
+    """Time of opening, querying, selecting and reading, and the memory of all of it."""
     import pandas  # noqa: F401  imported before the clock starts
 
     before = memory_bytes()["own"]
@@ -138,7 +138,7 @@ def measure_reader(path: Path) -> dict[str, Any]:
 
 
 def measure_peers(path: Path) -> dict[str, Any]:
-    """The same questions to the same Parquet file, by pandas and by duckdb; and what reading its bytes takes."""
+    """The same queries on the same Parquet file, by pandas and by duckdb; and the time to read its bytes."""
     import duckdb
     import pandas as pd
 

@@ -57,7 +57,7 @@ def on_grid(bits: int) -> Callable[[Blocks], Blocks]:
 
 
 def continuous_signs(blocks: Blocks) -> Blocks:
-    """q and −q are one rotation: each frame takes the sign that is nearer to the frame before."""
+    """q and −q are the same rotation: each frame gets the sign nearer to the previous frame."""
     made = []
     for block in blocks:
         turns = block.reshape(-1, 4, block.shape[1])
@@ -117,7 +117,7 @@ def _table(flat: Sequence[np.ndarray], schema: pa.Schema) -> pa.Table:
 
 
 def blocks_of(sources: list[Path], every: int) -> dict[str, Blocks]:
-    """Every n-th sequence's segments, as their files say them: nothing rounded yet."""
+    """Every n-th sequence's segments, unrounded."""
     options = ReadOptions()
     blocks: dict[str, Blocks] = {"joint_positions": [], "joint_rotations": []}
     for item in scan(sources, options).items[::every]:

@@ -169,14 +169,14 @@ def descendants(pid: int) -> list[int]:
 
 
 def command_line(pid: int) -> bytes:
-    """A process's command line; empty where it has ended."""
+    """A process's command line; empty if it has ended."""
     with suppress(OSError):
         return Path(f"/proc/{pid}/cmdline").read_bytes()
     return b""
 
 
 def rank_of(pid: int) -> int | None:
-    """Which rank of torchrun's a process is, None where it is none."""
+    """Which rank of torchrun's a process is, None if it is none."""
     with suppress(OSError):
         for variable in Path(f"/proc/{pid}/environ").read_bytes().split(b"\0"):
             if variable.startswith(b"RANK="):

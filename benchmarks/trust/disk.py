@@ -17,7 +17,7 @@ class NoDiskError(Exception):
 
 
 class SmallDisk:
-    """A tmpfs at a folder, mounted while the `with` block runs; raises `NoDiskError` where that is not permitted."""
+    """A tmpfs at a folder, mounted while the `with` block runs; raises `NoDiskError` if that is not permitted."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -44,7 +44,7 @@ def import_everything() -> None:
 
 
 def require_few_threads() -> None:
-    """Raise `RuntimeError` where a library has started threads: a fork would lose them."""
+    """Raise `RuntimeError` if a library has started threads: a fork would lose them."""
     names = [(thread / "comm").read_text().strip() for thread in Path("/proc/self/task").iterdir()]
     if threading.active_count() > 1 or len(names) > 2 or (len(names) == 2 and SAFE_THREAD not in names):
         raise RuntimeError(f"the server of commands has threads: {sorted(names)}")

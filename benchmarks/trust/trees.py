@@ -26,7 +26,7 @@ def tree(folder: Path, digits: int | None = None) -> dict[str, str]:
 
 
 def difference(found: Mapping[str, str], expected: Mapping[str, str]) -> str:
-    """What differs between two trees, in a few words; empty where nothing does."""
+    """What differs between two trees, in a few words; empty if nothing does."""
     lines = []
     for words, names in (
         ("left over", sorted(found.keys() - expected.keys())),

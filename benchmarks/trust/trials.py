@@ -216,7 +216,7 @@ def names_a_file(line: str, expected: Expected) -> bool:
 
 
 def require_success(outcome: Outcome, arguments: tuple[str, ...]) -> None:
-    """Raise `UndisturbedError` where an undisturbed command failed."""
+    """Raise `UndisturbedError` if an undisturbed command failed."""
     if outcome.code != 0:
         raise UndisturbedError(
             f"undisturbed, {' '.join(arguments)} ended with exit code {outcome.code}: {outcome.last_line}"
