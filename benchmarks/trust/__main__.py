@@ -1,4 +1,4 @@
-"""Does motionkit lose anything, or let anybody in? One part of the drill, bounded in time and repeatable by its seed.
+"""Reliability and security tests ("the drill"): runs one part, bounded in time and reproducible by its seed.
 
     python -m benchmarks.trust crash|corruption|fuzz|hostile|load [--seed 0] [--seconds N] [--out FILE.json] [--json]
 
@@ -19,7 +19,7 @@ PARTS = ("crash", "corruption", "fuzz", "hostile", "load")
 
 
 def run_part(part: str, seed: int, seconds: float | None, folder: Path) -> Report:
-    """Run one part in an empty folder; `seconds` is about how long, by default the part's own."""
+    """Run one part in an empty folder; `seconds` is the approximate duration, by default the part's own."""
     module = importlib.import_module(f"benchmarks.trust.{part}")
     report: Report = module.run(seed, module.DEFAULT_SECONDS if seconds is None else seconds, folder)
     return report

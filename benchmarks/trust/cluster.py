@@ -1,4 +1,4 @@
-"""Processes that work together, of which one is killed: Ray's workers at an ingest, the ranks of a training."""
+"""Kills of one of several processes: Ray's workers during ingest, the ranks of a training."""
 
 import importlib.util
 import os
@@ -129,7 +129,7 @@ def running(command: list[str], folder: Path) -> "Iterator[subprocess.Popen[str]
 
 
 def end_of(process: "subprocess.Popen[str]") -> tuple[int | None, str]:
-    """A process's exit code, None for a hang, and the last line of what it said."""
+    """A process's exit code, None for a hang, and the last line of its output."""
     try:
         message = process.communicate(timeout=PATIENCE_SECONDS)[1].strip().splitlines()
     except subprocess.TimeoutExpired:
@@ -138,7 +138,7 @@ def end_of(process: "subprocess.Popen[str]") -> tuple[int | None, str]:
 
 
 def kill_one(process: "subprocess.Popen[str]", wanted: Callable[[int], bool], seconds: float) -> bool:
-    """Wait for a descendant that is wanted, and a while longer, then kill one; False where there was none in time."""
+    """Wait for a matching descendant, and a while longer, then kill one; False if there was none in time."""
     until: float | None = None
     while process.poll() is None:
         found = [pid for pid in descendants(process.pid) if wanted(pid)]
@@ -153,7 +153,7 @@ def kill_one(process: "subprocess.Popen[str]", wanted: Callable[[int], bool], se
 
 
 def descendants(pid: int) -> list[int]:
-    """All processes that a process has started, and those have."""
+    """All descendants of a process."""
     children: dict[int, list[int]] = {}
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit():
@@ -176,7 +176,7 @@ def command_line(pid: int) -> bytes:
 
 
 def rank_of(pid: int) -> int | None:
-    """Which rank of torchrun's a process is, None if it is none."""
+    """A process's rank under torchrun; None if it has none."""
     with suppress(OSError):
         for variable in Path(f"/proc/{pid}/environ").read_bytes().split(b"\0"):
             if variable.startswith(b"RANK="):

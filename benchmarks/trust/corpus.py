@@ -1,4 +1,4 @@
-"""Small motions for the drill, and what stands in a store: run in processes of their own (`call:` of `process`)."""
+"""Small motions for the drill, and summaries of a store; run in separate processes (`call:` of `process`)."""
 
 import csv
 import hashlib
@@ -42,7 +42,7 @@ def copy_old_store(store: str) -> None:
 
 
 def build_cache(store: str) -> None:
-    """Make the training cache of a store, and the numbers that are kept beside it."""
+    """Build the training cache of a store, and the statistics beside it."""
     from motionkit.store import Store
     from motionkit.store.cache.positions import open_cache
 
@@ -63,7 +63,7 @@ def read_without(store: str, name: str) -> None:
 
 
 def look(store: str) -> None:
-    """Print as JSON what a reader finds: the store's fingerprint, a digest of every motion, and `validate`'s faults."""
+    """Print a reader's view as JSON: the store's fingerprint, a digest of every motion, and `validate`'s faults."""
     from motionkit.store import Store
     from motionkit.store.manifest import MANIFEST_FILE
     from motionkit.store.validate import faults
@@ -80,7 +80,7 @@ def look(store: str) -> None:
 
 
 def content_of(store: object) -> str:
-    """A digest of what the sequences of a store are, whatever its parts and numbers are."""
+    """A digest of the content of a store's sequences, independent of its parts and indices."""
     from motionkit.store import Store
 
     assert isinstance(store, Store)

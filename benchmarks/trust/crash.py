@@ -25,7 +25,7 @@ from motionkit.cli.console import progress
 from motionkit.core.progress import Progress
 
 DEFAULT_SECONDS = 300.0
-# How many of each kind a whole drill tries; of file operations it tries all.
+# Number of trials of each kind in a whole drill; of file operations it tries all.
 NUM_TRIALS = {
     "bytes": 12,
     "moment": 12,
@@ -52,7 +52,7 @@ KINDS = {
 def run(
     seed: int, seconds: float, folder: Path, names: Sequence[str] = tuple(SCENARIOS), most: int | None = None
 ) -> Report:
-    """Try faults in each scenario in turn until all are tried or the time is up; those that took least go first.
+    """Try faults in each scenario in turn until all are tried or the time is up; the quickest scenarios go first.
 
     `names` chooses scenarios, `most` is how many faults each is tried with at most.
     """
@@ -79,7 +79,7 @@ def run(
 
 
 class _Trials:
-    """Trials of one kind of thing, one after the other; owns what came of them."""
+    """Trials of one kind, one after the other; owns their results."""
 
     def __init__(self, name: str, attempts: Iterator[Attempt]) -> None:
         self.name = name
@@ -117,7 +117,7 @@ def attempts(drill: Drill, scenario: Scenario, seed: int, most: int | None) -> I
 
 
 def faults(scenario: Scenario, expected: Expected, seed: int, *, has_disk: bool) -> list[tuple[Fault, str]]:
-    """Every fault that a scenario is tried with, in a random order, each with what is known of it."""
+    """All faults of a scenario, in a random order, each with its details."""
     generator = np.random.default_rng([seed, *scenario.name.encode()])
     found: list[tuple[Fault, str]] = []
     for kind in scenario.modes:

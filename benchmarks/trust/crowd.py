@@ -1,7 +1,7 @@
-"""A store with two writers and four readers at it: `python -m benchmarks.trust.crowd STORE SECONDS SEED`.
+"""A store under two writers and four readers: `python -m benchmarks.trust.crowd STORE SECONDS SEED`.
 
 Each is forked from this process, which has imported what they need and uses none of it itself before they have ended.
-Writers are killed now and then, and others go on in their place. Prints counts and problems as JSON.
+Writers are killed now and then, and replaced. Prints counts and problems as JSON.
 """
 
 import argparse
@@ -26,7 +26,7 @@ SECONDS_BETWEEN_KILLS = (0.2, 4.0)
 
 
 def crowd(store: Path, seconds: float, seed: int, num_writers: int, num_readers: int) -> dict[str, object]:
-    """Run writers and readers for so many seconds; what they counted and found, and what is wrong in the end."""
+    """Run writers and readers for so many seconds; their counts and findings, and what is wrong at the end."""
     generator = np.random.default_rng(seed)
     os.waitpid(fork(partial(store_users.create, store), store.with_name("created")), 0)
     until = time.time() + seconds
@@ -61,7 +61,7 @@ def crowd(store: Path, seconds: float, seed: int, num_writers: int, num_readers:
 
 
 def fork(work: Callable[[], object], result: Path) -> int:
-    """Do some work in a child, which writes what comes of it as JSON; the child's process id."""
+    """Run `work` in a child, which writes its result as JSON; returns the child's process id."""
     pid = os.fork()
     if pid:
         return pid

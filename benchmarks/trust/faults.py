@@ -1,6 +1,6 @@
-"""What can be made to happen to a process: killed before a file operation, at a byte of a file, at a moment …
+"""Fault injection into a process: killed before a file operation, at a byte of a file, at a moment …
 
-A fault is made by the process itself (`install`) or from outside, after some seconds (`Fault.signal`).
+Faults are raised by the process itself (`install`) or from outside, after some seconds (`Fault.signal`).
 """
 
 import os
@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-# The events of Python's own file operations (PEP 578); what C++ libraries write raises none, see `bytes`.
-# Where among an event's arguments stand the path and the descriptor of the folder that it starts from.
+# Audit events of Python's own file operations (PEP 578); writes of C++ libraries raise none, see `bytes`. The positions
+# of the path and of its folder's descriptor among an event's arguments.
 CHANGING_EVENTS: dict[str, tuple[int, int | None]] = {
     "os.rename": (0, 2),
     "os.remove": (0, 1),
@@ -33,10 +33,10 @@ class Fault:
     """One fault of one process.
 
     Kinds: `none`; `operation`, SIGKILL before the n-th change of a file (n from 0); `bytes`, a kill as soon as any file
-    would grow beyond n bytes, so that it is cut there; `limit`, the same as an error (EFBIG) that the command can tell;
-    `moment`, SIGKILL after n seconds; `worker`, the same to one of its worker processes; `interrupt`, Ctrl-C after n
-    seconds, to the process and its workers; `terminate`, SIGTERM after n seconds. Of the disk (`disk.SmallDisk`):
-    `full` but for n bytes, and `read-only`.
+    would grow beyond n bytes, so that it is cut there; `limit`, the same as an error (EFBIG) that the command can
+    report; `moment`, SIGKILL after n seconds; `worker`, the same to one of its worker processes; `interrupt`, Ctrl-C
+    after n seconds, to the process and its workers; `terminate`, SIGTERM after n seconds. Of the disk
+    (`disk.SmallDisk`): `full` but for n bytes, and `read-only`.
     """
 
     kind: str = "none"

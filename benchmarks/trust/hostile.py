@@ -1,7 +1,7 @@
-"""Hostile stores, runs, samples and tables (tests/hostile): every command stays in its folder and explains itself.
+"""Hostile stores, runs, samples and tables (tests/hostile): commands must stay in their folder and explain errors.
 
-Each scene lies in a folder beside another that belongs to somebody else. A command may refuse it or use it; it may not
-change anything outside of the scene's folder, end with a traceback, or print control characters.
+Each scene is a folder beside another one that must not be touched. A command may refuse the scene or use it; it must
+not change anything outside of the scene's folder, end with a traceback, or print control characters.
 """
 
 import hashlib
@@ -33,13 +33,13 @@ CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 
 
 def run(seed: int, seconds: float, folder: Path) -> Report:
-    """Run every command of every scene once, or as many as there is time for."""
+    """Run every command of every scene once, or as many as time allows."""
     return run_scenes(SCENES, seed, folder, seconds=seconds, lanes=usable_cores())
 
 
 @dataclass
 class Tally:
-    """What became of a scene's commands."""
+    """Outcomes of a scene's commands."""
 
     tried: int = 0
     refused: int = 0
@@ -94,7 +94,7 @@ def run_scenes(
 
 
 def attempt(commands: Commands, scene: Scene, arguments: Arguments, good: Path, place: Path) -> tuple[Outcome, str]:
-    """Run one command in a scene; how it ended, and what is wrong in a line, or nothing."""
+    """Run one command in a scene; its outcome, and any fault in a line."""
     inside, outside = place / "inside", place / "outside"
     copy(good, inside)
     if not outside.exists():
@@ -117,7 +117,7 @@ def _make_outside(good: Path, outside: Path) -> None:
 
 
 def ending_fault(outcome: Outcome) -> str:
-    """What is wrong with how a command ended and with what it printed."""
+    """The fault in how a command ended or in its output."""
     output = outcome.out + outcome.err
     if outcome.code is None:
         return f"no end within {TIMEOUT_SECONDS:g} s"
@@ -125,7 +125,7 @@ def ending_fault(outcome: Outcome) -> str:
         return f"{outcome.left} of its processes were still there ten seconds later"
     if outcome.code not in (0, 1, 2) or shows_traceback(outcome):
         return f"exit {outcome.code}: {outcome.last_line[:SHOWN_CHARACTERS]}"
-    # What is wrong with a store or with samples is the result of the commands that look for it.
+    # For commands that validate a store or samples, the problems found are the regular output.
     if outcome.code and not outcome.out.strip() and "motionkit: " not in outcome.err:
         return f"exit {outcome.code} without a reason: {outcome.last_line[:SHOWN_CHARACTERS]}"
     longest = max(map(len, outcome.err.splitlines()), default=0)
@@ -138,7 +138,7 @@ def ending_fault(outcome: Outcome) -> str:
 
 
 def snapshot(folder: Path, without: Path) -> dict[str, tuple[object, ...]]:
-    """What lies in a folder, links not followed: kind, permissions, time of change and digest of each entry."""
+    """Contents of a folder, without following links: kind, permissions, time of change and digest of each entry."""
     found: dict[str, tuple[object, ...]] = {}
     waiting = [folder]
     while waiting:

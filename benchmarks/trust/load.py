@@ -1,4 +1,4 @@
-"""Many processes at one store, and workers and ranks that are killed: does everyone see what they must, and end so?
+"""Many processes on one store, and kills of workers and ranks: everyone must see and leave consistent data.
 
 Two writers add, remove and compact, and are killed now and then; four readers open, read and validate. A worker of Ray
 is killed midway through an ingest, which must give the same bytes; one of two ranks that train together, whose
@@ -31,7 +31,7 @@ def run(seed: int, seconds: float, folder: Path) -> Report:
 def crowd(
     seed: int, seconds: float, folder: Path, num_writers: int = NUM_WRITERS, num_readers: int = NUM_READERS
 ) -> Case:
-    """Let writers and readers at a store, kill writers now and then, and look at what is there in the end."""
+    """Run writers and readers on a store, kill writers now and then, and check the store at the end."""
     name = f"{num_writers} writers, {num_readers} readers"
     folder.mkdir(parents=True)
     command = [

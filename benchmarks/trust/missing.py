@@ -21,7 +21,7 @@ COMMANDS: tuple[Arguments, ...] = (
 
 
 def removed_under_a_reader(drill: Drill) -> Iterator[Attempt]:
-    """Open the store and its cache, remove one file, read everything: all is there, or the file is named."""
+    """Open the store and its cache, remove one file, read everything: it succeeds, or the error names the file."""
     for name in files_of(drill.start_of(START), STORE_FILES):
         place = drill.folder / "place"
         copy(drill.start_of(START), place)
@@ -30,7 +30,7 @@ def removed_under_a_reader(drill: Drill) -> Iterator[Attempt]:
 
 
 def removed_before_a_command(drill: Drill) -> Iterator[Attempt]:
-    """Remove one file, run a command: it succeeds, or says in a line what is wrong; `validate` names what it needs."""
+    """Remove one file, run a command: it succeeds, or explains the error; `validate` names a file that is needed."""
     start = drill.start_of(START)
     for name in files_of(start, ALL_FILES):
         for arguments in COMMANDS:
@@ -45,10 +45,10 @@ def removed_before_a_command(drill: Drill) -> Iterator[Attempt]:
 
 
 def read_only_store(drill: Drill) -> Iterator[Attempt]:
-    """Do all that only reads with a store on a read-only disk: it succeeds, with the caches in another folder."""
+    """Run all read-only commands on a store on a read-only disk: they succeed, with the caches in another folder."""
     if drill.disk is None:
         return
-    # Of its own, for other trials are made between these.
+    # A store of its own, since other trials are interleaved.
     there, place = drill.disk.path / "read-only", drill.folder / "writable"
     copy(drill.start_of("corpus"), there)
     place.mkdir()
@@ -88,7 +88,7 @@ def is_committed(name: str) -> bool:
 
 
 def fault_of(outcome: Outcome) -> str:
-    """What is wrong with how a command ended that lacked a file."""
+    """The fault in how a command with a missing file ended."""
     if shows_traceback(outcome):
         return f"a traceback: {outcome.last_line}"
     if outcome.code not in (0, 1, 2):

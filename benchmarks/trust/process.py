@@ -1,4 +1,4 @@
-"""motionkit's commands as processes that a fault can be made to happen to."""
+"""motionkit's commands as processes with fault injection."""
 
 import json
 import os
@@ -20,10 +20,10 @@ ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "ARR
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a process ended: exit code (minus the signal's number, None for a hang), what it printed, its seconds.
+    """How a process ended: exit code (minus the signal's number, None for a hang), its output, its seconds.
 
-    `left` counts the processes that it started and that were still there ten seconds later; `operations` are the
-    changes of files beneath its folder, in order, where it ran undisturbed.
+    `left` counts its descendants that were still running ten seconds later; `operations` are the changes of files
+    beneath its folder, in order, if it ran undisturbed.
     """
 
     code: int | None
@@ -67,8 +67,8 @@ class Commands:
     ) -> Outcome:
         """Run `motionkit ARGUMENTS` in a folder, or the function that `call:MODULE:NAME` names with the rest of them.
 
-        `checkpoint_seconds` is how often trainings save, by default as they always do; `environment` holds variables
-        that are added to the process's.
+        `checkpoint_seconds` is the interval of checkpoints, by default motionkit's; `environment` holds additional
+        variables for the process.
         """
         request = {
             "folder": str(folder.absolute()),

@@ -16,7 +16,7 @@ SHOWN_FAILURES = 20
 
 @dataclass(frozen=True)
 class Case:
-    """One kind of trial: how often it was tried, and each failure in one line that says how to repeat it.
+    """One kind of trial: the number of trials, and each failure in one line that says how to repeat it.
 
     `figures` holds further numbers (the longest trial in seconds …); `skipped` says why a case could not be tried.
     """
@@ -72,7 +72,7 @@ def print_report(report: Report) -> None:
 
 
 def store_report(report: Report, path: Path) -> None:
-    """Put a report into a JSON file of reports by their part; the reports of other parts in it are kept."""
+    """Add a report to a JSON file of reports by part; the reports of other parts in it are kept."""
     reports = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     reports[report.part] = report.plain()
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""Which commands are disturbed, what each starts from, and how each is repeated."""
+"""The commands under fault injection, their starting folders, and how each is repeated."""
 
 from dataclasses import dataclass
 
@@ -104,9 +104,9 @@ STARTS: dict[str, tuple[str, tuple[Arguments, ...]]] = {
 class Scenario:
     """A command that is disturbed; all paths are relative to the folder that it runs in.
 
-    `again` is what a person does after that, by default the same. What it has written already it may refuse to write
-    once more: `refusal` is what it then says. `whole` names files that are never seen half written. `modes` are the
-    kinds of `Fault` that it is tried with. A training saves after every step.
+    `again` is the command to recover, by default the same. `refusal` is its message if it refuses to overwrite what it
+    has already written. `whole` names files that are never partially written. `modes` are the kinds of `Fault` to try.
+    A training saves after every step.
     """
 
     name: str
@@ -121,7 +121,7 @@ class Scenario:
 
     @property
     def repetition(self) -> Arguments:
-        """The command that mends it."""
+        """The command to recover."""
         return self.again or self.command
 
 
@@ -132,7 +132,7 @@ def _training(stage: str, start: str) -> Scenario:
 
 
 def _export(kind: str) -> Scenario:
-    # The folder appears when it is complete, so everything in it is whole.
+    # The folder appears only when it is complete, so every file in it is whole.
     command = ("export", "out", "--format", kind, *STORE)
     return Scenario(f"export {kind}", "store", command, refusal="is not empty", whole=("out/*", "out/*/*"))
 

@@ -2,7 +2,7 @@
 
 Reads requests from stdin and answers on stdout, a line of JSON each (see `benchmarks.trust.process`). Python's start
 and torch's import would be most of a trial's time. Libraries are imported with one thread each and never used here, so
-there is nothing that a fork could leave half done; what a child has imported beyond that, later children find imported.
+a fork is safe; modules that a child imports in addition are then imported here for later children.
 """
 
 import atexit
@@ -27,7 +27,7 @@ from motionkit.core.errors import MotionkitError
 CALL = "call:"
 PATIENCE_SECONDS = 10.0
 RETRY_SECONDS = 0.005
-# Of pyarrow's allocator, which stops it before a fork and starts it after.
+# A thread of pyarrow's allocator, which stops it before a fork and restarts it afterwards.
 SAFE_THREAD = "jemalloc_bg_thd"
 
 
@@ -52,7 +52,7 @@ def require_few_threads() -> None:
 
 @dataclass
 class Child:
-    """A running command: its process, which leads a group of its own, and what it prints."""
+    """A running command: its process, which leads a process group, and its output."""
 
     pid: int
     descriptors: dict[int, str]
@@ -61,7 +61,7 @@ class Child:
     def wait(self, fault: Fault, timeout: float) -> int | None:
         """Read until the process ends, sending the fault's signal when it is due; its exit code, None for a hang.
 
-        A fault's clock starts when the child says that it has begun.
+        A fault's time counts from the child's message that it has begun.
         """
         started = time.perf_counter()
         due: float | None = None
@@ -90,7 +90,7 @@ class Child:
         return code
 
     def strike(self, fault: Fault) -> bool:
-        """Send the fault's signal; False where there is no worker yet."""
+        """Send the fault's signal; False if there is no worker yet."""
         if fault.kind == "interrupt":
             os.killpg(self.pid, signal.SIGINT)
         elif fault.kind in SIGNALS:
@@ -218,7 +218,7 @@ def exit_code(arguments: list[str]) -> int:
 
 
 def answer(request: dict[str, Any]) -> dict[str, Any]:
-    """Run one command; what became of it."""
+    """Run one command; returns its outcome."""
     fault = Fault(**request["fault"])
     started = time.perf_counter()
     child = fork(request, fault)

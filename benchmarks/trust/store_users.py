@@ -1,8 +1,8 @@
-"""What the writers and readers of a crowded store do.
+"""Writers and readers of a store under concurrent access.
 
-A sequence's frames follow from its id, so whoever reads one knows what it must be. A writer adds its sequences in
-batches and removes them in batches, so a reader must see all of a batch or nothing. What a writer begins and has done
-stands in its log, which survives it.
+A sequence's frames are determined by its id, so readers can verify them. A writer adds and removes its sequences in
+batches, so a reader must see all of a batch or nothing. A writer logs the beginning and end of each change; the log
+survives it.
 """
 
 import hashlib
@@ -47,7 +47,7 @@ def batch_ids(batch: str) -> list[str]:
 
 
 def batches_of(ids: list[str]) -> dict[str, int]:
-    """Batches that ids are of, and how many of each there are."""
+    """The batches of some ids, with the number of ids of each."""
     return Counter(sequence_id.rpartition("/")[0] for sequence_id in ids)
 
 
@@ -58,13 +58,13 @@ class Log:
         self.path = path
 
     def note(self, state: str, action: str, batch: str) -> None:
-        """Add a line, which is there when this returns."""
+        """Append a line, flushed and closed on return."""
         with self.path.open("a", encoding="utf-8") as handle:
             handle.write(f"{state} {action} {batch}\n")
 
 
 def read_log(path: Path) -> tuple[set[str], tuple[str, str] | None, int]:
-    """Batches that must be in the store, the change of which the end is not known, and how many there were."""
+    """Batches that must be in the store, the unfinished change, and the number of finished ones."""
     live: set[str] = set()
     pending, count = None, 0
     for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
@@ -77,7 +77,7 @@ def read_log(path: Path) -> tuple[set[str], tuple[str, str] | None, int]:
 
 
 def settle(store: Path, log: Log) -> set[str]:
-    """Find out what became of the change in which a killed writer was; the writer's batches in the store."""
+    """Resolve the unfinished change of a killed writer; returns the writer's batches in the store."""
     _, pending, _ = read_log(log.path)
     if pending is not None:
         action, batch = pending
@@ -87,7 +87,7 @@ def settle(store: Path, log: Log) -> set[str]:
 
 
 def log_of(store: Path, writer: str) -> Path:
-    """Where a writer's log lies."""
+    """The path of a writer's log."""
     return store.with_name(f"{writer}.log")
 
 
@@ -99,7 +99,7 @@ def create(store: Path) -> None:
 
 
 def final_problems(store: Path, writers: Iterable[str]) -> list[str]:
-    """What is missing from a store, too much in it or damaged, when everybody has left."""
+    """Missing, unexpected or damaged sequences of a store after all processes have ended."""
     expected = {BASE}.union(*(settle(store, Log(log_of(store, writer))) for writer in writers))
     opened = Store.open(store)
     found, wanted = set(ids_of(opened)), {sequence_id for batch in expected for sequence_id in batch_ids(batch)}
@@ -116,7 +116,7 @@ def ids_of(store: Store) -> list[str]:
 
 
 def write(store: Path, writer: str, until: float, seed: int) -> dict[str, object]:
-    """Add, remove and compact in turn until a time; counts of what was done and how often another writer was at it."""
+    """Add, remove and compact in turn until a time; counts of the changes and of conflicts with another writer."""
     log, generator = Log(log_of(store, writer)), np.random.default_rng(seed)
     live, counts = settle(store, log), Counter[str]()
     number = time.time_ns()
@@ -157,7 +157,7 @@ def change(store: Path, action: str, batch: str) -> None:
 
 
 def read(store: Path, until: float, seed: int) -> dict[str, object]:
-    """Open, look, read and validate until a time; counts, and what was not as it must be."""
+    """Open, list, read and validate until a time; counts and problems."""
     counts, problems, generator = Counter[str](), list[str](), np.random.default_rng(seed)
     for action in rounds(until, generator, ["read", "validate"], [1 - VALIDATE, VALIDATE]):
         try:
@@ -173,7 +173,7 @@ def read(store: Path, until: float, seed: int) -> dict[str, object]:
 
 
 def looked_at(store: Store, generator: np.random.Generator) -> list[str]:
-    """What is not whole in a store, and which of a few of its sequences are not what their ids say."""
+    """Incomplete batches of a store, and those of a few of its sequences that do not match their ids."""
     ids = ids_of(store)
     found = [
         f"of the batch {batch} there are {count}"
@@ -190,7 +190,7 @@ def is_as_written(store: Store, sequence_id: str) -> bool:
 
 
 def rounds(until: float, generator: np.random.Generator, actions: list[str], chances: list[float]) -> Iterator[str]:
-    """Random actions until a time, one in any case, with a breath between them."""
+    """Random actions until a time, at least one, with pauses."""
     yield str(generator.choice(actions, p=chances))
     while time.time() < until:
         time.sleep(float(generator.uniform(0.0, 0.02)))

@@ -1,4 +1,4 @@
-"""What lies in a folder, as a mapping that two runs of the same command agree in."""
+"""A folder's contents as a mapping that is equal for two runs of the same command."""
 
 import hashlib
 import json
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-# What a clock says, and checksums of files that hold it: of the document itself, of metrics.jsonl.
+# Times, and checksums of files that hold them: of the document itself, of metrics.jsonl.
 VOLATILE = frozenset(("checksum", "metrics", "metrics.jsonl", "time", "wall_seconds"))
 TIMED = (".jsonl", "summary.json")
 SHOWN = 3
@@ -26,7 +26,7 @@ def tree(folder: Path, digits: int | None = None) -> dict[str, str]:
 
 
 def difference(found: Mapping[str, str], expected: Mapping[str, str]) -> str:
-    """What differs between two trees, in a few words; empty if nothing does."""
+    """The differences of two trees, in a few words; empty if there are none."""
     lines = []
     for words, names in (
         ("left over", sorted(found.keys() - expected.keys())),

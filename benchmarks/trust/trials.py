@@ -1,4 +1,4 @@
-"""One trial: a command is disturbed, what is there is looked at, the command is repeated and its end compared."""
+"""One trial: inject a fault into a command, check its files, repeat the command and compare the result."""
 
 import json
 import re
@@ -15,9 +15,9 @@ from benchmarks.trust.scenarios import CALL, STARTS, Scenario
 from benchmarks.trust.trees import copy, difference, tree
 
 ABSENT = "absent"
-# Names that say that nobody is to read the file yet.
+# Names of temporary files.
 TEMPORARY = re.compile(r"(^|/)(\.|building-)")
-# With which codes a command may end; 130 is Ctrl-C's.
+# Permitted exit codes; 130 is Ctrl-C's.
 CODES: dict[str, tuple[int, ...]] = {
     "operation": (0, -signal.SIGKILL),
     "moment": (0, -signal.SIGKILL),
@@ -33,12 +33,12 @@ DISK_FAULTS = ("full", "read-only")
 
 
 class UndisturbedError(Exception):
-    """A command that fails, or gives another result, without any fault: nothing can be tried then."""
+    """A command that fails, or has another result, without any fault, which prevents the trials."""
 
 
 @dataclass(frozen=True)
 class Expected:
-    """What an undisturbed run gives: the folder before it, after it, and after it was repeated.
+    """The reference of an undisturbed run: the folder before it, after it, and after it was repeated.
 
     `before` and `after` of the store are what a reader finds in it (`corpus.look`).
     """
@@ -56,7 +56,7 @@ class Expected:
 
 @dataclass(frozen=True)
 class Attempt:
-    """One trial: its kind, what was done, and what went wrong, empty for nothing."""
+    """One trial: its kind, the fault, and the failure, if any."""
 
     kind: str
     about: str
@@ -73,7 +73,7 @@ class Drill:
         self.expected: dict[str, Expected] = {}
 
     def start_of(self, name: str) -> Path:
-        """The starting folder of this name, made where it is missing."""
+        """The starting folder of this name, created if it is missing."""
         path = self.folder / "starts" / name.replace(" ", "-")
         if path.exists():
             return path
@@ -123,7 +123,7 @@ class Drill:
         return self.expected[scenario.name]
 
     def attempt(self, scenario: Scenario, fault: Fault) -> str:
-        """Try one fault; what went wrong, in a line, or nothing."""
+        """Try one fault; returns the failure in a line, or nothing."""
         expected = self.prepare(scenario)
         disk = self.disk if fault.kind in DISK_FAULTS else None
         place = (self.folder if disk is None else disk.path) / "place"
@@ -153,7 +153,7 @@ class Drill:
         return found
 
     def repetition_fault(self, scenario: Scenario, expected: Expected, place: Path, found: dict[str, Any]) -> str:
-        """Repeat the command; what it ends with must be what an undisturbed run, or its repetition, ends with."""
+        """Repeat the command; the result must equal that of an undisturbed run or of its repetition."""
         stored = found == expected.store_after != expected.store_before
         done = stored or all(tree(place).get(name) == digest for name, digest in expected.after.items())
         again = self.run(scenario, place, repeating=True)
@@ -166,7 +166,7 @@ class Drill:
 
 
 def state_fault(scenario: Scenario, expected: Expected, place: Path, found: dict[str, Any]) -> str:
-    """What is neither as it was nor as it will be: the store as a reader finds it, or a file that must be whole."""
+    """What is in neither its old nor its new state: the store as a reader sees it, or a file that must be whole."""
     if found not in (expected.store_before, expected.store_after):
         return f"the store {scenario.store} is neither in its old nor in its new state: {json.dumps(found)}"
     there = tree(place)
@@ -189,7 +189,7 @@ def endings(scenario: Scenario, fault: Fault) -> tuple[int, ...]:
 
 
 def ending_fault(hit: Outcome, expected: Expected, codes: tuple[int, ...]) -> str:
-    """What is wrong with how a disturbed command ended."""
+    """The fault in how a disturbed command ended."""
     if hit.code is None:
         return f"it hung: after {hit.seconds:.0f} s it was still running"
     if hit.left:

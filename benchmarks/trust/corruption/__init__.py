@@ -1,4 +1,4 @@
-"""Single bytes that change in the files that motionkit writes and reads again: each is noticed, or does no harm.
+"""Changes of single bytes in motionkit's own files: each must be detected or harmless.
 
 For every flip the commands that read the file are run in processes of their own. Each must either give what it gives
 with undamaged files, or end with a message that names the file and leave everything as it was. A failure is reported as

@@ -1,4 +1,4 @@
-"""Every kind of file that motionkit writes and reads again: from where, in which folder, and which commands read it."""
+"""All kinds of files that motionkit writes and reads again: origin, folder, and the commands that read them."""
 
 from dataclasses import dataclass
 
@@ -21,7 +21,7 @@ STARTS_OF_STAGES = {"codebook": "corpus", "field": "codebook", "denoiser": "fiel
 class Kind:
     """One kind of file: `pattern` names its files in the starting folder; `uses` are the commands that read it.
 
-    `start` is a folder of `starts.make_start`. A use that gives the same as with undamaged files has not been harmed.
+    `start` is a folder of `starts.make_start`. A use with the same result as for undamaged files is harmless.
     """
 
     name: str

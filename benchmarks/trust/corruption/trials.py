@@ -1,4 +1,4 @@
-"""One flipped byte: the commands that read the file are run, and what comes of each is judged."""
+"""One flipped byte: run the commands that read the file and judge their results."""
 
 import re
 import time
@@ -59,7 +59,7 @@ def choose_flip(kind: Kind, start: Path, seed: int, number: int) -> Flip:
 
 @dataclass
 class Tally:
-    """What became of the flips of one kind, by the uses of each."""
+    """Results of the flips of one kind, by use."""
 
     tried: int = 0
     detected: int = 0
@@ -70,7 +70,7 @@ class Tally:
 
 @dataclass(frozen=True)
 class Expected:
-    """What a use gives where nothing is damaged."""
+    """The result of a use of undamaged files."""
 
     printed: str
     after: dict[str, str]
@@ -140,12 +140,12 @@ class Trials:
 
 
 def _printed(outcome: Outcome) -> str:
-    """What a command prints, without what a clock has measured."""
+    """A command's output without times."""
     return CLOCK.sub("", outcome.out)
 
 
 def _names(path: str) -> Sequence[str]:
-    """The file, or a folder that holds it: what a person is to find in the message."""
+    """The file, or a folder that holds it, which the message must name."""
     parts = Path(path).parts
     return (parts[-1], *("/".join(parts[:count]) for count in range(1, len(parts))))
 

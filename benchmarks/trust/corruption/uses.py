@@ -1,4 +1,4 @@
-"""What is read of files that no quick command reads: called in processes of their own, printing what they find."""
+"""Reads of files that no quick command covers: called in separate processes, they print what they find."""
 
 import hashlib
 import json
@@ -18,7 +18,7 @@ def history(folder: str) -> None:
 
 
 def evaluator(run: str) -> None:
-    """The embeddings that a trained evaluator gives of clips that are known."""
+    """A trained evaluator's embeddings of fixed clips."""
     from eval.native_evaluator.evaluator import load_native
 
     clips = np.cumsum(0.01 * np.random.default_rng(2).normal(size=(4, 16, 22, 3)), axis=1) + np.arange(22)[:, None] / 9
@@ -47,7 +47,7 @@ def kinematic(folder: str) -> None:
 
 
 def embeddings(folder: str) -> None:
-    """Embeddings of motions that are computed once and kept."""
+    """Cached embeddings of motions."""
     from eval.text_motion.embedding_cache import FOLDER, Embedder
 
     embedder = Embedder(_Evaluator(), Path(folder) / FOLDER)  # type: ignore[arg-type]
@@ -55,7 +55,7 @@ def embeddings(folder: str) -> None:
 
 
 def texts(folder: str) -> None:
-    """Embeddings of texts that are computed once and kept."""
+    """Cached embeddings of texts."""
     from motionkit.training.text import embed_texts
 
     _print(embed_texts(_Encoder(), ("a person walks", "somebody jumps"), Path(folder)))  # type: ignore[arg-type]

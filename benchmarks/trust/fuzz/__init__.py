@@ -1,4 +1,4 @@
-"""Damaged files for every reader: what comes out is a motion or an own error, within 2 s of processor time and 1 GiB.
+"""Damaged files for every reader: each returns a motion or raises an own error, within 2 s of CPU time and 1 GiB.
 
 Every reader gets the same share of the time, by as many processes as there are processors. A failure is reported as
 READER:SEED:NUMBER; that input is made again by

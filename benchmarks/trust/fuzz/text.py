@@ -38,7 +38,7 @@ Span = tuple[int, int]
 
 
 def _token(rng: Random, content: bytes, pattern: re.Pattern[bytes] = TOKEN) -> Span | None:
-    """Where a token of this kind stands; None where none was met in a few tries."""
+    """Where a token of this kind stands; None if none was met in a few tries."""
     for _ in range(8):
         place = rng.randint(0, len(content))
         while place and content[place - 1] not in SEPARATORS:

@@ -155,7 +155,7 @@ def _work(
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one input: `fault` is None where it was read, "" where it was refused; processor time of that."""
+    """What became of one input: `fault` is None if it was read, "" where it was refused; processor time of that."""
 
     fault: str | None
     seconds: float
