@@ -2,7 +2,7 @@
 
 `joint_positions` [T, J, 3] in metres, y up, and a clock are required: `fps_numerator` and `fps_denominator`, or `fps`,
 or `time_seconds` [T], evenly spaced; all that are present must agree. Everything else is optional: `local_rotations`
-[T, J, 4] unit quaternions (w, x, y, z), `root_translation` [T, 3]; the skeleton (formats/npz_skeleton.py); `captions`
+[T, J, 4] unit quaternions (w, x, y, z), `root_translation` [T, 3]; the skeleton (`skeleton_arrays`); `captions`
 [C], `caption_seconds` [C, 2] (NaN: to the end), `caption_tokens` [C]; single strings `action`, `style`, `split`,
 `sequence_id`, `source`, `subset`, `licence`, `subject`, `stated_fps`; `operations` [K]. With all of these, writing and
 reading a motion is lossless.

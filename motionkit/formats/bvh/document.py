@@ -6,7 +6,7 @@ Formats Explained", University of Sheffield CS-01-11, 2001.
 
 `read_bvh` reads a file at once, in one pass. `read_document` indexes it and reads frames on demand, so that memory does
 not grow with the file's length; it also keeps the file's text. Both find the same skeleton, frames and clock, by
-`_find_body` and `_Body.poses`.
+`_find_body` and `BvhBody.poses`.
 """
 
 from collections.abc import Callable, Iterable, Iterator

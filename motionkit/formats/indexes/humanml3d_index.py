@@ -1,6 +1,6 @@
 """HumanML3D's index.csv: source_path, start_frame, end_frame, new_name; 14,616 rows.
 
-`formats.cuts` explains how frames are counted. Rows of humanact12 have the end −1 and take the whole file. Source:
+`formats.scan.cuts` explains how frames are counted. Rows of humanact12 have the end −1 and take the whole file. Source:
 https://github.com/EricGuo5513/HumanML3D (index.csv, raw_pose_processing.ipynb).
 """
 

@@ -1,4 +1,4 @@
-"""Finding the sequences of a source, to be read by `formats.reading`.
+"""Finding the sequences of a source, to be read by `formats.scan.reading`.
 
 `scan` only lists names and folders, `read` opens one sequence: so ingest can scan once and read in many processes.
 """
