@@ -125,8 +125,8 @@ def files_of_folder(folder: Path) -> Iterator[Path]:
 def read_humanml3d(item: SourceItem, options: ReadOptions, layout: Layout = HUMANML3D) -> Motion:
     """Read one sequence: joints if the folder has them, else recovered from its pose vectors, in metres.
 
-    The framerate is the published one unless the folder's `motions.json` (formats/arrays/joints_npy.py) or `options` gives
-    another. The published 6D rotations lack twist and are not used as rotations. Raises `FormatError`.
+    The framerate is the published one unless the folder's `motions.json` (formats/arrays/joints_npy.py) or `options`
+    gives another. The published 6D rotations lack twist and are not used as rotations. Raises `FormatError`.
     """
     data = source_file.read_bytes(item.path)
     operations: list[str] = []
