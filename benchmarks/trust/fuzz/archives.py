@@ -1,4 +1,4 @@
-"""Accidents to zip archives: members that are damaged, lost or renamed, directories that lie, and bombs."""
+"""Mutations of zip archives: damaged, lost or renamed members, wrong directories, and bombs."""
 
 import io
 import struct
@@ -14,14 +14,14 @@ from benchmarks.trust.fuzz.binary import mutate_bytes
 Accident = Callable[[Random, bytes], bytes]
 ZIP = b"PK\x03\x04"
 NAMES = ("../up.npy", "/absolute.npy", "x", "", "a/b.npy", "fps.npy", "poses.npy", "x" * 300, "\x1b[31m.npy")
-# Members that are longer are bombs, and are not taken apart.
+# Longer members are bombs, and are not unpacked.
 MOST_MEMBER_BYTES = 8 << 20
 BOMB_BLOCKS = 1280
 BOMB_SHAPES = ("(5084252, 22, 3)", "(335544320,)", "()")
 
 
 def mutate_zip(rng: Random, content: bytes, accident_of: Callable[[str, bytes], Accident]) -> bytes:
-    """An archive after an accident to a member, whose checksum then agrees, or to the archive itself."""
+    """An archive after a mutation of a member, with a valid checksum, or of the archive itself."""
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = {
@@ -90,7 +90,7 @@ def _with_bomb(members: dict[str, bytes], victim: str, shape: str) -> bytes:
 
 
 def prepare_bombs() -> None:
-    """Make them, once for all processes that are forked later."""
+    """Create the bombs once for all processes that are forked later."""
     for shape in BOMB_SHAPES:
         _bomb(shape)
 

@@ -1,4 +1,4 @@
-"""Accidents to numpy's files: wild headers, wild numbers, pickles that are programs."""
+"""Mutations of numpy's files: invalid headers, extreme numbers, malicious pickles."""
 
 import ast
 import pickletools
@@ -21,7 +21,7 @@ TYPES = (
 SIZES = (0, 1, 2, 3, 21, 22, 24, 263, -1, 10**6, 4 * 10**8, 2**31, 2**63 - 1, 2**64, 10**30, 1.5, True, "3", None)
 FLOATS = (np.nan, np.inf, -np.inf, 3e38, -3e38, 1e-40, 0.0, 1e6, -1.0, 1e20)
 LONG = b"9" * 5000
-# Calls, texts longer than the file, lists that hold themselves, and forty lists that each hold the one before twice.
+# Calls, strings longer than the file, recursive lists, and forty lists that each hold the previous one twice.
 SNIPPETS = (
     *(b"(" * 5000, b"]" * 5000, b"}" * 300, b"2" * 3000, b"0", b"00000", b"N", b"(]", b"K\xff", b"\x93", b"P1\n", b"Q"),
     *(b"X\xff\xff\xff\x7f", b"B\xff\xff\xff\xff", b"\x8e" + b"\xff" * 7 + b"\x7f", b"\x8a\xff" + b"\xff" * 255),
@@ -33,7 +33,7 @@ SNIPPETS = (
 
 
 def mutate_npy(rng: Random, content: bytes) -> bytes:
-    """A .npy file after one accident: mostly to its header, whose rest then agrees with it or not."""
+    """A .npy file after one mutation, mostly of its header, with consistent or inconsistent data."""
     if not content.startswith(NPY) or len(content) < 12 or rng.random() < 0.2:
         return mutate_bytes(rng, content)
     wide = content[6] >= 2
@@ -104,7 +104,7 @@ def _wild_data(rng: Random, data: bytes, kind: object) -> bytes:
 
 
 def mutate_pickle(rng: Random, content: bytes) -> bytes:
-    """A pickle, alone or in a .npy file, after one accident to its opcodes."""
+    """A pickle, alone or in a .npy file, after one mutation of its opcodes."""
     start = content.find(b"\x80", 10) if content.startswith(NPY) else 0
     if start < 0 or rng.random() < 0.25:
         return mutate_bytes(rng, content)

@@ -1,4 +1,4 @@
-"""Accidents to bytes of any meaning: flips, losses, wild numbers of machine words."""
+"""Mutations of arbitrary bytes: flips, losses, extreme values of machine words."""
 
 import struct
 from collections.abc import Callable
@@ -20,12 +20,12 @@ WILD_WORDS = tuple(
 
 
 def mutate_bytes(rng: Random, content: bytes) -> bytes:
-    """Bytes after one accident."""
+    """The bytes after one mutation."""
     return rng.choice(ACCIDENTS)(rng, content)
 
 
 def place_in(rng: Random, content: bytes) -> int:
-    """Where something happens: headers, where most of what matters stands, and ends are hit as often as the rest."""
+    """A position to mutate: headers, which matter most, and ends are as likely as the rest."""
     last = max(0, len(content) - 1)
     region = rng.randrange(4)
     if region == 0:

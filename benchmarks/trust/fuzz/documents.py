@@ -1,4 +1,4 @@
-"""Accidents to JSON documents: values of another type or size, keys lost, renamed or doubled, deep nesting."""
+"""Mutations of JSON documents: values of another type or size, keys lost, renamed or duplicated, deep nesting."""
 
 import json
 from collections import deque
@@ -18,12 +18,12 @@ WILD = (
 )
 Step = tuple[Any, Any]
 MOST_STEPS = 2000
-# A document that an earlier accident has made longer is damaged as text.
+# A document that an earlier mutation has made longer is mutated as text.
 MOST_BYTES = 1 << 18
 
 
 def mutate_json(rng: Random, content: bytes) -> bytes:
-    """A JSON document after one accident, which is one to its text where it is no JSON any more."""
+    """A JSON document after one mutation, of its text if it is no longer valid JSON."""
     if len(content) > MOST_BYTES:
         return mutate_text(rng, content)
     try:
@@ -33,7 +33,7 @@ def mutate_json(rng: Random, content: bytes) -> bytes:
     steps = list(_steps(document))
     if not steps or rng.random() < 0.15:
         return mutate_text(rng, content)
-    # Of a list of a thousand numbers the first is hit as often as its neighbours together.
+    # In long lists the first elements are as likely as all others together.
     container, key = rng.choice(steps[:40] if rng.random() < 0.5 else steps)
     wild = b""
     fate = rng.randrange(10)
@@ -58,7 +58,7 @@ def mutate_json(rng: Random, content: bytes) -> bytes:
 
 
 def mutate_json_lines(rng: Random, content: bytes) -> bytes:
-    """A file of a JSON document a line, after an accident to one of them or to the whole."""
+    """A file of one JSON document per line, after a mutation of one of them or of the whole."""
     lines = content.splitlines()
     if not lines or rng.random() < 0.3:
         return mutate_text(rng, content)
@@ -68,7 +68,7 @@ def mutate_json_lines(rng: Random, content: bytes) -> bytes:
 
 
 def _steps(value: Any) -> "list[Step]":
-    """Every place in a document: its container and the key or index there."""
+    """Every value's place in a document: its container and key or index."""
     found: list[Step] = []
     waiting = deque([value])
     while waiting and len(found) < MOST_STEPS:
@@ -82,12 +82,12 @@ def _steps(value: Any) -> "list[Step]":
 
 
 def is_json(content: bytes) -> bool:
-    """Whether it begins as a document does."""
+    """Whether it begins like a JSON document."""
     return content.lstrip()[:1] in (b"{", b"[")
 
 
 def mutate_safetensors(rng: Random, content: bytes) -> bytes:
-    """A safetensors file after one accident, half of the time to the document that it begins with."""
+    """A safetensors file after one mutation, half of the time of its JSON header."""
     length = int.from_bytes(content[:8], "little")
     if rng.random() < 0.5 or not 0 < length <= len(content) - 8:
         return mutate_bytes(rng, content)

@@ -1,6 +1,6 @@
-"""One to four accidents to a file, of the kinds that its content can have; everything random comes from one generator.
+"""One to four mutations of a file, suited to its content; all randomness comes from one generator.
 
-An input of the fuzz part is known by (reader, seed, number): `generator` makes the same one again.
+An input of the fuzz part is identified by (reader, seed, number), from which `generator` reproduces it.
 """
 
 from functools import partial
@@ -15,12 +15,12 @@ from benchmarks.trust.fuzz.text import mutate_text
 
 
 def generator(reader: str, seed: int, number: int) -> Random:
-    """Where all randomness of one input comes from."""
+    """The random generator of one input."""
     return Random(f"{reader}/{seed}/{number}")
 
 
 def mutate(rng: Random, name: str, content: bytes) -> bytes:
-    """A file's bytes after one to four accidents; mostly one, for a file with many faults is refused at the first."""
+    """A file's bytes after one to four mutations; mostly one, since readers stop at the first fault."""
     accident = accident_of(name, content)
     for _ in range(rng.choice((1, 1, 1, 1, 2, 2, 3, 4))):
         try:
@@ -31,7 +31,7 @@ def mutate(rng: Random, name: str, content: bytes) -> bytes:
 
 
 def accident_of(name: str, content: bytes) -> Accident:
-    """The kind of accident that fits a file, by what it is."""
+    """The mutation for a file, by its type."""
     if content.startswith(ZIP):
         return partial(mutate_zip, accident_of=accident_of)
     if content.startswith(NPY):

@@ -1,4 +1,4 @@
-"""Accidents to Parquet files: columns of another type, wild cells, rows that are lost or doubled, damaged bytes."""
+"""Mutations of Parquet files: columns of another type, extreme cells, rows lost or duplicated, damaged bytes."""
 
 import io
 from random import Random
@@ -16,7 +16,7 @@ TYPES = (pa.string(), pa.int64(), pa.float64(), pa.int8(), pa.binary(), pa.list_
 
 
 def mutate_parquet(rng: Random, content: bytes) -> bytes:
-    """A Parquet file after one accident to its bytes or to its table."""
+    """A Parquet file after one mutation of its bytes or of its table."""
     if rng.random() < 0.35:
         return mutate_bytes(rng, content)
     try:
@@ -27,7 +27,7 @@ def mutate_parquet(rng: Random, content: bytes) -> bytes:
 
 
 def mutate_table(rng: Random, table: pa.Table) -> pa.Table:
-    """A table after one accident; raises what pyarrow raises where it cannot be made."""
+    """A table after one mutation; raises pyarrow's errors if it is not possible."""
     name = rng.choice(table.column_names)
     place = table.column_names.index(name)
     fate = rng.randrange(12)
@@ -53,7 +53,7 @@ def _with_cell(rng: Random, table: pa.Table, place: int) -> pa.Table:
     values = table.column(place).to_pylist()
     row = rng.randrange(len(values))
     values[row] = _wild(rng, values[row])
-    # The schema says that there is no null: a file can lie about that, a table in memory cannot.
+    # The schema allows no nulls: a file can violate it, a table in memory cannot.
     array = pa.array(values, field.type)
     return table.set_column(place, pa.field(field.name, field.type, metadata=field.metadata), array)
 

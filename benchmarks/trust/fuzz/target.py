@@ -1,4 +1,4 @@
-"""One reader that is given damaged files: how its valid sources are made, which of their files are damaged, its use."""
+"""One fuzzed reader: how its valid sources are made, which of their files are damaged, and how it is called."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -27,9 +27,9 @@ class Target:
     """One reader.
 
     Each of `makes` writes a small valid source into an empty folder; one file of it, of `victims`, is damaged. `use`
-    reads all of the folder as a user would, and lets its errors through. `sealed` gives a damaged file, by its path and
-    new content, the checksum that it then has, so that what is behind the check is reached; `after` puts a source in
-    order again, whose `use` or `sealed` has changed more than the damaged file.
+    reads all of the folder as a user would, without catching errors. `sealed` updates the checksum of a damaged file,
+    by its path and new content, to reach the code behind the check; `after` restores a source if `use` or `sealed`
+    changes more than the damaged file.
     """
 
     name: str

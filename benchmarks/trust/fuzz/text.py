@@ -1,4 +1,4 @@
-"""Accidents to text: wild numbers and words, tokens and lines that are lost, doubled or swapped, other encodings."""
+"""Mutations of text: extreme numbers and words, tokens and lines lost, duplicated or swapped, other encodings."""
 
 import re
 from collections.abc import Callable
@@ -25,12 +25,12 @@ TOKEN = re.compile(rb"[^%s]+" % re.escape(SEPARATORS))
 INTEGER = re.compile(rb"[-+]?\d{1,12}")
 NUMBER = re.compile(rb"[-+]?(\d|\.\d)[\d.eE+-]*")
 BRACKETS = (b"{", b"[", b"(", b'"', b"[[", b'{"a":', b"[1,", b"a.", b"(1,")
-# No accident makes a file longer than this, so that an input stays small.
+# Maximum size of a mutated file.
 MOST_BYTES = 2 << 20
 
 
 def mutate_text(rng: Random, content: bytes) -> bytes:
-    """Text after one accident."""
+    """Text after one mutation."""
     return rng.choice(ACCIDENTS)(rng, content)
 
 
@@ -38,7 +38,7 @@ Span = tuple[int, int]
 
 
 def _token(rng: Random, content: bytes, pattern: re.Pattern[bytes] = TOKEN) -> Span | None:
-    """Where a token of this kind stands; None if none was met in a few tries."""
+    """The span of a random token of this kind; None if none was found in a few tries."""
     for _ in range(8):
         place = rng.randint(0, len(content))
         while place and content[place - 1] not in SEPARATORS:
@@ -59,7 +59,7 @@ def _wild_number(rng: Random, content: bytes) -> bytes:
 
 
 def _near_number(rng: Random, content: bytes) -> bytes:
-    # A count that fits no more: one more, one less, negative, a thousand times.
+    # A wrong count: one more, one less, negative, a thousand times.
     span = _token(rng, content, INTEGER)
     if span is None:
         return _wild_word(rng, content)
@@ -68,7 +68,7 @@ def _near_number(rng: Random, content: bytes) -> bytes:
 
 
 def _all_numbers(rng: Random, content: bytes) -> bytes:
-    # Every number of a place in the table becomes the same wild one.
+    # Every number in a column of the table becomes the same extreme one.
     wild, every = rng.choice(NUMBERS[:30]), rng.randint(1, 7)
     count = iter(range(1 << 30))
 
@@ -108,7 +108,7 @@ def _swap_tokens(rng: Random, content: bytes) -> bytes:
 
 
 def _copy_token(rng: Random, content: bytes) -> bytes:
-    # A name that is there twice, a number where a word was.
+    # A duplicated name, or a number in place of a word.
     first, second = _token(rng, content), _token(rng, content)
     return _put(content, first, content[second[0] : second[1]]) if first and second else content
 
@@ -137,7 +137,7 @@ def _lines(rng: Random, content: bytes) -> bytes:
 
 
 def _nest(rng: Random, content: bytes) -> bytes:
-    # Deep nesting: a bracket, or a piece of the file itself, very often.
+    # Deep nesting: a bracket, or a piece of the file itself, repeated many times.
     place = rng.randint(0, len(content))
     piece = rng.choice(BRACKETS) if rng.random() < 0.6 else content[place : place + rng.randint(1, 60)]
     times = rng.choice((10, 200, 2000, 60_000))

@@ -1,7 +1,7 @@
-"""Inputs tried in forked processes with limits: memory above what the process has already, and processor time.
+"""Inputs tried in forked processes with limits on additional memory and on processor time.
 
-A process tries a block of inputs; where it dies (its time spent, a crash in a library) the parent knows at which input,
-notes it, and goes on behind it with another process.
+A process tries a block of inputs; if it dies (time limit, a crash in a library) the parent records the input and
+continues after it with another process.
 """
 
 import faulthandler
@@ -29,22 +29,21 @@ from motionkit.core.errors import MotionkitError
 
 MOST_BYTES = 1 << 30
 MOST_SECONDS = 2.0
-# A process that waits uses no processor time; after so long at one input it counts as hanging.
+# A waiting process uses no processor time; after this long at one input it counts as hanging.
 STUCK_SECONDS = 60.0
 SHOWN_CHARACTERS = 300
-# An input whose time is spent is tried again so often before it counts as failed.
+# Number of retries of an input that exceeds its time before it counts as failed.
 RETRIES = 2
 PAGE_BYTES = resource.getpagesize()
-# What a child has done, where its parent sees it: the next input, refused, read, seconds of the slowest, its number.
+# A child's progress in shared memory: next input, refused, read, seconds of the slowest, its number.
 PROGRESS = struct.Struct("<qqqdq")
 
 
 @dataclass
 class Tally:
-    """What became of the inputs of one reader: `read` without complaint, `refused` by own errors, or failed.
+    """Results of the inputs of one reader: `read` without error, `refused` by own errors, or failed.
 
-    `next_number` is that of its next input, which had to be tried `retries` times already, `seconds` the time that its
-    processes took.
+    `next_number` is that of its next input, already tried `retries` times, `seconds` the time that its processes took.
     """
 
     next_number: int = 0
@@ -64,7 +63,7 @@ class Tally:
 
 @dataclass(frozen=True)
 class Block:
-    """Inputs of one target under way in a child process."""
+    """A child process that tries inputs of one target."""
 
     target: Target
     seed: int
@@ -75,7 +74,7 @@ class Block:
     last: list[tuple[int, float]] = field(default_factory=list)
 
     def is_stuck(self) -> bool:
-        """Whether the child has been at one input for a minute of the wall's clock."""
+        """Whether the child has spent a minute of wall time on one input."""
         number, now = PROGRESS.unpack(self.progress[:])[0], time.monotonic()
         if not self.last or self.last[0][0] != number:
             self.last[:] = [(number, now)]
@@ -85,7 +84,7 @@ class Block:
     def start(cls, target: Target, seed: int, numbers: range, seconds: float, folder: Path) -> "Block":
         """Fork a child that tries these inputs until the seconds are over; `folder` holds the prepared sources.
 
-        The process that forks may have no threads that hold locks.
+        The forking process must not have threads that hold locks.
         """
         progress, report, begun = mmap.mmap(-1, PROGRESS.size), tempfile.TemporaryFile(), time.monotonic()  # noqa: SIM115
         progress[:] = PROGRESS.pack(numbers.start, 0, 0, 0.0, -1)
@@ -95,7 +94,7 @@ class Block:
         return cls(target, seed, child, begun, progress, report)
 
     def add_to(self, tally: Tally, status: int) -> None:
-        """Add what became of the inputs, after the child has ended with a status of `os.wait`."""
+        """Add the results of the inputs, after the child has ended with a status of `os.wait`."""
         number, refused, read, slowest, slowest_number = PROGRESS.unpack(self.progress[:])
         tally.refused, tally.read = tally.refused + refused, tally.read + read
         if slowest > tally.slowest_seconds:
@@ -109,7 +108,7 @@ class Block:
         tally.next_number = number
         if status:
             ended = signal.Signals(os.WTERMSIG(status)).name if os.WIFSIGNALED(status) else f"exit {status >> 8}"
-            # A machine that others use may count its own pauses as processor time.
+            # A shared machine may count its own pauses as processor time.
             if ended == "SIGPROF" and tally.retries < RETRIES:
                 tally.retries += 1
                 return
@@ -124,7 +123,7 @@ def _work(
     """The child: it never returns."""
     code = 1
     try:
-        # Its own limit ends it; what is printed meanwhile is nobody's.
+        # The child's own limit ends it; its output is discarded.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         os.dup2(1, 2)
         faulthandler.disable()
@@ -155,14 +154,14 @@ def _work(
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one input: `fault` is None if it was read, "" where it was refused; processor time of that."""
+    """Result of one input: `fault` is None if it was read, "" if it was refused; and its processor time."""
 
     fault: str | None
     seconds: float
 
 
 def try_input(target: Target, seed: int, number: int, folder: Path) -> Outcome:
-    """Damage a source by (reader, seed, number), read it within the limits, and put the source in order again."""
+    """Damage a source by (reader, seed, number), read it within the limits, and restore the source."""
     with damaged_source(target, seed, number, folder) as place:
         begun = time.process_time()
         try:
@@ -178,11 +177,11 @@ def try_input(target: Target, seed: int, number: int, folder: Path) -> Outcome:
 
 @contextmanager
 def damaged_source(target: Target, seed: int, number: int, folder: Path) -> Iterator[Path]:
-    """The source of one input, damaged as long as the block runs, under a name of its own."""
+    """The source of one input, damaged while the block runs, under a unique name."""
     rng = generator(target.name, seed, number)
     source = rng.choice(sorted(path for path in folder.iterdir() if path.is_dir()))
     victim = rng.choice(target.victims(source))
-    # Readers may remember what lay at a path.
+    # Readers may cache by path.
     place = source.with_name(f"{source.name}.{number}")
     original = victim.read_bytes()
     damaged = mutate(rng, victim.name, original)
@@ -198,7 +197,7 @@ def damaged_source(target: Target, seed: int, number: int, folder: Path) -> Iter
 
 
 def _use_limited(target: Target, place: Path) -> None:
-    """Read with limits on memory and processor time; the time's ends the process."""
+    """Read with limits on memory and processor time; exceeding the time ends the process."""
     before = resource.getrlimit(resource.RLIMIT_AS)
     used = int(Path("/proc/self/statm").read_text().split()[0]) * PAGE_BYTES
     resource.setrlimit(resource.RLIMIT_AS, (used + MOST_BYTES, before[1]))
@@ -222,9 +221,9 @@ def _described(error: BaseException) -> str:
 def prepare(targets: Sequence[Target], folder: Path) -> None:
     """Write the sources of all targets, each into a folder of its own, and read each undamaged.
 
-    Libraries that reserve memory once do so here. Raises what the reader raises where a source is not valid.
+    Libraries that reserve memory once do so here. Raises the reader's error if a source is not valid.
     """
-    # Threads do not survive a fork, and who waits for them waits for ever.
+    # Threads do not survive a fork; waiting for them would hang.
     torch.set_num_threads(1)
     prepare_bombs()
     for target in targets:

@@ -1,4 +1,4 @@
-"""Readers of motions as others write them: every entry of `motionkit.formats`, and what lies beside the files."""
+"""Readers of motion files: every entry of `motionkit.formats`, and the files beside them."""
 
 from collections.abc import Iterator
 from fractions import Fraction
@@ -29,7 +29,7 @@ from tests.helpers.side_files import BESIDE, RULES
 from tests.motionkit.core.skeletons.test_skeleton_families import robot_map
 
 STATED = ReadOptions(fps=Fraction(30), unit_metres=1.0)
-# Formats whose files do not say how fast they are, or how long a unit is.
+# Formats whose files do not state the framerate or the unit.
 SAYS_NO_FRAMERATE = ("asfamc", "joints-npy")
 INDEX = b"source_path,start_frame,end_frame,new_name\n./pose_data/KIT/3/a_poses.npy,0,-1,000000.npy\n"
 INDEX += b"./pose_data/CMU/01/01_01_poses.npy,0,2,000001.npy\n"
@@ -48,9 +48,9 @@ PROMPTS = {
 
 
 def read_folder(folder: Path, options: ReadOptions = ReadOptions()) -> None:
-    """Scan and read a folder as an ingest does; raises the first own error, or `AssertionError` for what is no motion.
+    """Scan and read a folder as an ingest does; raises the first own error, or `AssertionError` for an invalid motion.
 
-    What is read is finite, on a clock, and can be measured; an error names its file and has a reason.
+    Motions must be finite, timed, and measurable; errors must name the file and a reason.
     """
     found = scan([folder], options)
     problems = [_explained(problem, folder) for problem in found.problems]

@@ -32,7 +32,7 @@ def read_samples(folder: Path) -> None:
 
 
 def report(folder: Path) -> None:
-    """Read all results of a folder and show them in every form, as `motionkit report` does."""
+    """Read all results of a folder and render them in every format, as `motionkit report` does."""
     found = find_results(folder)
     for result in found.results:
         to_markdown(result), to_latex(result), to_csv(result)

@@ -1,4 +1,4 @@
-"""Stores: damaged tables, parts and manifests, signed again, so that what lies behind the checksums is reached."""
+"""Stores: damaged tables, parts and manifests with updated checksums, to reach the code behind the checks."""
 
 import hashlib
 import io
@@ -45,7 +45,7 @@ def write_store(folder: Path) -> None:
 
 
 def use_store(folder: Path) -> None:
-    """Open it, read all of it, and build a cache; what `validate` calls intact has to be read without complaint."""
+    """Open it, read all of it, and build a cache; what `validate` calls intact must be read without error."""
     found = list(faults(folder))
     try:
         _read_all(Store.open(folder))
@@ -53,7 +53,7 @@ def use_store(folder: Path) -> None:
         assert found, f"validate finds nothing, but reading says: {error}"
         raise
     except ImplausibleError:
-        # Only `validate` looks at every number.
+        # Only `validate` checks every number.
         if not found:
             raise
     if found:
@@ -78,7 +78,7 @@ def _read_all(store: Store) -> None:
 
 
 def signed(victim: Path, damaged: bytes) -> bytes:
-    """The new content of a file, after the store's manifest has been given its checksum, size and number of rows."""
+    """The new content of a file, after updating its checksum, size and number of rows in the store's manifest."""
     if victim.name == MANIFEST_FILE:
         return _sealed(damaged)
     store = victim.parents[1] if victim.parent.name == SEGMENTS_FOLDER else victim.parent
@@ -88,7 +88,7 @@ def signed(victim: Path, damaged: bytes) -> bytes:
     entry |= {"sha256": hashlib.sha256(damaged).hexdigest(), "num_bytes": len(damaged)}
     with suppress(pa.ArrowException, OSError, ValueError):
         entry["num_rows"] = pq.ParquetFile(io.BytesIO(damaged)).metadata.num_rows
-    # Parts have a checksum of their footer, or none where an earlier version wrote them.
+    # Parts have a checksum of their footer, or none if an earlier version wrote them.
     if entry.pop("footer_sha256", "") and len(damaged) % 2:
         footer = damaged[-8 - int.from_bytes(damaged[-8:-4], "little") :]
         entry["footer_sha256"] = hashlib.sha256(footer).hexdigest()
@@ -97,7 +97,7 @@ def signed(victim: Path, damaged: bytes) -> bytes:
 
 
 def restored(store: Path) -> None:
-    """The manifest of the undamaged files again, and no cache."""
+    """Restore the manifest of the undamaged files, and remove the cache."""
     shutil.rmtree(store / CACHE_FOLDER, ignore_errors=True)
     if _kept(store).exists():
         _kept(store).replace(store / MANIFEST_FILE)
