@@ -157,7 +157,7 @@ def calibration_figure(result: Result) -> Figure:
     """Scores of every level in multiples of the same-take floor, on a logarithmic axis, with 95 % intervals.
 
     The shaded band is where a harmless transform must stay, the dotted lines are the floors of disjoint takes (P2).
-    Raises `ResultError` if the result is no calibration.
+    Raises `ResultError` if the result is not a calibration.
     """
     blocks = [block for block in result.blocks if block.provenance.get("shows") == "scores" and block.columns]
     if not blocks:

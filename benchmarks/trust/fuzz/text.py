@@ -68,7 +68,7 @@ def _near_number(rng: Random, content: bytes) -> bytes:
 
 
 def _all_numbers(rng: Random, content: bytes) -> bytes:
-    # Every number in a column of the table becomes the same extreme one.
+    # Every n-th number, n from 1 to 7, becomes the same extreme one.
     wild, every = rng.choice(NUMBERS[:30]), rng.randint(1, 7)
     count = iter(range(1 << 30))
 
