@@ -295,9 +295,7 @@ CASES = (
         ("not a denoiser of this version", "durations"),
         without_tensor(f"{DENOISER}/model.safetensors", "durations"),
     ),
-    Case(
-        "no such run", f"{GENERATE} --unconditional --run nobody", 2, ("there is no run", "there are nano")
-    ),
+    Case("no such run", f"{GENERATE} --unconditional --run nobody", 2, ("there is no run", "there are nano")),
     Case("an unknown action", f"{GENERATE} --action fly", 2, ("knows no action 'fly'", "it knows walk")),
     Case("an empty text", f"{GENERATE} ''", 2, ("empty", "--unconditional")),
     Case("no framerate", f"{GENERATE} 'a walk' --fps 0", 2, ("--fps 0", "between 1 and 10000")),
