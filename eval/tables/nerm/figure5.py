@@ -94,8 +94,8 @@ def _blocks(
 
 
 def _note(trained: TrainedModel) -> str:
-    told = training_note(trained)
-    return "; ".join(filter(None, (told, ANY_CONDITION if needs_a_condition(trained.loaded) else "")))
+    note = training_note(trained)
+    return "; ".join(filter(None, (note, ANY_CONDITION if needs_a_condition(trained.loaded) else "")))
 
 
 def _rows(parts: Mapping[str, Part], quantity: str, notes: Mapping[str, str]) -> list[Row]:

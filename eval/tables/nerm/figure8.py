@@ -86,13 +86,13 @@ def _rows_of(name: str, trained: TrainedModel, yardstick: Yardstick, seconds: fl
     (fps,) = yardstick.rates
     rows: list[Row] = []
     missing: list[str] = []
-    for told, sampling in _samplings(trained.loaded, fps, seconds).items():
+    for suffix, sampling in _samplings(trained.loaded, fps, seconds).items():
         part = yardstick.synthesis(trained, sampling, planted=True)
         missing += part.missing
         cells = generation_cost(trained.loaded, sampling, fps, seconds)
         for form in ("{}", PLANTED):
             cells |= _renamed(part.rows[form.format(SYNTHESIS)], label(fps), form.format(f"clip-FID, {label(fps)}"))
-        rows.append(Row(f"{name}{told}", "ours", cells, training_note(trained)))
+        rows.append(Row(f"{name}{suffix}", "ours", cells, training_note(trained)))
     return PartialResult(rows, tuple(missing))
 
 
