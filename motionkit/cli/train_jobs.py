@@ -51,7 +51,7 @@ def train_all(
     summaries: list[dict[str, Any]] = []
     left = TimeLeft({job.stage.name: job.weight for job in jobs if job.config is not None})
     kept = sum(job.config is None for job in jobs)
-    with _threads(jobs), joined_ranks() as ranks, progress() as show:
+    with _threads(jobs, context.device), joined_ranks() as ranks, progress() as show:
         for job in jobs:
             ranks.on_first(partial(_check, job, _of_job(context, job, show), fingerprint))
         # Not of one stage, whose own bar says as much.
@@ -69,7 +69,8 @@ def train_all(
                 ranks.on_first(partial(_check_kept, job, of_job, fingerprint))
                 place = f" ({number} of {len(jobs)})" if title else ""
                 train_stage(job, replace(of_job, shared=job.stage.shared), is_first=ranks.is_first, place=place)
-                overall.advance(job.config is not None)
+                if job.config is not None:
+                    overall.advance()
                 if job.stage.shared:
                     ranks.wait()  # the next stage reads what the first rank saves last
                 if ranks.is_first:
@@ -78,13 +79,14 @@ def train_all(
     return summaries if ranks.is_first else None
 
 
-def _threads(jobs: Sequence[Job]) -> AbstractContextManager[None]:
-    """One thread where a job has a budget; else as many as torch takes."""
+def _threads(jobs: Sequence[Job], device: str) -> AbstractContextManager[None]:
+    """One thread if a job has a budget of processor time; on a GPU, or without a budget, torch's number of threads."""
     if all(job.budget_seconds is None for job in jobs):
         return nullcontext()
     from motionkit.training.budget import one_thread
+    from motionkit.training.precision import resolve_device
 
-    return one_thread()
+    return nullcontext() if resolve_device(device).type == "cuda" else one_thread()
 
 
 def _of_job(context: StageContext, job: Job, on_progress: OnProgress) -> StageContext:

@@ -94,8 +94,8 @@ def _blocks(
 
 
 def _note(trained: TrainedModel) -> str:
-    note = training_note(trained)
-    return "; ".join(filter(None, (note, ANY_CONDITION if needs_a_condition(trained.loaded) else "")))
+    condition = ANY_CONDITION if needs_a_condition(trained.loaded) else ""
+    return "; ".join(filter(None, (training_note(trained), condition)))
 
 
 def _rows(parts: Mapping[str, Part], quantity: str, notes: Mapping[str, str]) -> list[Row]:

@@ -91,7 +91,7 @@ def build_table1(request: TableRequest) -> Result:
         evaluators = text_motion_evaluators(request, protocol)
         found = _models(request)
         models = {name: each for name, each in found.value.items() if not _refusal(each)}
-        deaf = tuple(f"{name}: {_refusal(each)}" for name, each in found.value.items() if name not in models)
+        refused = tuple(f"{name}: {_refusal(each)}" for name, each in found.value.items() if name not in models)
         check_names(request.evaluated.samples, models)
         for each in models.values():
             longest = each.loaded.max_duration_seconds
@@ -115,7 +115,7 @@ def build_table1(request: TableRequest) -> Result:
         blocks=(*blocks.value, *map(paper_block, dict.fromkeys(sight.fps for sight in real))),
         definition=_definition(request, protocol, real),
         notes=_notes(protocol, real),
-        missing=tuple(dict.fromkeys((*evaluators.missing, *found.missing, *deaf, *blocks.missing))),
+        missing=tuple(dict.fromkeys((*evaluators.missing, *found.missing, *refused, *blocks.missing))),
         provenance=request.provenance(
             store,
             runs={each.run.name: dict(each.identity) for each in models.values()},
