@@ -5,8 +5,9 @@ are read lazily from the cache's file, so memory doesn't grow with the corpus; m
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from fractions import Fraction
+from functools import cached_property, lru_cache
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -92,7 +93,7 @@ class Windows:
     def __len__(self) -> int:
         return len(self.sequence_index)
 
-    @property
+    @cached_property
     def fps(self) -> Float64[np.ndarray, "windows"]:
         """Native framerates."""
         return np.asarray(self.fps_numerator / self.fps_denominator)
@@ -113,7 +114,7 @@ class Windows:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """The arrays by name, as they are saved."""
-        return {name: value for name, value in vars(self).items() if isinstance(value, np.ndarray)}
+        return {each.name: getattr(self, each.name) for each in fields(self) if each.name != "max_duration_seconds"}
 
     def select(self, rows: Int[np.ndarray, "chosen"] | Bool[np.ndarray, "windows"]) -> "Windows":
         """Some of the windows."""
@@ -186,13 +187,16 @@ def shuffled_batches(count: int, batch: int, step: int, seed: int) -> Int64[torc
 
     A function of (seed, step) alone, so that resumed training sees the same batches.
     """
-    first = step * batch
-    epochs = range(first // count, (first + batch - 1) // count + 1)
-    rows = torch.cat([_permutation(count, seed, epoch) for epoch in epochs])
-    offset = first - epochs[0] * count
-    return rows[offset : offset + batch]
+    first, last = step * batch, (step + 1) * batch
+    rows = [
+        _permutation(count, seed, epoch)[max(0, first - epoch * count) : last - epoch * count]
+        for epoch in range(first // count, (last - 1) // count + 1)
+    ]
+    return torch.cat(rows)
 
 
+# Two, since a batch may begin in one epoch and end in the next.
+@lru_cache(maxsize=2)
 def _permutation(count: int, seed: int, epoch: int) -> Int64[torch.Tensor, "rows"]:
     order = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(epoch,))).permutation(count)
     return torch.from_numpy(order.astype(np.int64))

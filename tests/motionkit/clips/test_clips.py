@@ -188,3 +188,36 @@ def test_batches_go_through_all_rows_before_any_comes_back(count: int, batch: in
     stream = torch.cat([shuffled_batches(count, batch, step, seed) for step in range(num_batches)])[: 3 * count]
     for epoch in stream.reshape(3, count):
         assert sorted(epoch.tolist()) == list(range(count))
+
+
+def test_batches_are_the_same_in_every_version() -> None:
+    # A resumed training goes on with them.
+    assert [shuffled_batches(5, 3, step, 7).tolist() for step in range(4)] == [
+        [1, 4, 3],
+        [2, 0, 3],
+        [4, 0, 1],
+        [2, 4, 3],
+    ]
+    assert shuffled_batches(3, 8, 1, 7).tolist() == [1, 2, 1, 0, 2, 1, 0, 1]
+
+
+def test_rows_are_permuted_once_an_epoch(monkeypatch: pytest.MonkeyPatch) -> None:
+    generator, made = np.random.default_rng, 0
+
+    def counted(seed: np.random.SeedSequence) -> np.random.Generator:
+        nonlocal made
+        made += 1
+        return generator(seed)
+
+    monkeypatch.setattr(np.random, "default_rng", counted)
+    for step in range(60):
+        shuffled_batches(97, 10, step, 1234)
+    assert made == 7
+
+
+def test_framerates_are_divided_once_and_not_saved(source: MemorySource) -> None:
+    windows = cut_windows(source, max_duration_seconds=10.0)
+    before = set(windows.arrays())
+    assert windows.fps is windows.fps
+    assert set(windows.arrays()) == before
+    np.testing.assert_array_equal(windows.select(windows.fps > 60).fps, 120.0)
