@@ -12,13 +12,12 @@ from rich.progress import (
     TaskID,
     TextColumn,
     TimeElapsedColumn,
-    TimeRemainingColumn,
 )
 from rich.progress import Progress as Display
 from rich.text import Text
 
 from motionkit.core.plain_text import printable
-from motionkit.core.progress import Progress
+from motionkit.core.progress import Pace, Progress
 
 
 class _NameColumn(TextColumn):
@@ -28,14 +27,13 @@ class _NameColumn(TextColumn):
         return Text(printable(super().render(task).plain))
 
 
-class _TimeLeftColumn(TimeRemainingColumn):
-    """A column of a progress display with a task's own estimate, or rich's where it has none."""
+class _TimeLeftColumn(ProgressColumn):
+    """A column of a progress display with the time left, where it is known."""
 
     def render(self, task: Task) -> Text:
-        seconds = task.fields["seconds_left"]
-        if seconds is None:
-            return super().render(task)
-        return Text(str(timedelta(seconds=round(seconds))), style="progress.remaining")
+        seconds = task.fields["pace"].seconds_left()
+        text = "-:--:--" if seconds is None else str(timedelta(seconds=round(seconds)))
+        return Text(text, style="progress.remaining")
 
 
 class Bars:
@@ -44,29 +42,27 @@ class Bars:
     def __init__(self, console: Console) -> None:
         self._console = console
         self._display: Display | None = None
-        self._tasks: dict[str, TaskID] = {}
+        self._tasks: dict[str, tuple[TaskID, Pace]] = {}
 
     def __call__(self, progress: Progress) -> None:
         """Draw a task's new state; remove the bar of a finished one."""
         if progress.finished:
             if self._display is not None and progress.name in self._tasks:
-                self._display.remove_task(self._tasks.pop(progress.name))
+                self._display.remove_task(self._tasks.pop(progress.name)[0])
             if not self._tasks:
                 self.stop()
             return
         if self._display is None:
             self._display = Display(*_columns(), console=self._console, transient=True)
             self._display.start()
-        facts: dict[str, Any] = {
-            "completed": progress.done,
-            "total": progress.total,
-            "note": progress.note,
-            "seconds_left": progress.seconds_left,
-        }
+        facts: dict[str, Any] = {"completed": progress.done, "total": progress.total, "note": progress.note}
         if progress.name in self._tasks:
-            self._display.update(self._tasks[progress.name], **facts)
+            number, pace = self._tasks[progress.name]
+            pace.update(progress)
+            self._display.update(number, **facts)
         else:
-            self._tasks[progress.name] = self._display.add_task(progress.name, **facts)
+            pace = Pace(progress)
+            self._tasks[progress.name] = self._display.add_task(progress.name, **facts, pace=pace), pace
 
     def stop(self) -> None:
         """Remove all bars."""

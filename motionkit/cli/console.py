@@ -12,7 +12,7 @@ from rich.console import Console
 
 from motionkit.core.errors import MotionkitWarning
 from motionkit.core.plain_text import UNSAFE_LETTERS, printable, shortened
-from motionkit.core.progress import OnProgress, Progress
+from motionkit.core.progress import OnProgress, Pace, Progress
 
 # Messages quote files' content, which may be long.
 LONGEST_MESSAGE = 3000
@@ -87,35 +87,28 @@ class ProgressLines:
     Tasks that end before that have no line.
     """
 
-    def __init__(self, every_seconds: float = 10.0, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, every_seconds: float = 60.0, clock: Callable[[], float] = time.monotonic) -> None:
         self._every, self._clock = every_seconds, clock
         self._printed = clock()
-        # Each task's state, and the time and step at which it was first seen.
-        self._tasks: dict[str, tuple[Progress, float, int]] = {}
+        self._tasks: dict[str, Pace] = {}
 
     def __call__(self, progress: Progress) -> None:
         """Record a task's new state; print the line if it is due."""
-        now = self._clock()
         if progress.finished:
             self._tasks.pop(progress.name, None)
             return
-        _, began, already = self._tasks.get(progress.name, (progress, now, progress.done))
-        self._tasks[progress.name] = (progress, began, already)
-        if now - self._printed >= self._every:
-            self._printed = now
-            states = [_state(state, now - began, already) for state, began, already in self._tasks.values()]
-            stderr.print("; ".join(states))
+        self._tasks.setdefault(progress.name, Pace(progress, self._clock)).update(progress)
+        if self._clock() - self._printed >= self._every:
+            self._printed = self._clock()
+            stderr.print("; ".join(_state(pace) for pace in self._tasks.values()))
 
 
-def _state(progress: Progress, seconds: float, already: int) -> str:
-    """`field: 1,200 of 8,000 (15 %), about 4 min left, loss 0.1`; the time left is the task's own, or by the steps
-    since `already`."""
+def _state(pace: Pace) -> str:
+    """`field: 1,200 of 8,000 (15 %), about 4 min left, loss 0.1`."""
+    progress, left = pace.progress, pace.seconds_left()
     facts = [f"{progress.done:,}"]
     if progress.total:
         facts = [f"{progress.done:,} of {progress.total:,} ({progress.done / progress.total:.0%})"]
-        left = progress.seconds_left
-        if left is None and progress.done > already and seconds > 0:
-            left = (progress.total - progress.done) * seconds / (progress.done - already)
         if left is not None:
             facts.append(f"about {left / 60:,.0f} min left" if left >= 90 else f"about {left:.0f} s left")
     return f"{progress.name}: {', '.join(filter(None, (*facts, progress.note)))}"
@@ -123,7 +116,7 @@ def _state(progress: Progress, seconds: float, already: int) -> str:
 
 @contextmanager
 def progress() -> Iterator[OnProgress]:
-    """A callback that draws progress bars on stderr, or prints a line every ten seconds if it is no terminal."""
+    """A callback that draws progress bars on stderr, or prints a line every minute if it is no terminal."""
     if not stderr.is_terminal:
         yield ProgressLines()
         return

@@ -7,6 +7,7 @@ The command line draws the progress, and prints each warning as one line.
 """
 
 import sys
+import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -16,6 +17,9 @@ from typing import TypeVar
 from motionkit.core.errors import MotionkitWarning
 
 T = TypeVar("T")
+
+# An estimate of the time left is known after this time or this share of the steps, both counted from the first step on.
+ESTIMATE_AFTER_SECONDS, ESTIMATE_AFTER_SHARE = 10.0, 0.05
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,34 @@ class Task:
     def _report(self, progress: Progress) -> None:
         self._progress = progress
         self._on_progress(progress)
+
+
+class Pace:
+    """The speed of a task, from its reports, and the time that it will still take.
+
+    The first step is not counted, since it may include preparations. `progress` is the latest report.
+    """
+
+    def __init__(self, progress: Progress, clock: Callable[[], float] = time.monotonic) -> None:
+        self.progress = progress
+        self._clock, self._done_before = clock, progress.done
+        # Time and number of steps at the end of the first step.
+        self._start: tuple[float, int] | None = None
+
+    def update(self, progress: Progress) -> None:
+        """Record a report."""
+        self.progress = progress
+        if self._start is None and progress.done > self._done_before:
+            self._start = self._clock(), progress.done
+
+    def seconds_left(self) -> float | None:
+        """The task's own estimate, or one from the steps so far; None while there are too few."""
+        total, done = self.progress.total, self.progress.done
+        if self.progress.seconds_left is not None or total is None or self._start is None:
+            return self.progress.seconds_left
+        seconds, steps = self._clock() - self._start[0], done - self._start[1]
+        known = seconds >= ESTIMATE_AFTER_SECONDS or steps >= ESTIMATE_AFTER_SHARE * total
+        return (total - done) * seconds / steps if known and steps > 0 else None
 
 
 @contextmanager

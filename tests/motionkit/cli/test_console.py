@@ -113,28 +113,40 @@ def test_bars_are_erased_where_a_task_fails(terminal: io.StringIO) -> None:
     assert "1/2" in drawn and drawn.endswith(LINE_ABOVE_ERASED)
 
 
-def test_lines_come_every_ten_seconds_with_what_is_left(capsys: pytest.CaptureFixture[str]) -> None:
+def test_lines_come_every_minute_with_what_is_left(capsys: pytest.CaptureFixture[str]) -> None:
     seconds = [0.0]
-    lines = console.ProgressLines(10.0, lambda: seconds[0])
-    for now, done in ((1.0, 100), (9.0, 120), (11.0, 150), (15.0, 160), (22.0, 300)):
+    lines = console.ProgressLines(clock=lambda: seconds[0])
+    for now, done in ((1.0, 99), (9.0, 100), (59.0, 110), (61.0, 150), (119.0, 160), (129.0, 300)):
         seconds[0] = now
         lines(Progress("field", done, 1000, f"loss {now:g}"))
-    seconds[0] = 40.0
+    seconds[0] = 200.0
     lines(Progress("read", 7, None, "a\nb"))
-    seconds[0] = 60.0
+    seconds[0] = 260.0
     lines(Progress("field", 300, finished=True))
     lines(Progress("read", 8))
-    seconds[0] = 80.0
+    seconds[0] = 330.0
     lines(Progress("read", 9, 10, seconds_left=200.0))
     assert capsys.readouterr() == (
         "",
-        # 50 steps in 10 s: 850 take 170 s more; 200 in 21 s: 700 take 73.5.
-        "field: 150 of 1,000 (15%), about 3 min left, loss 11\n"
-        "field: 300 of 1,000 (30%), about 74 s left, loss 22\n"
-        "field: 300 of 1,000 (30%), about 2 min left, loss 22; read: 7, a\\nb\n"
+        # 50 steps in 52 s: 850 take 884 s more; 200 in 120 s: 700 take 420 s.
+        "field: 150 of 1,000 (15%), about 15 min left, loss 61\n"
+        "field: 300 of 1,000 (30%), about 7 min left, loss 129\n"
+        "field: 300 of 1,000 (30%), about 11 min left, loss 129; read: 7, a\\nb\n"
         "read: 8\n"
         "read: 9 of 10 (90%), about 3 min left\n",
     )
+
+
+def test_bars_show_no_estimate_from_the_first_steps(terminal: io.StringIO) -> None:
+    with console.progress() as show:
+        for done in range(4):
+            show(Progress("field", done, 1000))
+        show(Progress("read", 0, 10))  # draws all bars
+        last = terminal.getvalue().rpartition("field")[2]
+        show(Progress("field", 4, 1000, finished=True))
+        show(Progress("read", 0, 10, finished=True))
+    assert "3/1000" in last
+    assert last.count("-:--:--") == 2
 
 
 def test_a_tasks_own_estimate_is_shown(terminal: io.StringIO) -> None:
