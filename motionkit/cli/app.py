@@ -5,6 +5,7 @@ may be imported by the module that holds it, so that `motionkit --help` stays li
 the same way.
 """
 
+import os
 import sys
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
@@ -91,6 +92,9 @@ def _resumes(app: typer.Typer, names: list[str]) -> bool:
 
 def main() -> None:
     """Run the app; motionkit's errors and the system's become one line on stderr and exit code 1 (2 for usage)."""
+    # OpenMP reads it when torch is loaded. Threads that spin while they wait take the processor from those waited for:
+    # beside other processes on all processors a training step then takes ten times as long.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     show_warnings()
     defaults: dict[str, Any] = {}
     try:

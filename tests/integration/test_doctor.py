@@ -1,8 +1,14 @@
 """`motionkit doctor` on a new machine, and on one with a damaged store."""
 
 import json
+import os
+import re
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
+
+import pytest
 
 from tests.helpers.outcome import Outcome
 from tests.helpers.tiny import write_store
@@ -20,3 +26,17 @@ def test_everything_is_looked_at_and_problems_end_with_1(motionkit: Callable[...
     damaged = motionkit("doctor", *places)
     assert damaged.code == 1
     assert f"! store     {store / 'manifest.json'} is damaged" in damaged.stdout
+
+
+@pytest.mark.parametrize(("chosen", "spins"), [({}, False), ({"OMP_WAIT_POLICY": "ACTIVE"}, True)])
+def test_threads_wait_without_spinning_unless_the_environment_says_so(
+    tmp_path: Path, chosen: dict[str, str], spins: bool
+) -> None:
+    others = {name: value for name, value in os.environ.items() if name != "OMP_WAIT_POLICY"}
+    command = [sys.executable, "-m", "motionkit", "doctor", "--store", tmp_path / "store", "--runs", tmp_path / "runs"]
+    environment = {**others, **chosen, "OMP_DISPLAY_ENV": "VERBOSE"}
+    shown = subprocess.run(command, env=environment, capture_output=True, text=True, check=False).stderr
+    found = re.search(r"GOMP_SPINCOUNT = '(\d+)'", shown)
+    if found is None:
+        pytest.skip("torch is not built with GNU's OpenMP, which prints its settings")
+    assert (int(found[1]) > 0) == spins

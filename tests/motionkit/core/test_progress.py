@@ -64,9 +64,10 @@ def test_items_left_over_finish_the_task_too() -> None:
 def test_the_time_left_comes_from_the_steps_after_the_first(
     reports: list[tuple[float, int]], expected: float | None
 ) -> None:
-    seconds = 0.0
-    pace = Pace(Progress("field", reports[0][1], 1000), lambda: seconds)
+    clock = [0.0]
+    pace = Pace(Progress("field", reports[0][1], 1000), lambda: clock[0])
     for seconds, done in reports[1:]:
+        clock[0] = seconds
         pace.update(Progress("field", done, 1000))
     assert pace.seconds_left() == (None if expected is None else pytest.approx(expected))
 
