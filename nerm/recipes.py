@@ -102,7 +102,7 @@ def base() -> NermConfig:
 
 
 def demo() -> NermConfig:
-    """Three minutes on the embedded corpus: `nano` with a smaller codebook, sparser windows and fewer steps."""
+    """For the embedded corpus, minutes: `nano` with a smaller codebook, sparser windows and fewer steps."""
     return NermConfig(
         codebook=CodebookConfig(
             network=CodebookNetworkConfig(width=64, code_dimension=64, num_codes=128),
