@@ -3,8 +3,9 @@
     python -m benchmarks.fields.planting [--store STORE] [--json]
 
 Frames a second of the process's own time, the best of three: five minutes at 120 fps of a body that walks on a floor
-going at 0.2 m/s, its positions known as `motionkit plant` knows a file's; of the same walk standing; and beside them
-forward kinematics of as many frames, the floor of anything that makes poses. Memory: the most that Python's allocator
+going at 0.2 m/s, its positions known as `motionkit plant` knows a file's; of the same walk standing, and with bones
+whose lengths vary by 15 %, as a model's do, which are projected onto constant ones; and beside them forward kinematics
+of as many frames, the floor of anything that makes poses. Memory: the most that Python's allocator
 holds beside the frames' own numbers while six and sixty minutes are planted. Of a store's training takes: how many
 times the rests of their feet are faster than the limit (`motionkit.fields.contact.detection`), quantiles over takes.
 """
@@ -37,7 +38,7 @@ from motionkit.fields.motion_field import Observation, Poses, to_motion
 from motionkit.store.reader import Store
 from motionkit.synthetic import draw_body, perform
 
-FPS, SECONDS, MINUTES, SLIDING, REPEATS, AT_ONCE = Fraction(120), 10.0, 5, 0.2, 3, 4096
+FPS, SECONDS, MINUTES, SLIDING, VARIATION, REPEATS, AT_ONCE = Fraction(120), 10.0, 5, 0.2, 0.15, 3, 4096
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95, 0.98)
 
 
@@ -67,6 +68,17 @@ def bare(motion: Motion) -> Motion:
     return replace(motion, local_rotations=None, root_translation=None)
 
 
+def varying(motion: Motion) -> Motion:
+    """The same walk with bones that vary by 15 %, each with a period of its own."""
+    assert motion.local_rotations is not None
+    assert motion.root_translation is not None
+    rates = 0.3 + 0.05 * np.arange(motion.skeleton.num_joints)
+    lengths = 1.0 + VARIATION * np.sin(2.0 * np.pi * rates * motion.timegrid.seconds()[:, None])
+    offsets = (motion.skeleton.offsets * lengths[..., None]).astype(np.float32)
+    positions = forward_kinematics(motion.local_rotations, motion.root_translation, motion.skeleton, offsets)
+    return replace(bare(motion), joint_positions=positions)
+
+
 def plant(motion: Motion) -> None:
     """All frames, some thousand at once."""
     field, times = planted_frames(Observation.of(motion), motion.timegrid), motion.timegrid.seconds()
@@ -82,6 +94,7 @@ def frames_a_second(work: Callable[[], object], frames: int) -> float:
 def speeds() -> dict[str, float]:
     """Frames a second of each way."""
     slides, stands = walk(MINUTES, SLIDING), walk(MINUTES, 0.0)
+    loose = varying(slides)
     assert slides.local_rotations is not None
     assert slides.root_translation is not None
     body = (slides.local_rotations, slides.root_translation, slides.skeleton)
@@ -89,6 +102,7 @@ def speeds() -> dict[str, float]:
         "forward kinematics alone": lambda: forward_kinematics(*body),
         "positions, sliding": lambda: plant(bare(slides)),
         "positions, standing": lambda: plant(bare(stands)),
+        "positions, sliding, bones vary": lambda: plant(loose),
         "with rotations, sliding": lambda: plant(slides),
         "with rotations, standing": lambda: plant(stands),
     }

@@ -6,11 +6,13 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from jaxtyping import Float, Float64
+from jaxtyping import Bool, Float, Float64
 
 from motionkit.core.skeleton import Skeleton
 
 Array = npt.NDArray[np.floating]
+# With these steps the largest root is known to rounding where ζ is larger (10 do for singular values of 1, 0.03 and 0).
+_NEWTON_STEPS, _SMALLEST_ZETA = 12, 0.03
 
 
 def quaternion_multiply(a: Float[np.ndarray, "*n 4"], b: Float[np.ndarray, "*m 4"]) -> Float[np.ndarray, "*k 4"]:
@@ -324,16 +326,48 @@ def _carried_along(
 def fit_rotation(
     rest: Float[np.ndarray, "*frames bones 3"], observed: Float[np.ndarray, "frames bones 3"], inertia: float = 0.0
 ) -> Float[np.ndarray, "frames 4"]:
-    """The least-squares rotation from bones at rest to observed ones (Kabsch 1976).
+    """The least-squares rotation from bones at rest to observed ones (Wahba 1965), float64.
 
     For collinear bones the twist is free; `inertia`, a share of the bones' lengths, then keeps it at zero.
     """
-    covariance = np.einsum("...bi,...bj->...ij", observed, rest)
+    covariance = np.einsum("...bi,...bj->...ij", observed, rest, dtype=np.float64)
     if inertia:
         covariance += (inertia * np.sum(rest * rest, axis=(-2, -1)))[..., None, None] * np.eye(3)
-    u, _, vt = np.linalg.svd(covariance)
-    u[..., :, 2] *= np.sign(np.linalg.det(u @ vt))[..., None]
-    return matrix_to_quaternion(u @ vt)
+    matrix, is_known = _rotations_of(covariance)
+    if not is_known.all():
+        # Kabsch 1976; among equally good rotations it chooses any.
+        u, _, vt = np.linalg.svd(covariance[~is_known])
+        u[..., :, 2] *= np.sign(np.linalg.det(u @ vt))[..., None]
+        matrix[~is_known] = u @ vt
+    return matrix_to_quaternion(matrix)
+
+
+def _rotations_of(
+    covariance: Float64[np.ndarray, "frames 3 3"],
+) -> tuple[Float64[np.ndarray, "frames 3 3"], Bool[np.ndarray, "frames"]]:
+    """The rotation R with the largest tr(Rᵀ·B) for each B, and whether it is known to rounding.
+
+    λ, the largest root of the quaternion's characteristic polynomial, by Newton's method from above; then R is
+    polynomial in λ and B (FOAM, Markley 1993). ζ = (s₁ + s₂)(s₂ + s₃)(s₃ + s₁) of the singular values (s₃ with the
+    sign of det B) is near zero where R is hardly determined.
+    """
+    b = np.moveaxis(covariance, 0, -1)  # frames are the last, contiguous axis
+    size = np.sqrt(np.einsum("ijn,ijn->n", b, b))
+    b = b / np.where(size > 0, size, 1.0)
+    cofactors = np.stack([np.cross(b[row - 2], b[row - 1], axis=0) for row in range(3)])
+    determinant = np.einsum("in,in->n", b[0], cofactors[0])
+    constant = 1.0 - 4.0 * np.einsum("ijn,ijn->n", cofactors, cofactors)
+    root = np.full(len(covariance), np.sqrt(3.0))
+    for _ in range(_NEWTON_STEPS):
+        square = root * root
+        value = square * (square - 2.0) - 8.0 * determinant * root + constant
+        root -= value / (4.0 * root * (square - 1.0) - 8.0 * determinant)
+    half = 0.5 * (root * root - 1.0)
+    zeta = half * root - determinant
+    is_known = zeta > _SMALLEST_ZETA
+    cube = np.einsum("ijn,kjn,kln->iln", b, b, b, optimize=True)
+    matrix = ((half + 1.0) * b + root * cofactors - cube) / np.where(is_known, zeta, 1.0)
+    return np.moveaxis(matrix, -1, 0), is_known
 
 
 def closest_rotations(columns: Float[np.ndarray, "*poses numbers"]) -> Float64[np.ndarray, "*poses joints 3 3"]:

@@ -145,3 +145,32 @@ def test_rotation_vectors_round_trip_in_both_precisions() -> None:
         again = kinematics.quaternion_to_rotation_vector(q)
         assert q.dtype == again.dtype == dtype
         assert np.allclose(again, vectors, atol=tolerance)
+
+
+@pytest.mark.parametrize("bones", [2, 3, 5])
+@pytest.mark.parametrize("spread", [1.0, 0.1, 1e-3, 1e-6, 0.0])
+@pytest.mark.parametrize("noise", [0.0, 0.05, 3.0])
+def test_fitted_rotations_are_those_of_the_singular_value_decomposition(
+    bones: int, spread: float, noise: float
+) -> None:
+    """Bones in space down to a line, where rotations about it are equally good, with errors up to a mirror image."""
+    rng = np.random.default_rng(8)
+    rest = rng.normal(size=(bones, 3)) * (1.0, spread, spread)
+    turns = Rotation.random(200, rng)
+    observed = np.stack([turns.apply(bone) for bone in rest], axis=1)
+    observed += noise * rng.normal(size=observed.shape) * (1.0, spread, spread)
+    found = kinematics.quaternion_to_matrix(kinematics.fit_rotation(rest, observed))
+    covariance = np.einsum("nbi,bj->nij", observed, rest)
+    u, sizes, vt = np.linalg.svd(covariance)
+    sign = np.linalg.det(u @ vt)
+    expected = np.einsum("nij,nj,njk->nik", u, np.stack((sign**0, sign**0, sign), axis=-1), vt)
+    best, reached = (np.einsum("nij,nij->n", each, covariance) for each in (expected, found))
+    assert np.allclose(reached, best, rtol=1e-12, atol=0.0)
+    # Rounding errors grow where a rotation is hardly determined.
+    gap = (sizes[:, 1] + sign * sizes[:, 2]) / sizes[:, 0]
+    clear = gap > 1e-9
+    assert np.all(np.abs(found - expected).max(axis=(1, 2))[clear] < 1e-13 / gap[clear])
+
+
+def test_bones_without_length_are_not_turned() -> None:
+    assert kinematics.fit_rotation(np.zeros((3, 3)), np.zeros((2, 3, 3))).tolist() == [[1.0, 0.0, 0.0, 0.0]] * 2
