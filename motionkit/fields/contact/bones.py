@@ -1,5 +1,6 @@
 """Projects joint positions onto constant bone lengths, and rigid shapes where a joint has several children."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,6 +62,12 @@ class Bones:
         """A joint's children with a bone."""
         return [child for child in self.skeleton.children(joint) if child not in self.moving]
 
+    def _path_to(self, joint: int) -> Iterator[int]:
+        """A joint and those above it."""
+        while joint >= 0:
+            yield joint
+            joint = self.skeleton.parents[joint]
+
     def branch(self, joint: int) -> int | None:
         """The nearest ancestor with several bones; None if there is none."""
         while (joint := self.skeleton.parents[joint]) >= 0:
@@ -96,17 +103,27 @@ class Bones:
         changes = set(np.flatnonzero(spread > allowed).tolist()) - {0} - _moving(skeleton, middle, spread)
         return cls.of(positions, skeleton) if changes else None
 
-    def applied(self, positions: Float32[np.ndarray, "frames joints 3"]) -> Float32[np.ndarray, "frames joints 3"]:
-        """The poses with these bones, each joint as close to its position as its bone allows, from the root on."""
+    def applied(
+        self, positions: Float32[np.ndarray, "frames joints 3"], joints: Iterable[int] | None = None
+    ) -> Float32[np.ndarray, "frames joints 3"]:
+        """The poses with these bones, each joint as close to its position as its bone allows, from the root on.
+
+        Given some `joints`, others than these and those above them may stay where they are.
+        """
+        needed = set(range(self.skeleton.num_joints))
+        if joints is not None:
+            needed = {above for joint in joints for above in self._path_to(joint)}
         wanted = np.ascontiguousarray(positions.transpose(1, 0, 2), dtype=np.float64)
         reached, turns, limbs = wanted.copy(), {}, {start: (joint, end) for start, joint, end in self.limbs()}
         for joint in range(self.skeleton.num_joints):
             children = self.children(joint)
+            if needed.isdisjoint(children):
+                continue
             if len(children) > 1:
                 shape, wished = self.offsets[children], wanted[children] - reached[joint]
                 turns[joint] = _turns(shape, wished)
                 reached[children] = reached[joint] + quaternion_rotate(turns[joint][:, None], shape).transpose(1, 0, 2)
-            elif children:
+            else:
                 bone, own = wanted[children[0]] - reached[joint], self.offsets[children[0], 1]
                 reached[children[0]] = reached[joint] + bone * (own / np.maximum(_lengths(bone), NO_LENGTH))[:, None]
                 if joint in limbs and children[0] in self.bends:

@@ -83,10 +83,11 @@ class Block:
 class Correction:
     """Offsets of body, left and right foot at any instant of a motion, metres.
 
-    `positions(start, stop)` are the joints at samples [start, stop) of a grid of `count` samples, `fps` per second from
-    `start_seconds` on. Blocks of three minutes are computed on demand, with 12 s of context on both sides, and blended
-    into one another, so memory doesn't grow with the motion. `down(start, stop)` returns which foot joints are on the
-    ground if the motion predicts contacts; else they are detected from the feet's paths.
+    `positions(start, stop)` are the joints (at least those of the feet) at samples [start, stop) of a grid of `count`
+    samples, `fps` per second from `start_seconds` on. Blocks of three minutes are computed on demand, with 12 s of
+    context on both sides, and blended into one another, so memory doesn't grow with the motion. `down(start, stop)`
+    returns which foot joints are on the ground if the motion predicts contacts; else they are detected from the feet's
+    paths.
     """
 
     legs: Legs
@@ -137,9 +138,8 @@ class Correction:
 
     @cached_property
     def ground(self) -> Ground:
-        """Ground height, estimated from some minutes spread over the motion."""
-        length = min(self.count, round(LEVEL_STRETCHES * LEVEL_STRETCH_SECONDS * self.fps))
-        if length == self.count:
+        """Ground height, estimated from the whole motion, or from some minutes spread over one of several blocks."""
+        if self.num_blocks == 1:
             return ground_of(self._paths(0, self.count), self.fps)
         stretch = round(LEVEL_STRETCH_SECONDS * self.fps)
         starts = np.linspace(0, self.count - stretch, LEVEL_STRETCHES).astype(np.int64)
@@ -151,8 +151,15 @@ class Correction:
     def _block_length(self) -> int:
         return round(BLOCK_SECONDS * self.fps)
 
-    def _paths(self, start: int, stop: int) -> Float64[np.ndarray, "instants feet ends 3"]:
-        return self.legs.foot_paths(self.positions(start, stop)).astype(np.float64)
+    @cached_property
+    def _paths(self) -> Callable[[int, int], Float64[np.ndarray, "instants feet ends 3"]]:
+        """Foot paths at samples [start, stop); the last ones are kept, since a motion of one block needs them twice."""
+
+        @lru_cache(1)
+        def paths(start: int, stop: int) -> Float64[np.ndarray, "instants feet ends 3"]:
+            return self.legs.foot_paths(self.positions(start, stop)).astype(np.float64)
+
+        return paths
 
     def _in_block(self, number: int, place: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times 3 3"]:
         found = self.block(number).at(place)

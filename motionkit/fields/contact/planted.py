@@ -19,7 +19,7 @@ from motionkit.fields.interpolation.interpolators import INTERPOLATORS
 from motionkit.fields.motion_field import MotionField, Observed, Poses, at_fps, check_times
 
 GRID_FPS = 120.0
-BONE_SAMPLES = 1000
+BONE_SAMPLES = 512
 TIMES_AT_ONCE = 4096
 _UP = np.array([0.0, 1.0, 0.0])
 _SMALL_METRES = 1e-7
@@ -134,7 +134,7 @@ def _planted(
 
     def seen(start: int, stop: int) -> Float32[np.ndarray, "instants joints 3"]:
         found = positions(np.arange(start, stop))
-        return found if bones is None else bones.applied(found)
+        return found if bones is None else bones.applied(found, legs.feet)
 
     return PlantedField(field, legs, bones, Correction(legs, seen, field.start_seconds, fps, count, path))
 

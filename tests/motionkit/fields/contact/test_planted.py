@@ -240,6 +240,29 @@ def test_joints_of_a_chest_that_is_bent_out_of_shape_do_not_jump() -> None:
     assert np.linalg.norm(np.diff(changed, axis=0), axis=-1).max() * 120 < 5.0
 
 
+def test_feet_alone_are_where_they_are_with_the_whole_body() -> None:
+    positions = capture(FPS, "walk", noise=0.03).joint_positions
+    bones = Bones.of(positions, SMPL22)
+    whole, feet = bones.applied(positions), bones.applied(positions, FEET)
+    np.testing.assert_array_equal(feet[:, FEET], whole[:, FEET])
+
+
+def test_planting_samples_a_motion_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    field = interpolate(capture(FPS, "walk", noise=0.01), "cubic")
+    sizes: list[int] = []
+    query = type(field).query
+
+    def counted(self: MotionField, times_seconds: np.ndarray) -> Poses:
+        sizes.append(len(times_seconds))
+        return query(self, times_seconds)
+
+    monkeypatch.setattr(type(field), "query", counted)
+    planted(field, "free").query(np.zeros(1))
+    grid = round(120 * (field.end_seconds - field.start_seconds)) + 1
+    # One pose to see whether it has rotations and the queried one, poses for its bones, and the grid for its contacts.
+    assert sorted(sizes) == [1, 1, 512, grid]
+
+
 def test_a_hand_does_not_turn_over_where_its_arm_shrinks() -> None:
     """Four fifths of an upper arm, and a tenth of a forearm: the elbow gives way, and the hand stays where it is."""
     shoulder, elbow, wrist = 16, 18, 20
