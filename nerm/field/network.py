@@ -36,6 +36,12 @@ class EncodedCoordinates:
     weights: KnotWeights | None
     which: Int64[torch.Tensor, "batch poses"]
 
+    def first(self, poses: int) -> "EncodedCoordinates":
+        """The first poses of an encoded increasing row of coordinates."""
+        features = None if self.features is None else self.features[:poses]
+        weights = None if self.weights is None else self.weights.first(poses)
+        return EncodedCoordinates(features, weights, self.which[:, :poses])
+
 
 class ResidualLayer(nn.Module):
     """h + W·σ(LN(h)): one layer of the decoder, pre-norm."""

@@ -17,6 +17,7 @@ from motionkit.clips.pose_vectors.joints import has_joints
 from motionkit.clips.windows import Windows
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import normalise_seconds
+from motionkit.fields.contact.planted import GRID_FPS
 from motionkit.fields.motion_field import Poses, check_times
 from motionkit.training.config import from_plain, to_plain
 from motionkit.training.precision import resolve_device
@@ -100,7 +101,15 @@ class TrainedField:
         return self.scaling.mean.device
 
     def encode_times(self, times_seconds: Float64[np.ndarray, "batch times"], fps: Fraction) -> EncodedCoordinates:
-        """The coordinate branch at these times; recent grids are cached."""
+        """The coordinate branch at these times; recent grids are cached.
+
+        Motions of any duration share the grid of a whole window at `fps`, or at the rate at which contacts are found.
+        """
+        rows, count = times_seconds.shape
+        for rate in (float(fps), GRID_FPS):
+            whole = np.arange(int(self.max_duration_seconds * rate + 1e-6) + 1) / rate
+            if rows == 1 and count <= len(whole) and np.abs(times_seconds[0] - whole[:count]).max(initial=0.0) < 1e-9:
+                return self._kept_grids((1, len(whole)), whole.tobytes(), fps).first(count)
         return self._kept_grids(times_seconds.shape, np.ascontiguousarray(times_seconds).tobytes(), fps)
 
     @cached_property

@@ -47,6 +47,11 @@ class KnotWeights:
     pose: tuple[Float32[torch.Tensor, "distinct _ _"], ...]
     path: Float32[torch.Tensor, "distinct 2 _"] | None
 
+    def first(self, coordinates: int) -> "KnotWeights":
+        """The weights at the first coordinates."""
+        path = None if self.path is None else self.path[:coordinates]
+        return KnotWeights(tuple(each[:coordinates] for each in self.pose), path)
+
 
 @dataclass(frozen=True, eq=False)
 class Reading:

@@ -220,8 +220,31 @@ def test_a_transformer_decoders_motion_is_a_function_of_time(monkeypatch: pytest
 
 
 def test_the_coordinate_branch_is_kept_for_a_grid(trained: TrainedField) -> None:
-    times = np.linspace(0, 4, 11)[None]
+    times = np.linspace(0, 4, 11)[None] ** 2 / 4
     assert trained.encode_times(times, FPS[0]) is trained.encode_times(times.copy(), FPS[0])
+
+
+@pytest.mark.parametrize("rate", [30.0, 120.0])
+def test_durations_share_the_coordinate_branch(trained: TrainedField, rate: float) -> None:
+    fps = Fraction(30)
+    assert trained.network.fourier is not None
+    encoded: list[int] = []
+    counted = trained.network.fourier.register_forward_hook(lambda *_: encoded.append(1))
+    for seconds in (1.0, 4.0, 0.0, 3.5):
+        times = np.arange(int(seconds * rate) + 1) / rate
+        poses = trained.decode(trained.posterior_mean[:1], times, fps)[0]
+        some = trained.decode(trained.posterior_mean[:1], times[:1], fps)[0]
+        np.testing.assert_allclose(some[0], poses[0], atol=1e-5)
+    counted.remove()
+    # One for the grid, and for single instants, which lie on the grid at the framerate.
+    assert len(encoded) <= 2
+    vectors = trained.network(
+        trained.posterior_mean[:1],
+        torch.from_numpy(times[None] / 2 - 1),
+        torch.tensor([float(fps)], dtype=torch.float64),
+    )
+    expected = trained.vectors.decode(trained.scaling.invert(vectors)[0].numpy(), times, times)
+    np.testing.assert_allclose(poses, expected.joint_positions, atol=1e-5)
 
 
 def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
