@@ -65,7 +65,7 @@ class Camdm(nn.Module):
         mask = batch.mask[:, self.config.past :]
         has_past = (torch.rand(len(past), generator=generator) >= self.config.no_past).to(past.device)
         noisy, steps, _ = noised(clean, self.diffusion, generator)
-        made = self(noisy * mask[..., None], steps.to(clean.device), batch.conditions, past, has_past)
+        made = self(noisy * mask[..., None], steps, batch.conditions, past, has_past)
         both = mask[:, 1:] & mask[:, :-1]
         joints, truth = self.space.joints(made), self.space.joints(clean)
         moved, true_moved = _differences(joints), _differences(truth)
@@ -95,7 +95,7 @@ class Camdm(nn.Module):
                 return clean
 
             made = diffusion_sample(output, batch, lambda: batch.noise(*size), diffusion)
-            rows = torch.cat((rows, made.to(batch.device, torch.float32)), dim=1)
+            rows = torch.cat((rows, made.float()), dim=1)
         return rows[:, self.config.past : self.config.past + batch.frames]
 
 

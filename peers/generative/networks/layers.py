@@ -134,12 +134,12 @@ NetworkOutput = Callable[[Tensor, Tensor, Conditions], Tensor]
 def noised(
     clean: Float[Tensor, "batch frames numbers"], config: DiffusionConfig, generator: torch.Generator
 ) -> tuple[Float[Tensor, "batch frames numbers"], Int64[Tensor, "batch"], Float[Tensor, "batch frames numbers"]]:
-    """Noise each motion to a random step; gives noisy motions (on their device), steps and noise (on the CPU)."""
-    steps = torch.randint(config.num_steps, (len(clean),), generator=generator)
-    noise = torch.randn(clean.shape, generator=generator)
-    flat = clean.to("cpu").flatten(1)
-    noisy = add_noise(flat, noise.flatten(1), steps, cumulative_alphas(config)).view(clean.shape)
-    return noisy.to(clean.device), steps, noise
+    """Noise each motion to a random step, drawn on the CPU; gives noisy motions, steps and noise on their device."""
+    steps = torch.randint(config.num_steps, (len(clean),), generator=generator).to(clean.device)
+    noise = torch.randn(clean.shape, generator=generator).to(clean.device)
+    alphas = cumulative_alphas(config).to(clean.device)
+    noisy = add_noise(clean.flatten(1), noise.flatten(1), steps, alphas).view(clean.shape)
+    return noisy, steps, noise
 
 
 def diffusion_loss(
@@ -151,13 +151,12 @@ def diffusion_loss(
     generator: torch.Generator,
 ) -> Float[Tensor, ""]:
     """Squared error at random steps, averaged over each motion's valid frames, then over motions."""
-    device, alphas = clean.device, cumulative_alphas(config)
+    alphas = cumulative_alphas(config).to(clean.device)
     noisy, steps, noise = noised(clean, config, generator)
-    flat = clean.to("cpu").flatten(1)
-    target = prediction_target(config.prediction, flat, noise.flatten(1), steps, alphas).view(clean.shape).to(device)
-    weights = loss_weights(config.prediction, config.loss, alphas)[steps].to(device, torch.float32)
+    target = prediction_target(config.prediction, clean.flatten(1), noise.flatten(1), steps, alphas).view(clean.shape)
+    weights = loss_weights(config.prediction, config.loss, alphas)[steps].float()
     noisy = noisy * mask[..., None]
-    errors = (output(noisy, steps.to(device), conditions).float() - target).square().mean(dim=-1) * mask
+    errors = (output(noisy, steps, conditions).float() - target).square().mean(dim=-1) * mask
     return (weights * errors.sum(dim=1) / mask.sum(dim=1)).mean()
 
 
@@ -168,25 +167,30 @@ def diffusion_sample(
     draw: Callable[[], Float[Tensor, "batch frames numbers"]],
     config: DiffusionConfig,
 ) -> Float[Tensor, "batch frames numbers"]:
-    """Sample clean motions or latents; with guidance both passes share one batch. `draw` returns fresh noise."""
+    """Sample clean motions or latents, float64, on the batch's device; with guidance both passes share one batch.
+
+    `draw` returns fresh noise on the CPU.
+    """
     alphas, scale = cumulative_alphas(config), config.guidance_scale
     twice = batch.guided and scale != 1.0
     conditions = joined_conditions(batch) if twice else batch.conditions.to(batch.device)
-    start = draw()
+    start = draw().to(batch.device)
     shape = start.shape
 
     def predict_noise(flat: Tensor, steps: Tensor) -> Tensor:
-        noisy = flat.view(shape).to(batch.device, torch.float32)
+        noisy = flat.view(shape).float()
         at = steps.to(batch.device)
         if twice:
             conditional, unconditional = output(noisy.repeat(2, 1, 1), at.repeat(2), conditions).chunk(2)
             prediction = unconditional + scale * (conditional - unconditional)
         else:
             prediction = output(noisy, at, conditions)
-        prediction = prediction.to("cpu", torch.float64).flatten(1)
-        return predicted_noise(config.prediction, prediction, flat, float(alphas[int(steps[0])]))
+        return predicted_noise(config.prediction, prediction.double().flatten(1), flat, float(alphas[int(steps[0])]))
+
+    def fresh() -> Tensor:
+        return draw().to(batch.device).flatten(1)
 
     visited = sampling_steps(config)
     if config.sampler == "ddim":
         return sample_ddim(predict_noise, start.flatten(1), alphas, visited).view(shape)
-    return sample_ddpm(predict_noise, start.flatten(1), alphas, visited, lambda: draw().flatten(1)).view(shape)
+    return sample_ddpm(predict_noise, start.flatten(1), alphas, visited, fresh).view(shape)

@@ -124,7 +124,7 @@ class Mld(nn.Module):
         """Standardised rows."""
         latents = diffusion_sample(self, batch, lambda: batch.noise(1, self.width), diffusion)
         mask = frames_within(batch.lengths, batch.frames).to(batch.device)
-        return self.vae.decode(latents[:, 0].to(batch.device, torch.float32), mask)
+        return self.vae.decode(latents[:, 0].float(), mask)
 
 
 def step_features(steps: Int64[Tensor, "batch"], width: int) -> Float[Tensor, "batch width"]:

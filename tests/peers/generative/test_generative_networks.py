@@ -10,9 +10,9 @@ import torch
 from motionkit.clips.pose_vectors.convention import VectorScaling
 from motionkit.clips.pose_vectors.native import NativeVectors
 from motionkit.features import native
-from motionkit.training.diffusion.settings import DiffusionConfig
+from motionkit.training.diffusion.settings import DiffusionConfig, Prediction
 from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, SampleBatch
-from peers.generative.networks.layers import diffusion_sample, noised, reparameterized
+from peers.generative.networks.layers import diffusion_loss, diffusion_sample, noised, reparameterized
 from peers.generative.networks.mdm import Mdm
 from peers.generative.networks.mld import Mld, MldVae
 from peers.generative.recipes import MDM, MDM_50, MLD
@@ -200,3 +200,30 @@ def test_guidance_goes_beyond_the_condition(sampler: str) -> None:
     torch.testing.assert_close(found, torch.full((2, 3, 4), 2.5, dtype=torch.float64))
     plain = diffusion_sample(output, batch, lambda: batch.noise_of_frames(4), replace(config, guidance_scale=1.0))
     torch.testing.assert_close(plain, torch.ones((2, 3, 4), dtype=torch.float64))
+
+
+@pytest.mark.parametrize("prediction", ["noise", "latent", "velocity"])
+@pytest.mark.parametrize("sampler", ["ddpm", "ddim"])
+def test_nothing_is_copied_from_the_device_in_a_step(sampler: str, prediction: Prediction) -> None:
+    """A tensor on torch's device "meta" has no values, so copying it to the CPU is an error."""
+    device = torch.device("meta")
+    config = DiffusionConfig(
+        num_steps=8, schedule="cosine", prediction=prediction, sampler=sampler, sampling_steps=8, guidance_scale=2.5
+    )
+
+    def output(noisy: torch.Tensor, steps: torch.Tensor, told: Conditions) -> torch.Tensor:
+        assert {noisy.device, steps.device, told.given.device} == {device}
+        return noisy
+
+    clean, mask = torch.zeros(2, 3, 4, device=device), torch.ones(2, 3, dtype=torch.bool, device=device)
+    loss = diffusion_loss(output, clean, mask, conditions(2).to(device), config, torch.Generator())
+    assert loss.device == device
+    batch = SampleBatch(
+        lengths=torch.tensor([3, 2]),
+        conditions=conditions(2),
+        unconditional=conditions(2),
+        generators=[torch.Generator() for _ in range(2)],
+        device=device,
+    )
+    found = diffusion_sample(output, batch, lambda: batch.noise_of_frames(4), config)
+    assert (found.device, found.dtype, found.shape) == (device, torch.float64, (2, 3, 4))
