@@ -10,7 +10,9 @@ from jaxtyping import Float, Float64
 def checked_features(
     features: Float[np.ndarray, "samples features"], name: str, minimum: int
 ) -> Float64[np.ndarray, "samples features"]:
-    """Features as float64; raises `ValueError` for fewer than `minimum` samples, NaN or infinity."""
+    """Features as float64; raises `ValueError` for other shapes, fewer than `minimum` samples, NaN or infinity."""
+    if features.ndim != 2:
+        raise ValueError(f"{name}: expected an array [samples, features], its shape is {features.shape}")
     if len(features) < minimum:
         raise ValueError(f"{name}: at least {minimum} samples are needed, there are {len(features)}")
     values = np.asarray(features, dtype=np.float64)

@@ -148,10 +148,12 @@ def fid_infinity(
 
     Both sides are thinned to the same N (the paper thins the generated side alone, its real statistics being fixed), so
     that the limit is free of both sides' bias to first order; subsets are prefixes of one random order, N evenly spaced
-    from `smallest_fraction` of the smaller set to all of it. Raises `ValueError` if the smallest subset has no more
-    samples than features: FID of singular covariances is not linear in 1/N, its extrapolation far off (two draws of 256
-    from one 128-dimensional normal distribution: 7.7 instead of 0).
+    from `smallest_fraction` of the smaller set to all of it. Raises `ValueError` for NaN or infinity, and if the
+    smallest subset has no more samples than features: FID of singular covariances is not linear in 1/N, its
+    extrapolation far off (two draws of 256 from one 128-dimensional normal distribution: 7.7 instead of 0).
     """
+    real = checked_features(real, "real", minimum=2)
+    generated = checked_features(generated, "generated", minimum=2)
     largest, features = min(len(real), len(generated)), real.shape[1]
     sizes = np.unique(np.linspace(smallest_fraction * largest, largest, num_points).astype(np.int64))
     if sizes[0] < 2 or len(sizes) < 2 or np.diff(sizes).min() < 2 or sizes[0] <= features:
@@ -183,17 +185,26 @@ def _prefix_gaussians(features: Float[np.ndarray, "samples features"], sizes: np
 
 
 BLOCK_ROWS = 512
+MAX_ROUNDING = 1e-3
+"""Largest rounding error of a kernel's value, relative to its value on centred features."""
 
 
 def kid(real: Float[np.ndarray, "n features"], generated: Float[np.ndarray, "m features"]) -> float:
     """Unbiased squared MMD with k(x, y) = (x·y / features + 1)³; may be negative; expectation 0 for equal sets.
 
     Published figures average over random subsets of 1,000; the U-statistic over whole sets, used here, has the same
-    expectation and less variance. Symmetric. Source: Bińkowski et al. 2018, §4.
+    expectation and less variance. Symmetric. The kernel depends on the origin: raises `ValueError` for features so
+    far from it, relative to their spread, that rounding hides their differences. Source: Bińkowski et al. 2018, §4.
     """
     x = checked_features(real, "real", minimum=2)
     y = checked_features(generated, "generated", minimum=2)
     n, m = len(x), len(y)
+    squared_mean, variance = np.square(x.mean(axis=0)).mean(), x.var(axis=0).mean()
+    if np.finfo(np.float64).eps * (squared_mean + variance + 1.0) ** 3 > MAX_ROUNDING * (variance + 1.0) ** 3:
+        raise ValueError(
+            f"real: the features' mean is {math.sqrt(squared_mean):.3g}, their deviation {math.sqrt(variance):.3g}, so "
+            "differences of the cubic kernel are rounding errors: subtract the real set's mean from both sets"
+        )
     within_x = (_kernel_sum(x, x) - _diagonal_sum(x)) / (n * (n - 1))
     within_y = (_kernel_sum(y, y) - _diagonal_sum(y)) / (m * (m - 1))
     return within_x + within_y - 2.0 * _kernel_sum(x, y) / (n * m)

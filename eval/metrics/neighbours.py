@@ -36,7 +36,10 @@ def prdc(
     if (x == x[0]).all():
         raise ValueError("real: all rows are the same, so no sample has a neighbourhood to fall into")
     centre = x.mean(axis=0)
-    real_points, generated_points = _Points.of(x - centre), _Points.of(y - centre)
+    x, y = x - centre, y - centre
+    # Neighbours do not depend on the scale, squares of 1e±200 are not finite numbers. Powers of two round nothing.
+    _, exponent = np.frexp(np.abs(x).max())
+    real_points, generated_points = (_Points.of(np.ldexp(each, -exponent)) for each in (x, y))
     real_radii = _squared_radii(real_points, num_neighbours)
     generated_radii = _squared_radii(generated_points, num_neighbours)
     balls_holding = np.zeros(len(y))

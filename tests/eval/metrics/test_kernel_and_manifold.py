@@ -4,6 +4,7 @@ import io
 from contextlib import redirect_stdout
 from dataclasses import asdict
 
+import jaxtyping
 import numpy as np
 import pytest
 import torch
@@ -14,7 +15,7 @@ from scipy.spatial.distance import cdist
 from torchmetrics.image.kid import KernelInceptionDistance
 
 from eval.metrics import gaussian, neighbours
-from eval.metrics.gaussian import kid
+from eval.metrics.gaussian import fid, fid_infinity, kid
 from eval.metrics.neighbours import prdc
 from tests.helpers.given_features import GivenFeatures
 
@@ -121,6 +122,31 @@ def test_refusals() -> None:
             metric(x, bad)
     with pytest.raises(ValueError, match="at least 6 samples"):
         prdc(x[:5], x)
+
+
+def test_one_dimensional_arrays_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+    one = np.random.default_rng(0).normal(size=50)
+    for metric in (fid, kid, prdc, lambda x, y: fid_infinity(x, y, np.random.default_rng(0))):
+        with pytest.raises(ValueError, match=r"\(50,\)"):
+            metric(one, one)
+
+
+@pytest.mark.parametrize("scale", [1e-300, 1e-200, 1e200, 1e300])
+def test_prdc_does_not_depend_on_the_scale(scale: float) -> None:
+    rng = np.random.default_rng(4)
+    x, y = rng.normal(size=(60, 3)), rng.normal(size=(50, 3)) + 0.5
+    assert prdc(scale * x, scale * y) == prdc(x, y)
+
+
+@pytest.mark.parametrize(("offset", "refused"), [(1e2, False), (1e3, True), (1e6, True)])
+def test_kid_refuses_features_whose_differences_are_rounding_errors(offset: float, refused: bool) -> None:
+    x, y = np.random.default_rng(5).normal(size=(2, 50, 3)).astype(np.float32) + np.float32(offset)
+    if refused:
+        with pytest.raises(ValueError, match="subtract the real set's mean"):
+            kid(x, y)
+    else:
+        assert np.isfinite(kid(x, y))
 
 
 def test_identical_sets_and_constant_features() -> None:
