@@ -9,16 +9,20 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Int64
+from jaxtyping import Float, Float32, Float64, Int64
 from torch import Tensor
 
 from eval.native_evaluator.bank import ClipBank
 from eval.native_evaluator.network import MIN_POSES, NativeNetwork, TextProjection, prepare, rich_input, standardised
 from eval.native_evaluator.training import Sentences, symmetric_cross_entropy
 from eval.tmr.settings import TmrConfig
+from motionkit.core.errors import UsageError
 from motionkit.training.config import rate_factor
 from motionkit.training.schedule import seeded_initialisation, set_rate
 from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
+
+MAX_DRAWS = 100
+"""Batches that are drawn for two captioned clips before captions are reported as too rare."""
 
 
 def retrieval_loss(
@@ -92,7 +96,24 @@ class TmrTraining:
     def _pairs(
         self, rng: np.random.Generator
     ) -> tuple[Float32[np.ndarray, "pairs poses 22 3"], Int64[np.ndarray, "pairs"], float]:
-        """Captioned clips of one framerate and length, and a sentence about the middle of each."""
+        """Captioned clips of one framerate and length, and a sentence about the middle of each.
+
+        Raises `UsageError` if many batches do not have two captioned clips.
+        """
+        for _ in range(MAX_DRAWS):
+            positions, sentence, fps = self._captioned(rng)
+            if len(sentence) > 1:
+                return prepare(positions, fps), sentence, fps
+        training = self.config.training
+        raise UsageError(
+            f"of {MAX_DRAWS} batches of {training.batch_size} clips none has two that a caption is about: caption more "
+            "of the training split, or raise training.batch_size"
+        )
+
+    def _captioned(
+        self, rng: np.random.Generator
+    ) -> tuple[Float64[np.ndarray, "pairs poses 22 3"], Int64[np.ndarray, "pairs"], float]:
+        """The captioned clips of one random batch."""
         training = self.config.training
         bank = self.banks[int(rng.integers(len(self.banks)))]
         fps = float(bank.fps)
@@ -104,9 +125,7 @@ class TmrTraining:
         about = [self.sentences.about(take, second) for take, second in places]
         rows = [row for row, found in enumerate(about) if len(found)]
         sentence = np.array([rng.choice(about[row]) for row in rows], dtype=np.int64)
-        if len(rows) < 2:
-            return self._pairs(rng)
-        return prepare(drawn.positions[rows], fps), sentence, fps
+        return drawn.positions[rows], sentence, fps
 
     def _statistics(self, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
         """Mean and 1 / deviation of every channel over clips of all framerates."""

@@ -94,6 +94,18 @@ def recalls(run: Path) -> np.ndarray:
     return retrieval(np.linalg.norm(texts[:, None] - motions[None], axis=-1)).recall
 
 
+def test_captions_about_no_clip_are_refused(tmp_path: Path) -> None:
+    """A clip's sentence is about its middle, and these captions end before any."""
+    with StoreWriter.create(tmp_path / "store") as writer:
+        positions = swinging(60, 20, 0).astype(np.float32)
+        said = (Caption("kind 0", end_seconds=0.01),)
+        writer.add(
+            Motion(positions, SMPL22, TimeGrid(Fraction(20), 60), captions=said, split="train", sequence_id="take")
+        )
+    with pytest.raises(UsageError, match="caption more"):
+        train(tmp_path / "store", tmp_path / "run")
+
+
 def test_it_finds_the_motions_of_captions(run: Path) -> None:
     assert recalls(run)[0] > 0.7
 
