@@ -17,15 +17,21 @@ if TYPE_CHECKING:
 
 SIGNIFICANT_DIGITS = 3
 MAX_DECIMALS = 6
-LATEX_SYMBOLS = {
-    "±": r"$\pm$",
-    "–": "--",
-    "∞": r"$\infty$",
-    "×": r"$\times$",
-    "↑": r"$\uparrow$",
-    "↓": r"$\downarrow$",
-    "→": r"$\rightarrow$",
-}
+LATEX = str.maketrans(
+    {
+        **{character: f"\\{character}" for character in "&%$#_{}"},
+        "\\": r"\textbackslash{}",
+        "^": r"\textasciicircum{}",
+        "~": r"\textasciitilde{}",
+        "±": r"$\pm$",
+        "–": "--",
+        "∞": r"$\infty$",
+        "×": r"$\times$",
+        "↑": r"$\uparrow$",
+        "↓": r"$\downarrow$",
+        "→": r"$\rightarrow$",
+    }
+)
 
 
 def to_markdown(result: Result) -> str:
@@ -177,7 +183,7 @@ def _environment(*, html: bool = False, latex: bool = False) -> "Environment":
         "best": best_in_column,
         "picture": picture,
         "origin": origin_line,
-        "tex": _escape_latex,
+        "tex": lambda text: str(text).translate(LATEX),
         "md": lambda text: str(text).replace("|", "\\|"),
     }
     environment.filters.update(filters)
@@ -186,14 +192,3 @@ def _environment(*, html: bool = False, latex: bool = False) -> "Environment":
         environment.variable_start_string, environment.variable_end_string = "<<", ">>"
         environment.comment_start_string, environment.comment_end_string = "<#", "#>"
     return environment
-
-
-def _escape_latex(text: object) -> str:
-    replaced = str(text).replace("\\", "\\textbackslash{}")
-    for character in "&%$#_{}":
-        if character in "{}" and "\\textbackslash{}" in replaced:
-            continue
-        replaced = replaced.replace(character, f"\\{character}")
-    for symbol, command in LATEX_SYMBOLS.items():
-        replaced = replaced.replace(symbol, command)
-    return replaced

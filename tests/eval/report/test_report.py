@@ -210,6 +210,14 @@ def test_latex_escapes_what_it_must(result: Result) -> None:
     text = to_latex(result)
     assert r"real \& <true> & 0.0123 $\pm$ 0.0010 & 0 \\" in text
     assert r"theirs\_x & -- & 11.264 \\" in text
+    for name, escaped in (
+        (r"a\b{c}", r"a\textbackslash{}b\{c\}"),
+        ("x^2 ~ y", r"x\textasciicircum{}2 \textasciitilde{} y"),
+        ("50 % & #1 $", r"50 \% \& \#1 \$"),
+        ("a → b", r"a $\rightarrow$ b"),
+    ):
+        block = replace(result.blocks[0], rows=(Row(name, "ours", {}),))
+        assert f"\n{escaped} & -- & --" in to_latex(replace(result, blocks=(block,)))
 
 
 def test_html_is_whole_and_escaped(result: Result) -> None:
