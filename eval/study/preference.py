@@ -1,10 +1,10 @@
 """Preferences of people: their answers, read with the key, as shares with intervals."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import TypeGuard
 
 from scipy.stats import binomtest
 
@@ -13,8 +13,10 @@ from eval.study.draw import QUESTIONS
 from eval.study.page import ANSWERS_FORMAT, KEY_FORMAT
 from motionkit.core.checksums import read_json
 from motionkit.core.errors import MotionkitError
+from motionkit.core.framerate import parse_fps
 from motionkit.core.plain_text import shown
 
+RESTORE = "restore it from a copy, without it the sides are unknown"
 ASK_AGAIN = "ask for the file again"
 OTHER = {"a": 0, "b": 1}
 
@@ -40,20 +42,63 @@ class Preference:
 
 
 @dataclass(frozen=True)
+class KeyTrial:
+    """A trial of a key: the names of the systems shown as A and B, one of which is the study's first."""
+
+    question: str
+    fps: Fraction
+    systems: tuple[str, str]
+
+
+@dataclass(frozen=True)
 class Key:
-    """A study's id, its first system, and its trials as the key's file has them."""
+    """A study's id, its first system, and its trials."""
 
     study: str
     first: str
-    trials: tuple[Mapping[str, Any], ...]
+    trials: tuple[KeyTrial, ...]
 
 
 def read_key(path: Path) -> Key:
-    """Read what `write_study` wrote; raises `DamagedFileError`, or `StudyError` for a file of another kind."""
-    document = read_json(path, "restore it from a copy: without it the sides are unknown")
+    """Read what `write_study` wrote.
+
+    Raises `DamagedFileError` for a damaged file, and `StudyError` for one of another kind, or with a part that is
+    missing or invalid.
+    """
+    document = read_json(path, RESTORE)
     if document.get("format") != KEY_FORMAT:
         raise StudyError(f"{path}: not the key of a study (format {shown(str(document.get('format')))})")
-    return Key(document["study"], document["systems"][0], tuple(document["trials"]))
+    try:
+        study, systems, trials = (document[name] for name in ("study", "systems", "trials"))
+        if not isinstance(study, str) or not isinstance(trials, list):
+            raise ValueError("expected a text 'study' and a list 'trials'")
+        if not _are_names(systems) or len(systems) < 2:
+            raise ValueError(f"systems {shown(systems)}, expected two or more different names")
+        return Key(study, systems[0], tuple(_trial(number, each, systems) for number, each in enumerate(trials)))
+    except KeyError as error:
+        raise StudyError(f"{path}: a key without {error}: {RESTORE}") from None
+    except ValueError as error:
+        raise StudyError(f"{path}: not a valid key ({error}): {RESTORE}") from None
+
+
+def _trial(number: int, trial: object, systems: Sequence[str]) -> KeyTrial:
+    if not isinstance(trial, dict):
+        raise ValueError(f"trial {number}: {shown(trial)}, expected an object")
+    question, fps, pair = (trial[name] for name in ("question", "fps", "systems"))
+    if not isinstance(question, str) or question not in QUESTIONS:
+        raise ValueError(f"trial {number}: question {shown(question)}, expected {' or '.join(QUESTIONS)}")
+    if not _are_names(pair) or len(pair) != 2 or systems[0] not in pair or not set(pair) <= set(systems):
+        raise ValueError(f"trial {number}: systems {shown(pair)}, expected {shown(systems[0])} and another of the key")
+    if not isinstance(fps, str):
+        raise ValueError(f"trial {number}: fps {shown(fps)}, expected a text such as '60'")
+    return KeyTrial(question, parse_fps(fps), (pair[0], pair[1]))
+
+
+def _are_names(values: object) -> TypeGuard[list[str]]:
+    """Whether a value is a list of different texts."""
+    if not isinstance(values, list):
+        return False
+    return all(isinstance(value, str) for value in values) and len(set(values)) == len(values)
 
 
 def read_answers(paths: Iterable[Path], key: Key) -> PartialResult[dict[str, dict[int, str]]]:
@@ -105,10 +150,10 @@ def preferences(key: Key, answers: Iterable[Mapping[int, str]]) -> list[Preferen
     for choices in answers:
         for number, choice in choices.items():
             trial = key.trials[number]
-            chosen = trial["systems"][OTHER[choice]]
-            (second,) = [name for name in trial["systems"] if name != key.first]
-            by_fps = wins.setdefault((trial["question"], second), {})
-            by_fps.setdefault(Fraction(trial["fps"]), []).append(chosen == key.first)
+            chosen = trial.systems[OTHER[choice]]
+            (second,) = [name for name in trial.systems if name != key.first]
+            by_fps = wins.setdefault((trial.question, second), {})
+            by_fps.setdefault(trial.fps, []).append(chosen == key.first)
     return [
         _preference(question, key.first, second, fps, won)
         for (question, second) in sorted(wins, key=lambda each: (list(QUESTIONS).index(each[0]), each[1]))

@@ -12,9 +12,10 @@ from typer.testing import CliRunner
 
 from eval.commands.study import STUDY
 from eval.study.draw import CONSISTENT, REALISTIC, Design, draw_trials
-from eval.study.page import ANSWERS_FORMAT
-from eval.study.preference import Key, preferences
+from eval.study.page import ANSWERS_FORMAT, KEY_FORMAT
+from eval.study.preference import Key, KeyTrial, StudyError, preferences, read_key
 from eval.study.systems import System
+from motionkit.core.checksums import write_json
 from motionkit.synthetic import make_body, perform
 
 
@@ -58,8 +59,8 @@ def test_slow_captures_and_missing_captions_leave_questions_out() -> None:
 
 def test_shares_have_wilsons_interval_and_the_binomial_test() -> None:
     """10 of 16: Wilson's interval and the two-sided p by their formulas, computed by hand."""
-    trial = {"question": REALISTIC, "fps": "20", "systems": ["theirs", "ours"]}
-    high = [{**trial, "fps": fps, "systems": ["ours", "theirs"]} for fps in ("60", "120")]
+    trial = KeyTrial(REALISTIC, Fraction(20), ("theirs", "ours"))
+    high = [KeyTrial(REALISTIC, Fraction(fps), ("ours", "theirs")) for fps in (60, 120)]
     key = Key("s", "ours", (*[trial] * 16, *high))
     answers = {number: "b" if number < 10 else "a" for number in range(16)}
     found = preferences(key, [answers, {16: "a", 17: "b"}])
@@ -110,3 +111,37 @@ def test_from_folders_to_a_table(tmp_path: Path) -> None:
     assert [each["share"] for each in found["preferences"]] == [1.0] * 4
     for path, reason in zip(paths[1:], ("of another study", "is damaged", "damaged answers"), strict=True):
         assert [line for line in ran.stderr.splitlines() if path.name in line and reason in line], ran.stderr
+
+
+TRIAL = {"question": REALISTIC, "fps": "20", "systems": ["theirs", "ours"]}
+KEY = {"format": KEY_FORMAT, "study": "s", "systems": ["ours", "theirs", "others"], "trials": [TRIAL]}
+
+
+def test_a_whole_key_is_read(tmp_path: Path) -> None:
+    write_json(tmp_path / "key.json", KEY)
+    assert read_key(tmp_path / "key.json") == Key("s", "ours", (KeyTrial(REALISTIC, Fraction(20), ("theirs", "ours")),))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        *({part: None} for part in ("study", "systems", "trials")),
+        *({"systems": systems} for systems in ([], ["ours"], ["ours", "ours"], "ab", [["ours"], "theirs"], [1, 2])),
+        {"trials": {}},
+        *({"trials": [trial]} for trial in (None, "a", [], {})),
+        *({"trials": [{**TRIAL, "question": question}]} for question in (None, "prettier", ["realistic"])),
+        *({"trials": [{**TRIAL, "fps": fps}]} for fps in (None, 20, "abc", "1/0", "0", "nan")),
+        *(
+            {"trials": [{**TRIAL, "systems": pair}]}
+            for pair in (None, "ab", ["ours"], ["ours", "ours"], ["theirs", "others"], ["ours", "foreign"], [1, "ours"])
+        ),
+    ],
+    ids=repr,
+)
+def test_an_invalid_key_is_one_error_that_names_the_file(tmp_path: Path, change: dict[str, object]) -> None:
+    for number, document in enumerate((KEY | change, {name: KEY[name] for name in KEY if name not in change})):
+        path = tmp_path / f"{number}.json"
+        write_json(path, document)
+        with pytest.raises(StudyError) as raised:
+            read_key(path)
+        assert str(raised.value).startswith(f"{path}: ") and "\n" not in str(raised.value)
