@@ -14,6 +14,7 @@ from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.errors import UsageError
 from motionkit.core.framerate import Framerate, format_fps, parse_fps
 from motionkit.core.motion import Motion
+from motionkit.core.progress import warn
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints
 
@@ -39,7 +40,8 @@ def clip_fid(
     training split and compare with the test split (docs/evaluators.md).
 
     Lower is better, and 0 is not reached: the floor is what other real motions score. Scores compare only with the same
-    real motions, framerate, features and number of clips.
+    real motions, framerate, features and number of clips. Warns where both sets are one and the same motion: its clips
+    are the same on both sides, and their distance is 0.
 
     Raises `UsageError` for motions of several framerates or of another one than `fps`, `ClipError` where no motion is
     long enough for a clip, `MotionkitError` for a skeleton that cannot be brought to the 22 joints.
@@ -60,6 +62,11 @@ def clip_fid(
         raise UsageError(f"motions at one framerate are compared, these have {found}: motion.resample(fps) changes it")
     rate = rates.pop()
     samples = {name: samples_of(name, motions, rate) for name, motions in sets.items()}
+    if _are_one_motion(samples["real"], samples["generated"]):
+        warn(
+            "real and generated are the same single motion: both sides draw the same clips, so clip-FID is 0 and says "
+            "nothing; compare with other motions, or several real ones with themselves for the floor"
+        )
     protocol = Protocol(num_clips=clips, replications=replications, detailed_replications=0, seed=seed)
     comparison = comparison_with(samples["real"], samples["train"], protocol, features)
     return comparison.scores({"generated": samples["generated"]})["generated"].clip_fid
@@ -69,6 +76,11 @@ def comparison_with(real: SampleSet, train: SampleSet, protocol: Protocol, featu
     """The real side of `clip_fid`, fitted once for any number of sets; raises what it raises."""
     source = kinematic_source() if features == "kinematic" else native_source(Path(features))
     return source.comparison(real, train, protocol)
+
+
+def _are_one_motion(real: SampleSet, generated: SampleSet) -> bool:
+    single = real.num_sequences == generated.num_sequences == 1
+    return single and np.array_equal(real.sequences.values, generated.sequences.values)
 
 
 def _framerates(motions: Motions, given: Fraction | None) -> set[Fraction]:

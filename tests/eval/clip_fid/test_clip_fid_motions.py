@@ -12,6 +12,7 @@ from eval.clip_fid.clips import ClipError, Protocol
 from eval.clip_fid.features import kinematic_source
 from eval.clip_fid.score import score_rows
 from eval.sets.sets import sample_set
+from motionkit.core.errors import MotionkitWarning
 from motionkit.fields.motion_field import to_motion
 from motionkit.synthetic import ACTIONS, make_body, perform
 
@@ -62,6 +63,12 @@ def test_another_skeleton_is_brought_to_the_22_joints(real: list[mk.Motion], tmp
 
 def test_the_descriptor_may_be_fitted_on_other_motions(real: list[mk.Motion], slowed: list[mk.Motion]) -> None:
     assert clip_fid(real, slowed, train=real[:4], **FEW) != clip_fid(real, slowed, **FEW)
+
+
+def test_one_motion_beside_itself_warns(real: list[mk.Motion], slowed: list[mk.Motion]) -> None:
+    with pytest.warns(MotionkitWarning, match="same single motion"):
+        assert clip_fid(real[:1], real[:1], **FEW).mean == pytest.approx(0.0, abs=1e-9)
+    clip_fid(real[:1], slowed[:1], **FEW)  # any warning is an error
 
 
 def test_framerates_have_to_agree(real: list[mk.Motion]) -> None:
