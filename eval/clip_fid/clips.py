@@ -1,17 +1,19 @@
 """Random clips of a sample set, and the interface of the features computed on them."""
 
 import typing
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 
 import numpy as np
 from jaxtyping import Float, Float64, Int64
 
-from eval.metrics.gaussian import Gaussian
+from eval.metrics.gaussian import Gaussian, frechet_distance
 from eval.metrics.resampling import RESAMPLINGS
 from eval.sets.sets import Ragged, SampleSet
 from motionkit.core.errors import MotionkitError
 
+Distance = Callable[[Gaussian, Gaussian], float]
 REAL, OTHER = 0, 1
 """The two sides of a comparison: each draws its own sequences."""
 
@@ -56,8 +58,11 @@ class MotionFeatures(FeatureSet, typing.Protocol):
         """One row of numbers for every row of the samples' sequences."""
         ...
 
-    def score(self, real: Gaussian, other: Gaussian) -> float:
-        """The score of two sets from the means and covariances of their features; also computed by the bootstrap."""
+    def score(self, real: Gaussian, other: Gaussian, distance: Distance = frechet_distance) -> float:
+        """The score of two sets from the means and covariances of their features; also computed by the bootstrap.
+
+        `distance` is the Fréchet distance, by `frechet_distance` or `quick_frechet_distance`.
+        """
         ...
 
 

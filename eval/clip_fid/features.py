@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from eval.clip_fid import kinematic1
+from eval.clip_fid.channels import channels
 from eval.clip_fid.clips import (
     REAL,
     ClipPlaces,
@@ -22,8 +23,9 @@ from eval.clip_fid.clips import (
 )
 from eval.clip_fid.kinematic import VERSION, KinematicDescriptor, fit_kinematic, standardised
 from eval.clip_fid.score import ClipFid, score_disjoint_halves, score_rows
+from eval.clip_fid.threads import in_threads
 from eval.sets.partial import PartialResult, collect
-from eval.sets.sets import SampleSet
+from eval.sets.sets import Ragged, SampleSet
 from eval.text_motion.guo.kind import GuoFiles
 from motionkit.core.errors import MotionkitError, UsageError
 
@@ -205,8 +207,10 @@ def fit_on(train: SampleSet, seed: int = 0) -> KinematicDescriptor:
     order = np.random.default_rng((seed, FIT_REPLICATION)).permutation(train.num_sequences)
     passed = np.cumsum(train.sequences.num_frames[order])
     some = train.select(order[: 1 + int(np.searchsorted(passed, FIT_FRAMES))])
-    fitted = fit_kinematic(some.sequences, train.fps)
-    return standardised(fitted, describe_clips(readable(some, fitted), _fit_places(some, seed), fitted))
+    motions = list(in_threads(partial(channels, fps=train.fps), some.sequences))
+    fitted = fit_kinematic(motions, train.fps)
+    rows = replace(some, sequences=Ragged.of(list(map(fitted.rows, motions))), local_rotations=None)
+    return standardised(fitted, describe_clips(rows, _fit_places(rows, seed), fitted))
 
 
 def fit_version_1_on(train: SampleSet, seed: int = 0) -> kinematic1.KinematicDescriptor:

@@ -11,7 +11,7 @@ Version 1, which compares amounts, is `eval.clip_fid.kinematic1`.
 
 import hashlib
 import io
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 from functools import cached_property
@@ -33,6 +33,8 @@ from eval.clip_fid.channels import (
     channels,
     noise_power,
 )
+from eval.clip_fid.clips import Distance
+from eval.clip_fid.threads import in_threads
 from eval.metrics.gaussian import Gaussian, frechet_distance
 from eval.sets.sets import Ragged, SampleSet
 from motionkit.core.errors import DamagedFileError
@@ -114,13 +116,19 @@ class KinematicDescriptor:
         """A row for every pose of the motions, of which clips are averages: [rows, numbers], float32."""
         if samples.fps != self.fps:
             raise ValueError(f"this descriptor was fitted at {self.fps} fps; {samples.name} is at {samples.fps} fps")
-        rows = [self._rows(channels(positions, self.fps)) for positions in samples.sequences]
-        laid_out: Float32[np.ndarray, "rows numbers"] = np.zeros(
-            (len(samples.sequences.values), rows[0].shape[1]), dtype=np.float32
+        return Ragged.of(list(in_threads(lambda motion: self.rows(channels(motion, self.fps)), samples.sequences)))
+
+    def rows(self, motion: Channels) -> Float32[np.ndarray, "frames numbers"]:
+        """A row for every pose of a motion, of which clips are averages."""
+        scores = (motion.pose - self.pose_mean) @ self.pose_components.T
+        power = motion.power.reshape(len(scores), -1)
+        prediction = _inputs(motion) @ self.predictor
+        timing = np.stack([(motion.timing * prediction).sum(axis=1), np.square(prediction).sum(axis=1)], axis=1)
+        return np.concatenate(
+            (scores, np.square(scores), power, motion.log_speed, motion.log_foot_speed, timing),
+            axis=1,
+            dtype=np.float32,
         )
-        for start, motion in zip(samples.sequences.start_row.tolist(), rows, strict=True):
-            laid_out[start : start + len(motion)] = motion
-        return Ragged(laid_out, samples.sequences.start_row, samples.sequences.num_frames)
 
     def describe(
         self, clips: Float[np.ndarray, "clips poses numbers"], fps: Fraction
@@ -133,7 +141,7 @@ class KinematicDescriptor:
         raw[:, : self.num_distance] *= self.scale
         return raw
 
-    def score(self, real: Gaussian, other: Gaussian) -> float:
+    def score(self, real: Gaussian, other: Gaussian, distance: Distance = frechet_distance) -> float:
         """Fréchet distance of the features, plus the squared relative loss of how well fast motion follows slow motion.
 
         Following it more closely than real motion is not rewarded: kinks and filters could win that, and added noise
@@ -142,7 +150,7 @@ class KinematicDescriptor:
         features = slice(0, self.num_distance)
         follows = max(self.following(real), LEAST_FOLLOWING)
         lost = max(0.0, self.following(real) - self.following(other)) / follows
-        return frechet_distance(real.part(features), other.part(features)) + TIMING_WEIGHT * lost**2
+        return distance(real.part(features), other.part(features)) + TIMING_WEIGHT * lost**2
 
     def following(self, of: Gaussian) -> float:
         """The regression slope of log power on its prediction: near 1 for real motion, 0 for noise."""
@@ -155,15 +163,6 @@ class KinematicDescriptor:
         arrays: dict[str, Any] = {name: np.array(text) for name, text in about.items()} | self._arrays()
         with whole_file(path) as temporary, temporary.open("wb") as file:
             np.savez(file, **arrays)
-
-    def _rows(self, motion: Channels) -> Float64[np.ndarray, "frames numbers"]:
-        scores = (motion.pose - self.pose_mean) @ self.pose_components.T
-        power = motion.power.reshape(len(scores), -1)
-        prediction = _inputs(motion) @ self.predictor
-        timing = np.stack([(motion.timing * prediction).sum(axis=1), np.square(prediction).sum(axis=1)], axis=1)
-        return np.concatenate(
-            (scores, np.square(scores), power, motion.log_speed, motion.log_foot_speed, timing), axis=1
-        )
 
     def _arrays(self) -> dict[str, npt.NDArray[np.float64]]:
         return {each.name: getattr(self, each.name) for each in fields(self) if each.name != "fps"}
@@ -189,22 +188,21 @@ def load_kinematic(path: Path) -> KinematicDescriptor:
     return descriptor
 
 
-def fit_kinematic(motions: Iterable[Float[np.ndarray, "_frames joints 3"]], fps: Fraction) -> KinematicDescriptor:
+def fit_kinematic(motions: Sequence[Channels], fps: Fraction) -> KinematicDescriptor:
     """Fit components and predictors on real training motions at one framerate; `standardised` does the rest.
 
     A component's sign is fixed by its largest coordinate, so that the fit does not depend on the linear algebra
     library. Raises `ValueError` for no motion.
     """
-    made = [channels(motion, fps) for motion in motions]
-    if not made:
+    if not motions:
         raise ValueError("fitting the kinematic descriptor needs at least one motion")
-    poses = np.concatenate([motion.pose for motion in made])
+    poses = np.concatenate([motion.pose for motion in motions])
     pose_mean = poses.mean(axis=0)
     _, eigenvectors = np.linalg.eigh((poses - pose_mean).T @ (poses - pose_mean) / len(poses))
     components = eigenvectors.T[::-1][:NUM_POSE_COMPONENTS]
     largest = np.take_along_axis(components, np.abs(components).argmax(axis=1)[:, None], axis=1)
-    predictor = _fit_predictor(made)
-    squares = np.concatenate([np.square(_inputs(motion) @ predictor).sum(axis=1) for motion in made])
+    predictor = _fit_predictor(motions)
+    squares = np.concatenate([np.square(_inputs(motion) @ predictor).sum(axis=1) for motion in motions])
     num_features = max(block.stop for block in _blocks(Bands.at(fps)).values())
     return KinematicDescriptor(
         fps,
@@ -264,7 +262,7 @@ def _inputs(motion: Channels) -> Float64[np.ndarray, "frames channels"]:
     return np.concatenate((motion.steady, motion.sudden), axis=1)
 
 
-def _fit_predictor(motions: list[Channels]) -> Float64[np.ndarray, "channels timing"]:
+def _fit_predictor(motions: Sequence[Channels]) -> Float64[np.ndarray, "channels timing"]:
     """Ridge regression of log power on the residual of the sudden channels given the steady ones.
 
     Speed alone would be a good predictor, but noise that is added where joints are fast follows speed too.

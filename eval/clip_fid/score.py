@@ -6,12 +6,10 @@ and `VERSION` is raised whenever one of them changes. Not the FID of images on C
 clip-FID.
 """
 
-import os
-import typing
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +27,7 @@ from eval.clip_fid.clips import (
     place_clips,
     readable,
 )
+from eval.clip_fid.threads import in_threads
 from eval.metrics.checks import Estimate, estimate
 from eval.metrics.gaussian import (
     Gaussian,
@@ -44,6 +43,7 @@ from eval.metrics.resampling import (
     Difference,
     Resampled,
     Resampling,
+    Score,
     Units,
     UnitSums,
     blocks_for,
@@ -126,10 +126,11 @@ def score_rows(
     whole = [name for name in rows if name not in subsets]
     takes = _Takes([real, *(rows[name] for name in whole)], protocol) if protocol.resamplings else None
     replications = []
-    for each in _run(replicate, protocol.replications, on_replication):
+    for each in in_threads(replicate, range(protocol.replications)):
         replications.append(each.scores)
         if takes is not None:
             takes.add(each.described)
+        on_replication()
     resampled = {} if takes is None else dict(zip(whole, takes.scores(features), strict=True))
     found = {}
     for name in rows:
@@ -171,7 +172,11 @@ def score_disjoint_halves(
         )
         return _compare(a, b, features, protocol, replication, parts or {})
 
-    return _of_single_sets(_summarise(list(_run(replicate, protocol.replications, on_replication))))
+    replications = []
+    for scores in in_threads(replicate, range(protocol.replications)):
+        replications.append(scores)
+        on_replication()
+    return _of_single_sets(_summarise(replications))
 
 
 def score_of(features: FeatureSet) -> Callable[[Gaussian, Gaussian], float]:
@@ -219,30 +224,15 @@ class _Takes:
         """Every row's bootstrap scores; empty if the real set or the row has a single take."""
         from threadpoolctl import threadpool_limits
 
-        score = features.score if isinstance(features, MotionFeatures) else quick_frechet_distance
+        score: Score = quick_frechet_distance
+        if isinstance(features, MotionFeatures):
+            score = partial(features.score, distance=quick_frechet_distance)
         real, *others = zip(self._sums, self._units, strict=True)
         several = [each.num_takes > 1 and self._sets[0].num_takes > 1 for each in self._sets[1:]]
         with threadpool_limits(1, "blas"):
             chosen = [other for other, enough in zip(others, several, strict=True) if enough]
             found = iter(resampled_scores(*real, chosen, score, self._resampling))
         return [next(found) if enough else () for enough in several]
-
-
-T = typing.TypeVar("T")
-
-
-def _run(replicate: Callable[[int], T], replications: int, on_replication: Callable[[], None]) -> Iterator[T]:
-    """Run replications on one thread per processor (numpy releases the GIL).
-
-    BLAS gets one thread in each, to avoid oversubscription.
-    """
-    from threadpoolctl import threadpool_limits
-
-    workers = max(1, min(os.cpu_count() or 1, replications))
-    with threadpool_limits(1, "blas"), ThreadPoolExecutor(max_workers=workers) as pool:
-        for found in pool.map(replicate, range(replications)):
-            yield found
-            on_replication()
 
 
 def _features(

@@ -37,8 +37,15 @@ class Gaussian:
         return np.asarray(eigenvectors * np.sqrt(np.maximum(eigenvalues, 0.0)), dtype=np.float64)
 
     def part(self, features: slice) -> "Gaussian":
-        """The Gaussian of some of the features."""
-        return Gaussian(self.mean[features], self.covariance[features, features], self.num_samples)
+        """The Gaussian of some of the features; cached, with its factor."""
+        key = (features.start, features.stop, features.step)
+        if key not in self._parts:
+            self._parts[key] = Gaussian(self.mean[features], self.covariance[features, features], self.num_samples)
+        return self._parts[key]
+
+    @cached_property
+    def _parts(self) -> dict[tuple[int | None, ...], "Gaussian"]:
+        return {}
 
 
 @dataclass(frozen=True, eq=False)

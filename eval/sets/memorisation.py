@@ -6,7 +6,9 @@ are near everything and are ignored.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64
@@ -14,7 +16,16 @@ from threadpoolctl import threadpool_limits
 
 from eval.metrics.gaussian import fit_gaussian, frechet_distance
 from eval.sets.copies import Nearest, TrainingMotion, nearest_training
+from eval.sets.real import NoRealMotionError, real_motion
 from eval.sets.sets import SampleSet
+from eval.sets.stretches import FPS
+from motionkit.core.checksums import read_json, write_json
+from motionkit.core.errors import DamagedFileError, UsageError
+from motionkit.core.progress import warn
+from motionkit.store.cache.folder import cache_root
+
+if TYPE_CHECKING:
+    from motionkit.store.reader import Store
 
 STILL_BONES = 0.03
 """Minimum movement of a stretch, the bones' RMS deviation from their means in metres; others are ignored."""
@@ -28,6 +39,8 @@ ACCUSED_HELD_OUT = 0.01
 LEAST_FACTOR = 0.5
 """Fraction of the shares; anything nearer is copied in every store, even held-out motion."""
 FEWEST_HELD_OUT, MOST_HELD_OUT = 50, 200
+LIMITS_VERSION = 1
+"""Raised when a store's limits change: a change of the search, or of the constants above."""
 
 
 @dataclass(frozen=True)
@@ -131,6 +144,36 @@ def limits_of(training: SampleSet, indexed: TrainingMotion, validation: SampleSe
     apart = chosen[:, None] == np.arange(training.num_sequences)
     found = nearest_training(training.select(chosen), indexed, apart)
     return limits_from(found, len(chosen), "training motions, each beside all others")
+
+
+def limits_of_store(
+    store: "Store", training: SampleSet, indexed: TrainingMotion, *, with_validation: bool = True
+) -> Limits:
+    """`limits_of` a store's training split, from its validation split if allowed; cached beside the training caches.
+
+    The cached limits are used until the store changes; a damaged file is replaced with a warning.
+    """
+    key = {"version": LIMITS_VERSION, "store": store.fingerprint}
+    name = "copy-limits.json" if with_validation else "copy-limits-without-validation.json"
+    path = cache_root(store.path, store.fingerprint) / name
+    if path.is_file():
+        try:
+            document = read_json(path, "the limits are computed anew")
+            if document["key"] == key:
+                return Limits(**document["limits"])
+        except DamagedFileError as error:
+            warn(str(error))
+    limits = limits_of(training, indexed, _validation(store) if with_validation else None)
+    with suppress(OSError):  # a store may be read-only
+        write_json(path, {"key": key, "limits": asdict(limits)})
+    return limits
+
+
+def _validation(store: "Store") -> SampleSet | None:
+    try:
+        return real_motion(store, "val").at(FPS)
+    except (UsageError, NoRealMotionError):
+        return None
 
 
 CHOICES = 10

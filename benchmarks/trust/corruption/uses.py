@@ -27,13 +27,14 @@ def evaluator(run: str) -> None:
 
 def kinematic(folder: str) -> None:
     """The features of fitted kinematic descriptors, which are fitted where there are none."""
+    from eval.clip_fid.channels import channels
     from eval.clip_fid.kinematic import fit_kinematic, load_kinematic
 
     path = Path(folder) / "kinematic.npz"
     clips = np.random.default_rng(3).normal(size=(4, 64, 22, 3))
     if not path.exists():
         path.parent.mkdir(exist_ok=True)
-        fit_kinematic(clips, Fraction(20)).save(path)
+        fit_kinematic([channels(clip, Fraction(20)) for clip in clips], Fraction(20)).save(path)
     found = load_kinematic(path)
     fitted = (
         found.pose_mean,

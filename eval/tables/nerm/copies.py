@@ -13,7 +13,6 @@ from eval.sets.memorisation import (
     STILL_BONES,
     Limits,
     copied,
-    limits_of,
     moving,
     verdicts,
 )
@@ -41,24 +40,21 @@ NOTE = (
 
 def copies_block(
     held_out: SampleSet,
-    training: SampleSet,
-    validation: SampleSet | None,
+    training: TrainingMotion,
+    limits: Limits,
     others: Mapping[str, SampleSet],
     notes: Mapping[str, str],
 ) -> Block:
-    """Shares of motions and stretches that are copies, and quantiles of the distance to training motion.
+    """Shares of motions and stretches that are copies by the limits, and quantiles of the distance to training motion.
 
-    Limits are the store's own, from its validation motion where there is enough. Sets without a motion of half a second
-    have no row; of large ones, 60 random motions are looked at. Raises `ValueError` where the training motion is too
-    short.
+    Sets without a motion of half a second have no row; of large ones, 60 random motions are looked at. Raises
+    `ValueError` where the training motion is too short.
     """
-    indexed = TrainingMotion.of(training)
-    limits = limits_of(training, indexed, validation)
     rows = []
     for name, samples in {HELD_OUT: held_out, **others}.items():
         origin: Origin = "reference" if name == HELD_OUT else "ours"
         chosen = np.random.default_rng(0).permutation(samples.num_sequences)[:MOST_MOTIONS]
-        rows.append(_row(name, origin, samples.select(np.sort(chosen)), indexed, limits, notes.get(name, "")))
+        rows.append(_row(name, origin, samples.select(np.sort(chosen)), training, limits, notes.get(name, "")))
     columns = (ACCUSED, *COPIED.values(), *SHARES)
     return Block(
         TITLE,

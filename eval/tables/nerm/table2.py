@@ -15,12 +15,12 @@ from eval.report.differences import differences_block, of_interest
 from eval.report.results import Block, Cell, Result, Row, measure
 from eval.sample_folder import SampleFolder
 from eval.sample_folder.takes import takes_of_samples
+from eval.sets.copies import TrainingMotion
 from eval.sets.generated import sample_fields
-from eval.sets.memorisation import set_remarks
+from eval.sets.memorisation import limits_of_store, set_remarks
 from eval.sets.partial import PartialResult, collect
 from eval.sets.planted import PLANTED, PLANTED_NOTE, is_planted, planted_note
 from eval.sets.real import NoRealMotionError, RealMotion, real_motion, training_motion
-from eval.sets.sets import SampleSet
 from eval.tables.models import check_names, generated_fields
 from eval.tables.nerm.clip_fid_column import (
     GENERATED_LOW,
@@ -45,7 +45,7 @@ from eval.tables.nerm.clip_fid_column import (
 from eval.tables.nerm.copies import copies_block
 from eval.tables.parts import SOURCES, printed_rows, reported_figures
 from eval.tables.registry import Table, TableRequest
-from motionkit.core.errors import MotionkitError, UsageError
+from motionkit.core.errors import MotionkitError
 from motionkit.core.files import require_no_link
 from motionkit.core.progress import task
 from motionkit.generate.models import installed_models
@@ -125,7 +125,7 @@ def build_table2(request: TableRequest) -> Result:
     by_source = zip(sources.value, sheets, strict=True)
     blocks = [block for source, sheet in by_source for block in _blocks(source, sheet, sizes, notes, request)]
     with task(request.on_progress, "copies of training motion"):
-        copies = _copies(real, train, _validation(store, request.real.split), fields, folders, notes)
+        copies = _copies(store, real, train, request.real.split, fields, folders, notes)
     missing = (*rates.missing, *generated.missing, *slow, *sources.missing, *chain(*absent), *copies.missing)
     return Result(
         task="nerm-table2",
@@ -172,25 +172,19 @@ def _model_notes(models: Iterable[str], trained: Mapping[str, str] = {}) -> dict
     return notes
 
 
-def _validation(store: Store, compared: str) -> SampleSet | None:
-    """Motion that is neither trained on nor the reference; None if the store has none."""
-    if compared in ("val", "all"):
-        return None
-    try:
-        return real_motion(store, "val").at(LOW_FPS)
-    except (UsageError, NoRealMotionError):
-        return None
-
-
 def _copies(
+    store: Store,
     real: RealMotion,
     train: RealMotion,
-    validation: SampleSet | None,
+    split: str,
     fields: ModelFields,
     folders: Sequence[SampleFolder],
     notes: Mapping[str, str],
 ) -> PartialResult[tuple[Block, ...]]:
-    """The block on copies of training motion; none if there is no training split or it is too short."""
+    """The block on copies of training motion; none if there is no training split or it is too short.
+
+    Limits are from the validation split, unless it is among the compared motion.
+    """
     try:
         if train.name == real.name:
             raise NoRealMotionError("the compared motion is the training motion")
@@ -202,7 +196,9 @@ def _copies(
         }
         others = {name: samples for name, samples in generated.items() if samples is not None}
         others |= {folder.name: folder.at(LOW_FPS) for folder in folders}
-        return PartialResult((copies_block(held_out, training, validation, others, notes),))
+        indexed = TrainingMotion.of(training)
+        limits = limits_of_store(store, training, indexed, with_validation=split not in ("val", "all"))
+        return PartialResult((copies_block(held_out, indexed, limits, others, notes),))
     except (NoRealMotionError, ValueError) as error:
         return PartialResult((), (f"copies of training motion: {error}",))
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 
-from eval.sets import copies
+from eval.sets import copies, memorisation
 from eval.sets.copies import Nearest, TrainingMotion, nearest_training
 from eval.sets.corruptions import jitter, low_pass, upsample_slerp
 from eval.sets.memorisation import (
@@ -23,12 +24,17 @@ from eval.sets.memorisation import (
     moving,
     verdicts,
 )
+from eval.sets.real import real_motion
 from eval.sets.sets import SampleSet, sample_set
 from eval.sets.stretches import BONE_LENGTHS, Track
 from eval.tables.nerm.copies import ACCUSED, COPIED, HELD_OUT, copies_block
+from motionkit.core.errors import MotionkitWarning
 from motionkit.core.mirror import mirror_positions
+from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.resample import resample_positions
+from motionkit.store import Store, StoreWriter
 
 FPS = Fraction(60)
 
@@ -297,11 +303,49 @@ def test_a_store_whose_takes_repeat_each_other_has_narrower_limits() -> None:
     assert limits_of(repeated, TrainingMotion.of(repeated), as_set(takes[0])) == twice
 
 
+def write_takes(path: Path, first: int, count: int) -> Store:
+    with (StoreWriter.append if path.exists() else StoreWriter.create)(path) as writer:
+        for seed in range(first, first + count):
+            positions = swinging(seed, 2.0)
+            split, grid = ("train", "val")[seed % 2], TimeGrid(FPS, len(positions))
+            writer.add(Motion(positions, SMPL22, grid, split=split, sequence_id=f"take-{seed}"))
+    return Store.open(path)
+
+
+def test_limits_of_a_store_are_computed_once_for_each_of_its_states(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, computed = tmp_path / "store", []
+
+    def limits(training: SampleSet, indexed: TrainingMotion, validation: SampleSet | None) -> Limits:
+        computed.append((training.num_sequences, 0 if validation is None else validation.num_sequences))
+        return Limits(0.6 + 0.01 * len(computed), training.num_sequences, "these")
+
+    def found(store: Store, **options: bool) -> Limits:
+        training = real_motion(store, "train").at(copies.FPS)
+        return memorisation.limits_of_store(store, training, TrainingMotion.of(training), **options)
+
+    monkeypatch.setattr(memorisation, "limits_of", limits)
+    store = write_takes(path, 0, 6)
+    first = found(store)
+    assert found(store) == first
+    assert found(store, with_validation=False) != first
+    assert found(store) == first
+    assert computed == [(3, 3), (3, 0)]
+    assert found(write_takes(path, 6, 4)) != first
+    assert computed[2:] == [(5, 5)]
+    (path / "cache" / "copy-limits.json").write_text("{")
+    with pytest.warns(MotionkitWarning, match=r"copy-limits\.json"):
+        found(Store.open(path))
+    assert len(computed) == 4
+
+
 def test_the_block_tells_a_model_that_copies_from_one_that_does_not() -> None:
     copying = as_set(*(elsewhere(mirrored(swinging(2, 9.0)[start : start + 180])) for start in (0, 150, 300)))
     held_out = as_set(*(swinging(seed, 4.0) for seed in range(30, 34)))
     sets = {"copying": copying, "too short": as_set(swinging(0, 0.3))}
-    block = copies_block(held_out, TRAINING, None, sets, {"copying": "says so"})
+    indexed = TrainingMotion.of(TRAINING)
+    block = copies_block(held_out, indexed, limits_of(TRAINING, indexed, None), sets, {"copying": "says so"})
     rows = {row.name: row for row in block.rows}
     assert set(rows) == {HELD_OUT, "copying"}
     assert {rows["copying"].cells[each].value for each in (ACCUSED, *COPIED.values())} == {100.0}
