@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from motionkit.core.errors import StoreError
+from motionkit.core.errors import BusyError, StoreError
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
@@ -22,7 +22,6 @@ from motionkit.store import Store, StoreWriter
 from motionkit.store.life.rewrite import compact, remove
 from motionkit.store.validate import faults
 
-BUSY = "another process is writing to the store"
 WRITTEN_ANEW = ("was written anew after it was opened", "was written to while it was checked")
 BASE = "base-0-4"
 LARGEST_BATCH = 4
@@ -131,12 +130,13 @@ def write(store: Path, writer: str, until: float, seed: int) -> dict[str, object
             if chosen != "compact":
                 log.note("begin", chosen, batch)
             change(store, chosen, batch)
-        except StoreError as error:
+        except BusyError:
             log.note("failed", chosen, batch)
-            if BUSY not in str(error):
-                return {"counts": counts, "problems": [f"{chosen}: {error}"]}
             counts["busy"] += 1
             continue
+        except StoreError as error:
+            log.note("failed", chosen, batch)
+            return {"counts": counts, "problems": [f"{chosen}: {error}"]}
         counts[chosen] += 1
         if chosen != "compact":
             log.note("done", chosen, batch)

@@ -67,6 +67,10 @@ class LinkError(MotionkitError):
     """A symbolic link where a file or folder of motionkit's own is expected."""
 
 
+class BusyError(MotionkitError):
+    """A folder that another process is writing."""
+
+
 class StoreError(MotionkitError):
     """A store that is missing, damaged, or of another format version."""
 

@@ -1,7 +1,6 @@
 """Atomic files and folders, locks between processes, deletion without following links."""
 
 import errno
-import fcntl
 import os
 import shutil
 import socket
@@ -10,11 +9,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from motionkit.core.errors import LinkError, StoreError, UsageError
+from motionkit.core.errors import BusyError, LinkError, UsageError
+from motionkit.core.progress import warn
 
-# The lock file in a folder that is being written, and how much of it is read for messages.
+# The lock file in a folder that one process writes at a time, and how much of it is read for messages.
 LOCK = ".lock"
 HOLDER_BYTES = 300
+_NO_LOCKS = (errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOLCK)
 
 
 @contextmanager
@@ -131,10 +132,12 @@ def remove_entry(path: Path) -> None:
 
 def _open_locked(path: Path) -> int:
     """A locked descriptor of an empty file at `path`."""
+    from filelock import lock_descriptor
+
     while True:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
         with suppress(OSError):  # some network file systems have no locks
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
+            lock_descriptor(descriptor)
         if _is_at(descriptor, path):
             os.ftruncate(descriptor, 0)
             return descriptor
@@ -178,53 +181,30 @@ def whole_folder(path: Path) -> Iterator[Path]:
     """Yield an empty folder that becomes `path`, which must be absent or empty, when the block ends without an error.
 
     It is `NAME.partial` beside `path`, with a lock that is released when the process dies: leftovers of a killed writer
-    are deleted by the next one. Raises `UsageError` if another process writes the same folder, or if `NAME.partial`
-    was not made by motionkit, and `LinkError` for a link.
+    are deleted by the next one. Raises `BusyError` if another process writes the same folder, `UsageError` if
+    `NAME.partial` was not made by motionkit, and `LinkError` for a link.
     """
     partial = path.with_name(f"{path.name}.partial")
     require_no_link(partial, "delete the link")
     path.parent.mkdir(parents=True, exist_ok=True)
-    descriptor = _lock_folder(partial)
-    content = partial / path.name
-    try:
-        _remove_content(partial)
-        content.mkdir()
-        with naming(path):
-            yield content
-        content.rename(path)
-        sync(path.parent)
-    finally:
-        # Also after Ctrl-C, since a partial folder would look complete. The lock is deleted last.
-        _remove_content(partial)
-        with suppress(OSError):
-            (partial / LOCK).unlink()
-            partial.rmdir()
-        os.close(descriptor)
-
-
-def _lock_folder(partial: Path) -> int:
-    """The locked descriptor of the lock file in `partial`, created if needed."""
-    lock = partial / LOCK
-    while True:
-        partial.mkdir(exist_ok=True)
-        if not lock.exists() and any(partial.iterdir()):
-            raise UsageError(f"{partial} exists, and motionkit did not make it: delete it, or name another folder")
-        # Another writer that ends at this moment deletes the lock and the folder.
-        with suppress(FileNotFoundError):
-            descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
-            try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                if os.path.samestat(os.fstat(descriptor), lock.lstat()):
-                    return descriptor
-            except BlockingIOError:
-                os.close(descriptor)
-                raise UsageError(
-                    f"{partial} is being written by another process: wait for it, or name another folder"
-                ) from None
-            except OSError:
-                os.close(descriptor)
-                raise
-            os.close(descriptor)
+    partial.mkdir(exist_ok=True)
+    lock, content = partial / LOCK, partial / path.name
+    if not lock.exists() and any(partial.iterdir()):
+        raise UsageError(f"{partial} exists, and motionkit did not make it: delete it, or name another folder")
+    with exclusive_lock(lock, busy=f"another process is writing {partial}: wait for it, or name another folder"):
+        try:
+            _remove_content(partial)
+            content.mkdir()
+            with naming(path):
+                yield content
+            content.rename(path)
+            sync(path.parent)
+        finally:
+            # Also after Ctrl-C, since a partial folder would look complete. The lock is deleted last.
+            _remove_content(partial)
+            with suppress(OSError):
+                lock.unlink()
+                partial.rmdir()
 
 
 def _remove_content(partial: Path) -> None:
@@ -235,28 +215,30 @@ def _remove_content(partial: Path) -> None:
 
 @contextmanager
 def exclusive_lock(path: Path, *, busy: str | None) -> Iterator[None]:
-    """Hold an exclusive lock on a file during the block; the file is created if needed.
+    """Hold an exclusive lock on a file during the block; the file is created if needed, and stays.
 
-    With `busy`, a lock held elsewhere raises `StoreError` with that text and the holder's name; otherwise wait for it.
-    Raises `LinkError` for a symbolic link.
+    With `busy`, a lock that is held elsewhere raises `BusyError` with that text and the holder's process and host;
+    otherwise wait for it. The system releases the lock of a process that ends, however it ends. On a file system
+    without locks, a warning takes the place of the lock. Raises `LinkError` for a symbolic link.
     """
+    from filelock import lock_descriptor
+
     require_no_link(path, "delete the link")
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
     try:
         with naming(path):
-            _lock(descriptor, busy)
+            try:
+                locked = lock_descriptor(descriptor, blocking=busy is None)
+            except OSError as error:
+                if error.errno not in _NO_LOCKS:
+                    raise
+                warn(f"the file system of {path.parent} has no locks: let one process at a time write there")
+                locked = True
+            if not locked:
+                holder = os.read(descriptor, HOLDER_BYTES).decode("utf-8", "replace").strip()
+                raise BusyError(f"{busy} (held by {holder or 'an unknown process'})")
             os.ftruncate(descriptor, 0)
             os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
         yield
     finally:
         os.close(descriptor)
-
-
-def _lock(descriptor: int, busy: str | None) -> None:
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | (fcntl.LOCK_NB if busy is not None else 0))
-    except OSError as error:
-        if error.errno not in (errno.EAGAIN, errno.EACCES):
-            raise
-        holder = os.read(descriptor, HOLDER_BYTES).decode("utf-8", "replace").strip()
-        raise StoreError(f"{busy} (held by {holder or 'an unknown process'})") from None

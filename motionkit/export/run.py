@@ -74,8 +74,8 @@ def export(
     """Write a selection in one format into a new or empty folder; `on_outcome` is called for each sequence.
 
     Everything is written into `FOLDER.partial`, which is renamed when complete and deleted on errors (`whole_folder`).
-    Raises `UsageError` for a folder that is not empty or that another process writes, `MotionkitError` if nothing could
-    be written.
+    Raises `UsageError` for a folder that is not empty, `BusyError` for one that another process writes,
+    `MotionkitError` if nothing could be written.
     """
     # A link to an empty folder is filled where it points.
     place = folder.absolute().resolve() if folder.is_symlink() else folder.absolute()

@@ -45,8 +45,8 @@ def changing(store: Path, *, must_exist: bool = False, must_not_exist: bool = Fa
     """Hold the writer's lock on a store, or on a folder that becomes one; yields its state, `EMPTY` for a new one.
 
     What a killed writer left is finished or removed first; what this one has written is removed where the block raises
-    before its commit, and kept after it. Raises `StoreError` for a store that is busy, missing, present or not a
-    store; `LinkError` where its folder of parts is a symbolic link.
+    before its commit, and kept after it. Raises `BusyError` while another process writes; `StoreError` for a store that
+    is missing, present or not a store; `LinkError` where its folder of parts is a symbolic link.
     """
     _check_target(store, must_exist=must_exist, must_not_exist=must_not_exist)
     files.require_no_link(store / SEGMENTS_FOLDER, "move the parts into the store, or link the whole store")

@@ -129,7 +129,7 @@ class StoreWriter:
         return cls(Path(path), keep=True, new=False, part_bytes=part_bytes)
 
     def __enter__(self) -> "StoreWriter":
-        """Takes the lock and cleans up; raises `StoreError` if the store is busy, missing, present or not a store."""
+        """Take the lock and clean up; raises `BusyError`, or `StoreError` for a missing or present store."""
         with ExitStack() as held:
             self._previous = held.enter_context(
                 changing(self.path, must_exist=self._keep, must_not_exist=self._new),

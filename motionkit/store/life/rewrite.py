@@ -37,8 +37,8 @@ def remove(path: Path, sequence_ids: Sequence[str] = (), *, where: str | None = 
 
     Only the table of sequences is written again. The others keep their `sequence_index`, and a number that was removed
     is not given again before the store is compacted. Parts that hold nothing else are deleted. Raises `StoreError` for
-    an id that the store does not hold and for a store that is missing, busy or of an earlier version; `UsageError` for
-    bad SQL.
+    an id that the store does not hold and for a store that is missing or of an earlier version; `BusyError` while
+    another process writes to it; `UsageError` for bad SQL.
     """
     with changing(path, must_exist=True) as previous:
         require_present_version(path, previous)
@@ -107,7 +107,7 @@ def migrate(path: Path, on_sequence: OnSequence = lambda: None) -> bool:
     """Migrates a store to the current format version; False if it has it already.
 
     Every motion is read, measured and written again; until the commit the disk holds both. Raises `StoreError` if
-    there is no store, or it is damaged or busy.
+    there is no store, or it is damaged; `BusyError` while another process writes to it.
     """
     with changing(path, must_exist=True) as manifest:
         if manifest.format_version == FORMAT_VERSION:
@@ -122,7 +122,7 @@ def compact(path: Path, on_sequence: OnSequence = lambda: None, *, part_bytes: i
     Figures and frames are copied as they are: the parts and rows are those of one ingest of the same motions, but for
     the numbers of the parts, which go on. Until the commit the disk holds both; then the old parts and the training
     caches of earlier states are deleted, also those that a stopped command left. Raises `StoreError` where there is no
-    store, or it is damaged, busy or of an earlier version.
+    store, or it is damaged or of an earlier version; `BusyError` while another process writes to it.
     """
     with changing(path, must_exist=True) as manifest:
         require_present_version(path, manifest)
@@ -225,7 +225,8 @@ def merge(
     Order is that of the sources and of their sequences; frames and figures are copied as they are. A sequence that
     `out` or an earlier source holds from an equal file is left alone; the same id from another file is a conflict:
     under `stop` nothing is written, under `skip` the first one stays. Raises `StoreError` for conflicts and for stores
-    that are missing, damaged or busy; `UsageError` for bad SQL or where nothing is chosen.
+    that are missing or damaged; `BusyError` while another process writes to `out`; `UsageError` for bad SQL or where
+    nothing is chosen.
     """
     stores = [Store.open(path) for path in sources]
     chosen = [_Choice(store, store.select(where)) for store in stores]

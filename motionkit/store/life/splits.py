@@ -83,7 +83,7 @@ def split(
     seconds, in any unit; how near they are come by depends on how large the groups are (`assign_groups`). With
     `dry_run` nothing is written. Raises `UsageError` for shares that are not positive, bad SQL, sequences without a
     group, fewer groups than splits, and a group that would be in two splits because `where` leaves out a part of it;
-    `StoreError` for a store that is missing, busy or of an earlier version.
+    `StoreError` for a store that is missing or of an earlier version; `BusyError` while another process writes to it.
     """
     asked, wanted = _checked(shares), (by,) if isinstance(by, str) else tuple(by)
     if dry_run:

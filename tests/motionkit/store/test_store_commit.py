@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from motionkit.core import files
-from motionkit.core.errors import StoreError
+from motionkit.core.errors import BusyError, StoreError
 from motionkit.store import Store, StoreWriter
 from motionkit.store.commit import LOCK_FILE
 from motionkit.store.life.rewrite import compact, migrate, remove
@@ -270,7 +270,7 @@ def test_a_failed_creation_can_be_tried_again(tmp_path, make_motion):
 
 def test_two_writers(small_store, make_motion):
     with StoreWriter.append(small_store) as writer:
-        with pytest.raises(StoreError, match=rf"another process is writing .*process {os.getpid()} on"):
+        with pytest.raises(BusyError, match=rf"another process is writing .*process {os.getpid()} on"):
             StoreWriter.append(small_store).__enter__()
         writer.add(make_motion("first"))
     with StoreWriter.append(small_store) as writer:
@@ -284,7 +284,7 @@ WRITER = textwrap.dedent(
     from fractions import Fraction
     from pathlib import Path
     import numpy as np
-    from motionkit.core.errors import StoreError
+    from motionkit.core.errors import BusyError
     from motionkit.core.motion import Motion
     from motionkit.core.skeleton import SMPL22
     from motionkit.store import StoreWriter
@@ -298,8 +298,8 @@ WRITER = textwrap.dedent(
                 with StoreWriter.append(store) as writer:
                     writer.add(Motion(frames, SMPL22, TimeGrid(Fraction(30), 3), sequence_id=f"{name}-{number}"))
                 break
-            except StoreError as error:
-                assert "another process is writing" in str(error)
+            except BusyError:
+                pass
     """
 )
 
@@ -336,11 +336,37 @@ def test_the_lock_of_a_killed_writer_is_free(small_store, make_motion):
     with subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True) as holder:
         assert holder.stdout is not None and holder.stdout.readline() == "holding\n"
         for change in (lambda: remove(small_store, ["take-3"]), lambda: append_two_parts(small_store, make_motion)):
-            with pytest.raises(StoreError, match=rf"another process is writing .*process {holder.pid} on"):
+            with pytest.raises(BusyError, match=rf"another process is writing .*process {holder.pid} on"):
                 change()
         holder.kill()
     assert (small_store / LOCK_FILE).read_text().startswith(f"process {holder.pid} on")
     assert remove(small_store, ["take-3"]) == ("take-3",)
+
+
+WITHOUT = textwrap.dedent(
+    """
+    import sys
+    if sys.argv[1] == "module":
+        sys.modules["fcntl"] = None
+    else:
+        import errno, fcntl
+        def flock(descriptor, operation): raise OSError(errno.ENOSYS, "Function not implemented")
+        fcntl.flock = flock
+
+    import motionkit as mk
+    first = mk.Store.open(sys.argv[2]).read(0)
+    with mk.StoreWriter.create(sys.argv[3]) as writer:
+        writer.add(first)
+    """
+)
+
+
+@pytest.mark.parametrize("missing", ["module", "call"])
+def test_a_store_is_written_where_there_are_no_locks(small_store, tmp_path, missing):
+    arguments = [sys.executable, "-c", WITHOUT, missing, str(small_store), str(tmp_path / "new")]
+    done = subprocess.run(arguments, check=True, stderr=subprocess.PIPE, text=True)
+    assert str(tmp_path / "new") in done.stderr  # a warning names the store
+    assert Store.open(tmp_path / "new").num_sequences == 1
 
 
 def test_readers_read_on_while_writers_commit(small_store, make_motion):
