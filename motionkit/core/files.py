@@ -31,8 +31,9 @@ def whole_file(path: Path) -> Iterator[Path]:
         require_regular(path)
     temporary = temporary_name(path)
     with naming(path):
-        descriptor = _open_locked(temporary)
+        descriptor, _ = _open_locked(temporary)
         try:
+            os.ftruncate(descriptor, 0)
             yield temporary
             replace(temporary, path)
         finally:
@@ -130,18 +131,27 @@ def remove_entry(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def _open_locked(path: Path) -> int:
-    """A locked descriptor of an empty file at `path`."""
+def _open_locked(path: Path, busy: str | None = None) -> tuple[int, bool]:
+    """A descriptor of the file at `path`, which is created if needed, and whether its file system could lock it.
+
+    Waits for a lock that is held elsewhere, or raises `BusyError` with the text `busy`.
+    """
     from filelock import lock_descriptor
 
     while True:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
-        with suppress(OSError):  # some network file systems have no locks
-            lock_descriptor(descriptor)
+        descriptor, locked = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666), True
+        try:
+            if not lock_descriptor(descriptor, blocking=busy is None):
+                holder = os.read(descriptor, HOLDER_BYTES).decode("utf-8", "replace").strip()
+                raise BusyError(f"{busy} (held by {holder or 'an unknown process'})")
+        except BaseException as error:
+            if not isinstance(error, OSError) or error.errno not in _NO_LOCKS:
+                os.close(descriptor)
+                raise
+            locked = False
         if _is_at(descriptor, path):
-            os.ftruncate(descriptor, 0)
-            return descriptor
-        os.close(descriptor)  # the previous writer has renamed the file
+            return descriptor, locked
+        os.close(descriptor)  # the previous holder has renamed or deleted the file
 
 
 def _is_at(descriptor: int, path: Path) -> bool:
@@ -221,22 +231,12 @@ def exclusive_lock(path: Path, *, busy: str | None) -> Iterator[None]:
     otherwise wait for it. The system releases the lock of a process that ends, however it ends. On a file system
     without locks, a warning takes the place of the lock. Raises `LinkError` for a symbolic link.
     """
-    from filelock import lock_descriptor
-
     require_no_link(path, "delete the link")
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+    descriptor, locked = _open_locked(path, busy)
+    if not locked:
+        warn(f"the file system of {path.parent} has no locks: let one process at a time write there")
     try:
         with naming(path):
-            try:
-                locked = lock_descriptor(descriptor, blocking=busy is None)
-            except OSError as error:
-                if error.errno not in _NO_LOCKS:
-                    raise
-                warn(f"the file system of {path.parent} has no locks: let one process at a time write there")
-                locked = True
-            if not locked:
-                holder = os.read(descriptor, HOLDER_BYTES).decode("utf-8", "replace").strip()
-                raise BusyError(f"{busy} (held by {holder or 'an unknown process'})")
             os.ftruncate(descriptor, 0)
             os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
         yield
