@@ -149,13 +149,15 @@ def share_codebook(sweep: Sweep, run: RunFolder, config: NermConfig) -> None:
     common = RunFolder(sweep.runs / sweep.prefix)
     context = sweep.context(common, CODEBOOK_SEED, overwrite=False)
     source, target = common.stage(CODEBOOK.name), run.stage(CODEBOOK.name)
-    if source.is_complete:
-        check_unchanged(context, CODEBOOK, config)
-    else:
-        CODEBOOK.train(context, config)
+    with source.locked():
+        if source.is_complete:
+            check_unchanged(context, CODEBOOK, config)
+        else:
+            CODEBOOK.train(context, config)
     if target.is_complete and target.model_path.read_bytes() == source.model_path.read_bytes():
         return
-    copy_stage(source, target)
+    with target.locked():
+        copy_stage(source, target)
 
 
 NERM = Ablations("nerm", ABLATIONS, RECIPES, {"field": FIELD, "denoiser": DENOISER}, share_codebook, is_default=True)

@@ -122,7 +122,7 @@ def generate(
     request = MotionsRequest(tuple(wanted), count, instants, rate, join, overlap, held)
 
     from motionkit.clips.detail.stage import load_detail
-    from motionkit.generate.folder import begin_folder, replace_folder, resume_folder
+    from motionkit.generate.folder import open_folder
     from motionkit.generate.job import Job
     from motionkit.generate.models import SamplingOptions, load_model, model_of
 
@@ -131,7 +131,7 @@ def generate(
     sampling, learnt = SamplingOptions(guidance, sampler, sampling_steps), load_detail(place) if detail else None
     job = Job(request, loaded, place, output, seed, sampling, plant, learnt)
     _say_beforehand(job)
-    with (resume_folder if resume else replace_folder if overwrite else begin_folder)(out, job.manifest()) as folder:
+    with open_folder(out, job.manifest(), resume=resume, overwrite=overwrite) as folder:
         report = _write_all(job, folder, as_json)
     if as_json:
         print_json({"model": loaded.name, "run": run, "seed": seed, "folder": str(out), **report})

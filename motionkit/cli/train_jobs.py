@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -51,9 +51,11 @@ def train_all(
     summaries: list[dict[str, Any]] = []
     left = TimeLeft({job.stage.name: job.weight for job in jobs if job.config is not None})
     kept = sum(job.config is None for job in jobs)
-    with _threads(jobs, context.device), joined_ranks() as ranks, progress() as show:
+    with _threads(jobs, context.device), joined_ranks() as ranks, progress() as show, ExitStack() as locks:
         for job in jobs:
             ranks.on_first(partial(_check, job, _of_job(context, job, show), fingerprint))
+        # All of them before the first is trained, so that a second call cannot replace what this one builds on.
+        ranks.on_first(partial(_lock, jobs, context, locks))
         # Not of one stage, whose own bar says as much.
         with task(show if title else ignore, title or "", len(jobs), done=kept) as overall:
             for number, job in enumerate(jobs, start=1):
@@ -91,6 +93,12 @@ def _threads(jobs: Sequence[Job], device: str) -> AbstractContextManager[None]:
 
 def _of_job(context: StageContext, job: Job, on_progress: OnProgress) -> StageContext:
     return replace(context, budget_seconds=job.budget_seconds, on_progress=on_progress)
+
+
+def _lock(jobs: Sequence[Job], context: StageContext, locks: ExitStack) -> None:
+    for job in jobs:
+        if job.config is not None:
+            locks.enter_context(context.run.stage(job.stage.name).locked())
 
 
 def _check(job: Job, context: StageContext, store_fingerprint: str) -> None:

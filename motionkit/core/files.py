@@ -196,12 +196,10 @@ def whole_folder(path: Path) -> Iterator[Path]:
     """
     partial = path.with_name(f"{path.name}.partial")
     require_no_link(partial, "delete the link")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial.mkdir(exist_ok=True)
-    lock, content = partial / LOCK, partial / path.name
-    if not lock.exists() and any(partial.iterdir()):
+    if partial.exists() and not (partial / LOCK).exists() and any(partial.iterdir()):
         raise UsageError(f"{partial} exists, and motionkit did not make it: delete it, or name another folder")
-    with exclusive_lock(lock, busy=f"another process is writing {partial}: wait for it, or name another folder"):
+    with locked_folder(partial, busy=f"another process is writing {partial}: wait for it, or name another folder"):
+        content = partial / path.name
         try:
             _remove_content(partial)
             content.mkdir()
@@ -210,17 +208,31 @@ def whole_folder(path: Path) -> Iterator[Path]:
             content.rename(path)
             sync(path.parent)
         finally:
-            # Also after Ctrl-C, since a partial folder would look complete. The lock is deleted last.
+            # Also after Ctrl-C, since a partial folder would look complete.
             _remove_content(partial)
-            with suppress(OSError):
-                lock.unlink()
-                partial.rmdir()
 
 
 def _remove_content(partial: Path) -> None:
     for entry in partial.iterdir():
         if entry.name != LOCK:
             remove_entry(entry)
+
+
+@contextmanager
+def locked_folder(path: Path, *, busy: str) -> Iterator[None]:
+    """Hold the lock of a folder during the block; the folder is created if needed, and deleted if it is then empty.
+
+    A lock that is held elsewhere raises `BusyError` with the text `busy` and the holder's process and host.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.mkdir(exist_ok=True)
+    with exclusive_lock(path / LOCK, busy=busy):
+        try:
+            yield
+        finally:
+            with suppress(OSError):
+                (path / LOCK).unlink()
+                path.rmdir()
 
 
 @contextmanager

@@ -10,13 +10,14 @@ import io
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, TextIO
 
 from motionkit.core.checksums import checksum_of, read_json, sha256_of, write_json
 from motionkit.core.errors import DamagedFileError, UsageError
-from motionkit.core.files import naming, temporary_name, write_whole
+from motionkit.core.files import LOCK, locked_folder, naming, temporary_name, write_whole
 from motionkit.core.framerate import format_fps
 from motionkit.core.plain_text import whole_number
 from motionkit.core.progress import warn
@@ -175,12 +176,26 @@ class GeneratedFolder:
             self._handle.flush()
 
 
-def begin_folder(path: Path, manifest: Mapping[str, Any]) -> GeneratedFolder:
-    """Begin a new or empty folder; raises `UsageError` for one that is not empty."""
+@contextmanager
+def open_folder(
+    path: Path, manifest: Mapping[str, Any], *, resume: bool = False, overwrite: bool = False
+) -> Iterator[GeneratedFolder]:
+    """The folder of a call, locked while it is open: new or empty, or one to `resume` or `overwrite`.
+
+    Overwriting deletes the files of an earlier call and nothing else. Raises `BusyError` while another process writes
+    the folder, `UsageError` for one that is not empty or that another call made, `DamagedFileError`.
+    """
     if path.exists() and not path.is_dir():
         raise UsageError(f"{path} is a file: name a folder with --out")
-    left = [entry for entry in path.iterdir() if _is_unfinished_manifest(entry)] if path.exists() else []
-    if path.exists() and any(entry not in left for entry in path.iterdir()):
+    opened = _resumed if resume else _replaced if overwrite else _new
+    busy = f"another process is generating into {path}: wait until it has ended, or {ANOTHER}"
+    with locked_folder(path, busy=busy), opened(path, manifest) as folder:
+        yield folder
+
+
+def _new(path: Path, manifest: Mapping[str, Any]) -> GeneratedFolder:
+    left = [entry for entry in path.iterdir() if _is_unfinished_manifest(entry)]
+    if any(entry not in left and entry.name != LOCK for entry in path.iterdir()):
         if (path / MANIFEST).is_file():
             raise UsageError(
                 f"{path} holds generated motions: --resume continues them, --overwrite replaces them, --out FOLDER "
@@ -192,13 +207,9 @@ def begin_folder(path: Path, manifest: Mapping[str, Any]) -> GeneratedFolder:
     return _begun(path, manifest)
 
 
-def resume_folder(path: Path, manifest: Mapping[str, Any]) -> GeneratedFolder:
-    """Resume a folder of the same call, or begin it.
-
-    Raises `UsageError` if another call made it, `DamagedFileError` for damaged files.
-    """
+def _resumed(path: Path, manifest: Mapping[str, Any]) -> GeneratedFolder:
     if not (path / MANIFEST).is_file():
-        return begin_folder(path, manifest)
+        return _new(path, manifest)
     _refuse_links(path)
     found, asked = _read_manifest(path), json.loads(json.dumps(dict(manifest)))
     found = {**_of_older_versions(found), **found}
@@ -215,10 +226,9 @@ def resume_folder(path: Path, manifest: Mapping[str, Any]) -> GeneratedFolder:
     return GeneratedFolder(table, _keep_complete(table))
 
 
-def replace_folder(path: Path, manifest: Mapping[str, Any]) -> GeneratedFolder:
-    """Delete the files of an earlier call, and nothing else, then begin again; raises `DamagedFileError`."""
+def _replaced(path: Path, manifest: Mapping[str, Any]) -> GeneratedFolder:
     if not (path / MANIFEST).is_file():
-        return begin_folder(path, manifest)
+        return _new(path, manifest)
     _refuse_links(path)
     found = _read_manifest(path)
     former = _table(path, found)
@@ -258,7 +268,6 @@ def damaged_motions(path: Path) -> Iterator[DamagedMotion]:
 
 
 def _begun(path: Path, manifest: Mapping[str, Any]) -> GeneratedFolder:
-    path.mkdir(parents=True, exist_ok=True)
     written = {**manifest, TABLE_CHECKSUMS: True}
     write_json(path / MANIFEST, written)
     return GeneratedFolder(_table(path, written), 0)

@@ -6,6 +6,7 @@ That module must import lightly. `motionkit ablate` trains the runs; the tables 
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -184,20 +185,24 @@ def train_variant(
 ) -> dict[str, Any]:
     """Train a variant's missing stages; returns its run's name, each stage's summary and the CPU seconds.
 
-    Complete stages are kept. Raises `RunError` if they were trained with other settings, and what training raises.
+    Complete stages are kept. Raises `RunError` if they were trained with other settings, `BusyError` while another
+    process trains one of them, and what training raises.
     """
     run = RunFolder(sweep.runs / run_name(sweep.prefix, variant, sweep.seed))
     context = sweep.context(run, sweep.seed, overwrite=sweep.overwrite)
     started = time.process_time()
-    ablations.prepare(sweep, run, config)
     summaries = {}
-    for name in stages:
-        folder = run.stage(name)
-        if folder.is_complete and not sweep.overwrite:
-            check_unchanged(context, ablations.stages[name], config)
-        else:
-            ablations.stages[name].train(context, config)
-        summaries[name] = folder.read_summary()
+    with ExitStack() as locks:
+        for name in stages:
+            locks.enter_context(run.stage(name).locked())
+        ablations.prepare(sweep, run, config)
+        for name in stages:
+            folder = run.stage(name)
+            if folder.is_complete and not sweep.overwrite:
+                check_unchanged(context, ablations.stages[name], config)
+            else:
+                ablations.stages[name].train(context, config)
+            summaries[name] = folder.read_summary()
     return {
         "run": run.path.name,
         "variant": variant.name,

@@ -7,14 +7,15 @@ last and marks the stage as complete.
 import importlib.metadata
 import platform
 import subprocess
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from motionkit.core.checksums import read_json, require_intact_tensors, sha256_of, write_json
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
-from motionkit.core.files import remove_entry, require_no_link, temporary_name, write_whole
+from motionkit.core.files import LOCK, locked_folder, remove_entry, require_no_link, temporary_name, write_whole
 from motionkit.core.plain_text import shown
 from motionkit.training.config import ConfigLike, current_names, flatten, to_plain
 from motionkit.training.metrics_log import MEND, MetricsLog
@@ -144,6 +145,15 @@ class StageFolder:
         budget = self.read_budget() if self.budget_path.is_file() else {}
         write_json(self.summary_path, {**summary, **budget, LOGGED: self.metrics.extent()})
 
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Hold the stage's lock during a training; raises `BusyError` while another process holds it, `LinkError`."""
+        require_no_link(self.path, "delete the link, or train into another --run")
+        with locked_folder(
+            self.path, busy=f"another process is training {self.path}: wait until it has ended, or name another --run"
+        ):
+            yield
+
     def _read(self, path: Path) -> dict[str, Any]:
         if not path.is_file():
             raise RunError(
@@ -232,7 +242,7 @@ def _holds_something(folder: StageFolder) -> bool:
     """Whether a stage was begun there; not if it was killed before writing its config.json."""
     if not folder.path.exists():
         return False
-    return any(entry.name != temporary_name(folder.config_path).name for entry in folder.path.iterdir())
+    return any(entry.name not in (LOCK, temporary_name(folder.config_path).name) for entry in folder.path.iterdir())
 
 
 def abandon_stage(folder: StageFolder) -> None:
@@ -242,14 +252,14 @@ def abandon_stage(folder: StageFolder) -> None:
 
 
 def clear_stage(folder: StageFolder) -> None:
-    """Delete a stage's files except config.json, which the next training replaces; raises `LinkError`.
+    """Delete a stage's files except its lock and config.json, which the next training replaces; raises `LinkError`.
 
     In this order a killed process leaves no folder that counts as complete, or that another training could resume.
     """
     require_no_link(folder.path, "delete the link")
     first = [folder.summary_path, folder.checkpoint_path]
     for path in [*first, *sorted(folder.path.iterdir())]:
-        if path != folder.config_path:
+        if path not in (folder.config_path, folder.path / LOCK):
             remove_entry(path)
 
 

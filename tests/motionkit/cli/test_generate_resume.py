@@ -1,13 +1,14 @@
 """`motionkit generate --resume`, `--overwrite`: stopped, killed, damaged and full folders, and links in them."""
 
 import json
+import os
 import resource
 
 import pytest
 
 from eval.sample_folder import read_sample_folder
 from motionkit.core.checksums import write_json
-from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
+from motionkit.core.errors import BusyError, DamagedFileError, MotionkitError, UsageError
 from motionkit.core.progress import MotionkitWarning
 from tests.helpers.drift_model import DriftModel, GoesOn, contents, names, rows_of
 from tests.helpers.killing import killed_before
@@ -28,6 +29,24 @@ def test_a_stopped_call_goes_on_where_it_was(run_command, tmp_path):
     assert json.loads(run_command(*call, "--out", "parts", "--resume", "--json").stdout)["motions"] == []
     with pytest.raises(UsageError, match=r"begun with another seed \(0, now 1\)"):
         run_command(*call, "--out", "parts", "--resume", "--seed", "1")
+
+
+@pytest.mark.parametrize("option", ["--resume", "--overwrite"])
+def test_two_calls_do_not_write_one_folder_at_once(option, run_command, tmp_path):
+    call = ("a walk", "a jump", "--seconds", "1", "--fps", "5", "--out", "made", option)
+    refused = []
+
+    class CallsAgain(DriftModel):
+        def generate(self, requests, **options):
+            with pytest.raises(BusyError, match=rf"process {os.getpid()} on") as caught:
+                run_command(*call)
+            refused.append(caught.value)
+            return super().generate(requests, **options)
+
+    run_command(*call, model=CallsAgain())
+    assert refused
+    assert len(rows_of(tmp_path / "made" / "motions.csv")) == 2
+    assert names(tmp_path / "made") == ["0000-a-walk.npz", "0001-a-jump.npz", "generation.json", "motions.csv"]
 
 
 @pytest.mark.parametrize("name", [".generation.json.tmp.json", ".generation.json.4711.tmp"])

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from motionkit.core.errors import BusyError, LinkError, UsageError
-from motionkit.core.files import LOCK, whole_folder
+from motionkit.core.files import LOCK, locked_folder, whole_folder
 from tests.helpers.killing import killed_before
 
 
@@ -88,3 +88,24 @@ def test_what_somebody_else_has_there_stays(tmp_path: Path) -> None:
     with pytest.raises(LinkError), whole_folder(tmp_path / "other"):
         pass
     assert _names(tmp_path / "foreign") == [LOCK]
+
+
+def _hold(path: Path) -> None:
+    with locked_folder(path, busy="busy"):
+        (path / "held").touch()
+        time.sleep(60)
+
+
+def test_the_lock_of_a_folder_names_its_holder_and_ends_with_it(tmp_path: Path) -> None:
+    path = tmp_path / "run" / "field"
+    holder = multiprocessing.get_context("fork").Process(target=_hold, args=(path,))
+    holder.start()
+    while not (path / "held").exists():
+        time.sleep(0.01)
+    with pytest.raises(BusyError, match=rf"wait .*process {holder.pid} on"), locked_folder(path, busy="wait"):
+        pass
+    holder.kill()
+    holder.join()
+    with locked_folder(path, busy="wait"):
+        (path / "held").unlink()
+    assert not path.exists()

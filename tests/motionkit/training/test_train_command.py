@@ -1,6 +1,7 @@
 import json
+import os
 import shutil
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import typer
 from typer.testing import CliRunner
 
 from motionkit.cli import train as train_module
-from motionkit.core.errors import UsageError
+from motionkit.core.errors import BusyError, UsageError
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
@@ -128,3 +129,27 @@ def test_what_a_stage_builds_on_may_change_while_the_command_runs(folder: Path) 
 def test_what_makes_no_sense_is_refused_with_what_would(folder: Path, arguments: list[str], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         CliRunner().invoke(_app(), arguments, catch_exceptions=False)
+
+
+@pytest.mark.parametrize("option", ["--overwrite", "--resume"])
+@pytest.mark.parametrize("stage", ["all", "first", "second"])
+def test_a_stage_is_not_trained_twice_at_once(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, option: str, stage: str
+) -> None:
+    """Nor one that another command trains later: what it builds on would be replaced under it."""
+    whole = _train("first")
+    refused: list[BusyError] = []
+
+    def train(context: StageContext, config: Config) -> None:
+        whole.train(context, config)
+        if not refused:
+            with pytest.raises(BusyError, match=rf"process {os.getpid()} on") as caught:
+                CliRunner().invoke(_app(), ["--stage", stage, option], catch_exceptions=False)
+            refused.append(caught.value)
+
+    stages = {"first": replace(whole, train=train), "second": _train("second")}
+    monkeypatch.setattr(train_module, "registered_stages", lambda: stages)
+    assert [each["steps"] for each in _run("--overwrite")["stages"]] == [5, 5]  # type: ignore[attr-defined]
+    assert len(refused) == 1
+    _run("--stage", stage, "--overwrite")
+    assert not list((folder / "runs").rglob(".*"))
