@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 # Times, and checksums of files that hold them: of the document itself, of metrics.jsonl.
-VOLATILE = frozenset(("checksum", "metrics", "metrics.jsonl", "time", "wall_seconds"))
+VOLATILE = frozenset(("checksum", "cpu_seconds", "metrics", "metrics.jsonl", "time", "wall_seconds"))
 TIMED = (".jsonl", "summary.json")
 SHOWN = 3
 

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from motionkit.core import files
-from motionkit.core.errors import StoreError
+from motionkit.core.errors import StoreError, describe
 from motionkit.core.files import exclusive_lock
 from motionkit.core.interrupts import held_back
 from motionkit.store.manifest import (
@@ -46,7 +46,8 @@ def changing(store: Path, *, must_exist: bool = False, must_not_exist: bool = Fa
 
     What a killed writer left is finished or removed first; what this one has written is removed where the block raises
     before its commit, and kept after it. Raises `BusyError` while another process writes; `StoreError` for a store that
-    is missing, present or not a store; `LinkError` where its folder of parts is a symbolic link.
+    is missing, present or not a store, and where the disk fails after the commit; `LinkError` where its folder of parts
+    is a symbolic link; `OSError` where it fails before the commit.
     """
     _check_target(store, must_exist=must_exist, must_not_exist=must_not_exist)
     files.require_no_link(store / SEGMENTS_FOLDER, "move the parts into the store, or link the whole store")
@@ -58,10 +59,16 @@ def changing(store: Path, *, must_exist: bool = False, must_not_exist: bool = Fa
         _tidy(store, manifest)
         try:
             yield manifest
-        except BaseException:
+        except BaseException as error:
             with held_back():
-                if committed(store) == manifest:
+                unchanged = committed(store) == manifest
+                if unchanged:
                     _tidy(store, manifest)
+            if isinstance(error, OSError) and not unchanged:
+                raise StoreError(
+                    f"the change of the store {store} is committed, but its disk failed after that "
+                    f"({describe(error)}): check the disk, then run 'motionkit validate --store {store}'"
+                ) from error
             raise
 
 

@@ -173,7 +173,7 @@ class _Run:
         except _Stopped:
             committed = False
         except OSError as error:
-            # Readers report problems of files; this is the store's disk: full, or not writable.
+            # Readers report problems of files; this is the store's disk, before the commit: full, or not writable.
             raise StoreError(f"the store {self._store} cannot be written ({error}); it is as it was") from None
         exists = (self._store / MANIFEST_FILE).exists()
         return IngestReport(

@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 from jaxtyping import Int
 
 from motionkit.core.checksums import sha256_of
-from motionkit.core.errors import StoreError, UsageError
+from motionkit.core.errors import StoreError, UsageError, describe
 from motionkit.store.cache.folder import remove_stale_caches
 from motionkit.store.codec import EncodedMotion, encode
 from motionkit.store.commit import (
@@ -129,7 +129,13 @@ def compact(path: Path, on_sequence: OnSequence = lambda: None, *, part_bytes: i
         is_compact = _is_compact(manifest, part_bytes)
     if not is_compact:
         _write_anew(path, part_bytes, on_sequence)
-    remove_stale_caches(path, committed(path).fingerprint)
+    try:
+        remove_stale_caches(path, committed(path).fingerprint)
+    except OSError as error:
+        raise StoreError(
+            f"the change of the store {path} is committed, but an old training cache cannot be deleted "
+            f"({describe(error)}): delete its folder"
+        ) from error
     return not is_compact
 
 
