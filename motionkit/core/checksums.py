@@ -89,27 +89,39 @@ def sha256_of(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def require_intact_tensors(path: Path, mend: str) -> bool:
-    """Verify a safetensors file by the checksum in its header; False if it has none.
+def require_whole_tensors(path: Path, mend: str) -> re.Match[bytes]:
+    """Verify the size of a safetensors file, and that it has a checksum; returns the checksum's place in its header.
 
     `mend` tells the user how to repair a damaged file. Raises `DamagedFileError`, or `OSError` for one that cannot be
     read.
     """
     with path.open("rb") as file:
         length = int.from_bytes(file.read(8), "little")
-        if length > LARGEST_HEADER_BYTES:
-            raise DamagedFileError(path, "not a whole safetensors file: its header is too long", mend)
-        header = file.read(length)
-        stated = _TENSORS_CHECKSUM.search(header)
-        if stated is None:
-            return False
-        start, end = stated.span(1)
-        digest = hashlib.sha256(length.to_bytes(8, "little") + header[:start] + ZEROS + header[end:])
+        header = file.read(length) if length <= LARGEST_HEADER_BYTES else b""
+    try:
+        ends = [each["data_offsets"][1] for name, each in json.loads(header).items() if name != "__metadata__"]
+        is_whole = 8 + length + max(ends, default=0) == path.stat().st_size
+    except (ValueError, RecursionError, LookupError, TypeError, AttributeError):
+        is_whole = False
+    if not is_whole:
+        raise DamagedFileError(path, "it is not a whole safetensors file", mend)
+    stated = _TENSORS_CHECKSUM.search(header)
+    if stated is None:
+        raise DamagedFileError(path, "it has no checksum", mend)
+    return stated
+
+
+def require_intact_tensors(path: Path, mend: str) -> None:
+    """Verify a safetensors file by the checksum in its header; errors as in `require_whole_tensors`."""
+    stated = require_whole_tensors(path, mend)
+    header, (start, end) = stated.string, stated.span(1)
+    digest = hashlib.sha256(len(header).to_bytes(8, "little") + header[:start] + ZEROS + header[end:])
+    with path.open("rb") as file:
+        file.seek(8 + len(header))
         while piece := file.read(PIECE_BYTES):
             digest.update(piece)
     if digest.hexdigest() != stated[1].decode():
         raise DamagedFileError(path, "its content is not what its checksum says", mend)
-    return True
 
 
 @dataclass(frozen=True)

@@ -83,7 +83,7 @@ def _findings_of_run(path: Path, fingerprint: str) -> Iterator[Finding]:
             begun = stage.read_config()
             others |= bool(fingerprint) and begun.get("store_fingerprint", fingerprint) != fingerprint
             if stage.is_complete:
-                stage.read_summary()
+                stage.check()
                 complete.append(stage.path.name)
                 continue
             done = stage.read_metrics()

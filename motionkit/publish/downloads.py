@@ -6,7 +6,7 @@ from motionkit.core.errors import StoreError
 from motionkit.core.files import require_empty, whole_folder
 from motionkit.core.progress import OnProgress, ignore, task
 from motionkit.hub.repository import HubError, Repository, copy_files, fetch, look_up
-from motionkit.publish.uploads import STAGE_FILE, check_stage
+from motionkit.publish.uploads import STAGE_FILE
 from motionkit.store.fetched import fetch_store
 from motionkit.store.manifest import Manifest, read_manifest
 from motionkit.store.schema import MANIFEST_FILE
@@ -45,8 +45,9 @@ def pull_run(repository: Repository, folder: Path, on_progress: OnProgress = ign
     """
     require_empty(folder)
     snapshot = look_up(repository)
-    stages = sorted(name.partition("/")[0] for name in snapshot.sizes if name.endswith("/summary.json"))
-    names = [name for name in snapshot.sizes if STAGE_FILE.fullmatch(name) and name.partition("/")[0] in stages]
+    named = [name for name in snapshot.sizes if STAGE_FILE.fullmatch(name)]
+    stages = sorted(name.partition("/")[0] for name in named if name.endswith("/summary.json"))
+    names = [name for name in named if name.partition("/")[0] in stages]
     if not names:
         raise HubError(f"{repository} holds no run (no STAGE/summary.json)")
     for name in names:
@@ -58,5 +59,5 @@ def pull_run(repository: Repository, folder: Path, on_progress: OnProgress = ign
         copy_files(source, names, partial)
         weights_sha256(partial)
         for stage in stages:
-            check_stage(RunFolder(partial).stage(stage))
+            RunFolder(partial).stage(stage).check()
     return stages

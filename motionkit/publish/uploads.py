@@ -14,10 +14,10 @@ from motionkit.store.reader import Store, not_committed
 from motionkit.store.reports.summary import summarise
 from motionkit.store.schema import MANIFEST_FILE, SEGMENTS_FOLDER, SEQUENCES_FILE, SKELETONS_FILE
 from motionkit.store.validate import faults
-from motionkit.training.run import RunError, RunFolder, StageFolder, weights_sha256
+from motionkit.training.run import STAGE_NAME, RunFolder, weights_sha256
 
 CARD = "README.md"
-STAGE_FILE = re.compile(r"[\w-]+/(config\.json|metrics\.jsonl|model\.safetensors|summary\.json)")
+STAGE_FILE = re.compile(rf"{STAGE_NAME}/(config\.json|metrics\.jsonl|model\.safetensors|summary\.json)")
 _PART = re.compile(rf"{SEGMENTS_FOLDER}/part-[0-9]{{5,10}}\.parquet")
 
 
@@ -64,16 +64,9 @@ def run_upload(run: RunFolder, repository: Repository) -> Upload:
         raise UsageError(f"{run.path} has no complete stage: motionkit train --run {run.path.name}")
     weights_sha256(run.path)
     for stage in stages:
-        check_stage(stage)
+        stage.check()
     files: dict[str, Path | bytes] = {
         f"{stage.path.name}/{path.name}": path for stage in stages for path in stage.result_paths if path.is_file()
     }
     return Upload(files | {CARD: run_card(stages, repository).encode()}, STAGE_FILE)
 
-
-def check_stage(stage: StageFolder) -> None:
-    """Raise if a stage is incomplete, or its JSON or log is damaged; weights are checked by `weights_sha256`."""
-    stage.read_config()
-    stage.read_summary()
-    if not stage.model_path.is_file():
-        raise RunError(f"{stage.path} is called complete, but has no {stage.model_path.name}")

@@ -13,13 +13,21 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from motionkit.core.checksums import read_json, require_intact_tensors, sha256_of, write_json
+from motionkit.core.checksums import (
+    read_json,
+    require_intact_tensors,
+    require_whole_tensors,
+    sha256_of,
+    write_json,
+)
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.core.files import LOCK, locked_folder, remove_entry, require_no_link, temporary_name, write_whole
 from motionkit.core.plain_text import shown
 from motionkit.training.config import ConfigLike, current_names, flatten, to_plain
 from motionkit.training.metrics_log import MEND, MetricsLog
 
+# A pattern. Without a hyphen first, as options have.
+STAGE_NAME = r"\w[\w-]*"
 SHOWN_SETTINGS = 6
 # The key of summary.json for length and sha256 of the log.
 LOGGED = "metrics.jsonl"
@@ -102,6 +110,17 @@ class StageFolder:
         if LOGGED in summary:
             self.metrics.check(summary.pop(LOGGED))
         return summary
+
+    def check(self) -> None:
+        """Raise `RunError` if the stage is not complete, `DamagedFileError` for a damaged file.
+
+        Of the model, size and header are checked; `weights_sha256` verifies its content.
+        """
+        self.read_config()
+        self.read_summary()
+        if not self.model_path.is_file():
+            raise RunError(f"{self.path} is called complete, but has no {self.model_path.name}")
+        require_whole_tensors(self.model_path, MEND)
 
     def effort(self) -> dict[str, str]:
         """Steps, parameters and processor time from the summary of a complete stage, as text."""

@@ -55,17 +55,16 @@ def _header(described: Mapping[str, object], metadata: Mapping[str, str], checks
 def checked_metadata(path: Path, known: Set[str], mend: str) -> dict[str, str]:
     """The metadata of a safetensors file after verifying its checksum; `known` are the allowed keys.
 
-    Old files without a checksum are not verified. `mend` tells the user how to repair a damaged file. Raises
-    `DamagedFileError`, and `OSError` if the file cannot be read.
+    `mend` tells the user how to repair a damaged file. Raises `DamagedFileError`, and `OSError` if the file cannot be
+    read.
     """
-    has_checksum = require_intact_tensors(path, mend)
+    require_intact_tensors(path, mend)
     try:
         with safe_open(path, framework="np") as opened:
             metadata: dict[str, str] = dict(opened.metadata() or {})
     except (SafetensorError, ValueError) as error:
         raise DamagedFileError(path, str(error), mend) from None
-    allowed = known | {CHECKSUM} if has_checksum else known
-    if not metadata.keys() <= allowed:
-        unknown = min(metadata.keys() - allowed)
-        raise DamagedFileError(path, f"its header has an unknown key {unknown!r}", mend)
+    unknown = metadata.keys() - known - {CHECKSUM}
+    if unknown:
+        raise DamagedFileError(path, f"its header has an unknown key {min(unknown)!r}", mend)
     return metadata

@@ -4,6 +4,7 @@ An entry point names a module attribute that is a `Stage`. That module must impo
 `motionkit train --help` reads every stage.
 """
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -16,7 +17,7 @@ from motionkit.core.errors import UsageError
 from motionkit.core.progress import OnProgress, ignore
 from motionkit.training.config import ConfigLike, ConfigT, current_names
 from motionkit.training.metrics_log import OnMetrics, ignore_metrics
-from motionkit.training.run import RunFolder, StageFolder, StageOrigin, begin_stage, check_resumable
+from motionkit.training.run import STAGE_NAME, RunFolder, StageFolder, StageOrigin, begin_stage, check_resumable
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store
@@ -121,6 +122,10 @@ class Stage(Generic[ConfigT]):
     shared: bool = False
     share: float = 1.0
     builds_on: Callable[[ConfigT], tuple[str, ...]] = builds_on_nothing
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(STAGE_NAME, self.name):
+            raise UsageError(f"a stage's name is of letters, digits, '_' and '-', no '-' first, not {self.name!r}")
 
     def check_kept(self, context: StageContext, config: ConfigT, store_fingerprint: str) -> None:
         """Raise `RunError` if this stage was begun with other inputs than the same command would use now."""

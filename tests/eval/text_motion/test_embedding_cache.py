@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 
 from eval.sets.sets import SampleSet, sample_set
 from eval.text_motion.embedding_cache import Embedder, fingerprint_of
 from motionkit.core.motion import Caption
+from motionkit.training.sealed_tensors import write_sealed_tensors
 
 
 class Counting:
@@ -83,7 +84,7 @@ def damage_truncated(path: Path) -> None:
 
 
 def damage_other_key(path: Path) -> None:
-    save_file({"embeddings": np.zeros((3, 3))}, path, metadata={"key": "another"})
+    write_sealed_tensors(path, {"embeddings": np.zeros((3, 3))}, {"key": "another"}, save)
 
 
 def damage_shape(path: Path) -> None:
@@ -102,8 +103,8 @@ def _rewrite(path: Path, array: np.ndarray) -> None:
     from safetensors import safe_open
 
     with safe_open(path, framework="np") as opened:
-        metadata = opened.metadata()
-    save_file({"embeddings": array}, path, metadata=metadata)
+        key = opened.metadata()["key"]
+    write_sealed_tensors(path, {"embeddings": array}, {"key": key}, save)
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import time
 from pathlib import Path
 
 import pytest
+import torch
 
 from motionkit.core.checksums import write_json
 from motionkit.doctor.data import SILENT_SECONDS, run_findings, store_findings
@@ -12,6 +13,7 @@ from motionkit.doctor.finding import Finding
 from motionkit.store.life.rewrite import remove
 from motionkit.store.manifest import read_manifest
 from motionkit.training.run import RunFolder, StageFolder
+from motionkit.training.tensors import save_tensors
 from tests.helpers.tiny import write_store
 
 
@@ -61,6 +63,7 @@ def stage(runs: Path, name: str, fingerprint: str) -> StageFolder:
     folder.path.mkdir(parents=True)
     write_json(folder.config_path, {"config": {}, "recipe": "nano", "seed": 0, "store_fingerprint": fingerprint})
     folder.append_metrics({"step": 50.0, "loss": 1.0})
+    save_tensors(folder.model_path, {"weight": torch.ones(30)}, {})
     return folder
 
 
@@ -85,6 +88,11 @@ def test_a_damaged_run_and_one_of_another_store(store: Path, tmp_path: Path) -> 
     folder.finish({"loss": 1.0})
     assert [each.state for each in run_findings(runs, store)] == ["good", "note"]
     assert [each.state for each in run_findings(runs, tmp_path / "none")] == ["good"], "nothing to compare with"
+    model = folder.model_path.read_bytes()
+    for length in (0, 2, 100):
+        folder.model_path.write_bytes(model[:length])
+        assert next(each.state for each in run_findings(runs, store)) == "problem"
+    folder.model_path.write_bytes(model)
     folder.metrics_path.write_text("")
     damaged = list(run_findings(runs, store))
     assert damaged[0].state == "problem" and "metrics.jsonl is damaged" in damaged[0].fact

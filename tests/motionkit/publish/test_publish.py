@@ -17,6 +17,7 @@ from motionkit.cli.export import export
 from motionkit.cli.ingest import ingest
 from motionkit.cli.pull import pull
 from motionkit.cli.push import push
+from motionkit.core.checksums import write_json
 from motionkit.core.errors import DamagedFileError, StoreError
 from motionkit.hub.repository import HubError
 from motionkit.store.life.rewrite import compact, remove
@@ -150,11 +151,26 @@ def test_complete_stages_of_a_run_go_and_come_back(hub: Hub, tmp_path: Path) -> 
     assert sorted(path.name for path in pulled.rglob("*") if path.is_file()) == list(names)
     assert RunFolder(pulled).stage("field").read_summary() == {"loss": 0.5}
 
-    weights = bytearray(files["field/model.safetensors"])
-    weights[-1] ^= 1
-    hub.add("models/me/walker", {**files, "field/model.safetensors": bytes(weights)})
-    assert isinstance(run(pull, "hf://me/walker", "--run", "damaged").exception, DamagedFileError)
-    assert not (tmp_path / "runs" / "damaged").exists()
+    weights = files["field/model.safetensors"]
+    for damaged in (weights[:-1] + bytes([weights[-1] ^ 1]), b"", weights[:2], weights[:100]):
+        hub.add("models/me/walker", {**files, "field/model.safetensors": damaged})
+        assert isinstance(run(pull, "hf://me/walker", "--run", "damaged").exception, DamagedFileError)
+        assert not (tmp_path / "runs" / "damaged").exists()
+        runs.stage("field").model_path.write_bytes(damaged)
+        assert isinstance(run(push, "hf://me/walker", "--run", "walker").exception, DamagedFileError)
+
+
+def test_a_name_that_is_no_stage_costs_its_own_files(hub: Hub, tmp_path: Path) -> None:
+    stage = RunFolder(tmp_path / "runs" / "walker").stage("field")
+    write_json(stage.config_path, {"recipe": "nano", "seed": 0, "store_fingerprint": "ab"})
+    save_tensors(stage.model_path, {"weight": torch.ones(3)}, {})
+    stage.finish({"loss": 0.5})
+    done(push, "hf://me/walker", "--run", "walker")
+    files = hub.files("models/me/walker")
+    others = {f"{other}/{name}": b"{}" for other in ("-rf", "a/b", ".git") for name in ("config.json", "summary.json")}
+    hub.add("models/me/walker", {**files, **others})
+    done(pull, "hf://me/walker", "--run", "theirs")
+    assert [path.name for path in (tmp_path / "runs" / "theirs").iterdir()] == ["field"]
 
 
 def test_captures_of_a_repository_are_ingested_under_its_name(hub: Hub, tmp_path: Path) -> None:

@@ -1,4 +1,3 @@
-import json
 import os
 import signal
 from collections.abc import Callable, Mapping
@@ -6,7 +5,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from safetensors.torch import save_file
 
 from motionkit.core.errors import DamagedFileError
 from motionkit.core.progress import Progress
@@ -148,14 +146,14 @@ def test_a_log_that_lost_a_byte_of_what_a_checkpoint_knows_is_not_gone_on_with(t
         train_loop(Regression(), folder, steps=8, seed=1, log_every=2)
 
 
-def test_a_run_of_before_there_were_checksums_is_gone_on_with(tmp_path: Path) -> None:
+def test_a_checkpoint_that_does_not_record_the_extent_of_the_log_is_gone_on_with(tmp_path: Path) -> None:
     whole, folder = _folder(tmp_path / "a" / "stage"), _folder(tmp_path / "b" / "stage")
     train_loop(Regression(), whole, steps=8, seed=1, log_every=2)
     with pytest.raises(KeyboardInterrupt):
         train_loop(Regression(_interrupt_at(5)), folder, steps=8, seed=1, log_every=2)
     tensors, description = load_tensors(folder.checkpoint_path)
     del description["metrics"]
-    save_file(tensors, folder.checkpoint_path, metadata={"description": json.dumps(description)})
+    save_tensors(folder.checkpoint_path, tensors, description)
     folder.append_metrics({"step": 7.0, "loss": 99.0})
     train_loop(Regression(), folder, steps=8, seed=1, log_every=2)
     losses = [[line["loss"] for line in each.read_metrics()] for each in (whole, folder)]

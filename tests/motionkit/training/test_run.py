@@ -1,4 +1,5 @@
 import json
+import re
 import subprocess
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -282,3 +283,9 @@ def test_the_commit_is_that_of_this_code_and_of_no_checkout_around_it(tmp_path: 
     git("commit", "-q", "-m", "somebody's own work")
     assert commit(kept) == git("rev-parse", "HEAD")
     assert commit(installed) is None
+
+
+@pytest.mark.parametrize("name", ["", "-rf", "a/b", "..", "two words"])
+def test_a_stage_has_a_name_that_is_a_folder_and_no_option(name: str) -> None:
+    with pytest.raises(UsageError, match=re.escape(repr(name))):
+        Stage(name, 1, "", {"nano": Config}, lambda context, config: None)

@@ -2,7 +2,8 @@ import json
 import os
 import resource
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from itertools import cycle
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from safetensors import safe_open
 from safetensors.numpy import save as save_arrays
 from safetensors.torch import save_file
 
+from motionkit.core.checksums import require_whole_tensors
 from motionkit.core.errors import DamagedFileError
 from motionkit.training.sealed_tensors import checked_metadata, write_sealed_tensors
 from motionkit.training.tensors import load_tensors, save_tensors
@@ -40,24 +42,42 @@ def test_every_flipped_byte_is_noticed(tmp_path: Path) -> None:
             load_tensors(path)
 
 
-@pytest.mark.parametrize("length", [0, 3, 8, 40, -1])
-def test_a_cut_file_is_damaged(length: int, tmp_path: Path) -> None:
+def no_checksum(path: Path) -> None:
+    save_file(TENSORS, path, metadata={"description": json.dumps({"step": 3})})
+
+
+def one_byte_more(path: Path) -> None:
+    path.write_bytes(path.read_bytes() + b"0")
+
+
+def zeros(path: Path) -> None:
+    path.write_bytes(bytes(100))
+
+
+def cut(length: int, path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:length])
+
+
+@pytest.mark.parametrize(
+    "damage", [no_checksum, one_byte_more, zeros, *(partial(cut, length) for length in (0, 2, 3, 8, 40, 100, -1))]
+)
+@pytest.mark.parametrize("reads", [load_tensors, partial(require_whole_tensors, mend="train it again")])
+def test_a_file_that_is_not_whole_is_damaged(
+    damage: Callable[[Path], None], reads: Callable[[Path], object], tmp_path: Path
+) -> None:
     path = tmp_path / "model.safetensors"
     save_tensors(path, TENSORS, {})
-    path.write_bytes(path.read_bytes()[:length])
-    with pytest.raises(DamagedFileError, match="is damaged"):
-        load_tensors(path)
+    reads(path)
+    damage(path)
+    with pytest.raises(DamagedFileError, match=r"model\.safetensors is damaged"):
+        reads(path)
 
 
-def test_a_file_of_before_there_were_checksums_is_read(tmp_path: Path) -> None:
-    path = tmp_path / "model.safetensors"
-    save_file(TENSORS, path, metadata={"description": json.dumps({"step": 3})})
-    tensors, description = load_tensors(path)
-    assert description == {"step": 3}
-    assert torch.equal(tensors["a"], TENSORS["a"])
-    save_file(TENSORS, path, metadata={"descriptioo": json.dumps({"step": 3})})
-    with pytest.raises(DamagedFileError, match="unknown key 'descriptioo'"):
-        load_tensors(path)
+def test_a_header_with_an_unknown_key_is_damaged(tmp_path: Path) -> None:
+    path = tmp_path / "rows.safetensors"
+    write_sealed_tensors(path, {"rows": np.arange(4)}, {"other": "k"}, save_arrays)
+    with pytest.raises(DamagedFileError, match="unknown key 'other'"):
+        checked_metadata(path, {"key"}, "delete it")
 
 
 def test_other_programs_read_the_file(tmp_path: Path) -> None:

@@ -4,9 +4,10 @@ from pathlib import Path
 
 import pytest
 import torch
-from safetensors.torch import save_file
+from safetensors.torch import save
 
 from motionkit.core.errors import DamagedFileError
+from motionkit.training.sealed_tensors import write_sealed_tensors
 from motionkit.training.tensors import CheckpointError, load_tensors, rebuilding
 
 TENSORS = {"weight": torch.zeros(3, 2), "bias": torch.zeros(3)}
@@ -16,10 +17,10 @@ PATH = Path("run/field/model.safetensors")
 @pytest.mark.parametrize("description", ["{" * 50, "[" * 100_000, "7", "[1]", "null", "9" * 5000])
 def test_a_description_that_is_no_object_is_damage(description: str, tmp_path: Path) -> None:
     path = tmp_path / "model.safetensors"
-    save_file(TENSORS, path, metadata={"description": description})
+    write_sealed_tensors(path, TENSORS, {"description": description}, save)
     with pytest.raises(DamagedFileError, match=r"model\.safetensors is damaged .*--overwrite"):
         load_tensors(path)
-    save_file(TENSORS, path, metadata={"description": json.dumps({"step": 1})})
+    write_sealed_tensors(path, TENSORS, {"description": json.dumps({"step": 1})}, save)
     assert load_tensors(path)[1] == {"step": 1}
 
 
