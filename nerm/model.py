@@ -263,4 +263,4 @@ def load(run: Path) -> NermModel:
             f"{field_path} is not the field whose latents the denoiser of {run} generates: train the denoiser again "
             f"(motionkit train --stage denoiser --run {run.name} --overwrite)"
         )
-    return NermModel(field, denoiser, row_name(field.config, denoiser.config))
+    return NermModel(field, denoiser, row_name(folder, field.config, denoiser.config))

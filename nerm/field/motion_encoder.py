@@ -20,6 +20,7 @@ from motionkit.features import field
 from motionkit.fields.assembly import AssembledField, Piece, assemble, even_starts
 from motionkit.fields.motion_field import MotionField, Observation, Observed
 from motionkit.store.reader import Store
+from motionkit.training.run import RunFolder
 from nerm.field.encoding import encode_by_optimisation
 from nerm.field.trained import TrainedField, load_field
 from nerm.names import row_name
@@ -33,17 +34,13 @@ class NermEncoder:
     """A `MotionEncoder` that `ReconstructsWindows`: latents of a frozen field, one per window of at most l_max seconds.
 
     Neighbouring windows overlap by at least `overlap_seconds`; each z is fitted to at most `num_poses` observed poses,
-    evenly spaced among those of its window.
+    evenly spaced among those of its window. `name` is its row in tables.
     """
 
     trained: TrainedField
+    name: str = "NeRM"
     overlap_seconds: float = 1.0
     num_poses: int = POSES_TO_ENCODE_FROM
-
-    @property
-    def name(self) -> str:
-        """Name for tables."""
-        return row_name(self.trained.config)
 
     @property
     def store_fingerprint(self) -> str:
@@ -175,4 +172,5 @@ def load(run: Path) -> NermEncoder:
 
     Raises what `load_field` raises.
     """
-    return NermEncoder(load_field(run))
+    trained = load_field(run)
+    return NermEncoder(trained, row_name(RunFolder(run), trained.config))
