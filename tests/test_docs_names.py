@@ -1,20 +1,50 @@
 """Files and modules that the documentation names are there."""
 
+import ast
 import importlib
 import re
+from collections import defaultdict
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
 PAGES = (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md")))
-PACKAGES = "motionkit|nerm|pahires|peers|eval"
-PATH = re.compile(rf"`((?:{PACKAGES}|benchmarks|tests)/[\w/.-]*)`")
-NAME = re.compile(rf"`((?:{PACKAGES})(?:\.\w+)+)(?:\([^`]*\))?`")
+PACKAGES = ("motionkit", "nerm", "pahires", "peers", "eval")
+FOLDERS = (*PACKAGES, "benchmarks", "tests")
+PATH = re.compile(rf"`((?:{'|'.join(FOLDERS)})/[\w/.-]*)`")
+SCRIPT = re.compile(r"(?<![\w/.])(?:[\w-]+/)*[\w-]+\.py\b")
+NAME = re.compile(r"`([A-Za-z_]\w*(?:\.\w+)+)(?:\([^`]*\))?`")
+RUN = re.compile(r"python -m ([\w.]+)")
 # Groups of entry points, and what stands in text for any name.
 NOT_MODULES = re.compile(
     r"motionkit\.(commands|stages|models|encoders|text_encoders|tables|ablations|formats|toml|recipes)$"
 )
+# Scripts of other projects, and of the example package.
+FOREIGN = re.compile(
+    r"(standstill|kimodo|utils|sample)/|(smplx_to_robot|csv_to_npz|convert_amass_to_proto|batch_gmr_pkl_to_csv|test|"
+    r"gen_t2m|GPT_eval_multi)\.py$"
+)
+# First parts of names that are no modules of ours: libraries, settings and variables.
+OBJECTS = {"denoiser", "field", "np", "pandas", "torch", "torchmetrics", "training", "motion", "z"}
+
+
+@cache
+def files() -> tuple[str, ...]:
+    return tuple(f"/{path.relative_to(ROOT)}" for folder in FOLDERS for path in (ROOT / folder).rglob("*.py"))
+
+
+@cache
+def definitions() -> dict[str, set[str]]:
+    """The last names of the modules that define each function or class of the packages."""
+    found = defaultdict(set)
+    for path in (path for folder in PACKAGES for path in (ROOT / folder).rglob("*.py")):
+        module = path.parent.name if path.stem == "__init__" else path.stem
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.FunctionDef | ast.ClassDef):
+                found[node.name].add(module)
+    return found
 
 
 def exists(name: str) -> bool:
@@ -34,8 +64,20 @@ def exists(name: str) -> bool:
     return False
 
 
+def is_there(name: str) -> bool:
+    """Whether a name of the packages exists; of others, whether a module `a` of `a.b` has `b` if any module has it."""
+    name = re.sub(r"^mk\.", "motionkit.", name)
+    first, (owner, last) = name.split(".")[0], name.split(".")[-2:]
+    if first in PACKAGES:
+        return bool(NOT_MODULES.match(name)) or exists(name)
+    return first in OBJECTS or last not in definitions() or owner in {*definitions()[last], *definitions()}
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_what_a_page_names_is_there(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert not [path for path in PATH.findall(text) if not (ROOT / path).exists()]
-    assert not [name for name in set(NAME.findall(text)) if not NOT_MODULES.match(name) and not exists(name)]
+    scripts = [each for each in set(SCRIPT.findall(text)) if not FOREIGN.match(each)]
+    assert not [each for each in scripts if not any(path.endswith(f"/{each}") for path in files())]
+    assert not [name for name in set(NAME.findall(text)) if not is_there(name)]
+    assert not [name for name in RUN.findall(text) if name.startswith(FOLDERS) and not exists(name)]

@@ -26,7 +26,7 @@ from peers.generative.batches import PoseSpace
 from peers.generative.corpus import open_corpus, text_encoder_of
 from peers.generative.peer import PeerStage
 from peers.generative.recipes import PEERS
-from peers.generative.training import Generator, KnowsSteps
+from peers.generative.training import PeerNetwork, StepAware
 
 MOTIONS = 2
 SUSTAINED_FLOPS = 300e12
@@ -73,12 +73,12 @@ def counted_stage(
     torch.manual_seed(0)
     space = PoseSpace(corpus.vectors, corpus.scaling, config.motions.framerate)
     network = stage.make_network(config, space, corpus.sizes, earlier)
-    assert isinstance(network, Generator)
+    assert isinstance(network, PeerNetwork)
     batch_size, steps = config.schedule.batch_size, config.schedule.num_steps(windows)
     generator = torch.Generator().manual_seed(0)
     longest = torch.from_numpy(corpus.last_tick).argsort(descending=True)[:MOTIONS]
     batch = corpus.batch(longest, generator, drop=config.conditions.drop)
-    if isinstance(network, KnowsSteps):
+    if isinstance(network, StepAware):
         network.begin_step(steps - 1, steps)
     with FlopCounterMode(display=False) as flops, Launches() as launches:
         torch.autograd.backward(network.losses(batch, generator)["loss"])

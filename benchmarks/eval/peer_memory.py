@@ -26,7 +26,7 @@ from peers.generative.batches import PoseSpace
 from peers.generative.corpus import open_corpus
 from peers.generative.peer import PeerStage
 from peers.generative.recipes import PEERS
-from peers.generative.training import Generator, KnowsSteps
+from peers.generative.training import PeerNetwork, StepAware
 
 RATES = (20, 60, 120, 250)
 MOTIONS = 2
@@ -70,11 +70,11 @@ def kept_a_motion(stage: PeerStage, store: Store, fps: int, earlier: Mapping[str
     torch.manual_seed(0)
     space = PoseSpace(corpus.vectors, corpus.scaling, config.motions.framerate)
     network = stage.make_network(config, space, corpus.sizes, earlier)
-    assert isinstance(network, Generator)
+    assert isinstance(network, PeerNetwork)
     generator = torch.Generator().manual_seed(0)
     longest = torch.from_numpy(corpus.last_tick).argsort(descending=True)[:MOTIONS]
     batch = corpus.batch(longest, generator, drop=0.0)
-    if isinstance(network, KnowsSteps):
+    if isinstance(network, StepAware):
         network.begin_step(99, 100)
     return network, kept_bytes(network, lambda: network.losses(batch, generator)) / MOTIONS / MEGABYTE
 

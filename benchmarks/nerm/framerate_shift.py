@@ -1,6 +1,6 @@
 """How far a trained field's motions move when conditioned on another framerate, in millimetres.
 
-    python benchmarks/nerm/model.py runs/nano [--windows 256] [--json]
+    python -m benchmarks.nerm.framerate_shift runs/nano [--windows 256] [--json]
 
 Each window's posterior mean is decoded with s = 20, 30, 60 and 120 fps at the instants that these share; distances
 of joints over every pair of framerates. Needs the stage `field` alone.
