@@ -81,3 +81,9 @@ def test_what_a_page_names_is_there(page: Path) -> None:
     assert not [each for each in scripts if not any(path.endswith(f"/{each}") for path in files())]
     assert not [name for name in set(NAME.findall(text)) if not is_there(name)]
     assert not [name for name in RUN.findall(text) if name.startswith(FOLDERS) and not exists(name)]
+
+
+def test_nobody_is_sent_to_an_index_that_lacks_the_package() -> None:
+    sources = [path for folder in PACKAGES for path in (ROOT / folder).rglob("*") if path.suffix in (".py", ".j2")]
+    texts = {path: path.read_text(encoding="utf-8") for path in (*PAGES, ROOT / "docs/tutorial.ipynb", *sources)}
+    assert not [path for path, text in texts.items() if re.search(r"install[^\n]*['\"`]?motionkit\[", text)]

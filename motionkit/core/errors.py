@@ -83,4 +83,4 @@ class MissingExtraError(MotionkitError):
     """An optional dependency that is not installed."""
 
     def __init__(self, package: str, extra: str) -> None:
-        super().__init__(f"this needs the package {package!r}: pip install 'motionkit[{extra}]'")
+        super().__init__(f"this needs the package {package!r}: in a checkout of motionkit, pip install '.[{extra}]'")

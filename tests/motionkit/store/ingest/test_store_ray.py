@@ -95,7 +95,7 @@ def test_a_worker_that_dies_at_the_start(
 
 def test_without_ray(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'motionkit\[ray\]'"), RayEngine(None, 2):
+    with pytest.raises(MissingExtraError, match=r"pip install '\.\[ray\]'"), RayEngine(None, 2):
         pass
 
 
