@@ -155,7 +155,7 @@ def calibrate(
     flat = {name: scores[name].clip_fid for name in flat_names}
     disjoint_floor = plain.disjoint_halves(on_replication).drawing
     played = []
-    for each in games(real, seed):
+    for each in games(real, seed, comparison.training):
         found = plain.scores({each.parent: each.honest, **each.cheats}, on_replication)
         cheats = {name: score.drawing for name, score in found.items() if name != each.parent}
         played.append(Game(each.parent, found[each.parent].drawing, cheats))

@@ -42,13 +42,14 @@ FIT_REPLICATION = 1_000_000
 class Comparison:
     """The comparison of sample sets with the real set at one framerate.
 
-    `parts` names slices of the features whose own FID is computed too.
+    `parts` names slices of the features whose own FID is computed too; `training` is the set that they were fitted on.
     """
 
     real: SampleSet
     features: FeatureSet
     protocol: Protocol
     parts: Mapping[str, slice] = field(default_factory=dict)
+    training: SampleSet | None = None
 
     @cached_property
     def _real(self) -> SampleSet:
@@ -98,7 +99,7 @@ class FeatureSource:
         """
         protocol = self.protocol(asked)
         check_lengths(real, protocol)
-        return Comparison(real, self.fit(train), protocol, self.parts)
+        return Comparison(real, self.fit(train), protocol, self.parts, train)
 
 
 def feature_sources(

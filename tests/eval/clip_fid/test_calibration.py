@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from eval.clip_fid import features
-from eval.clip_fid.calibration import Game, Graded, calibrate
+from eval.clip_fid.calibration import MIN_GAME_RATIO, Game, Graded, calibrate
 from eval.clip_fid.clips import PoseRange, Protocol
 from eval.clip_fid.features import Comparison, fit_on, fit_version_1_on
 from eval.metrics.checks import Estimate
+from eval.sets.games import ALIGNED
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.skeleton import SMPL22
 
@@ -88,9 +89,14 @@ def test_the_first_version_is_won_by_noise(monkeypatch: pytest.MonkeyPatch) -> N
     """Motion whose tremble the capture made, low-passed: 0.3 mm of noise brings it back for version 1 alone."""
     monkeypatch.setattr(features, "FIT_CLIPS", 512)
     real = takes(noise_metres=0.0003)
-    first, second = (calibrate(Comparison(real, fit(real), PROTOCOL), None) for fit in (fit_version_1_on, fit_on))
+    first, second = (
+        calibrate(Comparison(real, fit(real), PROTOCOL, training=real), None) for fit in (fit_version_1_on, fit_on)
+    )
     name = "low-passed at 8 Hz + white noise, 0.3 mm"
     ratios = [next(game for game in each.games if name in game.ratios).ratios[name] for each in (first, second)]
     assert ratios[0] < 0.3
     assert ratios[1] > ratios[0]
     assert not first.passes
+    # The takes are their own training motion here, which gives them back whole.
+    aligned = [ratio for game in second.games for name, ratio in game.ratios.items() if ALIGNED in name]
+    assert len(aligned) == 2 and min(aligned) < MIN_GAME_RATIO and not second.passes

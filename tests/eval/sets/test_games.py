@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from eval.sets.games import NOISES, NUM_LENDERS, games
+from eval.sets.games import ALIGNED, FEET, NOISES, NUM_LENDERS, games
 from eval.sets.sets import SampleSet, sample_set
 
 FPS = Fraction(60)
@@ -21,7 +21,7 @@ def real() -> SampleSet:
 def test_every_kind_of_damage_is_played_with_every_noise(real: SampleSet) -> None:
     made = list(games(real))
     assert [each.parent for each in made] == ["upsampled from 20 fps", "low-passed at 8 Hz", "low-passed at 10 Hz"]
-    assert [len(each.cheats) for each in made] == [13, 13, 1]
+    assert [len(each.cheats) for each in made] == [19, 19, 1]
     for each in made:
         for name, cheat in each.cheats.items():
             copies = NUM_LENDERS if "another take" in name else 1
@@ -43,7 +43,7 @@ def test_noise_is_as_strong_as_its_name_says(real: SampleSet) -> None:
 
 def test_pink_noise_is_slow_and_fast_joints_are_half_of_them(real: SampleSet) -> None:
     rng, take = np.random.default_rng(1), real.sequences[2]
-    white, pink, fast, gated = (noise(take, real, rng) for noise in NOISES.values())
+    white, pink, fast, gated, *_ = (noise(take, real, rng) for noise in NOISES.values())
     assert np.diff(pink, axis=0).std() < 0.8 * np.diff(white, axis=0).std()
     assert np.count_nonzero(fast.any(axis=(0, 2))) == 11
     speed = np.linalg.norm(np.gradient(take.astype(float), axis=0), axis=-1) * 60
@@ -59,6 +59,26 @@ def test_a_borrowed_fast_part_is_another_take_s(real: SampleSet) -> None:
         own = real.sequences[index].astype(float) - low.honest.sequences[index]
         assert abs(np.corrcoef(added.ravel(), own.ravel())[0, 1]) < 0.2
         assert added.std() == pytest.approx(own.std(), rel=0.3)
+
+
+def test_noise_comes_after_landings_and_with_vertical_acceleration(real: SampleSet) -> None:
+    """Feet fall at 0.6 m/s, land in frame 30 and stay; every joint falls freely in frames 60 to 70."""
+    take = np.zeros((120, 22, 3), dtype=np.float32)
+    take[:30, FEET, 1] = 0.01 * np.arange(30, 0, -1)[:, None]
+    take[60:, :, 1] = 1.0
+    take[60:71, :, 1] += -0.5 * 9.81 * (np.arange(11)[:, None] / 60) ** 2
+    landed = NOISES["noise after landings"](take, real, np.random.default_rng(0))
+    assert np.flatnonzero(landed[:50].any(axis=(1, 2))).tolist() == list(range(30, 37))
+    falling = NOISES["noise by vertical acceleration"](take[60:], real, np.random.default_rng(0))
+    assert falling[2:9].any(axis=(1, 2)).all() and not falling[20:].any()
+
+
+def test_the_nearest_training_motion_of_a_training_take_is_its_own(real: SampleSet) -> None:
+    low = next(each for each in games(real, training=real) if each.parent == "low-passed at 8 Hz")
+    for take, honest, cheat in zip(
+        real.sequences, low.honest.sequences, low.cheats[f"low-passed at 8 Hz + {ALIGNED}"].sequences, strict=True
+    ):
+        assert np.abs(cheat - take).mean() < 0.1 * np.abs(honest - take).mean()
 
 
 def test_one_seed_gives_one_game(real: SampleSet) -> None:
