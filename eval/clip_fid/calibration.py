@@ -17,7 +17,7 @@ from eval.sets.games import games
 from eval.sets.sets import SampleSet
 
 TASK = "calibration"
-VERSION = "calibration/3"
+VERSION = "calibration/4"
 CLEAN = "clean (absolute)"
 DISJOINT = "disjoint halves of the takes (P2)"
 FLAT = "flat: "
