@@ -1,8 +1,10 @@
 """Combines SQL conditions, and runs SQL over Arrow tables with duckdb, without access to files."""
 
+import os
 from collections import Counter
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from motionkit.core.errors import UsageError
@@ -26,13 +28,11 @@ class UnknownTable(UsageError):
 def query(views: Views, sql: str) -> "pa.Table":
     """Result of one SQL statement over the views as an Arrow table; a name that comes again gets _1, _2 …
 
-    The statement can neither read nor write files: duckdb's access to them is switched off, and the views live in this
-    process. Raises `UsageError` for anything but one reading statement, and with duckdb's words where
-    it cannot run; `OSError` where a view cannot be read. Ctrl-C stops a statement that runs.
+    The statement can neither read nor write files, and what it creates is gone when it ends. Raises `UsageError` for
+    anything but one reading statement, and with duckdb's words where it cannot run; `OSError` where a view cannot be
+    read. Ctrl-C stops a statement that runs.
     """
-    import duckdb
-
-    with duckdb.connect() as connection, ThreadPoolExecutor(1, "query") as thread:
+    with _database(os.getpid()).cursor() as connection, ThreadPoolExecutor(1, "query") as thread:
         # Within duckdb, Ctrl-C would be ignored until the statement ends, or become an error of the statement.
         running = thread.submit(_query, connection, views, sql)
         try:
@@ -44,13 +44,24 @@ def query(views: Views, sql: str) -> "pa.Table":
             raise
 
 
+@cache
+def _database(process: int) -> "duckdb.DuckDBPyConnection":
+    """The empty database of a process, in memory, without access to files; a forked process cannot use its parent's."""
+    import duckdb
+
+    database = duckdb.connect()
+    # The temporary directory is excepted from enable_external_access.
+    database.execute("SET temp_directory = ''; SET enable_external_access = false; SET lock_configuration = true")
+    return database
+
+
 def _query(connection: "duckdb.DuckDBPyConnection", views: Views, sql: str) -> "pa.Table":
     import duckdb
 
-    for name, view in views.items():
-        connection.register(name, view)
-    connection.execute("SET enable_external_access = false; SET lock_configuration = true")
+    connection.begin()
     try:
+        for name, view in views.items():
+            connection.register(name, view)
         kinds = [statement.type for statement in connection.extract_statements(sql)]
         if len(kinds) != 1 or kinds[0] not in (duckdb.StatementType.SELECT, duckdb.StatementType.EXPLAIN):
             raise UsageError("one statement that only reads is expected: SELECT, FROM, WITH, DESCRIBE, SUMMARIZE …")
@@ -64,6 +75,8 @@ def _query(connection: "duckdb.DuckDBPyConnection", views: Views, sql: str) -> "
             wanted = said.removeprefix("Catalog Error: Table with name ").split(" ")[0]
             raise UnknownTable(f"there is no table {wanted}") from None
         raise UsageError(f"duckdb: {said}") from None
+    finally:
+        connection.rollback()
 
 
 def _with_unique_names(table: "pa.Table") -> "pa.Table":

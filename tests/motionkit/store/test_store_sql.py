@@ -1,12 +1,16 @@
-"""Ctrl-C stops a statement, and is no fault of it."""
+"""A statement cannot touch files or later statements; Ctrl-C stops it, and is no fault of it."""
 
+import multiprocessing
 import os
 import signal
 import threading
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
 
 import pyarrow as pa
 import pytest
 
+from motionkit.core.errors import UsageError
 from motionkit.store.sql import query
 
 # Minutes of work.
@@ -21,3 +25,36 @@ def test_a_statement_is_stopped(seconds: float) -> None:
         timer.start()
         query({"sequences": pa.table({"a": [1]})}, LONG)
     timer.join()
+
+
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "EXPLAIN ANALYZE COPY (SELECT 'x' AS a) TO '.tmp/new.csv'",
+        "SELECT * FROM read_text('.tmp/there.csv')",
+        "SELECT * FROM '.tmp/there.csv'",
+    ],
+)
+def test_a_statement_has_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sql: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / ".tmp"  # duckdb's own place for temporary files
+    folder.mkdir()
+    (folder / "there.csv").write_text("a\nx\n")
+    with pytest.raises(UsageError):
+        query({}, sql)
+    assert [path.name for path in folder.iterdir()] == ["there.csv"]
+
+
+def test_a_statement_leaves_nothing_to_the_next() -> None:
+    assert query({"sequences": pa.table({"a": [1]})}, "SELECT a FROM sequences")["a"].to_pylist() == [1]
+    query({}, "EXPLAIN ANALYZE CREATE TABLE sequences AS SELECT 2 AS a")
+    for name in ("sequences", "skeletons"):
+        with pytest.raises(UsageError, match=f"no table {name}"):
+            query({}, f"SELECT * FROM {name}")
+
+
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_a_forked_process_has_a_database_of_its_own() -> None:
+    query({}, "SELECT 1")
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("fork")) as pool:
+        assert pool.submit(query, {}, "SELECT 2 AS a").result(timeout=60)["a"].to_pylist() == [2]
