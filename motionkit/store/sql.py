@@ -1,5 +1,6 @@
 """Combines SQL conditions, and runs SQL over Arrow tables with duckdb, without access to files."""
 
+import atexit
 import os
 from collections import Counter
 from collections.abc import Mapping
@@ -52,6 +53,7 @@ def _database(process: int) -> "duckdb.DuckDBPyConnection":
     database = duckdb.connect()
     # The temporary directory is excepted from enable_external_access.
     database.execute("SET temp_directory = ''; SET enable_external_access = false; SET lock_configuration = true")
+    atexit.register(_database.cache_clear)  # else duckdb's library reports a leak
     return database
 
 

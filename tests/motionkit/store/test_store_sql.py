@@ -19,7 +19,7 @@ LONG = "SELECT count(*) FROM range(100000000) a, range(1000) b WHERE a.range * b
 
 @pytest.mark.parametrize("seconds", [0.0, 0.05, 0.5])
 def test_a_statement_is_stopped(seconds: float) -> None:
-    query({}, "SELECT 1")  # whatever is imported late
+    query({"sequences": pa.table({"a": [1]})}, "SELECT 1")  # whatever is imported late
     timer = threading.Timer(seconds, os.kill, (os.getpid(), signal.SIGINT))
     with pytest.raises(KeyboardInterrupt):
         timer.start()
