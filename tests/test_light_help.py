@@ -1,9 +1,13 @@
-"""`motionkit --help` and `motionkit train --help` load nothing heavy, whatever is installed."""
+"""`motionkit --help` and `motionkit train --help` load nothing heavy, whatever is installed; `info` no pandas."""
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+
+from motionkit.store.ingest.ingest import ingest
+from tests.helpers.format_samples import bvh_text
 
 HEAVY = ("torch", "pandas", "scipy", "matplotlib", "pyarrow", "duckdb", "sklearn", "transformers", "rich.progress")
 HELP = """
@@ -45,3 +49,20 @@ def test_stages_are_listed_without_loading_anything_heavy() -> None:
     names, heavy = result.stdout.splitlines()
     assert "evaluator" in names.split()
     assert heavy == "loaded:"
+
+
+def test_a_summary_of_a_store_loads_no_pandas(tmp_path: Path) -> None:
+    source = tmp_path / "takes"
+    source.mkdir()
+    (source / "walk.bvh").write_text(bvh_text())
+    store = str(tmp_path / "store")
+    ingest([source], Path(store), num_workers=1)
+    script = (
+        "import sys; from motionkit.cli.app import build_app\n"
+        f"build_app()(['info', '--store', {store!r}, '--json'], standalone_mode=False)\n"
+        "print('loaded:', *sorted(set(sys.modules) & {'pandas', 'torch', 'scipy'}))"
+    )
+    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    assert '"num_sequences": 1' in result.stdout
+    assert result.stdout.splitlines()[-1] == "loaded:"

@@ -2,11 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-
-import pandas as pd
+from typing import TYPE_CHECKING
 
 from motionkit.store.reader import Store
 from motionkit.store.schema import SEQUENCES
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 WORST = 5
 
@@ -80,7 +82,7 @@ class _Figure:
     column: str
     unit: str
     place: str | None = None
-    badness: Callable[[pd.Series], pd.Series] = lambda values: values
+    badness: "Callable[[pd.Series], pd.Series]" = lambda values: values
 
 
 # Each flag's figure: its column, and the column of its location.
@@ -110,7 +112,9 @@ def report_quality(store: Store, where: str | None = None) -> QualityReport:
     )
 
 
-def _source(source: str, rows: pd.DataFrame) -> SourceQuality:
+def _source(source: str, rows: "pd.DataFrame") -> SourceQuality:
+    import pandas as pd
+
     flags = rows["quality_flags"].explode()
     held = pd.DataFrame({"flag": flags, "seconds": rows["duration_seconds"].reindex(flags.index)})
     counted = held.groupby("flag")["seconds"].agg(["size", "sum"]).sort_values("size", ascending=False, kind="stable")
@@ -128,27 +132,27 @@ def _source(source: str, rows: pd.DataFrame) -> SourceQuality:
     )
 
 
-def _hours(rows: pd.DataFrame) -> float:
+def _hours(rows: "pd.DataFrame") -> float:
     return float(rows["duration_seconds"].sum()) / 3600
 
 
-def _flagged(rows: pd.DataFrame, flag: str) -> pd.DataFrame:
+def _flagged(rows: "pd.DataFrame", flag: str) -> "pd.DataFrame":
     return rows[rows["quality_flags"].map(lambda flags: flag in flags).astype(bool)]
 
 
-def _worst(rows: pd.DataFrame, flag: str, figure: _Figure) -> WorstOf:
+def _worst(rows: "pd.DataFrame", flag: str, figure: _Figure) -> WorstOf:
     flagged = _flagged(rows, flag)
     order = figure.badness(flagged[figure.column]).sort_values(ascending=False, kind="stable").index[:WORST]
     return WorstOf(flag, figure.column, figure.unit, tuple(_offender(flagged.loc[row], figure) for row in order))
 
 
-def _offender(row: pd.Series, figure: _Figure) -> Offender:
+def _offender(row: "pd.Series", figure: _Figure) -> Offender:
     seconds = None if figure.place is None else float(row[figure.place])
     frame = None if seconds is None else round(seconds * float(row["fps"]))
     return Offender(str(row["sequence_id"]), float(row[figure.column]), seconds, frame)
 
 
-def _upsampled(rows: pd.DataFrame) -> tuple[Upsampled, ...]:
+def _upsampled(rows: "pd.DataFrame") -> tuple[Upsampled, ...]:
     found = _flagged(rows, "upsampled")
     return tuple(
         Upsampled(str(sequence_id), str(stated), float(fps), float(effective))

@@ -1,11 +1,10 @@
 """Summary of a store: sources, framerates, splits, captions, sizes, skeletons and their layouts."""
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
@@ -26,9 +25,6 @@ from motionkit.store.schema import (
     ROTATION_BYTES_PER_JOINT,
 )
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 COUNTED_COLUMNS = (
     "source",
     "duration_seconds",
@@ -44,6 +40,7 @@ COUNTED_COLUMNS = (
     "has_rotations",
     "has_root_translation",
     "quality_flags",
+    "captions",
 )
 # Grown people differ by a third, a child from a grown man by less than 2; an inch is 2.54 cm, CMU's unit 2.2 inches.
 UNLIKE_FACTOR = 2.0
@@ -110,13 +107,13 @@ def summarise(store: Store) -> StoreSummary:
 
     Raises `StoreError` for a part that is missing or damaged.
     """
-    sequences, manifest = _sequences(store), store.manifest
+    sequences, manifest = store.sequences_table.select(COUNTED_COLUMNS), store.manifest
     return StoreSummary(
         path=str(store.path),
         fingerprint=store.fingerprint,
         tool=manifest.tool,
         num_sequences=manifest.num_sequences,
-        hours=float(sequences["duration_seconds"].sum()) / 3600,
+        hours=_hours(sequences),
         num_frames=manifest.num_frames,
         num_skeletons=manifest.num_skeletons,
         num_parts=len(manifest.parts),
@@ -124,47 +121,45 @@ def summarise(store: Store) -> StoreSummary:
         disk_bytes=manifest.num_bytes,
         cache_bytes=cache_bytes(store.path, store.fingerprint),
         columns=_column_sizes(store, sequences),
-        sources=tuple(_summarise_source(str(source), rows) for source, rows in sequences.groupby("source", sort=True)),
+        sources=tuple(
+            _summarise_source(source.as_py(), sequences.filter(pc.equal(sequences["source"], source)))
+            # Arrow's own scalars: converting Python's would import pandas.
+            for source in sorted(sequences["source"].unique(), key=lambda scalar: scalar.as_py())
+        ),
     )
 
 
-def _sequences(store: Store) -> "pd.DataFrame":
-    """The columns that are counted, with `num_captions` for the captions, which take most of a whole table's memory."""
-    rows = store.columns(*COUNTED_COLUMNS)
-    rows["num_captions"] = np.asarray(pc.list_value_length(store.sequences_table["captions"]))
-    return rows
-
-
-def _summarise_source(source: str, rows: "pd.DataFrame") -> SourceSummary:
-    num_captions = rows["num_captions"]
+def _summarise_source(source: str, rows: pa.Table) -> SourceSummary:
+    num_captions = pc.list_value_length(rows["captions"])
+    fps = Counter(map(Fraction, rows["fps_numerator"].to_pylist(), rows["fps_denominator"].to_pylist()))
     return SourceSummary(
         source=source,
-        num_sequences=len(rows),
-        hours=float(rows["duration_seconds"].sum()) / 3600,
-        num_frames=int(rows["num_frames"].sum()),
-        framerates=_framerates(rows),
+        num_sequences=rows.num_rows,
+        hours=_hours(rows),
+        num_frames=_total(rows["num_frames"]),
+        framerates={format_fps(each): fps[each] for each in sorted(fps)},
         splits=_counts(rows["split"]),
         formats=_counts(rows["source_format"]),
         licences=_counts(rows["licence"]),
-        num_actions=int(rows["action"][rows["action"] != ""].nunique()),
-        num_captions=int(num_captions.sum()),
-        num_captioned=int((num_captions > 0).sum()),
-        num_skeletons=int(rows["skeleton"].nunique()),
+        num_actions=len(set(rows["action"].unique().to_pylist()) - {""}),
+        num_captions=_total(num_captions),
+        num_captioned=_total(pc.sign(num_captions)),
+        num_skeletons=len(rows["skeleton"].unique()),
         joints=_counts(rows["num_joints"]),
-        quality_flags=dict(Counter(flag for flags in rows["quality_flags"] for flag in flags).most_common()),
-        durations=_durations(rows["duration_seconds"]),
+        quality_flags=dict(Counter(pc.list_flatten(rows["quality_flags"]).to_pylist()).most_common()),
+        durations=_durations(rows["duration_seconds"].to_pylist()),
     )
 
 
-def _framerates(rows: "pd.DataFrame") -> dict[str, int]:
-    counts = Counter(
-        Fraction(numerator, denominator)
-        for numerator, denominator in zip(rows["fps_numerator"].tolist(), rows["fps_denominator"].tolist(), strict=True)
-    )
-    return {format_fps(fps): counts[fps] for fps in sorted(counts)}
+def _hours(rows: pa.Table) -> float:
+    return float(pc.sum(rows["duration_seconds"], min_count=0).as_py()) / 3600
 
 
-def _durations(seconds: "pd.Series") -> dict[str, int]:
+def _total(column: pa.ChunkedArray) -> int:
+    return int(pc.sum(column, min_count=0).as_py())
+
+
+def _durations(seconds: Sequence[float]) -> dict[str, int]:
     """Histogram of durations; bins include their lower edge."""
     edges = (0.0, *DURATION_EDGES, np.inf)
     between = (f"{low:g} to {high:g} s" for low, high in pairwise(DURATION_EDGES))
@@ -173,11 +168,11 @@ def _durations(seconds: "pd.Series") -> dict[str, int]:
     return {name: count for name, count in zip(names, counts, strict=True) if count}
 
 
-def _counts(column: "pd.Series") -> dict[str, int]:
-    return {str(value): int(count) for value, count in column.value_counts().sort_index().items()}
+def _counts(column: pa.ChunkedArray) -> dict[str, int]:
+    return {str(value): count for value, count in sorted(Counter(column.to_pylist()).items())}
 
 
-def _column_sizes(store: Store, sequences: "pd.DataFrame") -> dict[str, ColumnSize]:
+def _column_sizes(store: Store, sequences: pa.Table) -> dict[str, ColumnSize]:
     disk = dict.fromkeys(FLOAT_COLUMNS, 0)
     for name in store.manifest.parts:
         try:
@@ -190,14 +185,14 @@ def _column_sizes(store: Store, sequences: "pd.DataFrame") -> dict[str, ColumnSi
                 owner = column.path_in_schema.split(".")[0]
                 if owner in disk:
                     disk[owner] += column.total_compressed_size
-    frames = sequences["num_frames"].astype("int64")
-    joint_frames = frames * sequences["num_joints"]
+    frames = sequences["num_frames"].cast(pa.int64())
+    joint_frames = pc.multiply(frames, sequences["num_joints"])
     raw = {
-        "joint_positions": POSITION_BYTES_PER_JOINT * joint_frames.sum(),
-        "joint_rotations": ROTATION_BYTES_PER_JOINT * joint_frames[sequences["has_rotations"]].sum(),
-        "root_translation": ROOT_TRANSLATION_BYTES * frames[sequences["has_root_translation"]].sum(),
+        "joint_positions": POSITION_BYTES_PER_JOINT * _total(joint_frames),
+        "joint_rotations": ROTATION_BYTES_PER_JOINT * _total(joint_frames.filter(sequences["has_rotations"])),
+        "root_translation": ROOT_TRANSLATION_BYTES * _total(frames.filter(sequences["has_root_translation"])),
     }
-    return {name: ColumnSize(disk[name], int(raw[name])) for name in FLOAT_COLUMNS}
+    return {name: ColumnSize(disk[name], raw[name]) for name in FLOAT_COLUMNS}
 
 
 @dataclass(frozen=True)
