@@ -32,7 +32,10 @@ def write_bvh(motion: Motion, path: Path, *, unit_metres: float = 0.01) -> None:
     """
     made = joint_channels(motion)
     skeleton, translations = made.skeleton, made.translations
-    angles = np.degrees(_zxy_angles(kinematics.quaternion_to_matrix(made.rotations.astype(np.float64))))
+    rotations = made.rotations.astype(np.float64)
+    # In gimbal lock angles are ratios of small numbers, which float32's deviations from unit length would decide.
+    rotations /= np.linalg.norm(rotations, axis=-1, keepdims=True)
+    angles = np.degrees(_zxy_angles(kinematics.quaternion_to_matrix(rotations)))
     scale = 1.0 / unit_metres
     order = _depth_first(skeleton)
     columns = []

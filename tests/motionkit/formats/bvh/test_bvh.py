@@ -84,6 +84,22 @@ def test_bones_that_keep_their_length_need_no_position_channels(
     assert np.abs(again.joint_positions[:, order] - positions).max() < misses_metres
 
 
+def test_rotations_in_gimbal_lock_come_back(tmp_path: Path) -> None:
+    """A root that pitches by exactly 90 degrees in many headings, as float32 holds it."""
+    turns = np.zeros((60, 22, 4))
+    turns[..., 0] = 1.0
+    turns[:, 0] = Rotation.from_euler("ZXY", [[0, 90, 6 * k] for k in range(60)], degrees=True).as_quat(
+        scalar_first=True
+    )
+    turns = turns.astype(np.float32)
+    root = np.zeros((60, 3), np.float32)
+    motion = Motion(kinematics.forward_kinematics(turns, root, SMPL22), SMPL22, TimeGrid(Fraction(60), 60), turns, root)
+    write_bvh(motion, tmp_path / "out.bvh")
+    again = read_bvh(tmp_path / "out.bvh")
+    order = [again.skeleton.index(joint) for joint in SMPL22.joint_names]
+    np.testing.assert_allclose(again.joint_positions[:, order], motion.joint_positions, atol=1e-4)
+
+
 @pytest.mark.parametrize("fps", [Fraction(20), Fraction(30000, 1001), Fraction(25, 2), Fraction(250)])
 def test_positions_without_rotations_are_written_exactly(tmp_path: Path, fps: Fraction) -> None:
     rng = np.random.default_rng(0)
