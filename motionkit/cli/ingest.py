@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from motionkit.cli.console import print_json, print_text, progress, say_next, stderr, stdout
-from motionkit.cli.options import of_default, parse_rate, read_options
+from motionkit.cli.options import Up, of_default, parse_rate, read_options
 from motionkit.core.errors import FormatError, MotionkitError, UsageError
 from motionkit.core.plain_text import printable
 from motionkit.core.progress import OnProgress, Task, task
@@ -130,6 +130,7 @@ def ingest(
     fps: GivenFps = None,
     fps_rules: FpsRules = None,
     unit_metres: UnitMetres = None,
+    up: Up = None,
     skeleton_map: SkeletonMaps = None,
     body_models: BodyModels = None,
     skip_frames: SkipFrames = 0,
@@ -158,7 +159,7 @@ def ingest(
     from motionkit.store.ingest.ingest import ingest as ingest_sources
 
     options = replace(
-        read_options(parse_rate(fps), skeleton_map, format, unit_metres, captions),
+        read_options(parse_rate(fps), skeleton_map, format, unit_metres, captions, up),
         index=_index_options(index, texts, splits, mirrored, compat, captions, skip_frames),
         fps_rules=tuple(rule for path in fps_rules or () for rule in read_rules(path)),
         body_models=_body_models(body_models),

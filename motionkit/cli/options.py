@@ -3,15 +3,32 @@
 import re
 import shlex
 from collections.abc import Sequence
+from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from motionkit.core.errors import FormatError, UsageError
 from motionkit.core.framerate import parse_fps
 
 if TYPE_CHECKING:
     from motionkit.formats.scan.items import ReadOptions
+
+
+class UpAxis(StrEnum):
+    """The axis of a file that points up."""
+
+    X = "x"
+    Y = "y"
+    Z = "z"
+
+
+Up = Annotated[
+    UpAxis | None,
+    typer.Option(help="The files' axis that points up; by default inferred from the motion.", show_default=False),
+]
 
 
 def of_default(option: str, given: Path | None) -> str:
@@ -46,6 +63,7 @@ def read_options(
     format: str = "auto",
     unit_metres: float | None = None,
     captions: Path | None = None,
+    up: UpAxis | None = None,
 ) -> "ReadOptions":
     """The options of readers; raises `UsageError` for a unit that is not a positive length."""
     from motionkit.core.skeletons.families import read_skeleton_map
@@ -54,4 +72,11 @@ def read_options(
     if unit_metres is not None and not 0 < unit_metres < float("inf"):
         raise UsageError(f"--unit-metres must be a positive number, not {unit_metres}")
     maps = tuple(map(read_skeleton_map, skeleton_maps or ()))
-    return ReadOptions(format=format, fps=fps, unit_metres=unit_metres, captions=captions, skeleton_maps=maps)
+    return ReadOptions(
+        format=format,
+        fps=fps,
+        unit_metres=unit_metres,
+        up="" if up is None else up.value,
+        captions=captions,
+        skeleton_maps=maps,
+    )

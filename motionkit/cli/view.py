@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from motionkit.cli.console import print_json, progress, stderr, stdout
-from motionkit.cli.options import parse_rate, read_options
+from motionkit.cli.options import Up, parse_rate, read_options
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.progress import task
 from motionkit.core.settings import default_path
@@ -77,6 +77,7 @@ def view(
     to_seconds: ToSeconds = None,
     fps: GivenFps = None,
     unit_metres: UnitMetres = None,
+    up: Up = None,
     format: FormatName = "auto",
     skeleton_map: SkeletonMaps = None,
     path: PathFile = None,
@@ -98,7 +99,7 @@ def view(
 
     stretch = Stretch(from_seconds, to_seconds)
     film, read_as = _film_asked(format, out, speed)
-    options = read_options(parse_rate(fps), skeleton_map, read_as, unit_metres)
+    options = read_options(parse_rate(fps), skeleton_map, read_as, unit_metres, up=up)
     place = store or default_path("store")
     stored = [] if where is None else stored_where(place, where)
     if not clips and not stored:

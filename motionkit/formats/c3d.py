@@ -22,19 +22,11 @@ from motionkit.formats.format import Format, of_path
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.source import clock, source_file
 from motionkit.formats.source.markers import UNITS, Markers, checked_metres, marker_skeleton, some, without_gaps
+from motionkit.formats.up import AXES, log_lines, to_y_up
 
 # Vicon's models store angles, forces and the like among the points, and list them.
 NO_POSITIONS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
-# Up axis → the rotation (det +1) that takes it to +y.
-TURNS = {
-    "+X": ((1, 0, 2), (-1, 1, 1)),
-    "-X": ((1, 0, 2), (1, -1, 1)),
-    "+Y": ((0, 1, 2), (1, 1, 1)),
-    "-Y": ((0, 1, 2), (1, -1, -1)),
-    "+Z": ((0, 2, 1), (1, 1, -1)),
-    "-Z": ((0, 2, 1), (1, -1, 1)),
-}
-ASSUMED_UP = "+Z"
+ASSUMED_UP = "z"
 
 
 def read_c3d(path: Path, options: ReadOptions | None = None) -> Motion:
@@ -54,9 +46,8 @@ def read_c3d(path: Path, options: ReadOptions | None = None) -> Motion:
     fps, log = clock.fps_in_use(options.fps, lambda: _stated_fps(rate, path), words=f"{rate:g}")
     markers = without_gaps(_labelled(file, path), fps, path)
     unit, why = _unit(file, options, path)
-    up, axis_log = _up(file, markers, path)
-    order, signs = TURNS[up]
-    metres = markers.positions[..., order] * (np.array(signs, np.float64) * unit)
+    up, axis_log = (options.up, log_lines(options.up, options.up)) if options.up else _up(file, markers, path)
+    metres = to_y_up(markers.positions, up) * unit
     positions = checked_metres(markers, metres, path)
     log += [*markers.operations, f"lengths × {unit:g} to metres ({why})", *axis_log]
     subjects = file.texts("SUBJECTS:NAMES")
@@ -132,22 +123,22 @@ def _unit(file: C3dFile, options: ReadOptions, path: Path) -> tuple[float, str]:
 
 def _up(file: C3dFile, markers: Markers, path: Path) -> tuple[str, list[str]]:
     stated = next(iter(file.texts("POINT:Y_SCREEN")), "").upper()
-    up = f"+{stated}" if stated in ("X", "Y", "Z") else stated or ASSUMED_UP
-    if up not in TURNS:
-        raise FormatError(
-            f"POINT:Y_SCREEN is {stated[:20]!r}, expected one of {', '.join(TURNS)}", path=path, reason="parameters"
-        )
+    up = stated.lower().removeprefix("+") or ASSUMED_UP
+    if up not in AXES:
+        axes = ", ".join(axis.upper() if axis[0] == "-" else f"+{axis.upper()}" for axis in AXES)
+        raise FormatError(f"POINT:Y_SCREEN is {stated[:20]!r}, expected one of {axes}", path=path, reason="parameters")
     why = f"POINT:Y_SCREEN is {stated}" if stated else "POINT:Y_SCREEN says nothing: z up, as is usual"
-    heights = markers.positions[..., "XYZ".index(up[1])] * (1 if up[0] == "+" else -1)
-    if np.median(heights) < 0:
-        up = f"{'-' if up[0] == '+' else '+'}{up[1]}"
+    heights = to_y_up(markers.positions, up)[..., 1]
+    below = bool(np.median(heights) < 0)
+    if below:
+        up = up[1:] if up[0] == "-" else f"-{up}"
         why += ", but that way most markers would be below the floor"
-    axis = up.lower().replace("+", "").replace("-", "−")
-    return up, [] if up == "+Y" and "but" not in why else [f"turned from {axis} up to y up ({why})"]
+    return up, [] if up == "y" and not below else [f"turned from {up.replace('-', '−')} up to y up ({why})"]
 
 
 FORMAT = Format(
     name="c3d",
     read=of_path(read_c3d),
     suffixes=(".c3d",),
+    turns_up=True,
 )

@@ -23,6 +23,8 @@ class Format:
     be written again with their own lines has `document`, which reads the same skeleton, frames and clock as `read`, but
     frames on demand.
 
+    `turns_up` is whether `read` applies `ReadOptions.up`; motions of other formats are turned after they are read.
+
     `write` writes one motion to a file of the first of its `suffixes`. If all files of a folder share framerate and
     joints, `shared_file` is the name of the file beside them that states these.
     """
@@ -37,6 +39,7 @@ class Format:
     beside: Callable[[Path], Iterable[Path]] = lambda folder: ()
     keys: Callable[[Path], tuple[str, ...]] = lambda path: ()
     document: Callable[[Path, ReadOptions], BvhDocument] | None = None
+    turns_up: bool = False
     write: Callable[[Motion, Path], None] | None = None
     shared_file: str = ""
 

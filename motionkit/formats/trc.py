@@ -15,13 +15,13 @@ from motionkit.core.errors import FormatError
 from motionkit.core.framerate import parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.skeletons.families import with_layout_map
-from motionkit.core.skeletons.mapping import SkeletonMapError
 from motionkit.core.timegrid import TimeGrid
 from motionkit.formats.bvh import channels
 from motionkit.formats.format import Format, of_path
 from motionkit.formats.scan.items import ReadOptions
-from motionkit.formats.source import body_frame, clock, number_table, source_file
+from motionkit.formats.source import clock, number_table, source_file
 from motionkit.formats.source.markers import UNITS, Markers, checked_metres, marker_skeleton, without_gaps
+from motionkit.formats.up import upright
 
 HEADER_LINES = 5
 NOT_SEEN = ("", "nan")
@@ -30,7 +30,8 @@ NOT_SEEN = ("", "nan")
 def read_trc(path: Path, options: ReadOptions | None = None) -> Motion:
     """Read one table as positions in metres, y up, with gaps treated as in `formats.c3d`; raises `FormatError`.
 
-    If the markers are joints by their names, up is inferred from the body (y, z or −y); else it is y, as in OpenSim.
+    If the markers are joints by their names, up is inferred from the body (`formats.up`: y, z or −y); else it is y, as
+    in OpenSim.
     """
     options = options or ReadOptions()
     data = source_file.read_bytes(path)
@@ -49,10 +50,7 @@ def read_trc(path: Path, options: ReadOptions | None = None) -> Motion:
     unit, why = _unit(stated.get("Units", ""), options, path)
     positions = checked_metres(markers, markers.positions * unit, path)
     skeleton = with_layout_map(marker_skeleton(markers.names), options.skeleton_maps)
-    try:
-        positions, turned = body_frame.upright(skeleton, positions)
-    except SkeletonMapError:
-        turned = []
+    positions, turned = upright(skeleton, positions, options.up)
     log += [*markers.operations, f"lengths × {unit:g} to metres ({why})", *turned]
     return Motion(
         positions,
@@ -118,4 +116,4 @@ def _unit(stated: str, options: ReadOptions, path: Path) -> tuple[float, str]:
     return UNITS[stated.lower()], f"Units are {stated}"
 
 
-FORMAT = Format(name="trc", read=of_path(read_trc), suffixes=(".trc",), begins=b"PATHFILETYPE")
+FORMAT = Format(name="trc", read=of_path(read_trc), suffixes=(".trc",), begins=b"PATHFILETYPE", turns_up=True)

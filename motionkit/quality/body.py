@@ -1,4 +1,4 @@
-"""Implausible bodies: bones that change their length, feet that slide while in contact."""
+"""Implausible bodies: bones that change their length, feet that slide while in contact, bodies that never stand."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -8,10 +8,10 @@ from jaxtyping import Float32
 
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map
+from motionkit.core.skeletons.mapping import SkeletonMapError, body_axis, joint_map
 from motionkit.quality.steps import BINS_PER_SECOND, bin_means, middle
 
-# Lengths change slowly: 20 poses a second are enough. Shorter bones than this are points that lie on each other.
+# Lengths and posture change slowly: 20 poses a second are enough. Shorter bones than this are points that lie on each other.
 POSES_PER_SECOND = 20.0
 MIN_BONE_METRES = 0.03
 
@@ -35,6 +35,19 @@ def bone_length_drift(
     if not known.any():
         return None
     return float(((lengths.max(axis=0) - lengths.min(axis=0))[known] / mean[known]).max())
+
+
+def head_elevation(positions: Float32[np.ndarray, "frames joints 3"], skeleton: Skeleton, fps: float) -> float | None:
+    """The sine of the angle at which the head is above the feet, its 95 % quantile; None for unknown joints.
+
+    It is near 1 for whoever stands in a twentieth of the time, near 0 for a body that lies or crawls throughout.
+    """
+    try:
+        vectors = body_axis(skeleton, positions[:: max(1, round(fps / POSES_PER_SECOND))])
+    except SkeletonMapError:
+        return None
+    sines = np.sort(vectors[:, 1] / np.maximum(np.linalg.norm(vectors, axis=-1), MIN_BONE_METRES))
+    return float(sines[round(0.95 * (len(sines) - 1))])
 
 
 FOOT_JOINTS = ("left_ankle", "left_foot", "right_ankle", "right_foot")

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from motionkit.core.motion import Motion
-from motionkit.quality.body import bone_length_drift, foot_skate
+from motionkit.quality.body import bone_length_drift, foot_skate, head_elevation
 from motionkit.quality.steps import jitter, longest_steps, measure_steps, squared_differences
 from motionkit.quality.upsampled import effective_fps
 
@@ -17,6 +17,8 @@ MAX_JITTER = 400.0
 MAX_FROZEN_SECONDS = 0.25
 MAX_FOOT_SKATE_SHARE = 0.5
 MAX_BONE_LENGTH_DRIFT = 0.1
+# 30 degrees.
+MAX_LYING_ELEVATION = 0.5
 
 
 # Squares of larger numbers leave float32; a motion that reaches this far carries flags for it in any case.
@@ -51,7 +53,7 @@ def measure(motion: Motion) -> Quality:
     """Measure a motion whose numbers are finite: a pure function of its frames, framerate and skeleton.
 
     Flags: `single_frame`, `joint_speed`, `teleport`, `jitter`, `frozen`, `foot_skate`, `floor_height`, `bone_length`,
-    `upsampled`.
+    `lying`, `upsampled`.
     """
     motion = _bounded(motion)
     positions, fps = motion.joint_positions, float(motion.fps)
@@ -61,6 +63,7 @@ def measure(motion: Motion) -> Quality:
     skate = foot_skate(motion)
     floor = float(positions[..., 1].min())
     drift = bone_length_drift(positions, motion.skeleton, fps)
+    elevation = head_elevation(positions, motion.skeleton, fps)
     captured = effective_fps(positions, longest_steps(squared), fps)
     odd = {
         "single_frame": motion.num_frames == 1,
@@ -71,6 +74,7 @@ def measure(motion: Motion) -> Quality:
         "foot_skate": skate is not None and skate.share > MAX_FOOT_SKATE_SHARE,
         "floor_height": abs(floor) > MAX_FLOOR_HEIGHT,
         "bone_length": drift is not None and drift > MAX_BONE_LENGTH_DRIFT,
+        "lying": elevation is not None and elevation < MAX_LYING_ELEVATION,
         "upsampled": captured is not None and captured < fps,
     }
     return Quality(

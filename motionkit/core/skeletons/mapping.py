@@ -27,6 +27,8 @@ from motionkit.core.skeletons.families import (
 # Offsets of an extrapolated toe ahead of and below the ankle, as shares of the shin: HumanML3D's skeleton has 0.14 m
 # and 0.06 m for a shin of 0.43 m.
 TOE_AHEAD, TOE_BELOW = 0.33, 0.14
+# A row of which joints have less than this share is a tip.
+MIN_JOINT_WEIGHT = 0.1
 TOES = {"left_foot": ("left_ankle", "left_knee"), "right_foot": ("right_ankle", "right_knee")}
 
 
@@ -106,6 +108,29 @@ def map_joints(motion: Motion, layout: str) -> Float32[np.ndarray, "frames layou
             return _weighted(_with_toes(body, mapping.made_up), _kit21_from_smpl22())
         mapped = _with_toes(mapped, mapping.made_up)
     return mapped
+
+
+def body_axis(
+    skeleton: Skeleton, joint_positions: Float32[np.ndarray, "frames joints 3"]
+) -> Float32[np.ndarray, "frames 3"]:
+    """The vector from between the ankles to the head, in metres; raises `SkeletonMapError` for unknown joints.
+
+    A head or an ankle that is only an unnamed tip is replaced by the next joint of the trunk or the leg.
+    """
+    weights = joint_map(skeleton, SMPL22.name).weights
+    head, left, right = (
+        _first_of(weights, names)
+        for names in (("head", "neck"), ("left_ankle", "left_knee"), ("right_ankle", "right_knee"))
+    )
+    vectors: Float32[np.ndarray, "frames 3"] = np.matmul(head - np.float32(0.5) * (left + right), joint_positions)
+    return vectors
+
+
+def _first_of(weights: Float32[np.ndarray, "22 joints"], names: tuple[str, ...]) -> Float32[np.ndarray, "joints"]:
+    # Rows that use tips sum to less than 1 over the joints.
+    rows = [weights[SMPL22.index(name)] for name in names]
+    row = next((row for row in rows if row.sum() > MIN_JOINT_WEIGHT), rows[-1])
+    return np.asarray(row / row.sum())
 
 
 def rest_positions(skeleton: Skeleton) -> Float32[np.ndarray, "joints 3"]:

@@ -21,7 +21,8 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.formats.arrays import npy
 from motionkit.formats.format import Format, of_path
 from motionkit.formats.scan.items import ReadOptions
-from motionkit.formats.source import body_frame, clock, source_file
+from motionkit.formats.source import clock, source_file
+from motionkit.formats.up import upright
 
 MANIFEST = "motions.json"
 LAYOUT_BY_JOINTS = {21: "kit21", 22: "smpl22", 24: "smpl22", 52: "smpl22"}
@@ -54,7 +55,7 @@ def manifest_of(path: Path) -> Path:
 
 
 def read_joints_npy(path: Path, options: ReadOptions | None = None) -> Motion:
-    """Read one array as positions in metres, rotated to y up if the body stands along z.
+    """Read one array as positions in metres, turned to y up (`formats.up`).
 
     Raises `FormatError`, with the reason `no-framerate` if no framerate is given.
     """
@@ -83,7 +84,7 @@ def read_joints_npy(path: Path, options: ReadOptions | None = None) -> Motion:
     if unit != 1.0:
         positions = positions * np.float32(unit)
         operations.append(f"lengths × {unit:g} to metres (given)")
-    positions, turned = body_frame.upright(skeleton, positions)
+    positions, turned = upright(skeleton, positions, options.up)
     operations += turned
     return Motion(
         joint_positions=positions,
@@ -156,5 +157,6 @@ FORMAT = Format(
     beside=manifests,
     begins=npy.MAGIC,
     write=write_joints_npy,
+    turns_up=True,
     shared_file=MANIFEST,
 )

@@ -28,6 +28,7 @@ from motionkit.formats.format import Format, of_path
 from motionkit.formats.humanml3d import LAYOUTS
 from motionkit.formats.scan.items import ReadOptions, SourceItem
 from motionkit.formats.source import body_frame, clock, rigid, source_file
+from motionkit.formats.up import upright
 
 Positions = Float32[np.ndarray, "frames joints 3"]
 
@@ -101,7 +102,7 @@ def read_interhuman(item: SourceItem, options: ReadOptions) -> Motion:
     rows = values.reshape(len(values), -1)
     start = INTERHUMAN_WIDTH * PERSONS.index(item.key) if item.key else 0
     positions = rows[:, start : start + 3 * JOINTS].reshape(len(rows), JOINTS, 3)
-    positions, turned = body_frame.upright(SMPL22, positions * np.float32(options.unit_metres or 1.0))
+    positions, turned = upright(SMPL22, positions * np.float32(options.unit_metres or 1.0), options.up)
     return _motion(path, data, positions, SMPL22, FPS, "interhuman", options, *turned)
 
 
@@ -184,7 +185,7 @@ FORMAT = Format(name="pose-vectors", read=of_path(read_pose_vectors), suffixes=(
                 beside=joints_npy.manifests)  # fmt: skip
 INTERHUMAN_FORMAT = Format(
     name="interhuman", read=read_interhuman, suffixes=(".npy",), accepts=accepts_interhuman, keys=persons,
-    beside=joints_npy.manifests,
+    beside=joints_npy.manifests, turns_up=True,
 )  # fmt: skip
 MOTIONSTREAMER_FORMAT = Format(
     name="motionstreamer", read=of_path(read_motionstreamer), suffixes=(".npy",), accepts=accepts_motionstreamer,

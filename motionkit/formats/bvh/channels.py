@@ -36,8 +36,11 @@ class ChannelPose:
     def parts(self) -> Iterator["ChannelPose"]:
         """The same in chunks of some thousand frames."""
         for start in range(0, len(self.root), PART_FRAMES):
-            part = slice(start, start + PART_FRAMES)
-            yield replace(self, rotations=self.rotations[part], root=self.root[part], places=self.places[part])
+            yield self.frames(slice(start, start + PART_FRAMES))
+
+    def frames(self, which: slice | Int64[np.ndarray, "rows"]) -> "ChannelPose":
+        """Some of the frames."""
+        return replace(self, rotations=self.rotations[which], root=self.root[which], places=self.places[which])
 
     def places_of(self, joints: tuple[int, ...]) -> Float64[np.ndarray, "frames joints 3"]:
         """The offsets of some of the placed joints."""

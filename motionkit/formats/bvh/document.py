@@ -16,13 +16,14 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Bool, Float32, Float64, Int64
 
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.skeletons.families import with_layout_map
+from motionkit.core.skeletons.mapping import SkeletonMapError, body_axis, rest_positions
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.motion_field import Poses
 from motionkit.formats.bvh import channels
@@ -32,6 +33,7 @@ from motionkit.formats.bvh.text import BvhHierarchy, BvhText, read_head, stated_
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.source import body_frame, clock
 from motionkit.formats.source.source_file import FileParts, check_size
+from motionkit.formats.up import from_y_up, infer_up, log_lines, sampled_frames, skeleton_to_y_up, to_y_up, turn_of
 
 # Smaller changes of a bone are noise of printed digits; a bone with larger ones is not rigid.
 RIGID_METRES = 1e-3
@@ -45,15 +47,17 @@ Pieces = Callable[[], Iterator[ChannelPose]]
 
 @dataclass(frozen=True, eq=False)
 class BvhBody:
-    """How a file's channels become poses: its bones in metres along the file's axes, `turned` if these are z up.
+    """How a file's channels become poses: its bones in metres along the file's axes, of which `up` points up.
 
-    `moving` are the joints that move relative to their parents.
+    `moving` are the joints that move relative to their parents. `rests_along_up` is whether the rest pose has the same
+    up axis as the motion; if not, it is y up.
     """
 
     skeleton: Skeleton
     moving: tuple[int, ...]
     unit_metres: float
-    turned: bool = False
+    up: str = "y"
+    rests_along_up: bool = True
 
     def poses(self, pose: ChannelPose) -> Poses:
         """Poses in metres, y up, with rotations and the root's translation."""
@@ -64,9 +68,28 @@ class BvhBody:
             offsets[:, list(self.moving)] = pose.places_of(self.moving) * self.unit_metres
         positions = kinematics.forward_kinematics(pose.rotations, root, self.skeleton, offsets)
         rotations = np.ascontiguousarray(pose.rotations)
-        if self.turned:
-            _, positions, rotations, root = body_frame.z_up_to_y_up(self.skeleton, positions, rotations, root)
-        return Poses(positions, rotations, root)
+        if self.up == "y":
+            return Poses(positions, rotations, root)
+        rotations = rotations.copy()
+        if self.rests_along_up:
+            rotations[..., 1:] = to_y_up(rotations[..., 1:], self.up)
+        else:
+            rotations[:, 0] = kinematics.quaternion_multiply(turn_of(self.up), rotations[:, 0])
+        return Poses(to_y_up(positions, self.up), rotations, to_y_up(root, self.up))
+
+    def file_axes(
+        self, rotations: Float64[np.ndarray, "times joints 4"], positions: Float64[np.ndarray, "times joints 3"]
+    ) -> tuple[Float64[np.ndarray, "times joints 4"], Float64[np.ndarray, "times joints 3"]]:
+        """Rotations and positions of `poses` along the file's axes again."""
+        if self.up == "y":
+            return rotations, positions
+        rotations = rotations.copy()
+        if self.rests_along_up:
+            rotations[..., 1:] = from_y_up(rotations[..., 1:], self.up)
+        else:
+            back = kinematics.quaternion_conjugate(turn_of(self.up).astype(np.float64))
+            rotations[:, 0] = kinematics.quaternion_multiply(back, rotations[:, 0])
+        return rotations, from_y_up(positions, self.up)
 
     def motion(self, pieces: Iterable[ChannelPose], num_frames: int, fps: Fraction) -> Motion:
         """All frames; without rotations if bones move."""
@@ -86,7 +109,9 @@ class BvhBody:
     @property
     def y_up(self) -> Skeleton:
         """The skeleton of the poses."""
-        return body_frame.skeleton_to_y_up(self.skeleton) if self.turned else self.skeleton
+        if self.up == "y" or not self.rests_along_up:
+            return self.skeleton
+        return skeleton_to_y_up(self.skeleton, self.up)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,8 +194,8 @@ def read_bvh(path: Path, options: ReadOptions | None = None) -> Motion:
     """Read one BVH file: positions in metres, y up, true local rotations, at the stated framerate.
 
     The unit is `options.unit_metres` or inferred (`body_frame.infer_unit`); a T-pose in frame 0, as B. Hahne's
-    conversions of the CMU database have it, is dropped; a z-up body is rotated. All of this is in the operation log.
-    Raises `FormatError` with a reason, the line and the frame.
+    conversions of the CMU database have it, is dropped; a motion that is not y up (`formats.up`) is turned. All of this
+    is in the operation log. Raises `FormatError` with a reason, the line and the frame.
     """
     options = options or ReadOptions()
     file = FileParts.of(path, held_bytes=HELD_BYTES)
@@ -183,7 +208,7 @@ def read_bvh(path: Path, options: ReadOptions | None = None) -> Motion:
         operations.append(T_POSE_DROPPED)
     decoded = (_decoded(table, head.hierarchy, path.stem) for table in chain([first], tables))
     pose = channels.join(decoded, num_frames)
-    body, found = _find_body(pose.parts, options, path)
+    body, found = _find_body(pose.parts, pose.frames(sampled_frames(num_frames)), options, path)
     pose = replace(pose, placed_joints=body.moving, places=pose.places_of(body.moving))
     motion = body.motion(pose.parts(), num_frames, fps)
     return replace(motion, sequence_id=path.stem, provenance=_provenance(file, head, (*operations, *found)))
@@ -204,8 +229,13 @@ def read_document(path: Path, options: ReadOptions | None = None) -> BvhDocument
         reference, lines = (lines.line(0),), lines.frames(1, len(lines))
         checked_seen(lines.seen, path)
         operations.append(T_POSE_DROPPED)
+    sample = _decoded(lines.table(sampled_frames(len(lines))), head.hierarchy, path.stem)
     body, found = _find_body(
-        lambda: (_decoded(table, head.hierarchy, path.stem) for table in lines.tables()), options, path, any_size=True
+        lambda: (_decoded(table, head.hierarchy, path.stem) for table in lines.tables()),
+        sample,
+        options,
+        path,
+        any_size=True,
     )
     return BvhDocument(
         head=head,
@@ -234,9 +264,12 @@ def _provenance(file: FileParts, head: BvhText, operations: tuple[str, ...]) -> 
 
 
 def _find_body(
-    pieces: Pieces, options: ReadOptions, path: Path, *, any_size: bool = False
+    pieces: Pieces, sample: ChannelPose, options: ReadOptions, path: Path, *, any_size: bool = False
 ) -> tuple[BvhBody, tuple[str, ...]]:
-    """The body of all frames, over which each call of `pieces` iterates; and log lines of how it was found."""
+    """The body of all frames, over which each call of `pieces` iterates; and log lines of how it was found.
+
+    `sample` holds the frames from which up is inferred.
+    """
     first = next(pieces())
     first = replace(first, skeleton=with_layout_map(first.skeleton, options.skeleton_maps))
     unit, reason = _unit(first, options, path, any_size)
@@ -246,10 +279,8 @@ def _find_body(
     if moving:
         names = ", ".join(skeleton.joint_names[joint] for joint in moving)
         operations.append(f"positions only: these bones change their length or place ({names})")
-    if _stands_along_z(body, pieces):
-        body = replace(body, turned=True)
-        operations.append("turned from z up to y up: (x, y, z) → (x, z, −y)")
-    return body, tuple(operations)
+    up, rests_along_up = _up_axis(body, body.poses(sample).joint_positions, options.up)
+    return replace(body, up=up, rests_along_up=rests_along_up), (*operations, *log_lines(up, options.up))
 
 
 def _unit(pose: ChannelPose, options: ReadOptions, path: Path, any_size: bool) -> tuple[float, str]:
@@ -268,12 +299,16 @@ def _unit(pose: ChannelPose, options: ReadOptions, path: Path, any_size: bool) -
     )
 
 
-def _stands_along_z(body: BvhBody, pieces: Pieces) -> bool:
-    # Few rest poses lie along z: only these need a pass over all frames.
-    if not body_frame.rests_along_z(body.skeleton):
-        return False
-    total, num_frames = np.zeros((body.skeleton.num_joints, 3)), 0
-    for piece in pieces():
-        total += body.poses(piece).joint_positions.sum(axis=0, dtype=np.float64)
-        num_frames += len(piece.root)
-    return body_frame.stands_along_z(body.skeleton, (total / num_frames).astype(np.float32))
+def _up_axis(body: BvhBody, positions: Float32[np.ndarray, "frames joints 3"], given: str) -> tuple[str, bool]:
+    """The axis that points up, and whether the rest pose has it too: whole files are along x or z, or only the motion.
+
+    The axis of the rest pose is the expected one.
+    """
+    try:
+        x, y, z = body_axis(body.skeleton, rest_positions(body.skeleton)[None])[0].tolist()
+    except SkeletonMapError:
+        return given or "y", True
+    rest = "z" if z > 2.0 * abs(y) else "x" if x > 2.0 * abs(y) else "y"
+    inferred = ("z", "y") if rest == "z" else ("y", "z")
+    up = given or infer_up(body.skeleton, positions, inferred)
+    return up, up == rest

@@ -120,4 +120,5 @@ FORMAT = Format(
     document=read_lafan1_document,
     suffixes=(".bvh",),
     accepts=accepts,
+    turns_up=True,
 )

@@ -162,4 +162,5 @@ FORMAT = Format(
     suffixes=(".bvh",),
     accepts=accepts,
     beside=tables_of_cuts,
+    turns_up=True,
 )

@@ -16,7 +16,6 @@ from motionkit.formats.bvh import channels
 from motionkit.formats.bvh.document import BvhDocument, read_bvh, read_document
 from motionkit.formats.format import Format, of_path
 from motionkit.formats.source import number_table
-from motionkit.formats.source.body_frame import y_up_to_z_up
 from motionkit.formats.source.joint_channels import joint_channels
 
 WRITTEN_DECIMALS = 6
@@ -198,9 +197,9 @@ class ChannelLines:
     ) -> Float64[np.ndarray, "times channels"]:
         document, hierarchy = self._document, self._document.head.hierarchy
         assert poses.local_rotations is not None
-        rotations, positions = poses.local_rotations.astype(np.float64), poses.joint_positions.astype(np.float64)
-        if document.body.turned:
-            rotations[..., 1:], positions = y_up_to_z_up(rotations[..., 1:]), y_up_to_z_up(positions)
+        rotations, positions = document.body.file_axes(
+            poses.local_rotations.astype(np.float64), poses.joint_positions.astype(np.float64)
+        )
         placed = (0, *document.body.moving)
         places = _places(rotations, positions, document.skeleton, placed)
         # If the file's root only carries the next joint, that one is the body's root.
@@ -254,4 +253,5 @@ FORMAT = Format(
     suffixes=(".bvh",),
     begins=b"HIERARCHY",
     write=write_bvh,
+    turns_up=True,
 )

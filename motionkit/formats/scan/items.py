@@ -31,18 +31,19 @@ class IndexOptions:
 class ReadOptions:
     """Options of readers.
 
-    `fps` and `unit_metres` (metres per file unit) override the file and its annotations; `captions` is a CSV file of
-    annotations that replaces those found beside the motions. `skeleton_maps` are the user's tables, as returned by
-    `skeletons.families.read_skeleton_map`; a skeleton keeps the one that fits it. `fps_rules` are the user's
-    corrections of framerates, before the shipped ones (`framerate_rules`). `body_models` is the user's folder of
-    SMPL-family models. `index` selects stretches of a source's files. `skip_frames` frames are dropped at the start of
-    every whole file whose annotations give no number. `leave_out_made` skips the outputs of `motionkit complete` and
-    `motionkit plant` in folders (`made`).
+    `fps`, `unit_metres` (metres per file unit) and `up` (the axis x, y or z that points up) override the file and its
+    annotations; `captions` is a CSV file of annotations whose cells replace those found beside the motions.
+    `skeleton_maps` are the user's tables, as returned by `skeletons.families.read_skeleton_map`; a skeleton keeps the
+    one that fits it. `fps_rules` are the user's corrections of framerates, before the shipped ones
+    (`framerate_rules`). `body_models` is the user's folder of SMPL-family models. `index` selects stretches of a
+    source's files. `skip_frames` frames are dropped at the start of every whole file whose annotations give no number.
+    `leave_out_made` skips the outputs of `motionkit complete` and `motionkit plant` in folders (`made`).
     """
 
     format: str = "auto"
     fps: Fraction | None = None
     unit_metres: float | None = None
+    up: str = ""
     captions: Path | None = None
     skeleton_maps: tuple[str, ...] = ()
     fps_rules: tuple[FramerateRule, ...] = ()

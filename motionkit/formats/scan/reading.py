@@ -15,6 +15,7 @@ from motionkit.formats.catalogue import readers
 from motionkit.formats.scan import cuts, framerate_rules
 from motionkit.formats.scan.items import ReadOptions, SourceItem
 from motionkit.formats.source.source_file import check_size
+from motionkit.formats.up import log_lines, turned
 
 # Reasons for refusing a file that lacks only a usable framerate.
 NO_FRAMERATE = frozenset({"no-framerate", "framerate", "frame-time"})
@@ -78,7 +79,13 @@ def _annotated(made: Read, item: SourceItem, options: ReadOptions) -> Read:
 def _read_file(item: SourceItem, options: ReadOptions) -> Motion:
     read_with = readers()[item.format].read
     assert read_with is not None
-    return _on_clock(item, options, lambda wanted: read_with(item, wanted))
+    motion = _on_clock(item, options, lambda wanted: read_with(item, wanted))
+    if not options.up or readers()[item.format].turns_up:
+        return motion
+    motion = turned(motion, options.up)
+    for line in log_lines(options.up, options.up):
+        motion = motion.logged(line)
+    return motion
 
 
 def _on_clock(item: SourceItem, options: ReadOptions, read: Callable[[ReadOptions], Read]) -> Read:

@@ -1,5 +1,7 @@
 """AMASS motions (.npz): SMPL, SMPL-H and SMPL-X poses as axis–angle vectors, z up, with the subject's shape.
 
+Systems that write this form may have y up (HY-Motion): the motion tells (`formats.up`).
+
 The pelvis is at trans + J₀, where J₀ is its rest position for the subject's betas, and the centre of the root rotation.
 Sources: https://github.com/nghorbani/amass (arrays, notebooks) and the file listings of its issues 8, 49 and 68 (names
 of the two generations of files); Loper et al., "SMPL: A Skinned Multi-Person Linear Model", 2015, Eq. 2–4 and 10
@@ -16,7 +18,9 @@ from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
 from motionkit.core.framerate import parse_fps
 from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
+from motionkit.formats import up
 from motionkit.formats.arrays import npz_archive
 from motionkit.formats.arrays.npz_archive import NpzArchive
 from motionkit.formats.characters.retargeting import retarget
@@ -35,7 +39,7 @@ from motionkit.formats.smpl.body import (
     own_body,
     rests_as_smpl,
 )
-from motionkit.formats.source import body_frame, clock, source_file
+from motionkit.formats.source import clock, source_file
 
 MOTION_NAMES = ("_poses", "_stageii")
 FRAMERATE_KEYS = ("mocap_framerate", "mocap_frame_rate")
@@ -45,8 +49,6 @@ MAX_RADIANS = 50.0
 # The default number of betas of smplx.create, which GMR uses.
 WRITTEN_BETAS = 10
 GENDERS = ("male", "female", "neutral")
-# The rotation by −90° about x from z up to y up: (x, y, z) → (x, z, −y).
-UPRIGHT = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0], np.float32)
 
 
 def accepts(path: Path) -> bool:
@@ -69,7 +71,7 @@ def _is_shape(path: Path) -> bool:
 
 
 def read_amass(item: SourceItem, options: ReadOptions) -> Motion:
-    """Read one motion at its stated framerate: true local rotations, positions in metres, y up.
+    """Read one motion at its stated framerate: true local rotations, positions in metres, turned from z up to y up.
 
     Without a body model the joints are the 22 of SMPL's mean shape, and finger, jaw and eye rotations are dropped.
     Raises `FormatError`, with the reason `no-framerate` if none is stated, `framerate` if it is invalid.
@@ -84,9 +86,13 @@ def read_amass(item: SourceItem, options: ReadOptions) -> Motion:
     rotations = kinematics.rotation_vector_to_quaternion(
         poses[:, : 3 * body.skeleton.num_joints].reshape(len(poses), -1, 3)
     )
-    root = body_frame.turn_to_y_up(trans + body.skeleton.offsets[0])
-    rotations[:, 0] = kinematics.quaternion_multiply(UPRIGHT, rotations[:, 0])
-    operations += [*body.operations, "turned from z up to y up: (x, y, z) → (x, z, −y)"]
+    root = trans + body.skeleton.offsets[0]
+    frames = up.sampled_frames(len(poses))
+    sample = kinematics.forward_kinematics(rotations[frames], root[frames], body.skeleton)
+    axis = options.up or up.infer_up(SMPL22, sample[:, : SMPL22.num_joints], ("z", "y"))
+    rotations[:, 0] = kinematics.quaternion_multiply(up.turn_of(axis), rotations[:, 0])
+    root = up.to_y_up(root, axis)
+    operations += [*body.operations, *up.log_lines(axis, options.up)]
     return Motion(
         joint_positions=kinematics.forward_kinematics(rotations, root, body.skeleton),
         skeleton=body.skeleton,
@@ -214,7 +220,7 @@ def write_amass(motion: Motion, path: Path) -> None:
     for joint, name in enumerate(SMPLX.joint_names):
         if name in made.skeleton.joint_names:
             rotations[:, joint] = made.local_rotations[:, made.skeleton.index(name)]
-    rotations[:, 0] = kinematics.quaternion_multiply(kinematics.quaternion_conjugate(UPRIGHT), rotations[:, 0])
+    rotations[:, 0] = kinematics.quaternion_multiply(kinematics.quaternion_conjugate(up.turn_of("z")), rotations[:, 0])
     poses = kinematics.quaternion_to_rotation_vector(rotations).reshape(made.num_frames, -1).astype(np.float32)
     resting = made.skeleton.offsets[0] if made.skeleton.offsets[0].any() else mean_shape_skeleton().offsets[0]
     stops = np.cumsum([size for _, size in POSE_PARTS])
@@ -226,7 +232,7 @@ def write_amass(motion: Motion, path: Path) -> None:
             allow_pickle=False,
             poses=poses,
             **parts,
-            trans=body_frame.y_up_to_z_up(made.root_translation.astype(np.float64)) - resting,
+            trans=up.from_y_up(made.root_translation.astype(np.float64), "z") - resting,
             betas=np.zeros(WRITTEN_BETAS, np.float32),
             num_betas=np.array(WRITTEN_BETAS),
             gender=np.array(gender if gender in GENDERS else "neutral"),
@@ -243,4 +249,5 @@ FORMAT = Format(
     suffixes=(".npz",),
     accepts=accepts,
     beside=shapes,
+    turns_up=True,
 )

@@ -21,13 +21,14 @@ from motionkit.core.framerate import parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
+from motionkit.formats import up
 from motionkit.formats.arrays import npy, npz_archive
 from motionkit.formats.arrays.npz_archive import NpzArchive
 from motionkit.formats.format import Format, of_path
 from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.smpl.amass import FRAMERATE_KEYS, MAX_RADIANS
 from motionkit.formats.smpl.body import BODY, SMPL, SMPLX, PoseLayout, mean_body, own_body
-from motionkit.formats.source import body_frame, clock, source_file
+from motionkit.formats.source import clock, source_file
 from motionkit.formats.source.rigid import MAX_MATRIX_ERROR
 
 WORLD, ORIENT, POSE = "pose_world", "global_orient", "body_pose"
@@ -180,13 +181,9 @@ def _motion(
     local = rotations[:, : body.skeleton.num_joints].copy()
     root = translation + body.skeleton.offsets[0]
     positions = kinematics.forward_kinematics(local, root, body.skeleton)
-    turn, turned = body_frame.upright_turn(SMPL22, positions[:, : SMPL22.num_joints])
-    if turned:
-        local[:, 0] = kinematics.quaternion_multiply(turn, local[:, 0])
-        root = kinematics.quaternion_rotate(turn, root)
-        positions = kinematics.forward_kinematics(local, root, body.skeleton)
-    made = Motion(positions, body.skeleton, TimeGrid(fps, len(local)), local, root)
-    for line in (*operations, *turned):
+    axis = options.up or up.infer_up(SMPL22, positions[:, : SMPL22.num_joints], ("y", "z", "-y"))
+    made = up.turned(Motion(positions, body.skeleton, TimeGrid(fps, len(local)), local, root), axis)
+    for line in (*operations, *up.log_lines(axis, options.up)):
         made = made.logged(line)
     return made
 
@@ -213,6 +210,8 @@ def read_motion_x(path: Path, options: ReadOptions | None = None) -> Motion:
     )  # fmt: skip
 
 
-FORMAT = Format(name="smpl", read=of_path(read_smpl), suffixes=(".npz",), accepts=accepts)
+FORMAT = Format(name="smpl", read=of_path(read_smpl), suffixes=(".npz",), accepts=accepts, turns_up=True)
 
-MOTION_X_FORMAT = Format(name="motion-x", read=of_path(read_motion_x), suffixes=(".npy",), accepts=accepts_motion_x)
+MOTION_X_FORMAT = Format(
+    name="motion-x", read=of_path(read_motion_x), suffixes=(".npy",), accepts=accepts_motion_x, turns_up=True
+)

@@ -18,6 +18,7 @@ from motionkit.formats.scan import reading as one_sequence
 from motionkit.formats.scan.folders import dangling
 from motionkit.formats.scan.items import ReadOptions, SourceItem
 from motionkit.formats.scan.scanner import scan, with_tables_above
+from motionkit.formats.up import GIVEN_AXES
 from motionkit.store import Store
 from motionkit.store.schema import MANIFEST_FILE, SEQUENCES_FILE
 
@@ -138,14 +139,15 @@ def read(
     format: str = "auto",
     fps: Framerate | None = None,
     unit_metres: int | float | None = None,
+    up: str | None = None,
     skeleton_map: str | Path | None = None,
 ) -> Motion:
     """Read one motion from a file, or from a folder that holds one, at its native framerate.
 
-    The format is found by name and content, or given by its name (docs/formats.md). `fps` and `unit_metres` (length of
-    one file unit) replace what the file says; `skeleton_map` is a TOML table of how its rig becomes the 22 joints.
-    Captions, action and licence come from an annotation table beside the file. Of a folder, `sequence` chooses one by
-    its id or the end of it.
+    The format is found by name and content, or given by its name (docs/formats.md). `fps`, `unit_metres` (length of one
+    file unit) and `up` (the axis "x", "y" or "z") replace what the file says or the motion shows; `skeleton_map` is a
+    TOML table of how its rig becomes the 22 joints. Captions, action and licence come from an annotation table beside
+    the file. Of a folder, `sequence` chooses one by its id or the end of it.
 
     Raises `FormatError` for a file that cannot be read, `UsageError` for a path that does not exist, and for a folder
     of several motions of which none is chosen.
@@ -156,7 +158,7 @@ def read(
     Fraction(30, 1)
     """
     path = Path(path)
-    found, problems = _find(path, read_options(format, fps, unit_metres, skeleton_map))
+    found, problems = _find(path, read_options(format, fps, unit_metres, up, skeleton_map))
     if sequence is not None:
         chosen = [each for each in found if each.id == sequence or each.id.endswith(f"/{sequence}")]
         if not chosen:
@@ -181,6 +183,7 @@ def read_all(
     format: str = "auto",
     fps: Framerate | None = None,
     unit_metres: int | float | None = None,
+    up: str | None = None,
     skeleton_map: str | Path | None = None,
     on_error: Literal["stop", "skip"] = "stop",
 ) -> Iterator[Motion]:
@@ -192,7 +195,7 @@ def read_all(
     >>> [motion.sequence_id for motion in mk.read_all("takes")]
     ['takes/jump', 'takes/walk']
     """
-    found, problems = _find(Path(path), read_options(format, fps, unit_metres, skeleton_map))
+    found, problems = _find(Path(path), read_options(format, fps, unit_metres, up, skeleton_map))
     return _each(found, problems, on_error)
 
 
@@ -214,15 +217,19 @@ def read_options(
     format: str = "auto",
     fps: Framerate | None = None,
     unit_metres: int | float | None = None,
+    up: str | None = None,
     skeleton_map: str | Path | None = None,
 ) -> ReadOptions:
-    """Options of readers as people give them in Python; raises `ValueError` unless rate and unit are positive."""
+    """Options of readers as people give them in Python; raises `ValueError` for a wrong rate, unit or axis."""
     if unit_metres is not None and not 0 < unit_metres < float("inf"):
         raise ValueError(f"unit_metres is a positive length, not {unit_metres}")
+    if up is not None and up not in GIVEN_AXES:
+        raise ValueError(f"up is {up!r}, expected the file's axis x, y or z that points up")
     return ReadOptions(
         format=format,
         fps=None if fps is None else parse_fps(fps),
         unit_metres=None if unit_metres is None else float(unit_metres),
+        up=up or "",
         skeleton_maps=() if skeleton_map is None else (read_skeleton_map(Path(skeleton_map)),),
     )
 

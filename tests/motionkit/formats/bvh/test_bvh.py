@@ -12,6 +12,7 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.formats.bvh.document import read_bvh
 from motionkit.formats.bvh.writing import write_bvh
+from motionkit.formats.scan.items import ReadOptions
 from tests.helpers.format_samples import bvh_text
 
 
@@ -95,7 +96,7 @@ def test_rotations_in_gimbal_lock_come_back(tmp_path: Path) -> None:
     root = np.zeros((60, 3), np.float32)
     motion = Motion(kinematics.forward_kinematics(turns, root, SMPL22), SMPL22, TimeGrid(Fraction(60), 60), turns, root)
     write_bvh(motion, tmp_path / "out.bvh")
-    again = read_bvh(tmp_path / "out.bvh")
+    again = read_bvh(tmp_path / "out.bvh", ReadOptions(up="y"))
     order = [again.skeleton.index(joint) for joint in SMPL22.joint_names]
     np.testing.assert_allclose(again.joint_positions[:, order], motion.joint_positions, atol=1e-4)
 

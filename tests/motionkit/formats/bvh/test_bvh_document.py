@@ -126,7 +126,10 @@ def test_a_t_pose_in_front_stays_in_front(tmp_path: Path) -> None:
     assert b"Frames: 24" in (tmp_path / "out.bvh").read_bytes()
 
 
-def test_a_body_along_z_is_written_along_z(tmp_path: Path) -> None:
+@pytest.mark.parametrize("rests_along_z", [True, False])
+def test_a_body_along_z_is_written_along_z(tmp_path: Path, rests_along_z: bool) -> None:
+    """Where the rest pose is along z too, and where the root's rotation takes it there."""
+
     def turned(text: str) -> str:
         found = []
         for line in text.splitlines():
@@ -140,11 +143,12 @@ def test_a_body_along_z_is_written_along_z(tmp_path: Path) -> None:
     table = rows()
     for row in table:
         row[1], row[2] = -row[2], row[1]
-        row[3:6] = [0.0, 0.0, 0.0]
-    document = read_document(written(tmp_path / "in.bvh", turned(bvh_text(table))))
-    assert document.body.turned
+        row[3:6] = [0.0, 0.0 if rests_along_z else 90.0, 0.0]
+    text = bvh_text(table)
+    document = read_document(written(tmp_path / "in.bvh", turned(text) if rests_along_z else text))
+    assert (document.body.up, document.body.rests_along_up) == ("z", rests_along_z)
     made = completed(document, tmp_path / "out.bvh", fps=Fraction(60))
-    assert made.body.turned and lines_of(made)[::2] == lines_of(document)
+    assert made.body.up == "z" and lines_of(made)[::2] == lines_of(document)
     between = 0.5 * (table_of(made)[:-2:2] + table_of(made)[2::2])
     assert np.abs(table_of(made)[1::2] - between).max() < 1.0
 

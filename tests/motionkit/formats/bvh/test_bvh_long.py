@@ -153,10 +153,10 @@ def test_line_ends_of_all_kinds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
 
 def test_a_file_that_changes_meanwhile_is_not_mixed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.bvh"
-    path.write_text(bvh_text(swinging(9)), encoding="utf-8")
+    path.write_text(bvh_text(swinging(40)), encoding="utf-8")
     in_small_blocks(monkeypatch, 2, 700)
     document = read_document(path)
-    path.write_text(bvh_text(swinging(10)), encoding="utf-8")
+    path.write_text(bvh_text(swinging(41)), encoding="utf-8")
     with pytest.raises(FormatError, match="changed while it was read"):
         table_of(document)
 

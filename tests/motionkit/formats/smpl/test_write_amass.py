@@ -15,7 +15,7 @@ from motionkit.formats.scan.items import ReadOptions
 from motionkit.formats.smpl.amass import write_amass as write
 from motionkit.formats.smpl.body import LAYOUTS, mean_shape_skeleton
 from motionkit.synthetic import make_body, perform
-from tests.helpers.amass_samples import stageii_fields, write_amass
+from tests.helpers.amass_samples import stageii_fields, standing_poses, write_amass
 from tests.motionkit.formats.smpl.test_amass import read_one
 from tests.motionkit.formats.smpl.test_body_models import write_body_model
 
@@ -23,7 +23,7 @@ from tests.motionkit.formats.smpl.test_body_models import write_body_model
 @pytest.mark.parametrize("models", [False, True])
 def test_smpl_s_own_rotations_come_back_as_they_were(tmp_path: Path, models: bool) -> None:
     rng = np.random.default_rng(5)
-    poses, trans = rng.normal(0, 0.4, (5, 165)), rng.normal(0, 1, (5, 3))
+    poses, trans = standing_poses(5, 165) + rng.normal(0, 0.4, (5, 165)), rng.normal(0, 1, (5, 3))
     fields = stageii_fields(5, poses=poses, trans=trans, mocap_frame_rate=np.array(59.94))
     write_amass(tmp_path / "in" / "a_stageii.npz", fields)
     options = ReadOptions()

@@ -1,0 +1,143 @@
+"""The up axis of a source: given by the user, or inferred from the motion; and the turn from it to y up."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from motionkit.core import kinematics
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import Skeleton
+from motionkit.core.skeletons.mapping import SkeletonMapError, body_axis
+
+# Up axis → the rotation (det +1) that takes it to +y, as order and signs of the coordinates. Left and right are kept.
+_TURNS = {
+    "x": ((1, 0, 2), (-1, 1, 1)),
+    "-x": ((1, 0, 2), (1, -1, 1)),
+    "y": ((0, 1, 2), (1, 1, 1)),
+    "-y": ((0, 1, 2), (1, -1, -1)),
+    "z": ((0, 2, 1), (1, 1, -1)),
+    "-z": ((0, 2, 1), (1, -1, 1)),
+}
+AXES = tuple(_TURNS)
+# The axes that a user may give.
+GIVEN_AXES = ("x", "y", "z")
+_LINES = {
+    "x": "turned from x up to y up: (x, y, z) → (−y, x, z)",
+    "y": "y up",
+    "z": "turned from z up to y up: (x, y, z) → (x, z, −y)",
+    "-y": "turned from y down to y up: (x, y, z) → (x, −y, −z)",
+}
+
+# The frames that an inference looks at, evenly spaced.
+SAMPLED_FRAMES = 128
+# A body is along an axis if the mean vector from feet to head is longer along it than along the other one by this
+# factor, and has this share of the mean distance from feet to head.
+ALONG, ALONG_SHARE = 2.0, 0.5
+# Heights of the lowest joint's centre over the floor at 0, in metres, for 90 % of the frames: of a lying body, on
+# anything up to a bed, and of feet. A body that lies stays on what bears it; feet leave the floor.
+LYING_METRES, LYING_RANGE_METRES = (-0.05, 1.0), 0.2
+STANDING_METRES = (-0.15, 0.3)
+
+
+def to_y_up(vectors: Float[np.ndarray, "*shape 3"], up: str) -> Float[np.ndarray, "*shape 3"]:
+    """Rotate vectors so that the axis `up` becomes +y."""
+    order, signs = _TURNS[up]
+    return np.asarray(vectors[..., order] * np.array(signs, vectors.dtype))
+
+
+def from_y_up(vectors: Float[np.ndarray, "*shape 3"], up: str) -> Float[np.ndarray, "*shape 3"]:
+    """The inverse of `to_y_up`."""
+    order, signs = _TURNS[up]
+    back = np.argsort(order)
+    return np.asarray(vectors[..., back] * np.array(signs, vectors.dtype)[back])
+
+
+def turn_of(up: str) -> Float32[np.ndarray, "4"]:
+    """The rotation of `to_y_up` as a quaternion."""
+    images = to_y_up(np.eye(3), up)
+    return np.asarray(kinematics.matrix_to_quaternion(images.T[None])[0], np.float32)
+
+
+def skeleton_to_y_up(skeleton: Skeleton, up: str) -> Skeleton:
+    """A rest pose with the axis `up` turned to +y."""
+    tips = ((joint, to_y_up(np.array(tip), up).tolist()) for joint, tip in skeleton.end_sites)
+    return replace(
+        skeleton,
+        offsets=to_y_up(skeleton.offsets, up),
+        end_sites=tuple((joint, (x, y, z)) for joint, (x, y, z) in tips),
+    )
+
+
+def turned(motion: Motion, up: str) -> Motion:
+    """The motion with the axis `up` turned to +y: positions, the root's rotation and translation; not the rest pose."""
+    if up == "y":
+        return motion
+    rotations, root = motion.local_rotations, motion.root_translation
+    if rotations is not None:
+        rotations = rotations.copy()
+        rotations[:, 0] = kinematics.quaternion_multiply(turn_of(up), rotations[:, 0])
+    return replace(
+        motion,
+        joint_positions=to_y_up(motion.joint_positions, up),
+        local_rotations=rotations,
+        root_translation=None if root is None else to_y_up(root, up),
+    )
+
+
+def log_lines(up: str, given: str = "") -> list[str]:
+    """The line of the operation log for a source's up axis; none for an inferred y."""
+    if given:
+        return [f"{_LINES[up]} (given)"]
+    return [] if up == "y" else [_LINES[up]]
+
+
+def upright(
+    skeleton: Skeleton, joint_positions: Float32[np.ndarray, "frames joints 3"], given: str = ""
+) -> tuple[Float32[np.ndarray, "frames joints 3"], list[str]]:
+    """Positions turned to y up from the axis `given`, else from y, z or −y as inferred; and the log's line."""
+    up = given or infer_up(skeleton, joint_positions, ("y", "z", "-y"))
+    return (joint_positions if up == "y" else to_y_up(joint_positions, up)), log_lines(up, given)
+
+
+def sampled_frames(num_frames: int) -> np.ndarray:
+    """The indices of the frames that `infer_up` looks at."""
+    return np.unique(np.linspace(0, num_frames - 1, min(num_frames, SAMPLED_FRAMES)).round().astype(np.int64))
+
+
+def infer_up(skeleton: Skeleton, joint_positions: Float32[np.ndarray, "frames joints 3"], axes: Sequence[str]) -> str:
+    """The one of `axes` (y, z, −y) that points up in a motion; the first is the expected one, also for unknown joints.
+
+    On average over a motion people's heads are above their feet, so another axis points up if the body is along it.
+    A body that lies for the whole motion is along another axis too: the expected one then stays if the lowest joint
+    keeps to one height over the floor along it, and feet do not keep to a floor along the other one.
+    """
+    expected, *others = axes
+    positions = joint_positions[sampled_frames(len(joint_positions))]
+    try:
+        vectors = body_axis(skeleton, positions)
+    except SkeletonMapError:
+        return expected
+    _, y, z = vectors.mean(axis=0).tolist()
+    least = ALONG_SHARE * float(np.linalg.norm(vectors, axis=-1).mean())
+    across = {"y": abs(z), "-y": abs(z), "z": abs(y)}
+    for other in others:
+        length = {"y": y, "-y": -y, "z": z}[other]
+        if length > max(least, ALONG * across[other]) and not (other != "-y" and _lies(positions, expected, other)):
+            return other
+    return expected
+
+
+def _lies(positions: Float32[np.ndarray, "frames joints 3"], expected: str, other: str) -> bool:
+    low, high = _lowest(positions, expected)
+    lies = LYING_METRES[0] <= low and high <= LYING_METRES[1] and high - low <= LYING_RANGE_METRES
+    low, high = _lowest(positions, other)
+    return bool(lies and not (STANDING_METRES[0] <= low and high <= STANDING_METRES[1]))
+
+
+def _lowest(positions: Float32[np.ndarray, "frames joints 3"], up: str) -> tuple[float, float]:
+    """The 5 % and 95 % quantiles over the frames of the lowest joint's coordinate along an axis."""
+    heights = np.sort(to_y_up(positions, up)[..., 1].min(axis=1))
+    last = len(heights) - 1
+    return float(heights[round(0.05 * last)]), float(heights[round(0.95 * last)])
