@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from motionkit.cli.console import print_json, progress, stderr, stdout
+from motionkit.cli.options import Up
 from motionkit.core.errors import UsageError
 from motionkit.core.files import write_whole
 from motionkit.core.progress import task
@@ -22,6 +23,7 @@ def samples(
     unit_metres: Annotated[
         float | None, typer.Option("--unit-metres", metavar="M", help="With --init: metres per unit of the files.")
     ] = None,
+    up: Up = None,
     statistics: Annotated[
         str | None, typer.Option(help="With --init: pose vectors are raw, or normalised (with --mean and --std).")
     ] = None,
@@ -43,14 +45,23 @@ def samples(
         framerate = None if fps is None else parse_fps(fps)
     except ValueError as error:
         raise UsageError(f"--fps {fps}: {error}") from None
-    given = {"fps": framerate, "unit_metres": unit_metres, "statistics": statistics, "mean": mean, "std": std}
+    given = {
+        "fps": framerate,
+        "unit_metres": unit_metres,
+        "up": up and up.value,
+        "statistics": statistics,
+        "mean": mean,
+        "std": std,
+    }
     stated: dict[str, object] = {key: value for key, value in given.items() if value is not None}
     if init:
         _write_manifest(folder, stated)
-    elif stated.keys() - {"fps"}:
-        raise UsageError(f"--{sorted(stated.keys() - {'fps'})[0].replace('_', '-')} goes with --init")
+    elif stated.keys() - {"fps", "up"}:
+        raise UsageError(f"--{sorted(stated.keys() - {'fps', 'up'})[0].replace('_', '-')} goes with --init")
     with progress() as show, task(show, "reading") as work:
-        read = read_sample_folder(folder.name, folder, SampleOptions(framerate, "--fps"), work.set)
+        read = read_sample_folder(
+            folder.name, folder, SampleOptions(framerate, "--fps", "" if up is None else up.value), work.set
+        )
     found = summarise(read)
     if as_json:
         print_json(asdict(found))

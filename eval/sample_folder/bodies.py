@@ -8,6 +8,7 @@ from eval.sample_folder.manifest import MANIFEST
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.formats.humanml3d import KIT
 from motionkit.formats.source.body_frame import PLAUSIBLE_FACTOR, TRUNK_AND_LEGS, TYPICAL_HEIGHT_METRES, UNITS
+from motionkit.formats.up import log_lines, to_y_up
 
 KIT_TRUNK_AND_LEGS = (
     *(("LA", "LK"), ("LK", "LH"), ("root", "BP"), ("BP", "BT"), ("BT", "BLN"), ("BLN", "BUN")),
@@ -136,13 +137,8 @@ def turn_upright(positions: Float32[np.ndarray, "rows joints 3"], starts: Int64[
             return ""
     if up == "y":
         return ""
-    if up == "z":
-        y = positions[..., 1].copy()
-        positions[..., 1] = positions[..., 2]
-        np.negative(y, out=positions[..., 2])
-        return "turned from z up to y up: (x, y, z) → (x, z, −y)"
-    np.negative(positions[..., 1:], out=positions[..., 1:])
-    return "turned from y down to y up: (x, y, z) → (x, −y, −z)"
+    positions[...] = to_y_up(positions, up)
+    return log_lines(up)[0]
 
 
 def padding_remark(folder: SampleFolder) -> tuple[str, ...]:

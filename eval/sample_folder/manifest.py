@@ -14,6 +14,7 @@ from motionkit.core.framerate import parse_fps
 from motionkit.core.plain_text import parse_toml, shown
 from motionkit.formats.scan.globs import parse_glob
 from motionkit.formats.source import source_file
+from motionkit.formats.up import GIVEN_AXES
 
 ANY = "any"
 # Fields are non-greedy; numeric ones are greedy.
@@ -92,7 +93,7 @@ RAW, NORMALISED = "raw", "normalised"
 
 @dataclass(frozen=True)
 class SampleOptions:
-    """Options for all folders of samples; `fps` is the default framerate.
+    """Options for all folders of samples; `fps` and `up` (x, y or z) hold where nothing in a folder states them.
 
     `fps_option` is the name of its option, for messages. `keep_published` keeps pose vectors and KIT-ML's 21 joints
     beside the 22 joints, for evaluators that read these: up to five times the memory.
@@ -100,6 +101,7 @@ class SampleOptions:
 
     fps: Fraction | None = None
     fps_option: str = "--samples-fps"
+    up: str = ""
     keep_published: bool = False
 
 
@@ -222,7 +224,7 @@ READERS: dict[str, Callable[[Any, Path], Any]] = {
     "exclude": _globs,
     "fps": _fps,
     "unit_metres": _unit,
-    "up": _one_of("y", "z"),
+    "up": _one_of(*GIVEN_AXES),
     "statistics": _one_of(RAW, NORMALISED),
     "mean": _file,
     "std": _file,

@@ -65,14 +65,14 @@ def read_sample_folder(
         raise SampleFolderError(f"--samples {name}: no motion can be read: {left_out_line(left_out, 0)}")
     padded = f"of {reader.num_trimmed:,} motions the last frames, all zeros, were dropped"
     remarks = (*listing.remarks, *([padded] if reader.num_trimmed else []))
-    return _checked(packer.finish(name, left_out, remarks), array_rows, listing)
+    return _checked(packer.finish(name, left_out, remarks), array_rows, reader.up)
 
 
-def _checked(folder: SampleFolder, num_of_arrays: int, listing: Listing) -> SampleFolder:
+def _checked(folder: SampleFolder, num_of_arrays: int, up: str) -> SampleFolder:
     """The folder with upright bodies; raises `SampleFolderError` if these are no human bodies."""
     end = int(folder.sequences.num_frames[:num_of_arrays].sum())
     starts = folder.sequences.start_row[:num_of_arrays]
-    turned = turn_upright(folder.sequences.values[:end], starts, listing.manifest.up)
+    turned = turn_upright(folder.sequences.values[:end], starts, up)
     remarks = (*folder.remarks, *([turned] if turned else []), *check_bodies(folder), *padding_remark(folder))
     if turned:
         # Pose vectors have y up by definition: if bodies had to be rotated, their vectors follow another convention.
@@ -100,6 +100,11 @@ class _Reader:
         self._prompts = read_prompts(prompts) if prompts else ()
         self._beside = cache(lambda folder: joints_npy.read_manifest(folder / joints_npy.MANIFEST))
 
+    @property
+    def up(self) -> str:
+        """The axis that points up, empty where it is to be inferred."""
+        return self.listing.manifest.up or self.options.up
+
     def motions(self, source: Path | SourceItem) -> Iterator[Read | FormatError]:
         """The motions of one file with their framerates and texts, and problems of the others."""
         try:
@@ -121,7 +126,7 @@ class _Reader:
 
     def _of_format(self, item: SourceItem) -> Read:
         manifest = self.listing.manifest
-        motion = read(item, ReadOptions(fps=manifest.fps, unit_metres=manifest.unit_metres))
+        motion = read(item, ReadOptions(fps=manifest.fps, unit_metres=manifest.unit_metres, up=self.up))
         row = self.listing.rows.get(item.path, Annotation())
         # A folder format names a sequence by its key, not by its file.
         place = item.key or self.listing.place(item.path)

@@ -11,7 +11,8 @@ from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, body_axis, joint_map
 from motionkit.quality.steps import BINS_PER_SECOND, bin_means, middle
 
-# Lengths and posture change slowly: 20 poses a second are enough. Shorter bones than this are points that lie on each other.
+# Lengths and posture change slowly: 20 poses a second are enough. Shorter bones than this are points that lie on each
+# other.
 POSES_PER_SECOND = 20.0
 MIN_BONE_METRES = 0.03
 

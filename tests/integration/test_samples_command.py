@@ -9,6 +9,7 @@ import pytest
 
 from eval.commands.samples import samples as command
 from eval.sample_folder.manifest import READERS, manifest_text, read_manifest
+from motionkit.cli.options import UpAxis
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.synthetic import make_body, perform
 from tests.helpers import published_layouts as published
@@ -43,6 +44,20 @@ def test_a_folder_is_described(samples, tmp_path):
     assert found["body_metres"] == pytest.approx(1.48, abs=0.03)
     with pytest.raises(MotionkitError, match=r"nothing says the framerate of results\.npy"):
         samples(folder)
+
+
+def test_the_axis_that_points_up_can_be_given(samples, tmp_path):
+    """x, which is never inferred: for one look, and written into the manifest."""
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    for index, joints in enumerate(published.motions()):
+        x, y, z = np.moveaxis(joints, -1, 0)
+        np.save(folder / f"m{index}.npy", np.stack((y, -x, z), axis=-1))
+    turned = "turned from x up to y up"
+    assert turned not in samples(folder, fps="20")
+    assert turned in samples(folder, fps="20", up=UpAxis.X)
+    assert turned in samples(folder, fps="20", up=UpAxis.X, init=True)
+    assert turned in samples(folder)
 
 
 def test_a_manifest_is_written_and_read(samples, tmp_path):

@@ -218,7 +218,7 @@ def test_a_standing_root_says_nothing_about_statistics() -> None:
         ("fps = true", "expected a framerate"),
         ("fps = 0", "framerate must lie between"),
         ("unit_metres = -1", "length of the files' unit"),
-        ('up = "x"', "expected 'y' or 'z'"),
+        ('up = "down"', "expected 'x' or 'y' or 'z'"),
         ('statistics = "published"', "expected 'raw' or 'normalised'"),
         ('statistics = "normalised"', "needs mean"),
         ('mean = "../mean.npy"', "leaves the folder"),
