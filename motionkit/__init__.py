@@ -15,22 +15,22 @@ from motionkit.core import __version__
 from motionkit.core.public_names import give_names, provide
 
 if TYPE_CHECKING:
-    from motionkit.clips.dataset import ClipDataset
-    from motionkit.complete.motion import complete
     from motionkit.core.errors import FormatError, MotionkitError, UsageError
     from motionkit.core.motion import Caption, Motion
     from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
     from motionkit.core.timegrid import TimeGrid
+    from motionkit.data.dataset import ClipDataset
+    from motionkit.edit.complete.motion import complete
+    from motionkit.edit.plant.motion import plant
     from motionkit.fields.resample import resample
-    from motionkit.formats.catalogue import write
     from motionkit.generate.constraints import Constraint
     from motionkit.generate.models import SamplingOptions
     from motionkit.generate.motion import MotionModel, generate, load_model
-    from motionkit.plant.motion import plant
+    from motionkit.io.catalogue import write
     from motionkit.store.named_motions.reading import read, read_all
     from motionkit.store.reader import Store
     from motionkit.store.writer import StoreWriter
-    from motionkit.view.motions import view
+    from motionkit.viz.view.motions import view
 
 __all__ = [
     "KIT21",
@@ -64,7 +64,7 @@ give_names(
     __name__,
     {
         "Caption": "motionkit.core.motion",
-        "ClipDataset": "motionkit.clips.dataset",
+        "ClipDataset": "motionkit.data.dataset",
         "Constraint": "motionkit.generate.constraints",
         "FormatError": "motionkit.core.errors",
         "KIT21": "motionkit.core.skeleton",
@@ -78,19 +78,19 @@ give_names(
         "StoreWriter": "motionkit.store.writer",
         "TimeGrid": "motionkit.core.timegrid",
         "UsageError": "motionkit.core.errors",
-        "complete": "motionkit.complete.motion",
+        "complete": "motionkit.edit.complete.motion",
         "generate": "motionkit.generate.motion",
         "load_model": "motionkit.generate.motion",
-        "plant": "motionkit.plant.motion",
+        "plant": "motionkit.edit.plant.motion",
         "read": "motionkit.store.named_motions.reading",
         "read_all": "motionkit.store.named_motions.reading",
         "resample": "motionkit.fields.resample",
-        "view": "motionkit.view.motions",
-        "write": "motionkit.formats.catalogue",
+        "view": "motionkit.viz.view.motions",
+        "write": "motionkit.io.catalogue",
     },
 )
 provide(
     resample="motionkit.fields.resample:resample",
-    save="motionkit.formats.catalogue:write",
-    notebook_view="motionkit.view.motions:notebook_view",
+    save="motionkit.io.catalogue:write",
+    notebook_view="motionkit.viz.view.motions:notebook_view",
 )

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import ClassVar, Literal
 
-from motionkit.clips.pose_vectors import PoseVectorsName
 from motionkit.core.framerate import parse_fps
+from motionkit.data.pose_vectors import PoseVectorsName
 from motionkit.training.config import SCHEDULE_MOVED, Precision, Schedule, moved, require_positive
 from motionkit.training.diffusion.settings import DiffusionConfig
 
@@ -252,7 +252,7 @@ class FieldOptimizerConfig:
 class FieldConfig:
     """The variational implicit representation (paper §3.1, B, D); lengths in seconds, rates in frames a second.
 
-    `pose_vectors` is the representation of a pose (motionkit/clips/pose_vectors/): positions, the published 263
+    `pose_vectors` is the representation of a pose (motionkit/data/pose_vectors/): positions, the published 263
     numbers, or SMPL's rotations.
     """
 
@@ -347,7 +347,7 @@ class ConditionsConfig:
     `text_encoder` is a name for `motionkit.training.text.load_text_encoder`, or "none" to train without texts;
     `text_dimension` is the required size of its embeddings (None: any). Conditions are dropped with probability `drop`;
     windows with a caption and an action get the action with probability `action_share`. Up to `paraphrases` rule-based
-    rewordings of each caption are drawn once (`motionkit.clips.paraphrases`) and stand for it in half of its uses.
+    rewordings of each caption are drawn once (`nerm.text.paraphrases`) and stand for it in half of its uses.
     """
 
     text_encoder: str = "minilm"

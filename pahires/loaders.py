@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from motionkit.clips.temporal.stage import load_encoder
-from motionkit.complete.encoders import EncoderLoader
+from motionkit.edit.complete.encoders import EncoderLoader
 from motionkit.fields.motion_field import MotionEncoder
 from pahires.recipes import PaHiResConfig
 from pahires.stage import STAGE, make_network
+from pahires.temporal.stage import load_encoder
 
 NAME = "PA-HiRes"
 

@@ -10,10 +10,10 @@ from itertools import pairwise
 import torch
 from jaxtyping import Float, Int64
 
-from motionkit.clips.temporal.base_curves import located, seconds_beyond
-from motionkit.clips.temporal.network import ObservedWindow
 from pahires.activation import FourierActivation, linear
 from pahires.recipes import NetworkSettings
+from pahires.temporal.base_curves import located, seconds_beyond
+from pahires.temporal.network import ObservedWindow
 
 # Signed times enter as asinh(Δt · 30 / s): linear in frames nearby, logarithmic far away.
 _FRAME_SECONDS = 1 / 30

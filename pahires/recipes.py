@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Literal
 
-from motionkit.clips.temporal.settings import TemporalSettings, base_training, nano_training
 from motionkit.training.config import Schedule
+from pahires.temporal.settings import TemporalSettings, base_training, nano_training
 
 # calibrated: unit variance and slope; staf: STAF's code; siren: sin(x).
 Initialisation = Literal["calibrated", "staf", "siren"]

@@ -2,8 +2,8 @@
 
 from typing import TYPE_CHECKING
 
-from motionkit.clips.temporal.stage import temporal_stage
 from pahires.recipes import RECIPES, PaHiResConfig
+from pahires.temporal.stage import temporal_stage
 
 if TYPE_CHECKING:
     from pahires.model import PaHiRes
@@ -11,8 +11,8 @@ if TYPE_CHECKING:
 
 def make_network(config: PaHiResConfig, num_numbers: int) -> "PaHiRes":
     """The network for rows of so many numbers."""
-    from motionkit.clips.temporal.prediction import num_answers
     from pahires.model import PaHiRes
+    from pahires.temporal.prediction import num_answers
 
     return PaHiRes(config.network, num_numbers, num_answers(config.training.answer, num_numbers))
 

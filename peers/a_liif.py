@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.functional import normalize
 
-from motionkit.clips.temporal.network import ObservedWindow
+from pahires.temporal.network import ObservedWindow
 from peers.layers import EdsrEncoder, even_neighbours, gathered, mlp, per_query, unfolded
 from peers.settings import ALiifNetworkConfig, LmfNetworkConfig
 

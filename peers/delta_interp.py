@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from motionkit.clips.temporal.network import ObservedWindow
+from pahires.temporal.network import ObservedWindow
 from peers.attention import longest_gap
 from peers.settings import DeltaInterpNetworkConfig
 

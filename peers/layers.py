@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from motionkit.clips.temporal.network import ObservedWindow
+from pahires.temporal.network import ObservedWindow
 
 KERNEL = 3
 

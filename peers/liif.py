@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from motionkit.clips.temporal.network import ObservedWindow
+from pahires.temporal.network import ObservedWindow
 from peers.layers import EdsrEncoder, even_neighbours, gathered, mlp, per_query, unfolded
 from peers.settings import LiifNetworkConfig, MetaSrNetworkConfig
 

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from motionkit.clips.temporal.stage import load_encoder
-from motionkit.complete.encoders import EncoderLoader
+from motionkit.edit.complete.encoders import EncoderLoader
 from motionkit.fields.motion_field import MotionEncoder
+from pahires.temporal.stage import load_encoder
 from peers.recipes import PEERS, Peer
 
 

@@ -13,16 +13,16 @@ from functools import cached_property, partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from motionkit.clips.temporal.settings import (
+from motionkit.edit.complete.encoders import Task
+from motionkit.training.config import Schedule
+from pahires.temporal.settings import (
     AnswerSettings,
     TaskSettings,
     TemporalSettings,
     base_training,
     nano_training,
 )
-from motionkit.clips.temporal.stage import TemporalConfig
-from motionkit.complete.encoders import Task
-from motionkit.training.config import Schedule
+from pahires.temporal.stage import TemporalConfig
 from peers.settings import (
     ALiifNetworkConfig,
     DeltaInterpNetworkConfig,

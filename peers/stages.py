@@ -1,6 +1,6 @@
 """The peers as trainable stages, registered under `motionkit.stages`; imports nothing heavy."""
 
-from motionkit.clips.temporal.stage import temporal_stage
+from pahires.temporal.stage import temporal_stage
 from peers.recipes import PEERS
 
 LIIF, META_SR, A_LIIF, LMF, DELTA_INTERP, TS_FORMER = (

@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from motionkit.clips.temporal.network import ObservedWindow
+from pahires.temporal.network import ObservedWindow
 from peers.attention import RelativeEncoder, longest_gap
 from peers.layers import gathered, neighbours
 from peers.settings import TsFormerNetworkConfig

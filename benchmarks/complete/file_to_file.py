@@ -24,9 +24,9 @@ PIECE_SECONDS = 60.0
 FLOOR = """
 import sys
 from pathlib import Path
-from motionkit.formats.source import number_table
-from motionkit.formats.bvh.text import split_text
-from motionkit.formats.source.source_file import PART_BYTES, FileParts
+from motionkit.io.source import number_table
+from motionkit.io.bvh.text import split_text
+from motionkit.io.source.source_file import PART_BYTES, FileParts
 path, repeats = Path(sys.argv[1]), int(sys.argv[2])
 file = FileParts.of(path)
 head = split_text(file.read(0, PART_BYTES), path)
@@ -42,7 +42,7 @@ COMPLETE = "from motionkit.cli.app import main; main()"
 def write_clip(path: Path, minutes: float) -> None:
     """A BVH file at 30 fps: a minute's motion, repeated forwards and backwards."""
     from motionkit.fields.motion_field import to_motion
-    from motionkit.formats.bvh.writing import write_bvh
+    from motionkit.io.bvh.writing import write_bvh
     from motionkit.synthetic import make_body, perform
 
     field = perform(np.random.default_rng(0), make_body("benchmark"), ["walk", "squat", "jump", "bow"], PIECE_SECONDS)

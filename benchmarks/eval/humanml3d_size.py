@@ -25,7 +25,7 @@ from rich.table import Table
 
 from eval.report.results import provenance
 from motionkit.cli.console import stderr
-from motionkit.formats.humanml3d import write_humanml3d
+from motionkit.io.humanml3d import write_humanml3d
 from motionkit.synthetic.demo_corpus import draw_sequences, humanml3d_entries
 
 MOTIONKIT = (sys.executable, "-c", "from motionkit.cli.app import main; main()")

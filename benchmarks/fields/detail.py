@@ -43,7 +43,6 @@ from eval.sets.planted import planted_fields
 from eval.sets.real import RealMotion, real_motion
 from eval.sets.sets import SampleSet
 from eval.tables.models import require_models
-from motionkit.clips.detail.fit import fit_detail
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.fields.detail.detailed import detailed
@@ -54,6 +53,7 @@ from motionkit.fields.motion_field import MotionField, motion_chunks, to_motion
 from motionkit.fields.resample import resample_positions
 from motionkit.store.reader import Store
 from motionkit.synthetic import draw_body, perform
+from motionkit.training.detail.fit import fit_detail
 
 CUTOFF_HZ, SMOOTH_HZ = 10.0, 6.0
 RATES = (40, 60, 100, 120)

@@ -15,8 +15,8 @@ import numpy as np
 from rich.table import Table
 
 from benchmarks.command import arguments_parser, best_cpu_seconds, print_table_and_json
-from motionkit.formats.asfamc import parse_amc, read_asfamc
-from motionkit.formats.scan.items import ReadOptions
+from motionkit.io.asfamc import parse_amc, read_asfamc
+from motionkit.io.scan.items import ReadOptions
 
 
 def plain(data: bytes) -> list[dict[str, list[float]]]:

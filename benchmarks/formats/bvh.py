@@ -27,8 +27,8 @@ from pyarrow import csv
 from pymotion.io.bvh import BVH
 from rich.table import Table
 
-from motionkit.formats.bvh import text
-from motionkit.formats.bvh.document import read_bvh
+from motionkit.io.bvh import text
+from motionkit.io.bvh.document import read_bvh
 
 pa.set_cpu_count(1)
 

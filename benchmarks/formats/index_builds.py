@@ -19,12 +19,12 @@ import numpy as np
 from rich.table import Table
 
 from benchmarks.command import arguments_parser, print_table_and_json
-from motionkit.formats.indexes.entries import Entry
-from motionkit.formats.indexes.search import read_index
-from motionkit.formats.scan.cuts import StepCut
-from motionkit.formats.scan.items import IndexOptions, ReadOptions, SourceItem
-from motionkit.formats.scan.reading import read
-from motionkit.formats.scan.scanner import scan
+from motionkit.io.indexes.entries import Entry
+from motionkit.io.indexes.search import read_index
+from motionkit.io.scan.cuts import StepCut
+from motionkit.io.scan.items import IndexOptions, ReadOptions, SourceItem
+from motionkit.io.scan.reading import read
+from motionkit.io.scan.scanner import scan
 
 FPS = 120
 RENAMED = {

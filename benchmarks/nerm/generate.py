@@ -24,8 +24,8 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from benchmarks.command import arguments_parser, best_cpu_seconds, print_json
-from motionkit.clips.pose_vectors.convention import VectorScaling
-from motionkit.clips.windows import Windows
+from motionkit.data.pose_vectors.convention import VectorScaling
+from motionkit.data.windows import Windows
 from motionkit.generate.models import GenerationRequest
 from nerm.conditions import ConditionLayout
 from nerm.denoiser.latent_space import LatentSpace

@@ -22,14 +22,14 @@ from benchmarks.command import arguments_parser, print_json
 from eval.metrics.physical import ground_height, slide_speed
 from eval.sets.real import RealMotion, real_motion
 from motionkit.core.motion import Motion
-from motionkit.export.player.page import write_page
-from motionkit.export.player.takes import take_of
+from motionkit.edit.plant.report import measure_change
 from motionkit.fields.contact.planted import PlantedField
 from motionkit.fields.motion_field import to_motion
 from motionkit.generate.models import GenerationRequest, SamplingOptions
 from motionkit.generate.samples import motion_name, standing
-from motionkit.plant.report import measure_change
 from motionkit.store import Store
+from motionkit.viz.player.page import write_page
+from motionkit.viz.player.takes import take_of
 from nerm.model import load
 
 FPS = Fraction(60)

@@ -14,8 +14,8 @@ from pathlib import Path
 import torch
 
 from benchmarks.command import arguments_parser, print_json
-from motionkit.clips.poses import WindowPoses
 from motionkit.core.skeleton import SMPL22
+from motionkit.data.poses import WindowPoses
 from motionkit.store.cache.positions import open_cache
 from motionkit.store.reader import Store
 from motionkit.training.config import Precision, apply_overrides

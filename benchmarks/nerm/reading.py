@@ -16,9 +16,9 @@ import numpy as np
 import torch
 
 from benchmarks.command import arguments_parser, print_json
-from motionkit.clips.poses import WindowPoses
-from motionkit.clips.windows import PositionSource, Windows
 from motionkit.core.skeleton import SMPL22
+from motionkit.data.poses import WindowPoses
+from motionkit.data.windows import PositionSource, Windows
 from motionkit.store import Store
 from motionkit.store.cache.positions import PositionCache, open_cache
 from nerm.field.training import training_windows

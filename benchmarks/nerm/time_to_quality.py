@@ -21,9 +21,9 @@ import torch
 from benchmarks.command import arguments_parser
 from eval.metrics.reconstruction import mpjpe_root_aligned
 from eval.report.results import provenance
-from motionkit.clips.poses import WindowPoses
-from motionkit.clips.reconstruction import comparable, reconstructions, separate_windows
 from motionkit.core.skeleton import SMPL22
+from motionkit.data.poses import WindowPoses
+from motionkit.data.reconstruction import comparable, reconstructions, separate_windows
 from motionkit.store.cache.positions import open_cache
 from motionkit.store.reader import Store
 from motionkit.training.config import apply_overrides

@@ -23,12 +23,12 @@ from benchmarks.command import arguments_parser, print_table_and_json
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.timegrid import TimeGrid
+from motionkit.features.quality import measure
 from motionkit.fields.interpolation.interpolators import interpolate
 from motionkit.fields.motion_field import to_motion
-from motionkit.formats.scan.items import ReadOptions
-from motionkit.formats.scan.reading import read
-from motionkit.formats.scan.scanner import scan
-from motionkit.quality import measure
+from motionkit.io.scan.items import ReadOptions
+from motionkit.io.scan.reading import read
+from motionkit.io.scan.scanner import scan
 
 # Captured → stated fps: factors 2, 3, 4, 5, 6, then others, pulldown from film last.
 PAIRS = (

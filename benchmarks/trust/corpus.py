@@ -18,7 +18,7 @@ COLUMNS = ("file", "fps", "action", "subject", "caption", "split")
 def write_takes(folder: str, first: str, count: str, seconds: str) -> None:
     """Write takes FIRST … FIRST + COUNT − 1 of so many seconds as BVH files, with a table of captions and splits."""
     from motionkit.fields.motion_field import to_motion
-    from motionkit.formats.bvh.writing import write_bvh
+    from motionkit.io.bvh.writing import write_bvh
     from motionkit.synthetic import make_body, perform
 
     path, body = Path(folder), make_body("drill")

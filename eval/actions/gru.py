@@ -21,7 +21,7 @@ from eval.sets.sets import SampleSet
 from eval.text_motion.guo.networks import weights_digest
 from motionkit.core.errors import MotionkitError
 from motionkit.core.skeleton import SMPL22
-from motionkit.formats import humanact12
+from motionkit.io import humanact12
 from motionkit.training.tensors import fill_checked, foreign_tensors, read_foreign
 
 NUM_SMPL_JOINTS = 24

@@ -21,7 +21,7 @@ from eval.clip_fid.channels import local_poses
 from eval.sets.sets import SampleSet, middle
 from motionkit.core.errors import MotionkitError
 from motionkit.core.skeleton import SMPL22
-from motionkit.formats.smpl.body import SMPL
+from motionkit.io.smpl.body import SMPL
 
 VERSION = "motion-statistics/1"
 MIN_FRAMES = 10

@@ -20,8 +20,8 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.fields.contact.planted import planted
 from motionkit.fields.motion_field import MotionField, to_motion
 from motionkit.fields.resample import resample
-from motionkit.formats.smpl.body import SMPL
 from motionkit.generate.models import GenerationRequest, GenerativeModel, knows_no_conditions, refusal
+from motionkit.io.smpl.body import SMPL
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store

@@ -21,8 +21,8 @@ from eval.text_motion.guo.networks import weights_digest
 from motionkit.core import kinematics
 from motionkit.core.errors import MotionkitError
 from motionkit.core.skeleton import SMPL22
-from motionkit.formats.smpl import uestc
-from motionkit.formats.smpl.body import SMPL
+from motionkit.io.smpl import uestc
+from motionkit.io.smpl.body import SMPL
 from motionkit.training.tensors import CheckpointError, fill_checked, read_foreign
 
 CHANNELS = (64, 64, 64, 64, 128, 128, 128, 256, 256, 256)

@@ -17,8 +17,8 @@ from motionkit.cli.train import train
 from motionkit.core.errors import UsageError
 from motionkit.core.files import remove_folder, require_no_link, temporary_name, write_whole
 from motionkit.core.motion import Motion
-from motionkit.formats.bvh.document import read_bvh
-from motionkit.formats.scan.items import ReadOptions
+from motionkit.io.bvh.document import read_bvh
+from motionkit.io.scan.items import ReadOptions
 from motionkit.store.reader import Store
 from motionkit.synthetic.demo_corpus import write_demo_corpus
 from motionkit.training.config import flatten

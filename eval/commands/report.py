@@ -94,9 +94,9 @@ def _page(results: "list[Result]", store: Path | None, runs: list[Path]) -> str:
 
 
 def _card(store: Path) -> str:
-    from motionkit.export.corpus_card import corpus_card
     from motionkit.store import Store
     from motionkit.store.reports.summary import summarise
+    from motionkit.viz.corpus_card import corpus_card
 
     return corpus_card(summarise(Store.open(store)))
 
@@ -115,9 +115,9 @@ def _motions(run: Path, store: Path, show: "OnProgress") -> Iterator[tuple[str, 
     from eval.study.systems import of_model, of_real
     from eval.tables.models import trained_models
     from motionkit.core.skeleton import SMPL22
-    from motionkit.export.player.page import page_of
-    from motionkit.export.player.takes import Take
     from motionkit.store import Store
+    from motionkit.viz.player.page import page_of
+    from motionkit.viz.player.takes import Take
 
     held_out = real_motion(Store.open(store), "test")
     real, rates = of_real(held_out), held_out.fps

@@ -11,7 +11,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from eval.sets.partial import PartialResult
-from motionkit.complete.encoders import (
+from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
+from motionkit.core.kinematics import closest_rotations, matrix_to_quaternion
+from motionkit.core.skeleton import Skeleton
+from motionkit.edit.complete.encoders import (
     EncoderLoader,
     Task,
     encoder_loader,
@@ -19,9 +22,6 @@ from motionkit.complete.encoders import (
     runs_with,
     trained_encoder_names,
 )
-from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
-from motionkit.core.kinematics import closest_rotations, matrix_to_quaternion
-from motionkit.core.skeleton import Skeleton
 from motionkit.features.rotation_rows import two_columns
 from motionkit.fields.interpolation.curves import CurveKind, curve
 from motionkit.fields.interpolation.interpolators import INTERPOLATORS

@@ -9,14 +9,14 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
 from eval.sets.real import of_split_and
-from motionkit.clips.temporal.corpus import open_takes
-from motionkit.clips.temporal.settings import TemporalSettings
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.kinematics import closest_rotations, matrix_to_quaternion
 from motionkit.core.skeleton import SMPL22
+from motionkit.data.takes import open_takes
 from motionkit.fields.motion_field import Observation, Poses
 from motionkit.store.cache.positions import open_cache
 from motionkit.store.cache.row_file import RowFile
+from pahires.temporal.settings import TemporalSettings
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store

@@ -14,7 +14,7 @@ from motionkit.core import kinematics
 from motionkit.core.moments import Moments, stream
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.features import rotation_rows
-from motionkit.formats.bvh import lafan1
+from motionkit.io.bvh import lafan1
 from motionkit.store.sql import conjunction
 
 if TYPE_CHECKING:

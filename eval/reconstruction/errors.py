@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from eval.report.results import Cell
 
 if TYPE_CHECKING:
-    from motionkit.clips.reconstruction import Reconstruction
+    from motionkit.data.reconstruction import Reconstruction
 
 GLOBAL = "global MPJPE, mm"
 DISTANCE = "L2 norm of the whole vector"

@@ -16,9 +16,9 @@ import numpy as np
 from motionkit.core.errors import FormatError
 from motionkit.core.framerate import parse_fps
 from motionkit.core.plain_text import shown
-from motionkit.formats.arrays import npy, npz_archive
-from motionkit.formats.arrays.pickled_data import is_pickled, read_pickled_dict
-from motionkit.formats.source import source_file
+from motionkit.io.arrays import npy, npz_archive
+from motionkit.io.arrays.pickled_data import is_pickled, read_pickled_dict
+from motionkit.io.source import source_file
 
 JOINTS = frozenset({21, 22, 24, 52})
 WIDTHS = frozenset({251, 263})

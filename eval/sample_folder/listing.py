@@ -8,14 +8,14 @@ from pathlib import Path
 from eval.sample_folder.folder import SampleFolderError
 from eval.sample_folder.manifest import MANIFEST, Manifest, read_manifest
 from motionkit.core.errors import FormatError
-from motionkit.formats.catalogue import readers
-from motionkit.formats.scan import annotations
-from motionkit.formats.scan.annotations import Annotation
-from motionkit.formats.scan.folders import walk
-from motionkit.formats.scan.globs import parse_glob
-from motionkit.formats.scan.items import SourceItem
-from motionkit.formats.scan.scanner import scan
 from motionkit.generate.folder import damaged_motions
+from motionkit.io.catalogue import readers
+from motionkit.io.scan import annotations
+from motionkit.io.scan.annotations import Annotation
+from motionkit.io.scan.folders import walk
+from motionkit.io.scan.globs import parse_glob
+from motionkit.io.scan.items import SourceItem
+from motionkit.io.scan.scanner import scan
 
 ARRAY_SUFFIXES = (".npy", ".npz")
 STATISTICS_NAMES = frozenset({"mean", "std"})

@@ -12,9 +12,9 @@ from typing import Any
 from motionkit.core.errors import FormatError, describe
 from motionkit.core.framerate import parse_fps
 from motionkit.core.plain_text import parse_toml, shown
-from motionkit.formats.scan.globs import parse_glob
-from motionkit.formats.source import source_file
-from motionkit.formats.up import GIVEN_AXES
+from motionkit.io.scan.globs import parse_glob
+from motionkit.io.source import source_file
+from motionkit.io.up import GIVEN_AXES
 
 ANY = "any"
 # Fields are non-greedy; numeric ones are greedy.

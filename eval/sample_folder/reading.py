@@ -23,12 +23,12 @@ from motionkit.core.skeleton import KIT21, SMPL22
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.core.timegrid import TimeGrid
 from motionkit.features.statistics import Statistics
-from motionkit.formats import texts
-from motionkit.formats.arrays import joints_npy
-from motionkit.formats.arrays.npy import MAX_NUMBER
-from motionkit.formats.scan.annotations import Annotation
-from motionkit.formats.scan.items import ReadOptions, SourceItem
-from motionkit.formats.scan.reading import read
+from motionkit.io import texts
+from motionkit.io.arrays import joints_npy
+from motionkit.io.arrays.npy import MAX_NUMBER
+from motionkit.io.scan.annotations import Annotation
+from motionkit.io.scan.items import ReadOptions, SourceItem
+from motionkit.io.scan.reading import read
 
 MOST_SIDECAR_BYTES = 1 << 16
 LOOKED_AT_FILES = 64

@@ -17,9 +17,9 @@ from eval.sample_folder.manifest import MANIFEST, NORMALISED, RAW, Manifest
 from motionkit.core.errors import FormatError
 from motionkit.features.layout import layout_of
 from motionkit.features.statistics import Statistics
-from motionkit.formats import humanml3d
-from motionkit.formats.arrays import npy
-from motionkit.formats.source import source_file
+from motionkit.io import humanml3d
+from motionkit.io.arrays import npy
+from motionkit.io.source import source_file
 
 JOINTS_BY_WIDTH = {12 * layout.skeleton.num_joints - 1: layout for layout in humanml3d.LAYOUTS.values()}
 # Smaller variations of the root's velocity (metres per frame) are not used for the check.

@@ -19,8 +19,8 @@ from motionkit.core.files import write_whole
 from motionkit.core.framerate import format_fps
 from motionkit.core.progress import OnProgress, task
 from motionkit.core.skeleton import SMPL22
-from motionkit.export.player.page import MOST_PAGE_BYTES, data_of, player
-from motionkit.export.player.takes import Take
+from motionkit.viz.player.page import MOST_PAGE_BYTES, data_of, player
+from motionkit.viz.player.takes import Take
 
 KEY_FORMAT, ANSWERS_FORMAT = "motionkit-study-key/1", "motionkit-study-answers/1"
 

@@ -11,14 +11,14 @@ from eval.sets.partial import PartialResult, collect
 from eval.sets.planted import DETAILED, PLANTED, detailed_fields, planted_fields
 from eval.sets.sets import SampleSet
 from eval.tables.registry import TableRequest
-from motionkit.clips.detail.stage import has_detail, load_detail
-from motionkit.clips.reconstruction import ReconstructsWindows
-from motionkit.complete.encoders import installed_encoders
 from motionkit.core.checksums import sha256_of
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.core.progress import task, tracked
+from motionkit.data.reconstruction import ReconstructsWindows
+from motionkit.edit.complete.encoders import installed_encoders
 from motionkit.fields.motion_field import MotionEncoder, MotionField
 from motionkit.generate.models import GenerativeModel, installed_models, knows_no_conditions
+from motionkit.training.detail.stage import has_detail, load_detail
 from motionkit.training.loaders import Loader
 from motionkit.training.run import RunError, RunFolder
 

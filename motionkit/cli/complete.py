@@ -89,7 +89,7 @@ def complete(
 
     Example: motionkit complete takes/walk.bvh --fps 120 --model cubic
     """
-    from motionkit.complete.request import CompletionRequest, Reach, parse_extend, parse_keep
+    from motionkit.edit.complete.request import CompletionRequest, Reach, parse_extend, parse_keep
 
     before, after = parse_extend(extend) if extend else (Reach(0.0), Reach(0.0))
     request = CompletionRequest(
@@ -99,9 +99,9 @@ def complete(
         after=after,
         plant=plant,
     )
-    from motionkit.complete.clips import find_clips
-    from motionkit.complete.encoders import choose_encoder
-    from motionkit.complete.job import Job, OutputPath
+    from motionkit.edit.complete.clips import find_clips
+    from motionkit.edit.complete.encoders import choose_encoder
+    from motionkit.edit.complete.job import Job, OutputPath
 
     options = read_options(parse_rate(source_fps, "--source-fps"), skeleton_map)
     sources, problems = find_clips(clips, options, store or default_path("store"))

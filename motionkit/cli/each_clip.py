@@ -11,9 +11,9 @@ from motionkit.core.errors import FormatError, MotionkitError, describe
 from motionkit.core.progress import task, tracked
 
 if TYPE_CHECKING:
-    from motionkit.complete.clips import ClipSource, Progress
-    from motionkit.complete.job import CompletedClip
-    from motionkit.plant.job import PlantedClip
+    from motionkit.edit.complete.clips import ClipSource, Progress
+    from motionkit.edit.complete.job import CompletedClip
+    from motionkit.edit.plant.job import PlantedClip
 
 
 def write_each(

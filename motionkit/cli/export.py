@@ -12,8 +12,8 @@ from motionkit.core.progress import task
 from motionkit.core.settings import default_path
 
 if TYPE_CHECKING:
-    from motionkit.export.run import Export, ExportReport
-    from motionkit.export.selection import Outcome
+    from motionkit.edit.export.run import Export, ExportReport
+    from motionkit.edit.export.selection import Outcome
 
 MEGABYTE = 1e6
 FORMATS = "bvh, amass, joints-npy, npz, csv, robot-csv, gltf, humanml3d, kit, parquet"
@@ -50,8 +50,8 @@ def export(
 
     Example: motionkit export out --format npz --where "split = 'test'"
     """
-    from motionkit.export.run import export as export_selection
-    from motionkit.export.selection import Selection
+    from motionkit.edit.export.run import export as export_selection
+    from motionkit.edit.export.selection import Selection
     from motionkit.store import Store
 
     rate = parse_rate(fps)
@@ -71,7 +71,7 @@ def export(
 
 
 def _kind(format: str | None) -> "Export":
-    from motionkit.export.run import export_kinds
+    from motionkit.edit.export.run import export_kinds
 
     kinds = export_kinds()
     if (format or "bvh") not in kinds:
@@ -80,8 +80,8 @@ def _kind(format: str | None) -> "Export":
 
 
 def _character(path: Path, format: str | None, plant: bool, skeleton_maps: list[Path] | None) -> "Export":
-    from motionkit.export.run import character_kind
-    from motionkit.formats.characters.character import read_character
+    from motionkit.edit.export.run import character_kind
+    from motionkit.io.characters.character import read_character
 
     character = read_character(path, read_options(None, skeleton_maps))
     if format not in (None, {".glb": "gltf"}.get(character.suffix, character.suffix[1:])):
@@ -97,7 +97,7 @@ def _print_left_out(left_out: "tuple[Outcome, ...]") -> None:
 
 
 def _print_missing(report: "ExportReport", store: Path) -> None:
-    from motionkit.export.pose_folder import MISSING
+    from motionkit.edit.export.pose_folder import MISSING
 
     for what, sequence_ids in report.missing.items():
         named = ", ".join(sequence_ids[:SHOWN_MISSING]) + (", …" if len(sequence_ids) > SHOWN_MISSING else "")

@@ -121,10 +121,10 @@ def generate(
     held = wanted_constraints(table, join, wanted, pose, joint, joints=pose_joints, placed=pose_placed)
     request = MotionsRequest(tuple(wanted), count, instants, rate, join, overlap, held)
 
-    from motionkit.clips.detail.stage import load_detail
     from motionkit.generate.folder import open_folder
     from motionkit.generate.job import Job
     from motionkit.generate.models import SamplingOptions, load_model, model_of
+    from motionkit.training.detail.stage import load_detail
 
     place = (runs or default_path("runs")) / run
     loaded = load_model(model or model_of(place), place)

@@ -110,7 +110,7 @@ def info(
     summary = summarise(opened)
     if html is not None:
         from motionkit.core.files import write_whole
-        from motionkit.export.corpus_card import corpus_page
+        from motionkit.viz.corpus_card import corpus_page
 
         write_whole(html, corpus_page(summary))
         stdout.print(str(html))

@@ -110,7 +110,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print the summary as JSON.
 
 
 if TYPE_CHECKING:
-    from motionkit.formats.scan.items import IndexOptions
+    from motionkit.io.scan.items import IndexOptions
     from motionkit.store.ingest.ingest import DatasetCount, IngestReport, Listener
 
 # Ignored files to show.
@@ -147,15 +147,15 @@ def ingest(
 
     Example: motionkit ingest takes
     """
-    from motionkit.engines import LOCAL
+    from motionkit.store.engines import LOCAL
     from motionkit.store.ingest import PRELOADED
 
     if engine == LOCAL and workers is not None and workers > 1:
-        from motionkit.engines.process_engine import start_server
+        from motionkit.store.engines.process_engine import start_server
 
         start_server(PRELOADED)
 
-    from motionkit.formats.scan.framerate_rules import read_rules
+    from motionkit.io.scan.framerate_rules import read_rules
     from motionkit.store.ingest.ingest import ingest as ingest_sources
 
     options = replace(
@@ -183,7 +183,7 @@ def ingest(
 @contextmanager
 def _fetched(sources: Sequence[str], show: OnProgress) -> Iterator[list[Path]]:
     """Local paths unchanged; a repository as a temporary folder of its files, with its name."""
-    from motionkit.hub.repository import as_folder, is_address, look_up, parse_address
+    from motionkit.store.hub.repository import as_folder, is_address, look_up, parse_address
 
     with ExitStack() as stack:
         yield [
@@ -233,7 +233,7 @@ def _index_options(
     captions: Path | None,
     skip_frames: int,
 ) -> "IndexOptions | None":
-    from motionkit.formats.scan.items import IndexOptions
+    from motionkit.io.scan.items import IndexOptions
 
     if not index:
         given = {"--texts": texts, "--splits": splits, "--mirrored": mirrored, "--compat": compat}

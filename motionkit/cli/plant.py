@@ -37,7 +37,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print what was written, an
 
 
 if TYPE_CHECKING:
-    from motionkit.plant.job import PlantedClip
+    from motionkit.edit.plant.job import PlantedClip
 
 
 def plant(
@@ -59,10 +59,10 @@ def plant(
 
     Example: motionkit plant takes/walk.bvh --page
     """
-    from motionkit.complete.clips import clip_of_motion, find_clips
-    from motionkit.complete.job import OutputPath
-    from motionkit.formats.scan.derived import PLANTED
-    from motionkit.plant.job import Job
+    from motionkit.edit.complete.clips import clip_of_motion, find_clips
+    from motionkit.edit.complete.job import OutputPath
+    from motionkit.edit.plant.job import Job
+    from motionkit.io.scan.derived import PLANTED
     from motionkit.store.named_motions.reading import find_stored
 
     place = store or default_path("store")

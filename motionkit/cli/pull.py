@@ -30,8 +30,8 @@ def pull(
 
     Example: motionkit pull hf://datasets/me/walks --store walks
     """
-    from motionkit.hub.repository import DATASET, parse_address
     from motionkit.publish.downloads import pull_run, pull_store
+    from motionkit.store.hub.repository import DATASET, parse_address
 
     repository = parse_address(address)
     found: dict[str, Any]

@@ -11,8 +11,8 @@ from motionkit.core.settings import default_path
 
 if TYPE_CHECKING:
     from motionkit.core.progress import OnProgress
-    from motionkit.hub.repository import Repository
     from motionkit.publish.uploads import Upload
+    from motionkit.store.hub.repository import Repository
 
 MEGABYTE = 1e6
 
@@ -36,8 +36,8 @@ def push(
 
     Example: motionkit push hf://datasets/me/walks --dry-run
     """
-    from motionkit.hub.repository import parse_address
-    from motionkit.hub.repository import push as push_files
+    from motionkit.store.hub.repository import parse_address
+    from motionkit.store.hub.repository import push as push_files
 
     repository = parse_address(address)
     if repository.folder:
@@ -61,8 +61,8 @@ def push(
 def _upload(
     repository: "Repository", store: Path | None, runs: Path | None, run: str | None, show: "OnProgress"
 ) -> "Upload":
-    from motionkit.hub.repository import DATASET
     from motionkit.publish.uploads import run_upload, store_upload
+    from motionkit.store.hub.repository import DATASET
     from motionkit.training.run import RunFolder
 
     if repository.kind == DATASET:

@@ -12,11 +12,11 @@ from motionkit.cli.options import Up, parse_rate, read_options
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.progress import task
 from motionkit.core.settings import default_path
-from motionkit.view import MOST_MOTIONS
+from motionkit.viz.view import MOST_MOTIONS
 
 if TYPE_CHECKING:
-    from motionkit.export.player.takes import Take
-    from motionkit.view.job import Viewed, ViewSource
+    from motionkit.viz.player.takes import Take
+    from motionkit.viz.view.job import Viewed, ViewSource
 
 Clips = Annotated[
     list[str] | None, typer.Argument(help="Files, folders, or ids of stored sequences.", show_default=False)
@@ -94,8 +94,8 @@ def view(
     The page is one self-contained file; --format mp4, gif, png or rrd makes films, strips, Rerun's files.
 
     Example: motionkit view takes/walk.bvh takes/jump.bvh"""
-    from motionkit.view.constraints import constraint_drawing
-    from motionkit.view.job import Stretch, find_sources, read_takes, stored_where, write_view
+    from motionkit.viz.view.constraints import constraint_drawing
+    from motionkit.viz.view.job import Stretch, find_sources, read_takes, stored_where, write_view
 
     stretch = Stretch(from_seconds, to_seconds)
     film, read_as = _film_asked(format, out, speed)
@@ -146,7 +146,7 @@ def _film_asked(format: str, out: Path | None, speed: float | None) -> tuple[str
 
 
 def _place(out: Path | None, sources: "Sequence[ViewSource]", film: str, overwrite: bool) -> Path:
-    from motionkit.view.job import SUFFIX, page_path
+    from motionkit.viz.view.job import SUFFIX, page_path
 
     page = page_path(out, sources, film or SUFFIX) if sources else Path()
     if sources and page.exists() and not overwrite:
@@ -155,9 +155,9 @@ def _place(out: Path | None, sources: "Sequence[ViewSource]", film: str, overwri
 
 
 def _write_film(path: Path, takes: "list[Take]", speed: float) -> "Viewed":
-    from motionkit.export.film import num_pictures, write_film
-    from motionkit.export.recording import write_recording
-    from motionkit.view.job import Viewed
+    from motionkit.viz.film import num_pictures, write_film
+    from motionkit.viz.recording import write_recording
+    from motionkit.viz.view.job import Viewed
 
     if path.suffix.lower() == ".rrd":
         write_recording(path, takes)

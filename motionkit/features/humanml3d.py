@@ -15,7 +15,7 @@ from jaxtyping import Float, Float32, Float64
 from motionkit.features.bones import BoneTree, bone_tree, rotations_6d
 from motionkit.features.layout import PoseLayout, facing_direction, pose_layout, smooth, to_z_half_angle
 from motionkit.features.native import fill_joint_velocities, fill_positions, turn
-from motionkit.formats.humanml3d import recover_positions
+from motionkit.io.humanml3d import recover_positions
 
 CONVENTION = "humanml3d"
 SMOOTHING_FRAMES = 20.0

@@ -8,7 +8,7 @@ from jaxtyping import Float, Float64
 
 from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
-from motionkit.formats.humanml3d import vector_blocks
+from motionkit.io.humanml3d import vector_blocks
 
 
 @dataclass(frozen=True)

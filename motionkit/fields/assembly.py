@@ -29,7 +29,7 @@ class Piece:
     """A field within a longer motion: its start time, and its frame of reference in the world.
 
     `yaw` turns its poses about +Y (radians, Z+ towards X+), `origin` (x, z in metres) then moves them; both are those
-    of `motionkit.clips.windows.Windows`.
+    of `motionkit.data.windows.Windows`.
     """
 
     field: MotionField

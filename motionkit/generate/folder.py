@@ -21,12 +21,12 @@ from motionkit.core.files import LOCK, locked_folder, naming, temporary_name, wr
 from motionkit.core.framerate import format_fps
 from motionkit.core.plain_text import whole_number
 from motionkit.core.progress import warn
-from motionkit.export.files import TABLE, captions_json
+from motionkit.edit.export.files import TABLE, captions_json
 from motionkit.generate.files import OutputFormat, output_formats
 from motionkit.generate.models import GenerationRequest
 from motionkit.generate.samples import GeneratedSample, motion_name
 
-# As motionkit.formats.scan.annotations reads them; seconds and num_frames are informative.
+# As motionkit.io.scan.annotations reads them; seconds and num_frames are informative.
 COLUMNS = ("file", "captions", "action", "fps", "seconds", "num_frames")
 MEND = "delete it, and motionkit generate --resume makes all motions again"
 FILES_CHECKSUM, ROW_CHECKSUM = "files_sha256", "checksum"

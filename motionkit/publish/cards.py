@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import Any
 
-from motionkit.export.files import render
-from motionkit.export.parquet import NO_LICENCE, card_head
-from motionkit.hub.repository import Repository
+from motionkit.edit.export.files import render
+from motionkit.edit.export.parquet import NO_LICENCE, card_head
+from motionkit.store.hub.repository import Repository
 from motionkit.store.reports.summary import StoreSummary
 from motionkit.training.run import StageFolder
 

@@ -5,9 +5,9 @@ from pathlib import Path
 from motionkit.core.errors import StoreError
 from motionkit.core.files import require_empty, whole_folder
 from motionkit.core.progress import OnProgress, ignore, task
-from motionkit.hub.repository import HubError, Repository, copy_files, fetch, look_up
 from motionkit.publish.uploads import STAGE_FILE
 from motionkit.store.fetched import fetch_store
+from motionkit.store.hub.repository import HubError, Repository, copy_files, fetch, look_up
 from motionkit.store.manifest import Manifest, read_manifest
 from motionkit.store.schema import MANIFEST_FILE
 from motionkit.store.validate import faults

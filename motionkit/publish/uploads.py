@@ -7,8 +7,8 @@ from pathlib import Path
 
 from motionkit.core.errors import StoreError, UsageError
 from motionkit.core.progress import OnProgress, ignore, task
-from motionkit.hub.repository import Repository
 from motionkit.publish.cards import run_card, store_card
+from motionkit.store.hub.repository import Repository
 from motionkit.store.manifest import read_committed, read_manifest
 from motionkit.store.reader import Store, not_committed
 from motionkit.store.reports.summary import summarise
@@ -69,4 +69,3 @@ def run_upload(run: RunFolder, repository: Repository) -> Upload:
         f"{stage.path.name}/{path.name}": path for stage in stages for path in stage.result_paths if path.is_file()
     }
     return Upload(files | {CARD: run_card(stages, repository).encode()}, STAGE_FILE)
-

@@ -14,7 +14,7 @@ from motionkit.core.errors import StoreError
 from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.skeleton import Feet, Skeleton
 from motionkit.core.timegrid import TimeGrid
-from motionkit.quality import measure
+from motionkit.features.quality import measure
 from motionkit.store import codec
 from motionkit.store.schema import FLOAT_LIST, RUN_SEGMENTS, SEGMENT_FRAMES, SEGMENTS, rounded
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from motionkit.core.errors import StoreError
 from motionkit.core.progress import OnProgress, ignore
-from motionkit.hub.repository import HubError, Repository, fetch, look_up
+from motionkit.store.hub.repository import HubError, Repository, fetch, look_up
 from motionkit.store.manifest import read_manifest
 from motionkit.store.schema import MANIFEST_FILE
 

@@ -15,10 +15,10 @@ from jaxtyping import Int, Int64
 from motionkit.core.errors import StoreError, UsageError
 from motionkit.core.motion import Motion
 from motionkit.core.progress import OnProgress, ignore
-from motionkit.hub.repository import is_address, parse_address
 from motionkit.store import codec
 from motionkit.store.codec import EncodedMotion
 from motionkit.store.fetched import fetch_store
+from motionkit.store.hub.repository import is_address, parse_address
 from motionkit.store.manifest import Manifest, read_committed, read_manifest
 from motionkit.store.parts import SegmentReader, check_still_there
 from motionkit.store.schema import (

@@ -15,8 +15,8 @@ import numpy as np
 
 from motionkit.features import humanml3d
 from motionkit.fields.motion_field import to_motion
-from motionkit.formats.bvh.writing import write_bvh
-from motionkit.formats.humanml3d import HUMANML3D, Entry, write_humanml3d
+from motionkit.io.bvh.writing import write_bvh
+from motionkit.io.humanml3d import HUMANML3D, Entry, write_humanml3d
 from motionkit.synthetic import ACTIONS, Body, SyntheticMotion, draw_body, perform
 from motionkit.synthetic.curves import band_noise
 from motionkit.synthetic.script import SIDES, Layer

@@ -9,15 +9,15 @@ import torch
 from jaxtyping import Float32, Int64
 from torch import Tensor
 
-from motionkit.clips.captions import actions_of_windows, captions_of_windows
-from motionkit.clips.paraphrases import with_paraphrases
-from motionkit.clips.windows import Windows
+from motionkit.data.captions import actions_of_windows, captions_of_windows
+from motionkit.data.windows import Windows
 from motionkit.store.cache.folder import cache_root
 from motionkit.store.reader import Store
 from motionkit.training.text import TextEncoder, embed_texts
 from nerm.conditions import NO_ACTION, ConditionLayout, Conditions, unit_rows
 from nerm.latents.local import LocalLatents
 from nerm.latents.posterior import first_read
+from nerm.text.paraphrases import with_paraphrases
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,10 +12,10 @@ import torch
 from jaxtyping import Float, Float32, Int64
 from torch import Tensor, nn
 
-from motionkit.clips.windows import Windows, rows_by_duration, shuffled_batches
 from motionkit.core.progress import OnProgress, task
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import normalise_seconds
+from motionkit.data.windows import Windows, rows_by_duration, shuffled_batches
 from motionkit.fields.contact.detection import find_contacts, ground_of
 from motionkit.fields.contact.legs import legs_of
 from motionkit.store.cache.positions import PositionCache

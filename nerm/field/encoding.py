@@ -7,7 +7,7 @@ or from zero. Numbers are scaled by their effect on the poses, which differs wid
 import torch
 from jaxtyping import Float, Float32, Float64
 
-from motionkit.clips.poses import PoseBatch
+from motionkit.data.poses import PoseBatch
 from nerm.field.network import EncodedCoordinates
 from nerm.field.trained import TrainedField
 

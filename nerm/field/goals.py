@@ -13,9 +13,9 @@ import torch
 from jaxtyping import Float, Float32, Float64
 from torch import Tensor
 
-from motionkit.clips.pose_vectors.joints import joints_of
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import SkeletonMapError
+from motionkit.data.pose_vectors.joints import joints_of
 from motionkit.features.layout import SMPL22_LAYOUT
 from motionkit.fields.contact.detection import find_contacts, ground_of
 from motionkit.fields.contact.legs import Legs, legs_of

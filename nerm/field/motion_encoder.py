@@ -11,11 +11,11 @@ import numpy as np
 import torch
 from jaxtyping import Float32, Float64, Int, Int64
 
-from motionkit.clips.poses import FrameVectors, PoseBatch, WindowPoses
-from motionkit.clips.reconstruction import ModelWindows
-from motionkit.clips.windows import PositionSource, Windows, cut_windows
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import normalise_seconds
+from motionkit.data.poses import FrameVectors, PoseBatch, WindowPoses
+from motionkit.data.reconstruction import ModelWindows
+from motionkit.data.windows import PositionSource, Windows, cut_windows
 from motionkit.features import field
 from motionkit.fields.assembly import AssembledField, Piece, assemble, even_starts
 from motionkit.fields.motion_field import MotionField, Observation, Observed

@@ -11,12 +11,12 @@ import numpy as np
 import torch
 from jaxtyping import Float, Float32, Float64
 
-from motionkit.clips.pose_vectors.convention import PoseVectors, VectorScaling, described, restored
-from motionkit.clips.pose_vectors.field import FIELD_VECTORS
-from motionkit.clips.pose_vectors.joints import has_joints
-from motionkit.clips.windows import Windows
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import normalise_seconds
+from motionkit.data.pose_vectors.convention import PoseVectors, VectorScaling, described, restored
+from motionkit.data.pose_vectors.field import FIELD_VECTORS
+from motionkit.data.pose_vectors.joints import has_joints
+from motionkit.data.windows import Windows
 from motionkit.fields.contact.planted import GRID_FPS
 from motionkit.fields.motion_field import Poses, check_times
 from motionkit.training.config import from_plain, to_plain

@@ -8,12 +8,12 @@ import numpy as np
 import torch
 from jaxtyping import Float, Float32, Float64, Int64
 
-from motionkit.clips.pose_vectors.convention import PoseVectors, VectorScaling, measure_scaling
-from motionkit.clips.pose_vectors.field import FIELD_VECTORS
-from motionkit.clips.poses import PoseBatch, WindowPoses
-from motionkit.clips.windows import PositionSource, Windows, cut_windows, rows_by_duration, shuffled_batches
 from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import SMPL22
+from motionkit.data.pose_vectors.convention import PoseVectors, VectorScaling, measure_scaling
+from motionkit.data.pose_vectors.field import FIELD_VECTORS
+from motionkit.data.poses import PoseBatch, WindowPoses
+from motionkit.data.windows import PositionSource, Windows, cut_windows, rows_by_duration, shuffled_batches
 from motionkit.training.precision import autocast, compile_each
 from motionkit.training.ranks import ALONE, DealtRows, Ranks
 from motionkit.training.schedule import scale_rates, seeded_initialisation, step_generator

@@ -10,9 +10,9 @@ import numpy as np
 import torch
 from jaxtyping import Float, Float32, Float64, Int64
 
-from motionkit.clips.pose_vectors.convention import ROOT_PATH, VectorScaling
-from motionkit.clips.poses import PoseBatch, WindowPoses
-from motionkit.clips.windows import chunks
+from motionkit.data.pose_vectors.convention import ROOT_PATH, VectorScaling
+from motionkit.data.poses import PoseBatch, WindowPoses
+from motionkit.data.windows import chunks
 from nerm.latents.knots import measured_heading, relative_to, ridge_knots
 from nerm.latents.local import LocalLatents
 

@@ -6,10 +6,10 @@ import time
 import torch
 from jaxtyping import Float32
 
-from motionkit.clips.pose_vectors.convention import PoseVectors, training_vectors
-from motionkit.clips.poses import FrameVectors, WindowPoses
 from motionkit.core.progress import warn
 from motionkit.core.skeleton import SMPL22
+from motionkit.data.pose_vectors.convention import PoseVectors, training_vectors
+from motionkit.data.poses import FrameVectors, WindowPoses
 from motionkit.store.cache.positions import PositionCache
 from motionkit.store.reader import Store
 from motionkit.training.loop import train_loop

@@ -8,8 +8,8 @@ import torch
 from jaxtyping import Bool, Float, Float32, Int64
 from torch import Tensor, nn
 
-from motionkit.clips.pose_vectors.convention import PoseVectors, VectorScaling
 from motionkit.core.errors import UsageError
+from motionkit.data.pose_vectors.convention import PoseVectors, VectorScaling
 from motionkit.features.layout import vector_layout
 
 NO_ACTION = -1

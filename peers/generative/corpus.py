@@ -7,17 +7,17 @@ import torch
 from jaxtyping import Float32, Int64
 from torch import Tensor
 
-from motionkit.clips.captions import actions_of_windows, captions_of_windows
-from motionkit.clips.pose_vectors.convention import (
+from motionkit.core.errors import UsageError
+from motionkit.core.skeleton import SMPL22
+from motionkit.data.captions import actions_of_windows, captions_of_windows
+from motionkit.data.pose_vectors.convention import (
     PoseVectors,
     VectorScaling,
     measure_scaling,
     training_vectors,
 )
-from motionkit.clips.poses import WindowPoses
-from motionkit.clips.windows import Windows, cut_windows
-from motionkit.core.errors import UsageError
-from motionkit.core.skeleton import SMPL22
+from motionkit.data.poses import WindowPoses
+from motionkit.data.windows import Windows, cut_windows
 from motionkit.store.cache.folder import cache_root
 from motionkit.store.reader import Store
 from motionkit.training.text import TextEncoder, embed_texts, load_text_encoder

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float, Float64
 from torch import Tensor, nn
 
-from motionkit.clips.pose_vectors.convention import VectorScaling, described, restored
+from motionkit.data.pose_vectors.convention import VectorScaling, described, restored
 from motionkit.training.config import Schedule, from_plain, to_plain
 from motionkit.training.diffusion.settings import DiffusionConfig
 from motionkit.training.loop import train_loop

@@ -14,9 +14,9 @@ from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.features import humanml3d
-from motionkit.formats import parquet
-from motionkit.formats.deepmimic import humanoid3d
-from motionkit.formats.humanml3d import Entry, write_humanml3d
+from motionkit.io import parquet
+from motionkit.io.deepmimic import humanoid3d
+from motionkit.io.humanml3d import Entry, write_humanml3d
 from tests.helpers.amass_samples import smplh_fields, write_amass
 from tests.helpers.format_samples import bvh_text, lafan1_text, write_asfamc
 from tests.helpers.vector_samples import interhuman_rows, motionstreamer_rows, walk

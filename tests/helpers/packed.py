@@ -4,7 +4,7 @@ import base64
 
 import numpy as np
 
-from motionkit.export.player.takes import Packed
+from motionkit.viz.player.takes import Packed
 
 
 def unpack(packed: Packed) -> np.ndarray:

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import torch
 
-from motionkit.clips.temporal.base_curves import located, seconds_beyond
-from motionkit.clips.temporal.network import ObservedWindow
-from motionkit.clips.temporal.settings import TaskSettings, TemporalSettings
-from motionkit.clips.temporal.training import TrainedNetwork, load_network, train_network
 from motionkit.training.config import apply_overrides
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
+from pahires.temporal.base_curves import located, seconds_beyond
+from pahires.temporal.network import ObservedWindow
+from pahires.temporal.settings import TaskSettings, TemporalSettings
+from pahires.temporal.training import TrainedNetwork, load_network, train_network
 from tests.helpers.tiny import write_store
 
 TASKS = TaskSettings(

@@ -3,7 +3,7 @@
 import numpy as np
 
 from motionkit.fields.motion_field import Poses
-from motionkit.formats.bvh.document import BvhDocument
+from motionkit.io.bvh.document import BvhDocument
 
 
 def lines_of(document: BvhDocument) -> list[bytes]:

@@ -13,20 +13,20 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from motionkit.complete import job
 from motionkit.core.errors import MotionkitError
 from motionkit.core.motion import Caption, Motion
+from motionkit.edit.complete import job
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import process
 from motionkit.fields.completion import complete
 from motionkit.fields.interpolation.interpolators import INTERPOLATORS
 from motionkit.fields.motion_field import Observation, to_motion
-from motionkit.formats.arrays.joints_npy import read_joints_npy
-from motionkit.formats.arrays.npz import motion_arrays, read_npz, write_npz
-from motionkit.formats.bvh import frame_lines
-from motionkit.formats.bvh.document import read_bvh, read_document
-from motionkit.formats.bvh.writing import write_bvh
-from motionkit.formats.humanml3d import Entry, write_humanml3d
+from motionkit.io.arrays.joints_npy import read_joints_npy
+from motionkit.io.arrays.npz import motion_arrays, read_npz, write_npz
+from motionkit.io.bvh import frame_lines
+from motionkit.io.bvh.document import read_bvh, read_document
+from motionkit.io.bvh.writing import write_bvh
+from motionkit.io.humanml3d import Entry, write_humanml3d
 from motionkit.store import StoreWriter
 from motionkit.synthetic import make_body, perform
 from tests.helpers.bones import bone_lengths

@@ -8,8 +8,8 @@ import pytest
 
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.store import Store
-from tests.motionkit.formats.test_c3d import points as marker_points
-from tests.motionkit.formats.test_c3d import write as write_c3d
+from tests.motionkit.io.test_c3d import points as marker_points
+from tests.motionkit.io.test_c3d import write as write_c3d
 
 
 @pytest.fixture

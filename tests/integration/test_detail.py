@@ -11,11 +11,11 @@ import pytest
 from typer.testing import CliRunner
 
 from motionkit.cli.app import build_app
-from motionkit.clips.detail.stage import has_detail, load_detail
 from motionkit.core.errors import DamagedFileError, UsageError
 from motionkit.fields.resample import resample_positions
 from motionkit.generate.models import GenerationRequest
 from motionkit.store.writer import StoreWriter
+from motionkit.training.detail.stage import has_detail, load_detail
 from motionkit.training.run import RunError
 from tests.helpers.scripted_model import PosesAt, ScriptedModel
 from tests.helpers.synthetic_capture import capture

@@ -16,7 +16,7 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import process
-from motionkit.formats.humanml3d import recover_positions
+from motionkit.io.humanml3d import recover_positions
 from motionkit.store.writer import StoreWriter
 from tests.helpers.published_guo import PLAIN, write_archive, write_glove, write_statistics
 

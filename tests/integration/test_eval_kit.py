@@ -16,8 +16,8 @@ from eval.text_motion.guo.networks import GuoWidths
 from motionkit.core.skeleton import KIT21, SMPL22
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import process, standard_bone_lengths
-from motionkit.formats.humanml3d import KIT
 from motionkit.generate.models import GenerationRequest
+from motionkit.io.humanml3d import KIT
 from tests.helpers.published_guo import write_archive, write_glove
 from tests.helpers.scripted_model import PosesAt, ScriptedModel, install_models, trained_run
 

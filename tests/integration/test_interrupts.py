@@ -93,8 +93,8 @@ def test_the_server_of_workers_never_sees_ctrl_c() -> None:
     # Its process is sent one in each of its first moments, while it loads Python and what it serves.
     code = (
         "import os, signal, time; from multiprocessing import forkserver\n"
-        "from motionkit.engines.process_engine import Processes, start_server\n"
-        "from motionkit.engines.parallel import map_in_order\n"
+        "from motionkit.store.engines.process_engine import Processes, start_server\n"
+        "from motionkit.store.engines.parallel import map_in_order\n"
         "start_server()\n"
         "for _ in range(30):\n"
         "    os.kill(forkserver._forkserver._forkserver_pid, signal.SIGINT); time.sleep(0.02)\n"

@@ -12,7 +12,7 @@ import torch
 import motionkit as mk
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.features import humanml3d
-from motionkit.formats.kimodo import SKELETONS
+from motionkit.io.kimodo import SKELETONS
 from motionkit.synthetic import make_body, perform
 from tests.helpers import vector_samples
 from tests.helpers.every_format import TRC_JOINTS, trc_text

@@ -13,9 +13,9 @@ import pytest
 import motionkit as mk
 from motionkit.core.motion import Motion
 from motionkit.fields.contact.legs import legs_of
-from motionkit.formats.arrays.npz import read_npz, write_npz
-from motionkit.formats.bvh.document import read_bvh
-from motionkit.formats.bvh.writing import write_bvh
+from motionkit.io.arrays.npz import read_npz, write_npz
+from motionkit.io.bvh.document import read_bvh
+from motionkit.io.bvh.writing import write_bvh
 from motionkit.store import Store, StoreWriter
 from tests.helpers.outcome import Outcome
 from tests.helpers.synthetic_capture import capture

@@ -16,13 +16,13 @@ from motionkit.core.motion import Caption, Motion
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import process
 from motionkit.fields.motion_field import to_motion
-from motionkit.formats.arrays.npz import motion_arrays, write_npz
-from motionkit.formats.bvh.document import read_bvh
-from motionkit.formats.bvh.writing import write_bvh
-from motionkit.formats.humanml3d import Entry, write_humanml3d
-from motionkit.formats.scan.items import ReadOptions
-from motionkit.formats.scan.reading import read
-from motionkit.formats.scan.scanner import scan
+from motionkit.io.arrays.npz import motion_arrays, write_npz
+from motionkit.io.bvh.document import read_bvh
+from motionkit.io.bvh.writing import write_bvh
+from motionkit.io.humanml3d import Entry, write_humanml3d
+from motionkit.io.scan.items import ReadOptions
+from motionkit.io.scan.reading import read
+from motionkit.io.scan.scanner import scan
 from motionkit.store import StoreWriter
 from motionkit.synthetic import make_body, perform
 from tests.helpers.every_format import SOURCES

@@ -12,8 +12,8 @@ from motionkit.cli.train import narrowed
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Motion
 from motionkit.core.timegrid import TimeGrid
+from motionkit.features.quality import measure
 from motionkit.fields.motion_field import to_motion
-from motionkit.quality import measure
 from motionkit.store.sql import conjunction
 from motionkit.store.writer import StoreWriter
 from motionkit.synthetic import draw_body, perform

@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from eval.tables.parts import reported_figures
-from motionkit.clips.poses import WindowPoses
 from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import SMPL22
+from motionkit.data.poses import WindowPoses
 from motionkit.training.ablations import Variant, run_name
 from motionkit.training.config import apply_overrides, flatten, parse_override
 from motionkit.training.schedule import step_generator

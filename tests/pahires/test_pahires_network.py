@@ -8,9 +8,6 @@ import numpy as np
 import pytest
 import torch
 
-from motionkit.clips.temporal.encoder import NetworkEncoder
-from motionkit.clips.temporal.network import ObservedWindow, TemporalNetwork
-from motionkit.clips.temporal.settings import AnswerSettings
 from motionkit.fields.motion_field import MotionEncoder
 from motionkit.training.config import apply_overrides
 from motionkit.training.run import RunFolder
@@ -20,6 +17,9 @@ from pahires.loaders import load
 from pahires.model import PaHiRes
 from pahires.recipes import RECIPES, NetworkSettings, PaHiResConfig, nano
 from pahires.stage import STAGE
+from pahires.temporal.encoder import NetworkEncoder
+from pahires.temporal.network import ObservedWindow, TemporalNetwork
+from pahires.temporal.settings import AnswerSettings
 from tests.helpers.small_network import TASKS
 from tests.helpers.tiny import write_store
 
@@ -138,8 +138,8 @@ def test_the_stage_trains_and_its_losses_are_as_they_were(tmp_path: Path, reques
 
 def test_one_motion_is_learnt_better_than_any_interpolation_of_it() -> None:
     """A network that can represent a motion beats the curve that its answers correct, on that motion."""
-    from motionkit.clips.temporal.base_curves import Scaling, interpolated
-    from motionkit.clips.temporal.prediction import Predictor
+    from pahires.temporal.base_curves import Scaling, interpolated
+    from pahires.temporal.prediction import Predictor
 
     times = torch.arange(0, 65, 8) / 30
     queries = torch.arange(65) / 30

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from motionkit.clips.temporal.network import ObservedWindow
+from pahires.temporal.network import ObservedWindow
 from peers.attention import RelativeEncoder, longest_gap
 from peers.delta_interp import DeltaInterp, PositionTable
 from peers.settings import DeltaInterpNetworkConfig, TsFormerNetworkConfig

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor, nn
 
-from motionkit.clips.temporal.network import ObservedWindow
+from pahires.temporal.network import ObservedWindow
 from peers.a_liif import ALiif, Lmf, trained_cell
 from peers.layers import EdsrEncoder, neighbours, unfolded
 from peers.liif import Liif, MetaSr

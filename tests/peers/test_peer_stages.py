@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from motionkit.clips.temporal.settings import TaskSettings, TemporalSettings
-from motionkit.complete.encoders import encoder_loader
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
+from motionkit.edit.complete.encoders import encoder_loader
 from motionkit.fields.completion import inbetween, upsample
 from motionkit.fields.motion_field import Observation
 from motionkit.training.config import apply_overrides, flatten
@@ -23,6 +22,7 @@ from motionkit.training.stage import Stage, StageContext
 from motionkit.training.tensors import CheckpointError, load_tensors
 from pahires.recipes import base as pahires_base
 from pahires.recipes import nano as pahires_nano
+from pahires.temporal.settings import TaskSettings, TemporalSettings
 from peers.recipes import PEERS
 from peers.settings import (
     ALiifNetworkConfig,

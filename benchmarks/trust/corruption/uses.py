@@ -64,8 +64,8 @@ def texts(folder: str) -> None:
 
 def motions(folder: str) -> None:
     """What an ingest would store of a folder of motions."""
-    from motionkit.formats.scan.reading import read
-    from motionkit.formats.scan.scanner import scan
+    from motionkit.io.scan.reading import read
+    from motionkit.io.scan.scanner import scan
 
     found = scan([Path(folder)])
     for problem in found.problems:

@@ -20,9 +20,9 @@ from eval.tables.nerm.run_figures import HELD_OUT, MPJPE, MRE, SYNTHESIS, TRAINI
 from eval.tables.nerm.table2 import ROW_NOTES
 from eval.tables.parts import SOURCES, Part, Reported, printed_rows, reported_figures
 from eval.tables.registry import Table, TableRequest
-from motionkit.complete.encoders import EncoderLoader, encoder_loader
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.progress import OnProgress, task
+from motionkit.edit.complete.encoders import EncoderLoader, encoder_loader
 from motionkit.generate.models import ModelLoader, model_loader
 from motionkit.training.ablations import Ablation, Entry, find_ablations, run_name
 from motionkit.training.loaders import Loader

@@ -15,7 +15,8 @@ from eval.sets.partial import PartialResult
 from eval.tables.models import reconstructor, trained_reconstructors
 from eval.tables.parts import printed_rows, reported_figures
 from eval.tables.registry import Table, TableRequest
-from motionkit.clips.reconstruction import (
+from motionkit.core.errors import UsageError
+from motionkit.data.reconstruction import (
     ModelWindows,
     Reconstruction,
     ReconstructsWindows,
@@ -23,9 +24,8 @@ from motionkit.clips.reconstruction import (
     reconstructions,
     separate_windows,
 )
-from motionkit.clips.windows import PositionSource, Windows
-from motionkit.complete.encoders import installed_encoders
-from motionkit.core.errors import UsageError
+from motionkit.data.windows import PositionSource, Windows
+from motionkit.edit.complete.encoders import installed_encoders
 from motionkit.fields.motion_field import MotionField
 
 if TYPE_CHECKING:

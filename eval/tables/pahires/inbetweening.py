@@ -9,8 +9,8 @@ from eval.report.results import Block, Cell, Result, Row
 from eval.tables.pahires.window_rows import WindowTable, measure_table
 from eval.tables.parts import SOURCES, Reported, reported_figures
 from eval.tables.registry import Table, TableRequest
-from motionkit.complete.encoders import installed_encoders
-from motionkit.formats.bvh import lafan1
+from motionkit.edit.complete.encoders import installed_encoders
+from motionkit.io.bvh import lafan1
 
 _NAMES = {"hold": "zero velocity", "SLERP": "interpolation (SLERP)"}
 _NOTES = {"hold": "the last given pose", "SLERP": "the benchmark's own interpolation: local great arcs, root on a line"}

@@ -15,9 +15,9 @@ from eval.report.results import Block
 from eval.sets.partial import PartialResult, collect
 from eval.tables.pahires.measured import find_scores, keep_scores
 from eval.tables.registry import TableRequest
-from motionkit.complete.encoders import Task
 from motionkit.core.errors import MotionkitError
 from motionkit.core.progress import task
+from motionkit.edit.complete.encoders import Task
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store

@@ -16,9 +16,9 @@ from jaxtyping import Float64
 from motionkit.core.errors import FormatError, MotionkitError
 from motionkit.features.layout import pose_layout
 from motionkit.features.statistics import Statistics, check_statistics
-from motionkit.formats.arrays import npy
-from motionkit.formats.humanml3d import KIT
-from motionkit.formats.source import source_file
+from motionkit.io.arrays import npy
+from motionkit.io.humanml3d import KIT
+from motionkit.io.source import source_file
 
 STATISTICS_NAMES = (("mean.npy", "std.npy"), ("eval_mean.npy", "eval_std.npy"))
 SIGNATURE_TOLERANCE = 0.01

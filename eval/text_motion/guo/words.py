@@ -15,9 +15,9 @@ from jaxtyping import Float64
 from eval.text_motion.guo.kind import GuoError
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Caption
-from motionkit.formats.arrays import npy
-from motionkit.formats.arrays.pickled_data import PickleError, parse_pickle
-from motionkit.formats.source import source_file
+from motionkit.io.arrays import npy
+from motionkit.io.arrays.pickled_data import PickleError, parse_pickle
+from motionkit.io.source import source_file
 
 PREFIX = "our_vab"
 NUM_NUMBERS = 300

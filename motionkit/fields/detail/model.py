@@ -1,4 +1,4 @@
-"""Predicts the power of fast motion per joint and band from the slow motion; fitted by `motionkit.clips.detail`."""
+"""Predicts the power of fast motion per joint and band from the slow motion; fitted by `motionkit.training.detail`."""
 
 from dataclasses import dataclass, fields
 

@@ -13,12 +13,12 @@ from motionkit.core.errors import FormatError, StoreError
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.families import parse_layout_map
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map
-from motionkit.engines import LOCAL, check_engine, make_engine
-from motionkit.engines.parallel import Engine, WorkerDied, map_in_order, usable_cores
-from motionkit.formats.scan.items import ReadOptions, ScanResult, SourceItem, Spare
-from motionkit.formats.scan.scanner import scan
-from motionkit.formats.scan.unread import kinds_of
+from motionkit.io.scan.items import ReadOptions, ScanResult, SourceItem, Spare
+from motionkit.io.scan.scanner import scan
+from motionkit.io.scan.unread import kinds_of
 from motionkit.store.codec import RefusedMotion
+from motionkit.store.engines import LOCAL, check_engine, make_engine
+from motionkit.store.engines.parallel import Engine, WorkerDied, map_in_order, usable_cores
 from motionkit.store.ingest import PRELOADED
 from motionkit.store.ingest.stored import StoredCounts, warnings_of
 from motionkit.store.ingest.stretches import NumberedItem, ReadSequence, ReadStretch, cut, read_stretch

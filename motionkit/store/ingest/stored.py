@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 
 from motionkit.core.errors import FormatError
-from motionkit.formats.scan.cuts import missing_seconds, unlike_stated_seconds
-from motionkit.formats.scan.items import SourceItem
-from motionkit.formats.smpl.body import substituted_body
+from motionkit.io.scan.cuts import missing_seconds, unlike_stated_seconds
+from motionkit.io.scan.items import SourceItem
+from motionkit.io.smpl.body import substituted_body
 from motionkit.store.codec import Row
 
 # Before its second frame a jump may be seen one frame late.

@@ -22,11 +22,11 @@ from motionkit.core.framerate import format_fps, parse_fps
 from motionkit.core.motion import Motion
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import at_origin, facing_forward
-from motionkit.formats.arrays import joints_npy, npy, npz_archive
-from motionkit.formats.humanml3d import LAYOUTS
-from motionkit.formats.scan import reading
-from motionkit.formats.scan.items import ReadOptions, SourceItem
-from motionkit.formats.source import source_file
+from motionkit.io.arrays import joints_npy, npy, npz_archive
+from motionkit.io.humanml3d import LAYOUTS
+from motionkit.io.scan import reading
+from motionkit.io.scan.items import ReadOptions, SourceItem
+from motionkit.io.source import source_file
 
 FRAME_ARRAYS = ("joint_positions", "local_rotations", "root_translation")
 NAN = "nan"

@@ -12,13 +12,13 @@ from motionkit.core.framerate import Framerate, parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.progress import warn
 from motionkit.core.skeletons.families import read_skeleton_map
-from motionkit.formats.arrays import joints_npy, npy
-from motionkit.formats.humanml3d import JOINTS_FOLDER, LAYOUTS, VECTORS_FOLDER
-from motionkit.formats.scan import reading as one_sequence
-from motionkit.formats.scan.folders import dangling
-from motionkit.formats.scan.items import ReadOptions, SourceItem
-from motionkit.formats.scan.scanner import scan, with_tables_above
-from motionkit.formats.up import GIVEN_AXES
+from motionkit.io.arrays import joints_npy, npy
+from motionkit.io.humanml3d import JOINTS_FOLDER, LAYOUTS, VECTORS_FOLDER
+from motionkit.io.scan import reading as one_sequence
+from motionkit.io.scan.folders import dangling
+from motionkit.io.scan.items import ReadOptions, SourceItem
+from motionkit.io.scan.scanner import scan, with_tables_above
+from motionkit.io.up import GIVEN_AXES
 from motionkit.store import Store
 from motionkit.store.schema import MANIFEST_FILE, SEQUENCES_FILE
 

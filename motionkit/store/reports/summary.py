@@ -15,7 +15,7 @@ from motionkit.core.errors import StoreError
 from motionkit.core.framerate import format_fps
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, rest_positions
-from motionkit.formats.source.body_frame import standing_metres
+from motionkit.io.source.body_frame import standing_metres
 from motionkit.store.cache.folder import cache_bytes
 from motionkit.store.reader import Store
 from motionkit.store.schema import (

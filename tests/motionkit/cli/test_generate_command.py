@@ -12,10 +12,10 @@ from motionkit.core.errors import FormatError, UsageError
 from motionkit.core.motion import Caption
 from motionkit.core.skeleton import SMPL22
 from motionkit.features.humanml3d import positions
-from motionkit.formats.arrays.npz import read_npz
-from motionkit.formats.bvh.document import read_bvh
 from motionkit.generate.models import GenerationRequest
 from motionkit.generate.samples import motion_name
+from motionkit.io.arrays.npz import read_npz
+from motionkit.io.bvh.document import read_bvh
 from motionkit.store import Store
 from tests.helpers.drift_model import GoesOn, rows_of
 

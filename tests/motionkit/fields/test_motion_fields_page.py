@@ -10,7 +10,7 @@ import pytest
 
 from motionkit.fields.interpolation.interpolators import INTERPOLATORS
 from motionkit.fields.motion_field import joint_velocities, to_motion
-from motionkit.formats.bvh.writing import write_bvh
+from motionkit.io.bvh.writing import write_bvh
 from motionkit.synthetic import draw_body, perform
 from tests.helpers.repository import REPOSITORY
 

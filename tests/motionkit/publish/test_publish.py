@@ -19,7 +19,7 @@ from motionkit.cli.pull import pull
 from motionkit.cli.push import push
 from motionkit.core.checksums import write_json
 from motionkit.core.errors import DamagedFileError, StoreError
-from motionkit.hub.repository import HubError
+from motionkit.store.hub.repository import HubError
 from motionkit.store.life.rewrite import compact, remove
 from motionkit.store.manifest import read_manifest
 from motionkit.training.run import RunFolder
@@ -123,7 +123,7 @@ def test_a_disk_that_is_too_small_is_reported_before_anything_is_fetched(
 ) -> None:
     done(push, WALKS)
     hub.served.clear()
-    monkeypatch.setattr("motionkit.hub.repository.free_bytes", lambda path: 100)
+    monkeypatch.setattr("motionkit.store.hub.repository.free_bytes", lambda path: 100)
     with pytest.raises(HubError, match="make room"):
         mk.Store.open(WALKS)
     assert hub.served == []

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from motionkit.core.errors import FormatError, StoreError
-from motionkit.formats.scan.items import ReadOptions, SourceItem
+from motionkit.io.scan.items import ReadOptions, SourceItem
 from motionkit.store import Store
 from motionkit.store.ingest import stretches
 from motionkit.store.ingest.ingest import ingest

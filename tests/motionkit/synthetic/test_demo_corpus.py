@@ -7,7 +7,7 @@ import pytest
 
 from motionkit.core.motion import Motion
 from motionkit.fields.motion_field import to_motion
-from motionkit.formats.scan import reading, scanner
+from motionkit.io.scan import reading, scanner
 from motionkit.synthetic.demo_corpus import DemoCorpus, draw_sequences, split_of, write_demo_corpus
 
 NUM_SEQUENCES = 24

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from motionkit.clips.pose_vectors.joints import joints_of
-from motionkit.clips.pose_vectors.rotations import RotationVectors, smpl_rig
 from motionkit.core.skeleton import SMPL22
+from motionkit.data.pose_vectors.joints import joints_of
+from motionkit.data.pose_vectors.rotations import RotationVectors, smpl_rig
 from motionkit.fields.contact.legs import legs_of
 from motionkit.fields.motion_field import to_motion
 from motionkit.generate.constraints import Constraint

@@ -7,10 +7,10 @@ import pytest
 import torch
 from jaxtyping import Float32
 
-from motionkit.clips.poses import WindowPoses
-from motionkit.clips.windows import cut_windows
 from motionkit.core.progress import ignore
 from motionkit.core.skeleton import SMPL22
+from motionkit.data.poses import WindowPoses
+from motionkit.data.windows import cut_windows
 from motionkit.fields.assembly import Piece, assemble
 from motionkit.fields.contact.predicted import PredictsContacts
 from motionkit.store.cache.row_file import RowFile

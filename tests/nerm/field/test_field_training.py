@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 import torch
 
-from motionkit.clips.poses import WindowPoses
-from motionkit.clips.windows import cut_windows
 from motionkit.core.skeleton import SMPL22
+from motionkit.data.poses import WindowPoses
+from motionkit.data.windows import cut_windows
 from motionkit.features import field as field_vectors
 from motionkit.training.config import apply_overrides
 from motionkit.training.run import StageFolder

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from motionkit.clips.poses import WindowPoses
-from motionkit.clips.windows import cut_windows
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import KIT21, SMPL22
 from motionkit.core.timegrid import TimeGrid
+from motionkit.data.poses import WindowPoses
+from motionkit.data.windows import cut_windows
 from motionkit.fields.completion import complete, observed_errors
 from motionkit.fields.motion_field import MotionEncoder, Observation, Poses, joint_velocities, to_motion
 from motionkit.training.run import RunError

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from motionkit.clips.pose_vectors.convention import measure_scaling
-from motionkit.clips.poses import WindowPoses
-from motionkit.clips.windows import cut_windows
 from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import SMPL22
+from motionkit.data.pose_vectors.convention import measure_scaling
+from motionkit.data.poses import WindowPoses
+from motionkit.data.windows import cut_windows
 from motionkit.training.config import apply_overrides
 from nerm.latents.knots import measured_heading, path_speed, placed, relative_to, turned
 from nerm.latents.linear_fit import LinearModel, held

@@ -11,9 +11,9 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from motionkit.clips.pose_vectors.convention import VectorScaling
-from motionkit.clips.pose_vectors.field import FIELD_VECTORS
-from motionkit.clips.pose_vectors.native import NativeVectors
+from motionkit.data.pose_vectors.convention import VectorScaling
+from motionkit.data.pose_vectors.field import FIELD_VECTORS
+from motionkit.data.pose_vectors.native import NativeVectors
 from motionkit.features import field, native
 from motionkit.training.diffusion.settings import DiffusionConfig
 from motionkit.training.schedule import dropout_from, step_generator

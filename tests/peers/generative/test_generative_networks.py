@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from motionkit.clips.pose_vectors.convention import VectorScaling
-from motionkit.clips.pose_vectors.native import NativeVectors
+from motionkit.data.pose_vectors.convention import VectorScaling
+from motionkit.data.pose_vectors.native import NativeVectors
 from motionkit.features import native
 from motionkit.training.diffusion.settings import DiffusionConfig, Prediction
 from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, SampleBatch

@@ -7,8 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from motionkit.clips.pose_vectors.field import FIELD_VECTORS
 from motionkit.core.errors import UsageError
+from motionkit.data.pose_vectors.field import FIELD_VECTORS
 from motionkit.features import field
 from peers.generative.batches import NO_ACTION, ConditionSizes, MotionBatch, PoseSpace
 from peers.generative.networks.actor import Actor

@@ -1,4 +1,4 @@
-"""Readers of motion files: every entry of `motionkit.formats`, and the files beside them."""
+"""Readers of motion files: every entry of `motionkit.io`, and the files beside them."""
 
 from collections.abc import Iterator
 from fractions import Fraction
@@ -10,18 +10,18 @@ import numpy as np
 from benchmarks.trust.fuzz.target import Make, Target, named
 from motionkit.core.errors import FormatError, MotionkitError
 from motionkit.core.skeletons.families import read_skeleton_map
-from motionkit.export.player.page import check_places
-from motionkit.export.player.takes import take_of
-from motionkit.formats.catalogue import readers
-from motionkit.formats.indexes.search import read_index
-from motionkit.formats.scan.framerate_rules import read_rules
-from motionkit.formats.scan.items import IndexOptions, ReadOptions
-from motionkit.formats.scan.reading import read
-from motionkit.formats.scan.scanner import scan
-from motionkit.formats.smpl.body import LAYOUTS
+from motionkit.features.quality import measure
 from motionkit.generate.request import read_prompts
-from motionkit.quality import measure
-from motionkit.view.job import find_sources
+from motionkit.io.catalogue import readers
+from motionkit.io.indexes.search import read_index
+from motionkit.io.scan.framerate_rules import read_rules
+from motionkit.io.scan.items import IndexOptions, ReadOptions
+from motionkit.io.scan.reading import read
+from motionkit.io.scan.scanner import scan
+from motionkit.io.smpl.body import LAYOUTS
+from motionkit.viz.player.page import check_places
+from motionkit.viz.player.takes import take_of
+from motionkit.viz.view.job import find_sources
 from tests.helpers.amass_samples import smplh_fields, stageii_fields, write_amass
 from tests.helpers.every_format import SOURCES, bodies, write_arrays, write_text
 from tests.helpers.format_samples import bvh_text, write_asfamc
@@ -119,7 +119,7 @@ def _indexed(name: str, content: bytes) -> Make:
 
 
 def _body_model(folder: Path) -> None:
-    from tests.motionkit.formats.smpl.test_body_models import write_body_model
+    from tests.motionkit.io.smpl.test_body_models import write_body_model
 
     write_body_model(folder / "models" / "smpl" / "SMPL_NEUTRAL.npz", LAYOUTS["smpl"])
     write_amass(folder / "take_poses.npz", smplh_fields(3, 72, gender=np.array("neutral"), betas=np.zeros(10)))

@@ -14,13 +14,13 @@ from eval.sample_folder import SampleOptions
 from eval.sets.planted import DETAILED, DETAILED_NOTE, PLANTED
 from eval.tables.nerm import clip_fid_column, copies, table2
 from eval.tables.registry import find_table, installed_tables
-from motionkit.clips.detail.fit import fit_detail
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.generate.models import GenerationRequest
 from motionkit.store.writer import StoreWriter
+from motionkit.training.detail.fit import fit_detail
 from tests.helpers.scripted_model import PosesAt, ScriptedModel, install_models, trained_run
 from tests.helpers.synthetic_capture import capture
 from tests.helpers.table_request import table_request

@@ -14,10 +14,10 @@ from motionkit.core.skeletons.families import (
     with_layout_map,
 )
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, map_joints, rest_positions
-from motionkit.formats.arrays.npz import read_npz, write_npz
-from motionkit.formats.scan.items import ReadOptions
-from motionkit.formats.scan.reading import read
-from motionkit.formats.scan.scanner import scan
+from motionkit.io.arrays.npz import read_npz, write_npz
+from motionkit.io.scan.items import ReadOptions
+from motionkit.io.scan.reading import read
+from motionkit.io.scan.scanner import scan
 from tests.helpers.format_samples import bvh_text
 from tests.motionkit.core.skeletons.test_guessing import RIGS, body
 

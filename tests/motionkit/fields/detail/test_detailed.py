@@ -6,7 +6,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motionkit.clips.detail.fit import fit_detail
 from motionkit.core.errors import UsageError
 from motionkit.core.kinematics import forward_kinematics
 from motionkit.core.motion import Motion
@@ -28,6 +27,7 @@ from motionkit.fields.detail.slow_motion import (
 from motionkit.fields.interpolation.interpolators import interpolate
 from motionkit.fields.motion_field import to_motion
 from motionkit.fields.resample import resample_positions
+from motionkit.training.detail.fit import fit_detail
 from tests.helpers.synthetic_capture import capture
 
 NATIVE = Fraction(120)

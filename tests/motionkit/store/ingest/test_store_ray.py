@@ -9,10 +9,10 @@ import pytest
 
 import motionkit
 from motionkit.core.errors import MissingExtraError, MotionkitError, StoreError, UsageError
-from motionkit.engines import check_engine, ray_engine
-from motionkit.engines.parallel import WorkerDied, map_in_order
-from motionkit.engines.ray_engine import RayEngine
 from motionkit.store import Store
+from motionkit.store.engines import check_engine, ray_engine
+from motionkit.store.engines.parallel import WorkerDied, map_in_order
+from motionkit.store.engines.ray_engine import RayEngine
 from motionkit.store.ingest import stretches
 from motionkit.store.ingest.ingest import ingest
 from tests.helpers.small_bvh import two_joints_bvh

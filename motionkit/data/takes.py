@@ -1,0 +1,119 @@
+"""The takes of a store at a table's framerate: every k-th real frame, nothing interpolated, as rotation rows."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int64
+
+from motionkit.core.errors import UsageError
+from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.features.rotation_rows import num_numbers, rotation_rows, rows_of_poses
+from motionkit.fields.motion_field import Poses
+from motionkit.store.cache.positions import PositionCache, open_cache
+from motionkit.store.cache.row_file import RowFile
+from motionkit.store.reader import Store
+from pahires.temporal.settings import TemporalSettings
+
+
+@dataclass(frozen=True, eq=False)
+class Takes:
+    """T takes: rows of native frames, of which every `keep_every`-th is one of the table's framerate.
+
+    `source` is the index of each take's source. `num_frames` counts a take's frames at the table's framerate, from any
+    of its first `keep_every` native ones. `skipped` counts sequences whose framerate is no integer multiple of the
+    table's.
+    """
+
+    fps: Fraction
+    rows: RowFile
+    skeleton: Skeleton
+    sequence_index: Int64[np.ndarray, "takes"]
+    source: Int64[np.ndarray, "takes"]
+    start_row: Int64[np.ndarray, "takes"]
+    num_frames: Int64[np.ndarray, "takes"]
+    keep_every: Int64[np.ndarray, "takes"]
+    skipped: int
+
+    @property
+    def num_numbers(self) -> int:
+        """Numbers per frame: 135 for 22 joints."""
+        return self.rows.shape[1]
+
+    def read(
+        self,
+        take: Int64[np.ndarray, "batch"],
+        first_native: Int64[np.ndarray, "batch"],
+        stride: Int64[np.ndarray, "batch"],
+        frames: Int64[np.ndarray, "batch frames"],
+    ) -> Float32[np.ndarray, "batch frames numbers"]:
+        """World rows of every `stride`-th native frame, counted by `frames` from a native frame of their take."""
+        row = self.start_row[take] + first_native
+        return self.rows[row[:, None] + frames * stride[:, None]]
+
+    def seconds_between(
+        self, take: Int64[np.ndarray, "batch"], stride: Int64[np.ndarray, "batch"]
+    ) -> Float64[np.ndarray, "batch"]:
+        """Seconds from one to the next of every `stride`-th native frame."""
+        return np.asarray(stride / (self.keep_every[take] * float(self.fps)))
+
+    def __repr__(self) -> str:
+        return f"Takes({len(self.start_row)} takes, {int(self.num_frames.sum())} frames, {self.skipped} skipped)"
+
+
+def open_takes(store: Store, settings: TemporalSettings) -> Takes:
+    """The takes that `settings.where` selects; their rows are computed once and cached beside the store's cache.
+
+    Raises `UsageError` if there are none, or for takes of several skeletons with `layout=native`.
+    """
+    cache = open_cache(store, layout=settings.layout, where=settings.where or None)
+    skeleton = SMPL22 if settings.layout == SMPL22.name else _one_skeleton(store, cache)
+    fps = settings.framerate
+    multiple = cache.fps_numerator * fps.denominator
+    keep_every, remainder = np.divmod(multiple, cache.fps_denominator * fps.numerator)
+    chosen = (remainder == 0) & (keep_every > 0)
+    if not chosen.any():
+        rates = sorted({f"{cache.exact_fps(take)}" for take in range(cache.num_sequences)})
+        raise UsageError(
+            f"no chosen take of {store.path} has a framerate that is a whole multiple of {fps} fps (they have "
+            f"{', '.join(rates[:8])}): choose another fps, or another where"
+        )
+    size = num_numbers(skeleton.num_joints)
+    rows = cache.derived_rows("rotation-rows-1", size, lambda: _vectors(store, cache, skeleton))
+    keep_every = np.maximum(keep_every, 1)
+    names = store.columns("source")["source"].loc[cache.sequence_index[chosen]].to_numpy(str)
+    return Takes(
+        fps=fps,
+        rows=rows,
+        skeleton=skeleton,
+        sequence_index=cache.sequence_index[chosen].astype(np.int64),
+        source=np.unique(names, return_inverse=True)[1].astype(np.int64),
+        start_row=cache.start_row[chosen],
+        num_frames=np.maximum(1, cache.num_frames // keep_every)[chosen].astype(np.int64),
+        keep_every=keep_every[chosen],
+        skipped=int((~chosen).sum()),
+    )
+
+
+def _vectors(store: Store, cache: PositionCache, skeleton: Skeleton) -> Iterator[Float32[np.ndarray, "frames numbers"]]:
+    for motion in store.read_many(cache.sequence_index.tolist()):
+        if cache.layout == SMPL22.name:
+            yield rotation_rows(motion).vectors
+        else:
+            yield rows_of_poses(Poses.of(motion), skeleton).vectors
+
+
+def _one_skeleton(store: Store, cache: PositionCache) -> Skeleton:
+    names = sorted(set(store.columns("skeleton")["skeleton"].loc[cache.sequence_index]))
+    skeletons = [store.skeletons[name] for name in names]
+    first = skeletons[0]
+    for other in skeletons[1:]:
+        if (other.joint_names, other.parents) != (first.joint_names, first.parents):
+            raise UsageError(
+                f"layout=native learns one skeleton's own rotations, but the chosen takes have {first.name!r} and "
+                f"{other.name!r}: choose one with where (skeleton = '{first.fingerprint}'), or use layout=smpl22"
+            )
+    if not first.left_right_pairs:
+        raise UsageError(f"skeleton {first.name!r} has no left/right pairs, by which a window's heading is known")
+    return first

@@ -1,0 +1,1 @@
+"""Motion in, motion out: complete, plant, export."""

@@ -1,0 +1,100 @@
+"""Writes a selection to a folder, atomically."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+
+from motionkit.core.errors import MotionkitError
+from motionkit.core.files import require_empty, whole_folder
+from motionkit.edit.export.files import export_files
+from motionkit.edit.export.parquet import export_parquet
+from motionkit.edit.export.pose_folder import export_humanml3d, export_kit
+from motionkit.edit.export.selection import Outcome, Selection
+from motionkit.io.catalogue import writers
+from motionkit.io.characters.character import Character, character_format
+from motionkit.io.humanml3d import HUMANML3D, KIT
+
+
+@dataclass(frozen=True)
+class Export:
+    """An output format: `write` fills an empty folder and yields the outcome of each sequence, in order.
+
+    `fps` is the default framerate of all motions; None keeps each at its own. Unsupported requests raise `UsageError`
+    before the first frame is read.
+    """
+
+    name: str
+    write: Callable[[Selection, Path], Iterator[Outcome]]
+    fps: Fraction | None = None
+
+
+def export_kinds() -> Mapping[str, Export]:
+    """All output formats: a file per motion in every writable format, and data sets."""
+    kinds = (
+        *(Export(name, partial(export_files, format=each)) for name, each in writers().items()),
+        Export("humanml3d", export_humanml3d, HUMANML3D.fps),
+        Export("kit", export_kit, KIT.fps),
+        Export("parquet", export_parquet),
+    )
+    return {kind.name: kind for kind in kinds}
+
+
+def character_kind(character: Character, plant: bool) -> Export:
+    """Motions on a character's rig, in files of the character's format."""
+    return Export(character.suffix[1:], partial(export_files, format=character_format(character, plant)))
+
+
+@dataclass(frozen=True)
+class ExportReport:
+    """The result of an export: sequences and files written, their bytes, and skipped sequences with reasons.
+
+    `missing` has the ids of written sequences by missing metadata that the format's readers need.
+    """
+
+    folder: Path
+    format: str
+    num_sequences: int
+    num_files: int
+    num_bytes: int
+    left_out: tuple[Outcome, ...]
+    missing: Mapping[str, Sequence[str]]
+
+    @property
+    def left_out_by_reason(self) -> dict[str, int]:
+        """Number of sequences left out by the reason, most frequent first."""
+        return dict(Counter(outcome.reason for outcome in self.left_out).most_common())
+
+
+def export(
+    selection: Selection, folder: Path, kind: Export, on_outcome: Callable[[Outcome], None] = lambda outcome: None
+) -> ExportReport:
+    """Write a selection in one format into a new or empty folder; `on_outcome` is called for each sequence.
+
+    Everything is written into `FOLDER.partial`, which is renamed when complete and deleted on errors (`whole_folder`).
+    Raises `UsageError` for a folder that is not empty, `BusyError` for one that another process writes,
+    `MotionkitError` if nothing could be written.
+    """
+    # A link to an empty folder is filled where it points.
+    place = folder.absolute().resolve() if folder.is_symlink() else folder.absolute()
+    left_out: list[Outcome] = []
+    missing: dict[str, list[str]] = {}
+    num_sequences = 0
+    with whole_folder(place) as partial:
+        # Under the lock, after leftovers of a killed export are deleted.
+        require_empty(folder)
+        for outcome in kind.write(selection, partial):
+            if outcome.written:
+                num_sequences += 1
+                for what in outcome.lacks:
+                    missing.setdefault(what, []).append(outcome.sequence_id)
+            else:
+                left_out.append(outcome)
+            on_outcome(outcome)
+        if not num_sequences:
+            first = left_out[0].message if left_out else "the selection is empty"
+            raise MotionkitError(f"none of {len(left_out)} sequences can be written as {kind.name}, first: {first}")
+        sizes = [path.stat().st_size for path in partial.rglob("*") if path.is_file()]
+    return ExportReport(folder, kind.name, num_sequences, len(sizes), sum(sizes), tuple(left_out), missing)

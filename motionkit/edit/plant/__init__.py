@@ -1,0 +1,1 @@
+"""Removal of foot sliding: `motionkit plant` for clips, and `motionkit.edit.plant` for a motion."""

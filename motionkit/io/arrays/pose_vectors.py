@@ -1,0 +1,193 @@
+"""Pose vectors in single .npy files: HumanML3D's and KIT-ML's, InterHuman's, MotionStreamer's.
+
+HumanML3D's 263 numbers and KIT-ML's 251 are those of `formats.humanml3d`. InterHuman's 262 are positions of SMPL's 22
+joints in the scene (66), their velocities (66), rotations of 21 joints (126, without the root's), four contacts; two
+persons are [T, 2, 262] or [T, 524]; the data set's files have 492 numbers, the positions of 62 joints first, z up
+(https://github.com/tr3e/InterGen, utils/utils.py, utils/preprocess.py). MotionStreamer's 272 are the root's velocity in
+x and z (2) and the yaw since the previous frame as a rotation (6), positions (66) and velocities (66) of the 22 joints
+relative to the root's floor projection and the body's heading, and SMPL's local rotations (132), the root's without
+heading; a rotation is the first two rows of its matrix (https://github.com/Li-xingXiao/272-dim-Motion-Representation,
+representation_272.py).
+"""
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32, Float64
+
+from motionkit.core import kinematics
+from motionkit.core.errors import FormatError
+from motionkit.core.framerate import format_fps
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.core.timegrid import TimeGrid
+from motionkit.io import humanml3d
+from motionkit.io.arrays import joints_npy, npy
+from motionkit.io.format import Format, of_path
+from motionkit.io.humanml3d import LAYOUTS
+from motionkit.io.scan.items import ReadOptions, SourceItem
+from motionkit.io.source import body_frame, clock, rigid, source_file
+from motionkit.io.up import upright
+
+Positions = Float32[np.ndarray, "frames joints 3"]
+
+LAYOUT_BY_WIDTH = {layout.num_values: layout for layout in LAYOUTS.values()}
+INTERHUMAN_WIDTH, INTERHUMAN_FILE_WIDTH, MOTIONSTREAMER_WIDTH = 262, 492, 272
+FPS = Fraction(30)
+PERSONS = ("person1", "person2")
+JOINTS = SMPL22.num_joints
+# MotionStreamer's: path, yaw, positions, rotations.
+PATH, YAW = slice(0, 2), slice(2, 8)
+PLACES, TURNS = slice(8, 8 + 3 * JOINTS), slice(8 + 6 * JOINTS, 8 + 12 * JOINTS)
+SMALLEST_CROSS = 1e-6
+
+
+def _shape(path: Path) -> tuple[int, ...]:
+    # Without the batch axis of one that models save.
+    shape = npy.peek_shape(path) or ()
+    return shape[1:] if len(shape) == 3 and shape[0] == 1 else shape
+
+
+def accepts(path: Path) -> bool:
+    """Whether a .npy file holds rows of 263 or 251 numbers."""
+    shape = _shape(path)
+    return len(shape) == 2 and shape[1] in LAYOUT_BY_WIDTH
+
+
+def accepts_interhuman(path: Path) -> bool:
+    """Whether a .npy file holds rows of 262 numbers for one or two persons, or the data set's 492."""
+    return _is_interhuman(npy.peek_shape(path) or ())
+
+
+def _is_interhuman(shape: tuple[int, ...]) -> bool:
+    widths = (INTERHUMAN_WIDTH, 2 * INTERHUMAN_WIDTH, INTERHUMAN_FILE_WIDTH)
+    return len(shape) in (2, 3) and (shape[1] in widths if len(shape) == 2 else shape[1:] == (2, INTERHUMAN_WIDTH))
+
+
+def persons(path: Path) -> tuple[str, ...]:
+    """The persons' keys in an InterHuman file with two persons; empty for one."""
+    shape = npy.peek_shape(path) or ()
+    return PERSONS if len(shape) == 3 or shape[1:] == (2 * INTERHUMAN_WIDTH,) else ()
+
+
+def accepts_motionstreamer(path: Path) -> bool:
+    """Whether a .npy file holds rows of 272 numbers."""
+    shape = _shape(path)
+    return len(shape) == 2 and shape[1] == MOTIONSTREAMER_WIDTH
+
+
+def read_pose_vectors(path: Path, options: ReadOptions | None = None) -> Motion:
+    """Read HumanML3D's or KIT-ML's vectors as joint positions in metres; normalised ones are refused.
+
+    The framerate is the data set's unless `options`, or a `motions.json` there or one folder above, gives another.
+    """
+    options = options or ReadOptions()
+    data = source_file.read_bytes(path)
+    vectors = _rows(path, data)
+    layout = LAYOUT_BY_WIDTH[vectors.shape[1]]
+    positions = humanml3d.recover_positions(vectors, layout.skeleton.num_joints)
+    positions = positions * np.float32(options.unit_metres or layout.unit_metres)
+    line = f"joint positions recovered from {layout.num_values}-number pose vectors"
+    return _motion(path, data, positions, layout.skeleton, layout.fps, layout.name, options, line)
+
+
+def read_interhuman(item: SourceItem, options: ReadOptions) -> Motion:
+    """Read one person of InterHuman's vectors: joint positions in metres, y up, in scene coordinates."""
+    path, data = item.path, source_file.read_bytes(item.path)
+    values = npy.read_npy(path, data, (None,) * len(npy.parse_npy(path, data, None).shape))
+    if not _is_interhuman(values.shape):
+        message = f"array of shape {values.shape}, expected rows of 262, 2 × 262 or 492 numbers"
+        raise FormatError(message, path=path, reason="channel-count")
+    rows = values.reshape(len(values), -1)
+    start = INTERHUMAN_WIDTH * PERSONS.index(item.key) if item.key else 0
+    positions = rows[:, start : start + 3 * JOINTS].reshape(len(rows), JOINTS, 3)
+    positions, turned = upright(SMPL22, positions * np.float32(options.unit_metres or 1.0), options.up)
+    return _motion(path, data, positions, SMPL22, FPS, "interhuman", options, *turned)
+
+
+def read_motionstreamer(path: Path, options: ReadOptions | None = None) -> Motion:
+    """Read MotionStreamer's vectors: positions in metres, y up, and SMPL's local rotations if they reproduce them.
+
+    Yaw and path are integrated from the first frame, so errors accumulate. Raises `FormatError` (`range`) for invalid
+    rotations and for normalised vectors.
+    """
+    options = options or ReadOptions()
+    data = source_file.read_bytes(path)
+    values = _rows(path, data).astype(np.float64)
+    # Vectors are relative to the heading: rotating by minus the yaw gives world coordinates.
+    yaw = np.cumsum(np.arctan2(values[:, YAW][:, 2], values[:, YAW][:, 0]))
+    back = np.stack((np.cos(-yaw / 2), 0 * yaw, np.sin(-yaw / 2), 0 * yaw), axis=-1)
+    steps = np.insert(values[:, PATH], 1, 0.0, axis=1)
+    path_steps = np.concatenate((steps[:1], kinematics.quaternion_rotate(back[:-1], steps[1:])))
+    seen = values[:, PLACES].reshape(len(values), JOINTS, 3)
+    positions = kinematics.quaternion_rotate(back[:, None], seen) + np.cumsum(path_steps, axis=0)[:, None]
+    local = _matrices(values[:, TURNS].reshape(len(values), JOINTS, 2, 3), path)
+    local[:, 0] = kinematics.quaternion_to_matrix(back) @ local[:, 0]
+    positions = positions.astype(np.float32) * np.float32(options.unit_metres or 1.0)
+    made = _motion(path, data, positions, SMPL22, FPS, "motionstreamer", options)
+    return rigid.with_rotations(made, local)
+
+
+def _rows(path: Path, data: bytes) -> Float32[np.ndarray, "frames numbers"]:
+    shape = npy.parse_npy(path, data, None).shape
+    values = npy.read_npy(path, data, (None,) * len(shape))
+    return values.reshape(-1, shape[-1])
+
+
+def _matrices(rows: Float64[np.ndarray, "frames joints 2 3"], path: Path) -> Float64[np.ndarray, "frames joints 3 3"]:
+    """Rotation matrices from their first two rows; zero or parallel rows are refused."""
+    across = np.linalg.norm(np.cross(rows[..., 0, :], rows[..., 1, :]), axis=-1)
+    bad = (across < SMALLEST_CROSS).any(axis=1)
+    if bad.any():
+        message = "two rows of a rotation matrix were expected, these have no length or one direction"
+        raise FormatError(message, path=path, reason="range", frame=int(np.argmax(bad)))
+    # The rows of a matrix are the columns of its inverse.
+    return np.asarray(kinematics.closest_rotations(rows.reshape(len(rows), -1)).swapaxes(-1, -2))
+
+
+def _motion(
+    path: Path,
+    data: bytes,
+    positions: Positions,
+    skeleton: Skeleton,
+    usual_fps: Fraction,
+    source_format: str,
+    options: ReadOptions,
+    *operations: str,
+) -> Motion:
+    _check_body(positions, skeleton, path)
+    stated = joints_npy.read_manifest(joints_npy.manifest_of(path)).fps or usual_fps
+    fps = options.fps or stated
+    lines = (*operations, *clock.replaced_fps(fps, usual_fps, who="the data set"))
+    return Motion(
+        positions,
+        skeleton,
+        TimeGrid(fps, len(positions)),
+        sequence_id=path.stem,
+        provenance=source_file.provenance(path, data, source_format, lines, stated_fps=format_fps(stated)),
+    )
+
+
+def _check_body(positions: Positions, skeleton: Skeleton, path: Path) -> None:
+    metres = body_frame.standing_metres(skeleton, positions)
+    if not body_frame.is_plausible(metres):
+        raise FormatError(
+            f"as they are these vectors make a body of {metres:.3g} m from ankle to head, people have "
+            f"{body_frame.TYPICAL_HEIGHT_METRES} m: normalised ones are restored with np.save({path.name!r}, np.load("
+            f"{path.name!r}) * std + mean), mean and std being those of the model that made them",
+            path=path,
+            reason="unit",
+        )
+
+
+FORMAT = Format(name="pose-vectors", read=of_path(read_pose_vectors), suffixes=(".npy",), accepts=accepts,
+                beside=joints_npy.manifests)  # fmt: skip
+INTERHUMAN_FORMAT = Format(
+    name="interhuman", read=read_interhuman, suffixes=(".npy",), accepts=accepts_interhuman, keys=persons,
+    beside=joints_npy.manifests, turns_up=True,
+)  # fmt: skip
+MOTIONSTREAMER_FORMAT = Format(
+    name="motionstreamer", read=of_path(read_motionstreamer), suffixes=(".npy",), accepts=accepts_motionstreamer,
+    beside=joints_npy.manifests,
+)  # fmt: skip

@@ -1,0 +1,166 @@
+"""100STYLE: BVH at 60 fps, `Style/Style_FW.bvh`, cut to the frames listed in `Frame_Cuts.csv`.
+
+The table has a row for each style: `STYLE_NAME`, then for each kind of movement `BR_START`, `BR_STOP`, … (`N/A` if
+there is no such file); frames outside are calibration and approach. Source: I. Mason, S. Starke, T. Komura,
+"Real-Time Style Modelling of Human Locomotion via Feature-Wise Transformations and Local Motion Phases", 2022,
+https://www.ianxmason.com/100style/.
+"""
+
+import csv
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TypeVar
+
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Motion
+from motionkit.core.plain_text import shown
+from motionkit.core.timegrid import TimeGrid
+from motionkit.io.bvh.document import T_POSE_DROPPED, BvhDocument, read_bvh, read_document
+from motionkit.io.format import Format, of_path
+from motionkit.io.scan.items import ReadOptions
+from motionkit.io.source import source_file
+
+CUTS_FILE = "Frame_Cuts.csv"
+STYLE_COLUMN = "STYLE_NAME"
+ACTIONS = {
+    "BR": "backward run",
+    "BW": "backward walk",
+    "FR": "forward run",
+    "FW": "forward walk",
+    "ID": "idle",
+    "SR": "sidestep run",
+    "SW": "sidestep walk",
+    "TR1": "transition 1",
+    "TR2": "transition 2",
+    "TR3": "transition 3",
+}
+NAME = re.compile(rf"(?P<style>[A-Za-z0-9]+)_(?P<kind>{'|'.join(ACTIONS)})", re.IGNORECASE)
+ABSENT = ("", "n/a", "nan", "none")
+
+Read = TypeVar("Read", Motion, BvhDocument)
+Cuts = Mapping[tuple[str, str], tuple[int, int]]
+
+
+def accepts(path: Path) -> bool:
+    """Whether a BVH file is named after a style and a kind of movement, with Frame_Cuts.csv beside it or one above."""
+    return NAME.fullmatch(path.stem) is not None and find_cuts(path) is not None
+
+
+def find_cuts(path: Path) -> Path | None:
+    """The table of cuts of a file: in its folder, or in the one above."""
+    return next((table for table in tables_of_cuts(path.parent) if table.is_file()), None)
+
+
+def tables_of_cuts(folder: Path) -> tuple[Path, ...]:
+    """Possible paths of the table of cuts of a folder's takes, nearest first."""
+    return folder / CUTS_FILE, folder.parent / CUTS_FILE
+
+
+def read_100style(path: Path, options: ReadOptions | None = None) -> Motion:
+    """Read frames [START, STOP) of one take, counted from 0, with its style and movement.
+
+    Times count from the first frame kept. Raises `FormatError` as `read_bvh` does, and with the reason `frame-cuts`
+    if the table has no cut for the take, or one outside it.
+    """
+    return _kept(read_bvh(path, options), path)
+
+
+def read_100style_document(path: Path, options: ReadOptions | None = None) -> BvhDocument:
+    """The same, with frames read on demand; raises `FormatError` as `read_document` does."""
+    return _kept(read_document(path, options), path)
+
+
+def _kept(take: Read, path: Path) -> Read:
+    name, table = NAME.fullmatch(path.stem), find_cuts(path)
+    if name is None or table is None:
+        raise FormatError(
+            f"expected a name such as Aeroplane_FW and {CUTS_FILE} beside it or one folder above",
+            path=path,
+            reason="frame-cuts",
+        )
+    dropped = int(T_POSE_DROPPED in take.provenance.operations)
+    total = take.num_frames + dropped
+    start, stop = _cut(table, name["style"], name["kind"].upper(), path)
+    if not dropped <= start < stop <= total:
+        raise FormatError(
+            f"{table.name} keeps frames [{start}, {stop}) of {total}; expected a stretch that lies inside",
+            path=path,
+            reason="frame-cuts",
+        )
+    kept = take.frames(start - dropped, stop - dropped)
+    operation = f"frames [{start}, {stop}) of {total} kept, as {table.name} says"
+    return replace(
+        kept,
+        timegrid=TimeGrid(take.fps, kept.num_frames),
+        action=ACTIONS[name["kind"].upper()],
+        style=name["style"],
+        provenance=replace(
+            take.provenance,
+            source_format="100style",
+            operations=(*take.provenance.operations, operation),
+        ),
+    )
+
+
+def _cut(table: Path, style: str, kind: str, path: Path) -> tuple[int, int]:
+    cut = _cuts(table, table.stat().st_mtime_ns).get((style.lower(), kind))
+    if cut is None:
+        raise FormatError(
+            f"{table.name} has no {kind}_START and {kind}_STOP for the style {style}; add them, or take the table away "
+            "to read takes whole as BVH",
+            path=path,
+            reason="frame-cuts",
+        )
+    return cut
+
+
+@lru_cache(maxsize=8)
+def _cuts(table: Path, modified: int) -> Cuts:
+    # All cuts of a table by style (lower case) and kind; read once for the takes of a corpus.
+    text = source_file.decode(source_file.read_bytes(table), table)
+    reader = csv.DictReader(text.splitlines(), restkey="")
+    cuts: dict[tuple[str, str], tuple[int, int]] = {}
+    try:
+        if STYLE_COLUMN not in (reader.fieldnames or ()):
+            raise FormatError(
+                f"no column {STYLE_COLUMN!r}, expected it and {next(iter(ACTIONS))}_START, …_STOP",
+                path=table,
+                reason="frame-cuts",
+                line=1,
+            )
+        for row in reader:
+            for kind in ACTIONS:
+                cells = [(row.get(f"{kind}_{end}") or "").strip() for end in ("START", "STOP")]
+                if not all(cell.lower() in ABSENT for cell in cells):
+                    cuts[((row[STYLE_COLUMN] or "").strip().lower(), kind)] = _numbers(cells, table, reader.line_num)
+    except csv.Error as error:
+        raise FormatError(f"not a CSV table ({error})", path=table, reason="frame-cuts") from None
+    return cuts
+
+
+def _numbers(cells: list[str], table: Path, line: int) -> tuple[int, int]:
+    # Tables saved by a spreadsheet or pandas have 120.0 for 120.
+    values = [cell.removesuffix(".0") for cell in cells]
+    if not all(value.isascii() and value.isdecimal() and len(value) < 12 for value in values):
+        raise FormatError(
+            f"{' and '.join(map(shown, cells))}, expected two frame numbers or N/A",
+            path=table,
+            reason="frame-cuts",
+            line=line,
+        )
+    start, stop = (int(value) for value in values)
+    return start, stop
+
+
+FORMAT = Format(
+    name="100style",
+    read=of_path(read_100style),
+    document=read_100style_document,
+    suffixes=(".bvh",),
+    accepts=accepts,
+    beside=tables_of_cuts,
+    turns_up=True,
+)

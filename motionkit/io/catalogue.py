@@ -1,0 +1,88 @@
+"""All formats: motionkit's own and those of the entry point group `motionkit.io`; writing by a file's suffix."""
+
+from collections.abc import Mapping
+from functools import cache
+from importlib.metadata import entry_points
+from pathlib import Path
+
+from motionkit.core.errors import UsageError
+from motionkit.core.files import whole_file
+from motionkit.core.motion import Motion
+from motionkit.io import asfamc, c3d, deepmimic, gltf, humanact12, humanml3d, joints_csv, kimodo, parquet, trc
+from motionkit.io.arrays import joints_npy, npz, pose_vectors
+from motionkit.io.bvh import lafan1, style100
+from motionkit.io.bvh import writing as bvh
+from motionkit.io.characters import robot_csv
+from motionkit.io.format import Format
+from motionkit.io.smpl import amass, dictionary, uestc
+
+GROUP = "motionkit.io"
+
+# The first that accepts a file reads it.
+_BUILT_IN = (
+    *(
+        lafan1.FORMAT,
+        style100.FORMAT,
+        bvh.FORMAT,
+        asfamc.FORMAT,
+        c3d.FORMAT,
+        trc.FORMAT,
+        deepmimic.FORMAT,
+        uestc.FORMAT,
+    ),
+    *(kimodo.FORMAT, dictionary.FORMAT, dictionary.MOTION_X_FORMAT),
+    *(amass.FORMAT, humanml3d.FORMAT, humanml3d.KIT_FORMAT, humanact12.FORMAT, joints_npy.FORMAT, npz.FORMAT),
+    *(pose_vectors.FORMAT, pose_vectors.INTERHUMAN_FORMAT, pose_vectors.MOTIONSTREAMER_FORMAT),
+    *(joints_csv.FORMAT, robot_csv.FORMAT, gltf.FORMAT, parquet.FORMAT),
+)
+
+
+@cache
+def readers() -> Mapping[str, Format]:
+    """The formats with a reader, by name, in the order in which they are tried: installed ones first."""
+    return {each.name: each for each in _all() if each.read is not None}
+
+
+@cache
+def writers() -> Mapping[str, Format]:
+    """The formats that write one motion per file, by name."""
+    return {each.name: each for each in _all() if each.write is not None}
+
+
+def writer_of(suffix: str) -> Format | None:
+    """The format that writes files of a suffix; of several, the one with the suffix's name."""
+    fitting = [each for each in writers().values() if each.suffixes[0] == suffix]
+    return next((each for each in fitting if each.name == suffix[1:]), fitting[0] if fitting else None)
+
+
+def _all() -> list[Format]:
+    installed = sorted(entry_points(group=GROUP), key=lambda entry: entry.name)
+    return [*(entry.load() for entry in installed), *_BUILT_IN]
+
+
+def write(motion: Motion, path: str | Path) -> None:
+    """Write a motion to a file; the suffix selects the format.
+
+    - `.npz`: all of the motion, lossless
+    - `.bvh`: the skeleton and its rotations, in centimetres; by inverse kinematics if the motion has none
+    - `.glb`: glTF, an animated skeleton with a visible body, for engines and viewers
+    - `.csv`: time stamps and joint positions in metres
+    - `.npy`: joint positions [T, J, 3] in metres of the 22 joints (KIT-ML's 21 if the motion has these), the
+      framerate in `motions.json` beside the file
+
+    Folders are created, an existing file is replaced, and the file is written atomically. Raises `UsageError` for any
+    other suffix, `ValueError` for an `.npy` beside those of another framerate, `MotionkitError` for one of a skeleton
+    that cannot be mapped to the 22 joints, and `OSError`.
+
+    >>> motion = mk.read("walk.bvh")
+    >>> mk.write(motion, "out/walk.npz")
+    >>> mk.read("out/walk.npz").num_frames
+    240
+    """
+    path = Path(path)
+    format = writer_of(path.suffix.lower())
+    if format is None or format.write is None:
+        suffixes = ", ".join(sorted({each.suffixes[0] for each in writers().values()}))
+        raise UsageError(f"{path}: a motion is written as {suffixes}, by the suffix of the file's name")
+    with whole_file(path) as temporary:
+        format.write(motion, temporary)

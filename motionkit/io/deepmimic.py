@@ -1,0 +1,242 @@
+"""DeepMimic's motions: JSON with one list of numbers per frame, for the humanoid of 15 joints.
+
+A frame is its duration in seconds, the root's position in metres, and rotations: quaternions (w, x, y, z) of the root
+and the spherical joints, one angle about z in radians for a revolute joint. Sources:
+https://github.com/xbpeng/DeepMimic, README.md ("Mocap Data"), data/characters/humanoid3d.txt (the skeleton) and
+DeepMimicCore/anim/KinTree.cpp (the axis of revolute joints).
+"""
+
+import json
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float32, Float64
+
+from motionkit.core import kinematics
+from motionkit.core.errors import FormatError
+from motionkit.core.framerate import SNAP_TOLERANCE, parse_fps
+from motionkit.core.motion import Motion
+from motionkit.core.plain_text import parse_json
+from motionkit.core.skeleton import Feet, Skeleton
+from motionkit.core.timegrid import TimeGrid
+from motionkit.io.arrays import npy
+from motionkit.io.format import Format, of_path
+from motionkit.io.scan.items import ReadOptions
+from motionkit.io.source import clock, source_file
+from motionkit.io.source.body_frame import in_metres
+
+HEAD_BYTES = 4096
+FRAMES_KEY = b'"Frames"'
+ROTATION_SIZES = {"spherical": 4, "revolute": 1, "fixed": 0}
+FIRST_ROTATION = 4
+# In the published clips quaternions differ from unit norm by up to 0.42 (kick; most by less than 0.01), and DeepMimic
+# normalises them; so does this reader, and logs it. Norms outside these limits are refused.
+MAX_LENGTH_ERROR, LOGGED_LENGTH_ERROR = 0.5, 0.01
+NAME = re.compile(r"(?:sie_)?humanoid3d_(?P<action>[a-z]\w*?)_?\d*", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Character:
+    """A skeleton and the number of rotation values per frame of each of its joints."""
+
+    skeleton: Skeleton
+    rotation_sizes: tuple[int, ...]
+
+    @property
+    def frame_size(self) -> int:
+        """Numbers in a frame: duration, root position, rotations."""
+        return FIRST_ROTATION + sum(self.rotation_sizes)
+
+
+def accepts(path: Path) -> bool:
+    """Whether a text file is a JSON object with "Frames" near its beginning."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(HEAD_BYTES)
+    except OSError:
+        return False
+    return head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{") and FRAMES_KEY in head
+
+
+def read_deepmimic(path: Path, options: ReadOptions | None = None) -> Motion:
+    """Read one file: positions in metres, y up, true local rotations, at the framerate that the durations state.
+
+    The last frame's duration is ignored (mostly 0). Durations that differ by more than 0.1 % are refused (`frame-time`)
+    unless `options.fps` replaces them: a Motion has one framerate, and nothing is resampled.
+    The action is taken from names such as `humanoid3d_zombie_walk`. Raises `FormatError`.
+    """
+    options = options or ReadOptions()
+    data = source_file.read_bytes(path)
+    content = _object(data, path)
+    character = humanoid3d()
+    table = _table(content.get("Frames"), character, path)
+    fps, stated, operations = _framerate(table[:-1, 0], options.fps, path)
+    rotations, normalised = _rotations(table, character, path)
+    operations += normalised
+    root = table[:, 1:FIRST_ROTATION].astype(np.float32)
+    if content.get("Loop") == "wrap":
+        operations.append('read as it is; the file says that it repeats (Loop "wrap")')
+    named = NAME.fullmatch(path.stem)
+    motion = Motion(
+        joint_positions=kinematics.forward_kinematics(rotations, root, character.skeleton),
+        skeleton=character.skeleton,
+        timegrid=TimeGrid(fps, len(table)),
+        local_rotations=rotations,
+        root_translation=root,
+        action=named["action"].lower() if named else "",
+        sequence_id=path.stem,
+        provenance=source_file.provenance(path, data, "deepmimic", operations, stated_fps=stated),
+    )
+    return in_metres(motion, options.unit_metres)
+
+
+@cache
+def humanoid3d() -> Character:
+    """The humanoid of `motionkit/core/skeletons/deepmimic_humanoid3d.toml`."""
+    file = resources.files("motionkit.core.skeletons") / "deepmimic_humanoid3d.toml"
+    joints = tomllib.loads(file.read_text(encoding="utf-8"))["joints"]
+    names = tuple(joint["name"] for joint in joints)
+    right = [joint for joint, name in enumerate(names) if name.startswith("right_")]
+    ankles = {side: names.index(f"{side}_ankle") for side in ("left", "right")}
+    skeleton = Skeleton(
+        name="deepmimic-humanoid3d",
+        joint_names=names,
+        parents=tuple(names.index(joint["parent"]) if "parent" in joint else -1 for joint in joints),
+        offsets=np.array([joint["offset"] for joint in joints], np.float32),
+        left_right_pairs=tuple((names.index(names[joint].replace("right_", "left_")), joint) for joint in right),
+        feet=Feet(ankles["left"], ankles["left"], ankles["right"], ankles["right"]),
+        end_sites=tuple((index, tuple(joint["tip"])) for index, joint in enumerate(joints) if "tip" in joint),
+    )
+    return Character(skeleton, tuple(ROTATION_SIZES[joint["rotation"]] for joint in joints))
+
+
+def _object(data: bytes, path: Path) -> Mapping[str, Any]:
+    try:
+        content = parse_json(source_file.decode(data, path))
+    except json.JSONDecodeError as error:
+        ends = error.pos >= len(data.rstrip()) - 1
+        raise FormatError(
+            f"no JSON ({error.msg}), expected an object with Frames",
+            path=path,
+            reason="truncated" if ends else "not-what-it-says",
+            line=error.lineno,
+        ) from None
+    except ValueError as error:
+        raise FormatError(f"no plain JSON ({error})", path=path, reason="not-what-it-says") from None
+    if not isinstance(content, dict):
+        raise FormatError("expected a JSON object with Frames", path=path, reason="not-what-it-says")
+    return content
+
+
+def _table(frames: Any, character: Character, path: Path) -> Float64[np.ndarray, "frames numbers"]:
+    if not isinstance(frames, list):
+        raise FormatError("no list 'Frames', expected one list of numbers per frame", path=path, reason="truncated")
+    if not frames:
+        raise FormatError("0 frames, expected at least one", path=path, reason="no-frames")
+    size = character.frame_size
+    wrong = next((i for i, frame in enumerate(frames) if not isinstance(frame, list) or len(frame) != size), None)
+    if wrong is not None:
+        found = f"{len(frames[wrong])} numbers" if isinstance(frames[wrong], list) else "no list of numbers"
+        raise FormatError(
+            f"{found}, expected the {size} of DeepMimic's humanoid (duration, root position, 13 rotations)",
+            path=path,
+            reason="channel-count",
+            frame=wrong,
+        )
+    try:
+        table = np.array(frames)
+    except ValueError:  # a list where a number was expected
+        table = np.empty(0, object)
+    if table.dtype.kind not in "fi":
+        wrong = next(i for i, frame in enumerate(frames) if not all(_is_number(value) for value in frame))
+        raise FormatError("not all are numbers", path=path, reason="not-a-number", frame=wrong)
+    table = table.astype(np.float64)
+    npy.checked_numbers(table, path)
+    return table
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, float) or (type(value) is int and abs(value) < 2**62)
+
+
+def _framerate(
+    durations: Float64[np.ndarray, "intervals"], given: Fraction | None, path: Path
+) -> tuple[Fraction, str, list[str]]:
+    # The framerate, the file's stated framerate, and the log.
+    values, counts = np.unique(np.round(durations, 7), return_counts=True)
+    order = np.argsort(-counts, kind="stable")
+    stated = ", ".join(f"{counts[i]} × {values[i]:g} s" for i in order[:3]) + (" …" if len(values) > 3 else "")
+    fps, log = clock.fps_in_use(given, lambda: _stated_fps(durations, stated, path), words=stated)
+    return fps, stated, log
+
+
+def _stated_fps(durations: Float64[np.ndarray, "intervals"], stated: str, path: Path) -> Fraction:
+    # Durations are compared with the commonest one.
+    values, group, counts = np.unique(np.round(durations, 7), return_inverse=True, return_counts=True)
+    if not len(values):
+        raise FormatError(
+            "a single frame, whose duration says nothing; give the framerate with --fps",
+            path=path,
+            reason="no-framerate",
+        )
+    usual = float(np.median(durations[group == np.argmax(counts)]))
+    astray = np.flatnonzero(np.abs(durations - usual) > SNAP_TOLERANCE * abs(usual))
+    if astray.size:
+        raise FormatError(
+            f"lasts {durations[astray[0]]:g} s where {len(durations) - astray.size} of {len(durations)} frames last "
+            f"{usual:g} s (in all {stated}); expected one duration. If it is a mistake, --fps sets one for all",
+            path=path,
+            reason="frame-time",
+            frame=int(astray[0]),
+        )
+    try:
+        return parse_fps(float(1.0 / usual) if usual else float("inf"))
+    except ValueError as error:
+        raise FormatError(
+            f"frames last {usual:g} s ({error}); correct it, or give --fps", path=path, reason="frame-time"
+        ) from None
+
+
+def _rotations(
+    table: Float64[np.ndarray, "frames numbers"], character: Character, path: Path
+) -> tuple[Float32[np.ndarray, "frames joints 4"], list[str]]:
+    rotations = np.zeros((len(table), character.skeleton.num_joints, 4), np.float32)
+    rotations[..., 0] = 1.0
+    column, worst = FIRST_ROTATION, 0.0
+    for joint, size in enumerate(character.rotation_sizes):
+        values = table[:, column : column + size]
+        column += size
+        if size == 1:
+            rotations[:, joint, 0], rotations[:, joint, 3] = np.cos(values[:, 0] / 2), np.sin(values[:, 0] / 2)
+        elif size == 4:
+            lengths = np.linalg.norm(values, axis=-1)
+            error = np.abs(lengths - 1.0)
+            frame = int(np.argmax(error))
+            if error[frame] > MAX_LENGTH_ERROR:
+                raise FormatError(
+                    f"the rotation of {character.skeleton.joint_names[joint]} is no unit quaternion (its length is "
+                    f"{lengths[frame]:.4g})",
+                    path=path,
+                    reason="range",
+                    frame=frame,
+                )
+            worst = max(worst, float(error[frame]))
+            rotations[:, joint] = values / lengths[:, None]
+    log = [f"quaternions normalised; they were off unit length by up to {worst:.3f}"]
+    return rotations, log if worst > LOGGED_LENGTH_ERROR else []
+
+
+FORMAT = Format(
+    name="deepmimic",
+    read=of_path(read_deepmimic),
+    suffixes=(".txt", ".json"),
+    accepts=accepts,
+)

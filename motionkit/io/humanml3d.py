@@ -1,0 +1,300 @@
+"""HumanML3D folders (22 joints, 20 fps, metres), and KIT-ML's of the same shape (21 joints, 12.5 fps, 251 numbers).
+
+A folder has `new_joints/ID.npy` [T, J, 3] and/or `new_joint_vecs/ID.npy` [T, 12·J − 1], `texts/ID.txt`, `train.txt`,
+`val.txt`, `test.txt`, `Mean.npy` and `Std.npy`. KIT-ML's lengths are thousandths of the body's height.
+Source: https://github.com/EricGuo5513/HumanML3D, https://motion-annotation.humanoids.kit.edu.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Float32, Float64
+
+from motionkit.core.errors import FormatError
+from motionkit.core.files import naming
+from motionkit.core.moments import Moments, merge, moments
+from motionkit.core.motion import Caption, Motion
+from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
+from motionkit.core.timegrid import TimeGrid
+from motionkit.io import texts
+from motionkit.io.arrays import joints_npy, npy
+from motionkit.io.format import Format
+from motionkit.io.scan.items import ReadOptions, ScanResult, SourceItem
+from motionkit.io.source import clock, source_file
+from motionkit.io.texts import SPLITS, read_splits
+
+JOINTS_FOLDER, VECTORS_FOLDER, TEXTS_FOLDER = "new_joints", "new_joint_vecs", "texts"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """One of the two published data sets of this form; `unit_metres` is the length of its files' unit."""
+
+    name: str
+    skeleton: Skeleton
+    fps: Fraction
+    unit_metres: float
+
+    @property
+    def num_values(self) -> int:
+        """Width of a pose vector, 12·J − 1."""
+        return 12 * self.skeleton.num_joints - 1
+
+
+def vector_blocks(num_joints: int) -> tuple[slice, ...]:
+    """The 7 blocks of a pose vector of 12·J − 1 numbers, inside each of which the published Std is constant.
+
+    Root yaw rate, root velocity, root height, joint positions, joint rotations, joint velocities, contacts.
+    """
+    widths = (1, 2, 1, 3 * (num_joints - 1), 6 * (num_joints - 1), 3 * num_joints, 4)
+    ends = np.cumsum(widths).tolist()
+    return tuple(slice(end - width, end) for width, end in zip(widths, ends, strict=True))
+
+
+HUMANML3D = Layout("humanml3d", SMPL22, Fraction(20), 1.0)
+# KIT-ML's files have the root at 560 units on average, the hip height of a body of 1,000; that is taken as 1.7 m.
+BODY_HEIGHT_METRES = 1.7
+KIT = Layout("kit", KIT21, Fraction(25, 2), BODY_HEIGHT_METRES / 1000.0)
+LAYOUTS = {layout.name: layout for layout in (HUMANML3D, KIT)}
+
+
+def claims(folder: Path, layout: Layout = HUMANML3D) -> bool:
+    """Whether a folder has this layout, judged by the first array with a valid shape."""
+    for name, shape in (
+        (JOINTS_FOLDER, (layout.skeleton.num_joints, 3)),
+        (VECTORS_FOLDER, (layout.num_values,)),
+    ):
+        stated = (npy.peek_shape(path) for path in sorted((folder / name).glob("*.npy")))
+        first = next((each for each in stated if each is not None), None)
+        if first is not None:
+            return first[1:] == shape
+    return False
+
+
+def find(folder: Path, root: Path, layout: Layout = HUMANML3D) -> ScanResult:
+    """All sequences of a folder with their splits; captions without motion are problems, the reverse warnings."""
+    paths = _arrays(folder)
+    described = {path.stem: path for path in sorted((folder / TEXTS_FOLDER).glob("*.txt"))}
+    splits, warnings = read_splits(folder, paths, "the folder")
+    place = folder.relative_to(root).as_posix()
+    prefix = root.name if place == "." else f"{root.name}/{place}"
+    items = tuple(
+        SourceItem(
+            format=layout.name,
+            path=path,
+            root=root,
+            sequence_id=f"{prefix}/{key}",
+            key=key,
+            split=splits.get(key, ""),
+            source=root.name,
+            subset="" if place == "." else place,
+        )
+        for key, path in paths.items()
+    )
+    problems = tuple(
+        FormatError(
+            f"describes {key}, but there is no {JOINTS_FOLDER}/{key}.npy or {VECTORS_FOLDER}/{key}.npy",
+            path=path,
+            reason="caption-without-motion",
+        )
+        for key, path in described.items()
+        if key not in paths
+    )
+    if described:
+        warnings += [
+            FormatError(f"has no {TEXTS_FOLDER}/{key}.txt; kept without a caption", path=path, reason="no-caption")
+            for key, path in paths.items()
+            if key not in described
+        ]
+    return ScanResult(items, problems, tuple(warnings))
+
+
+def files_of_folder(folder: Path) -> Iterator[Path]:
+    """The files of a folder's arrays, texts, splits, statistics and framerate."""
+    for name in (JOINTS_FOLDER, VECTORS_FOLDER):
+        yield from (folder / name).glob("*.npy")
+    yield from (folder / TEXTS_FOLDER).glob("*.txt")
+    yield from (folder / f"{split}.txt" for split in ("all", "train_val", *SPLITS))
+    yield from (folder / name for name in ("Mean.npy", "Std.npy", joints_npy.MANIFEST))
+
+
+def read_humanml3d(item: SourceItem, options: ReadOptions, layout: Layout = HUMANML3D) -> Motion:
+    """Read one sequence: joints if the folder has them, else recovered from its pose vectors, in metres.
+
+    The framerate is the published one unless the folder's `motions.json` (formats/arrays/joints_npy.py) or `options`
+    gives another. The published 6D rotations lack twist and are not used as rotations. Raises `FormatError`.
+    """
+    data = source_file.read_bytes(item.path)
+    operations: list[str] = []
+    if item.path.parent.name == VECTORS_FOLDER:
+        vectors = npy.read_npy(item.path, data, (None, layout.num_values))
+        positions = recover_positions(vectors, layout.skeleton.num_joints)
+        operations.append(f"joint positions recovered from {layout.num_values}-number pose vectors")
+    else:
+        positions = npy.read_npy(item.path, data, (None, layout.skeleton.num_joints, 3))
+    unit = options.unit_metres or layout.unit_metres
+    if unit != 1.0:
+        positions = positions * np.float32(unit)
+        operations.append(f"lengths × {unit:g} to metres ({'given' if options.unit_metres else 'a body 1.7 m tall'})")
+    if item.key.startswith("M") and item.key[1:].isdecimal():
+        operations.append(f"a mirrored copy of {item.key[1:]}, made by the dataset's authors")
+    stated = joints_npy.read_manifest(item.path.parents[1] / joints_npy.MANIFEST).fps or layout.fps
+    fps = options.fps or stated
+    operations += clock.replaced_fps(fps, stated, who="the data set")
+    described = item.path.parents[1] / TEXTS_FOLDER / f"{item.key}.txt"
+    return Motion(
+        joint_positions=positions,
+        skeleton=layout.skeleton,
+        timegrid=TimeGrid(fps, len(positions)),
+        captions=texts.read_texts(described) if described.is_file() else (),
+        split=item.split,
+        sequence_id=item.sequence_id,
+        provenance=source_file.provenance(item.path, data, layout.name, operations, stated_fps=str(float(stated))),
+    )
+
+
+def recover_positions(
+    vectors: Float[np.ndarray, "frames values"], num_joints: int
+) -> Float32[np.ndarray, "frames joints 3"]:
+    """Joint positions, in the vectors' own unit, from the first 4 + 3·(J − 1) of 12·J − 1 numbers.
+
+    The yaw rate (half angles per frame) and the root's displacements are integrated from the first frame, so errors
+    accumulate; the other joints come from their root-relative positions. Source: HumanML3D, recover_from_ric.
+    """
+    values = vectors.astype(np.float64)
+    angle = np.zeros(len(values))
+    angle[1:] = 2.0 * np.cumsum(values[:-1, 0])
+    step = np.zeros((len(values), 3))
+    step[1:, [0, 2]] = values[:-1, 1:3]
+    root = np.cumsum(_turned_back(step[:, None], angle)[:, 0], axis=0)
+    positions = np.empty((len(values), num_joints, 3))
+    local = values[:, 4 : 4 + 3 * (num_joints - 1)].reshape(len(values), num_joints - 1, 3)
+    positions[:, 1:] = _turned_back(local, angle) + root[:, None]
+    positions[:, 0] = root
+    positions[:, 0, 1] = values[:, 3]
+    return positions.astype(np.float32)
+
+
+def _turned_back(
+    vectors: Float64[np.ndarray, "frames joints 3"], angle: Float64[np.ndarray, "frames"]
+) -> Float64[np.ndarray, "frames joints 3"]:
+    # The inverse of the heading quaternion (cos, 0, sin, 0): a rotation about y by −angle.
+    cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    return np.stack((cosine * x - sine * z, y, sine * x + cosine * z), axis=-1)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A sequence to write: joints in the layout's unit, pose vectors if any, captions and split."""
+
+    name: str
+    joint_positions: Float32[np.ndarray, "frames joints 3"]
+    vectors: Float32[np.ndarray, "rows values"] | None = None
+    captions: tuple[Caption, ...] = ()
+    split: str = ""
+
+
+class FolderWriter:
+    """Writes a folder of the published form sequence by sequence; owns lists of names and the moments of Mean and Std.
+
+    `layout.fps` gives the sequences' durations, for captions that last to their end.
+    """
+
+    def __init__(self, folder: Path, layout: Layout = HUMANML3D) -> None:
+        self._folder = folder
+        self._layout = layout
+        self._members: dict[str, list[str]] = {split: [] for split in ("all", *SPLITS)}
+        self._names: set[str] = set()
+        # Of the training vectors, and of the others.
+        self._moments: dict[bool, Moments] = {}
+        for name in (JOINTS_FOLDER, VECTORS_FOLDER, TEXTS_FOLDER):
+            (folder / name).mkdir(parents=True, exist_ok=True)
+
+    def add(self, entry: Entry) -> None:
+        """Write one sequence; raises `ValueError` for a repeated name or one that is not a plain file name."""
+        if Path(entry.name).name != entry.name or entry.name in self._names:
+            raise ValueError(f"{entry.name!r} is not a plain file name, or is repeated")
+        self._names.add(entry.name)
+        _save(self._folder / JOINTS_FOLDER / f"{entry.name}.npy", entry.joint_positions)
+        if entry.vectors is not None:
+            _save(self._folder / VECTORS_FOLDER / f"{entry.name}.npy", entry.vectors)
+            if len(entry.vectors):
+                trained, more = entry.split == "train", moments(entry.vectors)
+                known = self._moments.get(trained)
+                self._moments[trained] = more if known is None else merge(known, more)
+        if entry.captions:
+            lines = texts.format_texts(entry.captions, len(entry.joint_positions) / float(self._layout.fps))
+            path = self._folder / TEXTS_FOLDER / f"{entry.name}.txt"
+            with naming(path):
+                path.write_text(lines, encoding="utf-8")
+        self._members["all"].append(entry.name)
+        if entry.split in SPLITS:
+            self._members[entry.split].append(entry.name)
+
+    def finish(self) -> int:
+        """Write the splits, `Mean.npy` and `Std.npy`; returns the number of sequences.
+
+        The statistics (in float64; Std averaged inside each block, as published) are of the training vectors, or of
+        all vectors if no sequence is in the training split.
+        """
+        members = {**self._members, "train_val": [*self._members["train"], *self._members["val"]]}
+        for split, names in members.items():
+            (self._folder / f"{split}.txt").write_text("".join(f"{name}\n" for name in names), encoding="utf-8")
+        chosen = self._moments.get(True, self._moments.get(False))
+        if chosen is not None:
+            mean, std = _block_averaged(chosen, self._layout)
+            _save(self._folder / "Mean.npy", mean)
+            _save(self._folder / "Std.npy", std)
+        return len(self._names)
+
+
+def _save(path: Path, array: np.ndarray) -> None:
+    with naming(path):
+        np.save(path, array, allow_pickle=False)
+
+
+def write_humanml3d(folder: Path, entries: Iterable[Entry], layout: Layout = HUMANML3D) -> int:
+    """Write a folder of the published form with `FolderWriter` and return the number of sequences."""
+    writer = FolderWriter(folder, layout)
+    for entry in entries:
+        writer.add(entry)
+    return writer.finish()
+
+
+def _block_averaged(
+    found: Moments, layout: Layout
+) -> tuple[Float32[np.ndarray, "values"], Float32[np.ndarray, "values"]]:
+    """Mean, and the standard deviation averaged inside each block."""
+    std = found.std
+    for block in vector_blocks(layout.skeleton.num_joints):
+        std[block] = std[block].mean()
+    return found.mean.astype(np.float32), std.astype(np.float32)
+
+
+def _arrays(folder: Path) -> dict[str, Path]:
+    paths = {path.stem: path for path in sorted((folder / VECTORS_FOLDER).glob("*.npy"))}
+    paths.update({path.stem: path for path in sorted((folder / JOINTS_FOLDER).glob("*.npy"))})
+    return dict(sorted(paths.items()))
+
+
+FORMAT = Format(
+    name="humanml3d",
+    read=read_humanml3d,
+    claims=claims,
+    find=find,
+    beside=files_of_folder,
+)
+
+
+KIT_FORMAT = Format(
+    name="kit",
+    read=partial(read_humanml3d, layout=KIT),
+    claims=partial(claims, layout=KIT),
+    find=partial(find, layout=KIT),
+    beside=files_of_folder,
+)

@@ -1,0 +1,190 @@
+"""Joint positions as a CSV table: a row per frame, `time_seconds` or `frame`, then JOINT_x, JOINT_y, JOINT_z in metres.
+
+The header names the joints; those of a standard layout, in any order, give that layout, otherwise all are children of
+the first (tables have no bones). `frame` counts frames and needs a framerate from an annotation CSV or an option.
+"""
+
+import csv
+import io
+import re
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pc
+from jaxtyping import Float64
+
+from motionkit.core.errors import FormatError
+from motionkit.core.framerate import format_fps
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
+from motionkit.core.timegrid import TimeGrid
+from motionkit.io.arrays.npy import MAX_NUMBER
+from motionkit.io.arrays.npz import bones_of_pose
+from motionkit.io.format import Format, of_path
+from motionkit.io.scan.items import ReadOptions
+from motionkit.io.source import clock, source_file
+from motionkit.io.source.body_frame import in_metres
+
+TIME, FRAME = "time_seconds", "frame"
+AXES = ("x", "y", "z")
+HEADER_BYTES = 1 << 20
+# pyarrow's messages; rows are lines, the header is the first.
+NO_NUMBER = re.compile(r"column #(\d+): Row #(\d+): .*invalid value '(.{0,40}?)'")
+OTHER_WIDTH = re.compile(r"Row #(\d+): Expected (\d+) columns, got (\d+)")
+
+
+def accepts(path: Path) -> bool:
+    """Whether a CSV's first row has a clock and at least one joint, and is not of `robot_csv`; reads no further."""
+    names = source_file.header_names(path)
+    is_ours = any(name.endswith("_x") for name in names) and "root_qw" not in names
+    return is_ours and (TIME in names or FRAME in names)
+
+
+def read_joints_csv(path: Path, options: ReadOptions | None = None) -> Motion:
+    """Read one table as positions in metres; `options.unit_metres` multiplies them, `options.fps` replaces the clock.
+
+    Raises `FormatError` (`annotations` for a broken header, `channel-count`, `not-a-number`, `nan`, `frame-time` …).
+    """
+    options = options or ReadOptions()
+    data = source_file.read_bytes(path)
+    names = _header(data, path)
+    joints = _joints(names, path)
+    table = _table(data, names, path)
+    grid, stated, operations = _clock(table, names, options, path)
+    skeleton, order = _skeleton(joints)
+    columns = [names.index(f"{joint}_{axis}") for joint in order for axis in AXES]
+    positions = table[:, columns].reshape(len(table), len(order), 3).astype(np.float32)
+    if skeleton is None:
+        parents = (-1, *(0,) * (len(order) - 1))
+        skeleton = Skeleton(path.stem, order, parents, bones_of_pose(positions[0], parents))
+    motion = Motion(
+        joint_positions=positions,
+        skeleton=skeleton,
+        timegrid=grid,
+        sequence_id=path.stem,
+        provenance=source_file.provenance(path, data, "csv", operations, stated_fps=stated),
+    )
+    return in_metres(motion, options.unit_metres)
+
+
+def write_joints_csv(motion: Motion, path: Path) -> None:
+    """Write `time_seconds` and the positions in metres with all digits of float32."""
+    arrays = {TIME: motion.timegrid.seconds()}
+    for joint, name in enumerate(motion.skeleton.joint_names):
+        for axis, letter in enumerate(AXES):
+            arrays[f"{name}_{letter}"] = np.ascontiguousarray(motion.joint_positions[:, joint, axis])
+    pc.write_csv(pa.table(arrays), path)
+
+
+def _header(data: bytes, path: Path) -> tuple[str, ...]:
+    text = source_file.decode(data[:HEADER_BYTES].partition(b"\n")[0], path)
+    if ";" in text or "\t" in text:
+        raise FormatError(
+            "columns are separated by ';' or tabs, expected commas, and points in numbers (1.5, not 1,5)",
+            path=path,
+            reason="not-a-number",
+            line=1,
+        )
+    try:
+        return tuple(name.strip() for name in next(csv.reader(io.StringIO(text), strict=True), []))
+    except csv.Error as error:
+        raise FormatError(f"the first row is no header ({error})", path=path, reason="annotations", line=1) from None
+
+
+def _joints(names: tuple[str, ...], path: Path) -> tuple[str, ...]:
+    """Joint names in order of appearance; every joint must have three columns, without any other columns."""
+    joints = tuple(dict.fromkeys(name[:-2] for name in names if name[-2:] in ("_x", "_y", "_z")))
+    expected = {f"{joint}_{axis}" for joint in joints for axis in AXES}
+    odd = sorted(expected.symmetric_difference(set(names) - {TIME, FRAME}))
+    if not joints or odd or len(set(names)) != len(names):
+        what = f"{odd[0]!r} is one too many or missing" if odd else "a column is there twice, or there is no joint"
+        raise FormatError(
+            f"{what}; expected {TIME} or {FRAME} and three columns JOINT_x, JOINT_y, JOINT_z for each joint",
+            path=path,
+            reason="channel-count",
+            line=1,
+        )
+    return joints
+
+
+def _table(data: bytes, names: tuple[str, ...], path: Path) -> Float64[np.ndarray, "frames columns"]:
+    try:
+        table = pc.read_csv(
+            pa.BufferReader(data),
+            read_options=pc.ReadOptions(column_names=list(names), skip_rows=1, use_threads=False),
+            convert_options=pc.ConvertOptions(column_types=dict.fromkeys(names, pa.float64()), null_values=[]),
+        )
+    except (pa.ArrowException, ValueError) as error:
+        raise _unreadable(str(error).splitlines()[0], names, path) from None
+    if not table.num_rows:
+        raise FormatError("0 frames, expected at least one row below the header", path=path, reason="no-frames")
+    values = np.stack([table[name].to_numpy() for name in names], axis=1)
+    for reason, bad in (("nan", ~np.isfinite(values)), ("range", np.abs(values) > MAX_NUMBER)):
+        if bad.any():
+            frame, column = np.argwhere(bad)[0].tolist()
+            message = f"{values[frame, column]} in column {names[column]!r}"
+            raise FormatError(message, path=path, reason=reason, frame=frame)
+    return values
+
+
+def _unreadable(message: str, names: tuple[str, ...], path: Path) -> FormatError:
+    if (found := NO_NUMBER.search(message)) is not None:
+        column, line, value = int(found[1]), int(found[2]), found[3]
+        what = f"{value!r} in column {names[column]!r}, expected a number with a point (1.5, not 1,5)"
+        return FormatError(what, path=path, reason="not-a-number", line=line)
+    if (found := OTHER_WIDTH.search(message)) is not None:
+        what = f"{found[3]} values, expected {found[2]}; numbers have points (1.5), not commas"
+        return FormatError(what, path=path, reason="channel-count", line=int(found[1]))
+    return FormatError(message[:160], path=path, reason="not-a-number")
+
+
+def _clock(
+    table: Float64[np.ndarray, "frames columns"], names: tuple[str, ...], options: ReadOptions, path: Path
+) -> tuple[TimeGrid, str, list[str]]:
+    if FRAME in names:
+        steps = np.diff(table[:, names.index(FRAME)])
+        if (steps != 1).any():
+            frame = int(np.argmax(steps != 1)) + 1
+            raise FormatError("frames do not count up by one", path=path, reason="frame-number", frame=frame)
+    if TIME not in names:
+        if options.fps is None:
+            raise FormatError(
+                f"frames are counted, but nothing says the framerate; write {TIME}, put a column fps into an "
+                "annotation CSV, or use --fps",
+                path=path,
+                reason="no-framerate",
+            )
+        return TimeGrid(options.fps, len(table)), "", []
+    seconds = table[:, names.index(TIME)]
+    if options.fps is None:
+        grid = clock.grid_of_seconds(seconds, path)
+        return grid, f"{TIME}: {format_fps(grid.fps)}", []
+    grid = TimeGrid(options.fps, len(seconds), float(seconds[0]))
+    stated = _fps_if_even(seconds, path)
+    return grid, "" if stated is None else f"{TIME}: {format_fps(stated)}", clock.replaced_fps(options.fps, stated)
+
+
+def _fps_if_even(seconds: Float64[np.ndarray, "frames"], path: Path) -> Fraction | None:
+    try:
+        return clock.grid_of_seconds(seconds, path).fps
+    except FormatError:
+        return None
+
+
+def _skeleton(joints: tuple[str, ...]) -> tuple[Skeleton | None, tuple[str, ...]]:
+    """The standard skeleton with exactly these joints, and the order of their columns."""
+    for skeleton in STANDARD_SKELETONS.values():
+        if set(joints) == set(skeleton.joint_names):
+            return skeleton, skeleton.joint_names
+    return None, joints
+
+
+FORMAT = Format(
+    name="csv",
+    read=of_path(read_joints_csv),
+    suffixes=(".csv",),
+    accepts=accepts,
+    write=write_joints_csv,
+)

@@ -1,0 +1,138 @@
+"""Reading a sequence found by a scan: its file, with the framerate corrected, cropped and mirrored as required."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TypeVar
+
+from motionkit.core.errors import FormatError
+from motionkit.core.mirror import mirror
+from motionkit.core.motion import Motion
+from motionkit.core.skeletons.families import with_layout_map
+from motionkit.io.bvh.document import BvhDocument
+from motionkit.io.catalogue import readers
+from motionkit.io.scan import cuts, framerate_rules
+from motionkit.io.scan.items import ReadOptions, SourceItem
+from motionkit.io.source.source_file import check_size
+from motionkit.io.up import log_lines, turned
+
+# Reasons for refusing a file that lacks only a usable framerate.
+NO_FRAMERATE = frozenset({"no-framerate", "framerate", "frame-time"})
+
+
+Read = TypeVar("Read", Motion, BvhDocument)
+
+
+def read(item: SourceItem, options: ReadOptions | None = None) -> Motion:
+    """Read one sequence with its annotations; raises `FormatError`, `too-large` beyond a store's limit."""
+    options = _with_clock(item, options)
+    if item.cut is None and not item.mirrored:
+        motion = _read_file(item, options)
+        motion = replace(motion, captions=item.captions or motion.captions)
+        skipped = options.skip_frames if item.skip_frames is None else item.skip_frames
+        motion = cuts.without_first(motion, skipped, item.path)
+    else:
+        motion = _read_stretch(item, options)
+    check_size(motion.num_frames, motion.skeleton.num_joints, item.path)
+    return _annotated(motion, item, options)
+
+
+def read_document(item: SourceItem, options: ReadOptions | None = None) -> BvhDocument | None:
+    """The document of a whole file with its annotations, None if its format has none.
+
+    Its skeleton, frames and clock are those of `read`. Raises `FormatError`.
+    """
+    options, document = _with_clock(item, options), readers()[item.format].document
+    if document is None:
+        return None
+    found = _on_clock(item, options, lambda wanted: document(item.path, wanted))
+    return _annotated(replace(found, captions=item.captions), item, options)
+
+
+def _with_clock(item: SourceItem, options: ReadOptions | None) -> ReadOptions:
+    options = options or ReadOptions()
+    return replace(options, fps=item.fps) if options.fps is None else options
+
+
+def _annotated(made: Read, item: SourceItem, options: ReadOptions) -> Read:
+    provenance = replace(
+        made.provenance,
+        source=item.source,
+        subset=item.subset,
+        source_path=item.path.relative_to(item.root).as_posix(),
+        licence=item.licence or made.provenance.licence,
+        subject=item.subject or made.provenance.subject,
+        stated_fps=item.stated_fps or made.provenance.stated_fps,
+    )
+    return replace(
+        made,
+        skeleton=with_layout_map(made.skeleton, options.skeleton_maps),
+        sequence_id=item.sequence_id,
+        action=item.action or made.action,
+        style=item.style or made.style,
+        split=item.split or made.split,
+        provenance=provenance,
+    )
+
+
+def _read_file(item: SourceItem, options: ReadOptions) -> Motion:
+    read_with = readers()[item.format].read
+    assert read_with is not None
+    motion = _on_clock(item, options, lambda wanted: read_with(item, wanted))
+    if not options.up or readers()[item.format].turns_up:
+        return motion
+    motion = turned(motion, options.up)
+    for line in log_lines(options.up, options.up):
+        motion = motion.logged(line)
+    return motion
+
+
+def _on_clock(item: SourceItem, options: ReadOptions, read: Callable[[ReadOptions], Read]) -> Read:
+    # The whole file, its framerate corrected by a rule unless the user has given one.
+    if options.fps is not None:
+        return read(options)
+    rules = framerate_rules.matching_rules(item.path, item.root, (*options.fps_rules, *framerate_rules.shipped_rules()))
+    try:
+        made = read(options)
+    except FormatError as problem:
+        rule = next((rule for rule in rules if rule.stated is None), None)
+        if rule is None or problem.reason not in NO_FRAMERATE:
+            raise
+        return read(replace(options, fps=rule.fps)).logged(f"framerate by rule ({rule.where})")
+    fps, lines = framerate_rules.corrected_fps(made.fps, rules)
+    for line in lines:
+        made = replace(made, timegrid=replace(made.timegrid, fps=fps)).logged(line)
+    return made
+
+
+def _read_stretch(item: SourceItem, options: ReadOptions) -> Motion:
+    whole = SourceItem(item.format, item.path, item.root, sequence_id="", key=item.key, fps=item.fps)
+    motion = _read_once(whole, options, _version(item.path))
+    stated_fps = item.stated_fps or motion.provenance.stated_fps  # which frames an index counted depends on it
+    provenance = replace(motion.provenance, stated_fps=stated_fps)
+    captions = item.captions or motion.captions
+    motion = replace(motion, captions=captions, provenance=provenance, sequence_id=item.sequence_id)
+    if item.cut is not None:
+        motion = cuts.crop(motion, item.cut, item.path)
+    if not item.mirrored:
+        return motion
+    try:
+        return mirror(motion)
+    except ValueError as error:
+        raise FormatError(f"cannot be mirrored: {error}", path=item.path, reason="mirror") from None
+
+
+@lru_cache(maxsize=1)
+def _read_once(whole: SourceItem, options: ReadOptions, version: tuple[int, int]) -> Motion:
+    # The stretches of a file are consecutive, and reading it costs far more than cutting it. A file that has changed
+    # since is read again.
+    return _read_file(whole, options)
+
+
+def _version(path: Path) -> tuple[int, int]:
+    try:
+        status = path.stat()
+    except OSError:
+        return 0, 0  # the reader will report it
+    return status.st_mtime_ns, status.st_size

@@ -1,0 +1,267 @@
+"""SMPL's bodies: the joint layouts of AMASS's pose arrays, body models, and the mean body used without one.
+
+Names are those of the `smplx` package's joint lists without its suffix for eyes; the order of SMPL-X's pose array is
+root, body, jaw, eyes, hands. Source: https://github.com/nghorbani/amass and https://github.com/vchoutas/smplx.
+"""
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Float64
+
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.io.arrays import npz_archive
+from motionkit.io.source import source_file
+
+FINGERS = tuple(f"{finger}{bone}" for finger in ("index", "middle", "pinky", "ring", "thumb") for bone in (1, 2, 3))
+HANDS = tuple(f"{side}_{joint}" for side in ("left", "right") for joint in FINGERS)
+FACE = ("jaw", "left_eye", "right_eye")
+
+
+@dataclass(frozen=True)
+class PoseLayout:
+    """Joints of a body model, in the order of its pose array (3 numbers each).
+
+    `family` names the body model (smpl, smplh, smplx) whose shape space the betas belong to; the body
+    joints alone have none.
+    """
+
+    family: str
+    joint_names: tuple[str, ...]
+    parents: tuple[int, ...]
+
+    @property
+    def num_joints(self) -> int:
+        """Number of joints J; a pose has 3·J numbers."""
+        return len(self.joint_names)
+
+    def skeleton(self, name: str, rest_joints: Float[np.ndarray, "joints 3"]) -> Skeleton:
+        """The skeleton with these rest positions in metres."""
+        offsets = rest_joints - rest_joints[np.maximum(self.parents, 0)]
+        offsets[0] = rest_joints[0]
+        return Skeleton(
+            name=name,
+            joint_names=self.joint_names,
+            parents=self.parents,
+            offsets=offsets.astype(np.float32),
+            left_right_pairs=_pairs(self.joint_names),
+            feet=SMPL22.feet,
+        )
+
+
+def _layout(family: str, *extra: str) -> PoseLayout:
+    names = (*SMPL22.joint_names, *extra)
+    parents = list(SMPL22.parents)
+    for name in extra:
+        side, _, joint = name.partition("_")
+        if name in FACE:
+            above = "head"
+        elif joint == "hand" or joint.endswith("1"):
+            above = f"{side}_wrist"
+        else:
+            above = f"{name[:-1]}{int(name[-1]) - 1}"
+        parents.append(names.index(above))
+    return PoseLayout(family, names, tuple(parents))
+
+
+def _pairs(names: tuple[str, ...]) -> tuple[tuple[int, int], ...]:
+    lefts = [name for name in names if name.startswith("left_")]
+    return tuple((names.index(name), names.index(name.replace("left_", "right_", 1))) for name in lefts)
+
+
+BODY = _layout("")
+SMPL = _layout("smpl", "left_hand", "right_hand")
+SMPLH = _layout("smplh", *HANDS)
+SMPLX = _layout("smplx", *FACE, *HANDS)
+LAYOUTS: Mapping[str, PoseLayout] = {layout.family: layout for layout in (SMPL, SMPLH, SMPLX)}
+
+# The separate arrays in which SMPL-H and SMPL-X files also give their poses, in the order of the pose array.
+POSE_PARTS = (("root_orient", 3), ("pose_body", 63), ("pose_jaw", 3), ("pose_eye", 6), ("pose_hand", 90))
+
+
+# SMPL-X files hold 300 shape directions and then 100 of facial expression; the small ones 10 and 10.
+SMPLX_DIRECTIONS, SMPLX_BETAS, SMALL_SMPLX_BETAS = 400, 300, 10
+
+
+@dataclass(frozen=True, eq=False)
+class BodyModel:
+    """A body model reduced to its joints: `mean_joints` at rest and their `shape_directions`, in metres."""
+
+    family: str
+    gender: str
+    mean_joints: Float64[np.ndarray, "joints 3"]
+    shape_directions: Float64[np.ndarray, "joints 3 betas"]
+
+    def rest_joints(self, betas: Float[np.ndarray, "betas"]) -> Float64[np.ndarray, "joints 3"]:
+        """Joints of the body with these betas at rest; betas beyond the model's are ignored."""
+        used = min(len(betas), self.shape_directions.shape[-1])
+        moved: Float64[np.ndarray, "joints 3"] = self.shape_directions[..., :used] @ betas[:used].astype(np.float64)
+        joints: Float64[np.ndarray, "joints 3"] = self.mean_joints + moved
+        return joints
+
+
+def find_body_model(folder: Path, layout: PoseLayout, gender: str) -> BodyModel:
+    """The model of a family for a gender, or the neutral one if the folder has no other.
+
+    Raises `FormatError` (`no-body-model`) if there is none, naming the accepted files.
+    """
+    genders = dict.fromkeys((gender, "neutral")) if gender else ("neutral",)
+    for wanted in genders:
+        for path in _candidates(folder, layout.family, wanted):
+            if path.is_file():
+                return load_body_model(path, layout, wanted)
+    pickled = [path for wanted in genders for path in _candidates(folder, layout.family, wanted, ".pkl")]
+    found = next((path for path in pickled if path.is_file()), None)
+    if found:
+        raise FormatError(
+            "is a Python pickle, which can run code when it is loaded; take the .npz that the model's site offers, or "
+            "convert it as docs/formats.md shows",
+            path=found,
+            reason="no-body-model",
+        )
+    names = ", ".join(
+        path.relative_to(folder).as_posix() for path in _candidates(folder, layout.family, gender or "neutral")
+    )
+    raise FormatError(
+        f"no {layout.family} model for gender {gender or 'unknown'!r}, nor a neutral one; expected one of {names}",
+        path=folder,
+        reason="no-body-model",
+    )
+
+
+@lru_cache(maxsize=16)
+def load_body_model(path: Path, layout: PoseLayout, gender: str) -> BodyModel:
+    """Read a model file, once in each process; raises `FormatError` as `npz_archive` does, and `bones`."""
+    archive = npz_archive.open_archive(path, source_file.read_bytes(path))
+    template = npz_archive.read_numbers(archive, "v_template", (None, 3)).astype(np.float64)
+    regressor = npz_archive.read_numbers(archive, "J_regressor", (None, len(template))).astype(np.float64)
+    if len(regressor) != layout.num_joints:
+        raise FormatError(
+            f"J_regressor has {len(regressor)} joints, expected the {layout.num_joints} of {layout.family}",
+            path=path,
+            reason="bones",
+        )
+    directions = npz_archive.read_numbers(archive, "shapedirs", (len(template), 3, None))
+    if layout.family == "smplx":
+        directions = directions[..., : SMPLX_BETAS if directions.shape[-1] >= SMPLX_DIRECTIONS else SMALL_SMPLX_BETAS]
+    moved = np.tensordot(regressor, directions.astype(np.float64), axes=1)
+    return BodyModel(layout.family, gender, regressor @ template, moved)
+
+
+def _candidates(folder: Path, family: str, gender: str, suffix: str = ".npz") -> Iterator[Path]:
+    # File names as published for SMPL, MANO (SMPL-H) and SMPL-X, with or without the family's folder.
+    for parent in (folder / family, folder):
+        yield parent / f"{family.upper()}_{gender.upper()}{suffix}"
+        yield parent / gender / f"model{suffix}"
+
+
+# Rest offsets in metres relative to the parent (pelvis: relative to the model's origin), y up, facing +z, left at +x,
+# arms straight out. Source: the bodies of phc/data/assets/mjcf/smpl_humanoid.xml in
+# https://github.com/ZhengyiLuo/PHC (BSD 3-clause), made from SMPL's neutral body with all betas 0.
+MEAN_OFFSETS = (
+    (-0.0018, -0.2233, 0.0282),
+    (0.0695, -0.0914, -0.0068),
+    (-0.0677, -0.0905, -0.0043),
+    (-0.0025, 0.1090, -0.0267),
+    (0.0343, -0.3752, -0.0045),
+    (-0.0383, -0.3826, -0.0089),
+    (0.0055, 0.1352, 0.0011),
+    (-0.0136, -0.3980, -0.0437),
+    (0.0158, -0.3984, -0.0423),
+    (0.0015, 0.0529, 0.0254),
+    (0.0264, -0.0558, 0.1193),
+    (-0.0254, -0.0481, 0.1233),
+    (-0.0028, 0.2139, -0.0429),
+    (0.0788, 0.1217, -0.0341),
+    (-0.0818, 0.1188, -0.0386),
+    (0.0052, 0.0650, 0.0513),
+    (0.0910, 0.0305, -0.0089),
+    (-0.0960, 0.0326, -0.0091),
+    (0.2596, -0.0128, -0.0275),
+    (-0.2537, -0.0133, -0.0214),
+    (0.2492, 0.0090, -0.0012),
+    (-0.2553, 0.0078, -0.0056),
+)
+
+
+def mean_shape_skeleton() -> Skeleton:
+    """The 22 body joints of SMPL's mean shape as the skeleton `smpl22-mean-shape`."""
+    rest = np.array(MEAN_OFFSETS, np.float64)
+    for joint, parent in enumerate(BODY.parents):
+        if parent >= 0:
+            rest[joint] += rest[parent]
+    return BODY.skeleton("smpl22-mean-shape", rest)
+
+
+# Bones of the male and female bodies at rest are within this of the mean shape's.
+_SAME_REST_COSINE = 0.8
+
+
+def rests_as_smpl(motion: Motion) -> bool:
+    """Whether a motion's rotations are those of SMPL's joints, relative to SMPL's rest pose."""
+    skeleton = motion.skeleton
+    if motion.local_rotations is None or motion.root_translation is None:
+        return False
+    if skeleton.joint_names[: BODY.num_joints] != BODY.joint_names:
+        return False
+    bones, usual = skeleton.offsets[1 : BODY.num_joints], np.array(MEAN_OFFSETS[1:])
+    sizes = np.maximum(np.linalg.norm(bones, axis=-1) * np.linalg.norm(usual, axis=-1), 1e-9)
+    return bool((np.sum(bones * usual, axis=-1) / sizes > _SAME_REST_COSINE).all())
+
+
+# The log line of a neutral body in place of the subject's gender.
+SUBSTITUTE = re.compile(r"joints: (?P<family>\w+) neutral \(the file's gender: (?P<gender>male|female)\)")
+
+
+@dataclass(frozen=True)
+class Body:
+    """A skeleton and the log lines of its origin."""
+
+    skeleton: Skeleton
+    operations: tuple[str, ...]
+
+
+def mean_body(layout: PoseLayout) -> Body:
+    """The 22 joints of SMPL's mean shape; the layout's other joints are dropped, and the log says so."""
+    operations = ["joints: SMPL's mean shape, no body model given"]
+    left_out = layout.num_joints - BODY.num_joints
+    if left_out:
+        operations.append(f"rotations of {left_out} joints left out (hands, face): they need a body model")
+    return Body(mean_shape_skeleton(), tuple(operations))
+
+
+def own_body(
+    models: Path, layout: PoseLayout, family: PoseLayout, gender: str, betas: Float[np.ndarray, "betas"]
+) -> Body:
+    """The joints of a layout from a model in the user's folder, for these betas.
+
+    `BODY`, the body joints alone, belongs to no family; any other layout is its own. `gender` is empty if unknown.
+    Raises `FormatError` (`no-body-model`).
+    """
+    model = find_body_model(models, family if layout is BODY else layout, gender)
+    rest = model.rest_joints(betas)[: layout.num_joints]
+    used = min(len(betas), model.shape_directions.shape[-1])
+    fallback = "" if model.gender == gender else f" (the file's gender: {gender or 'unknown'})"
+    line = f"joints: {model.family} {model.gender}{fallback}, {used} betas"
+    return Body(layout.skeleton(f"{model.family}-{model.gender}", rest), (line,))
+
+
+def substituted_body(operations: Iterable[str]) -> str:
+    """A message if a motion's log says that a neutral body replaces a male or female one; else empty.
+
+    Betas belong to one gender's shape space: the neutral model gives another body for them.
+    """
+    found = next(filter(None, map(SUBSTITUTE.match, operations)), None)
+    if found is None:
+        return ""
+    family, gender = found["family"], found["gender"]
+    return (
+        f"has the neutral {family} body under a {gender} subject's betas, so bone lengths are not the subject's: put "
+        f"{family.upper()}_{gender.upper()}.npz into the folder of --body-models and ingest again with --overwrite"
+    )

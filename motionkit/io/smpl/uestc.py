@@ -1,0 +1,167 @@
+"""UESTC as used by ACTOR: SMPL poses estimated by VIBE from the videos, 40 actions, 118 subjects, 30 fps.
+
+They are published in one Python pickle, which is not loaded here, because a pickle can run code; docs/formats.md shows
+how to convert it to one .npz per sequence, `a1_d2_p003_c2_color.npz`, with `pose` [T, 72] (axis–angle vectors of
+SMPL's 24 joints in the camera's frame, y down) and optionally `trans` [T, 3] metres and `betas` [T, 10]. Sources:
+https://github.com/Mathux/ACTOR, src/datasets/uestc.py (arrays, view rotations, sets); the README of the UESTC RGB-D
+database (names, 30 Hz, sides and views).
+"""
+
+import re
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+
+from motionkit.core import kinematics
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Motion
+from motionkit.core.timegrid import TimeGrid
+from motionkit.io.arrays import npz_archive
+from motionkit.io.arrays.npz_archive import NpzArchive
+from motionkit.io.format import Format, of_path
+from motionkit.io.scan.items import ReadOptions
+from motionkit.io.smpl.body import SMPL, Body, mean_body, own_body
+from motionkit.io.source import clock, source_file
+
+FPS = Fraction(30)
+NUM_BETAS = 10
+PICKLE = "vibe_cache_refined.pkl"
+NAME = re.compile(r"a(?P<action>\d{1,2})_d(?P<view>\d)_p(?P<subject>\d{1,3})_c(?P<side>\d)(_\w+)?", re.IGNORECASE)
+FRONT_SIDE = "1"
+MOVING_VIEW = 8
+TRAIN_SUBJECTS = frozenset(
+    (
+        *(1, 2, 6, 12, 13, 16, 21, 24, 28, 29, 30, 31, 33, 35, 39, 41, 42, 45, 47, 50, 52, 54, 55, 57, 59, 61, 63, 64),
+        *(67, 69, 70, 71, 73, 77, 81, 84, 86, 87, 88, 90, 91, 93, 96, 99, 102, 103, 104, 107, 108, 112, 113),
+    )
+)
+NUM_SUBJECTS = 118
+ACTIONS = (
+    *("punching-and-knee-lifting", "marking-time-and-knee-lifting", "jumping-jack", "squatting", "forward-lunging"),
+    *("left-lunging", "left-stretching", "raising-hand-and-jumping", "left-kicking", "rotation-clapping"),
+    *("front-raising", "pulling-chest-expanders", "punching", "wrist-circling", "single-dumbbell-raising"),
+    *("shoulder-raising", "elbow-circling", "dumbbell-one-arm-shoulder-pressing", "arm-circling"),
+    *("dumbbell-shrugging", "pinching-back", "head-anticlockwise-circling", "shoulder-abduction"),
+    *("deltoid-muscle-stretching", "straight-forward-flexion", "spinal-stretching", "dumbbell-side-bend"),
+    *("standing-opposite-elbow-to-knee-crunch", "standing-rotation", "overhead-stretching", "upper-back-stretching"),
+    *("knee-to-chest", "knee-circling", "alternate-knee-lifting", "bent-over-twist", "rope-skipping"),
+    *("standing-toe-touches", "standing-gastrocnemius-calf", "single-leg-lateral-hopping", "high-knees-running"),
+)
+# 180° about x: the camera's y points down and its z away from it.
+FROM_CAMERA = np.array([0.0, 1.0, 0.0, 0.0], np.float32)
+
+
+@dataclass(frozen=True)
+class _Name:
+    action: str
+    subject: int
+    view: int
+    front: bool
+
+    @property
+    def split(self) -> str:
+        # The moving camera's view belongs to neither set.
+        if (self.view == MOVING_VIEW and not self.front) or not 1 <= self.subject <= NUM_SUBJECTS:
+            return ""
+        return "train" if self.subject in TRAIN_SUBJECTS else "test"
+
+
+def accepts(path: Path) -> bool:
+    """Whether a file is, by its name, a converted sequence or the pickle, which is refused with instructions."""
+    return path.name == PICKLE or (path.suffix.lower() == ".npz" and NAME.fullmatch(path.stem) is not None)
+
+
+def read_uestc(path: Path, options: ReadOptions | None = None) -> Motion:
+    """Read one converted sequence: true local rotations, positions in metres, y up, rotated to the front view.
+
+    The joints are the 22 of SMPL's mean shape, or with `options.body_models` those of the neutral SMPL model with the
+    sequence's mean betas. The pelvis is at `trans`, relative to the first frame; without it the pelvis stays in place.
+    Action, subject and ACTOR's split come from the name. Raises `FormatError`, with the reason `pickle` for the
+    published file itself.
+    """
+    options = options or ReadOptions()
+    if path.suffix.lower() != ".npz":
+        raise FormatError(
+            "a Python pickle, which can run code when it is loaded and is not; docs/formats.md, UESTC, shows the lines "
+            "that turn it into .npz files",
+            path=path,
+            reason="pickle",
+        )
+    name = _parse_name(path)
+    data = source_file.read_bytes(path)
+    archive = npz_archive.open_archive(path, data)
+    pose = npz_archive.read_numbers(archive, "pose", (None, 3 * SMPL.num_joints))
+    body = _body(archive, len(pose), options)
+    operations = list(body.operations)
+    trans = np.zeros((len(pose), 3), np.float32)
+    if "trans" in archive:
+        trans = npz_archive.read_numbers(archive, "trans", (len(pose), 3))
+    else:
+        operations.append("no translation in the file: the pelvis stays in place")
+    turn, turned = _to_front(name)
+    operations += turned
+    rotations = kinematics.rotation_vector_to_quaternion(
+        pose[:, : 3 * body.skeleton.num_joints].reshape(len(pose), -1, 3)
+    )
+    rotations[:, 0] = kinematics.quaternion_multiply(turn, rotations[:, 0])
+    root = kinematics.quaternion_rotate(turn, trans)
+    fps = options.fps or FPS
+    operations += clock.replaced_fps(fps, FPS, who="the data set")
+    return Motion(
+        joint_positions=kinematics.forward_kinematics(rotations, root, body.skeleton),
+        skeleton=body.skeleton,
+        timegrid=TimeGrid(fps, len(pose)),
+        local_rotations=rotations,
+        root_translation=root,
+        action=name.action,
+        split=name.split,
+        sequence_id=path.stem,
+        provenance=source_file.provenance(
+            path, data, "uestc", operations, subject=f"p{name.subject:03}", stated_fps=str(FPS)
+        ),
+    )
+
+
+def _parse_name(path: Path) -> _Name:
+    match = NAME.fullmatch(path.stem)
+    if match is None or int(match["action"]) >= len(ACTIONS):
+        raise FormatError(
+            "expected a name such as a1_d2_p003_c2_color with an action from 0 to 39", path=path, reason="name"
+        )
+    return _Name(ACTIONS[int(match["action"])], int(match["subject"]), int(match["view"]), match["side"] == FRONT_SIDE)
+
+
+def _body(archive: NpzArchive, num_frames: int, options: ReadOptions) -> Body:
+    if options.body_models is None:
+        return mean_body(SMPL)
+    betas = np.zeros(NUM_BETAS, np.float32)
+    if "betas" in archive:
+        betas = npz_archive.read_numbers(archive, "betas", (num_frames, NUM_BETAS)).mean(axis=0)
+    body = own_body(options.body_models, SMPL, SMPL, "neutral", betas)
+    return replace(body, operations=(*body.operations, "betas: their mean over the sequence"))
+
+
+def _to_front(name: _Name) -> tuple[Float32[np.ndarray, "4"], list[str]]:
+    # Side cameras are at multiples of 45 degrees; views of the front and the moving camera are not rotated.
+    upright = "turned from the camera's frame to y up: (x, y, z) → (x, −y, −z)"
+    if name.front:
+        return FROM_CAMERA, [upright]
+    if name.view == MOVING_VIEW:
+        return FROM_CAMERA, [upright, "the camera moves in this view: the heading is relative to it"]
+    half = -name.view * np.pi / 8
+    back = np.array([np.cos(half), 0.0, np.sin(half), 0.0], np.float32)
+    return kinematics.quaternion_multiply(FROM_CAMERA, back), [
+        f"turned by {-45 * name.view}° about the camera's y to the front view",
+        upright,
+    ]
+
+
+FORMAT = Format(
+    name="uestc",
+    read=of_path(read_uestc),
+    suffixes=(".npz", ".pkl"),
+    accepts=accepts,
+)

@@ -1,0 +1,227 @@
+"""Reading a file once: its bytes, its hash, its text; and identifying mislabelled files."""
+
+import hashlib
+import os
+import re
+import stat
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Provenance
+from motionkit.io.scan.folders import dangling
+
+MAX_BYTES = 4 << 30
+HEADER_BYTES = 1 << 20
+BLANK = b" \t\r\n\0"
+UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+# 9.7 hours at 120 fps; and frames × joints, at most 60 bytes of memory each: 4 GB.
+MAX_FRAMES = 1 << 22
+MAX_POSES = 1 << 26
+
+
+def read_bytes(path: Path) -> bytes:
+    """All bytes of a file; raises `FormatError` (`unreadable`, `empty`, `too-large`)."""
+    size = check_file(path).st_size
+    if size > MAX_BYTES:
+        raise FormatError(f"{size} bytes, expected at most {MAX_BYTES}; split the file", path=path, reason="too-large")
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise unreadable(path, error) from None
+    if not data.strip(BLANK):
+        raise FormatError("the file is empty", path=path, reason="empty")
+    return data
+
+
+def check_file(path: Path) -> os.stat_result:
+    """`os.stat` of a file; raises `FormatError` (`unreadable`) for anything but a regular file."""
+    try:
+        status = path.stat()
+    except OSError as error:
+        raise unreadable(path, error) from None
+    if not stat.S_ISREG(status.st_mode):
+        raise FormatError("a folder, a pipe or a device, expected a file", path=path, reason="unreadable")
+    return status
+
+
+def check_size(num_frames: int, num_joints: int, path: Path) -> None:
+    """Raise `FormatError` (`too-large`) beyond 4,194,304 frames, and beyond 67,108,864 frames × joints."""
+    most = min(MAX_FRAMES, MAX_POSES // max(1, num_joints))
+    if num_frames > most:
+        raise FormatError(
+            f"{num_frames:,} frames of {num_joints} joints, expected at most {most:,} frames of so many joints; cut it "
+            "into several files (docs/formats.md, Long takes)",
+            path=path,
+            reason="too-large",
+        )
+
+
+def unreadable(path: Path, error: OSError) -> FormatError:
+    """The error of a file that cannot be opened or read."""
+    return dangling(path) or FormatError(f"cannot be read ({error.strerror or error})", path=path, reason="unreadable")
+
+
+def sha256(data: bytes) -> str:
+    """SHA-256 of a file's bytes in hex."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def provenance(
+    path: Path, data: bytes, source_format: str, operations: Iterable[str], *, stated_fps: str = "", subject: str = ""
+) -> Provenance:
+    """The provenance of a motion read from a file's bytes, with its operation log."""
+    return Provenance(
+        source_path=path.name,
+        source_sha256=sha256(data),
+        source_format=source_format,
+        subject=subject,
+        stated_fps=stated_fps,
+        operations=tuple(operations),
+    )
+
+
+def decode(data: bytes, path: Path) -> str:
+    """Bytes as UTF-8 text, a byte order mark dropped; raises `FormatError` (`encoding`) naming the line."""
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data[: error.start].count(b"\n") + 1
+        raise FormatError(
+            f"byte 0x{data[error.start]:02x} is not UTF-8; convert the file to UTF-8",
+            path=path,
+            reason="encoding",
+            line=line,
+        ) from None
+
+
+def header_names(path: Path) -> list[str]:
+    """The names in a table's first line, in any encoding and with any separator; empty if there is no such line."""
+    try:
+        if not path.is_file():
+            return []
+        with path.open("rb") as file:
+            head = file.readline(HEADER_BYTES)
+    except OSError:
+        return []
+    text = head.decode("utf-16" if head.startswith(UTF_16) else "utf-8-sig", "replace")
+    return [name.strip('" \r\n\ufffd') for name in re.split(r"[,;\t]", text)]
+
+
+def describe_content(data: bytes) -> str:
+    """A description of a file by its first bytes, for messages about mislabelled files."""
+    head = data[:4096].lstrip(b"\xef\xbb\xbf \t\r\n")
+    signatures = (
+        (b"HIERARCHY", "a BVH file"),
+        (b"\x93NUMPY", "a .npy array"),
+        (b"PK\x03\x04", "a zip or .npz archive"),
+        (b"\x1f\x8b", "a gzip archive"),
+        (b"\x89PNG", "a PNG image"),
+        (b"Kaydara FBX", "an FBX file"),
+        (b":FULLY-SPECIFIED", "an AMC file"),
+        (b":version", "an ASF skeleton"),
+        (b"<", "an XML or HTML page"),
+        (b"{", "a JSON file"),
+        (b"version https://git-lfs", "a Git LFS pointer (fetch the real file with `git lfs pull`)"),
+    )
+    for signature, name in signatures:
+        if head.startswith(signature):
+            return name
+    if b":FULLY-SPECIFIED" in head:
+        return "an AMC file"
+    if b":bonedata" in head or b":root" in head:
+        return "an ASF skeleton"
+    return "binary data" if b"\0" in head else "some other text"
+
+
+PART_BYTES = 1 << 16
+LONGEST_LINE = 16 << 20
+
+
+@dataclass(frozen=True)
+class FileParts:
+    """Parts of a file, which must not change after it is opened.
+
+    Line ends that are a single carriage return, as on old Macintoshes, are read as newlines.
+    """
+
+    path: Path
+    size: int
+    changed_ns: int
+    old_line_ends: bool = False
+    content: bytes | None = None
+
+    @classmethod
+    def of(cls, path: Path, *, held_bytes: int = 0) -> "FileParts":
+        """Open a file; one of at most `held_bytes` is read at once into `content`.
+
+        Raises `FormatError` (`unreadable`, `empty`).
+        """
+        status = check_file(path)
+        parts = cls(path, status.st_size, status.st_mtime_ns)
+        if parts.size <= held_bytes:
+            parts = replace(parts, content=parts.read(0, parts.size))
+        if not any(part.strip(BLANK) for part in parts._all()):
+            raise FormatError("the file is empty", path=path, reason="empty")
+        return parts if any(b"\n" in part for part in parts._all()) else replace(parts, old_line_ends=True)
+
+    def read(self, start: int, stop: int) -> bytes:
+        """Bytes [start, stop); raises `FormatError` (`unreadable`, or `changed` since it was opened)."""
+        data = self._from_disk(start, stop) if self.content is None else self.content[start:stop]
+        return data.replace(b"\r", b"\n") if self.old_line_ends else data
+
+    def _from_disk(self, start: int, stop: int) -> bytes:
+        self._check_same()
+        try:
+            with self.path.open("rb") as file:
+                file.seek(start)
+                return file.read(stop - start)
+        except OSError as error:
+            raise unreadable(self.path, error) from None
+
+    def _check_same(self) -> None:
+        status = check_file(self.path)
+        if (status.st_size, status.st_mtime_ns) != (self.size, self.changed_ns):
+            raise FormatError("it was changed while it was read: call again", path=self.path, reason="changed")
+
+    def line_blocks(self, start: int, stop: int, block_bytes: int) -> Iterator[tuple[int, bytes]]:
+        """Blocks of whole lines of [start, stop), about `block_bytes` long, each with the offset of its first byte.
+
+        Raises `FormatError` (`range`) for a line of more than 16 MiB.
+        """
+        rest = b""
+        while start < stop:
+            end = min(stop, start + len(rest) + block_bytes)
+            data = rest + self.read(start + len(rest), end)
+            whole = len(data) if end == stop else data.rfind(b"\n") + 1
+            if whole:
+                yield start, data[:whole]
+            elif len(data) > LONGEST_LINE:
+                message = (
+                    f"a line of more than {LONGEST_LINE >> 20} MiB begins at byte {start}; expected lines of numbers"
+                )
+                raise FormatError(message, path=self.path, reason="range")
+            start, rest = start + whole, data[whole:]
+
+    def end_of_text(self) -> int:
+        """The byte offset at which the last line that is not blank ends."""
+        stop = self.size
+        while stop:
+            part = self.read(max(0, stop - PART_BYTES), stop)
+            if kept := len(part.rstrip()):
+                return stop - len(part) + kept
+            stop -= len(part)
+        return 0
+
+    def sha256(self) -> str:
+        """SHA-256 of the file's bytes in hex; raises `FormatError` as `read` does."""
+        if self.content is not None:
+            return sha256(self.content)
+        self._check_same()
+        with self.path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+
+    def _all(self) -> Iterator[bytes]:
+        for start in range(0, self.size, PART_BYTES):
+            yield self.read(start, min(self.size, start + PART_BYTES))

@@ -1,0 +1,122 @@
+"""The stage `detail` of `motionkit train`, and a run's detail; nothing heavy is imported before it is used."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from motionkit.core.errors import UsageError
+from motionkit.core.progress import task
+from motionkit.core.skeleton import SMPL22
+from motionkit.training.run import RunFolder
+from motionkit.training.stage import Stage, StageContext
+
+if TYPE_CHECKING:
+    from motionkit.fields.detail.model import Detail
+    from motionkit.store.cache.positions import PositionCache
+
+NAME = "detail"
+
+
+@dataclass(frozen=True)
+class DetailConfig:
+    """Training takes of detail: those of 120 fps or more, a random selection of up to some minutes.
+
+    `where` (SQL) selects the takes.
+    """
+
+    where: str = "split NOT IN ('val', 'test')"
+    minutes: float = 40.0
+
+
+def train_detail(context: StageContext, config: DetailConfig) -> None:
+    """Learn detail; write RUN/detail/model.safetensors, which `load_detail` reads.
+
+    Raises `UsageError` for a store without training takes of 120 fps.
+    """
+    import torch
+
+    from motionkit.fields.detail.slow_motion import GRID_FPS
+    from motionkit.training.detail.fit import fit_detail
+    from motionkit.training.tensors import save_tensors
+
+    store = context.open_store()
+    takes = _takes(context, config)
+    folder = context.begin(NAME, config, store_fingerprint=store.fingerprint)
+    with task(context.on_progress, NAME, 2 * len(takes)) as work:
+        detail = fit_detail(takes, work.advance)
+    tensors = {name: torch.from_numpy(np.ascontiguousarray(values)) for name, values in detail.arrays().items()}
+    save_tensors(folder.model_path, tensors, {"store_fingerprint": store.fingerprint})
+    folder.finish({"takes": len(takes), "minutes": sum(len(take) for take in takes) / GRID_FPS / 60})
+
+
+def _takes(context: StageContext, config: DetailConfig) -> list[np.ndarray]:
+    """Random takes at 120 fps."""
+    from fractions import Fraction
+
+    from motionkit.fields.detail.slow_motion import GRID_FPS
+    from motionkit.fields.resample import resample_positions
+
+    cache, fast = _fast_takes(context, config)
+    takes, frames = [], 0.0
+    for index in np.random.default_rng(context.seed).permutation(fast).tolist():
+        if frames >= config.minutes * 60 * GRID_FPS:
+            break
+        take = resample_positions(cache.sequence_positions(index), cache.exact_fps(index), Fraction(GRID_FPS))
+        if len(take) > 1:
+            takes.append(take)
+            frames += len(take)
+    return takes
+
+
+def _fast_takes(context: StageContext, config: DetailConfig) -> "tuple[PositionCache, list[int]]":
+    """The training takes, and a mask of those with 120 fps or more; raises `UsageError` if none has."""
+    from motionkit.fields.detail.slow_motion import GRID_FPS
+    from motionkit.store.cache.positions import open_cache
+
+    cache = open_cache(context.open_store(), layout=SMPL22.name, where=config.where or None)
+    rates = map(cache.exact_fps, range(cache.num_sequences))
+    fast = [index for index, fps in enumerate(rates) if fps >= GRID_FPS and cache.num_frames[index] > fps / GRID_FPS]
+    if not fast:
+        raise UsageError(
+            f"{context.store}: detail is learnt from captures of {GRID_FPS} fps or more, and none of the "
+            f"{cache.num_sequences} takes for training is as fast"
+        )
+    return cache, fast
+
+
+def _check(context: StageContext, config: DetailConfig) -> None:
+    """Raise early what would stop the training: no take that is fast enough."""
+    _fast_takes(context, config)
+
+
+def has_detail(run: Path) -> bool:
+    """Whether a run's stage `detail` is trained."""
+    return RunFolder(run).stage(NAME).is_complete
+
+
+def load_detail(run: Path) -> "Detail":
+    """Load a run's detail; raises `RunError`, with the command that trains it, if it has none."""
+    from motionkit.fields.detail.model import Detail
+    from motionkit.training.tensors import load_tensors, rebuilding
+
+    stage = RunFolder(run).stage(NAME)
+    stage.read_summary()
+    path = stage.model_path
+    tensors, _ = load_tensors(path)
+    arrays: Mapping[str, np.ndarray] = {name: tensor.numpy() for name, tensor in tensors.items()}
+    with rebuilding(path, NAME, tensors):
+        return Detail(**arrays)
+
+
+STAGE = Stage(
+    name=NAME,
+    order=90,
+    description="captured motion above 10 Hz, for motionkit generate --detail",
+    recipes=dict.fromkeys(("demo", "nano", "small", "base", "paper"), DetailConfig),
+    train=train_detail,
+    in_all=False,
+    check=_check,
+)

@@ -1,0 +1,1 @@
+"""Looking at motion: the player's page, strips, films."""

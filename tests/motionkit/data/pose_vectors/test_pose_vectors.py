@@ -1,0 +1,251 @@
+"""The three conventions of pose vectors: what is encoded comes back, mirrored and between frames too, and trains."""
+
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motionkit.core import kinematics
+from motionkit.core.errors import UsageError
+from motionkit.core.mirror import mirror_positions
+from motionkit.core.skeleton import SMPL22
+from motionkit.data.pose_vectors.convention import PoseVectors, training_vectors
+from motionkit.data.pose_vectors.native import NativeVectors
+from motionkit.data.pose_vectors.rotations import RotationVectors, smpl_rig, training_rig, with_rotations
+from motionkit.data.poses import WindowPoses
+from motionkit.data.reconstruction import window_truth
+from motionkit.data.windows import cut_windows
+from motionkit.features import field, native
+from motionkit.fields.motion_field import to_motion
+from motionkit.store.reader import Store
+from motionkit.store.writer import StoreWriter
+from motionkit.synthetic import make_body, perform
+from motionkit.training.config import apply_overrides
+from motionkit.training.run import RunFolder
+from motionkit.training.stage import StageContext
+from nerm.field.motion_encoder import encode_windows
+from nerm.field.trained import load_field
+from nerm.recipes import nano
+from nerm.stages.field import train_field
+
+NAMES = ("field", "native", "rotations")
+RATES = (60, 30, 120)
+# Millimetres off: float32, integration by the trapezoidal rule at 30 fps, float32.
+TOLERANCE_MM = {"field": 0.01, "native": 4.0, "rotations": 0.5}
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    """One body with rotations at three framerates, and one motion without."""
+    path = tmp_path_factory.mktemp("vectors") / "store"
+    rng, body = np.random.default_rng(0), make_body("one")
+    with StoreWriter.create(path) as writer:
+        for index, rate in enumerate(RATES):
+            motion = to_motion(perform(rng, body, ["walk", "wave_left"], 4.0), Fraction(rate))
+            writer.add(replace(motion, sequence_id=f"m{index}", split="train"))
+        bare = replace(motion, local_rotations=None, root_translation=None)
+        writer.add(replace(bare, sequence_id="bare", split="train"))
+    return Store.open(path)
+
+
+def _opened(store: Store, name: str, *, mirrored: bool = False) -> tuple[PoseVectors, WindowPoses]:
+    vectors = training_vectors(name, store, None)  # type: ignore[arg-type]
+    cache, frames = vectors.open(store, None)
+    pairs = SMPL22.left_right_pairs
+    windows = cut_windows(cache, max_duration_seconds=4.0, mirror_pairs=pairs if mirrored else None)
+    return vectors, WindowPoses(cache, windows, pairs, frames=frames)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_is_encoded_comes_back_in_the_window_s_frame(store: Store, name: str) -> None:
+    vectors, poses = _opened(store, name, mirrored=True)
+    windows = poses.windows
+    assert len(windows) == 2 * (3 if name == "rotations" else 4)
+    for row in range(len(windows)):
+        count = int(windows.num_frames[row])
+        batch = poses.at_frames(np.array([row]), np.arange(count)[None])
+        assert batch.vectors.shape == (1, count, vectors.num_numbers)
+        seconds = np.arange(count) / windows.fps[row]
+        decoded = vectors.decode(batch.vectors[0].numpy(), seconds, seconds)
+        truth = window_truth(poses.source, windows, row, windows.exact_fps(row))
+        apart = np.linalg.norm(decoded.joint_positions - truth, axis=-1)
+        # A body that is not symmetric has no mirror image on its own bones.
+        allowed = 12.0 if name == "rotations" and windows.mirrored[row] else TOLERANCE_MM[name]
+        assert apart.max() * 1000 < allowed
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_between_frames_poses_lie_between(store: Store, name: str) -> None:
+    vectors, poses = _opened(store, name)
+    row = np.array([0])
+    ticks = np.arange(0, 170)[None]
+    batch = poses.at_rate(row, ticks, Fraction(45))
+    seconds = ticks[0] / 45
+    decoded = vectors.decode(batch.vectors[0].numpy(), seconds, seconds).joint_positions
+    native_frames = poses.positions(row, np.arange(int(poses.windows.num_frames[0]))[None])
+    world = np.stack(
+        [
+            [np.interp(seconds, np.arange(native_frames.shape[1]) / 60, native_frames[0, :, j, c]) for c in range(3)]
+            for j in range(22)
+        ]
+    ).transpose(2, 0, 1)
+    truth = field.to_window(world[None], poses.windows.yaw[:1], poses.windows.origin[:1])[0]
+    assert np.linalg.norm(decoded - truth, axis=-1).max() < 0.004
+
+
+def test_groups_hold_every_number_once(store: Store) -> None:
+    for name in NAMES:
+        vectors = training_vectors(name, store, None)  # type: ignore[arg-type]
+        numbers = [number for group in vectors.groups for number in group]
+        assert sorted(numbers) == list(range(vectors.num_numbers))
+
+
+class TestNative:
+    def test_a_mirrored_vector_is_that_of_the_mirrored_motion(self) -> None:
+        motion = to_motion(perform(np.random.default_rng(3), make_body("two"), ["walk", "bow"], 4.0), Fraction(60))
+        mirrored = mirror_positions(motion.joint_positions, SMPL22.left_right_pairs)
+        vectors = native.vectors(motion.joint_positions, "smpl22", motion.fps)
+        expected = native.vectors(mirrored, "smpl22", motion.fps)
+        np.testing.assert_allclose(native.mirrored(vectors, "smpl22"), expected, atol=2e-4)
+        np.testing.assert_array_equal(native.mirrored(native.mirrored(vectors, "smpl22"), "smpl22"), vectors)
+
+    def test_the_path_is_integrated_over_the_time_stamps(self) -> None:
+        motion = to_motion(perform(np.random.default_rng(3), make_body("two"), ["walk"], 4.0), Fraction(240))
+        vectors = native.vectors(motion.joint_positions, "smpl22", motion.fps)
+        some = np.sort(np.random.default_rng(1).choice(np.arange(1, len(vectors)), 300, replace=False))
+        some = np.concatenate(([0], some))
+        uneven = native.positions_at(vectors[some], "smpl22", some / 240)
+        even = native.positions(vectors, "smpl22", motion.fps)
+        # Gaps of up to a tenth of a second cost millimetres; taking them for equal ones would cost decimetres.
+        np.testing.assert_allclose(uneven, even[some], atol=8e-3)
+        equal = native.positions(vectors[some], "smpl22", Fraction(300, 4))
+        assert np.abs(equal - even[some]).max() > 0.05
+
+    def test_a_few_instants_are_integrated_from_the_start(self) -> None:
+        asked = np.array([1.25, 0.5])
+        instants = NativeVectors().instants(asked)
+        assert instants[0] == 0.0
+        assert set(asked) <= set(instants)
+        assert np.diff(instants).max() <= 1 / 120 + 1e-9
+        assert np.diff(instants).min() > 0
+
+
+class TestRotations:
+    def test_decoded_poses_have_the_rotations_that_were_captured(self, store: Store) -> None:
+        vectors, poses = _opened(store, "rotations")
+        motion = store.read("m0")
+        batch = poses.at_frames(np.array([0]), np.arange(50)[None])
+        seconds = np.arange(50) / 60
+        decoded = vectors.decode(batch.vectors[0].numpy(), seconds, seconds)
+        assert decoded.local_rotations is not None
+        assert motion.local_rotations is not None
+        dot = np.abs(np.sum(decoded.local_rotations[:, 1:] * motion.local_rotations[:50, 1:], axis=-1))
+        np.testing.assert_allclose(dot, 1.0, atol=1e-5)
+        assert decoded.root_translation is not None
+        made = kinematics.forward_kinematics(decoded.local_rotations, decoded.root_translation, vectors.skeleton)
+        np.testing.assert_allclose(made, decoded.joint_positions, atol=1e-5)
+
+    def test_two_columns_that_are_not_orthogonal_still_are_a_rotation(self) -> None:
+        vectors = RotationVectors(SMPL22)
+        numbers = np.random.default_rng(0).normal(size=(5, vectors.num_numbers)).astype(np.float32)
+        decoded = vectors.decode(numbers, np.arange(5.0), np.arange(5.0))
+        assert decoded.local_rotations is not None
+        np.testing.assert_allclose(np.linalg.norm(decoded.local_rotations, axis=-1), 1.0, atol=1e-6)
+        matrices = kinematics.quaternion_to_matrix(decoded.local_rotations)
+        first = numbers[:, 3:].reshape(5, 22, 2, 3)[:, :, 0]
+        np.testing.assert_allclose(matrices[..., 0], first / np.linalg.norm(first, axis=-1, keepdims=True), atol=1e-5)
+
+    def test_a_store_without_rotations_is_reported(self, store: Store) -> None:
+        with pytest.raises(
+            UsageError, match=r"needs sequences with the joint rotations of SMPL's 22 joints .* has none"
+        ):
+            with_rotations(store, "sequence_id = 'bare'")
+
+    def test_rest_poses_that_differ_are_reported(self, tmp_path: Path) -> None:
+        motion = to_motion(perform(np.random.default_rng(3), make_body("two"), ["walk"], 2.0), Fraction(30))
+        offsets = motion.skeleton.offsets.copy()
+        for elbow in (18, 19):
+            offsets[elbow] = (np.linalg.norm(offsets[elbow]) * (1 if elbow == 18 else -1), 0, 0)
+        other = replace(motion.skeleton, name="arms-out", offsets=offsets)
+        with StoreWriter.create(tmp_path / "store") as writer:
+            writer.add(replace(motion, sequence_id="a"))
+            writer.add(replace(motion, sequence_id="b", skeleton=other))
+        with pytest.raises(UsageError, match="rest in other poses"):
+            training_rig(Store.open(tmp_path / "store"), None)
+
+    def test_hands_make_24_joints(self) -> None:
+        rig = smpl_rig(np.ones((24, 3), np.float32))
+        assert rig.joint_names[22:] == ("left_hand", "right_hand")
+        assert (rig.parents[22], rig.parents[23]) == (20, 21)
+        assert RotationVectors(rig).num_numbers == 147
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_rank_without_a_window_in_the_batch_has_nothing_to_encode(store: Store, name: str) -> None:
+    vectors = training_vectors(name, store, None)
+    _, frames = vectors.open(store, None)
+    nothing = frames.gather(np.zeros((0, 8), np.int64), np.zeros(0, np.bool_))
+    between = frames.between(nothing, nothing, np.zeros((0, 8), np.float32))
+    encoded = frames.encode(between, np.zeros(0, np.float32), np.zeros((0, 2), np.float32))
+    assert encoded.shape == (0, 8, vectors.num_numbers)
+
+
+def test_rows_of_a_cache_are_computed_once(store: Store) -> None:
+    cache, _ = training_vectors("field", store, None).open(store, None)
+    made = cache.derived_rows("sums", 1, lambda: (cache.sequence_positions(n).sum((1, 2))[:, None] for n in range(4)))
+
+    def not_again() -> None:
+        raise AssertionError("computed again")
+
+    again = cache.derived_rows("sums", 1, not_again)  # type: ignore[arg-type]
+    every = np.arange(len(cache.positions))
+    np.testing.assert_array_equal(made[every], cache.positions.sum((1, 2))[:, None])
+    np.testing.assert_array_equal(made[every], again[every])
+    assert made.shape == (len(cache.positions), 1)
+    with pytest.raises(ValueError, match="rows of shape"):
+        cache.derived_rows("wrong", 1, lambda: iter([np.zeros((1, 2), np.float32)] * 4))
+    assert not (cache.path / "wrong.npy").exists()
+
+
+TINY = (
+    "field.encoder.kind=fourier",
+    "field.windows.max_duration_seconds=4",
+    "field.windows.stride_seconds=4",
+    "field.decoder.width=48",
+    "field.decoder.num_layers=3",
+    "field.schedule.steps=120",
+    "field.contacts.steps=10",
+    "field.schedule.batch_size=4",
+    "field.clips.num_poses=16",
+    "field.precision=float32",
+    "field.windows.mirrored=true",
+    # A path of the body is one of positions.
+    "field.latents.path_knots=0",
+    "field.latents.dimension=720",
+)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_field_of_each_convention_trains_saves_and_decodes(store: Store, name: str, tmp_path: Path) -> None:
+    config = apply_overrides(nano(), [*TINY, f"field.pose_vectors={name}"])
+    train_field(StageContext(store.path, RunFolder(tmp_path / "run"), "nano", device="cpu"), config)
+    trained = load_field(tmp_path / "run")
+    cache, frames = trained.vectors.open(store, None)
+    windows = trained.windows
+    times = np.linspace(0.0, 3.5, 36)
+    truth = window_truth(cache, windows, 0, Fraction(60))[np.round(times * 60).astype(int)]
+    standing = np.linalg.norm(truth - truth.mean(axis=0), axis=-1).mean()
+    found = trained.decode(trained.posterior_mean, times, Fraction(60))
+    assert found.shape == (len(windows), 36, 22, 3)
+    # Not a good field, after seconds; but far better than a body that stands still.
+    assert np.linalg.norm(found[0] - truth, axis=-1).mean() < 0.6 * standing
+    motion_field = trained.as_motion_field(trained.posterior_mean[0], 3.5)
+    assert motion_field.skeleton == trained.skeleton
+    poses = motion_field.query(times[[20, 3]])
+    assert (poses.local_rotations is not None) == (name == "rotations")
+    np.testing.assert_allclose(poses.joint_positions[:, :22], found[0, [20, 3]], atol=2e-3)
+    latents = encode_windows(trained, cache, windows.select(np.array([0])), frames)
+    again = trained.decode(latents, times, Fraction(60))[0]
+    assert np.linalg.norm(again - truth, axis=-1).mean() < 0.6 * standing

@@ -1,0 +1,223 @@
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from motionkit.core.errors import UsageError
+from motionkit.core.mirror import mirror_positions
+from motionkit.core.skeleton import SMPL22
+from motionkit.data.poses import WindowPoses
+from motionkit.data.windows import PositionSource, cut_windows, rows_by_duration, shuffled_batches
+from motionkit.features import field
+from tests.helpers.nerm_corpus import MemorySource
+
+PAIRS = SMPL22.left_right_pairs
+
+
+def make_source(frames: list[int], rates: list[Fraction], seed: int = 0) -> MemorySource:
+    """Random bodies: a rest pose, jittered, walking along a line at 1 m/s."""
+    rng = np.random.default_rng(seed)
+    rest = np.zeros((22, 3), dtype=np.float32)
+    for joint in range(1, 22):
+        rest[joint] = rest[SMPL22.parents[joint]] + SMPL22.offsets[joint]
+    sequences = []
+    for count, fps in zip(frames, rates, strict=True):
+        path = np.arange(count)[:, None, None] / float(fps) * np.array([0.6, 0.0, 0.8])
+        sequences.append(rest + path + rng.normal(0, 0.02, (count, 22, 3)) + [3.0, 1.0, -2.0])
+    lengths = np.array(frames, dtype=np.int32)
+    return MemorySource(
+        np.concatenate(sequences).astype(np.float32),
+        np.arange(len(frames), dtype=np.int32) + 10,
+        np.cumsum(lengths).astype(np.int64) - lengths,
+        lengths,
+        np.array([rate.numerator for rate in rates], dtype=np.int64),
+        np.array([rate.denominator for rate in rates], dtype=np.int64),
+    )
+
+
+@pytest.fixture(scope="module")
+def source() -> MemorySource:
+    return make_source(
+        [241, 1500, 90, 5, 400], [Fraction(120), Fraction(120), Fraction(30), Fraction(60), Fraction(24)]
+    )
+
+
+def test_a_source_is_what_the_store_s_cache_offers(source: MemorySource) -> None:
+    assert isinstance(source, PositionSource)
+
+
+@settings(max_examples=25)
+@given(
+    frames=st.lists(st.integers(2, 900), min_size=1, max_size=4),
+    rate=st.sampled_from([Fraction(20), Fraction(30000, 1001), Fraction(120), Fraction(250)]),
+    longest=st.floats(0.7, 12.0),
+    stride=st.floats(0.2, 12.0),
+)
+def test_windows_cover_their_sequences_and_never_leave_them(
+    frames: list[int], rate: Fraction, longest: float, stride: float
+) -> None:
+    source = make_source(frames, [rate] * len(frames))
+    kept = [index for index, count in enumerate(frames) if (count - 1) / float(rate) >= 0.5]
+    if not kept:
+        with pytest.raises(UsageError, match="no sequence lasts"):
+            cut_windows(source, max_duration_seconds=longest, stride_seconds=min(stride, longest))
+        return
+    windows = cut_windows(source, max_duration_seconds=longest, stride_seconds=min(stride, longest))
+    assert windows.duration_seconds.max() <= longest + 1e-6
+    for index in kept:
+        mine = windows.select(windows.sequence_index == index + 10)
+        covered = np.zeros(frames[index], dtype=int)
+        for start, count in zip(mine.start_frame, mine.num_frames, strict=True):
+            assert start >= 0
+            assert start + count <= frames[index]
+            covered[start : start + count] += 1
+        assert (covered > 0).all()
+
+
+def test_a_window_of_l_max_spans_the_whole_domain(source: MemorySource) -> None:
+    windows = cut_windows(source, max_duration_seconds=10.0)
+    poses = WindowPoses(source, windows, PAIRS)
+    long = int(np.argmax(windows.num_frames))
+    assert windows.num_frames[long] == 1201
+    batch = poses.at_frames(np.array([long]), np.array([[0, 600, 1200]]))
+    assert batch.coordinates.tolist() == [[-1.0, 0.0, 1.0]]
+    assert batch.fps.tolist() == [120.0]
+
+
+def test_coordinates_are_the_frames_seconds_in_the_window(source: MemorySource) -> None:
+    poses = WindowPoses(source, cut_windows(source, max_duration_seconds=10.0), PAIRS)
+    frames = np.arange(30, 46)
+    batch = poses.at_frames(np.array([0]), frames[None])
+    np.testing.assert_allclose(batch.coordinates[0].numpy(), frames / 120 / 5.0 - 1.0, atol=1e-12)
+
+
+def test_vectors_are_those_of_the_window_s_frame(source: MemorySource) -> None:
+    windows = cut_windows(source, max_duration_seconds=4.0, stride_seconds=1.0, mirror_pairs=PAIRS)
+    poses = WindowPoses(source, windows, PAIRS)
+    rows = np.arange(len(windows))
+    first = field.decode(poses.at_frames(rows, np.zeros((len(rows), 1), dtype=np.int64)).vectors.numpy())[:, 0]
+    np.testing.assert_allclose(first[:, 0, (0, 2)], 0.0, atol=1e-5)
+    np.testing.assert_allclose(field.heading(first), 0.0, atol=1e-5)
+    row = 3
+    start = windows.start_row[row]
+    world = source.positions[start : start + 5][None]
+    expected = field.encode(world, windows.yaw[row : row + 1], windows.origin[row : row + 1])
+    np.testing.assert_array_equal(poses.at_frames(np.array([row]), np.arange(5)[None]).vectors.numpy(), expected)
+
+
+def test_mirrored_windows_follow_their_originals(source: MemorySource) -> None:
+    windows = cut_windows(source, max_duration_seconds=4.0, mirror_pairs=PAIRS)
+    half = len(windows) // 2
+    assert windows.mirrored.tolist() == [False] * half + [True] * half
+    poses = WindowPoses(source, windows, PAIRS)
+    frames = np.array([[0, 7]])
+    original = poses.positions(np.array([1]), frames)
+    mirrored = poses.positions(np.array([1 + half]), frames)
+    np.testing.assert_array_equal(mirror_positions(mirrored, PAIRS), original)
+    assert mirrored[0, 0, 1, 0] == -original[0, 0, 2, 0]
+
+
+def test_a_fixed_rate_hits_native_frames_where_it_can_and_interpolates_elsewhere(source: MemorySource) -> None:
+    poses = WindowPoses(source, cut_windows(source, max_duration_seconds=10.0), PAIRS)
+    fast = poses.at_rate(np.array([0]), np.arange(5)[None], Fraction(20))
+    native = poses.at_frames(np.array([0]), 6 * np.arange(5)[None])
+    torch.testing.assert_close(fast.vectors, native.vectors)
+    torch.testing.assert_close(fast.coordinates, native.coordinates)
+    assert fast.fps.tolist() == [20.0]
+    thirty = int(np.flatnonzero(poses.windows.fps == 30)[0])
+    between = poses.at_rate(np.array([thirty]), np.array([[1]]), Fraction(20)).vectors
+    neighbours = poses.at_frames(np.array([thirty]), np.array([[1, 2]])).vectors
+    torch.testing.assert_close(between, neighbours.mean(1, keepdim=True))
+
+
+@pytest.mark.parametrize("contiguous", [True, False])
+@pytest.mark.parametrize("fps", [None, Fraction(20)])
+def test_draws_stay_inside_and_depend_on_the_generator_alone(
+    source: MemorySource, contiguous: bool, fps: Fraction | None
+) -> None:
+    windows = cut_windows(source, max_duration_seconds=10.0)
+    poses = WindowPoses(source, windows, PAIRS)
+    rows = torch.arange(len(windows)).repeat(20)
+
+    def draw() -> torch.Tensor:
+        return poses.draw(rows, 16, torch.Generator().manual_seed(1), contiguous=contiguous, fps=fps).coordinates
+
+    coordinates = draw()
+    assert torch.equal(coordinates, draw())
+    seconds = (coordinates + 1) * 5
+    assert (seconds <= torch.from_numpy(windows.duration_seconds)[rows][:, None] + 1e-6).all()
+    steps = torch.diff(seconds, dim=1)
+    rate = torch.from_numpy(windows.fps)[rows][:, None] if fps is None else torch.tensor(float(fps))
+    if contiguous:
+        torch.testing.assert_close(steps, (1.0 / rate).expand_as(steps).double())
+    else:
+        assert (steps < 0).any()
+
+
+def test_random_framerates_are_whole_fractions_of_the_native_one(source: MemorySource) -> None:
+    windows = cut_windows(source, max_duration_seconds=10.0)
+    poses = WindowPoses(source, windows, PAIRS)
+    rows = torch.zeros(200, dtype=torch.int64)
+    batch = poses.draw(rows, 3, torch.Generator().manual_seed(2), contiguous=False, lowest_fps=20.0)
+    assert set(batch.fps.tolist()) == {120.0, 60.0, 40.0, 30.0, 24.0, 20.0}
+    ticks = (batch.coordinates + 1) * 5 * batch.fps[:, None]
+    torch.testing.assert_close(ticks, ticks.round(), atol=1e-6, rtol=0)
+
+
+def test_a_clip_longer_than_its_window_repeats_the_last_pose() -> None:
+    source = make_source([20], [Fraction(30)])
+    poses = WindowPoses(source, cut_windows(source, max_duration_seconds=10.0), PAIRS)
+    rows = torch.zeros(1, dtype=torch.int64)
+    batch = poses.draw(rows, 32, torch.Generator().manual_seed(0), contiguous=True)
+    assert torch.equal(batch.vectors[0, 19:], batch.vectors[0, 19:20].expand(13, -1))
+
+
+def test_windows_are_visited_by_their_duration(source: MemorySource) -> None:
+    windows = cut_windows(source, max_duration_seconds=10.0)
+    visits = np.bincount(rows_by_duration(windows, 2.0), minlength=len(windows))
+    assert visits.tolist() == np.maximum(1, np.round(windows.duration_seconds / 2.0)).tolist()
+
+
+@settings(max_examples=50)
+@given(count=st.integers(1, 50), batch=st.integers(1, 70), seed=st.integers(0, 5))
+def test_batches_go_through_all_rows_before_any_comes_back(count: int, batch: int, seed: int) -> None:
+    num_batches = -(-3 * count // batch)
+    stream = torch.cat([shuffled_batches(count, batch, step, seed) for step in range(num_batches)])[: 3 * count]
+    for epoch in stream.reshape(3, count):
+        assert sorted(epoch.tolist()) == list(range(count))
+
+
+def test_batches_are_the_same_in_every_version() -> None:
+    # A resumed training goes on with them.
+    assert [shuffled_batches(5, 3, step, 7).tolist() for step in range(4)] == [
+        [1, 4, 3],
+        [2, 0, 3],
+        [4, 0, 1],
+        [2, 4, 3],
+    ]
+    assert shuffled_batches(3, 8, 1, 7).tolist() == [1, 2, 1, 0, 2, 1, 0, 1]
+
+
+def test_rows_are_permuted_once_an_epoch(monkeypatch: pytest.MonkeyPatch) -> None:
+    generator, made = np.random.default_rng, 0
+
+    def counted(seed: np.random.SeedSequence) -> np.random.Generator:
+        nonlocal made
+        made += 1
+        return generator(seed)
+
+    monkeypatch.setattr(np.random, "default_rng", counted)
+    for step in range(60):
+        shuffled_batches(97, 10, step, 1234)
+    assert made == 7
+
+
+def test_framerates_are_divided_once_and_not_saved(source: MemorySource) -> None:
+    windows = cut_windows(source, max_duration_seconds=10.0)
+    before = set(windows.arrays())
+    assert windows.fps is windows.fps
+    assert set(windows.arrays()) == before
+    np.testing.assert_array_equal(windows.select(windows.fps > 60).fps, 120.0)

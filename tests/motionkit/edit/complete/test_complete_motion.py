@@ -1,0 +1,127 @@
+"""One motion completed in Python: as the command does it, for whatever stands for frames, framerates and seconds."""
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import motionkit as mk
+from motionkit.fields.motion_field import to_motion
+from motionkit.io.arrays.npz import motion_arrays
+from motionkit.synthetic import make_body, perform
+
+
+@pytest.fixture(scope="module")
+def motion() -> mk.Motion:
+    """Two seconds of a walk at 30 fps, with rotations."""
+    return to_motion(perform(np.random.default_rng(4), make_body("walker"), ["walk"], 2.0), Fraction(30)).frames(0, 60)
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder without runs, so that the default is an interpolator."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("fps", [120, 120.0, "120", Fraction(120)])
+def test_more_frames_between_those_that_are_given(motion: mk.Motion, fps: int | float | str | Fraction) -> None:
+    made = mk.complete(motion, fps=fps)
+    assert made.fps == 120 and made.num_frames == 237
+    np.testing.assert_array_equal(made.joint_positions[::4], motion.joint_positions)
+    assert made.local_rotations is not None and made.skeleton == motion.skeleton
+    assert made.provenance.operations[-1] == "complete 60 frames at 30 fps -> 237 at 120, 177 made"
+
+
+def test_broadcast_framerates(motion: mk.Motion) -> None:
+    assert mk.complete(motion, fps=59.94).fps == Fraction(60000, 1001)
+
+
+def test_frames_to_keep_in_any_form(motion: mk.Motion) -> None:
+    mask = np.ones(60, bool)
+    mask[10:40] = False
+    forms = (mask, [(0, 10), (40, None)], [(0, 10), (40, 60)], "0:10,40:", ((0, 10), (40, 60)))
+    made = [mk.complete(motion, keep=keep, model="slerp").joint_positions for keep in forms]
+    for each in made:
+        np.testing.assert_array_equal(each, made[0])
+    np.testing.assert_array_equal(made[0][mask], motion.joint_positions[mask])
+    assert np.abs(made[0] - motion.joint_positions)[~mask].max() > 0.01
+
+
+def test_seconds_beyond_the_ends_in_any_form(motion: mk.Motion) -> None:
+    for extend, before, after in ((0.5, 0, 15), ((0.1, 0.5), 3, 15), ("0.1,15f", 3, 15), (1, 0, 30)):
+        made = mk.complete(motion, extend=extend, model="slerp")
+        assert made.num_frames == before + 60 + after
+        assert made.timegrid.start_seconds == pytest.approx(-before / 30)
+        np.testing.assert_array_equal(made.joint_positions[before : before + 60], motion.joint_positions)
+
+
+def test_what_moves_joints_alone_is_brought_onto_the_bones(motion: mk.Motion) -> None:
+    made = mk.complete(motion, fps=60, model="linear")
+    assert made.local_rotations is not None
+
+    def lengths(of: mk.Motion) -> np.ndarray:
+        return np.linalg.norm(of.joint_positions[:, 4] - of.joint_positions[:, 1], axis=-1)
+
+    assert np.ptp(lengths(made)) < 1e-5
+
+
+def test_a_file_is_the_motion_that_it_holds(motion: mk.Motion) -> None:
+    motion.save("walk.bvh")
+    read = mk.read("walk.bvh")
+    for path in ("walk.bvh", Path("walk.bvh")):
+        of_file, of_motion = mk.complete(path, fps=90), mk.complete(read, fps=90)
+        np.testing.assert_allclose(of_file.joint_positions, of_motion.joint_positions, atol=1e-5)
+        assert of_file.sequence_id == of_motion.sequence_id == f"{Path.cwd().name}/walk"
+    with pytest.raises(mk.UsageError, match="does not exist"):
+        mk.complete("nowhere.bvh", fps=90)
+
+
+def test_lost_frames_of_a_file_are_made(motion: mk.Motion) -> None:
+    arrays = motion_arrays(motion)
+    for name in ("joint_positions", "local_rotations", "root_translation"):
+        if name in arrays:
+            arrays[name] = arrays[name].copy()
+            arrays[name][20:25] = np.nan
+    np.savez("lost.npz", **arrays)
+    with pytest.raises(mk.FormatError, match="nan"):
+        mk.read("lost.npz")
+    with pytest.warns(UserWarning, match="5 frames hold nan"):
+        made = mk.complete("lost.npz", fps=30)
+    assert np.isfinite(made.joint_positions).all()
+    np.testing.assert_array_equal(made.joint_positions[25:], motion.joint_positions[25:])
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({}, "nothing to make"),
+        ({"fps": 20}, r"motion\.resample\(20\)"),
+        ({"keep": [(50, 70)]}, "50:70 does not lie inside its 60 frames"),
+        ({"keep": np.ones(59, bool)}, "59 frames, the motion has 60"),
+        ({"keep": np.zeros(60, bool)}, "is empty"),
+        ({"keep": []}, "is empty"),
+        ({"keep": [(5, 2)]}, "holds no frame"),
+        ({"extend": -1.0}, "neither seconds"),
+        ({"extend": 100.0}, "at most 60 s"),
+        ({"fps": 60, "model": "guess"}, "no encoder is called 'guess'"),
+        ({"fps": 60, "model": "pahires"}, "no run in runs has a stage 'pahires'"),
+        ({"fps": 60, "model": "slerp", "run": Path("nano")}, "which no run holds"),
+    ],
+)
+def test_what_cannot_be_had_is_reported(motion: mk.Motion, given: dict, message: str) -> None:
+    with pytest.raises(mk.MotionkitError, match=message):
+        mk.complete(motion, **given)
+
+
+def test_going_on_at_constant_velocity_for_long_is_reported(motion: mk.Motion) -> None:
+    with pytest.warns(UserWarning, match="constant velocity for 2 s"):
+        mk.complete(motion, extend=2, model="linear")
+
+
+def test_a_folder_of_several_is_reported(motion: mk.Motion) -> None:
+    for name in ("one", "two"):
+        motion.save(f"takes/{name}.npz")
+    with pytest.raises(mk.UsageError, match="2 motions"):
+        mk.complete("takes", fps=60)

@@ -1,0 +1,98 @@
+"""Encoders found by name: interpolators, and what packages register."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motionkit.core.errors import UsageError
+from motionkit.core.skeleton import SMPL22
+from motionkit.edit.complete import encoders
+from motionkit.edit.complete.encoders import (
+    choose_encoder,
+    encoder_loader,
+    installed_encoders,
+    runs_with,
+    trained_encoder_names,
+)
+from motionkit.fields.interpolation.interpolators import INTERPOLATORS
+from motionkit.fields.motion_field import MotionEncoder, Observation, Poses
+from motionkit.training.run import RunFolder
+
+MODULE = '''
+"""An encoder that a package brings: the named interpolator that its run folder's file asks for."""
+from motionkit.fields.interpolation.interpolators import INTERPOLATORS
+
+def load(run):
+    return INTERPOLATORS[(run / "wanted.txt").read_text()]
+'''
+
+PREFERRED = """
+from motionkit.edit.complete.encoders import EncoderLoader
+from motionkit.fields.interpolation.interpolators import INTERPOLATORS
+
+OWN = EncoderLoader("Own", ("halves",), lambda run: INTERPOLATORS["linear"], preferred=True)
+"""
+
+
+@pytest.fixture
+def package(install: Callable[..., None]) -> None:
+    install("borrowed_encoder", MODULE, {"motionkit.encoders": "borrowed = borrowed_encoder:load"})
+
+
+def test_a_registered_encoder_is_loaded_from_the_run(tmp_path: Path, package: None) -> None:
+    assert "borrowed" in trained_encoder_names()
+    (tmp_path / "wanted.txt").write_text("linear", encoding="utf-8")
+    encoder = encoder_loader("borrowed").load(tmp_path)
+    assert isinstance(encoder, MotionEncoder)
+    positions = np.zeros((2, 22, 3), np.float32)
+    positions[1] = 2.0
+    field = encoder.encode(Observation(np.array([0.0, 1.0]), Poses(positions), SMPL22))
+    np.testing.assert_allclose(field.query(np.array([0.25])).joint_positions, 0.5)
+
+
+def test_an_unknown_name_is_answered_with_all_that_there_are(tmp_path: Path, package: None) -> None:
+    with pytest.raises(UsageError, match=r"'sprline'.*squad.*borrowed"):
+        encoder_loader("sprline")
+
+
+def test_tables_find_encoders_by_their_task() -> None:
+    assert list(installed_encoders("interpolation"))[:3] == ["pahires", "liif", "meta-sr"]
+    assert list(installed_encoders("inbetweening"))[:3] == ["pahires", "delta-interp", "ts-former"]
+    assert list(installed_encoders("extrapolation")) == ["pahires"]
+    assert list(installed_encoders("reconstruction")) == ["nerm"]
+
+
+def test_a_plain_function_is_for_completion_and_trained_by_the_stage_of_its_name(package: None) -> None:
+    loader = installed_encoders()["borrowed"]
+    assert (loader.title, loader.stages, loader.preferred) == ("borrowed", ("borrowed",), False)
+    assert "borrowed" in installed_encoders("extrapolation") and "borrowed" not in installed_encoders("reconstruction")
+
+
+def test_clips_are_completed_by_the_preferred_encoder_that_is_trained(
+    tmp_path: Path, install: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    install("own_encoder", PREFERRED, {"motionkit.own": "own = own_encoder:OWN"})
+    monkeypatch.setattr(encoders, "GROUP", "motionkit.own")
+    before = choose_encoder(None, None, tmp_path)
+    assert not before.is_trained and "motionkit train --stage halves trains one" in before.explanation
+    folder = RunFolder(tmp_path / "run").stage("halves")
+    folder.path.mkdir(parents=True)
+    folder.finish({"loss": 1.0})
+    chosen = choose_encoder(None, None, tmp_path)
+    assert chosen.is_trained and chosen.encoder is INTERPOLATORS["linear"]
+    assert choose_encoder(None, "run", tmp_path).name == "own"
+
+
+def test_runs_are_those_whose_stage_is_complete(tmp_path: Path) -> None:
+    assert runs_with("pahires", tmp_path / "nowhere") == ()
+    for name in ("half", "older", "newer"):
+        RunFolder(tmp_path / name).stage("pahires").path.mkdir(parents=True)
+    for name in ("newer", "older"):
+        RunFolder(tmp_path / name).stage("pahires").finish({})
+    for seconds, name in ((1_000, "older"), (2_000, "newer")):
+        os.utime(RunFolder(tmp_path / name).stage("pahires").summary_path, (seconds, seconds))
+    assert [run.name for run in runs_with("pahires", tmp_path)] == ["older", "newer"]
+    assert runs_with("liif", tmp_path) == ()

@@ -1,0 +1,158 @@
+"""Figures of motions whose faults were put in by hand, at several framerates."""
+
+import pickle
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.core.timegrid import TimeGrid
+from motionkit.features.quality import measure
+from motionkit.features.quality.steps import middle
+from tests.helpers.synthetic_capture import capture
+
+RATES = (Fraction(30), Fraction(60000, 1001), Fraction(120), Fraction(250))
+
+
+def altered(motion: Motion, positions: np.ndarray) -> Motion:
+    return replace(
+        motion,
+        joint_positions=positions.astype(np.float32),
+        timegrid=TimeGrid(motion.fps, len(positions)),
+        local_rotations=None,
+        root_translation=None,
+    )
+
+
+@pytest.mark.parametrize("fps", RATES)
+@pytest.mark.parametrize("action", ["walk", "run", "jump", "wave_left"])
+def test_clean_motion_raises_no_flag(action, fps):
+    assert measure(capture(fps, action)).flags == ()
+
+
+def test_figures_mean_the_same_at_every_framerate():
+    """The jerk and the skate of one analytic motion, sampled at 30 … 250 fps."""
+    figures = [measure(capture(fps)) for fps in RATES]
+    assert np.ptp([figure.jitter for figure in figures]) < 0.25 * figures[0].jitter
+    assert np.ptp([figure.foot_skate for figure in figures]) < 0.01
+
+
+def test_jitter_is_what_noise_of_its_size_gives():
+    """White noise σ in frames at f fps has σ √(30 / f) in bins, and third differences √20 times that."""
+    for fps in (60, 120, 240):
+        still = np.broadcast_to(capture(Fraction(fps)).joint_positions[:1], (30 * fps, 22, 3))
+        noise = 0.003 * np.random.default_rng(2).standard_normal(still.shape)
+        jerk = measure(altered(capture(Fraction(fps)), still + noise)).jitter
+        # The lower quartile of the length of a standard normal 3-vector is 1.101.
+        assert jerk == pytest.approx(1.101 * 0.003 * np.sqrt(20 * 30 / fps) * 30**3, rel=0.03)
+
+
+@pytest.mark.parametrize("fps", RATES)
+def test_noise_of_a_centimetre_is_jitter_in_any_motion(fps):
+    for action in ("walk", "run", "wave_left"):
+        assert "jitter" in measure(capture(fps, action, noise=0.01)).flags
+
+
+@pytest.mark.parametrize("fps", RATES)
+@pytest.mark.parametrize("returns", [True, False])
+def test_a_teleport_is_counted_and_placed(fps, returns):
+    """A joint that is half a metre off for a frame makes two long steps, one that stays there makes one."""
+    motion = capture(fps)
+    frame = int(2 * fps)
+    positions = motion.joint_positions.copy()
+    positions[frame : frame + 1 if returns else None, 20, 0] += 0.5
+    quality = measure(altered(motion, positions))
+    assert quality.num_teleports == (2 if returns else 1)
+    assert quality.first_teleport_seconds == pytest.approx(frame / float(fps))
+    assert "teleport" in quality.flags
+
+
+def test_a_first_pose_from_elsewhere_is_a_teleport():
+    """Calibration poses in frame 0."""
+    motion = capture(Fraction(60))
+    positions = motion.joint_positions.copy()
+    positions[0] += 1.0
+    quality = measure(altered(motion, positions))
+    assert (quality.num_teleports, quality.first_teleport_seconds) == (1, pytest.approx(1 / 60))
+
+
+@pytest.mark.parametrize("fps", RATES)
+def test_the_longest_frozen_stretch_is_found(fps):
+    motion = capture(fps)
+    start, length = int(3 * fps), int(fps / 2)
+    positions = motion.joint_positions.copy()
+    positions[start : start + length] = positions[start]
+    positions[10:12] = positions[10]
+    quality = measure(altered(motion, positions))
+    assert quality.frozen_seconds == pytest.approx((length - 1) / float(fps))
+    assert quality.frozen_start_seconds == pytest.approx(start / float(fps))
+    assert quality.held_share == pytest.approx(length / (len(positions) - 1))
+    assert "frozen" in quality.flags
+
+
+@pytest.mark.parametrize("fps", RATES)
+def test_sliding_feet_slide_at_the_speed_of_the_body(fps):
+    """A body that stands and is carried along at 0.5 m/s."""
+    motion = capture(fps, "wave_left")
+    seconds = motion.timegrid.seconds()
+    positions = np.broadcast_to(motion.joint_positions[:1], motion.joint_positions.shape) + 0.0
+    positions[..., 2] += 0.5 * seconds[:, None]
+    quality = measure(altered(motion, positions))
+    assert quality.foot_skate == pytest.approx(0.5, abs=0.01)
+    assert quality.foot_skate_share == 1.0
+    assert quality.flags == ("foot_skate",)
+
+
+def test_feet_are_found_through_the_map_of_a_skeleton():
+    motion = capture(Fraction(60))
+    nameless = Skeleton("nameless", tuple(f"j{i}" for i in range(22)), SMPL22.parents, SMPL22.offsets)
+    assert measure(replace(motion, skeleton=nameless)).foot_skate is None
+    assert measure(motion).foot_skate is not None
+
+
+def test_a_bone_that_grows_drifts():
+    motion = capture(Fraction(60))
+    positions = motion.joint_positions.copy()
+    growth = np.linspace(0.0, 0.2, len(positions), dtype=np.float32)[:, None]
+    positions[:, 20] += growth * (positions[:, 20] - positions[:, 18])
+    quality = measure(altered(motion, positions))
+    assert quality.bone_length_drift == pytest.approx(0.2 / 1.1, abs=0.01)
+    assert quality.flags == ("bone_length",)
+    assert measure(motion).bone_length_drift < 1e-4
+
+
+@pytest.mark.parametrize("num_frames", [1, 2, 3, 4, 5, 8, 20])
+def test_short_takes_are_measured_as_far_as_they_go(num_frames):
+    quality = measure(capture(Fraction(120)).frames(0, num_frames))
+    assert ("single_frame" in quality.flags) == (num_frames == 1)
+    assert quality.jitter is None
+    assert quality.foot_skate is None
+    assert quality.num_teleports == 0
+
+
+@pytest.mark.parametrize("scale", [0.0, 1e-30, 1e6, 1e12, 3e38])
+@pytest.mark.parametrize("num_frames", [1, 2, 61, 200])
+def test_figures_are_finite_whatever_the_numbers(scale, num_frames):
+    """They become columns and JSON, and no warning may come out of an ingest."""
+    values = scale * np.random.default_rng(0).uniform(-1, 1, (num_frames, 22, 3))
+    for fps in (1, 30, 10_000):
+        motion = Motion(values.astype(np.float32), SMPL22, TimeGrid(Fraction(fps), num_frames))
+        figures = [figure for figure in vars(measure(motion)).values() if isinstance(figure, float)]
+        assert np.isfinite(figures).all()
+
+
+def test_the_result_travels_between_processes():
+    quality = measure(capture(Fraction(60)))
+    assert pickle.loads(pickle.dumps(quality)) == quality  # noqa: S301
+
+
+@given(values=arrays(np.float32, st.integers(1, 40), elements=st.floats(-100, 100, width=32)))
+def test_the_middle_is_the_median(values: np.ndarray) -> None:
+    assert middle(values) == np.median(values)
+    assert middle(values.astype(np.float64)) == np.median(values.astype(np.float64))

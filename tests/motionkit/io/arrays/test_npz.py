@@ -1,0 +1,252 @@
+"""The project's own .npz: everything comes back; what is missing is filled in or explained; nothing else is taken."""
+
+import io
+import zipfile
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Caption, Motion, Provenance
+from motionkit.core.skeleton import KIT21, SMPL22, Feet, Skeleton
+from motionkit.core.timegrid import TimeGrid
+from motionkit.io.arrays import npz
+from motionkit.io.scan.items import ReadOptions
+from motionkit.io.scan.reading import read
+from motionkit.io.scan.scanner import scan
+
+WORDS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=12)
+SECONDS = st.floats(0, 1e4, allow_nan=False)
+CAPTIONS = st.lists(st.builds(Caption, WORDS, SECONDS, st.none() | SECONDS, WORDS), max_size=3)
+RIG = Skeleton(
+    "rig",
+    ("Hips", "Spine", "LeftFoot", "RightFoot"),
+    (-1, 0, 0, 0),
+    np.array([[0, 0.9, 0], [0, 0.3, 0], [0.1, -0.8, 0], [-0.1, -0.8, 0]], np.float32),
+    left_right_pairs=((2, 3),),
+    feet=Feet(2, 2, 3, 3),
+    end_sites=((2, (0.0, -0.05, 0.125)), (3, (1 / 3, -0.05, 0.125))),
+)
+
+
+def body(num_frames: int = 5, num_joints: int = 22) -> np.ndarray:
+    return np.random.default_rng(0).normal(size=(num_frames, num_joints, 3)).astype(np.float32)
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    fps=st.fractions(1, 1000, max_denominator=1001),
+    start=SECONDS,
+    captions=CAPTIONS,
+    texts=st.lists(WORDS, min_size=9, max_size=9),
+    operations=st.lists(WORDS, max_size=2),
+    turned=st.booleans(),
+)
+def test_a_motion_comes_back_as_it_was(tmp_path, fps, start, captions, texts, operations, turned):
+    rotations = np.random.default_rng(1).normal(size=(5, 4, 4)).astype(np.float32)
+    rotations /= np.linalg.norm(rotations, axis=-1, keepdims=True)
+    said = dict(zip(("source", "subset", "licence", "subject", "stated_fps"), texts[4:], strict=True))
+    before = Motion(
+        body(5, 4),
+        RIG,
+        TimeGrid(fps, 5, start),
+        local_rotations=rotations if turned else None,
+        root_translation=body(5, 1)[:, 0] if turned else None,
+        captions=tuple(captions),
+        action=texts[0],
+        style=texts[1],
+        split=texts[2],
+        sequence_id=texts[3],
+        provenance=Provenance(**said, operations=tuple(operations)),
+    )
+    path = tmp_path / "motion.npz"
+    npz.write_npz(before, path)
+    after = npz.read_npz(path)
+    for name in ("timegrid", "captions", "action", "style", "split", "skeleton"):
+        assert getattr(after, name) == getattr(before, name), name
+    assert after.skeleton.name == "rig"
+    assert after.sequence_id == (before.sequence_id or "motion")
+    assert after.provenance.operations == before.provenance.operations
+    assert after.provenance.stated_fps == said["stated_fps"]
+    for name in ("source", "subset", "licence", "subject"):
+        assert getattr(after.provenance, name) == said[name]
+    for name in ("joint_positions", "local_rotations", "root_translation"):
+        np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
+
+
+def test_nothing_in_it_is_an_object(tmp_path):
+    motion = Motion(body(), SMPL22, TimeGrid(Fraction(30), 5), captions=(Caption("走る"), Caption("")))
+    npz.write_npz(motion, tmp_path / "a.npz")
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as arrays:
+        kinds = {name: arrays[name].dtype.kind for name in arrays}
+    assert set(kinds.values()) <= set("fiU")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]
+
+
+def save(path, **arrays):
+    np.savez(path, **{"joint_positions": body(), "fps": 30.0} | arrays)
+    return path
+
+
+def drop(arrays, *names):
+    return {name: array for name, array in arrays.items() if name not in names}
+
+
+@pytest.mark.parametrize(
+    ("clock", "fps", "start"),
+    [
+        ({"fps": 30}, Fraction(30), 0.0),
+        ({"fps": np.float32(59.94)}, Fraction(60000, 1001), 0.0),
+        ({"fps": np.array(["30000/1001"])}, Fraction(30000, 1001), 0.0),
+        ({"time_seconds": 0.25 + np.arange(5) / 120}, Fraction(120), 0.25),
+        ({"time_seconds": np.round(np.arange(5) / 120, 3)}, Fraction(120), 0.0),
+        ({"time_seconds": 7 + np.arange(5) * 1001 / 24000, "fps_numerator": 24000, "fps_denominator": 1001}, None, 7.0),
+    ],
+)
+def test_three_kinds_of_clock(tmp_path, clock, fps, start):
+    np.savez(tmp_path / "a.npz", joint_positions=body(), **clock)
+    motion = npz.read_npz(tmp_path / "a.npz")
+    close = 0.1 if "time_seconds" in clock and fps == 120 and start == 0 else 0
+    assert abs(motion.fps - (fps or Fraction(24000, 1001))) <= Fraction(close) * motion.fps
+    assert motion.timegrid.start_seconds == start
+
+
+@pytest.mark.parametrize(
+    ("num_joints", "arrays", "parents"),
+    [
+        (22, {}, SMPL22.parents),
+        (21, {}, KIT21.parents),
+        (22, {"joint_names": np.array(SMPL22.joint_names)}, SMPL22.parents),
+        (3, {"joint_names": np.array(["a", "b", "c"])}, (-1, 0, 0)),
+        (3, {"joint_names": np.array([b"a", b"b", b"c"]), "parents": np.array([-1, 0, 1], np.int8)}, (-1, 0, 1)),
+    ],
+)
+def test_a_skeleton_that_is_said_in_part(tmp_path, num_joints, arrays, parents):
+    positions = body(5, num_joints)
+    motion = npz.read_npz(save(tmp_path / "a.npz", joint_positions=positions, **arrays))
+    assert motion.skeleton.parents == parents
+    if num_joints == 3:
+        np.testing.assert_allclose(motion.skeleton.offsets[2], positions[0, 2] - positions[0, parents[2]])
+    else:
+        assert motion.skeleton in (SMPL22, KIT21)
+
+
+OBJECTS = np.array([{"a": 1}], dtype=object)
+
+
+@pytest.mark.parametrize(
+    ("arrays", "reason", "says"),
+    [
+        ({"joint_positions": np.zeros((5, 66), np.float32)}, "channel-count", "shape"),
+        ({"joint_positions": np.full((5, 22, 3), np.nan)}, "nan", "joint_positions"),
+        ({"joint_positions": np.zeros((0, 22, 3))}, "no-frames", "0 frames"),
+        ({"joint_positions": np.zeros((5, 19, 3))}, "channel-count", "19 joints without joint_names"),
+        ({"joint_names": np.array(["a"])}, "channel-count", "1 joint_names for 22"),
+        ({"joint_names": np.array(["a"] * 22)}, "bones", "repeats a joint name"),
+        ({"joint_names": np.array([*"abcdefghijklmnopqrstuv"]), "parents": np.arange(22)}, "bones", "only root"),
+        ({"joint_names": np.array([*"abcdefghijklmnopqrstuv"]), "parents": np.full(22, 99)}, "bones", "numbered"),
+        ({"fps": 0}, "frame-time", "between 1 and"),
+        ({"fps": np.nan}, "frame-time", "finite"),
+        ({"fps": np.array("fast")}, "frame-time", "fast"),
+        ({"fps": OBJECTS}, "frame-time", "Python object"),
+        ({"fps_numerator": 30, "fps_denominator": 0}, "frame-time", "fps"),
+        ({"time_seconds": np.arange(5) / 60}, "frame-time", "not those of 30 fps"),
+        ({"time_seconds": np.array([0, 1, np.nan, 3, 4]) / 30}, "frame-time", "no number"),
+        ({"time_seconds": np.arange(4) / 30}, "channel-count", "time_seconds"),
+        ({"captions": OBJECTS}, "object-array", "captions"),
+        ({"captions": np.array(["a"]), "caption_seconds": np.zeros((2, 2))}, "channel-count", "caption_seconds"),
+        ({"captions": np.array(["a"]), "caption_tokens": np.array(["a", "b"])}, "channel-count", "caption_tokens"),
+        ({"local_rotations": np.ones((5, 22, 4))}, "range", "off 1 by 1"),
+        ({"local_rotations": np.ones((4, 22, 4)) / 2}, "channel-count", "local_rotations"),
+        ({"root_translation": np.ones((5, 2))}, "channel-count", "root_translation"),
+    ],
+)
+def test_what_is_wrong_is_explained(tmp_path, arrays, reason, says):
+    with pytest.raises(FormatError, match=says) as caught:
+        npz.read_npz(save(tmp_path / "bad.npz", **arrays))
+    assert caught.value.reason == reason
+
+
+def test_a_clock_is_needed_and_an_option_is_one(tmp_path):
+    np.savez(tmp_path / "a.npz", joint_positions=body())
+    with pytest.raises(FormatError, match="says the framerate") as caught:
+        npz.read_npz(tmp_path / "a.npz")
+    assert caught.value.reason == "no-framerate"
+    assert npz.read_npz(tmp_path / "a.npz", ReadOptions(fps=Fraction(25))).fps == 25
+
+
+def test_options_replace_the_clock_and_scale_every_length(tmp_path):
+    before = Motion(body(5, 4) * 100, replace(RIG, offsets=RIG.offsets * np.float32(100)), TimeGrid(Fraction(30), 5))
+    npz.write_npz(before, tmp_path / "a.npz")
+    after = npz.read_npz(tmp_path / "a.npz", ReadOptions(fps=Fraction(60), unit_metres=0.01))
+    assert after.fps == 60
+    np.testing.assert_allclose(after.joint_positions, body(5, 4), atol=1e-5)
+    np.testing.assert_allclose(after.skeleton.offsets, RIG.offsets, atol=1e-6)
+    assert after.provenance.operations == (
+        "framerate set to 60; the file says 30",
+        "lengths × 0.01 to metres (given)",
+    )
+
+
+def test_a_standard_skeleton_is_in_metres_whatever_the_files_unit(tmp_path):
+    path = save(tmp_path / "a.npz", joint_positions=body() * 100)
+    motion = npz.read_npz(path, ReadOptions(unit_metres=0.01))
+    np.testing.assert_allclose(motion.joint_positions, body(), atol=1e-5)
+    assert motion.skeleton == SMPL22
+
+
+def test_formats_of_one_suffix_are_distinguished_without_reading(tmp_path):
+    np.savez(tmp_path / "amass.npz", poses=np.zeros((4, 156)), trans=np.zeros((4, 3)), mocap_framerate=120.0)
+    save(tmp_path / "ours.npz")
+    np.savez(tmp_path / "statistics.npz", mean=np.zeros(3))
+    (tmp_path / "broken.npz").write_bytes(b"PK\x03\x04 and no more")
+    found = scan([tmp_path])
+    assert {item.path.name: item.format for item in found.items} == {
+        "amass.npz": "amass",
+        "broken.npz": "npz",
+        "ours.npz": "npz",
+    }
+    broken = next(item for item in found.items if item.path.name == "broken.npz")
+    with pytest.raises(FormatError, match=r"broken \.npz archive") as caught:
+        read(broken)
+    assert caught.value.reason == "truncated"
+
+
+def test_a_header_that_claims_more_than_there_is(tmp_path):
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f4", "fortran_order": False, "shape": (2**40, 22, 3)})
+    with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("joint_positions.npy", header.getvalue())
+    with pytest.raises(FormatError, match="the header states") as caught:
+        npz.read_npz(tmp_path / "bomb.npz")
+    assert caught.value.reason == "truncated"
+
+
+def test_a_member_of_which_the_directory_has_another_name_is_not_left_out(tmp_path):
+    path = save(tmp_path / "a.npz", captions=np.array(["a person walks"]))
+    content = path.read_bytes()
+    place = content.rindex(b"captions.npy")  # in the directory at the end; it is optional
+    path.write_bytes(content[:place] + b"C" + content[place + 1 :])
+    with pytest.raises(FormatError, match="broken"):
+        npz.read_npz(path)
+
+
+def test_characters_without_width_take_no_memory(tmp_path):
+    path = save(tmp_path / "bomb.npz")
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<U0", "fortran_order": False, "shape": (10**12,)})
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("captions.npy", header.getvalue())
+    with pytest.raises(FormatError, match=r"captions: array of '<U0'") as caught:
+        npz.read_npz(path)
+    assert caught.value.reason == "not-a-number"
+
+
+def test_column_major_arrays_and_other_widths(tmp_path):
+    positions = body().astype(np.float64)
+    path = save(tmp_path / "a.npz", joint_positions=np.asfortranarray(positions))
+    np.testing.assert_allclose(npz.read_npz(path).joint_positions, positions, rtol=1e-6)

@@ -1,0 +1,187 @@
+"""B. Hahne's three BVH conversions of the CMU database, from their published joint lists."""
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.skeletons.mapping import joint_map, map_joints
+from motionkit.io.bvh.document import T_POSE_DROPPED, read_bvh
+from motionkit.io.scan.items import ReadOptions
+from tests.motionkit.core.skeletons.test_skeleton_mapping import check_body
+
+Joint = tuple[str, str, tuple[float, float, float]]
+
+
+def sided(rows: list[Joint]) -> list[Joint]:
+    """Rows of the left side, and the same for the right: names and x change."""
+    swaps = {"Left": "Right", "L": "R", "l": "r"}
+    result: list[Joint] = []
+    for name, parent, (x, y, z) in rows:
+        side = next(side for side in swaps if name.startswith(side))
+        other = next(
+            (swaps[s] + parent[len(s) :] for s in swaps if parent.startswith(s) and parent not in CENTRE), parent
+        )
+        result += [(name, parent, (x, y, z)), (swaps[side] + name[len(side) :], other, (-x, y, z))]
+    return result
+
+
+CENTRE = {"LowerBack", "lowerback", "lowerneck"}
+
+MOTIONBUILDER = [
+    ("Hips", "", (0.0, 0.0, 0.0)),
+    ("LowerBack", "Hips", (0.0, 0.0, 0.0)),
+    ("Spine", "LowerBack", (0.0, 2.1, -0.1)),
+    ("Spine1", "Spine", (0.0, 2.1, 0.0)),
+    ("Neck", "Spine1", (0.0, 0.0, 0.0)),
+    ("Neck1", "Neck", (0.0, 1.7, 0.0)),
+    ("Head", "Neck1", (0.0, 1.6, -0.5)),
+    *sided(
+        [
+            ("LHipJoint", "Hips", (0.0, 0.0, 0.0)),
+            ("LeftUpLeg", "LHipJoint", (1.65, -1.7, 0.85)),
+            ("LeftLeg", "LeftUpLeg", (2.25, -6.18, 0.0)),
+            ("LeftFoot", "LeftLeg", (2.72, -7.47, 0.0)),
+            ("LeftToeBase", "LeftFoot", (0.19, -0.52, 2.25)),
+            ("LeftShoulder", "Spine1", (0.0, 0.0, 0.0)),
+            ("LeftArm", "LeftShoulder", (3.45, 0.5, 0.22)),
+            ("LeftForeArm", "LeftArm", (5.42, 0.0, 0.0)),
+            ("LeftHand", "LeftForeArm", (3.2, 0.0, 0.0)),
+            ("LeftFingerBase", "LeftHand", (0.0, 0.0, 0.0)),
+            ("LeftHandIndex1", "LeftFingerBase", (0.73, 0.0, 0.0)),
+            ("LThumb", "LeftHand", (0.0, 0.0, 0.0)),
+        ]
+    ),
+]
+MAX_NAMES = {
+    "LowerBack": "lowerback", "Spine": "Chest", "Spine1": "Chest2", "Neck": "lowerneck", "Neck1": "Neck",
+    **{f"{side}{old}": f"{side}{new}" for side in ("Left", "Right") for old, new in {
+        "UpLeg": "Hip", "Leg": "Knee", "Foot": "Ankle", "ToeBase": "Toe", "Shoulder": "Collar", "Arm": "Shoulder",
+        "ForeArm": "Elbow", "Hand": "Wrist",
+    }.items()},
+    "LeftFingerBase": "lhand", "RightFingerBase": "rhand", "LeftHandIndex1": "LFingers", "RightHandIndex1": "RFingers",
+}  # fmt: skip
+# Arms hang at rest.
+ARMS_DOWN = {"Elbow": (0.0, -5.42, 0.0), "Wrist": (0.0, -3.2, 0.0), "Fingers": (0.0, -0.73, 0.0)}
+MAX = [
+    (name, MAX_NAMES.get(parent, parent), next((down for end, down in ARMS_DOWN.items() if name.endswith(end)), offset))
+    for name, parent, offset in ((MAX_NAMES.get(name, name), parent, offset) for name, parent, offset in MOTIONBUILDER)
+]
+DAZ = [
+    ("hip", "", (0.0, 0.0, 0.0)),
+    ("abdomen", "hip", (0.0, 20.7, -0.7)),
+    ("chest", "abdomen", (0.0, 11.7, -0.5)),
+    ("neck", "chest", (0.0, 22.2, -2.2)),
+    ("head", "neck", (-0.2, 7.1, 1.2)),
+    *sided(
+        [
+            ("leftEye", "head", (4.1, 8.0, 8.0)),
+            ("lCollar", "chest", (2.7, 19.3, -4.9)),
+            ("lShldr", "lCollar", (8.8, -2.0, 1.5)),
+            ("lForeArm", "lShldr", (28.2, -1.7, 0.5)),
+            ("lHand", "lForeArm", (22.6, 0.8, 7.1)),
+            ("lThumb1", "lHand", (1.2, -0.5, 3.4)),
+            ("lButtock", "hip", (8.8, 4.4, 1.2)),
+            ("lThigh", "lButtock", (0.0, -1.7, -2.2)),
+            ("lShin", "lThigh", (0.0, -36.8, 0.7)),
+            ("lFoot", "lShin", (-0.7, -45.1, -5.1)),
+        ]
+    ),
+]
+
+
+# In inches, as Second Life's viewer writes it.
+SECOND_LIFE = [
+    ("hip", "", (0.0, 0.0, 0.0)),
+    ("abdomen", "hip", (0.0, 3.42, 0.0)),
+    ("chest", "abdomen", (0.0, 8.49, -0.68)),
+    ("neck", "chest", (0.0, 10.27, -0.27)),
+    ("head", "neck", (0.0, 3.15, 0.0)),
+    *sided(
+        [
+            ("lCollar", "chest", (3.42, 6.71, -0.82)),
+            ("lShldr", "lCollar", (3.29, 0.0, 0.0)),
+            ("lForeArm", "lShldr", (10.13, 0.0, 0.0)),
+            ("lHand", "lForeArm", (8.49, 0.0, 0.0)),
+            ("lThigh", "hip", (5.34, -1.64, 1.37)),
+            ("lShin", "lThigh", (-2.05, -20.12, 0.0)),
+            ("lFoot", "lShin", (0.0, -19.3, -1.23)),
+        ]
+    ),
+]
+
+
+def bvh(joints: list[Joint], root_order: str, height: float, *, t_pose: bool) -> str:
+    lines, order = ["HIERARCHY"], []
+
+    def add(name: str, parent: str, offset: tuple[float, float, float]) -> None:
+        order.append(name)
+        lines.extend((f"{'JOINT' if parent else 'ROOT'} {name}", "{", "OFFSET {} {} {}".format(*offset)))
+        lines.append(f"CHANNELS {3 if parent else 6} {'' if parent else 'Xposition Yposition Zposition '}{root_order}")
+        below = [joint for joint in joints if joint[1] == name]
+        for joint in below:
+            add(*joint)
+        tip = "1.1 -3.7 12.1" if name.endswith("Foot") else "0 0.1 0.5"
+        lines.extend(() if below else ("End Site", "{", f"OFFSET {tip}", "}"))
+        lines.append("}")
+
+    add(*joints[0])
+    rows = [[0.5, height, 1.0, 1.25, -0.75, 0.5 * frame] + [0.25] * (3 * len(order) - 3) for frame in range(4)]
+    if t_pose:
+        rows.insert(0, [0.5, height, 1.0, *([0.0] * (3 * len(order)))])
+    body = "\n".join(" ".join(f"{value:g}" for value in row) for row in rows)
+    return "\n".join(lines) + f"\nMOTION\nFrames: {len(rows)}\nFrame Time: .0083333\n{body}\n"
+
+
+FLAVOURS = {
+    "cgspeed-motionbuilder": (MOTIONBUILDER, 17.3, True),
+    "cgspeed-3dsmax": (MAX, 17.3, False),
+    "daz": (DAZ, 86.0, False),
+}
+
+
+def take(folder: Path, flavour: str) -> Motion:
+    joints, height, t_pose = FLAVOURS[flavour]
+    path = folder / "01_01.bvh"
+    path.write_text(bvh(joints, "Zrotation Yrotation Xrotation", height, t_pose=t_pose))
+    return read_bvh(path)
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_each_flavour_is_a_body_in_metres_at_120_fps(tmp_path: Path, flavour: str) -> None:
+    motion = take(tmp_path, flavour)
+    assert motion.fps == 120 and motion.num_frames == 4
+    assert (T_POSE_DROPPED in motion.provenance.operations) == FLAVOURS[flavour][2]
+    assert joint_map(motion.skeleton, "smpl22").family == flavour
+    unit = 0.01 if flavour == "daz" else 0.0254 / 0.45
+    assert motion.joint_positions[0, 0, 1] == pytest.approx(FLAVOURS[flavour][1] * unit)
+    check_body(motion)
+
+
+def test_daz_figures_have_their_pelvis_above_the_hips(tmp_path: Path) -> None:
+    body = map_joints(take(tmp_path, "daz"), "smpl22")
+    hips = body[:, [SMPL22.index("left_hip"), SMPL22.index("right_hip")]].mean(axis=1)
+    assert np.allclose(body[:, 0, 1] - hips[:, 1], 0.09, atol=0.01)
+
+
+def test_second_life_writes_inches(tmp_path: Path) -> None:
+    path = tmp_path / "avatar.bvh"
+    path.write_text(bvh(SECOND_LIFE, "Xrotation Zrotation Yrotation", 42.0, t_pose=False))
+    motion = read_bvh(path)
+    assert "inch" in motion.provenance.operations[0] and joint_map(motion.skeleton, "smpl22").family == "daz"
+    body = map_joints(motion, "smpl22")
+    joints = [SMPL22.index(name) for name in ("left_hip", "pelvis", "spine1", "spine2", "spine3", "neck", "head")]
+    heights = body[0, joints, 1] - body[0, joints[0], 1]
+    # SMPL's mean body has 0.09, 0.20, 0.34, 0.39, 0.60, 0.67 m (formats.smpl.mean_shape), this figure is taller.
+    assert np.allclose(heights / heights[-2], np.array([0.0, 0.09, 0.20, 0.34, 0.39, 0.60, 0.67]) / 0.6, atol=0.06)
+
+
+def test_a_copy_that_says_30_fps_is_put_right(tmp_path: Path) -> None:
+    path = tmp_path / "raw.bvh"
+    path.write_text(bvh(MAX, "Zrotation Yrotation Xrotation", 17.3, t_pose=False).replace(".0083333", ".033333"))
+    assert read_bvh(path).fps == 30
+    motion = read_bvh(path, ReadOptions(fps=Fraction(120)))
+    assert motion.provenance.operations[0] == "framerate set to 120; the file says 30"

@@ -1,0 +1,93 @@
+"""100STYLE's takes: cut as its table says, with style and movement from the name."""
+
+from pathlib import Path
+
+import pytest
+
+from motionkit.core.errors import FormatError
+from motionkit.io.bvh.style100 import read_100style
+from motionkit.io.scan.reading import read
+from motionkit.io.scan.scanner import scan
+from tests.helpers.format_samples import NUM_BVH_CHANNELS, bvh_text
+
+HEADER = "STYLE_NAME,BR_START,BR_STOP,FW_START,FW_STOP,TR2_START,TR2_STOP"
+
+
+def rows(num_frames: int = 10) -> list[list[float]]:
+    return [[0.0, 95.0, float(frame), *([0.5] * (NUM_BVH_CHANNELS - 3))] for frame in range(num_frames)]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    root = tmp_path / "100STYLE"
+    for style in ("Aeroplane", "Old"):
+        (root / style).mkdir(parents=True)
+        for kind in ("BR", "FW"):
+            (root / style / f"{style}_{kind}.bvh").write_text(bvh_text(rows(), frame_time="0.016667"))
+    (root / "Frame_Cuts.csv").write_text(f"{HEADER}\r\nAeroplane,2,7,3.0,10.0,N/A,N/A\r\nOld,0,1,0,10,,\r\n")
+    (root / "Dataset_List.csv").write_text("Style Name,Description\nOld,Old man\n")
+    return root
+
+
+def test_takes_are_cut_and_know_style_and_movement(folder: Path) -> None:
+    found = scan([folder])
+    assert not found.problems and not found.warnings
+    motions = {item.path.stem: read(item) for item in found.items}
+    assert {
+        name: (m.style, m.action, m.num_frames, round(float(m.joint_positions[0, 0, 2]), 4))
+        for name, m in motions.items()
+    } == {
+        "Aeroplane_BR": ("Aeroplane", "backward run", 5, 0.02),
+        "Aeroplane_FW": ("Aeroplane", "forward walk", 7, 0.03),
+        "Old_BR": ("Old", "backward run", 1, 0.0),
+        "Old_FW": ("Old", "forward walk", 10, 0.0),
+    }
+    motion = motions["Aeroplane_BR"]
+    assert motion.fps == 60 and motion.timegrid.start_seconds == 0.0
+    assert motion.provenance.source_format == "100style"
+    assert motion.provenance.operations[-1] == "frames [2, 7) of 10 kept, as Frame_Cuts.csv says"
+
+
+def test_a_dropped_t_pose_does_not_move_the_cut(folder: Path) -> None:
+    table = rows()
+    table[0] = [0.0, 95.0, 1.0, *([0.0] * (NUM_BVH_CHANNELS - 3))]
+    path = folder / "Aeroplane" / "Aeroplane_BR.bvh"
+    path.write_text(bvh_text(table))
+    motion = read_100style(path)
+    assert motion.num_frames == 5 and motion.joint_positions[0, 0, 2] == pytest.approx(0.02)
+    assert motion.provenance.operations[0].startswith("frame 0 dropped")
+
+
+def test_without_the_table_it_is_a_plain_bvh(folder: Path) -> None:
+    (folder / "Frame_Cuts.csv").unlink()
+    assert {item.format for item in scan([folder]).items} == {"bvh"}
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        (f"{HEADER}\nOld,0,1,0,10,,\n", "no BR_START and BR_STOP for the style Aeroplane"),
+        (f"{HEADER}\nAeroplane,N/A,N/A,0,10,,\n", "no BR_START and BR_STOP for the style Aeroplane"),
+        (f"{HEADER}\nAeroplane,0,11,0,10,,\n", r"keeps frames \[0, 11\) of 10"),
+        (f"{HEADER}\nAeroplane,5,5,0,10,,\n", r"keeps frames \[5, 5\) of 10"),
+        (f"{HEADER}\nAeroplane,-1,5,0,10,,\n", r"line 2: '-1' and '5', expected two frame numbers"),
+        (f"{HEADER}\nAeroplane,1,N/A,0,10,,\n", r"'1' and 'N/A', expected two frame numbers"),
+        (f"{HEADER}\nAeroplane,1,1e9,0,10,,\n", r"'1' and '1e9', expected two frame numbers"),
+        (f"{HEADER}\nAeroplane,1,{'9' * 5000},0,10,,\n", "expected two frame numbers"),
+        ("name,start\nAeroplane,1\n", "no column 'STYLE_NAME'"),
+        (HEADER.replace("BR_", "XX_") + "\nAeroplane,1,5,0,10,,\n", "no BR_START"),
+        ("", "empty"),
+        ("STYLE_NAME\n\xff\n", "UTF-8"),
+    ],
+)
+def test_a_bad_table_is_refused(folder: Path, table: str, message: str) -> None:
+    (folder / "Frame_Cuts.csv").write_bytes(table.encode("latin-1"))
+    with pytest.raises(FormatError, match=message):
+        read_100style(folder / "Aeroplane" / "Aeroplane_BR.bvh")
+
+
+def test_a_file_of_another_name_is_refused(folder: Path) -> None:
+    path = folder / "Aeroplane" / "walk.bvh"
+    path.write_text(bvh_text())
+    with pytest.raises(FormatError, match="expected a name such as"):
+        read_100style(path)

@@ -1,0 +1,295 @@
+"""Motions written onto a character's own file: what is in it stays, and it moves as the source does."""
+
+import json
+import struct
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import motionkit as mk
+from motionkit.core import kinematics
+from motionkit.core.errors import FormatError, MotionkitError, UsageError
+from motionkit.core.skeleton import Skeleton
+from motionkit.fields.motion_field import to_motion
+from motionkit.io.bvh.writing import write_bvh
+from motionkit.io.characters.character import read_character
+from motionkit.io.gltf import GlbBuffer
+from motionkit.io.scan.items import ReadOptions
+from motionkit.io.smpl.body import mean_shape_skeleton
+from motionkit.synthetic import make_body, perform
+from tests.motionkit.io.characters.test_retargeting import directions
+
+NAMES = {"pelvis": "Hips", "spine1": "Spine", "spine2": "Spine1", "spine3": "Spine2", "neck": "Neck", "head": "Head"}
+PARTS = {"hip": "UpLeg", "knee": "Leg", "ankle": "Foot", "foot": "ToeBase", "collar": "Shoulder", "shoulder": "Arm"}
+PARTS |= {"elbow": "ForeArm", "wrist": "Hand"}
+
+
+def mixamo_name(joint: str) -> str:
+    """What Mixamo calls one of SMPL's joints."""
+    side, _, part = joint.rpartition("_")
+    return f"mixamorig:{NAMES[joint] if joint in NAMES else side.capitalize() + PARTS[part]}"
+
+
+@pytest.fixture(scope="module")
+def walk() -> mk.Motion:
+    """Two seconds of a walk at 60000/1001 fps."""
+    return to_motion(perform(np.random.default_rng(4), make_body("walker"), ["walk"], 2.0), Fraction(60000, 1001))
+
+
+@pytest.fixture(scope="module")
+def rig() -> Skeleton:
+    """A small body with Mixamo's names."""
+    body = mean_shape_skeleton().scaled(0.6)
+    return replace(body, name="figure", joint_names=tuple(map(mixamo_name, body.joint_names)), feet=None)
+
+
+def as_smpl(motion: mk.Motion) -> mk.Motion:
+    """The motion with SMPL's names, in SMPL's order."""
+    order = [motion.skeleton.joint_names.index(mixamo_name(name)) for name in mean_shape_skeleton().joint_names]
+    return replace(
+        motion,
+        joint_positions=motion.joint_positions[:, order],
+        skeleton=mean_shape_skeleton(),
+        local_rotations=None,
+        root_translation=None,
+    )
+
+
+def t_pose(rig: Skeleton) -> mk.Motion:
+    unturned = np.zeros((2, rig.num_joints, 4), np.float32)
+    unturned[..., 0] = 1.0
+    root = np.tile(np.array([0, 0.6, 0], np.float32), (2, 1))
+    places = kinematics.forward_kinematics(unturned, root, rig)
+    return mk.Motion(places, rig, mk.Motion.from_joints(places, 30, rig).timegrid, unturned, root)
+
+
+def test_a_bvh_keeps_its_hierarchy_and_moves_as_the_source(walk: mk.Motion, rig: Skeleton, tmp_path: Path) -> None:
+    write_bvh(t_pose(rig), tmp_path / "figure.bvh", unit_metres=0.001)
+    options = ReadOptions(unit_metres=0.001)
+    character = read_character(tmp_path / "figure.bvh", options)
+    character.write(character.perform(walk), tmp_path / "walk.bvh")
+    heads = [(tmp_path / name).read_text().split("MOTION")[0] for name in ("figure.bvh", "walk.bvh")]
+    assert heads[0] == heads[1]
+    made = mk.read(tmp_path / "walk.bvh", unit_metres=0.001)
+    assert (made.fps, made.num_frames) == (walk.fps, walk.num_frames)
+    np.testing.assert_allclose(directions(as_smpl(made)), directions(walk), atol=1e-3)
+    np.testing.assert_allclose(
+        made.skeleton.offsets, mk.read(tmp_path / "figure.bvh", unit_metres=0.001).skeleton.offsets
+    )
+    # Smaller legs go as much less far.
+    hips = [motion.joint_positions[:, 0, [0, 2]] for motion in (made, walk)]
+    ways = [np.linalg.norm(np.diff(places, axis=0), axis=-1).sum() for places in hips]
+    legs = [np.linalg.norm(skeleton.offsets[[4, 7]], axis=-1).sum() for skeleton in (rig, walk.skeleton)]
+    assert ways[0] / ways[1] == pytest.approx(legs[0] / legs[1], rel=0.02)
+    assert float(np.quantile(made.joint_positions[..., 1].min(axis=1), 0.05)) == pytest.approx(
+        legs[0] / legs[1] * float(np.quantile(walk.joint_positions[..., 1].min(axis=1), 0.05)), abs=0.02
+    )
+
+
+def test_planted_feet_stand(walk: mk.Motion, rig: Skeleton, tmp_path: Path) -> None:
+    write_bvh(t_pose(rig), tmp_path / "figure.bvh")
+    character = read_character(tmp_path / "figure.bvh", ReadOptions())
+    assert walk.root_translation is not None
+    drift = np.zeros_like(walk.root_translation)
+    drift[:, 0] = np.linspace(0, 0.4, walk.num_frames)
+    sliding = replace(
+        walk,
+        joint_positions=walk.joint_positions + drift[:, None],
+        root_translation=walk.root_translation + drift,
+    )
+    speeds = []
+    for plant in (False, True):
+        made = character.perform(sliding, plant=plant)
+        feet = made.joint_positions[:, [made.skeleton.index(mixamo_name(f"{side}_foot")) for side in ("left", "right")]]
+        moved = np.linalg.norm(np.diff(feet[..., [0, 2]], axis=0), axis=-1) * float(made.fps)
+        speeds.append(float(np.median(moved.min(axis=1))))
+        bones = np.linalg.norm(
+            made.joint_positions[:, 1:] - made.joint_positions[:, made.skeleton.parents[1:]], axis=-1
+        )
+        assert np.ptp(bones, axis=0).max() < 1e-4
+    assert made.provenance.operations[-1] == "planted"
+    assert speeds[0] > 0.2 and speeds[1] < 0.25 * speeds[0]
+
+
+def write_glb_rig(path: Path, rig: Skeleton) -> list[dict[str, object]]:
+    """A skinned rig as Blender writes it: centimetres below an armature that lies down, every bone along its own y."""
+    rng = np.random.default_rng(0)
+    turns = kinematics.rotation_vector_to_quaternion(rng.normal(0, 1, (rig.num_joints, 3)))
+    down = kinematics.rotation_vector_to_quaternion(np.array([-np.pi / 2, 0, 0]))
+    nodes: list[dict[str, object]] = [
+        {"name": "Armature", "scale": [0.01] * 3, "rotation": _xyzw(down), "children": [1]}
+    ]
+    for joint, parent in enumerate(rig.parents):
+        above = turns[parent] if parent >= 0 else down
+        back = kinematics.quaternion_conjugate(above)
+        place = kinematics.quaternion_rotate(back, 100 * rig.offsets[joint].astype(np.float64))
+        nodes.append(
+            {
+                "name": rig.joint_names[joint],
+                "translation": place.tolist(),
+                "rotation": _xyzw(kinematics.quaternion_multiply(back, turns[joint])),
+                "children": [child + 1 for child in rig.children(joint)],
+            }
+        )
+    nodes.append({"name": "body", "mesh": 0, "skin": 0})
+    buffer = GlbBuffer()
+    mesh = {"primitives": [{"attributes": {"POSITION": buffer.add(np.eye(3, dtype=np.float32), bounds=True)}}]}
+    skin = {"joints": list(range(1, rig.num_joints + 1))}
+    document = {"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0, len(nodes) - 1]}]}
+    buffer.write(path, {**document, "nodes": nodes, "meshes": [mesh], "skins": [skin]})
+    return nodes
+
+
+def _xyzw(q: np.ndarray) -> list[float]:
+    return [*q[1:].tolist(), float(q[0])]
+
+
+def read_glb(path: Path) -> tuple[dict[str, object], bytes]:
+    data = path.read_bytes()
+    size = struct.unpack_from("<I", data, 12)[0]
+    return json.loads(data[20 : 20 + size]), data[28 + size :]
+
+
+def write_glb(path: Path, document: dict[str, object], binary: bytes) -> None:
+    text = json.dumps(document).encode()
+    head = struct.pack("<5I", 0x46546C67, 2, 28 + len(text) + len(binary), len(text), 0x4E4F534A)
+    path.write_bytes(head + text + struct.pack("<2I", len(binary), 0x004E4942) + binary)
+
+
+def world_places(path: Path) -> np.ndarray:
+    """Where the nodes are in the world in every frame of a file's animation, by matrices."""
+    document, binary = read_glb(path)
+    nodes, animation = document["nodes"], document["animations"][0]
+
+    def values(number: int) -> np.ndarray:
+        accessor = document["accessors"][number]
+        start = document["bufferViews"][accessor["bufferView"]]["byteOffset"]
+        width = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[accessor["type"]]
+        return np.frombuffer(binary, "<f4", accessor["count"] * width, start).reshape(-1, width)
+
+    keys = values(animation["samplers"][0]["input"])
+    moved = {
+        (each["target"]["node"], each["target"]["path"]): values(animation["samplers"][each["sampler"]]["output"])
+        for each in animation["channels"]
+    }
+    places = np.zeros((len(keys), len(nodes), 3))
+
+    def visit(node: int, above: np.ndarray) -> None:
+        local = np.tile(np.eye(4), (len(keys), 1, 1))
+        turn = moved.get((node, "rotation"), np.tile(nodes[node].get("rotation", [0, 0, 0, 1]), (len(keys), 1)))
+        matrices = kinematics.quaternion_to_matrix(turn[:, [3, 0, 1, 2]].astype(np.float64))
+        local[:, :3, :3] = matrices * np.array(nodes[node].get("scale", [1, 1, 1]))
+        local[:, :3, 3] = moved.get((node, "translation"), np.array(nodes[node].get("translation", [0, 0, 0])))
+        world = above @ local
+        places[:, node] = world[:, :3, 3]
+        for child in nodes[node].get("children", []):
+            visit(child, world)
+
+    visit(0, np.eye(4))
+    return places
+
+
+def test_a_glb_keeps_its_nodes_and_moves_as_the_source(walk: mk.Motion, rig: Skeleton, tmp_path: Path) -> None:
+    nodes = write_glb_rig(tmp_path / "figure.glb", rig)
+    character = read_character(tmp_path / "figure.glb", ReadOptions())
+    performed = character.perform(walk)
+    character.write(performed, tmp_path / "walk.glb")
+    document, _ = read_glb(tmp_path / "walk.glb")
+    assert document["nodes"] == nodes and len(document["meshes"]) == 1
+    places = world_places(tmp_path / "walk.glb")[:, 1:23].astype(np.float32)
+    own = [rig.joint_names.index(name) for name in performed.skeleton.joint_names]
+    np.testing.assert_allclose(places[:, own], performed.joint_positions, atol=1e-4)
+    moved = mk.Motion(places, rig, walk.timegrid)
+    np.testing.assert_allclose(directions(as_smpl(moved)), directions(walk), atol=1e-3)
+    lengths = np.linalg.norm(places[:, 1:] - places[:, list(rig.parents[1:])], axis=-1)
+    np.testing.assert_allclose(
+        lengths, np.linalg.norm(rig.offsets[1:], axis=-1)[None].repeat(len(places), 0), atol=1e-4
+    )
+
+
+def test_joints_that_are_matrices_move_alike(walk: mk.Motion, rig: Skeleton, tmp_path: Path) -> None:
+    write_glb_rig(tmp_path / "parts.glb", rig)
+    document, binary = read_glb(tmp_path / "parts.glb")
+    for node in document["nodes"][1:-1]:
+        matrix = np.eye(4)
+        x, y, z, w = node.pop("rotation")
+        matrix[:3, :3], matrix[:3, 3] = kinematics.quaternion_to_matrix(np.array([w, x, y, z])), node.pop("translation")
+        node["matrix"] = matrix.T.ravel().tolist()
+    write_glb(tmp_path / "matrices.glb", document, binary)
+    for name in ("parts", "matrices"):
+        character = read_character(tmp_path / f"{name}.glb", ReadOptions())
+        character.write(character.perform(walk), tmp_path / f"{name}-walk.glb")
+    document, _ = read_glb(tmp_path / "matrices-walk.glb")
+    assert not any("matrix" in node for node in document["nodes"])
+    places = [world_places(tmp_path / f"{name}-walk.glb") for name in ("parts", "matrices")]
+    np.testing.assert_allclose(places[0], places[1], atol=1e-5)
+
+
+def test_our_own_glb_is_a_character_too(walk: mk.Motion, tmp_path: Path) -> None:
+    mk.write(replace(t_pose(mean_shape_skeleton()), sequence_id="t"), tmp_path / "figure.glb")
+    character = read_character(tmp_path / "figure.glb", ReadOptions())
+    character.write(character.perform(walk), tmp_path / "walk.glb")
+    places = world_places(tmp_path / "walk.glb")[:, :22].astype(np.float32)
+    np.testing.assert_allclose(
+        directions(mk.Motion(places, mean_shape_skeleton(), walk.timegrid)), directions(walk), atol=1e-3
+    )
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda document: document.pop("skins"),
+        lambda document: document["skins"][0].update(joints=[]),
+        lambda document: document["skins"][0].update(joints=[1, 999]),
+        lambda document: document["nodes"][3].update(children=[1]),
+        lambda document: document["nodes"][2].update(scale=[0, 1, 1]),
+        lambda document: document["nodes"][2].update(rotation="up"),
+    ],
+)
+def test_a_glb_that_is_no_rig_is_refused(rig: Skeleton, tmp_path: Path, damage: object) -> None:
+    write_glb_rig(tmp_path / "whole.glb", rig)
+    document, binary = read_glb(tmp_path / "whole.glb")
+    damage(document)  # type: ignore[operator]
+    write_glb(tmp_path / "bad.glb", document, binary)
+    with pytest.raises(FormatError) as raised:
+        read_character(tmp_path / "bad.glb", ReadOptions())
+    assert raised.value.reason == "gltf"
+
+
+@pytest.mark.parametrize("content", [b"", b"glTF", b"glTF" + bytes(40)])
+def test_what_is_no_glb_is_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "bad.glb").write_bytes(content)
+    with pytest.raises(FormatError):
+        read_character(tmp_path / "bad.glb", ReadOptions())
+
+
+def test_who_never_stands_is_refused(rig: Skeleton, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"a character is a \.bvh or a \.glb"):
+        read_character(tmp_path / "figure.fbx", ReadOptions())
+    lying = replace(rig, offsets=np.abs(rig.offsets))
+    write_bvh(t_pose(lying), tmp_path / "lying.bvh")
+    with pytest.raises(MotionkitError, match="stands upright"):
+        read_character(tmp_path / "lying.bvh", ReadOptions())
+
+
+def test_bones_that_rest_along_x_take_the_first_frame_s_pose(walk: mk.Motion, rig: Skeleton, tmp_path: Path) -> None:
+    pose = t_pose(rig)
+    lengths = np.linalg.norm(rig.offsets, axis=-1)
+    along = replace(rig, offsets=np.stack((lengths, 0 * lengths, 0 * lengths), axis=-1).astype(np.float32))
+    single = [len(rig.children(joint)) == 1 for joint in range(22)]
+    offsets = np.array(rig.offsets)
+    for joint, parent in enumerate(rig.parents):
+        if parent >= 0 and single[parent]:
+            offsets[joint] = along.offsets[joint]
+    along = replace(rig, offsets=offsets)
+    rotations = kinematics.inverse_kinematics(pose.joint_positions, along)
+    standing = replace(pose, skeleton=along, local_rotations=rotations)
+    write_bvh(standing, tmp_path / "along.bvh")
+    character = read_character(tmp_path / "along.bvh", ReadOptions())
+    assert character.rest is not None
+    character.write(character.perform(walk), tmp_path / "walk.bvh")
+    made = mk.read(tmp_path / "walk.bvh")
+    np.testing.assert_allclose(directions(as_smpl(made)), directions(walk), atol=1e-3)

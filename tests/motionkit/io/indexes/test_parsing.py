@@ -1,0 +1,281 @@
+"""Indexes as values: the published ones, and what is wrong with bad ones, line by line."""
+
+import csv
+import json
+import math
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Caption
+from motionkit.io.indexes.entries import Index, stem
+from motionkit.io.indexes.search import read_index
+from motionkit.io.scan.cuts import StepCut, TimeCut
+
+HEADER = "source_path,start_frame,end_frame,new_name\n"
+
+
+@pytest.fixture(scope="module")
+def annotations(captures: Path) -> Path:
+    folder = captures / "annotations"
+    if not folder.is_dir():
+        pytest.skip(f"needs the published indexes in {folder}")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def published(annotations: Path) -> Index:
+    return read_index(annotations / "humanml3d-index.csv")
+
+
+def read(tmp_path: Path, text: str | bytes, name: str = "index.csv") -> Index:
+    path = tmp_path / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return read_index(path)
+
+
+def refused(tmp_path: Path, text: str | bytes, name: str = "index.csv") -> FormatError:
+    with pytest.raises(FormatError) as caught:
+        read(tmp_path, text, name)
+    return caught.value
+
+
+def test_humanml3d(published):
+    index = published
+    assert (index.name, index.problems, len(index.entries)) == ("humanml3d", (), 14_616)
+    assert Counter(entry.dataset for entry in index.entries) == {
+        "KIT": 4648, "CMU": 2913, "BMLmovi": 1839, "Eyes_Japan_Dataset": 1465, "humanact12": 1191, "MPI_HDM05": 771,
+        "BioMotionLab_NTroje": 373, "EKUT": 351, "ACCAD": 277, "DFaust_67": 135, "MPI_Limits": 132, "MPI_mosh": 122,
+        "Transitions_mocap": 110, "TotalCapture": 74, "SFU": 68, "BMLhandball": 67, "HumanEva": 50, "SSM_synced": 30,
+    }  # fmt: skip
+    by_name = {entry.name: entry for entry in index.entries}
+    assert by_name["000000"].cut == StepCut(0, 117)
+    assert by_name["012314"].cut == StepCut(149, 320, trim_frames=60)
+    assert by_name["012314"].key == ("Eyes_Japan_Dataset", "yamaoka", "tennis-15-first_service-yamaoka")
+    assert by_name["000001"].cut == StepCut(0, None, seen_fps=20.0)
+    assert by_name["000014"].cut == StepCut(647, 847, trim_frames=20, seen_fps=60.0)
+    cuts = {entry.name: entry.cut for entry in index.entries if isinstance(entry.cut, StepCut)}
+    lengths = {name: cut.end_frame - cut.start_frame for name, cut in cuts.items() if cut.end_frame is not None}
+    short = [name for name, length in lengths.items() if length == 1]
+    assert short == ["009707", "011059"]
+    # Many clips of one file, and no two files that a generous comparison of names would take for one.
+    assert len({entry.key for entry in index.entries}) == len({entry.parts for entry in index.entries}) == 11_715
+    assert sum(length < 40 for length in lengths.values()) == 230
+
+
+def test_the_published_clip_has_the_length_that_the_index_says(published, golden_humanml3d):
+    cut = next(entry.cut for entry in published.entries if entry.name == "012314")
+    assert isinstance(cut, StepCut) and cut.end_frame is not None
+    # 171 poses give 170 pose vectors, and new_joints are made from those.
+    assert len(np.load(golden_humanml3d / "new_joint_vecs/012314.npy")) == cut.end_frame - cut.start_frame - 1
+
+
+def test_published_windows_end_where_real_takes_of_the_cmu_database_end(published, captures):
+    """A take of N frames at 120 fps has ⌈N / 6⌉ published ones: 119 of 165 windows end on just that."""
+    ends: dict[str, list[int]] = {}
+    for entry in published.entries:
+        if entry.dataset == "CMU" and isinstance(entry.cut, StepCut) and entry.cut.end_frame is not None:
+            ends.setdefault(stem(entry.parts[-1]), []).append(entry.cut.end_frame)
+    beyond: Counter[int] = Counter()
+    with (captures / "cmu/takes.csv").open(newline="") as file:
+        for take in csv.DictReader(file):
+            num_frames = int(take["num_frames"]) + int(take["native_frame_offset"])
+            beyond.update(end - math.ceil(num_frames / 6) for end in ends.get(take["take"], ()))
+    assert beyond.total() == 165
+    assert beyond[0] == 119
+    # Two takes are a frame or two shorter in our copies than in AMASS.
+    assert [excess for excess in beyond.elements() if excess > 0] == [2, 1]
+
+
+def test_kit(annotations):
+    index = read_index(annotations / "kitml-annotations.json")
+    assert (index.name, index.problems, len(index.entries)) == ("kitml", (), 5766)
+    assert sum(entry.mirrored for entry in index.entries) == 2883
+    assert all(entry.name.startswith("M") == entry.mirrored for entry in index.entries)
+    assert sum(len(entry.captions) for entry in index.entries) == 12_164
+    once = Counter(entry.dataset for entry in index.entries if not entry.mirrored)
+    assert once == {"KIT": 2051, "CMU": 790, "EKUT": 42}
+    first = index.entries[0]
+    assert (first.name, first.parts) == ("00001", ("KIT", "4", "WalkingStraightForward01_poses.npz"))
+    assert first.cut == TimeCut(file_seconds=3.78)
+    assert first.captions == (Caption("A person is walking forwards."),)
+    assert all(isinstance(entry.cut, TimeCut) and entry.cut.is_whole for entry in index.entries)
+
+
+def test_durations_of_kit_are_those_of_real_takes_of_the_cmu_database(annotations, captures):
+    stated = {
+        stem(entry.parts[-1]): entry.cut.file_seconds
+        for entry in read_index(annotations / "kitml-annotations.json").entries
+        if entry.dataset == "CMU" and isinstance(entry.cut, TimeCut) and entry.cut.file_seconds is not None
+    }
+    differences = {}
+    with (captures / "cmu/takes.csv").open(newline="") as file:
+        for take in csv.DictReader(file):
+            if take["take"] in stated:
+                seconds = (int(take["num_frames"]) + int(take["native_frame_offset"])) / 120
+                differences[take["take"]] = seconds - stated[take["take"]]
+    assert len(differences) > 30
+    # Again 08_08 is ten frames shorter in our copy.
+    assert [take for take, difference in differences.items() if abs(difference) > 0.02] == ["08_08"]
+
+
+def test_what_a_spreadsheet_does_to_an_index(tmp_path):
+    text = "\ufeff" + HEADER.replace("\n", "\r\n") + './pose_data/KIT/3/"a".npy,1.0,2.0,000000.npy\r\n'
+    index = read(tmp_path, text.replace('"a"', "a"))
+    assert index.problems == ()
+    assert index.entries[0].cut == StepCut(1, 2)
+    assert index.entries[0].parts == ("KIT", "3", "a.npy")
+
+
+@pytest.mark.parametrize(
+    ("row", "reason", "message"),
+    [
+        ("../../etc/passwd,0,5,a.npy", "path", "could leave"),
+        ("KIT/../../x.npy,0,5,a.npy", "path", "could leave"),
+        ("/etc/passwd,0,5,a.npy", "path", "could leave"),
+        ("C:/KIT/x.npy,0,5,a.npy", "path", "could leave"),
+        ("KIT\\3\\x.npy,0,5,a.npy", "path", "could leave"),
+        ("KIT/\0x.npy,0,5,a.npy", "path", "could leave"),
+        (",0,5,a.npy", "path", "empty"),
+        ("./,0,5,a.npy", "path", "empty"),
+        ("KIT/x.npy,0,5,../a.npy", "path", "plain file name"),
+        ("KIT/x.npy,0,5,..", "path", "plain file name"),
+        ("KIT/x.npy,0,5,", "path", "plain file name"),
+        ("KIT/x.npy,0,5,a/b.npy", "path", "plain file name"),
+        ("KIT/x.npy,-1,5,a.npy", "index-entry", "[-1, 5)"),
+        ("KIT/x.npy,0,-1,a.npy", "index-entry", "[0, -1)"),
+        ("KIT/x.npy,5,5,a.npy", "index-entry", "[5, 5)"),
+        ("KIT/x.npy,-7,5,a.npy", "index-entry", "start_frame is '-7'"),
+        ("KIT/x.npy,0,nan,a.npy", "index-entry", "end_frame is 'nan'"),
+        ("KIT/x.npy,0,1e3,a.npy", "index-entry", "end_frame is '1e3'"),
+        ("KIT/x.npy,0,99999999,a.npy", "index-entry", "end_frame is '99999999'"),
+        ("KIT/x.npy,0", "path", "plain file name"),
+        ("KIT/x.npy,0,,a.npy", "index-entry", "end_frame is ''"),
+        ('KIT/x.npy,"0,0","5,0",a.npy', "index-entry", "start_frame is '0,0'"),
+        ("KIT/x, y.npy,0,5,a.npy", "index-entry", "more cells than columns"),
+    ],
+)
+def test_a_bad_row_is_reported_and_the_others_are_kept(tmp_path, row, reason, message):
+    index = read(tmp_path, f"{HEADER}KIT/good.npy,0,5,good.npy\n{row}\n")
+    assert [entry.name for entry in index.entries] == ["good"]
+    assert [(problem.reason, problem.line) for problem in index.problems] == [(reason, 3)]
+    assert message in str(index.problems[0])
+
+
+def test_a_name_that_is_given_twice(tmp_path):
+    index = read(tmp_path, f"{HEADER}KIT/a.npy,0,5,x.npy\nKIT/b.npy,0,5,x.npy\n")
+    assert [entry.parts[-1] for entry in index.entries] == ["a.npy"]
+    assert [(problem.reason, problem.line) for problem in index.problems] == [("duplicate-id", 3)]
+    assert "first in line 2" in str(index.problems[0])
+
+
+@pytest.mark.parametrize(
+    ("text", "reason", "message"),
+    [
+        (b"source_path,new_name\na,b\n", "index", "no column start_frame, end_frame"),
+        (b"source_path;start_frame;end_frame;new_name\na;0;5;b\n", "index", "separated by commas"),
+        (b"file,caption\na,b\n", "index", "expected an index"),
+        (b"HIERARCHY\n", "index", "looks like a BVH file"),
+        (HEADER.encode() + b"KIT/\xff.npy,0,5,a.npy\n", "encoding", "line 2"),
+        (b"", "empty", "empty"),
+        (HEADER.encode() + b'"KIT/x.npy,0,5,a.npy\n', "index", "not a CSV table"),
+        (b"{}", "index", "expected an index"),
+        (b'{"a": {"feat_p": "CMU/x.npz"}, "a": {"feat_p": "CMU/y.npz"}}', "index", "'a' is there twice"),
+        (b"[1, 2]", "index", "expected an index"),
+        (b'{"a": 5}', "index", "expected an index"),
+        (b'{"a": {"path": "x", "annotations": []}, ', "index", "not JSON"),
+        (b'{"a": {"path": "x", "annotations": []}, "b": ' + b"[" * 100_000, "index", "not JSON"),
+    ],
+)
+def test_files_that_are_no_index(tmp_path, text, reason, message):
+    problem = refused(tmp_path, text)
+    assert problem.reason == reason
+    assert message in str(problem)
+
+
+def tmr(**changes: object) -> dict[str, object]:
+    said = {"seg_id": "a_0", "text": "a person walks", "start": 0.0, "end": 3.78}
+    return {"path": "KIT/4/walk01_poses", "duration": 3.78, "annotations": [said], **changes}
+
+
+def test_annotations_of_parts(tmp_path):
+    said = [{"text": "turns", "start": 2.5, "end": 1.0}, {"text": "all of it", "start": 1.0, "end": 3.0}]
+    index = read(tmp_path, json.dumps({"a": tmr(annotations=said)}), "mine-annotations.json")
+    assert index.name == "mine"
+    assert index.entries[0].cut == TimeCut(1.0, 3.0, 3.78)
+    assert index.entries[0].captions == (Caption("turns", 0.0, 1.5), Caption("all of it", 0.0, None))
+
+
+def test_mirrored_annotations(tmp_path):
+    index = read(tmp_path, json.dumps({"a": tmr(), "Ma": tmr(path="M/KIT/4/walk01_poses")}))
+    plain, mirrored = index.entries
+    assert (plain.mirrored, mirrored.mirrored) == (False, True)
+    assert plain.key == mirrored.key == ("KIT", "4", "walk01")
+
+
+@pytest.mark.parametrize(
+    ("value", "reason"),
+    [
+        ({"path": 5}, "path"),
+        ({"path": "../x"}, "path"),
+        ({"annotations": "walk"}, "index-entry"),
+        ({"annotations": [{"start": 0, "end": 1}]}, "index-entry"),
+        ({"annotations": [{"text": "a", "start": -1, "end": 1}]}, "index-entry"),
+        ({"annotations": [{"text": "a", "start": 0, "end": float("nan")}]}, "index-entry"),
+        ({"annotations": [{"text": "a", "start": 0, "end": True}]}, "index-entry"),
+        ({"duration": "long"}, "index-entry"),
+        ({"duration": 10**400}, "index-entry"),
+    ],
+)
+def test_a_bad_annotation_is_reported_and_the_others_are_kept(tmp_path, value, reason):
+    index = read(tmp_path, json.dumps({"good": tmr(), "bad": tmr(**value)}))
+    assert [entry.name for entry in index.entries] == ["good"]
+    assert [problem.reason for problem in index.problems] == [reason]
+    assert "bad" in str(index.problems[0])
+
+
+def label(text: str, categories: object, **seconds: float) -> dict[str, object]:
+    return {"raw_label": text, "proc_label": text.lower(), "seg_id": "s", "act_cat": categories, **seconds}
+
+
+def test_babel(tmp_path):
+    value = {
+        "5": {
+            "babel_sid": 5,
+            "feat_p": "MPIHDM05/MPI_HDM05/dg/HDM_dg_03-11_03_120_poses.npz",
+            "dur": 5.4,
+            "seq_ann": {"mul_act": True, "labels": [label("Walking about", ["walk"])]},
+            "frame_ann": {"labels": [label("turn", ["turn", "spin"], start_t=2.5, end_t=1.0)]},
+        },
+        "6": {
+            "babel_sid": 6,
+            "feat_p": "CMU/CMU/01/01_01_poses.npz",
+            "dur": 2.0,
+            "seq_ann": {"labels": [label("a", ["walk", "run"]), label("b", None)]},
+            "frame_ann": None,
+        },
+        "7": {"babel_sid": 7, "feat_p": "CMU/CMU/01/01_02_poses.npz", "dur": 2.0},
+    }
+    index = read(tmp_path, json.dumps(value), "val.json")
+    first, second, third = index.entries
+    assert (index.name, first.name, first.dataset, first.split) == ("babel", "5", "MPI_HDM05", "val")
+    assert first.captions == (Caption("Walking about"), Caption("turn", 1.0, 2.5))
+    assert (first.action, first.cut) == ("walk", TimeCut(file_seconds=5.4))
+    assert (second.action, len(second.captions)) == ("", 2)
+    assert (third.action, third.captions) == ("", ())
+
+
+def test_babel_with_several_annotators(tmp_path):
+    value = {
+        "8": {
+            "feat_p": "CMU/CMU/01/01_01_poses.npz",
+            "seq_anns": [{"labels": [label("jump", ["jump"])]}, {"labels": [label("jump", ["jump"])]}],
+            "frame_anns": None,
+        }
+    }
+    index = read(tmp_path, json.dumps(value), "extra_train.json")
+    assert (index.entries[0].action, index.entries[0].split) == ("jump", "train")
+    assert index.entries[0].captions == (Caption("jump"),)

@@ -1,0 +1,160 @@
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motionkit.core.errors import FormatError, UsageError
+from motionkit.core.motion import Motion
+from motionkit.io.scan.framerate_rules import (
+    FramerateRule,
+    matching_rules,
+    parse_rules,
+    read_rules,
+    shipped_rules,
+)
+from motionkit.io.scan.items import ReadOptions, SourceItem
+from motionkit.io.scan.reading import read
+from motionkit.io.scan.scanner import scan
+from tests.helpers.amass_samples import smplh_fields, stageii_fields, write_amass
+from tests.helpers.format_samples import bvh_text, write_asfamc
+
+
+def read_file(root: Path, path: Path, options: ReadOptions | None = None) -> Motion:
+    (item,) = (item for item in scan([root], options).items if item.path == path.resolve())
+    return read(item, options)
+
+
+@pytest.mark.parametrize(
+    ("path", "stated", "used"),
+    [
+        ("TotalCapture/s1/walking1_stageii.npz", 120.0, 60),
+        ("TotalCapture/TotalCapture/s1/walking1_stageii.npz", 120.00004577636719, 60),
+        ("TotalCapture/s1/walking1_stageii.npz", 60.0, 60),
+        ("TotalCapture/s1/walking1_poses.npz", 120.0, 120),
+        ("SSM_synced/20160930_50032/jumping_poses.npz", 120.0, 60),
+        ("SSM_synced/20160330_03333/jumping_poses.npz", 120.0, 120),
+        ("SSM/20161014_50033/dance_sync_stageii.npz", 120.0, 60),
+        ("KIT/3/walk_stageii.npz", 120.0, 100),
+        ("EKUT/3/walk_stageii.npz", 120.0, 120),
+        ("CMU/62/62_11_stageii.npz", 120.0, 60),
+        ("CMU/CMU/80/80_63_stageii.npz", 120.0, 60),
+        ("CMU/63/63_01_stageii.npz", 120.0, 120),
+    ],
+)
+def test_shipped_rules_correct_what_they_name_and_nothing_else(
+    tmp_path: Path, path: str, stated: float, used: int
+) -> None:
+    fields = smplh_fields(mocap_framerate=None) | {"mocap_frame_rate": stated}
+    file = write_amass(tmp_path / "AMASS" / path, fields)
+    for root in (tmp_path / "AMASS", tmp_path / "AMASS" / Path(path).parts[0]):
+        motion = read_file(root, file)
+        assert motion.fps == used and motion.provenance.stated_fps == str(stated)
+        lines = [line for line in motion.provenance.operations if "rule" in line]
+        assert len(lines) == (used != round(stated)) and all(f"the file says {round(stated)}" in line for line in lines)
+
+
+def test_every_shipped_rule_has_a_source() -> None:
+    assert len(shipped_rules()) >= 6
+    for rule in shipped_rules():
+        assert rule.source.startswith("https://github.com/")
+        assert rule.stated != rule.fps
+
+
+def test_the_users_rules_win_and_explicit_framerates_win_over_rules(tmp_path: Path) -> None:
+    file = write_amass(tmp_path / "KIT" / "3" / "walk_stageii.npz", stageii_fields())
+    rules = tmp_path / "rules.toml"
+    rules.write_text(
+        '[[rule]]\nfiles = "*_run_*.npz"\nfps = 24\n\n'
+        '[[rule]]\nfiles = ["3/*.npz"]\nfps = "30000/1001"\nstated = 120\nsource = "me"\n'
+    )
+    own = ReadOptions(fps_rules=read_rules(rules))
+    motion = read_file(tmp_path / "KIT", file, own)
+    assert motion.fps == Fraction(30000, 1001)
+    assert motion.provenance.operations[-1] == (
+        "framerate set to 30000/1001 by rule (rules.toml, rule 2, me); the file says 120"
+    )
+    assert read_file(tmp_path / "KIT", file, ReadOptions(fps=Fraction(50), fps_rules=own.fps_rules)).fps == 50
+    (tmp_path / "KIT" / "clips.csv").write_text("file,fps\n3/walk_stageii.npz,48\n")
+    assert read_file(tmp_path / "KIT", file, own).fps == 48
+
+
+def test_rules_hold_for_every_format(tmp_path: Path) -> None:
+    bvh = tmp_path / "data" / "062" / "62_11.bvh"
+    bvh.parent.mkdir(parents=True)
+    bvh.write_text(bvh_text(frame_time=".0083333"))
+    assert read_file(tmp_path / "data", bvh).fps == 60
+    bvh.write_text(bvh_text(frame_time=".0166667"))
+    motion = read_file(tmp_path / "data", bvh)
+    assert motion.fps == 60 and not any("rule" in line for line in motion.provenance.operations)
+    amc = write_asfamc(tmp_path / "data")
+    with pytest.raises(FormatError, match="framerate"):
+        read_file(tmp_path / "data", amc)
+    rules = parse_rules('[[rule]]\nfiles = "*.amc"\nfps = 120', "mine")
+    motion = read_file(tmp_path / "data", amc, ReadOptions(fps_rules=rules))
+    assert motion.fps == 120 and "mine, rule 1" in motion.provenance.operations[-1]
+
+
+def test_a_rule_mends_a_framerate_that_is_none(tmp_path: Path) -> None:
+    rules = parse_rules('[[rule]]\nfiles = "*.npz"\nfps = 100', "mine")
+    for value in (0.0, -1.0, np.nan, 1e9, "fast", None):
+        file = write_amass(tmp_path / "a_poses.npz", smplh_fields(mocap_framerate=value))
+        with pytest.raises(FormatError) as caught:
+            read_file(tmp_path, file)
+        assert caught.value.reason == ("no-framerate" if value is None else "framerate")
+        assert "--fps" in str(caught.value)
+        motion = read_file(tmp_path, file, ReadOptions(fps_rules=rules))
+        assert motion.fps == 100 and motion.provenance.stated_fps == ("" if value is None else str(value))
+
+
+@pytest.mark.parametrize(
+    ("glob", "fits", "does_not"),
+    [
+        ("CMU/62/*.bvh", ["CMU/62/a.bvh", "x/CMU/62/a.bvh"], ["CMU/62/b/a.bvh", "xCMU/62/a.bvh", "CMU/62/a.bvh.gz"]),
+        ("CMU/**/a?.npz", ["CMU/ab.npz", "CMU/62/x/ab.npz"], ["CMU/62/a/b.npz", "CMU/a.npz"]),
+        ("6[012]_*.amc", ["s/60_1.amc", "62_.amc"], ["160_1.amc", "63_1.amc"]),
+        ("a+(b).npz", ["a+(b).npz"], ["aab.npz"]),
+    ],
+)
+def test_globs_fit_the_end_of_a_path(glob: str, fits: list[str], does_not: list[str]) -> None:
+    rule = FramerateRule((glob,), Fraction(60), None, "", "")
+    for path in fits:
+        assert matching_rules(Path("/data") / path, Path("/data"), (rule,))
+    for path in does_not:
+        assert not matching_rules(Path("/data") / path, Path("/data"), (rule,))
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("rule = ", r"f.toml is no TOML file \(Invalid value.*\): expected tables \[\[rule\]\]"),
+        ("file,fps\na.bvh,60\n", "f.toml is no TOML file"),
+        ("", r"expected tables \[\[rule\]\]"),
+        ("[rule]\nfps = 60", r"expected tables \[\[rule\]\]"),
+        ("[[rules]]\nfps = 60", r"expected tables \[\[rule\]\]"),
+        ("[[rule]]\nfps = 60", "rule 1: has fps; expected files and fps"),
+        ('[[rule]]\nfiles = "a"\nfps = 60\nframerate = 3', "rule 1: has files, fps, framerate"),
+        ("[[rule]]\nfiles = []\nfps = 60", "files must be a glob"),
+        ("[[rule]]\nfiles = [7]\nfps = 60", "files must be a glob"),
+        ('[[rule]]\nfiles = "a"\nfps = 0', "rule 1: fps: a framerate must lie between"),
+        ('[[rule]]\nfiles = "a"\nfps = 60\n[[rule]]\nfiles = "b"\nfps = nan', "rule 2: fps"),
+        ('[[rule]]\nfiles = "a"\nfps = true', "must be a framerate such as"),
+        ('[[rule]]\nfiles = "a"\nfps = 60\nstated = [1]', "stated must be a framerate"),
+        ('[[rule]]\nfiles = "a"\nfps = 60\nsource = 3', "source must be text"),
+    ],
+)
+def test_bad_rules_are_reported_by_their_number(tmp_path: Path, text: str, says: str) -> None:
+    (tmp_path / "f.toml").write_text(text)
+    with pytest.raises(UsageError, match=says):
+        read_rules(tmp_path / "f.toml")
+
+
+def test_a_missing_rules_file_is_a_usage_error(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="cannot be read"):
+        read_rules(tmp_path / "none.toml")
+
+
+def test_rules_travel_with_the_options() -> None:
+    options = ReadOptions(fps_rules=shipped_rules())
+    assert hash(options) == hash(ReadOptions(fps_rules=shipped_rules()))
+    assert SourceItem("amass", Path("a"), Path(), "a").fps is None

@@ -1,0 +1,49 @@
+from pathlib import Path
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from motionkit.io.source import number_table
+from motionkit.io.source.number_table import TablePart, find_rows, find_words, format_table, to_numbers
+
+NUMBERS = st.one_of(
+    st.floats(-1e8, 1e8).map(repr),
+    st.floats(-1e3, 1e3).map(lambda value: f"{value:.4f}"),
+    st.sampled_from(["0", "-0", ".5", "5.", "1e-300", "-2.20695e-032", "3.64024e-015", "+7"]),
+)
+SEPARATORS = st.sampled_from([" ", "  ", "\t", " \t"])
+LINE_ENDS = st.sampled_from(["\n", " \n", "\r\n", "\n\n", "\n ", " \n\t"])
+
+
+def table_of(text: bytes, num_rows: int, num_columns: int) -> np.ndarray:
+    """The numbers of a text that is all of a table."""
+    return find_rows(text, num_columns, Path("t"), TablePart(1, 0, num_rows, is_end=True)).table
+
+
+@given(st.data(), st.integers(1, 6), st.integers(1, 5))
+def test_any_regular_table_is_read_as_python_reads_it(data: st.DataObject, rows: int, columns: int) -> None:
+    words = [[data.draw(NUMBERS) for _ in range(columns)] for _ in range(rows)]
+    text = "".join(data.draw(SEPARATORS).join(row) + data.draw(LINE_ENDS) for row in words)
+    table = table_of(text.encode(), rows, columns)
+    assert np.array_equal(table, np.array(words, dtype=np.float64))
+
+
+def test_a_table_of_thousands_of_rows() -> None:
+    table = np.random.default_rng(0).normal(size=(4000, 12)).round(6)
+    text = format_table(table)
+    assert len(text) > 3 * number_table.BLOCK_BYTES
+    assert np.array_equal(table_of(text, 4000, 12), table)
+
+
+def test_words_know_which_of_them_open_a_line() -> None:
+    words = find_words(b"  one two\r\n\r\n three\t four-and-more-than-twelve \n5")
+    assert words.opens_line.tolist() == [True, False, True, False, True]
+    assert words.lengths.tolist() == [3, 3, 5, 25, 1]
+    assert to_numbers(words) is None
+
+
+def test_written_numbers_keep_every_digit() -> None:
+    table = np.array([[0.1, -1 / 3, 1e-17], [123456.789, 0.0, 2.0]])
+    text = format_table(table)
+    assert np.array_equal(table_of(text, 2, 3), table)

@@ -1,0 +1,291 @@
+"""C3D markers: files that ezc3d writes, and files of every number format written here; ezc3d is the reference."""
+
+import contextlib
+import struct
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import ezc3d
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from motionkit.core.errors import FormatError
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.skeletons.families import read_skeleton_map
+from motionkit.core.skeletons.mapping import map_joints
+from motionkit.io.c3d import read_c3d
+from motionkit.io.c3d_container import parse_c3d
+from motionkit.io.scan.items import ReadOptions
+from motionkit.io.scan.reading import read
+from motionkit.io.scan.scanner import scan
+
+LABELS = ("LASI", "RASI", "SACR")
+
+
+def points(num_frames: int = 30, num_points: int = 3) -> np.ndarray:
+    generator = np.random.default_rng(7)
+    return np.cumsum(generator.normal(size=(num_frames, num_points, 3)), axis=0) + np.array([300.0, 200.0, 900.0])
+
+
+def write(path: Path, positions: np.ndarray, labels: tuple[str, ...] = LABELS, **parameters: Any) -> Path:
+    """A file by ezc3d; `parameters` are of POINT, None leaves one out."""
+    file = ezc3d.c3d()
+    values = {"RATE": [120.0], "LABELS": list(labels), "UNITS": ["mm"], "X_SCREEN": ["+X"], "Y_SCREEN": ["+Z"]}
+    for name, value in (values | parameters).items():
+        if value is not None:
+            file.add_parameter("POINT", name, value)
+    data = np.ones((4, positions.shape[1], len(positions)))
+    data[:3] = positions.transpose(2, 1, 0)
+    file["data"]["points"] = data
+    file.write(str(path))
+    return path
+
+
+def raw(
+    positions: np.ndarray, processor: int, scale: float, labels: tuple[str, ...] = LABELS, analog: int = 0
+) -> bytes:
+    """A file written word by word: integers where the scale is positive, in the processor's byte order."""
+    order = ">" if processor == 86 else "<"
+
+    def real(value: float) -> bytes:
+        if processor == 85:
+            b = struct.pack("<f", value * 4)
+            return b[2:] + b[:2]
+        return struct.pack(f"{order}f", value)
+
+    def parameter(group: int, name: bytes, kind: int, dimensions: tuple[int, ...], body: bytes) -> bytes:
+        content = struct.pack("bB", kind, len(dimensions)) + bytes(dimensions) + body + b"\0"
+        return struct.pack("bb", len(name), group) + name + struct.pack(f"{order}h", len(content) + 2) + content
+
+    width = max(map(len, labels))
+    text = b"".join(label.encode().ljust(width) for label in labels)
+    records = struct.pack("bb", 5, -1) + b"POINT" + struct.pack(f"{order}h", 3) + b"\0"
+    for name, number in ((b"USED", positions.shape[1]), (b"FRAMES", len(positions)), (b"DATA_START", 3)):
+        records += parameter(1, name, 2, (), struct.pack(f"{order}h", number))
+    records += parameter(1, b"SCALE", 4, (), real(scale)) + parameter(1, b"RATE", 4, (), real(100.0))
+    records += parameter(1, b"LABELS", -1, (width, len(labels)), text) + parameter(1, b"UNITS", -1, (2,), b"cm")
+    section = (bytes([1, 0x50, 1, processor]) + records).ljust(512, b"\0")
+    num_frames, num_points = positions.shape[:2]
+    header = bytes([2, 0x50]) + struct.pack(f"{order}5H", num_points, analog, 1, num_frames, 0) + real(scale)
+    header += struct.pack(f"{order}2H", 3, 1) + real(100.0)
+    frames = b""
+    for frame in positions:
+        for point in frame:
+            seen = 0.0 if np.isfinite(point).all() else -1.0
+            numbers = [*np.nan_to_num(point), seen]
+            frames += b"".join(
+                real(number) if scale < 0 else struct.pack(f"{order}h", round(number / (scale if i < 3 else 1)))
+                for i, number in enumerate(numbers)
+            )
+        frames += b"".join(real(1e6) if scale < 0 else struct.pack(f"{order}h", 12345) for _ in range(analog))
+    return header.ljust(512, b"\0") + section + frames
+
+
+def test_what_ezc3d_writes_is_read_in_metres_and_y_up(tmp_path: Path) -> None:
+    positions = points()
+    motion = read_c3d(write(tmp_path / "take.c3d", positions))
+    assert motion.fps == 120 and motion.num_frames == 30 and motion.local_rotations is None
+    assert motion.skeleton.joint_names == LABELS and motion.skeleton.parents == (-1, 0, 0)
+    expected = np.stack((positions[..., 0], positions[..., 2], -positions[..., 1]), axis=-1) / 1000
+    assert np.allclose(motion.joint_positions, expected, atol=1e-6)
+    assert motion.provenance.stated_fps == "POINT:RATE 120"
+    assert motion.provenance.operations == (
+        "lengths × 0.001 to metres (POINT:UNITS is mm)",
+        "turned from z up to y up (POINT:Y_SCREEN is +Z)",
+    )
+
+
+@pytest.mark.parametrize("scale", [-1.0, 0.05])
+@pytest.mark.parametrize("processor", [84, 85, 86])
+def test_every_number_format_is_read_as_ezc3d_reads_it(tmp_path: Path, processor: int, scale: float) -> None:
+    positions = points() / 10
+    path = tmp_path / "take.c3d"
+    path.write_bytes(raw(positions, processor, scale, analog=2))
+    file = parse_c3d(path.read_bytes(), path)
+    assert np.allclose(file.points[..., :3], positions, atol=1e-4 if scale < 0 else 0.026)
+    assert file.numbers("POINT:RATE") == (100.0,) and file.header_rate == 100.0
+    if processor == 84:  # ezc3d 1.7.2 knows no MIPS and reads our DEC header as another
+        path.write_bytes(raw(positions, processor, scale))
+        reference = ezc3d.c3d(str(path))["data"]["points"][:3].transpose(2, 1, 0)
+        assert np.allclose(file.points[..., :3], reference, atol=1e-4)
+
+
+@pytest.mark.parametrize("up", ["+X", "-X", "+Y", "-Y", "+Z", "-Z"])
+def test_the_axis_that_points_up_on_the_screen_becomes_y(tmp_path: Path, up: str) -> None:
+    axis, sign = "XYZ".index(up[1]), 1.0 if up[0] == "+" else -1.0
+    positions = np.zeros((5, 3, 3))
+    positions[:, 0, axis] = 1500.0 * sign
+    positions[:, 1, (axis + 1) % 3] = 300.0
+    positions[:, 2, (axis + 2) % 3] = 200.0
+    motion = read_c3d(write(tmp_path / "take.c3d", positions, Y_SCREEN=[up]))
+    assert np.allclose(motion.joint_positions[:, 0], (0.0, 1.5, 0.0))
+    assert np.isclose(np.linalg.det(motion.joint_positions[0]), np.linalg.det(positions[0]) / 1e9)
+
+
+def test_makers_disagree_about_the_sign_of_up(tmp_path: Path) -> None:
+    # Qualisys writes −Z for captures whose z points up.
+    motion = read_c3d(write(tmp_path / "take.c3d", points(), X_SCREEN=["-X"], Y_SCREEN=["-Z"]))
+    assert np.array_equal(motion.joint_positions, read_c3d(write(tmp_path / "b.c3d", points())).joint_positions)
+    assert motion.provenance.operations[-1] == (
+        "turned from z up to y up (POINT:Y_SCREEN is -Z, but that way most markers would be below the floor)"
+    )
+
+
+@pytest.mark.parametrize(("unit", "metres"), [("m", 1.0), ("cm", 0.01), ("MM", 0.001), ("in", 0.0254), (None, 0.001)])
+def test_units(tmp_path: Path, unit: str | None, metres: float) -> None:
+    path = write(tmp_path / "take.c3d", points(), UNITS=None if unit is None else [unit], Y_SCREEN=["+Y"])
+    assert np.allclose(read_c3d(path).joint_positions, points() * metres, rtol=1e-5)
+    given_unit = read_c3d(path, ReadOptions(unit_metres=0.5, fps=Fraction(50)))
+    assert given_unit.fps == 50 and given_unit.provenance.operations[0] == "framerate set to 50; the file says 120"
+    assert np.allclose(given_unit.joint_positions, points() * 0.5, rtol=1e-5)
+
+
+def test_short_gaps_are_filled_and_markers_with_long_ones_are_dropped(tmp_path: Path) -> None:
+    positions = points(60, 5)
+    positions[10:20, 1] = np.nan  # 10 frames of 120 per second: filled
+    positions[:12, 2] = np.nan  # the beginning, held
+    positions[30:43, 3] = 0.0  # 13 frames: too long
+    positions[:, 4] = np.nan
+    motion = read_c3d(write(tmp_path / "take.c3d", positions, ("A", "B", "C", "D", "E"), Y_SCREEN=["+Y"], UNITS=["m"]))
+    assert motion.skeleton.joint_names == ("A", "B", "C")
+    found = motion.joint_positions.astype(np.float64)
+    weights = np.arange(1, 11)[:, None] / 11
+    assert np.allclose(found[10:20, 1], (1 - weights) * positions[9, 1] + weights * positions[20, 1], rtol=1e-5)
+    assert np.allclose(found[:12, 2], positions[12, 2], rtol=1e-5)
+    assert np.allclose(found[:, 0], positions[:, 0], rtol=1e-5)
+    assert motion.provenance.operations[:2] == (
+        "2 markers dropped, not seen for longer than 0.1 s: D, E",
+        "gaps filled linearly: 22 positions of 2 markers, the longest 12 frames",
+    )
+
+
+def test_frames_before_the_subject_is_seen_are_left_out(tmp_path: Path) -> None:
+    positions = points(300, 4)
+    positions[:100] = np.nan
+    positions[280:, :2] = np.nan
+    positions[100:104, 2] = np.nan  # it is seen later than the others: the stretch begins there
+    motion = read_c3d(write(tmp_path / "take.c3d", positions, ("A", "B", "C", "D"), Y_SCREEN=["+Y"], UNITS=["m"]))
+    assert motion.num_frames == 176 and motion.skeleton.num_joints == 4
+    assert np.allclose(motion.joint_positions, positions[104:280], rtol=1e-5)
+    assert motion.provenance.operations[0] == "frames [104, 280) of 300 kept, throughout which most markers are seen"
+
+
+def test_what_is_no_labelled_marker_is_left_out(tmp_path: Path) -> None:
+    labels = ("Anna:LASI", "*12", "Anna:LHipAngles", "Anna:LASI")
+    path = write(tmp_path / "take.c3d", points(30, 4), labels, ANGLES=["Anna:LHipAngles"])
+    motion = read_c3d(path)
+    assert motion.skeleton.joint_names == ("LASI", "LASI_2")
+    assert motion.provenance.operations[:3] == (
+        "1 unlabelled trajectories left out",
+        "no positions, left out: Anna:LHipAngles",
+        "repeated joint names made unique: LASI_2",
+    )
+    numbered = read_c3d(write(tmp_path / "other.c3d", points(), ("*0", "*1", "*2")))
+    assert numbered.skeleton.joint_names == ("marker_1", "marker_2", "marker_3")
+
+
+def test_a_take_longer_than_the_header_can_say(tmp_path: Path) -> None:
+    positions = np.repeat(points(1), 70_000, axis=0)
+    with pytest.raises(FormatError, match=r"no more than 65,535 frames .* bytes for 7000\d"):
+        read_c3d(write(tmp_path / "take.c3d", positions))
+    file = ezc3d.c3d(str(write(tmp_path / "other.c3d", positions[:3])))
+    file.add_parameter("TRIAL", "ACTUAL_START_FIELD", [1, 0])
+    file.add_parameter("TRIAL", "ACTUAL_END_FIELD", [70_000 - 65_536, 1])
+    data = np.ones((4, 3, 70_000))
+    data[:3] = positions.transpose(2, 1, 0)
+    file["data"]["points"] = data
+    file["data"]["meta_points"]["residuals"] = np.zeros((1, 3, 70_000))
+    file["data"]["meta_points"]["camera_masks"] = np.zeros((7, 3, 70_000), bool)
+    file.write(str(tmp_path / "long.c3d"))
+    assert read_c3d(tmp_path / "long.c3d").num_frames == 70_000
+
+
+def test_a_skeleton_map_makes_joints_of_markers(tmp_path: Path) -> None:
+    others = SMPL22.joint_names[3:]
+    rows = dict.fromkeys((name for name in others if "foot" not in name), '"SACR"')
+    rows |= {"pelvis": "{ LASI = 0.25, RASI = 0.25, SACR = 0.5 }", "left_hip": '"LASI"', "right_hip": '"RASI"'}
+    text = "\n".join(f"{name} = {row}" for name, row in rows.items())
+    table = tmp_path / "markers.toml"
+    table.write_text(f'name = "pelvis markers"\nrequires = ["LASI", "RASI", "SACR"]\n[smpl22]\n{text}\n')
+    (item,) = scan([write(tmp_path / "take.c3d", points())]).items
+    motion = read(item, ReadOptions(skeleton_maps=(read_skeleton_map(table),)))
+    pelvis = motion.joint_positions[:, :2].sum(axis=1) / 4 + motion.joint_positions[:, 2] / 2
+    assert np.allclose(map_joints(motion, "smpl22")[:, 0], pelvis, atol=1e-6)
+
+
+def damaged(content: bytes, at: int, *values: int) -> bytes:
+    return content[:at] + bytes(values) + content[at + len(values) :]
+
+
+def test_bad_files_are_refused_with_their_reason(tmp_path: Path) -> None:
+    good = raw(points(), 84, -1.0)
+    cases = {
+        "not-what-it-says": b"HIERARCHY\n" + b" " * 600,
+        "empty": b"",
+        "truncated": good[:-1],
+        "parameters": damaged(good, 515, 83),
+        "no-markers": damaged(good, 2, 0, 0),
+        "no-frames": damaged(good, 8, 0, 0),
+        "frame-time": good.replace(struct.pack("<f", 100.0), struct.pack("<f", 0.0)),
+        "gaps": raw(np.full((30, 3, 3), np.nan), 84, -1.0),
+        "unit": good.replace(b"cm", b"xx"),
+        "range": raw(points() * 1e6, 84, -1.0),
+    }
+    path = tmp_path / "take.c3d"
+    for reason, content in cases.items():
+        path.write_bytes(content)
+        with pytest.raises(FormatError) as caught:
+            read_c3d(path)
+        assert caught.value.reason == reason, caught.value
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"\x02\x50", "2 bytes, expected a C3D file"),
+        (damaged(raw(points(), 84, -1.0), 0, 200), "the parameters begin at byte 101888, but the file has"),
+        (raw(points(), 84, -1.0)[:520], "the parameters end in the middle"),
+        (
+            damaged(raw(points(), 84, -1.0), 8, 255, 254),
+            "states 65279 frames of 3 points, 3133392 bytes from byte 1024",
+        ),
+        (damaged(raw(points(), 84, -1.0), 2, 255, 255), "states 30 frames of 65535 points"),
+        (damaged(raw(points(), 84, -1.0), 16, 0, 0), "states 30 frames of 3 points"),
+        (raw(points(), 84, -1.0).replace(struct.pack("<f", -1.0), struct.pack("<f", np.nan)), "POINT:SCALE is nan"),
+        (damaged(raw(points(), 84, -1.0), 1024 + 48, 0, 0, 128, 127), "frame 1: infinite"),
+    ],
+)
+def test_sizes_are_compared_with_the_files_bytes(tmp_path: Path, content: bytes, message: str) -> None:
+    path = tmp_path / "take.c3d"
+    path.write_bytes(content)
+    with pytest.raises(FormatError, match=message):
+        read_c3d(path)
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, float("nan"), 1e9])
+def test_bad_rates_are_refused(tmp_path: Path, rate: float) -> None:
+    path = write(tmp_path / "take.c3d", points())
+    content = path.read_bytes().replace(struct.pack("<f", 120.0), struct.pack("<f", rate))
+    path.write_bytes(content)
+    with pytest.raises(FormatError, match="POINT:RATE"):
+        read_c3d(path)
+    assert read_c3d(path, ReadOptions(fps=Fraction(100))).fps == 100
+
+
+@settings(max_examples=200, suppress_health_check=[HealthCheck.too_slow])
+@given(data=st.data(), processor=st.sampled_from([84, 85, 86]), scale=st.sampled_from([-1.0, 0.05]))
+def test_damage_is_always_explained(
+    data: st.DataObject, processor: int, scale: float, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    content = raw(points(4) / 10, processor, scale)
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(0, len(content)))
+        stop = at + data.draw(st.sampled_from([0, 1, 1, 2, 4, 100, len(content)]))
+        content = content[:at] + data.draw(st.binary(max_size=6)) + content[stop:]
+    path = tmp_path_factory.getbasetemp() / "damaged.c3d"
+    path.write_bytes(content)
+    with contextlib.suppress(FormatError):
+        assert np.isfinite(read_c3d(path).joint_positions).all()

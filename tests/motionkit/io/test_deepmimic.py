@@ -1,0 +1,190 @@
+"""DeepMimic's JSON motions: real clips, known poses, and what is wrong with bad files."""
+
+import json
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from motionkit.core.errors import FormatError
+from motionkit.io.deepmimic import humanoid3d, read_deepmimic
+from motionkit.io.scan.items import ReadOptions
+from motionkit.io.scan.reading import read
+from motionkit.io.scan.scanner import scan
+from tests.motionkit.core.skeletons.test_skeleton_mapping import check_body
+
+REAL_FRAMERATES = {"16": 2, "24": 4, "30": 5, "60": 9, "120": 53}
+
+
+def standing(duration: float = 1 / 30) -> list[float]:
+    """One frame: upright, the root at a height of 0.9 m."""
+    frame = [duration, 0.0, 0.9, 0.0]
+    for size in humanoid3d().rotation_sizes:
+        frame += {4: [1.0, 0.0, 0.0, 0.0], 1: [0.0], 0: []}[size]
+    return frame
+
+
+def written(path: Path, frames: Any, **others: Any) -> Path:
+    path.write_text(json.dumps({"Loop": "none", **others, "Frames": frames}))
+    return path
+
+
+def test_a_bent_knee_and_a_turned_root_put_the_foot_where_geometry_says(tmp_path: Path) -> None:
+    bent = standing()
+    bent[20] = -np.pi / 2  # the right knee: duration, position, root, chest, neck and right hip come before it
+    turned = standing()
+    turned[4:8] = [np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0]
+    motion = read_deepmimic(written(tmp_path / "humanoid3d_kick_a.txt", [standing(), bent, turned, standing(0.0)]))
+    assert motion.fps == 30 and motion.num_frames == 4 and motion.action == "kick_a"
+    ankle, wrist = motion.skeleton.index("right_ankle"), motion.skeleton.index("left_wrist")
+    assert np.allclose(motion.joint_positions[0, ankle], (0.0, 0.9 - 0.421546 - 0.40987, 0.084887), atol=1e-6)
+    # It faces +x, so a knee that bends takes the foot to −x.
+    assert np.allclose(motion.joint_positions[1, ankle], (-0.40987, 0.9 - 0.421546, 0.084887), atol=1e-6)
+    # A quarter turn about y takes its left (−z) to −x.
+    x, y, z = motion.joint_positions[0, wrist]
+    assert np.allclose(motion.joint_positions[2, wrist], (z, y, -x), atol=1e-6)
+
+
+def test_every_real_clip_is_a_body_at_its_own_framerate(captures: Path) -> None:
+    found = scan([captures / "deepmimic"])
+    assert len(found.items) == 74 and not found.problems
+    counts: dict[str, int] = {}
+    for item in found.items:
+        try:
+            motion = read(item)
+        except FormatError as problem:
+            assert (item.path.stem, problem.reason, problem.frame) == ("humanoid3d_roll", "frame-time", 5)
+            motion = read(item, ReadOptions(fps=Fraction(60)))
+            assert motion.provenance.stated_fps == "119 × 0.016666 s, 1 × 0.032666 s" and motion.num_frames == 121
+            continue
+        check_body(motion)
+        counts[str(motion.fps)] = counts.get(str(motion.fps), 0) + 1
+        assert -0.1 < motion.joint_positions[..., 1].min() < 0.1
+        assert motion.action and motion.provenance.licence
+    assert counts == REAL_FRAMERATES
+
+
+@pytest.mark.parametrize(
+    ("durations", "fps"),
+    [
+        ([0.033332, 0.033332, 0.0], Fraction(30)),
+        ([0.0083330004, 0.008333, 0.0083330004], Fraction(120)),
+        ([0.0625, 0.0625, 9.0], Fraction(16)),
+        ([1001 / 60000, 1001 / 60000, 0.0], Fraction(60000, 1001)),
+    ],
+)
+def test_the_last_duration_says_nothing(tmp_path: Path, durations: list[float], fps: Fraction) -> None:
+    motion = read_deepmimic(written(tmp_path / "m.txt", [standing(duration) for duration in durations]))
+    assert motion.fps == fps and motion.provenance.stated_fps.startswith("2 × ")
+
+
+def test_two_durations_are_refused_unless_a_framerate_is_given(tmp_path: Path) -> None:
+    path = written(tmp_path / "m.txt", [standing(d) for d in (0.1, 0.1, 0.2, 0.1, 0.0)], Loop="wrap")
+    with pytest.raises(FormatError, match=r"frame 2: lasts 0.2 s where 3 of 4 frames last 0.1 s") as caught:
+        read_deepmimic(path)
+    assert caught.value.reason == "frame-time"
+    motion = read_deepmimic(path, ReadOptions(fps=Fraction(10)))
+    assert motion.provenance.operations[0] == "framerate set to 10; the file says 3 × 0.1 s, 1 × 0.2 s"
+    assert "repeats" in motion.provenance.operations[1]
+
+
+def test_quaternions_are_normalised_and_a_unit_scales_the_body(tmp_path: Path) -> None:
+    long = standing()
+    long[4] = 1.25
+    motion = read_deepmimic(written(tmp_path / "m.txt", [long, long]), ReadOptions(unit_metres=2.0))
+    plain = read_deepmimic(written(tmp_path / "n.txt", [standing(), standing()]))
+    assert np.allclose(motion.joint_positions, 2 * plain.joint_positions)
+    assert "up to 0.250" in motion.provenance.operations[0]
+
+
+BAD: dict[str, tuple[Any, str]] = {
+    "no-frames": ([], "0 frames"),
+    "channel-count": ([standing(), standing()[:-1]], "43 numbers, expected the 44"),
+    "frame-time": ([standing(-1.0), standing(-1.0), standing()], "frames last -1 s"),
+    "no-framerate": ([standing(0.0)], "--fps"),
+    "not-a-number": ([standing(), ["1", *standing()[1:]]], "frame 1: not all are numbers"),
+    "nan": ([standing(), [float("nan"), *standing()[1:]]], "frame 1: nan"),
+    "range": ([standing(), [*standing()[:2], 1e9, *standing()[3:]]], "frame 1: 1000000000"),
+    "truncated": ({"0": standing()}, "no list 'Frames'"),
+}
+
+
+@pytest.mark.parametrize("reason", BAD)
+def test_a_bad_file_is_refused_with_its_reason(tmp_path: Path, reason: str) -> None:
+    frames, message = BAD[reason]
+    with pytest.raises(FormatError) as caught:
+        read_deepmimic(written(tmp_path / "m.txt", frames))
+    assert caught.value.reason == reason and message in str(caught.value)
+
+
+def test_windows_line_ends_and_a_byte_order_mark_are_fine(tmp_path: Path) -> None:
+    path = written(tmp_path / "m.txt", [standing(), standing()])
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes().replace(b", ", b",\r\n"))
+    (item,) = scan([tmp_path]).items
+    assert read(item).num_frames == 2
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b'{"Loop": "w\xffrap", "Frames": []}', "encoding"),
+        (b'{"Loop": "wrap", "Frames": [[0,033, 0,0, 0,85, 0,0', "not-what-it-says"),
+        (b'{"Loop": "wrap", "Frames": [[0.033, 0.0, 0.85', "truncated"),
+        (b'[["Frames"]]', "not-what-it-says"),
+        (b'{"Frames": ' + b"[" * 100_000, "not-what-it-says"),
+        (b"\0" * 10, "empty"),
+        (b"version https://git-lfs.github.com/spec/v1", "not-what-it-says"),
+    ],
+)
+def test_what_is_no_json_of_frames_is_refused(tmp_path: Path, content: bytes, reason: str) -> None:
+    path = tmp_path / "m.txt"
+    path.write_bytes(content)
+    with pytest.raises(FormatError) as caught:
+        read_deepmimic(path)
+    assert caught.value.reason == reason
+
+
+@pytest.mark.parametrize("duration", [0.0, 1e-9, 1e9, 1e5])
+def test_unusable_durations_are_refused(tmp_path: Path, duration: float) -> None:
+    with pytest.raises(FormatError) as caught:
+        read_deepmimic(written(tmp_path / "m.txt", [standing(duration)] * 3))
+    assert caught.value.reason in ("frame-time", "range")
+
+
+def test_a_zero_quaternion_is_refused(tmp_path: Path) -> None:
+    frame = standing()
+    frame[4] = 0.0
+    with pytest.raises(FormatError, match="root is no unit quaternion"):
+        read_deepmimic(written(tmp_path / "m.txt", [standing(), frame]))
+
+
+def test_other_text_files_are_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("Frames")
+    (tmp_path / "settings.json").write_text('{"fps": 30}')
+    written(tmp_path / "clip.JSON", [standing(), standing()])
+    assert [item.path.name for item in scan([tmp_path]).items] == ["clip.JSON"]
+
+
+SNIPPETS = st.sampled_from([b"[", b"]", b"{", b",", b'"', b"null", b"NaN", b"1e999", b"-", b"\xff", b"\0", b"9" * 5000])
+
+
+@settings(max_examples=150)
+@given(data=st.data())
+def test_damage_is_always_explained(data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
+    path = tmp_path_factory.getbasetemp() / "damaged.txt"
+    content = json.dumps({"Loop": "none", "Frames": [standing(), standing()]}).encode()
+    for _ in range(data.draw(st.integers(1, 3))):
+        start = data.draw(st.integers(0, len(content)))
+        stop = start + data.draw(st.sampled_from([0, 1, 2, 8, 64, len(content)]))
+        content = content[:start] + data.draw(st.one_of(SNIPPETS, st.binary(max_size=6))) + content[stop:]
+    path.write_bytes(content)
+    try:
+        motion = read_deepmimic(path)
+    except FormatError as problem:
+        assert problem.reason and str(path) in str(problem)
+    else:
+        assert np.isfinite(motion.joint_positions).all()

@@ -1,0 +1,225 @@
+"""Every format of the catalogue, found and read as ingest does it: damaged sources end in explained errors only."""
+
+import io
+import os
+import resource
+import shutil
+import struct
+import tracemalloc
+import zipfile
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Motion
+from motionkit.features.quality import measure
+from motionkit.io.catalogue import readers
+from motionkit.io.scan.items import ReadOptions
+from motionkit.io.scan.reading import read
+from motionkit.io.scan.scanner import scan
+from tests.helpers.damage import damaged, damaged_archive
+from tests.helpers.every_format import SOURCES
+
+OPTIONS = ReadOptions(fps=Fraction(30), unit_metres=1.0)
+# `MOTIONKIT_FUZZ_EXAMPLES=5000 pytest tests/motionkit/io/test_every_format.py` hunts for longer.
+EXAMPLES = int(os.environ.get("MOTIONKIT_FUZZ_EXAMPLES", "80"))
+# Reading a file of some kilobytes may take this much, whatever its numbers claim.
+MOST_BYTES = 32 << 20
+
+
+def read_source(source: Path, options: ReadOptions = OPTIONS) -> tuple[list[Motion], list[FormatError]]:
+    """All motions of a source and all problems, as ingest meets them."""
+    found = scan([source], options)
+    motions, problems = [], list(found.problems)
+    for item in found.items:
+        try:
+            motions.append(read(item, options))
+        except FormatError as problem:
+            problems.append(problem)
+    return motions, problems
+
+
+def test_there_is_a_source_of_every_format():
+    assert set(SOURCES) == set(readers())
+
+
+@pytest.mark.parametrize("name", SOURCES)
+def test_the_undamaged_source_is_read(tmp_path, name):
+    SOURCES[name](tmp_path)
+    [item] = scan([tmp_path], OPTIONS).items
+    assert item.format == name
+    assert np.isfinite(read(item, OPTIONS).joint_positions).all()
+
+
+@pytest.mark.parametrize("name", SOURCES)
+@settings(max_examples=EXAMPLES, suppress_health_check=list(HealthCheck))
+@given(data=st.data(), stated=st.booleans())
+def test_only_explained_errors_come_out(tmp_path_factory, name, data, stated):
+    """What is read is finite and on a clock, so that it can be measured; all else is reported with the file's name."""
+    folder = tmp_path_factory.mktemp("source", numbered=True)
+    try:
+        path = SOURCES[name](folder)
+        damage = damaged_archive if path.suffix == ".npz" else damaged
+        path.write_bytes(data.draw(damage(path.read_bytes())))
+        motions, problems = read_source(folder, OPTIONS if stated else ReadOptions())
+    finally:
+        shutil.rmtree(folder)
+    for motion in motions:
+        assert np.isfinite(motion.joint_positions).all()
+        assert 1 <= motion.fps <= 10_000
+        measure(motion)
+    for problem in problems:
+        assert problem.reason and str(folder) in str(problem)
+
+
+def peak_bytes(source: Path) -> int:
+    tracemalloc.start()
+    try:
+        motions, problems = read_source(source)
+        assert problems and not motions
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def npy_header(shape: str) -> bytes:
+    text = f"{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}".ljust(117) + "\n"
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text.encode()
+
+
+def zipped(**members: bytes) -> bytes:
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in members.items():
+            archive.writestr(f"{name}.npy", content)
+    return file.getvalue()
+
+
+HUGE = "(400000000, 22, 3)"
+BOMBS = {
+    "bvh": ("take.bvh", lambda content: content.replace(b"Frames: 4", b"Frames: 2000000000")),
+    "lafan1": ("walk1_subject5.bvh", lambda content: content.replace(b"Frames: 6", b"Frames: 2000000000")),
+    "joints-npy": ("take.npy", lambda content: npy_header(HUGE) + content[128:]),
+    "humanact12": ("P01G01R01F0069T0143A0102.npy", lambda content: npy_header("(400000000, 24, 3)") + content[128:]),
+    "npz": ("take.npz", lambda content: zipped(joint_positions=npy_header(HUGE) + bytes(99), fps=npy_header("()"))),
+    "uestc": ("a0_d1_p001_c1_color.npz", lambda content: zipped(pose=npy_header("(400000000, 72)") + bytes(99))),
+    "amass": (
+        "take_poses.npz",
+        lambda content: zipped(poses=npy_header("(400000000, 156)"), trans=bytes(9), mocap_framerate=npy_header("()")),
+    ),
+    "c3d": ("take.c3d", lambda content: content[:8] + b"\xff\xff" + content[10:]),
+    "zip of zeros": ("take.npz", lambda content: zipped(joint_positions=npy_header(HUGE) + bytes(400 << 20), fps=b"")),
+}
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_more_frames_than_the_file_can_hold_are_refused_before_memory_is_taken(tmp_path, name):
+    file_name, inflate = BOMBS[name]
+    path = SOURCES["npz" if name == "zip of zeros" else name](tmp_path)
+    assert path.name == file_name
+    path.write_bytes(inflate(path.read_bytes()))
+    assert peak_bytes(tmp_path) < MOST_BYTES
+
+
+@pytest.mark.parametrize("name", ["humanml3d", "kit"])
+def test_a_folder_format_is_no_way_around(tmp_path, name):
+    path = SOURCES[name](tmp_path)
+    path.write_bytes(npy_header(f"(400000000, {22 if name == 'humanml3d' else 21}, 3)") + path.read_bytes()[128:])
+    assert peak_bytes(tmp_path) < MOST_BYTES
+
+
+@pytest.mark.parametrize("name", ["npz", "uestc", "amass", "joints-npy", "humanact12"])
+def test_objects_are_never_unpickled(tmp_path, name):
+    """An array of objects is a pickle, and a pickle can run anything."""
+    path = SOURCES[name](tmp_path)
+    with np.load(path) if path.suffix == ".npz" else io.BytesIO() as archive:
+        keys = list(archive) if path.suffix == ".npz" else []
+    trap = np.array([_Trap(tmp_path / "sprung")], dtype=object)
+    if keys:
+        np.savez(path, **dict.fromkeys(keys, trap))
+    else:
+        np.save(path, trap, allow_pickle=True)
+    motions, problems = read_source(tmp_path)
+    assert problems and not motions
+    assert not (tmp_path / "sprung").exists()
+
+
+class _Trap:
+    """Makes a folder when it is unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return os.mkdir, (str(self.path),)
+
+
+@pytest.mark.parametrize("frame_time", ["0", "-0.01", "nan", "inf", "1e-9", "1e9", "-1", "0.0,0333", "", "x"])
+def test_clocks_that_no_capture_has_are_refused(tmp_path, frame_time):
+    path = SOURCES["bvh"](tmp_path)
+    path.write_text(path.read_text().replace("Frame Time: 0.0333333", f"Frame Time: {frame_time}"))
+    motions, problems = read_source(tmp_path, ReadOptions())
+    assert not motions
+    assert problems[0].reason in (
+        "frame-time",
+        "framerate",
+        "not-a-number",
+        "nan",
+        "locale",
+        "syntax",
+        "header",
+        "truncated",
+    )
+
+
+@pytest.mark.parametrize("fps", [0.0, -1.0, float("nan"), float("inf"), 1e9])
+def test_framerates_that_no_capture_has_are_refused(tmp_path, fps):
+    SOURCES["npz"](tmp_path)
+    with np.load(tmp_path / "take.npz") as archive:
+        arrays = dict(archive)
+    np.savez(tmp_path / "take.npz", **(arrays | {"fps": np.array(fps)}))
+    motions, problems = read_source(tmp_path, ReadOptions())
+    assert not motions and problems
+
+
+def test_a_link_to_its_own_folder_ends(tmp_path):
+    SOURCES["bvh"](tmp_path)
+    (tmp_path / "again").symlink_to(tmp_path, target_is_directory=True)
+    (tmp_path / "nowhere.bvh").symlink_to(tmp_path / "missing.bvh")
+    (tmp_path / "self.bvh").symlink_to(tmp_path / "self.bvh")
+    motions, problems = read_source(tmp_path)
+    assert len(motions) == 1
+    assert {problem.reason for problem in problems} == {"dangling-link"}
+
+
+def test_names_that_are_not_utf8_are_reported(tmp_path):
+    """A file name is bytes; ids and paths of a store are text."""
+    path = SOURCES["bvh"](tmp_path)
+    try:
+        path.rename(tmp_path / os.fsdecode(b"caf\xe9.bvh"))
+    except OSError:
+        pytest.skip("this file system refuses names that are not UTF-8")
+    from motionkit.store.ingest.ingest import ingest
+
+    SOURCES["csv"](tmp_path)
+    report = ingest([tmp_path], tmp_path / "store", num_workers=1)
+    assert report.num_stored == 1
+    assert [problem.reason for problem in report.problems] == ["not-unicode"]
+
+
+def test_the_process_may_be_small(tmp_path):
+    """With an address space of 16 GB, a header that claims 100 GB is a problem of the file, not of the process."""
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    path = SOURCES["joints-npy"](tmp_path)
+    path.write_bytes(npy_header(HUGE) + path.read_bytes()[128:])
+    resource.setrlimit(resource.RLIMIT_AS, (16 << 30, before[1]))
+    try:
+        motions, problems = read_source(tmp_path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
+    assert not motions and problems[0].reason in ("truncated", "too-large")

@@ -1,0 +1,219 @@
+"""glTF: read by pygltflib, moved by a plain forward kinematics of the file's own numbers."""
+
+import struct
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from motionkit.core.kinematics import forward_kinematics
+from motionkit.core.motion import Caption, Motion
+from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
+from motionkit.core.timegrid import TimeGrid
+from motionkit.io.gltf import bone_meshes, write_gltf
+
+pygltflib = pytest.importorskip("pygltflib")
+
+NUM_COMPONENTS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+DTYPES = {5126: "<f4", 5123: "<u2"}
+STATIC = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0)}
+
+
+class Played:
+    """A .glb as a viewer sees it."""
+
+    def __init__(self, path):
+        self.file = pygltflib.GLTF2().load(str(path))
+        self.blob = self.file.binary_blob()
+        animation = self.file.animations[0]
+        self.channels = {}
+        for channel in animation.channels:
+            sampler = animation.samplers[channel.sampler]
+            self.seconds = self.read(sampler.input)
+            self.channels[channel.target.node, channel.target.path] = self.read(sampler.output)
+
+    def read(self, index):
+        accessor = self.file.accessors[index]
+        view = self.file.bufferViews[accessor.bufferView]
+        width = NUM_COMPONENTS[accessor.type]
+        dtype = DTYPES[accessor.componentType]
+        start = view.byteOffset + (accessor.byteOffset or 0)
+        return np.frombuffer(self.blob, dtype, accessor.count * width, start).reshape(accessor.count, width)
+
+    def local(self, node, frame):
+        def value(path):
+            if (node, path) in self.channels:
+                return self.channels[node, path][frame].astype(float)
+            return np.array(getattr(self.file.nodes[node], path) or STATIC[path], float)
+
+        x, y, z, w = value("rotation")
+        matrix = np.eye(4)
+        matrix[:3, :3] = [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+        matrix[:3, 3] = value("translation")
+        return matrix
+
+    def world(self, frame):
+        """World matrices of all nodes of the scene, by walking down from its roots."""
+        found = {}
+        waiting = [(node, np.eye(4)) for node in self.file.scenes[self.file.scene].nodes]
+        while waiting:
+            node, above = waiting.pop()
+            found[node] = above @ self.local(node, frame)
+            waiting += [(child, found[node]) for child in self.file.nodes[node].children or []]
+        return found
+
+    def vertices(self, frame):
+        """Skinned positions and the joint each vertex is bound to."""
+        skin = self.file.skins[0]
+        world = self.world(frame)
+        inverse = self.read(skin.inverseBindMatrices).reshape(-1, 4, 4).transpose(0, 2, 1).astype(float)
+        matrices = np.stack([world[joint] @ inverse[i] for i, joint in enumerate(skin.joints)])
+        places, bound = [], []
+        for primitive in self.file.meshes[0].primitives:
+            attributes = primitive.attributes
+            rest = np.c_[self.read(attributes.POSITION), np.ones(self.file.accessors[attributes.POSITION].count)]
+            joints, weights = self.read(attributes.JOINTS_0), self.read(attributes.WEIGHTS_0)
+            np.testing.assert_array_equal(weights.sum(axis=1), 1)
+            moved = np.einsum("vk,vkij,vj->vi", weights, matrices[joints], rest)
+            places.append(moved[:, :3])
+            bound.append(joints[:, 0])
+        return np.concatenate(places), np.concatenate(bound)
+
+
+def turning(skeleton=SMPL22, num_frames=12, fps=Fraction(60000, 1001)):
+    rng = np.random.default_rng(0)
+    rotations = rng.normal(size=(num_frames, skeleton.num_joints, 4)).astype(np.float32)
+    rotations /= np.linalg.norm(rotations, axis=-1, keepdims=True)
+    root = rng.normal(size=(num_frames, 3)).astype(np.float32)
+    return Motion(
+        forward_kinematics(rotations, root, skeleton),
+        skeleton,
+        TimeGrid(fps, num_frames, 3.5),
+        local_rotations=rotations,
+        root_translation=root,
+        captions=(Caption("turns 走", 0.1),),
+        sequence_id="a/b",
+    )
+
+
+def without_rotations(motion):
+    return replace(motion, local_rotations=None, root_translation=None)
+
+
+def shaken(motion):
+    noise = np.random.default_rng(1).normal(0, 0.02, motion.joint_positions.shape).astype(np.float32)
+    return without_rotations(replace(motion, joint_positions=motion.joint_positions + noise))
+
+
+MOTIONS = {
+    "rotations": turning(),
+    "kit": turning(KIT21),
+    "positions": without_rotations(turning()),
+    "positions whose bones change": shaken(turning()),
+    "one joint": turning(Skeleton("ball", ("centre",), (-1,), np.zeros((1, 3), np.float32))),
+    "one frame": turning(num_frames=1),
+    "tips": turning(replace(SMPL22, name="tips", end_sites=((15, (0.0, 0.1, 0.0)), (20, (0.0, -0.1, 0.0))))),
+}
+
+
+@pytest.fixture(params=MOTIONS)
+def played(request, tmp_path):
+    motion = MOTIONS[request.param]
+    write_gltf(motion, tmp_path / "a.glb")
+    return motion, Played(tmp_path / "a.glb")
+
+
+def test_joints_are_where_the_motion_has_them(played):
+    motion, file = played
+    for frame in range(motion.num_frames):
+        world = file.world(frame)
+        joints = np.stack([world[joint][:3, 3] for joint in range(motion.skeleton.num_joints)])
+        np.testing.assert_allclose(joints, motion.joint_positions[frame], atol=2e-4)
+
+
+def test_the_body_follows_the_joints(played):
+    motion, file = played
+    for frame in (0, motion.num_frames - 1):
+        vertices, bound = file.vertices(frame)
+        for joint in range(motion.skeleton.num_joints):
+            own = vertices[bound == joint]
+            assert np.linalg.norm(own - motion.joint_positions[frame, joint], axis=1).min() < 0.016
+        for joint, parent in enumerate(motion.skeleton.parents[1:], start=1):
+            if not np.allclose(motion.skeleton.offsets[joint], 0):
+                tip = np.linalg.norm(vertices[bound == joint] - motion.joint_positions[frame, joint], axis=1).min()
+                start = np.linalg.norm(vertices[bound == parent] - motion.joint_positions[frame, parent], axis=1).min()
+                assert max(tip, start) < 3e-4
+
+
+def test_the_file_is_as_the_specification_wants_it(played):
+    motion, file = played
+    document = file.file
+    length = document.buffers[0].byteLength
+    assert len(file.blob) >= length and len(file.blob) % 4 == 0
+    end = 0
+    for view in document.bufferViews:
+        assert view.byteOffset % 4 == 0 and view.byteOffset >= end
+        end = view.byteOffset + view.byteLength
+    assert end <= length
+    for index, accessor in enumerate(document.accessors):
+        values = file.read(index)
+        view = document.bufferViews[accessor.bufferView]
+        assert values.nbytes == view.byteLength
+        if accessor.min:
+            np.testing.assert_array_equal(values.min(axis=0), np.float32(accessor.min))
+            np.testing.assert_array_equal(values.max(axis=0), np.float32(accessor.max))
+    for primitive in document.meshes[0].primitives:
+        assert document.accessors[primitive.attributes.POSITION].min
+        assert document.accessors[primitive.attributes.POSITION].count % 3 == 0
+        assert file.read(primitive.attributes.JOINTS_0).max() < motion.skeleton.num_joints
+        normals = file.read(primitive.attributes.NORMAL)
+        np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
+    assert document.accessors[document.animations[0].samplers[0].input].min == [0.0]
+    np.testing.assert_allclose(file.seconds[:, 0], np.arange(motion.num_frames) / float(motion.fps), rtol=1e-6)
+    for (_, path), values in file.channels.items():
+        assert len(values) == motion.num_frames
+        if path == "rotation":
+            np.testing.assert_allclose(np.linalg.norm(values, axis=1), 1, atol=1e-6)
+            assert (np.sum(values[1:] * values[:-1], axis=1) >= 0).all()
+
+
+def test_chunks_are_aligned_and_counted(tmp_path):
+    write_gltf(MOTIONS["rotations"], tmp_path / "a.glb")
+    content = (tmp_path / "a.glb").read_bytes()
+    magic, version, total = struct.unpack_from("<4sII", content)
+    assert (magic, version, total) == (b"glTF", 2, len(content))
+    size, kind = struct.unpack_from("<I4s", content, 12)
+    assert (size % 4, kind) == (0, b"JSON")
+    binary, kind = struct.unpack_from("<I4s", content, 20 + size)
+    assert (binary % 4, kind, 28 + size + binary) == (0, b"BIN\0", len(content))
+
+
+def test_rigid_motions_have_rotations_alone_and_loose_ones_translations(tmp_path):
+    for name, kinds in (("rotations", {(0, "translation")}), ("positions whose bones change", None)):
+        write_gltf(MOTIONS[name], tmp_path / "a.glb")
+        moved = {key for key in Played(tmp_path / "a.glb").channels if key[1] == "translation"}
+        assert moved == (kinds or {(joint, "translation") for joint in range(22)})
+
+
+def test_what_gltf_has_no_place_for_is_in_extras(tmp_path):
+    write_gltf(MOTIONS["rotations"], tmp_path / "a.glb")
+    said = Played(tmp_path / "a.glb").file.asset.extras
+    assert (said["fps"], said["start_seconds"], said["sequence_id"]) == ("60000/1001", 3.5, "a/b")
+    assert said["captions"] == [{"text": "turns 走", "start_seconds": 0.1, "end_seconds": None}]
+
+
+@pytest.mark.parametrize("pairs", [SMPL22.left_right_pairs, ()])
+def test_triangles_face_outwards_and_have_sides(pairs):
+    meshes = bone_meshes(replace(SMPL22, left_right_pairs=pairs))
+    assert [mesh.side for mesh in meshes] == ["left", "right", "middle"]
+    for mesh in meshes:
+        solids = mesh.positions.reshape(-1, 24, 3)
+        centres = solids.mean(axis=1, keepdims=True)
+        assert (np.sum((solids - centres) * mesh.normals.reshape(-1, 24, 3), axis=-1) > 0).all()
+        x = mesh.positions[:, 0].mean()
+        assert {"left": x > 0.05, "right": x < -0.05, "middle": abs(x) < 0.01}[mesh.side]

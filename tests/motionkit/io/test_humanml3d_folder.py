@@ -1,0 +1,151 @@
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Caption
+from motionkit.io import humanml3d
+from motionkit.io.humanml3d import Entry, recover_positions, write_humanml3d
+from motionkit.io.scan.items import ReadOptions
+from motionkit.io.scan.reading import read
+from motionkit.io.scan.scanner import scan
+from motionkit.io.texts import format_texts, read_texts
+
+
+def test_recovery_reproduces_the_published_joints(golden_humanml3d: Path) -> None:
+    vectors = np.load(next((golden_humanml3d / "new_joint_vecs").glob("*.npy")))
+    joints = np.load(next((golden_humanml3d / "new_joints").glob("*.npy")))
+    assert np.abs(recover_positions(vectors, 22) - joints).max() < 1e-6
+
+
+def test_the_published_folder_is_recognised(golden_humanml3d: Path) -> None:
+    (item,) = scan([golden_humanml3d]).items
+    motion = read(item)
+    assert (item.format, motion.fps, motion.skeleton.name) == ("humanml3d", 20, "smpl22")
+    assert 1.3 < np.median(motion.joint_positions[:, 15, 1]) < 1.8
+
+
+def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    captions = (
+        Caption("a person walks."),
+        Caption("they stop", 1.25, 2.5),
+        Caption("then # wait", 0.5, None, "then/ADV"),
+    )
+    entries = [
+        Entry(f"{index:06d}", rng.normal(size=(60, 22, 3)).astype(np.float32), _vectors(rng), captions, split)
+        for index, split in enumerate(("train", "train", "val", "test"))
+    ]
+    assert write_humanml3d(tmp_path / "out", [*entries, Entry("M000000", entries[0].joint_positions)]) == 5
+    result = scan([tmp_path / "out"])
+    assert [item.split for item in result.items] == ["train", "train", "val", "test", ""]
+    assert not result.problems and [warning.reason for warning in result.warnings] == ["no-caption"]
+    first = read(result.items[0])
+    assert np.array_equal(first.joint_positions, entries[0].joint_positions)
+    assert [(c.text, c.start_seconds, c.end_seconds) for c in first.captions] == [
+        ("a person walks.", 0.0, None),
+        ("they stop", 1.25, 2.5),
+        ("then wait", 0.5, 3.0),
+    ]
+    assert first.captions[0].tokens == "a/X person/X walks/X"
+    assert any("mirrored" in line for line in read(result.items[-1]).provenance.operations)
+    mean, std = np.load(tmp_path / "out" / "Mean.npy"), np.load(tmp_path / "out" / "Std.npy")
+    training = np.concatenate([entry.vectors for entry in entries[:2] if entry.vectors is not None]).astype(np.float64)
+    assert np.allclose(mean, training.mean(0), atol=1e-6)
+    assert np.allclose(std[4:67], training.std(0)[4:67].mean(), atol=1e-6)
+
+
+def _vectors(rng: np.random.Generator) -> np.ndarray:
+    return rng.normal(size=(59, 263)).astype(np.float32)
+
+
+def test_vectors_alone_are_enough(tmp_path: Path, golden_humanml3d: Path) -> None:
+    source = next((golden_humanml3d / "new_joint_vecs").glob("*.npy"))
+    (tmp_path / "new_joint_vecs").mkdir()
+    (tmp_path / "new_joint_vecs" / source.name).write_bytes(source.read_bytes())
+    motion = read(scan([tmp_path]).items[0])
+    assert motion.joint_positions.shape[1:] == (22, 3)
+    assert "recovered" in motion.provenance.operations[0]
+
+
+def test_kit_is_distinguished_and_becomes_metres(tmp_path: Path) -> None:
+    body = np.full((25, 21, 3), 560.0, np.float32)
+    entry = Entry("00001", body, captions=(Caption("a person walks"),), split="test")
+    write_humanml3d(tmp_path / "kit", [entry], humanml3d.KIT)
+    (item,) = scan([tmp_path / "kit"]).items
+    motion = read(item)
+    assert (item.format, motion.fps, motion.skeleton.name) == ("kit", Fraction(25, 2), "kit21")
+    assert motion.joint_positions[0, 0, 1] == pytest.approx(0.952)
+    assert read(item, ReadOptions(unit_metres=0.001)).joint_positions[0, 0, 1] == pytest.approx(0.56)
+
+
+def test_captions_and_motions_that_miss_each_other(tmp_path: Path) -> None:
+    write_humanml3d(tmp_path / "h", [Entry("000001", np.zeros((5, 22, 3), np.float32))])
+    (tmp_path / "h" / "texts" / "000009.txt").write_text("a ghost#a/DET ghost/NOUN#0.0#0.0\n")
+    (tmp_path / "h" / "val.txt").write_text("000001\n000007\n")
+    result = scan([tmp_path / "h"])
+    assert [problem.reason for problem in result.problems] == ["caption-without-motion"]
+    assert sorted(warning.reason for warning in result.warnings) == ["no-caption", "split-without-motion"]
+
+
+def test_a_split_of_other_names_shows_one_of_each_side(tmp_path: Path) -> None:
+    write_humanml3d(tmp_path / "h", [Entry("000001", np.zeros((5, 22, 3), np.float32))])
+    (tmp_path / "h" / "train.txt").write_text("CMU/01/01_01\r\nCMU/01/01_02\r\n")
+    (tmp_path / "h" / "test.txt").write_bytes(b"\xef\xbb\xbf000001\r\n")
+    result = scan([tmp_path / "h"])
+    assert [item.split for item in result.items] == ["test"]
+    assert [warning.message for warning in result.warnings] == [
+        "none of its 2 names is in the folder: it lists 'CMU/01/01_01', the folder has '000001'; so nothing is of the "
+        "split train"
+    ]
+
+
+def test_a_motion_without_a_caption_is_reported_once(tmp_path: Path) -> None:
+    body = np.zeros((5, 22, 3), np.float32)
+    entries = [Entry("000001", body, captions=(Caption("a person walks"),)), Entry("000002", body)]
+    write_humanml3d(tmp_path / "h", entries)
+    (tmp_path / "h" / "motions.csv").write_text("file,caption\nnew_joints/000001.npy,a person walks\n")
+    result = scan([tmp_path / "h"])
+    assert [(warning.reason, warning.path.stem) for warning in result.warnings] == [("no-caption", "000002")]
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("walk#walk/VERB#0.0#0.0", (0.0, None)),
+        ("walk#walk/VERB#nan#nan", (0.0, None)),
+        ("walk#walk/VERB#6.0#2.5", (2.5, 6.0)),
+        ("walk#walk/VERB#1#2\r", (1.0, 2.0)),
+        ("walk", (0.0, None)),
+    ],
+)
+def test_segments(tmp_path: Path, line: str, expected: tuple[float, float | None]) -> None:
+    (tmp_path / "a.txt").write_text(line + "\n\n", newline="")
+    (caption,) = read_texts(tmp_path / "a.txt")
+    assert (caption.text, caption.start_seconds, caption.end_seconds) == ("walk", *expected)
+
+
+@pytest.mark.parametrize("line", ["a#b#c", "a#b#one#two", "a#b#1#2#3"])
+def test_a_bad_text_line_is_named(tmp_path: Path, line: str) -> None:
+    (tmp_path / "a.txt").write_text(f"fine#fine/ADJ#0.0#0.0\n{line}\n")
+    with pytest.raises(FormatError) as caught:
+        read_texts(tmp_path / "a.txt")
+    assert (caught.value.reason, caught.value.line) == ("text", 2)
+
+
+def test_texts_round_trip(tmp_path: Path) -> None:
+    captions = (
+        Caption("a person jumps", 0.0, None, "a/DET person/NOUN jump/VERB"),
+        Caption("lands", 1.1, 2.3, "land/VERB"),
+    )
+    (tmp_path / "a.txt").write_text(format_texts(captions, 4.0))
+    assert read_texts(tmp_path / "a.txt") == captions
+
+
+def test_blocks_tile_a_vector() -> None:
+    for layout in (humanml3d.HUMANML3D, humanml3d.KIT):
+        blocks = humanml3d.vector_blocks(layout.skeleton.num_joints)
+        covered = np.concatenate([np.arange(layout.num_values)[block] for block in blocks])
+        assert np.array_equal(covered, np.arange(layout.num_values))

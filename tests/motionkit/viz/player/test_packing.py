@@ -1,0 +1,128 @@
+"""Positions as text: back to half a grid step whatever the skeleton, in Python and in the page's own script."""
+
+import json
+import shutil
+import subprocess
+from importlib import resources
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from motionkit.viz.player.takes import STEP_METRES, Packed, pack, packed_bytes
+from tests.helpers.packed import unpack
+
+
+@st.composite
+def bodies(draw: st.DrawFn) -> tuple[np.ndarray, list[int]]:
+    """Positions of a random hierarchy; some joints are near their parents, some travel far."""
+    parents = [-1, *(draw(st.integers(0, joint - 1)) for joint in range(1, draw(st.integers(1, 8))))]
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    reach = draw(st.sampled_from([0.5, 3.0, 400.0]))
+    return rng.uniform(-reach, reach, (draw(st.integers(1, 6)), len(parents), 3)).astype(np.float32), parents
+
+
+@given(bodies())
+def test_positions_come_back_to_half_a_step(body: tuple[np.ndarray, list[int]]) -> None:
+    positions, parents = body
+    back = unpack(pack(positions, parents))
+    # What float32 adds at 400 m is 15 µm.
+    assert np.abs(back - positions).max() <= STEP_METRES / 2 + np.spacing(np.float32(np.abs(positions).max()))
+
+
+def test_errors_do_not_add_up_along_a_limb() -> None:
+    positions = np.cumsum(np.full((1, 200, 3), 1.26e-4, np.float32), axis=1)
+    back = unpack(pack(positions, [-1, *range(199)]))
+    assert np.abs(back - positions).max() <= 0.51 * STEP_METRES
+
+
+def test_only_joints_that_are_far_from_their_parents_are_wide() -> None:
+    positions = np.zeros((3, 4, 3), np.float32)
+    positions[1, 2] = 3.2767, -3.2767, 0
+    positions[2, 3] = 3.2768, 0, 0
+    assert pack(positions, [-1, 0, 0, 0])["wide"] == [0, 3]
+
+
+def test_a_minute_at_120_fps_is_two_megabytes() -> None:
+    positions = np.zeros((7200, 31, 3), np.float32)
+    size = len(json.dumps(pack(positions, [-1, *[0] * 30])))
+    assert size == pytest.approx(packed_bytes(7200, 31), rel=1e-3) and 1e6 < size < 2e6
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 3e5])
+def test_joints_that_are_nowhere_are_refused(bad: float) -> None:
+    with pytest.raises(ValueError, match="within 200000 m"):
+        pack(np.full((1, 1, 3), bad, np.float32), [-1])
+
+
+@pytest.fixture(scope="module")
+def node() -> str:
+    found = shutil.which("node")
+    if found is None:
+        pytest.skip("needs node, to run the page's script")
+    return found
+
+
+def in_script(node: str, scripts: list[str], expression: str, data: object) -> object:
+    """What an expression of `data` is to the page's own scripts."""
+    parts = resources.files("motionkit.viz.player") / "templates"
+    code = "\n".join(parts.joinpath(name).read_text(encoding="utf-8") for name in scripts)
+    code += f'\nconst data = JSON.parse(require("fs").readFileSync(0));\nconsole.log(JSON.stringify({expression}));'
+    ran = subprocess.run([node, "-e", code], input=json.dumps(data), capture_output=True, text=True, check=True)
+    return json.loads(ran.stdout)
+
+
+def test_the_script_unpacks_the_same(node: str) -> None:
+    examples: list[Packed] = []
+
+    @settings(max_examples=60)
+    @given(bodies())
+    def collect(body: tuple[np.ndarray, list[int]]) -> None:
+        examples.append(pack(*body))
+
+    collect()
+    answer = in_script(node, ["packing.js"], "data.map((each) => Array.from(unpack(each)))", examples)
+    assert isinstance(answer, list) and len(answer) == len(examples)
+    for numbers, packed in zip(answer, examples, strict=True):
+        np.testing.assert_array_equal(np.float32(numbers), unpack(packed).ravel())
+
+
+def test_a_frame_is_held_until_the_next(node: str) -> None:
+    """At every framerate the frame at an instant is the last that has begun; steps land on frames exactly."""
+    takes = [
+        {"fps": fps, "startSeconds": start, "numFrames": 50, "unevenSeconds": None}
+        for fps in ([30, 1], [120, 1], [24000, 1001], [25, 2])
+        for start in (0, -0.2, 7.3)
+    ]
+    uneven = np.cumsum(np.random.default_rng(0).uniform(0.001, 0.2, 50))
+    takes.append({"fps": [10, 1], "startSeconds": uneven[0], "numFrames": 50, "unevenSeconds": uneven.tolist()})
+    asked = [{"take": take, "at": [0, 0.4, 0.99]} for take in takes]
+    answer = in_script(
+        node,
+        ["clock.js"],
+        """data.map(({ take, at }) => Array.from({ length: 50 }, (_, frame) => at.map((part) => {
+            const next = frame < 49 ? secondsOf(take, frame + 1) : endOf(take), here = secondsOf(take, frame);
+            const held = frameAt(take, here + part * (next - here));
+            return [held.frame, held.part, held.state];
+        })))""",
+        asked,
+    )
+    answers = np.array(answer)
+    np.testing.assert_array_equal(answers[..., 0], np.broadcast_to(np.arange(50)[:, None], answers.shape[:3]))
+    np.testing.assert_allclose(answers[:, :49, :, 1], np.broadcast_to([0, 0.4, 0.99], (len(takes), 49, 3)), atol=2e-3)
+    assert not answers[:, 49, :, 1].any() and not answers[..., 2].any()
+    ends = in_script(
+        node,
+        ["clock.js"],
+        "data.map(({ take }) => [frameAt(take, endOf(take)), frameAt(take, secondsOf(take, 0) - 0.01)])",
+        asked,
+    )
+    assert ends == [[{"frame": 49, "part": 0, "state": 1}, {"frame": 0, "part": 0, "state": -1}]] * len(takes)
+
+
+def test_a_short_take_begins_again_at_its_end(node: str) -> None:
+    take = {"fps": [30, 1], "startSeconds": 0.2, "numFrames": 15, "unevenSeconds": None}
+    asked = [0.0, 0.2, 0.45, 0.7, 0.95, 1.45, 1.6]
+    answer = in_script(node, ["clock.js"], "data.at.map((at) => againAt(data.take, at))", {"take": take, "at": asked})
+    np.testing.assert_allclose(answer, [0.0, 0.2, 0.45, 0.2, 0.45, 0.45, 0.6], atol=1e-5)

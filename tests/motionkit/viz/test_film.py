@@ -1,0 +1,92 @@
+"""Films and strips: how many pictures, how fast, and that what is drawn moves and is the same every time."""
+
+import subprocess
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from motionkit.core.errors import MotionkitError
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.skeletons.mapping import rest_positions
+from motionkit.edit.export import film
+from motionkit.viz.player.takes import Take
+
+
+def take(num_frames: int, fps: Fraction, name: str = "still $x$") -> Take:
+    """A body that rises by 0.6 m; a name that is no formula."""
+    places = np.repeat(rest_positions(SMPL22)[None] + np.array([0, 0.9, 0], np.float32), num_frames, axis=0)
+    places[..., 1] += np.linspace(0, 0.6, num_frames)[:, None]
+    return Take(name, places.astype(np.float32), SMPL22, fps)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "speed", "fps", "count"),
+    [
+        (".mp4", Fraction(1), Fraction(120), 24),
+        (".mp4", Fraction(1, 4), Fraction(30), 24),
+        (".gif", Fraction(1), Fraction(50), 10),
+        (".gif", Fraction(1, 4), Fraction(30), 24),
+    ],
+)
+def test_every_native_frame_of_the_fastest_is_a_picture(
+    suffix: str, speed: Fraction, fps: Fraction, count: int
+) -> None:
+    takes = [take(24, Fraction(120)), take(5, Fraction(30))]
+    assert film.film_fps(takes, speed, suffix) == fps
+    assert film.num_pictures(takes, speed, suffix) == count
+
+
+def test_a_gif_lasts_as_long_as_its_motion_and_moves(tmp_path: Path) -> None:
+    drawn: list[int] = []
+    film.write_film(tmp_path / "a.gif", [take(12, Fraction(30))], Fraction(1), lambda: drawn.append(1))
+    with Image.open(tmp_path / "a.gif") as made:
+        pictures, lasting = [], 0
+        for number in range(made.n_frames):
+            made.seek(number)
+            pictures.append(np.array(made.convert("RGB"), np.int64))
+            lasting += made.info["duration"]
+    assert len(pictures) == len(drawn) == 12 and lasting == 400
+    assert pictures[0].shape == (480, 480, 3)
+    heights = [np.nonzero(picture[..., 2] - picture[..., 0] > 100)[0].mean() for picture in pictures]
+    assert (np.diff(heights) < 0).all() and heights[-1] < heights[0] - 5, "the body rises"
+
+
+def test_an_mp4_has_the_exact_framerate_and_is_the_same_every_time(tmp_path: Path) -> None:
+    ffmpeg = pytest.importorskip("imageio_ffmpeg").get_ffmpeg_exe()
+    for name in ("a.mp4", "b.mp4"):
+        film.write_film(tmp_path / name, [take(6, Fraction(30000, 1001))])
+    assert (tmp_path / "a.mp4").read_bytes() == (tmp_path / "b.mp4").read_bytes()
+    wanted = [ffmpeg, "-loglevel", "error", "-i", str(tmp_path / "a.mp4"), "-f", "framemd5", "-"]
+    lines = subprocess.run(wanted, capture_output=True, text=True, check=True).stdout.splitlines()
+    assert any(line.replace(" ", "") == "#tb0:1001/30000" for line in lines)
+    assert sum(not line.startswith("#") for line in lines) == 6
+
+
+def test_a_strip_has_a_row_for_each_take(tmp_path: Path) -> None:
+    film.write_film(tmp_path / "a.png", [take(24, Fraction(120)), take(1, Fraction(30))])
+    with Image.open(tmp_path / "a.png") as made:
+        assert made.size == (8 * 240, 2 * 240)
+        drawn = np.array(made, np.int64)
+    panels = [drawn[:240, 240 * column : 240 * (column + 1)] for column in range(8)]
+    assert all((abs(panel[..., 2] - panel[..., 0]) > 100).sum() > 50 for panel in panels)
+
+
+def test_a_body_that_lies_is_whole_in_the_picture(tmp_path: Path) -> None:
+    standing = take(1, Fraction(30))
+    lying = Take("lies", standing.joint_positions[..., [1, 0, 2]], SMPL22, standing.fps)
+    film.write_film(tmp_path / "a.png", [lying])
+    with Image.open(tmp_path / "a.png") as made:
+        drawn = np.array(made, np.int64)
+    assert (drawn[:, 240:] == 255).all()  # one frame is one pose
+    rows, columns = np.nonzero(abs(drawn[..., 2] - drawn[..., 0]) > 100)
+    assert columns.max() - columns.min() > 120
+    assert columns.min() > 3 and columns.max() < 237 and rows.min() > 3 and rows.max() < 237
+
+
+def test_what_would_take_for_ever_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(MotionkitError, match="--from 0 --to 166"):
+        film.write_film(tmp_path / "a.mp4", [take(30_000, Fraction(120))])
+    assert not list(tmp_path.iterdir())

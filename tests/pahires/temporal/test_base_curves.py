@@ -1,0 +1,188 @@
+"""Interpolation in torch against the reference in numpy, and the forms of a network's answer."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from motionkit.core.skeleton import SMPL22
+from motionkit.features.rotation_rows import poses_of, rows_of_poses
+from motionkit.fields.interpolation.curves import curve, rotation_curve
+from motionkit.fields.motion_field import Poses
+from pahires.temporal.base_curves import Scaling, interpolated, located, seconds_beyond
+from pahires.temporal.network import ObservedWindow
+from pahires.temporal.prediction import Predictor, gate, num_answers, size
+from pahires.temporal.settings import AnswerSettings, Base, Form
+from tests.helpers.nerm_corpus import analytic_positions
+
+TIMES = np.array([0.0, 0.1, 0.15, 0.4, 0.45, 0.7])
+QUERIES = np.linspace(0.0, 0.7, 29)
+BASES: tuple[Base, ...] = ("hold", "linear", "slerp", "catmull-rom", "cubic", "eased")
+
+
+def rows_at(times: np.ndarray) -> np.ndarray:
+    return rows_of_poses(Poses(analytic_positions(times, 1)), SMPL22).vectors
+
+
+def asked(times: np.ndarray, queries: np.ndarray, scaling: Scaling) -> ObservedWindow:
+    return ObservedWindow(
+        scaling.apply(torch.from_numpy(rows_at(times)[None])),
+        torch.from_numpy(times[None].astype(np.float32)),
+        torch.from_numpy(queries[None].astype(np.float32)),
+        torch.full((1,), 1 / 30),
+    )
+
+
+@pytest.fixture
+def scaling() -> Scaling:
+    rng = np.random.default_rng(0)
+    mean, scale = rng.normal(size=135), rng.uniform(0.1, 2.0, 135)
+    return Scaling(torch.from_numpy(mean.astype(np.float32)), torch.from_numpy(scale.astype(np.float32)))
+
+
+@pytest.mark.parametrize("base", ["linear", "catmull-rom"])
+def test_curves_are_those_of_the_reference(base: Base, scaling: Scaling) -> None:
+    found = scaling.invert(interpolated(asked(TIMES, QUERIES, scaling), base, scaling))[0].numpy()
+    np.testing.assert_allclose(found, curve(base, TIMES, rows_at(TIMES))(QUERIES), atol=2e-5)  # type: ignore[arg-type]
+
+
+def test_the_cubic_is_the_natural_spline(scaling: Scaling) -> None:
+    from scipy.interpolate import CubicSpline
+
+    found = scaling.invert(interpolated(asked(TIMES, QUERIES, scaling), "cubic", scaling))[0].numpy()
+    np.testing.assert_allclose(found, CubicSpline(TIMES, rows_at(TIMES), bc_type="natural")(QUERIES), atol=5e-5)
+
+
+def test_the_eased_curve_is_the_cubic_over_short_gaps_and_the_line_over_long_ones(scaling: Scaling) -> None:
+    for times, like in ((TIMES / 8, "cubic"), (TIMES * 40, "linear")):
+        window = asked(times, times[-1] * np.linspace(0, 1, 29), scaling)
+        torch.testing.assert_close(
+            interpolated(window, "eased", scaling), interpolated(window, like, scaling), atol=0.02, rtol=0.0
+        )
+
+
+def test_slerp_turns_every_joint_on_its_great_arc(scaling: Scaling) -> None:
+    found = scaling.invert(interpolated(asked(TIMES, QUERIES, scaling), "slerp", scaling))[0].numpy()
+    given = rows_of_poses(Poses(analytic_positions(TIMES, 1)), SMPL22)
+    rotations = given.poses().local_rotations
+    assert rotations is not None
+    expected = rotation_curve("slerp", TIMES, rotations.astype(np.float64))(QUERIES)
+    made = poses_of(found, given.bones[:1], SMPL22).local_rotations
+    assert made is not None
+    np.testing.assert_allclose(np.abs(np.sum(made * expected, axis=-1)), 1.0, atol=1e-5)
+
+
+@pytest.mark.parametrize("base", BASES)
+def test_observed_frames_are_kept_and_ends_come_to_rest(base: Base, scaling: Scaling) -> None:
+    window = asked(TIMES, np.concatenate((TIMES, [-5.0, -6.0, 5.0, 6.0])), scaling)
+    found = interpolated(window, base, scaling)[0]
+    torch.testing.assert_close(found[:6], window.frames[0], atol=2e-5, rtol=1e-5)
+    torch.testing.assert_close(found[6], found[7])
+    torch.testing.assert_close(found[8], found[9])
+
+
+@pytest.mark.parametrize("base", BASES)
+@pytest.mark.parametrize("count", [1, 2])
+def test_one_and_two_frames_are_enough(base: Base, count: int, scaling: Scaling) -> None:
+    found = interpolated(asked(TIMES[:count], QUERIES, scaling), base, scaling)
+    assert found.shape == (1, 29, 135) and torch.isfinite(found).all()
+    if count == 1:
+        torch.testing.assert_close(found[0, 5], found[0, 20])
+
+
+def test_queries_find_their_segment_and_what_lies_beyond(scaling: Scaling) -> None:
+    window = asked(TIMES, np.array([-0.2, 0.0, 0.05, 0.15, 0.7, 0.8]), scaling)
+    segment, fraction = located(window)
+    assert segment[0].tolist() == [0, 0, 0, 2, 4, 4]
+    assert fraction[0].tolist() == pytest.approx([0, 0, 0.5, 0, 1, 1], abs=1e-6)
+    assert seconds_beyond(window)[0].tolist() == pytest.approx([-0.2, 0, 0, 0, 0, 0.1], abs=1e-6)
+    assert gate(window)[0, [1, 3, 4], 0].abs().max() < 1e-5 and gate(window)[0, 2, 0] == pytest.approx(1.0)
+    # How much an interpolation may miss grows with the square of the gap, and beyond the ends from nothing.
+    expected = [h**2 / (h**2 + 0.35**2) for h in (0.4, 0.1, 0.1, 0.25, 0.25, 0.2)]
+    assert size(window, "gap")[0, :, 0].tolist() == pytest.approx(expected, rel=1e-4)
+
+
+def test_forms_add_what_the_network_says(scaling: Scaling) -> None:
+    window = asked(TIMES, QUERIES, scaling)
+    answer = torch.ones(1, len(QUERIES), 135)
+
+    def made(form: Form) -> torch.Tensor:
+        return Predictor(lambda _: answer, scaling, AnswerSettings(form, "slerp", scale=0.5))(window)
+
+    curve_alone = interpolated(window, "slerp", scaling)
+    torch.testing.assert_close(made("plain"), answer)
+    torch.testing.assert_close(made("residual"), curve_alone + 0.5 * size(window, "gap"))
+    torch.testing.assert_close(made("exact"), curve_alone + 0.5 * size(window, "gap") * gate(window))
+
+
+@given(seed=st.integers(0, 2**31), factor=st.floats(0.1, 30.0), count=st.integers(2, 7))
+def test_corrections_sized_by_motion_grow_with_it(seed: int, factor: float, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    times = torch.from_numpy(np.cumsum(rng.uniform(0.03, 0.8, count))).float()[None]
+    queries = torch.linspace(float(times[0, 0]) - 0.3, float(times[0, -1]) + 0.3, 30)[None]
+    frames = torch.from_numpy(rng.normal(size=(1, count, 135))).float()
+    small, large = (
+        size(ObservedWindow(scale * frames, times, queries, torch.ones(1)), "motion")[0, :, 0]
+        for scale in (1.0, factor)
+    )
+    assert (small > 0).all() and torch.isfinite(small).all()
+    # In proportion, but for what is added so that rest is no division by nothing.
+    torch.testing.assert_close(large / factor, small, rtol=2e-3 * max(1.0, factor**-2), atol=0.02 / factor)
+    # It does not depend on where the window lies.
+    moved = size(ObservedWindow(frames + 5.0, times, queries, torch.ones(1)), "motion")[0, :, 0]
+    torch.testing.assert_close(moved, small, rtol=1e-3, atol=1e-4)
+
+
+def test_sizes_by_motion_of_a_known_bend() -> None:
+    times = torch.arange(5)[None] * 0.1
+    frames = torch.zeros(1, 5, 135)
+    frames[0, 3:] = torch.tensor([0.1, 0.2])[:, None]
+    queries = torch.tensor([[0.05, 0.25, 0.35, 0.6]])
+    found = size(ObservedWindow(frames, times, queries, torch.ones(1)), "motion")[0, :, 0]
+    near = 0.1**2 / (0.1**2 + 0.04**2)
+    # Velocity changes by 1 at the middle frame alone; after it frames go on at speed 1, as they do at the end.
+    inside = [0.3 * 0.1 * near * rate for rate in (0.01, (0.5 + 0.01 + 1e-4) ** 0.5, (0.01 + 1e-4) ** 0.5)]
+    assert found.tolist() == pytest.approx([*inside, 0.3 * 0.4 * 1.01**0.5], rel=1e-4)
+
+
+def test_blended_curves_are_what_the_weights_say(scaling: Scaling) -> None:
+    window = asked(TIMES, QUERIES, scaling)
+    blended: tuple[Base, ...] = ("catmull-rom", "linear")
+
+    def made(weights: tuple[float, float]) -> torch.Tensor:
+        rows = torch.tensor([0.0, *weights]).repeat_interleave(135)
+        answer = rows.expand(1, len(QUERIES), -1)
+        return Predictor(lambda _: answer, scaling, AnswerSettings("exact", "cubic", blended))(window)
+
+    for weights, name in (((0.0, 0.0), "cubic"), ((1.0, 0.0), "catmull-rom"), ((0.0, 1.0), "linear")):
+        wanted = interpolated(window, name, scaling)  # type: ignore[arg-type]
+        torch.testing.assert_close(made(weights), wanted, atol=1e-5, rtol=1e-5)
+    assert num_answers(AnswerSettings("exact", blended=blended), 135) == 405
+    assert num_answers(AnswerSettings("plain", blended=blended), 135) == 135
+
+
+def test_smooth_corrections_have_half_the_kink_and_leave_frames_alone(scaling: Scaling) -> None:
+    times = np.arange(9) * 0.1
+    ones = Predictor(
+        lambda asked: torch.ones(*asked.queries_seconds.shape, 135), scaling, AnswerSettings("exact", "eased")
+    )
+    queries = np.linspace(0.0, 0.8, 321)
+    window = asked(times, queries, scaling)
+    curve = interpolated(window, "eased", scaling)
+    made = {"kinked": ones(window) - curve, "smooth": ones.smooth(window) - curve}
+    torch.testing.assert_close(made["smooth"][0, ::40], torch.zeros(9, 135), atol=1e-5, rtol=0.0)
+    bends = {name: float(each[0, 20:-20].diff(n=2, dim=0).abs().max()) for name, each in made.items()}
+    assert bends["smooth"] < 0.55 * bends["kinked"]
+    # Half-way the three are 1, ¾ and ¾ of it, less the ⅜ that are left at frames.
+    assert float(made["smooth"][0, 180, 0]) > 0.45 * float(made["kinked"][0, 180, 0])
+
+
+@pytest.mark.parametrize("form", ["plain", "residual", "exact"])
+def test_an_answer_that_does_not_change_in_time_stays_as_it_is(form: Form, scaling: Scaling) -> None:
+    zeros = Predictor(
+        lambda asked: torch.zeros(*asked.queries_seconds.shape, 135), scaling, AnswerSettings(form, "eased")
+    )
+    for count in (1, 2, 6):
+        window = asked(TIMES[:count], QUERIES, scaling)
+        torch.testing.assert_close(zeros.smooth(window), zeros(window))

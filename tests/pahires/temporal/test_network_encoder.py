@@ -1,0 +1,252 @@
+"""Training any network, and a trained network as a motion encoder: the contract of the motion field interface."""
+
+from dataclasses import replace
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import KIT21, SMPL22
+from motionkit.core.timegrid import TimeGrid
+from motionkit.data.takes import open_takes
+from motionkit.features.rotation_rows import rows_of_poses
+from motionkit.fields.completion import observed_errors
+from motionkit.fields.interpolation.joints import with_rotations
+from motionkit.fields.long_observation import LongObservation
+from motionkit.fields.motion_field import (
+    BatchEncoder,
+    MotionEncoder,
+    MotionField,
+    Observation,
+    Poses,
+    joint_velocities,
+    to_motion,
+)
+from motionkit.store.reader import Store
+from motionkit.training.config import apply_overrides
+from motionkit.training.run import RunError, RunFolder
+from motionkit.training.schedule import step_generator
+from motionkit.training.tensors import CheckpointError
+from pahires.temporal.encoder import NetworkEncoder
+from pahires.temporal.training import TemporalTraining, TrainedNetwork
+from pahires.temporal.windows import WindowSampler
+from tests.helpers.nerm_corpus import analytic_positions
+from tests.helpers.small_network import SmallConfig, SmallNetwork, load, train, write_store
+
+CPU = torch.device("cpu")
+EXACT = SmallConfig(
+    training=apply_overrides(
+        replace(SmallConfig().training, mirrored=True), ["answer.form=exact", "answer.base=cubic", "loss.balanced=true"]
+    )
+)
+
+
+def with_steps(config: SmallConfig, steps: int) -> SmallConfig:
+    return replace(config, training=apply_overrides(config.training, [f"schedule.steps={steps}"]))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("temporal")
+    write_store(path / "store")
+    return path
+
+
+@pytest.fixture(scope="module")
+def exact(folder: Path) -> TrainedNetwork:
+    return load(train(folder, EXACT))
+
+
+def capture(seconds: float = 5.0, fps: int = 30, start: float = 2.0) -> Motion:
+    grid = TimeGrid(Fraction(fps), int(seconds * fps) + 1, start_seconds=start)
+    return Motion(analytic_positions(grid.seconds() - start, 1), SMPL22, grid)
+
+
+def random_times(field: MotionField, count: int = 700) -> np.ndarray:
+    return np.random.default_rng(0).uniform(field.start_seconds, field.end_seconds, count)
+
+
+@pytest.fixture
+def field(exact: TrainedNetwork) -> MotionField:
+    encoder = NetworkEncoder(exact, window_frames=16)
+    assert isinstance(encoder, MotionEncoder)
+    field = encoder.encode(Observation.of(capture()), before_seconds=0.3, after_seconds=0.2)
+    assert isinstance(field, MotionField) and len(field.window_starts) > 10
+    return field
+
+
+def test_the_domain_is_what_was_asked_for(field: MotionField) -> None:
+    assert (field.start_seconds, field.end_seconds) == pytest.approx((1.7, 7.2))
+    with pytest.raises(ValueError, match="outside the motion"):
+        field.query(np.array([1.6]))
+
+
+def test_answers_depend_neither_on_order_nor_on_company(field: MotionField) -> None:
+    times = random_times(field)
+    whole = field.query(times).joint_positions
+    order = np.random.default_rng(1).permutation(len(times))
+    np.testing.assert_allclose(field.query(times[order]).joint_positions, whole[order], atol=2e-5)
+    for some in (slice(0, 1), slice(5, 12)):
+        np.testing.assert_allclose(field.query(times[some]).joint_positions, whole[some], atol=2e-5)
+    assert len(field.query(np.zeros(0)).joint_positions) == 0
+
+
+def test_the_30_fps_answer_is_part_of_the_60_fps_answer(field: MotionField) -> None:
+    slow, fast = (to_motion(field, Fraction(fps)).joint_positions for fps in (30, 60))
+    np.testing.assert_allclose(fast[::2], slow, atol=2e-5)
+
+
+def test_observed_frames_stay_where_they_are(field: MotionField) -> None:
+    assert observed_errors(field, Observation.of(capture())).max() < 2e-5
+
+
+def test_nothing_jumps_at_the_seams(field: MotionField) -> None:
+    speed = np.linalg.norm(joint_velocities(field, np.linspace(1.75, 7.15, 2000)), axis=-1)
+    truth = analytic_positions(np.linspace(0, 5, 2000), 1)
+    assert speed.max() < 3 * np.linalg.norm(np.gradient(truth, 5 / 1999, axis=0), axis=-1).max()
+
+
+def test_other_framerates_uneven_times_and_gaps(exact: TrainedNetwork) -> None:
+    motion = capture()
+    keep = np.random.default_rng(3).random(motion.num_frames) < 0.5
+    keep[40:110] = False  # a gap of 2.3 s, longer than any in training
+    for observation in (Observation.of(motion, keep), Observation.of(capture(fps=120)), Observation.of(capture(fps=7))):
+        field = NetworkEncoder(exact, window_frames=16).encode(observation)
+        assert observed_errors(field, observation).max() < 2e-5
+        assert np.isfinite(field.query(random_times(field)).joint_positions).all()
+
+
+@pytest.mark.parametrize("rotations", [True, False])
+def test_a_motion_that_is_not_in_memory_has_the_same_field(
+    exact: TrainedNetwork, monkeypatch: pytest.MonkeyPatch, rotations: bool
+) -> None:
+    held = Observation.of(capture())
+    held = with_rotations(held).rows(slice(None)) if rotations else held
+    encoder = NetworkEncoder(exact, window_frames=16)
+    field = encoder.encode(held, after_seconds=0.2)
+    times = np.sort(random_times(field))
+    wanted = field.query(times)
+    monkeypatch.setattr("motionkit.fields.long_observation.FRAMES_AT_ONCE", 20)
+    monkeypatch.setattr("pahires.temporal.encoder.FRAMES_AT_ONCE", 20)
+    taken: list[int] = []
+
+    def take(rows: np.ndarray) -> Poses:
+        taken.append(len(rows))
+        return held.poses.rows(rows)
+
+    long = encoder.encode(LongObservation(held.times_seconds, take, held.skeleton), after_seconds=0.2)
+    found = np.concatenate([long.query(some).joint_positions for some in np.array_split(times, 9)])
+    np.testing.assert_allclose(found, wanted.joint_positions, atol=2e-5)
+    assert max(taken) < len(held) / 3  # in pieces, not as a whole
+
+
+@pytest.mark.parametrize("frames", [9, 40])
+def test_many_motions_at_once_are_each_as_alone(exact: TrainedNetwork, frames: int) -> None:
+    encoder = NetworkEncoder(exact, window_frames=16)
+    assert isinstance(encoder, BatchEncoder)
+    kept = np.sort(np.random.default_rng(2).choice(140, frames, replace=False))
+    whole = [Observation.of(capture()), Observation.of(capture(start=2.0))]
+    whole[1] = replace(whole[1], poses=rows_of_poses(whole[1].poses, SMPL22).poses())
+    observations = [observation.rows(kept) for observation in whole]
+    times = np.random.default_rng(4).uniform(1.5, 8.0, 50)
+    together = encoder.query_many(observations, times)
+    for observation, found in zip(observations, together, strict=True):
+        expected = encoder.encode(observation, before_seconds=2.0, after_seconds=9.0).query(times)
+        assert found.is_like(expected)
+        np.testing.assert_allclose(found.joint_positions, expected.joint_positions, atol=2e-5)
+    with pytest.raises(ValueError, match="motion 1 of 2 is not observed at the times of the first"):
+        encoder.query_many([observations[0], observations[1].rows(slice(0, -1))], times)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_one_or_two_frames_are_a_motion(exact: TrainedNetwork, count: int) -> None:
+    observation = Observation.of(capture()).rows(slice(0, count))
+    field = NetworkEncoder(exact).encode(observation, before_seconds=0.1, after_seconds=0.1)
+    assert observed_errors(field, observation).max() < 2e-5
+    assert np.isfinite(field.query(random_times(field)).joint_positions).all()
+
+
+def test_beyond_what_training_saw(exact: TrainedNetwork) -> None:
+    observation = Observation.of(capture())
+    reach = exact.reach_seconds
+    assert reach == pytest.approx(8 / 30) and exact.longest_gap_seconds == pytest.approx(10 / 30)
+    clamped = NetworkEncoder(exact).encode(observation, after_seconds=2.0).query(7.0 + np.array([reach, 1.0, 2.0]))
+    np.testing.assert_allclose(clamped.joint_positions[1:], clamped.joint_positions[:1].repeat(2, 0), atol=1e-5)
+    with pytest.raises(ValueError, match=r"trained up to 0\.27 s beyond"):
+        NetworkEncoder(exact, extrapolation="error").encode(observation, after_seconds=2.0)
+    NetworkEncoder(exact, extrapolation="error").encode(observation, after_seconds=reach)
+    allowed = NetworkEncoder(exact, extrapolation="allow").encode(observation, after_seconds=2.0)
+    assert np.isfinite(allowed.query(np.array([9.0])).joint_positions).all()
+
+
+def test_true_rotations_come_back_as_rotations(exact: TrainedNetwork) -> None:
+    motion = capture()
+    rows = rows_of_poses(Poses.of(motion), SMPL22)
+    poses = rows.poses()
+    root = motion.joint_positions[:, 0] - SMPL22.offsets[0] + np.float32(0.25)
+    given = Poses(poses.joint_positions, poses.local_rotations, root)
+    observation = Observation(motion.timegrid.seconds(), given, SMPL22)
+    made = NetworkEncoder(exact).encode(observation).query(observation.times_seconds)
+    assert made.local_rotations is not None and made.root_translation is not None and given.local_rotations is not None
+    np.testing.assert_allclose(np.abs(np.sum(made.local_rotations * given.local_rotations, -1)), 1.0, atol=1e-5)
+    np.testing.assert_allclose(made.root_translation, root, atol=2e-5)
+    signs = np.sum(made.local_rotations[1:] * made.local_rotations[:-1], axis=-1)
+    assert signs.min() > 0
+
+
+def test_what_makes_no_sense_is_refused(exact: TrainedNetwork) -> None:
+    encoder = NetworkEncoder(exact)
+    with pytest.raises(ValueError, match="0 or more"):
+        encoder.encode(Observation.of(capture()), after_seconds=-1.0)
+    other = Observation(np.zeros(1), Poses(np.zeros((1, 21, 3), np.float32)), KIT21)
+    with pytest.raises(ValueError, match="map the motion first"):
+        encoder.encode(other)
+
+
+def test_the_same_seed_gives_the_same_network(folder: Path, tmp_path: Path) -> None:
+    config = with_steps(replace(EXACT, training=replace(EXACT.training, ema_decay=0.9)), 6)
+    written = []
+    for name in ("once", "again"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "store").symlink_to(folder / "store")
+        written.append(train(tmp_path / name, config).stage("small").model_path.read_bytes())
+    assert written[0] == written[1]
+
+
+def test_a_training_that_was_interrupted_goes_on_as_if_it_was_not(folder: Path, tmp_path: Path) -> None:
+    takes = open_takes(Store.open(folder / "store"), EXACT.training)
+    make_one = partial(TemporalTraining, sampler=WindowSampler(takes, EXACT.training), seed=1, device=CPU)
+    networks = [SmallNetwork(takes.num_numbers, 8) for _ in range(2)]
+    networks[1].load_state_dict(networks[0].state_dict())
+    whole, halves = (make_one(network) for network in networks)
+    for step in range(6):
+        figures = whole.step(step, step_generator(1, "small", step))
+    for step in range(3):
+        halves.step(step, step_generator(1, "small", step))
+    resumed = make_one(SmallNetwork(takes.num_numbers, 8))
+    resumed.load_state_tensors(halves.state_tensors())
+    for step in range(3, 6):
+        again = resumed.step(step, step_generator(1, "small", step))
+    assert float(again["loss"].detach()) == float(figures["loss"].detach())
+
+
+def test_a_plain_network_learns(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "store").symlink_to(folder / "store")
+    run = train(tmp_path, with_steps(SmallConfig(), 150))
+    losses = [line["mse"] for line in run.stage("small").read_metrics()]
+    assert losses[-1] < 0.7 * losses[0]
+
+
+def test_a_model_that_is_missing_or_another_is_refused(folder: Path, tmp_path: Path, exact: TrainedNetwork) -> None:
+    with pytest.raises(RunError, match="is not trained"):
+        load(RunFolder(tmp_path))
+    from motionkit.training.tensors import save_tensors
+
+    save_tensors(RunFolder(tmp_path).stage("small").model_path, {}, {"format": "nerm-field"})
+    with pytest.raises(CheckpointError, match="train it again"):
+        load(RunFolder(tmp_path))
+    assert "Small" in repr(exact)

@@ -1,0 +1,165 @@
+"""Training windows: real frames only, exact answers, places that are equally likely."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from motionkit.core.errors import UsageError
+from motionkit.data.takes import open_takes
+from motionkit.features.rotation_rows import rotation_rows
+from motionkit.store.reader import Store
+from motionkit.training.config import apply_overrides
+from pahires.temporal.base_curves import WindowFrames, measure_scaling
+from pahires.temporal.settings import TaskSettings, TemporalSettings
+from pahires.temporal.windows import TASKS, WindowSampler, draw_layout, kept_frames
+from tests.helpers.small_network import TASKS as SMALL_TASKS
+from tests.helpers.tiny import write_store
+
+SETTINGS = apply_overrides(TemporalSettings(tasks=SMALL_TASKS, mirrored=False), ["schedule.batch_size=16"])
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    return Store.open(write_store(tmp_path_factory.mktemp("corpus") / "store"))
+
+
+def test_kept_frames_are_those_of_the_definition() -> None:
+    kept = kept_frames(6, np.array([1.0, 1.2, 2.4, 3.0, 4.0]))
+    assert kept.tolist() == [
+        [0, 1, 2, 3, 4, 5],
+        [0, 1, 2, 3, 4, 6],
+        [0, 2, 4, 7, 9, 12],
+        [0, 3, 6, 9, 12, 15],
+        [0, 4, 8, 12, 16, 20],
+    ]
+
+
+@pytest.mark.parametrize("task", TASKS)
+@given(seed=st.integers(0, 2**31))
+def test_layouts_ascend_and_ask_for_neighbouring_frames(task: str, seed: int) -> None:
+    settings = TaskSettings()
+    layout = draw_layout(task, np.random.default_rng(seed), 9, settings)  # type: ignore[arg-type]
+    assert (np.diff(layout.observed, axis=1) > 0).all() and (layout.observed[:, 0] == 0).all()
+    assert (np.diff(layout.asked, axis=1) == 1).all() and 2 <= layout.asked.shape[1] <= settings.num_queries
+    inside = (layout.asked >= 0) & (layout.asked <= layout.observed[:, -1:])
+    if task == "extend":
+        beyond = np.maximum(-layout.asked, layout.asked - layout.observed[:, -1:])
+        assert (beyond >= 0).all() and (beyond <= settings.longest_reach).all()
+    else:
+        assert inside.all()
+    if task == "gap":
+        assert np.diff(layout.observed, axis=1).max(axis=1).min() > settings.shortest_gap
+
+
+def test_takes_are_every_kth_real_frame(store: Store) -> None:
+    takes = open_takes(store, SETTINGS)
+    assert takes.keep_every.tolist() == [4, 1, 2, 4] and takes.skipped == 0
+    for take, index in enumerate(takes.sequence_index.tolist()):
+        vectors = rotation_rows(store.read(index)).vectors
+        stride = takes.keep_every[take : take + 1]
+        found = takes.read(np.array([take]), np.array([1]), stride, np.arange(5)[None])
+        np.testing.assert_array_equal(found[0], vectors[1 :: int(stride[0])][:5])
+        assert takes.num_frames[take] == len(vectors) // stride[0]
+
+
+def test_takes_of_other_framerates_are_left_out_or_refused(store: Store) -> None:
+    takes = open_takes(store, replace(SETTINGS, fps="60"))
+    assert takes.keep_every.tolist() == [2, 1, 2] and takes.skipped == 1
+    with pytest.raises(UsageError, match="whole multiple of 50 fps"):
+        open_takes(store, replace(SETTINGS, fps="50"))
+
+
+@pytest.mark.parametrize("finer", [False, True])
+def test_windows_hold_what_was_captured_at_their_times(store: Store, finer: bool) -> None:
+    sampler = WindowSampler(open_takes(store, SETTINGS), replace(SETTINGS, finer=finer))
+    rng = np.random.default_rng(0)
+    scaling = sampler.measure(rng)
+    rates = set()
+    for task in TASKS:
+        raw = sampler.draw(rng, task, 16)
+        batch = sampler.standardised(raw, task, scaling)
+        rates |= set(np.round(1 / raw.seconds_between).astype(int).tolist())
+        # A query at an observed instant has that frame as its answer, and the middle frame stands at the origin.
+        same = batch.window.queries_seconds[:, :, None] == batch.window.times_seconds[:, None, :]
+        window, query, frame = same.nonzero(as_tuple=True)
+        torch.testing.assert_close(
+            batch.targets[window, query], batch.window.frames[window, frame], atol=1e-5, rtol=1e-5
+        )
+        middle = scaling.invert(batch.window.frames)[:, (batch.window.frames.shape[1] - 1) // 2]
+        assert middle[:, [0, 2]].abs().max() < 1e-5
+        assert (batch.window.times_seconds.diff(dim=1) > 0).all() and (batch.window.times_seconds[:, 0] == 0).all()
+    assert rates == ({30, 40, 60, 120} if finer else {30})
+
+
+def test_windows_end_at_the_last_frame_of_a_take(store: Store) -> None:
+    takes = open_takes(store, SETTINGS)
+    sampler = WindowSampler(takes, SETTINGS)
+    span = np.full(4000, int(takes.num_frames.max()))
+    take, first = sampler._places(np.random.default_rng(1), span)
+    assert set(zip(take.tolist(), first.tolist(), strict=True)) == {
+        (number, 0) for number in range(4) if takes.num_frames[number] == span[0]
+    }
+
+
+@pytest.mark.parametrize(("evenness", "share"), [(0.0, 0.9), (0.5, 0.75), (1.0, 0.5)])
+def test_small_sources_have_the_share_of_windows_that_is_asked_for(store: Store, evenness: float, share: float) -> None:
+    takes = open_takes(store, SETTINGS)
+    assert takes.source.tolist() == [0] * 4
+    # Places for 11 frames: 900 in two takes of one source, 100 in two of another.
+    takes = replace(takes, num_frames=np.array([610, 310, 70, 50]), source=np.array([1, 1, 0, 0]))
+    sampler = WindowSampler(takes, replace(SETTINGS, source_evenness=evenness))
+    take, _ = sampler._places(np.random.default_rng(2), np.full(20_000, 11))
+    assert np.bincount(take, minlength=4) / len(take) == pytest.approx(
+        [share * 2 / 3, share / 3, (1 - share) * 0.6, (1 - share) * 0.4], abs=0.01
+    )
+
+
+def test_windows_longer_than_every_take_are_refused(store: Store) -> None:
+    settings = replace(
+        SETTINGS, tasks=replace(SMALL_TASKS, interpolate=0.0, scattered=0.0, extend=0.0, longest_gap=500)
+    )
+    with pytest.raises(UsageError, match=r"no chosen take has the \d+ frames"):
+        WindowSampler(open_takes(store, settings), settings).draw(np.random.default_rng(0), "gap", 4)
+
+
+def test_a_window_does_not_depend_on_where_it_happened() -> None:
+    rng = np.random.default_rng(5)
+    from motionkit.core.skeleton import SMPL22
+    from motionkit.features import rotation_rows as rows
+
+    q = rng.normal(size=(3, 7, 22, 4))
+    columns = rows.two_columns(q / np.linalg.norm(q, axis=-1, keepdims=True))
+    here = np.concatenate((rng.normal(size=(3, 7, 3)), columns), axis=-1).astype(np.float32)
+    there = rows.turned_back(here, np.array([1.0, -2.0, 3.0]), rng.normal(size=(3, 2)))
+    inside = [WindowFrames.of(each, SMPL22).enter(each) for each in (here, there)]
+    np.testing.assert_allclose(inside[0], inside[1], atol=1e-5)
+
+
+def test_scales_have_a_floor_per_group() -> None:
+    rows = np.zeros((100, 135), np.float32)
+    rows[:, 9:72] = np.random.default_rng(0).normal(size=(100, 63))
+    scale = measure_scaling(rows).scale.numpy()
+    assert scale[:9].max() == pytest.approx(1e-4)
+    assert scale[72:].min() == pytest.approx(0.25 * np.sqrt((scale[9:72] ** 2).mean() / 2), rel=1e-3)
+    assert scale[9:72].min() > 0.7
+
+
+def test_settings_that_make_no_sense_are_refused() -> None:
+    for wrong in ({"gap": -1.0}, {"interpolate": 0.0}, {"smallest_factor": 0.5}, {"longest_gap": 2}, {"num_frames": 1}):
+        with pytest.raises(ValueError):
+            TaskSettings(**wrong)  # type: ignore[arg-type]
+    for setting in (
+        "schedule.epochs=3",
+        "schedule.batch_size=0",
+        "answer.scale=0",
+        "loss.velocity_weight=-1",
+        "ema_decay=1",
+        "fps=fast",
+        "source_evenness=2",
+    ):
+        with pytest.raises(UsageError, match=f"{setting}: "):
+            apply_overrides(TemporalSettings(), [setting])
