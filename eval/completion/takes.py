@@ -16,7 +16,6 @@ from motionkit.data.takes import open_takes
 from motionkit.fields.motion_field import Observation, Poses
 from motionkit.store.cache.positions import open_cache
 from motionkit.store.cache.row_file import RowFile
-from pahires.temporal.settings import TemporalSettings
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store
@@ -166,7 +165,7 @@ def open_clips(
     """
     condition = of_split_and(split, where)
     try:
-        takes = open_takes(store, TemporalSettings(where=condition or "", fps=str(data_set.fps)))
+        takes = open_takes(store, data_set.fps, where=condition)
     except UsageError as error:  # nothing of any data set
         raise NoTakesError(str(error)) from None
     belongs = data_set.holds(store, takes.sequence_index)

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
@@ -14,7 +15,6 @@ from motionkit.fields.motion_field import Poses
 from motionkit.store.cache.positions import PositionCache, open_cache
 from motionkit.store.cache.row_file import RowFile
 from motionkit.store.reader import Store
-from pahires.temporal.settings import TemporalSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,14 +62,15 @@ class Takes:
         return f"Takes({len(self.start_row)} takes, {int(self.num_frames.sum())} frames, {self.skipped} skipped)"
 
 
-def open_takes(store: Store, settings: TemporalSettings) -> Takes:
-    """The takes that `settings.where` selects; their rows are computed once and cached beside the store's cache.
+def open_takes(
+    store: Store, fps: Fraction, *, where: str | None = None, layout: Literal["smpl22", "native"] = "smpl22"
+) -> Takes:
+    """The sequences that `where` selects at `fps`; their rows are computed once and cached beside the store's cache.
 
-    Raises `UsageError` if there are none, or for takes of several skeletons with `layout=native`.
+    Raises `UsageError` if there are none, or for sequences of several skeletons with the layout `native`.
     """
-    cache = open_cache(store, layout=settings.layout, where=settings.where or None)
-    skeleton = SMPL22 if settings.layout == SMPL22.name else _one_skeleton(store, cache)
-    fps = settings.framerate
+    cache = open_cache(store, layout=layout, where=where)
+    skeleton = SMPL22 if layout == SMPL22.name else _one_skeleton(store, cache)
     multiple = cache.fps_numerator * fps.denominator
     keep_every, remainder = np.divmod(multiple, cache.fps_denominator * fps.numerator)
     chosen = (remainder == 0) & (keep_every > 0)

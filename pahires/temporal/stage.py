@@ -68,4 +68,5 @@ def _check(context: StageContext, config: TemporalConfig) -> None:
     """Raise early what would stop the training: no take at the framerate."""
     from motionkit.data.takes import open_takes
 
-    open_takes(context.open_store(), config.training)
+    settings = config.training
+    open_takes(context.open_store(), settings.framerate, where=settings.where or None, layout=settings.layout)

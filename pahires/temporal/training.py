@@ -161,7 +161,7 @@ def train_network(
     """
     started, settings = time.perf_counter(), config.training
     store, device = context.open_store(), resolve_device(context.device)
-    takes = open_takes(store, settings)
+    takes = open_takes(store, settings.framerate, where=settings.where or None, layout=settings.layout)
     folder = context.begin(stage, config, store_fingerprint=store.fingerprint)
     with seeded_initialisation(context.seed, stage):
         network = make(config, takes.num_numbers)

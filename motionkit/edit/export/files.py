@@ -114,7 +114,7 @@ def _caption(caption: Caption) -> str | dict[str, str | float]:
 
 
 def render(template: str, **values: Any) -> str:
-    """The text of `motionkit/edit/export/templates/TEMPLATE`, of HTML with escaped values; a name that is missing raises."""
+    """Render `templates/TEMPLATE`, in HTML with escaped values; raises for a missing name."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(

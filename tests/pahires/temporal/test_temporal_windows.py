@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motionkit.core.errors import UsageError
-from motionkit.data.takes import open_takes
+from motionkit.data.takes import Takes, open_takes
 from motionkit.features.rotation_rows import rotation_rows
 from motionkit.store.reader import Store
 from motionkit.training.config import apply_overrides
@@ -20,6 +20,10 @@ from tests.helpers.small_network import TASKS as SMALL_TASKS
 from tests.helpers.tiny import write_store
 
 SETTINGS = apply_overrides(TemporalSettings(tasks=SMALL_TASKS, mirrored=False), ["schedule.batch_size=16"])
+
+
+def takes_of(store: Store, settings: TemporalSettings) -> Takes:
+    return open_takes(store, settings.framerate, where=settings.where or None, layout=settings.layout)
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +60,7 @@ def test_layouts_ascend_and_ask_for_neighbouring_frames(task: str, seed: int) ->
 
 
 def test_takes_are_every_kth_real_frame(store: Store) -> None:
-    takes = open_takes(store, SETTINGS)
+    takes = takes_of(store, SETTINGS)
     assert takes.keep_every.tolist() == [4, 1, 2, 4] and takes.skipped == 0
     for take, index in enumerate(takes.sequence_index.tolist()):
         vectors = rotation_rows(store.read(index)).vectors
@@ -67,15 +71,15 @@ def test_takes_are_every_kth_real_frame(store: Store) -> None:
 
 
 def test_takes_of_other_framerates_are_left_out_or_refused(store: Store) -> None:
-    takes = open_takes(store, replace(SETTINGS, fps="60"))
+    takes = takes_of(store, replace(SETTINGS, fps="60"))
     assert takes.keep_every.tolist() == [2, 1, 2] and takes.skipped == 1
     with pytest.raises(UsageError, match="whole multiple of 50 fps"):
-        open_takes(store, replace(SETTINGS, fps="50"))
+        takes_of(store, replace(SETTINGS, fps="50"))
 
 
 @pytest.mark.parametrize("finer", [False, True])
 def test_windows_hold_what_was_captured_at_their_times(store: Store, finer: bool) -> None:
-    sampler = WindowSampler(open_takes(store, SETTINGS), replace(SETTINGS, finer=finer))
+    sampler = WindowSampler(takes_of(store, SETTINGS), replace(SETTINGS, finer=finer))
     rng = np.random.default_rng(0)
     scaling = sampler.measure(rng)
     rates = set()
@@ -96,7 +100,7 @@ def test_windows_hold_what_was_captured_at_their_times(store: Store, finer: bool
 
 
 def test_windows_end_at_the_last_frame_of_a_take(store: Store) -> None:
-    takes = open_takes(store, SETTINGS)
+    takes = takes_of(store, SETTINGS)
     sampler = WindowSampler(takes, SETTINGS)
     span = np.full(4000, int(takes.num_frames.max()))
     take, first = sampler._places(np.random.default_rng(1), span)
@@ -107,7 +111,7 @@ def test_windows_end_at_the_last_frame_of_a_take(store: Store) -> None:
 
 @pytest.mark.parametrize(("evenness", "share"), [(0.0, 0.9), (0.5, 0.75), (1.0, 0.5)])
 def test_small_sources_have_the_share_of_windows_that_is_asked_for(store: Store, evenness: float, share: float) -> None:
-    takes = open_takes(store, SETTINGS)
+    takes = takes_of(store, SETTINGS)
     assert takes.source.tolist() == [0] * 4
     # Places for 11 frames: 900 in two takes of one source, 100 in two of another.
     takes = replace(takes, num_frames=np.array([610, 310, 70, 50]), source=np.array([1, 1, 0, 0]))
@@ -123,7 +127,7 @@ def test_windows_longer_than_every_take_are_refused(store: Store) -> None:
         SETTINGS, tasks=replace(SMALL_TASKS, interpolate=0.0, scattered=0.0, extend=0.0, longest_gap=500)
     )
     with pytest.raises(UsageError, match=r"no chosen take has the \d+ frames"):
-        WindowSampler(open_takes(store, settings), settings).draw(np.random.default_rng(0), "gap", 4)
+        WindowSampler(takes_of(store, settings), settings).draw(np.random.default_rng(0), "gap", 4)
 
 
 def test_a_window_does_not_depend_on_where_it_happened() -> None:
