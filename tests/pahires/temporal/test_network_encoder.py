@@ -219,7 +219,10 @@ def test_the_same_seed_gives_the_same_network(folder: Path, tmp_path: Path) -> N
 
 def test_a_training_that_was_interrupted_goes_on_as_if_it_was_not(folder: Path, tmp_path: Path) -> None:
     takes = open_takes(
-        Store.open(folder / "store"), EXACT.training.framerate, where=EXACT.training.where or None, layout=EXACT.training.layout
+        Store.open(folder / "store"),
+        EXACT.training.framerate,
+        where=EXACT.training.where or None,
+        layout=EXACT.training.layout,
     )
     make_one = partial(TemporalTraining, sampler=WindowSampler(takes, EXACT.training), seed=1, device=CPU)
     networks = [SmallNetwork(takes.num_numbers, 8) for _ in range(2)]
