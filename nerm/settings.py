@@ -1,13 +1,12 @@
 """Settings of the stages `codebook`, `field` and `denoiser`, nested as their parts are (no torch)."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import ClassVar, Literal
+from typing import Literal
 
 from motionkit.core.framerate import parse_fps
 from motionkit.data.pose_vectors import PoseVectorsName
-from motionkit.training.config import SCHEDULE_MOVED, Precision, Schedule, moved, require_positive
+from motionkit.training.config import Precision, Schedule, require_positive
 from motionkit.training.diffusion.settings import DiffusionConfig
 
 
@@ -68,14 +67,6 @@ class CodebookConfig:
     schedule: CodebookScheduleConfig = field(default_factory=CodebookScheduleConfig)
     published: PublishedConfig = field(default_factory=PublishedConfig)
     precision: Precision = "float32"
-
-    MOVED: ClassVar[Mapping[str, str]] = {
-        **moved("network", "width code_dimension num_codes residual_layers ema_decay reset_below"),
-        **moved("loss", "position_weight commitment_weight"),
-        **moved("schedule", "steps weight_decay", batch="batch_size", rate="learning_rate"),
-        **moved("schedule", rate_drop_at="drop_at", rate_drop="drop"),
-        **moved("published", published_weights="weights", published_statistics="statistics"),
-    }
 
     def __post_init__(self) -> None:
         parse_fps(self.fps)
@@ -270,21 +261,6 @@ class FieldConfig:
     precision: Precision = "float32"
     compile: bool = False
 
-    MOVED: ClassVar[Mapping[str, str]] = {
-        **moved("windows", "max_duration_seconds min_duration_seconds stride_seconds mirrored"),
-        **moved("clips", "num_poses contiguous seconds_per_visit warmup_fps warmup_fraction lowest_fps fixed_fps"),
-        **moved("latents", "knots knot_numbers path_knots variational initial_log_variance initialisation ridge"),
-        **moved("latents", latent_layout="layout", latent_dimension="dimension"),
-        **moved("latents", knot_kernel="kernel", knot_radius="radius", knot_modes="modes"),
-        **moved("encoder", "coordinates num_frequencies frequency_scale framerate_scale num_queries"),
-        **moved("encoder", time_encoding="kind", attention_heads="num_heads", attention_layers="num_layers"),
-        **moved("decoder", "activation linear_path", decoder="kind", hidden="width", layers="num_layers"),
-        **moved("loss", "kl_weight scaling root_weight"),
-        **SCHEDULE_MOVED,
-        **moved("optimizer", "weight_decay", attention_rate="attention_learning_rate"),
-        **moved("optimizer", latent_rate="latent_learning_rate"),
-    }
-
     def __post_init__(self) -> None:
         latents = self.latents
         if latents.layout == "local" and self.encoder.coordinates == "frames":
@@ -377,13 +353,6 @@ class DenoiserConfig:
     ema_decay: float = 0.0
     precision: Precision = "float32"
     compile: bool = False
-
-    MOVED: ClassVar[Mapping[str, str]] = {
-        **moved("latents", "path", latent_scale="scale"),
-        **moved("conditions", "text_encoder text_dimension action_share", condition_drop="drop"),
-        **moved("diffusion", "guidance_scale"),
-        **SCHEDULE_MOVED,
-    }
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.ema_decay < 1.0:

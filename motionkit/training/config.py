@@ -1,8 +1,6 @@
 """Configurations as nested frozen dataclasses: conversion to and from plain values, and `a.b=c` overrides.
 
-Field types may be bool, int, float, str, `Literal`, `T | None`, `tuple[T, ...]` and further dataclasses. `MOVED` of a
-dataclass maps old names of settings to current dotted keys, as in {"hidden": "decoder.width"}, so that files of earlier
-versions can be read. A name in `MOVED` may be a part's name today, but not a setting's.
+Field types may be bool, int, float, str, `Literal`, `T | None`, `tuple[T, ...]` and further dataclasses.
 """
 
 import dataclasses
@@ -92,11 +90,10 @@ def to_plain(config: ConfigLike) -> dict[str, Any]:
 
 
 def from_plain(config_type: type[T], values: dict[str, Any]) -> T:
-    """The inverse of `to_plain`, also for earlier versions' files; missing fields keep their defaults.
+    """The inverse of `to_plain`; missing fields keep their defaults.
 
     Raises `UsageError` for an unknown key or a value of another type.
     """
-    values = current_names(config_type, values)
     hints = typing.get_type_hints(config_type)
     known = config_type.__dataclass_fields__  # type: ignore[attr-defined]
     unknown = sorted(set(values) - set(known))
@@ -117,49 +114,6 @@ def flatten(config: ConfigLike, prefix: str = "") -> dict[str, Any]:
     return leaves
 
 
-def moved(part: str, names: str = "", **renamed: str) -> dict[str, str]:
-    """Entries of `MOVED` for settings that are in a part now: `names` as they were, others under new names."""
-    return {old: f"{part}.{new}" for old, new in [*((name, name) for name in names.split()), *renamed.items()]}
-
-
-# Old names of a `Schedule`'s settings, when stages had them flat.
-SCHEDULE_MOVED = {
-    **moved("schedule", "steps epochs drop_every", batch="batch_size", rate="learning_rate", schedule="kind"),
-    **moved("schedule", rate_drop="drop", rate_warmup_fraction="warmup_fraction"),
-}
-
-
-def moved_names(config: ConfigLike, prefix: str = "") -> dict[str, str]:
-    """Old dotted keys of settings, and the current ones."""
-    found = {prefix + old: prefix + key for old, key in getattr(config, "MOVED", {}).items()}
-    for field in dataclasses.fields(config):
-        value = getattr(config, field.name)
-        if dataclasses.is_dataclass(value) and not isinstance(value, type):
-            found |= moved_names(value, f"{prefix}{field.name}.")
-    return found
-
-
-def current_names(config_type: type[Any], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Plain values of this or an earlier version, with settings under their current names.
-
-    Values that are not settings of `config_type` are unchanged.
-    """
-    hints, moved = typing.get_type_hints(config_type), getattr(config_type, "MOVED", {})
-    found: dict[str, Any] = {}
-    for name, value in values.items():
-        if isinstance(value, dict) and dataclasses.is_dataclass(hints.get(name)):
-            found.setdefault(name, {}).update(current_names(hints[name], value))
-        elif name in moved and not isinstance(value, dict):
-            *parts, setting = moved[name].split(".")
-            place = found
-            for part in parts:
-                place = place.setdefault(part, {})
-            place[setting] = value
-        else:
-            found[name] = value
-    return found
-
-
 def parse_override(override: str) -> tuple[str, str]:
     """Split `a.b=c` into key and text; raises `UsageError` where there is no equals sign."""
     key, equals, text = override.partition("=")
@@ -176,11 +130,8 @@ def setting_text(value: Any) -> str:
 
 
 def unknown_setting(key: str, configs: Sequence[ConfigLike]) -> str:
-    """The message for an unknown key: its current name, or similar ones."""
+    """The message for an unknown key, with similar ones."""
     known = list(dict.fromkeys(setting for config in configs for setting in flatten(config)))
-    moved = {old: new for config in configs for old, new in moved_names(config).items()}
-    if key in moved:
-        return f"no setting is called {key!r}, it is {moved[key]} now"
     of_that_name = [each for each in known if each.rpartition(".")[2] == key.rpartition(".")[2]]
     meant = list(dict.fromkeys([*difflib.get_close_matches(key, known, n=3, cutoff=0.85), *of_that_name]))
     return f"no setting is called {key!r}" + (f", perhaps {' or '.join(meant)}" if meant else "")

@@ -23,7 +23,7 @@ from motionkit.core.checksums import (
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.core.files import LOCK, locked_folder, remove_entry, require_no_link, temporary_name, write_whole
 from motionkit.core.plain_text import shown
-from motionkit.training.config import ConfigLike, current_names, flatten, to_plain
+from motionkit.training.config import ConfigLike, flatten, to_plain
 from motionkit.training.metrics_log import MEND, MetricsLog
 
 # A pattern. Without a hyphen first, as options have.
@@ -317,7 +317,7 @@ def check_same(folder: StageFolder, origin: StageOrigin) -> None:
             begun_with = f"{name} {shown(was)}, not {now!r}"
             raise RunError(f"{folder.path} was begun with {begun_with}: ask for the same, or {again}")
     config = origin.config
-    settings_then = _leaves(to_plain(type(config)())) | _leaves(current_names(type(config), begun.get("config", {})))
+    settings_then = _leaves(to_plain(type(config)())) | _leaves(begun.get("config", {}))
     settings_now = _leaves(to_plain(config))
     changed = [
         key

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Generic
 
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import OnProgress, ignore
-from motionkit.training.config import ConfigLike, ConfigT, current_names
+from motionkit.training.config import ConfigLike, ConfigT
 from motionkit.training.metrics_log import OnMetrics, ignore_metrics
 from motionkit.training.run import STAGE_NAME, RunFolder, StageFolder, StageOrigin, begin_stage, check_resumable
 
@@ -156,15 +156,9 @@ def lazily(place: str) -> Callable[..., Any]:
 
 
 def recorded_settings(run: RunFolder, stage: str) -> dict[str, Any]:
-    """The settings of a stage of a run (its config.json), under their current names.
-
-    Settings of a stage that is not installed are returned as written.
-    """
+    """The settings of a stage of a run, as its config.json holds them."""
     recorded: dict[str, Any] = run.stage(stage).read_config().get("config", {})
-    known = registered_stages().get(stage)
-    if known is None or not known.recipes:
-        return recorded
-    return current_names(type(next(iter(known.recipes.values()))()), recorded)
+    return recorded
 
 
 def choose_stages(name: str, stages: Mapping[str, Stage[Any]]) -> tuple[Stage[Any], ...]:

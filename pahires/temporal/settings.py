@@ -1,13 +1,12 @@
 """Training settings of temporal networks: corpus and framerate, tasks, form of the output, optimiser."""
 
 import dataclasses
-from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import ClassVar, Literal
+from typing import Literal
 
 from motionkit.core.framerate import parse_fps
-from motionkit.training.config import SCHEDULE_MOVED, Precision, Schedule, moved, require_positive
+from motionkit.training.config import Precision, Schedule, require_positive
 
 Base = Literal["hold", "linear", "slerp", "catmull-rom", "cubic", "eased"]
 # Form of a network's output: the poses; a correction to the interpolation; a correction that vanishes at observed
@@ -127,12 +126,6 @@ class TemporalSettings:
     )
     ema_decay: float = 0.0
     precision: Precision = "float32"
-
-    MOVED: ClassVar[Mapping[str, str]] = {
-        **moved("answer", "form base blended sizing", correction_scale="scale"),
-        **moved("loss", "distance velocity_weight balanced balance_floor"),
-        **SCHEDULE_MOVED,
-    }
 
     def __post_init__(self) -> None:
         if not 0 <= self.source_evenness <= 1:
