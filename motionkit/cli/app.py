@@ -16,7 +16,7 @@ import typer
 
 from motionkit.cli.console import show_warnings, stderr, stdout
 from motionkit.cli.defaults import defaults_of
-from motionkit.core import __version__, interrupts
+from motionkit.core import interrupts
 from motionkit.core.errors import MotionkitError, UsageError, describe
 from motionkit.core.settings import FILE
 
@@ -35,6 +35,7 @@ def build_app(only: str = "") -> typer.Typer:
         name="motionkit",
         help="Human motion at native framerates: a corpus, continuous-time models, one evaluator suite.",
         no_args_is_help=True,
+        invoke_without_command=True,
         pretty_exceptions_enable=False,
     )
     app.callback()(_options)
@@ -66,22 +67,19 @@ def _loaded(entry: EntryPoint) -> Any:
         ) from error
 
 
-def _print_version(wanted: bool) -> bool:
-    # The return value becomes the option's value.
-    if wanted:
-        stdout.print(f"motionkit {__version__}")
-        raise typer.Exit
-    return wanted
-
-
 def _options(
-    version: Annotated[
-        bool,
-        typer.Option("--version", is_eager=True, callback=_print_version, help="Print motionkit's version."),
+    version: Annotated[bool, typer.Option("--version", help="Print motionkit's version.")] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", help="With --version: packages, device, threads and extras too.")
     ] = False,
 ) -> None:
-    # Options of `motionkit` itself; their callbacks do the work.
-    pass
+    # Options of `motionkit` itself.
+    if version or verbose:
+        from motionkit.cli.versions import version_lines
+
+        for line in version_lines(verbose):
+            stdout.print(line)
+        raise typer.Exit
 
 
 def _resumes(app: typer.Typer, names: list[str]) -> bool:
