@@ -21,7 +21,7 @@ from eval.report.results import provenance
 from motionkit.core.framerate import parse_fps
 from motionkit.fields.resample import resample_positions
 from motionkit.store import Store
-from motionkit.store.cache.positions import open_cache
+from motionkit.store.cache import open_cache
 
 REPLICATIONS = 20
 

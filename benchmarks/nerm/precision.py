@@ -16,7 +16,7 @@ import torch
 from benchmarks.command import arguments_parser, print_json
 from motionkit.core.skeleton import SMPL22
 from motionkit.data.poses import WindowPoses
-from motionkit.store.cache.positions import open_cache
+from motionkit.store.cache import open_cache
 from motionkit.store.reader import Store
 from motionkit.training.config import Precision, apply_overrides
 from motionkit.training.schedule import step_generator

@@ -20,7 +20,7 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.data.poses import WindowPoses
 from motionkit.data.windows import PositionSource, Windows
 from motionkit.store import Store
-from motionkit.store.cache.positions import PositionCache, open_cache
+from motionkit.store.cache import PositionCache, open_cache
 from nerm.field.training import training_windows
 from nerm.recipes import nano
 

@@ -24,7 +24,7 @@ from eval.report.results import provenance
 from motionkit.core.skeleton import SMPL22
 from motionkit.data.poses import WindowPoses
 from motionkit.data.reconstruction import comparable, reconstructions, separate_windows
-from motionkit.store.cache.positions import open_cache
+from motionkit.store.cache import open_cache
 from motionkit.store.reader import Store
 from motionkit.training.config import apply_overrides
 from motionkit.training.schedule import step_generator

@@ -24,7 +24,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.store import Store, StoreWriter
-from motionkit.store.cache.positions import PositionCache, open_cache
+from motionkit.store.cache import PositionCache, open_cache
 
 Gather = Callable[[np.ndarray, np.ndarray], np.ndarray]
 BATCH = 256

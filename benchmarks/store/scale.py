@@ -31,7 +31,7 @@ from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.store import Store, StoreWriter
-from motionkit.store.cache.positions import open_cache
+from motionkit.store.cache import open_cache
 from motionkit.store.schema import SEQUENCES_FILE
 
 CLIP_FRAMES = 32

@@ -44,7 +44,7 @@ def copy_old_store(store: str) -> None:
 def build_cache(store: str) -> None:
     """Build the training cache of a store, and the statistics beside it."""
     from motionkit.store import Store
-    from motionkit.store.cache.positions import open_cache
+    from motionkit.store.cache import open_cache
 
     cache = open_cache(Store.open(store))
     print(len(cache.positions))
@@ -53,7 +53,7 @@ def build_cache(store: str) -> None:
 def read_without(store: str, name: str) -> None:
     """Open a store and its cache, remove a file, and read every frame of both."""
     from motionkit.store import Store
-    from motionkit.store.cache.positions import open_cache
+    from motionkit.store.cache import open_cache
 
     opened = Store.open(store)
     cache = open_cache(opened, where="split = 'train'")

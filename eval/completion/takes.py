@@ -14,8 +14,7 @@ from motionkit.core.kinematics import closest_rotations, matrix_to_quaternion
 from motionkit.core.skeleton import SMPL22
 from motionkit.data.takes import open_takes
 from motionkit.fields.motion_field import Observation, Poses
-from motionkit.store.cache.positions import open_cache
-from motionkit.store.cache.row_file import RowFile
+from motionkit.store.cache import RowFile, open_cache
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store

@@ -8,7 +8,7 @@ from motionkit.training.stage import Stage, StageContext
 
 if TYPE_CHECKING:
     from eval.native_evaluator.bank import Takes
-    from motionkit.store.cache.positions import PositionCache
+    from motionkit.store.cache import PositionCache
     from motionkit.store.reader import Store
 
 LAYOUT = "smpl22"
@@ -23,8 +23,7 @@ def train_evaluator(context: StageContext, config: NativeConfig) -> None:
     from eval.native_evaluator.evaluator import STAGE_NAME, describe_training
     from eval.native_evaluator.training import NativeTraining, collect_sentences
     from motionkit.core.framerate import parse_fps
-    from motionkit.store.cache.folder import cache_root
-    from motionkit.store.cache.positions import open_cache
+    from motionkit.store.cache import cache_root, open_cache
     from motionkit.training.config import to_plain
     from motionkit.training.loop import train_loop
     from motionkit.training.precision import resolve_device

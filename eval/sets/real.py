@@ -14,7 +14,7 @@ from motionkit.fields.resample import resample_positions
 from motionkit.store.sql import conjunction
 
 if TYPE_CHECKING:
-    from motionkit.store.cache.positions import PositionCache
+    from motionkit.store.cache import PositionCache
     from motionkit.store.reader import Store
 
 
@@ -94,7 +94,7 @@ def real_motion(store: "Store", split: str, where: str | None = None, layout: st
 
     A sequence's caption is its first. Raises `UsageError` if the split is empty or its skeletons cannot be mapped.
     """
-    from motionkit.store.cache.positions import open_cache
+    from motionkit.store.cache import open_cache
 
     cache = open_cache(store, layout=layout, where=of_split_and(split, where))
     return _from_cache(store, cache, split)

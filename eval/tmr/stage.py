@@ -20,8 +20,7 @@ def train_tmr(context: StageContext, config: TmrConfig) -> None:
     from eval.tmr.training import TmrTraining
     from motionkit.core.errors import UsageError
     from motionkit.core.framerate import parse_fps
-    from motionkit.store.cache.folder import cache_root
-    from motionkit.store.cache.positions import open_cache
+    from motionkit.store.cache import cache_root, open_cache
     from motionkit.training.config import to_plain
     from motionkit.training.loop import train_loop
     from motionkit.training.precision import resolve_device

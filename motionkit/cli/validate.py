@@ -12,14 +12,13 @@ from motionkit.core.settings import default_path
 
 def validate(
     store: Annotated[Path | None, typer.Option(help="Store to check.", show_default="./store")] = None,
-    deep: Annotated[bool, typer.Option("--deep", help="Check the training caches too, whatever their sizes.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the faults as JSON.")] = False,
 ) -> None:
     """Check every file of a store: checksums, counts, segments, finite frames, skeletons.
 
     Prints a line for each fault. Exit code 1 if there is any, else 0.
 
-    Example: motionkit validate --deep
+    Example: motionkit validate
     """
     from motionkit.store.manifest import read_manifest
     from motionkit.store.validate import faults
@@ -32,7 +31,7 @@ def validate(
             work.note(name)
             work.advance()
 
-        found = list(faults(path, on_file, deep=deep))
+        found = list(faults(path, on_file))
     if as_json:
         print_json({"store": str(path), "fingerprint": manifest.fingerprint, "faults": found})
     else:

@@ -7,7 +7,7 @@ import torch
 from torch.utils.data import Dataset
 
 from motionkit.core.errors import UsageError
-from motionkit.store.cache.positions import open_cache
+from motionkit.store.cache import open_cache
 from motionkit.store.reader import Store
 
 

@@ -12,8 +12,7 @@ from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.features.rotation_rows import num_numbers, rotation_rows, rows_of_poses
 from motionkit.fields.motion_field import Poses
-from motionkit.store.cache.positions import PositionCache, open_cache
-from motionkit.store.cache.row_file import RowFile
+from motionkit.store.cache import PositionCache, RowFile, open_cache
 from motionkit.store.reader import Store
 
 

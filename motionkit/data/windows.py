@@ -17,12 +17,12 @@ from jaxtyping import Bool, Float32, Float64, Int, Int64
 from motionkit.core.errors import UsageError
 from motionkit.core.mirror import mirror_positions
 from motionkit.features import field
-from motionkit.store.cache.row_file import RowFile
+from motionkit.store.cache import RowFile
 
 
 @runtime_checkable
 class PositionSource(Protocol):
-    """The interface of `motionkit.store.cache.positions.PositionCache` that clips use."""
+    """The interface of `motionkit.store.cache.PositionCache` that clips use."""
 
     @property
     def positions(self) -> Float32[np.ndarray, "total_frames joints 3"]:

@@ -10,9 +10,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from motionkit.core.checksums import sha256_of
-from motionkit.core.errors import LinkError, StoreError
+from motionkit.core.errors import StoreError
 from motionkit.core.skeleton import Skeleton
-from motionkit.store.cache.positions import cache_faults
 from motionkit.store.manifest import FileEntry, Manifest, read_manifest
 from motionkit.store.parts import read_footer
 from motionkit.store.reader import read_committed_table
@@ -35,20 +34,20 @@ from motionkit.store.table_checks import (
 )
 
 
-def faults(path: Path, on_file: Callable[[str], None] = lambda name: None, *, deep: bool = False) -> Iterator[str]:
+def faults(path: Path, on_file: Callable[[str], None] = lambda name: None) -> Iterator[str]:
     """One line for each fault of a store; `on_file` is called before each file is read.
 
-    If `deep`, its training caches are read too. Raises `StoreError` where there is no store, its manifest is
+    Raises `StoreError` where there is no store, its manifest is
     unreadable or of another format version, or a writer has changed it meanwhile.
     """
     manifest = read_manifest(path)
-    for fault in _faults(path, manifest, on_file, deep):
+    for fault in _faults(path, manifest, on_file):
         if read_manifest(path) != manifest:  # then the file is one that a writer has replaced or deleted
             raise StoreError(f"the store {path} was written to while it was checked: check it again")
         yield fault
 
 
-def _faults(path: Path, manifest: Manifest, on_file: Callable[[str], None], deep: bool) -> Iterator[str]:
+def _faults(path: Path, manifest: Manifest, on_file: Callable[[str], None]) -> Iterator[str]:
     if (path / SEGMENTS_FOLDER).is_symlink():
         yield f"{SEGMENTS_FOLDER}: it is a symbolic link to {str((path / SEGMENTS_FOLDER).readlink())!r}"
     tables: dict[str, pa.Table] = {}
@@ -78,15 +77,6 @@ def _faults(path: Path, manifest: Manifest, on_file: Callable[[str], None], deep
         on_file(name)
         chosen = None if frame is None else frame[frame["part"] == part_number(name)]
         yield from _part_faults(path, manifest, name, chosen)
-    if deep:
-        yield from _cache_faults(path, manifest)
-
-
-def _cache_faults(path: Path, manifest: Manifest) -> Iterator[str]:
-    try:
-        yield from cache_faults(path, manifest.fingerprint)
-    except LinkError as error:
-        yield str(error)
 
 
 def _part_faults(path: Path, manifest: Manifest, name: str, sequences: pd.DataFrame | None) -> Iterator[str]:

@@ -18,7 +18,7 @@ from safetensors.numpy import load_file, save
 from motionkit.core.errors import DamagedFileError, UsageError
 from motionkit.core.files import require_no_link
 from motionkit.core.progress import warn
-from motionkit.store.cache.folder import writable
+from motionkit.store.cache import writable
 from motionkit.training.sealed_tensors import checked_metadata, write_sealed_tensors
 
 GROUP = "motionkit.text_encoders"

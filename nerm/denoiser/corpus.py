@@ -11,7 +11,7 @@ from torch import Tensor
 
 from motionkit.data.captions import actions_of_windows, captions_of_windows
 from motionkit.data.windows import Windows
-from motionkit.store.cache.folder import cache_root
+from motionkit.store.cache import cache_root
 from motionkit.store.reader import Store
 from motionkit.training.text import TextEncoder, embed_texts
 from nerm.conditions import NO_ACTION, ConditionLayout, Conditions, unit_rows

@@ -18,8 +18,7 @@ from motionkit.core.timegrid import normalise_seconds
 from motionkit.data.windows import Windows, rows_by_duration, shuffled_batches
 from motionkit.fields.contact.detection import find_contacts, ground_of
 from motionkit.fields.contact.legs import legs_of
-from motionkit.store.cache.positions import PositionCache
-from motionkit.store.cache.row_file import RowFile
+from motionkit.store.cache import PositionCache, RowFile
 from motionkit.training.schedule import seeded_initialisation, set_rate, step_generator
 from nerm.field.network import FieldNetwork
 from nerm.settings import ContactsConfig, FieldConfig

@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from motionkit.store.cache.positions import PositionCache, open_cache
+from motionkit.store.cache import PositionCache, open_cache
 from motionkit.store.reader import Store
 from motionkit.training.loop import train_loop
 from motionkit.training.precision import float32_products, resolve_device, with_precision_of

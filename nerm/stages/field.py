@@ -10,7 +10,7 @@ from motionkit.core.progress import warn
 from motionkit.core.skeleton import SMPL22
 from motionkit.data.pose_vectors.convention import PoseVectors, training_vectors
 from motionkit.data.poses import FrameVectors, WindowPoses
-from motionkit.store.cache.positions import PositionCache
+from motionkit.store.cache import PositionCache
 from motionkit.store.reader import Store
 from motionkit.training.loop import train_loop
 from motionkit.training.precision import float32_products, resolve_device, with_precision_of

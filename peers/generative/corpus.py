@@ -18,7 +18,7 @@ from motionkit.data.pose_vectors.convention import (
 )
 from motionkit.data.poses import WindowPoses
 from motionkit.data.windows import Windows, cut_windows
-from motionkit.store.cache.folder import cache_root
+from motionkit.store.cache import cache_root
 from motionkit.store.reader import Store
 from motionkit.training.text import TextEncoder, embed_texts, load_text_encoder
 from peers.generative.batches import NO_ACTION, Conditions, ConditionSizes, MotionBatch, frames_within

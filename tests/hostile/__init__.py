@@ -1,11 +1,10 @@
 """What strangers may send: hostile stores, runs, samples folders and tables, made in a copy of good ones."""
 
-from tests.hostile import caches, outputs, runs, sources, stores, weights
+from tests.hostile import outputs, runs, sources, stores, weights
 from tests.hostile.scene import Scene
 
 SCENES: tuple[Scene, ...] = (
     *stores.scenes(),
-    *caches.scenes(),
     *runs.scenes(),
     *weights.scenes(),
     *outputs.scenes(),

@@ -21,7 +21,7 @@ WRITE = (
     ("merge", "new", "store"),
 )
 LOOK = (
-    ("validate", "--deep", *STORE),
+    ("validate", *STORE),
     ("info", *STORE),
     ("info", "--quality", *STORE),
     ("info", "--skeletons", "--json", *STORE),

@@ -20,7 +20,7 @@ from motionkit.data.pose_vectors.rotations import RotationVectors, smpl_rig, tra
 from motionkit.data.poses import FrameVectors, WindowPoses
 from motionkit.data.windows import chunks
 from motionkit.fields.motion_field import Poses
-from motionkit.store.cache.positions import PositionCache
+from motionkit.store.cache import PositionCache
 from motionkit.store.reader import Store
 
 

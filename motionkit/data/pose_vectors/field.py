@@ -9,7 +9,7 @@ from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.data.poses import FramePositions, FrameVectors
 from motionkit.features import field
 from motionkit.fields.motion_field import Poses
-from motionkit.store.cache.positions import PositionCache, open_cache
+from motionkit.store.cache import PositionCache, open_cache
 from motionkit.store.reader import Store
 
 

@@ -13,8 +13,7 @@ from motionkit.data.poses import FrameVectors
 from motionkit.features import field, native
 from motionkit.features.layout import SMPL22_LAYOUT
 from motionkit.fields.motion_field import Poses
-from motionkit.store.cache.positions import PositionCache, open_cache
-from motionkit.store.cache.row_file import RowFile
+from motionkit.store.cache import PositionCache, RowFile, open_cache
 from motionkit.store.reader import Store
 
 SECONDS_BETWEEN_STEPS = 1 / 120

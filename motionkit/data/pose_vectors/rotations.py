@@ -20,8 +20,7 @@ from motionkit.data.poses import FrameVectors
 from motionkit.features import field
 from motionkit.features.rotation_rows import num_numbers, two_columns
 from motionkit.fields.motion_field import Poses
-from motionkit.store.cache.positions import PositionCache, open_cache
-from motionkit.store.cache.row_file import RowFile
+from motionkit.store.cache import PositionCache, RowFile, open_cache
 from motionkit.store.reader import Store
 from motionkit.store.sql import conjunction
 

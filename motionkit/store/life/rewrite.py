@@ -12,7 +12,7 @@ from jaxtyping import Int
 
 from motionkit.core.checksums import sha256_of
 from motionkit.core.errors import StoreError, UsageError, describe
-from motionkit.store.cache.folder import remove_stale_caches
+from motionkit.store.cache import remove_stale_caches
 from motionkit.store.codec import EncodedMotion, encode
 from motionkit.store.commit import (
     changing,

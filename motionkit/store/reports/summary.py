@@ -16,7 +16,7 @@ from motionkit.core.framerate import format_fps
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, rest_positions
 from motionkit.io.source.body_frame import standing_metres
-from motionkit.store.cache.folder import cache_bytes
+from motionkit.store.cache import cache_bytes
 from motionkit.store.reader import Store
 from motionkit.store.schema import (
     FLOAT_COLUMNS,

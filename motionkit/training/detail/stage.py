@@ -15,7 +15,7 @@ from motionkit.training.stage import Stage, StageContext
 
 if TYPE_CHECKING:
     from motionkit.fields.detail.model import Detail
-    from motionkit.store.cache.positions import PositionCache
+    from motionkit.store.cache import PositionCache
 
 NAME = "detail"
 
@@ -74,7 +74,7 @@ def _takes(context: StageContext, config: DetailConfig) -> list[np.ndarray]:
 def _fast_takes(context: StageContext, config: DetailConfig) -> "tuple[PositionCache, list[int]]":
     """The training takes, and a mask of those with 120 fps or more; raises `UsageError` if none has."""
     from motionkit.fields.detail.slow_motion import GRID_FPS
-    from motionkit.store.cache.positions import open_cache
+    from motionkit.store.cache import open_cache
 
     cache = open_cache(context.open_store(), layout=SMPL22.name, where=config.where or None)
     rates = map(cache.exact_fps, range(cache.num_sequences))

@@ -9,7 +9,7 @@ import pytest
 
 from motionkit.core.errors import LinkError, MotionkitError
 from motionkit.store import Store, StoreWriter
-from motionkit.store.cache.positions import open_cache
+from motionkit.store.cache import open_cache
 from motionkit.store.life.rewrite import compact, merge, migrate, remove
 from motionkit.store.life.splits import split
 from motionkit.store.reports.summary import summarise

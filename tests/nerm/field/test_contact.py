@@ -13,7 +13,7 @@ from motionkit.data.poses import WindowPoses
 from motionkit.data.windows import cut_windows
 from motionkit.fields.assembly import Piece, assemble
 from motionkit.fields.contact.predicted import PredictsContacts
-from motionkit.store.cache.row_file import RowFile
+from motionkit.store.cache import RowFile
 from motionkit.training.config import apply_overrides
 from motionkit.training.run import StageFolder
 from nerm.field.contact import ContactTraining

@@ -20,7 +20,7 @@ from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import KIT21, SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.store import Store
-from motionkit.store.cache.positions import open_cache
+from motionkit.store.cache import open_cache
 from motionkit.store.reports.quality import report_quality
 from motionkit.store.reports.summary import summarise
 from motionkit.store.schema import CACHE_FOLDER, MANIFEST_FILE, SEGMENTS_FOLDER

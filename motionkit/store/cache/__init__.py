@@ -1,1 +1,0 @@
-"""Training caches: memory maps built from a store."""

@@ -1,0 +1,328 @@
+"""The training cache holds the store's frames bit by bit, follows the store, and is rebuilt when damaged."""
+
+import os
+import pickle
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import textwrap
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from motionkit.core.errors import DamagedFileError, LinkError, StoreError, UsageError
+from motionkit.core.progress import Progress
+from motionkit.core.skeleton import KIT21, Skeleton
+from motionkit.core.skeletons.mapping import map_joints
+from motionkit.store import Store, StoreWriter, cache
+from motionkit.store.cache import PositionCache, RowFile, open_cache, write_rows
+from motionkit.store.life.rewrite import compact
+
+CHAIN = Skeleton("chain", ("a", "b", "c"), (-1, 0, 1), np.eye(3, dtype=np.float32))
+ARRAY = np.random.default_rng(0).standard_normal((50, 4, 3)).astype(np.float32)
+
+
+@pytest.fixture
+def mixed_store(tmp_path: Path, make_motion) -> Path:
+    """Motions on three skeletons, one of which has no body."""
+    with StoreWriter.create(tmp_path / "mixed") as writer:
+        writer.add(make_motion("smpl", 50))
+        writer.add(make_motion("chain", 60, skeleton=CHAIN))
+        writer.add(make_motion("long", 700, fps=Fraction(30000, 1001), split="test"))
+    return tmp_path / "mixed"
+
+
+def change(store: Path, make_motion) -> None:
+    with StoreWriter.append(store) as writer:
+        writer.add(make_motion("new", 33))
+
+
+def folders(store: Path) -> list[Path]:
+    return [path for path in (store / "cache").iterdir() if path.is_dir()]
+
+
+def sums(built: PositionCache) -> np.ndarray:
+    """Rows derived from a cache, as trainings compute them."""
+    rows = built.derived_rows(
+        "sums", 1, lambda: (built.sequence_positions(n).sum((1, 2))[:, None] for n in range(built.num_sequences))
+    )
+    return rows[np.arange(len(rows))]
+
+
+def test_the_cache_holds_the_frames_of_the_store(small_store):
+    reports: list[Progress] = []
+    store = Store.open(small_store, on_progress=reports.append)
+    built = open_cache(store)
+    assert [report.done for report in reports] == [*range(7), 6]
+    assert (built.positions.dtype, built.num_joints, built.skipped) == (np.float32, 22, ())
+    assert not built.positions.flags.writeable
+    np.testing.assert_array_equal(built.sequence_index, np.arange(6))
+    for name in ("num_frames", "fps_numerator", "fps_denominator"):
+        np.testing.assert_array_equal(getattr(built, name), store.sequences[name])
+    for n in range(built.num_sequences):
+        np.testing.assert_array_equal(built.sequence_positions(n), map_joints(store.read(n), "smpl22"))
+    open_cache(store)
+    assert len(reports) == 8, "an existing cache is opened, not built"
+
+
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_clips_are_the_frames_they_claim_to_be(small_store, data):
+    built = open_cache(Store.open(small_store))
+    num_frames = data.draw(st.integers(1, 40))
+    sequence = np.array(data.draw(st.lists(st.integers(0, 5), min_size=0, max_size=8)), np.int64)
+    start = np.array([data.draw(st.integers(0, int(built.num_frames[n]) - num_frames)) for n in sequence], np.int64)
+    clips = built.gather_clips(sequence, start, num_frames)
+    assert clips.shape == (len(sequence), num_frames, 22, 3)
+    for clip, n, first in zip(clips, sequence, start, strict=True):
+        np.testing.assert_array_equal(clip, built.sequence_positions(n)[first : first + num_frames])
+
+
+@pytest.mark.parametrize(("start", "num_frames"), [(-1, 8), (33, 8), (0, 41), (0, 0)])
+def test_a_clip_may_not_leave_its_sequence(small_store, start, num_frames):
+    built = open_cache(Store.open(small_store))
+    with pytest.raises(IndexError):
+        built.gather_clips(np.array([3, 0]), np.array([5, start]), num_frames)
+
+
+def test_a_filter_and_sequences_that_do_not_fit(mixed_store):
+    store = Store.open(mixed_store)
+    everything = open_cache(store)
+    assert list(everything.sequence_index) == [0, 2]
+    assert [(each.sequence_index, each.sequence_id) for each in everything.skipped] == [(1, "chain")]
+    tests = open_cache(store, where="split = 'test'")
+    assert list(tests.sequence_index) == [2]
+    assert tests.path != everything.path
+    np.testing.assert_array_equal(tests.positions, store.read("long").joint_positions)
+    assert open_cache(store, layout="kit21", where="split = 'test'").num_joints == KIT21.num_joints
+    native = open_cache(store, layout="native", where="num_joints = 3")
+    np.testing.assert_array_equal(native.positions, store.read("chain").joint_positions)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"layout": "smpl"}, "no layout 'smpl'"),
+        ({"layout": "native"}, "have 3, 22"),
+        ({"where": "split = 'nowhere'"}, "no sequence of"),
+        ({"where": "no_such_column > 1"}, "no_such_column"),
+        ({"where": "sequence_id = 'chain'"}, "none of the 1 chosen sequences"),
+    ],
+)
+def test_invalid_requests(mixed_store, options, says):
+    with pytest.raises(UsageError, match=says):
+        open_cache(Store.open(mixed_store), **options)
+
+
+def test_a_cache_follows_the_store(small_store, make_motion):
+    first = open_cache(Store.open(small_store))
+    sums(first)
+    (small_store / "cache" / "mine").mkdir()
+    change(small_store, make_motion)
+    second = open_cache(Store.open(small_store))
+    assert second.num_sequences == 7
+    assert not first.path.exists(), "the cache of an earlier state is removed"
+    assert first.positions[-1].shape == (22, 3), "and stays valid where it is mapped"
+    assert set(folders(small_store)) == {second.path, small_store / "cache" / "mine"}
+
+
+def test_compact_removes_caches_of_earlier_states(small_store, make_motion):
+    """They hold what was removed from the store."""
+    first = open_cache(Store.open(small_store))
+    change(small_store, make_motion)
+    assert compact(small_store)
+    assert not first.path.exists()
+
+
+def test_the_key_depends_on_joint_maps(small_store, monkeypatch):
+    store = Store.open(small_store)
+    first = open_cache(store)
+    original = cache.joint_map
+
+    def shifted(skeleton, layout):
+        mapping = original(skeleton, layout)
+        return type(mapping)(**{**vars(mapping), "weights": mapping.weights[::-1].copy()})
+
+    monkeypatch.setattr(cache, "joint_map", shifted)
+    assert open_cache(store).path != first.path
+
+
+def test_a_cache_travels_to_another_process(small_store, make_motion):
+    built = open_cache(Store.open(small_store))
+    pickled = pickle.dumps(built)
+    assert len(pickled) < 1000, "the map is opened again, not copied"
+    again = pickle.loads(pickled)  # noqa: S301 - our own bytes, as a data loader's worker gets them
+    np.testing.assert_array_equal(again.positions, built.positions)
+    change(small_store, make_motion)
+    open_cache(Store.open(small_store))
+    with pytest.raises(DamagedFileError, match="missing"):
+        pickle.loads(pickled)  # noqa: S301
+
+
+KILLED = textwrap.dedent(
+    """
+    import os, signal, sys
+    from motionkit.core import files
+    from motionkit.store import Store
+    from motionkit.store.cache import open_cache
+
+    sync, left = files.sync, [int(sys.argv[2])]
+    def dying(path):
+        if left[0] == 0: os.kill(os.getpid(), signal.SIGKILL)
+        left[0] -= 1
+        sync(path)
+    files.sync = dying
+    open_cache(Store.open(sys.argv[1]))
+    """
+)
+
+
+@pytest.mark.parametrize("moment", [0, 2])
+def test_a_killed_builder_leaves_nothing_that_is_used(small_store, moment):
+    """It is killed before it flushes positions.npy or cache.json."""
+    child = subprocess.run([sys.executable, "-c", KILLED, str(small_store), str(moment)], check=False)
+    assert child.returncode == -signal.SIGKILL
+    store = Store.open(small_store)
+    built = open_cache(store)
+    for n in range(built.num_sequences):
+        np.testing.assert_array_equal(built.sequence_positions(n), store.read(n).joint_positions)
+    assert folders(small_store) == [built.path], "what a killed builder left is removed"
+
+
+def test_two_builders_at_once(small_store):
+    program = (
+        "import sys; from motionkit.store import Store; from motionkit.store.cache import open_cache; "
+        "sys.stdin.read(1); print(len(open_cache(Store.open(sys.argv[1])).positions))"
+    )
+    command = [sys.executable, "-c", program, str(small_store)]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    children = [subprocess.Popen(command, **pipes) for _ in range(2)]
+    assert [child.communicate("x")[0].strip() for child in children] == ["812"] * 2
+    assert len(folders(small_store)) == 1
+
+
+def test_a_disk_that_is_too_small(small_store, monkeypatch):
+    usage = shutil.disk_usage(small_store)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=1000))
+    with pytest.raises(StoreError, match="free some space"):
+        open_cache(Store.open(small_store))
+    assert folders(small_store) == []
+
+
+@pytest.mark.parametrize("name", ["positions.npy", "index.npy", "cache.json", "sums.npy"])
+@pytest.mark.parametrize("damage", ["cut", "empty", "remove"])
+def test_an_incomplete_cache_is_built_again(small_store, name, damage, recwarn):
+    store = Store.open(small_store)
+    built = open_cache(store)
+    positions, derived = built.positions.copy(), sums(built)
+    path = built.path / name
+    content = path.read_bytes()
+    path.unlink()
+    if damage != "remove":
+        path.write_bytes(content[: len(content) // 3] if damage == "cut" else b"")
+    again = open_cache(store)
+    np.testing.assert_array_equal(again.positions, positions)
+    np.testing.assert_array_equal(sums(again), derived)
+    assert len(recwarn) == (0 if (name, damage) == ("sums.npy", "remove") else 1)
+
+
+def test_caches_in_another_folder(small_store, tmp_path, monkeypatch):
+    monkeypatch.setenv("MOTIONKIT_CACHE", str(tmp_path / "scratch"))
+    store = Store.open(small_store)
+    assert open_cache(store).path.parent == tmp_path / "scratch" / store.fingerprint
+    assert not (small_store / "cache").exists()
+
+
+@pytest.mark.parametrize("place", ["cache", "inside"])
+def test_links_are_not_followed(small_store, tmp_path, make_motion, place):
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "letter.txt").write_text("dear")
+    if place == "cache":
+        (small_store / "cache").symlink_to(outside)
+    else:
+        built = open_cache(Store.open(small_store))
+        shutil.rmtree(built.path)
+        built.path.symlink_to(outside)
+    with pytest.raises(LinkError):
+        open_cache(Store.open(small_store))
+    change(small_store, make_motion)
+    assert [path.name for path in outside.iterdir()] == ["letter.txt"]
+
+
+def test_a_store_that_cannot_be_written(small_store, monkeypatch):
+    def refuse(path: Path, *arguments: object, **options: object) -> None:
+        raise PermissionError(13, os.strerror(13), str(path))
+
+    store = Store.open(small_store)
+    monkeypatch.setattr(Path, "mkdir", refuse)
+    with pytest.raises(StoreError, match="MOTIONKIT_CACHE"):
+        open_cache(store)
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("rows") / "rows.npy"
+    np.save(path, ARRAY)
+    return path
+
+
+@given(
+    rows=hnp.arrays(
+        np.int64, hnp.array_shapes(min_dims=1, max_dims=3, min_side=0, max_side=6), elements=st.integers(0, 49)
+    )
+)
+def test_rows_are_those_of_the_array(path, rows):
+    found = pickle.loads(pickle.dumps(RowFile.open(path)))[rows]  # noqa: S301 - our own bytes
+    np.testing.assert_array_equal(found, ARRAY[rows])
+    assert found.dtype == np.float32 and found.flags.writeable and found.shape == (*rows.shape, 4, 3)
+
+
+@pytest.mark.parametrize("wrong", [-1, 50])
+def test_rows_outside_the_file(path, wrong):
+    with pytest.raises(IndexError, match=str(wrong)):
+        RowFile.open(path)[np.array([3, wrong])]
+
+
+@pytest.mark.parametrize(
+    "content", [b"no array", "cut", np.zeros((3, 2)), np.zeros((3, 2), np.float32, order="F"), "short"]
+)
+def test_files_that_are_not_rows(tmp_path: Path, path, content):
+    if isinstance(content, np.ndarray):
+        np.save(tmp_path / "rows.npy", content)
+    else:
+        whole = path.read_bytes()
+        (tmp_path / "rows.npy").write_bytes({"cut": whole[:40], "short": whole[:-100]}.get(content, content))
+    with pytest.raises(DamagedFileError):
+        RowFile.open(tmp_path / "rows.npy")
+
+
+@pytest.mark.parametrize("blocks", [[ARRAY[:7]], [ARRAY[:, :3]]])
+def test_rows_of_another_shape_are_not_written(tmp_path: Path, blocks):
+    with pytest.raises(ValueError, match="expected"):
+        write_rows(tmp_path / "rows.npy", ARRAY.shape, blocks)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_reading_rows_keeps_no_page_of_the_file(tmp_path):
+    def file_kilobytes() -> int:
+        status = Path("/proc/self/status")
+        if not status.is_file():
+            pytest.skip("needs Linux's /proc")
+        return int(re.findall(r"^RssFile:\s+(\d+)", status.read_text(), re.MULTILINE)[0])
+
+    np.save(tmp_path / "large.npy", np.zeros((8_000, 22, 3, 16), np.float32))
+    chosen = np.random.default_rng(0).integers(0, 8_000, 4_000)
+    rows, before = RowFile.open(tmp_path / "large.npy"), file_kilobytes()
+    rows[chosen]
+    assert file_kilobytes() - before < 2_000
+    mapped = np.load(tmp_path / "large.npy", mmap_mode="r")
+    mapped[chosen]
+    assert file_kilobytes() - before > 10_000
