@@ -4,10 +4,7 @@ import hashlib
 import json
 import math
 import re
-import stat
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +20,6 @@ _TENSORS_CHECKSUM = re.compile(rb'"sha256":"([0-9a-f]{64})"')
 LARGEST_HEADER_BYTES = 100_000_000
 PIECE_BYTES = 1 << 20
 _CHECKSUM_VALUE = re.compile("sha256:[0-9a-f]{64}")
-# Larger files are only hashed by `motionkit validate --deep`; their size is always compared.
-MOST_HASHED_BYTES = 4 * 2**30
-_TYPES = {"sha256": str, "num_bytes": int}
 
 
 def sealed(document: Mapping[str, Any]) -> dict[str, Any]:
@@ -122,46 +116,3 @@ def require_intact_tensors(path: Path, mend: str) -> None:
             digest.update(piece)
     if digest.hexdigest() != stated[1].decode():
         raise DamagedFileError(path, "its content is not what its checksum says", mend)
-
-
-@dataclass(frozen=True)
-class FileDigest:
-    """A file's expected sha256 (hexadecimal) and size."""
-
-    sha256: str
-    num_bytes: int
-
-    def plain(self) -> dict[str, Any]:
-        """The digest as JSON."""
-        return asdict(self)
-
-    @classmethod
-    def parse(cls, value: Any) -> "FileDigest":
-        """Parse a digest from JSON; raises `ValueError` for anything else."""
-        if not isinstance(value, dict) or {name: type(each) for name, each in value.items()} != _TYPES:
-            raise ValueError(f"{str(value)[:80]!r} is no digest of a file")
-        return cls(**value)
-
-
-def file_fault(path: Path, digest: FileDigest, *, deep: bool = False) -> str:
-    """The difference between a file and its digest; empty if they match.
-
-    Files above `MOST_HASHED_BYTES` are only hashed if `deep`; an unchanged file is hashed once per process.
-    """
-    try:
-        status = path.stat()
-    except FileNotFoundError:
-        return "it is missing"
-    if not stat.S_ISREG(status.st_mode):
-        return "it is no file"
-    if status.st_size != digest.num_bytes:
-        return f"it has {status.st_size:,} bytes instead of {digest.num_bytes:,}"
-    if not deep and status.st_size > MOST_HASHED_BYTES:
-        return ""
-    version = (status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
-    return "" if _sha256_of_version(path, version) == digest.sha256 else "its content is not what was written"
-
-
-@lru_cache(maxsize=256)
-def _sha256_of_version(path: Path, version: tuple[int, ...]) -> str:
-    return sha256_of(path)

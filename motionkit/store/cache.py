@@ -366,9 +366,10 @@ def _build(
             f"the cache needs {needed / 1e9:.1f} GB in {path.parent}, where {free / 1e9:.1f} GB are free: choose fewer "
             "sequences with a condition, free some space, or name another folder with MOTIONKIT_CACHE"
         )
+    identity = (left_out[name].tolist() for name in ("sequence_index", "sequence_id", "skeleton"))
     skipped = [
-        asdict(Skipped(int(row.sequence_index), row.sequence_id, maps[row.skeleton].fault))
-        for row in left_out.itertuples()
+        asdict(Skipped(number, sequence_id, maps[fingerprint].fault))
+        for number, sequence_id, fingerprint in zip(*identity, strict=True)
     ]
     # Tips of bones are computed from rotations.
     motions = store.read_many(index["sequence_index"].tolist(), rotations=any(each.uses_tips for each in used))
