@@ -11,7 +11,7 @@ from PIL import Image
 from motionkit.core.errors import MotionkitError
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import rest_positions
-from motionkit.edit.export import film
+from motionkit.viz import film
 from motionkit.viz.player.takes import Take
 
 
