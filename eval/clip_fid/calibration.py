@@ -1,7 +1,7 @@
 """Calibration of a feature set: clip-FID must rise with every corruption, and stay flat under harmless transforms.
 
-It must also not drop when the corruption is disguised. A feature set must pass before its clip-FID may be quoted; a
-network trained to match text and motion does not pass, nor does one that noise deceives.
+It must also not drop when the corruption is disguised. No feature set passes: noise of any kind wins a network that was
+trained to match text and motion, and noise that follows motion wins the kinematic descriptor.
 """
 
 from collections.abc import Callable, Mapping

@@ -136,9 +136,9 @@ def kinematic_source() -> FeatureSource:
         title=f"clip-FID on the kinematic descriptor ({VERSION})",
         fit=fit_on,
         note=(
-            "Slow motion is compared by its distribution, motion above 12 Hz by whether it comes at the moments that "
-            "slow motion tells: noise and borrowed texture win nothing (docs/results/games.md). 1 is the variance of a "
-            "block of features on real training clips."
+            "Slow motion is compared by its distribution, motion above 12 Hz by whether it comes when slow motion "
+            "predicts it: noise that does not follow motion wins nothing, noise that does wins "
+            "(docs/results/games.md). 1 is the variance of a block of features on real training clips."
         ),
     )
 

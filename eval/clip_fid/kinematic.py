@@ -4,7 +4,8 @@ White noise has as much power above 12 Hz as captured motion has, and so has the
 compares amounts of power there is won by adding it. What noise does not have is the right moment: in real motion power
 above 12 Hz comes with impacts and with fast movement, and slow motion tells when. So the descriptor predicts the log
 power above 12 Hz from the motion below 6 Hz, by least squares on training motion, and compares by how much the power
-that is there follows the prediction. Amounts of power count for little, and above a floor of noise.
+that is there follows the prediction. Amounts of power count for little, and above a floor of noise. Noise that follows
+slow motion wins this score, too (docs/results/games.md).
 
 Version 1, which compares amounts, is `eval.clip_fid.kinematic1`.
 """

@@ -51,7 +51,7 @@ def build_calibration(request: TableRequest) -> Result:
         caption=(
             "Scores of damaged real motion against clean real motion of the same takes, in multiples of what clean "
             f"motion scores (first row, absolute): N = {request.clip_fid.protocol.num_clips:,} clips, "
-            f"{request.real.named}, features fitted on the training split. A feature set may be quoted where every "
+            f"{request.real.named}, features fitted on the training split. A feature set passes where every "
             f"family's Spearman correlation is at least {MIN_SPEARMAN}, no harmless transform exceeds "
             f"{MAX_FLAT_RATIO:g} times the floor, and no game scores below {MIN_GAME_RATIO:g} times what it hides."
         ),
