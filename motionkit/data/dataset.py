@@ -1,5 +1,6 @@
 """Clips of a store as a map-style torch `Dataset`, for your own training loop."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,19 +15,20 @@ from motionkit.store.reader import Store
 class ClipDataset(Dataset[dict[str, Any]]):
     """Clips of `num_frames` frames of a store's sequences, each at its sequence's own framerate, `stride` frames apart.
 
+    `store` is a `Store`, or the path of one.
     An item holds `joint_positions` [num_frames, J, 3] (float32, metres) of the `layout`, `fps`, `start_seconds` of its
     first frame in its sequence, and `sequence_index`, its index in the store; `DataLoader` batches them. Frames come
     from the store's training cache, a memory map that workers share. `where` is a SQL condition over the table of
     sequences. Raises `UsageError` if no sequence is long enough, and what `open_cache` raises.
 
-    >>> clips = mk.ClipDataset(mk.Store.open("store"), num_frames=32, where="fps = 60")
+    >>> clips = mk.ClipDataset("store", num_frames=32, where="fps = 60")
     >>> clips[0]["joint_positions"].shape, clips[0]["fps"]
     (torch.Size([32, 22, 3]), 60.0)
     """
 
     def __init__(
         self,
-        store: Store,
+        store: Store | str | Path,
         *,
         num_frames: int = 64,
         stride: int | None = None,
@@ -37,6 +39,7 @@ class ClipDataset(Dataset[dict[str, Any]]):
         if num_frames < 1 or every < 1:
             raise UsageError(f"num_frames and stride must be 1 or more, not {num_frames} and {every}")
         self.num_frames = num_frames
+        store = store if isinstance(store, Store) else Store.open(store)
         self._cache = open_cache(store, layout=layout, where=where)
         counts = np.maximum(0, (self._cache.num_frames.astype(np.int64) - num_frames) // every + 1)
         if not counts.sum():

@@ -9,6 +9,7 @@ from typing import Any, TypedDict, Unpack, overload
 from motionkit.core.errors import UsageError
 from motionkit.core.framerate import Framerate, format_fps, parse_fps
 from motionkit.core.motion import Motion
+from motionkit.core.plain_text import shown
 from motionkit.core.settings import default_path
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.motion_field import MotionField
@@ -145,8 +146,8 @@ class MotionModel:
     def _scripts(
         self, text: str | Several | None, action: str | None, seconds: int | float | None, n: int | None
     ) -> list[Script]:
-        """The scripts of a call, n each; raises `UsageError` for an empty text or action, and for n below 1."""
-        texts = [""] if text is None else [text] if isinstance(text, str) else list(text)
+        """The scripts of a call, n each; raises `UsageError` for what is no text, an empty one, and for n below 1."""
+        texts = _texts(text)
         if (text is not None and not all(each.strip() for each in texts)) or (
             action is not None and not action.strip()
         ):
@@ -163,6 +164,13 @@ class MotionModel:
             f"MotionModel({self.name!r}, {str(self.run)!r}, {self.skeleton.num_joints} joints, up to "
             f"{self.max_duration_seconds:g} s at once, trained at up to {format_fps(self.max_training_fps)} fps)"
         )
+
+
+def _texts(text: object) -> list[str]:
+    texts = [""] if text is None else [text] if isinstance(text, str) else text
+    if not isinstance(texts, list | tuple) or not all(isinstance(each, str) for each in texts):
+        raise UsageError(f"expected a text, or a list of texts, not {shown(text)}")
+    return list(texts)
 
 
 def load_model(run: str | Path, name: str | None = None) -> MotionModel:

@@ -1,5 +1,6 @@
 """Reads a store: tables, single motions, many motions in order, SQL."""
 
+import operator
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
 from html import escape
@@ -200,9 +201,16 @@ class Store:
     def read(self, sequence: int | np.integer | str, *, rotations: bool = True) -> Motion:
         """One motion by index or id; without `rotations` only positions are decoded.
 
-        Raises `StoreError` for a sequence that the store does not hold, or a part that cannot be read.
+        Raises `StoreError` for a sequence that the store does not hold, or a part that cannot be read; `UsageError` for
+        what is neither index nor id.
         """
-        index = self.index_of(sequence) if isinstance(sequence, str) else int(sequence)
+        try:
+            index = self.index_of(sequence) if isinstance(sequence, str) else operator.index(sequence)
+        except TypeError:
+            raise UsageError(
+                f"a store gives one motion by its id or its sequence_index, not by a {type(sequence).__name__}: "
+                "read_many gives several"
+            ) from None
         row = self.sequences_table.slice(self.rows_of(np.array([index]))[0], 1).to_pylist()[0]
         skeleton = self.skeletons[row["skeleton"]]
         wanted: dict[str, tuple[int, ...]] = {"joint_positions": (skeleton.num_joints, 3)}

@@ -317,7 +317,7 @@ def test_times_of_npz_that_do_not_ascend_and_frames_that_were_lost(
     uneven = {"joint_positions": motion.joint_positions[kept], "time_seconds": np.arange(60)[kept] / 30}
     np.savez(tmp_path / "dropped.npz", **uneven)  # type: ignore[arg-type]
     outcome = motionkit("complete", tmp_path / "dropped.npz", "--extend", "1")
-    assert outcome.code == 1 and "--fps" in outcome.stderr
+    assert outcome.code == 1 and "give the fps" in outcome.stderr
     assert motionkit("complete", tmp_path / "dropped.npz", "--fps", "60", "--compare", "slerp").code == 0
     made = read_npz(tmp_path / "dropped.completed.npz")
     assert made.num_frames == 119
@@ -337,7 +337,7 @@ def test_times_of_npz_that_do_not_ascend_and_frames_that_were_lost(
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        ([], 2, "nothing to make"),
+        ([], 2, "nothing to complete"),
         (["--fps", "24"], 1, "less than its 30"),
         (["--fps", "0"], 2, "--fps 0"),
         (["--fps", "nan"], 2, "--fps nan"),
@@ -345,12 +345,12 @@ def test_times_of_npz_that_do_not_ascend_and_frames_that_were_lost(
         (["--keep", "0:900"], 1, "60 frames, 0:60"),
         (["--keep", "10:5"], 2, "no frame"),
         (["--keep", "0:10,5:20"], 2, "overlap"),
-        (["--extend", "-1"], 2, "--extend"),
+        (["--extend", "-1"], 2, "extend -1"),
         (["--extend", "1e5"], 1, "at most 60 s"),
         (["--fps", "60", "--model", "sprline"], 2, "'sprline'"),
-        (["--fps", "60", "--model", "slerp", "--run", "nano"], 2, "leave --run out"),
+        (["--fps", "60", "--model", "slerp", "--run", "nano"], 2, "leave out run"),
         (["--fps", "60", "--compare", "slurp"], 2, "'slurp'"),
-        (["--fps", "60", "--model", "nerm", "--runs", "none"], 2, "--run"),
+        (["--fps", "60", "--model", "nerm", "--runs", "none"], 2, "give the run"),
         (["--fps", "60", "--compare", "slerp,"], 2, "is empty"),
     ],
 )

@@ -132,4 +132,4 @@ def test_frames_that_are_lost_are_refused(motionkit: Run, sliding: Motion, tmp_p
     write_npz(replace(sliding, joint_positions=places, local_rotations=None), tmp_path / "lost.npz")
     outcome = motionkit("plant", tmp_path / "lost.npz")
     assert outcome.code == 1
-    assert "motionkit complete" in outcome.stderr
+    assert "hold nan: complete it first" in outcome.stderr

@@ -141,11 +141,11 @@ def choose_encoder(name: str | None, run: str | None, runs: Path) -> ChosenEncod
     Without a name it is the preferred trained one, of the run or of the most recent one, or else an interpolator.
     """
     if name == "":
-        raise UsageError("a name of an encoder is empty: --model spline, --compare slerp,spline")
+        raise UsageError("a name of an encoder is empty, expected one such as spline")
     name = ALIASES.get(name, name) if name else name
     if name is not None and _is_interpolator(name):
         if run is not None:
-            raise UsageError(f"--model {name} is an interpolator, which no run holds: leave --run out")
+            raise UsageError(f"{name} is an interpolator, which no run holds: leave out run")
         encoder = INTERPOLATORS[name]
         settling = Settling(encoder) if name in SETTLING else encoder
         return ChosenEncoder(name, settling, False, f"{name}, an interpolator")
@@ -155,7 +155,7 @@ def choose_encoder(name: str | None, run: str | None, runs: Path) -> ChosenEncod
     if preferred is not None and (run is not None or runs_with(preferred, runs)):
         return _trained(preferred, run, runs)
     if run is not None:
-        raise UsageError(f"--run {run}: name its encoder with --model ({', '.join(trained_encoder_names()) or 'none'})")
+        raise UsageError(f"run {run}: give its encoder as model ({', '.join(trained_encoder_names()) or 'none'})")
     return ChosenEncoder(BASE.name, BASE, False, f"{BASE.name}, an interpolator{_why_untrained(preferred, runs)}")
 
 
@@ -177,7 +177,7 @@ def _trained(name: str, run: str | None, runs: Path) -> ChosenEncoder:
         if not found:
             raise UsageError(
                 f"no run in {runs} has a stage {loader.stages[-1]!r} that is complete: {loader.train_command()}, or "
-                "name the run with --run"
+                "give the run"
             )
         place = found[-1]
     else:

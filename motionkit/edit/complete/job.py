@@ -147,7 +147,7 @@ def _warnings(clip: Clip, wanted: ClipRequest, chosen: ChosenEncoder) -> list[st
     if chosen.goes_on and reach > LONGEST_PLAUSIBLE_SECONDS:
         found.append(
             f"{chosen.name} goes on at constant velocity for {reach:g} s; beyond {LONGEST_PLAUSIBLE_SECONDS:g} s that "
-            "is no body's motion (--model spline comes to rest)"
+            "is unrealistic (the model spline comes to rest)"
         )
     trained = chosen.reach_seconds
     if trained is not None and reach > trained + 1e-6:

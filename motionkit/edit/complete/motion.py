@@ -18,7 +18,7 @@ from motionkit.edit.complete.job import begin_clip
 from motionkit.edit.complete.request import CompletionRequest, FrameRange, Reach, parse_extend, parse_keep
 from motionkit.fields.interpolation.rigid import on_bones
 from motionkit.io.scan.items import ReadOptions
-from motionkit.store.named_motions.reading import check_exists
+from motionkit.store.named_motions.reading import existing_path
 
 Kept = str | Sequence[tuple[int, int | None]] | Bool[np.ndarray, "frames"]
 Seconds = int | float
@@ -56,7 +56,7 @@ def complete(
     >>> mk.complete(motion, keep=[(0, 30), (60, None)], extend=0.5, model="slerp").duration_seconds
     4.5
     """
-    clip = clip_of_motion(motion) if isinstance(motion, Motion) else clip_of_file(Path(motion))
+    clip = clip_of(motion)
     before, after = _reaches(extend)
     request = CompletionRequest(
         fps=None if fps is None else parse_fps(fps),
@@ -76,9 +76,11 @@ def complete(
     return clip.label(made).logged(completed_line(completion, clip.timegrid))
 
 
-def clip_of_file(path: Path) -> Clip:
-    """The clip of a file; raises what reading it raises, and `UsageError` for a file with several."""
-    check_exists(path)
+def clip_of(motion: Motion | str | Path) -> Clip:
+    """The clip of a motion or a file; raises what reading it raises, and `UsageError` for a file with several."""
+    if isinstance(motion, Motion):
+        return clip_of_motion(motion)
+    path = existing_path(motion)
     found, problems = find_clips([str(path)], ReadOptions(), path)
     if not found:
         raise problems[0]

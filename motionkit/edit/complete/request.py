@@ -59,8 +59,8 @@ class CompletionRequest:
     def __post_init__(self) -> None:
         if self.fps is None and not (self.keep or self.before.amount or self.after.amount or self.plant):
             raise UsageError(
-                "nothing to make: give a framerate (--fps 120), frames to keep (--keep 0:10,40:50), or seconds beyond "
-                "the ends (--extend 0.5,1)"
+                "nothing to complete: give fps (120), the frames to keep (0:10,40:50), or the seconds to extend it by "
+                "(0.5,1)"
             )
 
     def for_clip(
@@ -76,7 +76,7 @@ class CompletionRequest:
         fps = timegrid.fps if self.fps is None else self.fps
         if uneven_seconds is not None and self.fps is None:
             raise MotionkitError(
-                f"its frames are uneven in time, about {float(fps):.4g} a second: say with --fps how many to write"
+                f"its frames are uneven in time, about {float(fps):.4g} a second: give the fps of the result"
             )
         if fps < timegrid.fps:
             raise MotionkitError(
@@ -89,10 +89,10 @@ class CompletionRequest:
             raise MotionkitError("none of the frames to keep is valid: their numbers are nan")
         before, after = self.before.seconds(timegrid.fps), self.after.seconds(timegrid.fps)
         if timegrid.num_frames == 1 and not (before or after):
-            raise MotionkitError("it has a single frame, so there is nothing between frames; only --extend applies")
+            raise MotionkitError("it has a single frame, so there is nothing between frames; it can only be extended")
         for reach in (before, after):
             if reach > LONGEST_REACH_SECONDS:
-                raise MotionkitError(f"--extend by {reach:g} s: at most {LONGEST_REACH_SECONDS:g} s beyond an end")
+                raise MotionkitError(f"it can be extended by at most {LONGEST_REACH_SECONDS:g} s, not {reach:g} s")
         seconds = timegrid.seconds() if uneven_seconds is None else uneven_seconds
         known = seconds[observed]
         gap = float(np.diff(known).max()) if len(known) > 1 else 0.0
@@ -120,7 +120,7 @@ def kept_frames(ranges: Sequence[FrameRange], num_frames: int) -> Bool[np.ndarra
     for each in ranges:
         stop = num_frames if each.stop is None else each.stop
         if not each.start < stop <= num_frames:
-            raise MotionkitError(f"--keep {each} does not lie inside its {num_frames} frames, 0:{num_frames}")
+            raise MotionkitError(f"keep {each} does not lie inside its {num_frames} frames, 0:{num_frames}")
         kept[each.start : stop] = True
     return kept
 
@@ -134,18 +134,18 @@ def parse_keep(text: str) -> tuple[FrameRange, ...]:
     for part in text.split(","):
         match = _RANGE.fullmatch(part.strip())
         if match is None or not (match["start"] or match["colon"]):
-            raise UsageError(f"--keep {text}: {part.strip()!r} is not a range of frames such as 0:10, 40: or 7")
+            raise UsageError(f"keep {text}: {part.strip()!r} is not a range of frames such as 0:10, 40: or 7")
         start, end = (whole_number(match[which] or "0") for which in ("start", "stop"))
         if start is None or end is None:
-            raise UsageError(f"--keep {shown(text)}: no clip has as many frames")
+            raise UsageError(f"keep {shown(text)}: no clip has as many frames")
         stop = (end if match["stop"] else None) if match["colon"] else start + 1
         if stop is not None and stop <= start:
-            raise UsageError(f"--keep {text}: {part.strip()} holds no frame; it ends before its second number")
+            raise UsageError(f"keep {text}: {part.strip()} holds no frame; it ends before its second number")
         found.append(FrameRange(start, stop))
     found.sort(key=lambda each: each.start)
     for first, second in pairwise(found):
         if first.stop is None or first.stop > second.start:
-            raise UsageError(f"--keep {text}: {first} and {second} overlap")
+            raise UsageError(f"keep {text}: {first} and {second} overlap")
     return tuple(found)
 
 
@@ -156,7 +156,7 @@ def parse_extend(text: str) -> tuple[Reach, Reach]:
     """
     parts = [_reach(part.strip(), text) for part in text.split(",")]
     if len(parts) > 2:
-        raise UsageError(f"--extend {text}: expected BEFORE,AFTER, not {len(parts)} numbers")
+        raise UsageError(f"extend {text}: expected BEFORE,AFTER, not {len(parts)} numbers")
     return (Reach(0.0), parts[0]) if len(parts) == 1 else (parts[0], parts[1])
 
 
@@ -167,5 +167,5 @@ def _reach(part: str, text: str) -> Reach:
     except ValueError:
         amount = math.nan
     if not 0 <= amount < math.inf or (part != number and amount % 1):
-        raise UsageError(f"--extend {text}: {part!r} is neither seconds (0.5) nor a whole number of frames (15f)")
+        raise UsageError(f"extend {text}: {part!r} is neither seconds (0.5) nor a whole number of frames (15f)")
     return Reach(amount, part != number)

@@ -86,8 +86,7 @@ def plant_clip(
     """
     if not clip.seen.all():
         raise MotionkitError(
-            f"{int((~clip.seen).sum()):,} of its {clip.timegrid.num_frames:,} frames hold nan: motionkit complete "
-            "closes the gaps, --plant at once"
+            f"{int((~clip.seen).sum()):,} of its {clip.timegrid.num_frames:,} frames hold nan: complete it first"
         )
     observation, grid = clip.observe(clip.seen), clip.timegrid
     field: PlantedField

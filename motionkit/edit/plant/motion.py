@@ -3,8 +3,7 @@
 from pathlib import Path
 
 from motionkit.core.motion import Motion
-from motionkit.edit.complete.clips import clip_of_motion
-from motionkit.edit.complete.motion import clip_of_file
+from motionkit.edit.complete.motion import clip_of
 from motionkit.edit.plant.job import plant_clip
 from motionkit.fields.contact.correction import Path as BodyPath
 
@@ -22,6 +21,6 @@ def plant(motion: Motion | str | Path, *, path: BodyPath = "near") -> Motion:
     >>> mk.plant(motion).num_frames
     240
     """
-    clip = clip_of_motion(motion) if isinstance(motion, Motion) else clip_of_file(Path(motion))
+    clip = clip_of(motion)
     made, _, _ = plant_clip(clip, path)
     return clip.label(made.motion(0, made.grid.num_frames)).logged(made.line)

@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
+from os import PathLike
 from pathlib import Path
 from typing import Generic, Literal, NamedTuple, TypeVar
 
@@ -157,7 +158,7 @@ def read(
     >>> mk.read("takes", sequence="jump").fps
     Fraction(30, 1)
     """
-    path = Path(path)
+    path = existing_path(path)
     found, problems = _find(path, read_options(format, fps, unit_metres, up, skeleton_map))
     if sequence is not None:
         chosen = [each for each in found if each.id == sequence or each.id.endswith(f"/{sequence}")]
@@ -195,7 +196,7 @@ def read_all(
     >>> [motion.sequence_id for motion in mk.read_all("takes")]
     ['takes/jump', 'takes/walk']
     """
-    found, problems = _find(Path(path), read_options(format, fps, unit_metres, up, skeleton_map))
+    found, problems = _find(existing_path(path), read_options(format, fps, unit_metres, up, skeleton_map))
     return _each(found, problems, on_error)
 
 
@@ -234,14 +235,20 @@ def read_options(
     )
 
 
-def check_exists(path: Path) -> None:
-    """Raises `UsageError` for a path that doesn't exist."""
-    if not path.exists():
-        raise UsageError(str(dangling(path) or f"{path} does not exist"))
+def existing_path(path: object) -> Path:
+    """The path of a file or folder that exists; raises `UsageError` for one that does not, and for another type."""
+    if not isinstance(path, str | PathLike):
+        raise UsageError(
+            f"expected a motion, or the path of its file, not {type(path).__name__}: Motion.from_joints makes a motion "
+            "of an array"
+        )
+    found = Path(path)
+    if not found.exists():
+        raise UsageError(str(dangling(found) or f"{found} does not exist"))
+    return found
 
 
 def _find(path: Path, options: ReadOptions) -> tuple[list[_Sequence], list[FormatError]]:
-    check_exists(path)
     if all((path / name).is_file() for name in (MANIFEST_FILE, SEQUENCES_FILE)):
         raise UsageError(f"{path} is a store: Store.open({str(path)!r}) reads it")
 

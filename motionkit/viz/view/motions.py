@@ -9,7 +9,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.progress import warn
 from motionkit.io.scan.items import ReadOptions
 from motionkit.store.named_motions.holes import ReadClip
-from motionkit.store.named_motions.reading import FoundMotion, check_exists
+from motionkit.store.named_motions.reading import FoundMotion, existing_path
 from motionkit.viz.player.page import page_of
 from motionkit.viz.player.takes import packed_bytes, take_of
 from motionkit.viz.view import MOST_MOTIONS
@@ -34,8 +34,8 @@ def view(*motions: Motion | str | Path, path: str | Path | None = None, open: bo
         if isinstance(motion, Motion):
             sources.append(_in_memory(motion))
             continue
-        check_exists(Path(motion))
-        found, failed = find_sources([str(motion)], ReadOptions(), Path(motion))
+        named = existing_path(motion)
+        found, failed = find_sources([str(named)], ReadOptions(), named)
         sources += found
         problems += map(str, failed)
     if len(sources) > MOST_MOTIONS or not motions:

@@ -17,6 +17,7 @@ def test_batches_hold_the_stores_frames(tmp_path):
             positions = np.random.default_rng(fps).normal(size=(num_frames, 22, 3)).astype(np.float32)
             writer.add(replace(mk.Motion.from_joints(positions, fps=Fraction(fps)), sequence_id=f"{fps}"))
     store = mk.Store.open(tmp_path / "store")
+    assert len(mk.ClipDataset(str(store.path), num_frames=32)) == len(mk.ClipDataset(store.path, num_frames=32)) == 5
     clips = mk.ClipDataset(store, num_frames=32, stride=16)
     assert len(clips) == 3 + 5
     (batch,) = DataLoader(clips, batch_size=8)

@@ -96,7 +96,7 @@ def test_lost_frames_of_a_file_are_made(motion: mk.Motion) -> None:
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({}, "nothing to make"),
+        ({}, "nothing to complete"),
         ({"fps": 20}, r"motion\.resample\(20\)"),
         ({"keep": [(50, 70)]}, "50:70 does not lie inside its 60 frames"),
         ({"keep": np.ones(59, bool)}, "59 frames, the motion has 60"),
