@@ -13,7 +13,7 @@ from eval.actions.recogniser import ActionRecogniser
 from eval.actions.scores import LabelledRecognition
 from eval.sets.generated import as_known
 from eval.sets.partial import PartialResult
-from eval.sets.planted import PLANTED
+from eval.sets.row_ids import RowId, Variant
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.errors import MotionkitError
 from motionkit.core.skeleton import SMPL22
@@ -157,7 +157,7 @@ def known_to_all(real: ActionSet, models: Mapping[str, GenerativeModel]) -> Part
     return PartialResult(ActionSet(real.samples.select(kept), real.labels[kept]), notes)
 
 
-def generated_like(real: ActionSet, model: GenerativeModel, draw: int, seed: int) -> dict[str, ActionSet]:
+def generated_like(real: ActionSet, model: GenerativeModel, draw: int, seed: int) -> dict[RowId, ActionSet]:
     """Generate a motion for every real one's action and duration (at most l_max): rows of the model, and of it planted.
 
     A model that knows no conditions gets the durations alone. Every draw has its own seed. Errors of the model for
@@ -171,8 +171,8 @@ def generated_like(real: ActionSet, model: GenerativeModel, draw: int, seed: int
     fields = model.generate(as_known(model, requests), seed=seed, first=draw * len(requests))
     standing = [planted(field, "free") for field in fields]
     return {
-        name: replace(real, samples=_sampled(name, made, real.samples), left_out=())
-        for name, made in ((model.name, fields), (PLANTED.format(model.name), standing))
+        row: replace(real, samples=_sampled(str(row), made, real.samples), left_out=())
+        for row, made in ((RowId(model.name), fields), (RowId(model.name, Variant.PLANTED), standing))
     }
 
 

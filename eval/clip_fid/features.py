@@ -22,7 +22,7 @@ from eval.clip_fid.clips import (
     readable,
 )
 from eval.clip_fid.kinematic import VERSION, KinematicDescriptor, fit_kinematic, standardised
-from eval.clip_fid.score import ClipFid, score_disjoint_halves, score_rows
+from eval.clip_fid.score import ClipFid, RowKey, score_disjoint_halves, score_rows
 from eval.clip_fid.threads import in_threads
 from eval.sets.partial import PartialResult, collect
 from eval.sets.sets import Ragged, SampleSet
@@ -57,10 +57,10 @@ class Comparison:
 
     def scores(
         self,
-        rows: Mapping[str, SampleSet],
+        rows: Mapping[RowKey, SampleSet],
         on_replication: Callable[[], None] = lambda: None,
-        subset_sizes: Mapping[str, int] | None = None,
-    ) -> dict[str, ClipFid]:
+        subset_sizes: Mapping[RowKey, int] | None = None,
+    ) -> dict[RowKey, ClipFid]:
         """clip-FID of every row; takes and raises what `score_rows` does."""
         rows = {name: self._real if samples is self.real else samples for name, samples in rows.items()}
         return score_rows(self._real, rows, self.features, self.protocol, self.parts, on_replication, subset_sizes)

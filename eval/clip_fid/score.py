@@ -6,10 +6,11 @@ and `VERSION` is raised whenever one of them changes. Not the FID of images on C
 clip-FID.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -82,17 +83,18 @@ class ClipFid:
 
 
 Scores = dict[str, float]
+RowKey = TypeVar("RowKey", bound=Hashable)
 
 
 def score_rows(
     real: SampleSet,
-    rows: Mapping[str, SampleSet],
+    rows: Mapping[RowKey, SampleSet],
     features: FeatureSet,
     protocol: Protocol,
     parts: Mapping[str, slice] | None = None,
     on_replication: Callable[[], None] = lambda: None,
-    subset_sizes: Mapping[str, int] | None = None,
-) -> dict[str, ClipFid]:
+    subset_sizes: Mapping[RowKey, int] | None = None,
+) -> dict[RowKey, ClipFid]:
     """clip-FID of every row's sample set against the real one at the same framerate.
 
     `parts` names slices of the features whose own FID is wanted; `on_replication` is called after each replication.
@@ -106,7 +108,7 @@ def score_rows(
             raise ValueError(f"{samples.name} is at {samples.fps} fps, the real set at {real.fps}")
     real, rows = readable(real, features), {name: readable(samples, features) for name, samples in rows.items()}
 
-    def replicate(replication: int) -> _Replication:
+    def replicate(replication: int) -> _Replication[RowKey]:
         reference = _features(real, features, protocol, replication, REAL)
         if (reference.features == reference.features[0]).all():
             raise ClipError(
@@ -193,10 +195,10 @@ class _Described:
 
 
 @dataclass(frozen=True, eq=False)
-class _Replication:
+class _Replication(Generic[RowKey]):
     """Scores of every row; the real set's clips, then every row's."""
 
-    scores: Mapping[str, Scores]
+    scores: Mapping[RowKey, Scores]
     described: list[_Described]
 
 

@@ -94,12 +94,17 @@ def _refuse_rowless(request: "TableRequest", result: "Result") -> None:
     """Raise if samples have no row in the table, with the reason."""
     from eval.sample_folder import SampleFolderError
     from eval.tables.nerm.copies import TITLE as COPIES
+    from motionkit.generate.models import installed_models
 
     scored = [block for block in result.blocks if block.title != COPIES]
     shown = {row.name for block in scored for row in block.rows if row.cells}
     rowless = [name for name in request.evaluated.samples if name not in shown]
+    systems = {*(loader.title for loader in installed_models().values()), *request.evaluated.samples}
     for name in rowless:
-        reasons = [line for line in result.missing if line.startswith(name)]
+        # The lines of "MDM, 50 steps" are not those of "MDM".
+        others = tuple(each for each in systems if each != name and each.startswith(name))
+        own = (f"{name}:", f"{name},")
+        reasons = [line for line in result.missing if line.startswith(own) and not line.startswith(others)]
         stderr.print(f"no row for {reasons[0] if reasons else name}")
     if rowless:
         raise SampleFolderError(f"the table was written without rows for {', '.join(map(repr, rowless))}")

@@ -377,10 +377,9 @@ def _encoder(pair: str, runs: Path) -> tuple[str, Path]:
 def _samples(pairs: list[str], run: Path) -> dict[str, Path]:
     if not pairs:
         return {}
+    from eval.sets.row_ids import check_sample_names
     from motionkit.generate.models import installed_models
 
-    trained = [loader.title for loader in installed_models().values() if loader.begun_in(run)]
-    own = ("real,", "real (", *trained)
     named: dict[str, Path] = {}
     for pair in pairs:
         name, separator, folder = pair.partition("=")
@@ -388,7 +387,6 @@ def _samples(pairs: list[str], run: Path) -> dict[str, Path]:
             raise UsageError(f"--samples {pair}: give NAME=DIR")
         if name in named:
             raise UsageError(f"--samples {pair}: there are samples of this name already; give every folder its own")
-        if name == "real" or name.startswith(own):
-            raise UsageError(f"--samples {pair}: tables have a row {name!r} of their own; choose another name")
         named[name] = Path(folder)
+    check_sample_names(named, [loader.title for loader in installed_models().values() if loader.begun_in(run)])
     return named

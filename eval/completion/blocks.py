@@ -11,6 +11,7 @@ from eval.metrics.metric import find_metric
 from eval.metrics.resampling import Difference, half_width, paired_difference
 from eval.report.differences import Differences, differences_block, pairs_of
 from eval.report.results import Block, Cell, Measure, Row, measure
+from eval.sets.row_ids import RowId
 
 # Metrics shown in another unit than their own: the factor, and the unit's name.
 UNITS = {"mpjpe_global": (100.0, "cm")}
@@ -108,10 +109,10 @@ def _differences(scope: Scope, completers: Sequence[Completer], metric: str, sho
     untrained = [each.name for each in completers if not each.trained]
     best = [_best_of(untrained, scope, metric, shown.columns)] if untrained else []
     factor, _ = UNITS.get(metric, (1.0, ""))
-    found: dict[tuple[str, str], dict[str, Difference]] = {}
-    for pair in pairs_of(trained, best):
+    found: dict[tuple[RowId, RowId], dict[str, Difference]] = {}
+    for pair in pairs_of(map(RowId, trained), [*map(RowId, best)]):
         for column in shown.columns:
-            a, b = (scope.rows[name][metric][column] for name in pair)
+            a, b = (scope.rows[row.system][metric][column] for row in pair)
             less = paired_difference(a.mean, a.resampled, b.mean, b.resampled)
             if less is not None:
                 scaled = Difference(factor * less.value, factor * less.ci95)

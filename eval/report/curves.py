@@ -9,7 +9,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from eval.clip_fid.calibration import DISJOINT, FLAT, MAX_FLAT_RATIO, TASK, level_name
-from eval.report.differences import SUFFIX
 from eval.report.figures import BLUE, CURVE_COLOURS, FRAMERATE_LABEL, GREY, MARKERS, Curve, Panel, curves_figure
 from eval.report.results import Block, Cell, Result, ResultError, Row
 from eval.sets.corruptions import Family, families
@@ -90,7 +89,7 @@ def panels_of(result: Result, y_label: str = "lower is better") -> tuple[Panel, 
     `y_label` is that of the blocks in which lower is better; others have none. Blocks whose columns are not all values
     of one quantity ("120 fps", "×4", "30 frames", "λ = 0.5") are left out, and so are differences between rows.
     """
-    scores = [block for block in result.blocks if not block.title.endswith(SUFFIX)]
+    scores = [block for block in result.blocks if not block.differences_of]
     ordered = sorted(filter(_quantity, scores), key=_is_from_paper)
     panels = (
         Panel(

@@ -1,11 +1,12 @@
 """Differences of two rows' numbers with paired 95 % intervals, and their verdicts."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from itertools import combinations
 
 from eval.metrics.replications import Score
 from eval.metrics.resampling import Difference
-from eval.report.results import Block, Cell, Measure, Row
+from eval.report.results import DIFFERENCES, Block, Cell, Measure, Row
+from eval.sets.row_ids import RowId
 
 NOTE = (
     "A row's number less another's, ± half the 95 % interval: 1.96 standard deviations over resamplings that draw the "
@@ -13,21 +14,19 @@ NOTE = (
     "many pairs there are."
 )
 DRAWING = "± over replications alone"
-SUFFIX = ": differences between rows"
-"""Suffix of a block's title for the block of its rows' differences."""
 # Differences of two rows (the first minus the second) by column.
-Differences = Mapping[tuple[str, str], Mapping[str, Difference]]
+Differences = Mapping[tuple[RowId, RowId], Mapping[str, Difference]]
 
 
-def pairs_of(rows: Iterable[str], references: Iterable[str] = ()) -> list[tuple[str, str]]:
+def pairs_of(rows: Iterable[RowId], references: Collection[RowId] = ()) -> list[tuple[RowId, RowId]]:
     """The compared pairs of rows: each with every later one, and with the references."""
     own = list(rows)
     return [*combinations(own, 2), *((row, reference) for row in own for reference in references)]
 
 
-def score_differences(rows: Mapping[str, Mapping[str, Score]], column_of: Mapping[str, str]) -> Differences:
+def score_differences(rows: Mapping[RowId, Mapping[str, Score]], column_of: Mapping[str, str]) -> Differences:
     """Differences of all pairs of rows; `column_of` maps metrics to columns."""
-    found: dict[tuple[str, str], dict[str, Difference]] = {}
+    found: dict[tuple[RowId, RowId], dict[str, Difference]] = {}
     for first, second in pairs_of(rows):
         for name, column in column_of.items():
             if name in rows[first] and name in rows[second]:
@@ -40,16 +39,15 @@ def score_differences(rows: Mapping[str, Mapping[str, Score]], column_of: Mappin
 def of_interest(block: Block, differences: Differences, best: Iterable[str] = ()) -> Differences:
     """Select the informative differences between the rows of a block.
 
-    These are with the best row of a column or a reference, or of the same motions processed in two ways, whose names
-    begin alike ("X" and "X, planted"). `best` names the best rows if the columns do not. If no row can be best, all
-    are.
+    These are with the best row of a column or a reference, or of two variants of a system. `best` names the best rows
+    if the columns do not. If no row can be best, all are.
     """
     best = {*best} or {names[0] for names in _ranked(block).values()}
     shown = best | {row.name for row in block.rows if row.origin == "reference"}
     return {
-        pair: found
-        for pair, found in differences.items()
-        if not best or shown & {*pair} or pair[0].startswith(pair[1]) or pair[1].startswith(pair[0])
+        (first, second): found
+        for (first, second), found in differences.items()
+        if not best or shown & {str(first), str(second)} or first.system == second.system
     }
 
 
@@ -67,7 +65,8 @@ def differences_block(block: Block, differences: Differences) -> Block | None:
     )
     if not rows:
         return None
-    return Block(block.title + SUFFIX, block.columns, rows, note=NOTE, metrics=block.metrics)
+    title = block.title + DIFFERENCES
+    return Block(title, block.columns, rows, note=NOTE, metrics=block.metrics, differences_of=block.title)
 
 
 def _ranked(block: Block) -> dict[str, list[str]]:
@@ -106,7 +105,7 @@ def best_in_column(block: Block, blocks: Iterable[Block]) -> dict[str, frozenset
     `blocks` are all of the result, including the differences. Columns have none if the best row is compared with no
     other, or real motion's number is best.
     """
-    tests = next((each for each in blocks if each.title == block.title + SUFFIX), None)
+    tests = next((each for each in blocks if each.differences_of == block.title), None)
     if tests is None:
         return {}
     cells = {row.name: row.cells for row in tests.rows}

@@ -25,6 +25,8 @@ _FILE_NAME = re.compile(r"\w[\w.+-]*", re.ASCII)
 FORMAT_OF_ANY_VERSION = FORMAT.rpartition("/")[0] + "/"
 MEND = "run the evaluation again, or restore the file from a copy"
 Origin = Literal["ours", "reference", "paper"]
+DIFFERENCES = ": differences between rows"
+"""End of the title of a block that compares another block's rows."""
 
 
 class ResultError(MotionkitError):
@@ -91,7 +93,10 @@ def measure(metric: Metric | str, *, unit: str | None = None, column: str = "") 
 
 @dataclass(frozen=True)
 class Block:
-    """Comparable rows; numbers of different blocks are not comparable."""
+    """Comparable rows; numbers of different blocks are not comparable.
+
+    `differences_of` is the title of the block whose rows it compares, "" for a block of scores.
+    """
 
     title: str
     columns: tuple[str, ...]
@@ -100,6 +105,7 @@ class Block:
     note: str = ""
     provenance: Mapping[str, Any] = field(default_factory=dict)
     metrics: tuple[Measure, ...] = ()
+    differences_of: str = ""
 
 
 @dataclass(frozen=True)
@@ -231,12 +237,14 @@ def _result(path: Path, document: dict[str, Any]) -> Result:
 
 def _block(document: dict[str, Any]) -> Block:
     rows = tuple(map(_row, document["rows"]))
-    # Older results declare no metrics.
+    # Older results declare no metrics, and name what a block of differences compares in its title alone.
     metrics = tuple(Measure(**each) for each in document.get("metrics", ()))
-    block = Block(**{**document, "rows": rows, "columns": _texts(document["columns"]), "metrics": metrics})
+    title = document["title"]
+    known = {"differences_of": title.removesuffix(DIFFERENCES) if title.endswith(DIFFERENCES) else "", **document}
+    block = Block(**{**known, "rows": rows, "columns": _texts(document["columns"]), "metrics": metrics})
     for each in metrics:
         _require(str, *(value for name, value in vars(each).items() if name != "version"))
-    _require(str, block.title, block.note)
+    _require(str, block.title, block.note, block.differences_of)
     _require(dict, block.provenance)
     _require(bool, block.lower_is_better)
     return block

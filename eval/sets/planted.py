@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from eval.sets.generated import Window
+from eval.sets.row_ids import RowId, Variant
 from eval.sets.sets import Ragged, SampleSet
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import STANDARD_SKELETONS
@@ -12,20 +13,11 @@ from motionkit.fields.detail.detailed import detailed
 from motionkit.fields.detail.model import Detail
 from motionkit.fields.motion_field import MotionField, Observation
 
-PLANTED = "{}, planted"
-DETAILED = f"{PLANTED}, with detail"
-PLANTED_NOTE = "the same motions with feet that stand, on bones of one length (docs/plant.md)"
-DETAILED_NOTE = "the planted motions with what captures hold above 10 Hz, drawn anew (docs/detail.md)"
-
-
-def is_planted(name: str) -> bool:
-    """Whether a row of this name is of planted motion, with detail or without."""
-    return name.endswith((PLANTED.format(""), DETAILED.format("")))
-
-
-def planted_note(name: str) -> str:
-    """A table's note for a row of planted motion."""
-    return DETAILED_NOTE if name.endswith(DETAILED.format("")) else PLANTED_NOTE
+VARIANT_NOTES = {
+    Variant.PLANTED: "the same motions with feet that stand, on bones of one length (docs/plant.md)",
+    Variant.DETAILED: "the planted motions with what captures hold above 10 Hz, drawn anew (docs/detail.md)",
+}
+"""Tables' notes for rows of planted motion."""
 
 
 def detailed_fields(fields: Mapping[Window, MotionField], detail: Detail, seed: int) -> dict[Window, MotionField]:
@@ -50,4 +42,5 @@ def planted_set(samples: SampleSet) -> SampleSet:
         motion = Motion.from_joints(positions, samples.fps, skeleton)
         field = planted_frames(Observation.of(motion), motion.timegrid, "free")
         made.append(field.query(motion.timegrid.seconds()).joint_positions)
-    return replace(samples, name=PLANTED.format(samples.name), sequences=Ragged.of(made), local_rotations=None)
+    name = str(RowId(samples.name, Variant.PLANTED))
+    return replace(samples, name=name, sequences=Ragged.of(made), local_rotations=None)

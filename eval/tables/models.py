@@ -1,6 +1,6 @@
 """The installed models and encoders in a run: a table has a row for each."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from eval.sets.generated import Window, generate_fields, is_framed, windows_of
 from eval.sets.partial import PartialResult, collect
-from eval.sets.planted import DETAILED, PLANTED, detailed_fields, planted_fields
+from eval.sets.planted import detailed_fields, planted_fields
+from eval.sets.row_ids import RowId, Variant, check_sample_names
 from eval.sets.sets import SampleSet
 from eval.tables.registry import TableRequest
 from motionkit.core.checksums import sha256_of
@@ -115,9 +116,9 @@ def require_models(run: Path) -> PartialResult[dict[str, TrainedModel]]:
 
 @dataclass(frozen=True, eq=False)
 class Generated:
-    """Motion fields by the names of their rows, and each model's `training_note` by its name."""
+    """Motion fields by row, and each model's `training_note` by its name."""
 
-    rows: Mapping[str, dict[Window, MotionField]]
+    rows: Mapping[RowId, dict[Window, MotionField]]
     training: Mapping[str, str]
 
 
@@ -125,21 +126,22 @@ def generated_fields(request: TableRequest, real: SampleSet) -> PartialResult[Ge
     """Motions that each model of a request's run generates for the captions and durations of a real set.
 
     As generated, planted, and, if the run has a trained detail stage and the model is continuous in time, planted with
-    detail.
+    detail. Raises `UsageError` for samples that are named like one of these rows.
     """
     run, most, draws = request.evaluated.run, request.evaluated.max_motions, request.evaluated.draws
     models = trained_models(run)
+    check_sample_names(request.evaluated.samples, models.value)
     detail = load_detail(run) if run is not None and has_detail(run) else None
 
-    def generated(name: str) -> dict[str, dict[Window, MotionField]]:
+    def generated(name: str) -> dict[RowId, dict[Window, MotionField]]:
         model = models.value[name].loaded
         windows = windows_of(real, model.max_duration_seconds)
         with task(request.on_progress, f"generating {name}", draws * min(len(windows), most)) as work:
             fields = generate_fields(model, windows, request.seed, most, draws=draws, on_motions=work.advance)
         standing = planted_fields(fields)
-        rows = {name: fields, PLANTED.format(name): standing}
+        rows = {RowId(name): fields, RowId(name, Variant.PLANTED): standing}
         if detail is not None and not is_framed(fields):
-            rows[DETAILED.format(name)] = detailed_fields(standing, detail, request.seed)
+            rows[RowId(name, Variant.DETAILED)] = detailed_fields(standing, detail, request.seed)
         return rows
 
     found = collect(tracked(request.on_progress, "systems", models.value, len(models.value)), generated)
@@ -175,9 +177,3 @@ def reconstructor(trained: Trained[MotionEncoder], store: "Store") -> Reconstruc
             f"{encoder.store_fingerprint[:16]}, now {store.fingerprint[:16]}): name that store, or train again"
         )
     return encoder
-
-
-def check_names(samples: Iterable[str], models: Iterable[str]) -> None:
-    """Raise `UsageError` for samples with the name of one of the table's own rows."""
-    for name in sorted(set(samples) & set(models)):
-        raise UsageError(f"--samples {name}=…: the table has a row {name!r} of its own; choose another name")

@@ -27,8 +27,9 @@ from eval.report.results import Block, Cell, Result, Row, measure
 from eval.sets.generated import sample_fields
 from eval.sets.partial import PartialResult, collect
 from eval.sets.real import NoRealMotionError, RealMotion, real_motion
+from eval.sets.row_ids import REAL, RowId, Variant
 from eval.sets.sets import SampleSet
-from eval.tables.models import check_names, generated_fields
+from eval.tables.models import generated_fields
 from eval.tables.nerm.clip_fid_column import NOT_SO_FAST, ModelFields, framerate_label, samples_at
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.progress import task
@@ -36,7 +37,6 @@ from motionkit.generate.models import installed_models
 
 VERSION = "physical/1"
 COLUMNS = (Fraction(20), Fraction(120))
-REAL = "real"
 SKATING = find_metric("slide_speed").title
 # Published metrics that do not depend on the framerate, as they are per instant.
 PER_INSTANT = ("physdiff_penetrate", "physdiff_float")
@@ -133,7 +133,6 @@ def build_physical(request: TableRequest) -> Result:
         raise NoRealMotionError(rates.missing[-1])
     generated = generated_fields(request, real.at(min(rates.value)))
     fields = generated.value.rows
-    check_names(request.evaluated.samples, (REAL, *fields))
     blocks: list[Block] = []
     slow: list[str] = []
     for fps in rates.value:
@@ -163,25 +162,27 @@ TABLE = Table("nerm", "physical", "feet, floor and roughness", build_physical, s
 
 def _sets(
     fps: Fraction, real: RealMotion, fields: ModelFields, request: TableRequest
-) -> PartialResult[dict[str, SampleSet]]:
+) -> PartialResult[dict[RowId, SampleSet]]:
     """The rows' motions at one framerate, for its real takes."""
     reference = real.at(fps)
     samples = samples_at(request.sample_folders, real, fps, request.on_progress)
-    generated = {name: sample_fields(own, reference.sequence_ids, fps, name) for name, own in fields.items()}
-    made = {name: found for name, found in generated.items() if found is not None}
-    slow = (f"{name}, {framerate_label(fps)}: {NOT_SO_FAST}" for name in generated if name not in made)
+    generated = {row: sample_fields(own, reference.sequence_ids, fps, str(row)) for row, own in fields.items()}
+    made = {row: found for row, found in generated.items() if found is not None}
+    slow = (f"{row}, {framerate_label(fps)}: {NOT_SO_FAST}" for row in generated if row not in made)
     return PartialResult({REAL: reference, **made, **samples.value}, (*slow, *samples.missing))
 
 
 def _blocks(
-    fps: Fraction, sets: Mapping[str, SampleSet], training: Mapping[str, str], request: TableRequest
+    fps: Fraction, sets: Mapping[RowId, SampleSet], training: Mapping[str, str], request: TableRequest
 ) -> list[Block]:
     """The blocks of our and the published metrics, at one framerate."""
-    rows: dict[str, Measured] = {}
-    for name, samples in sets.items():
-        with task(request.on_progress, f"{name}, {framerate_label(fps)}", samples.num_sequences) as work:
-            rows[name] = measured(samples, work.advance)
-    notes = {name: "; ".join(filter(None, (_size(samples), training.get(name)))) for name, samples in sets.items()}
+    rows: dict[RowId, Measured] = {}
+    notes: dict[RowId, str] = {}
+    for row, samples in sets.items():
+        with task(request.on_progress, f"{row}, {framerate_label(fps)}", samples.num_sequences) as work:
+            rows[row] = measured(samples, work.advance)
+        trained = training.get(row.system) if row.variant is Variant.AS_IS else None
+        notes[row] = "; ".join(filter(None, (_size(samples), trained)))
     label = framerate_label(fps)
     return [
         *blocks_of(f"Per second, at {label}", OURS, rows, notes, NOTE, request.seed),
@@ -190,23 +191,28 @@ def _blocks(
 
 
 def blocks_of(
-    title: str, metrics: Sequence[Metric], rows: Mapping[str, Measured], notes: Mapping[str, str], note: str, seed: int
+    title: str,
+    metrics: Sequence[Metric],
+    rows: Mapping[RowId, Measured],
+    notes: Mapping[RowId, str],
+    note: str,
+    seed: int,
 ) -> list[Block]:
-    """A block with a column for each metric that some row has, and the rows' differences; `real` is the reference."""
-    means = {name: _means(metrics, row, Resampling(seed=seed)) for name, row in rows.items()}
+    """A block with a column for each metric that some row has, and the rows' differences; `REAL` is the reference."""
+    means = {row: _means(metrics, found, Resampling(seed=seed)) for row, found in rows.items()}
     shown = [metric for metric in metrics if any(metric.title in row for row in means.values())]
     columns = tuple(metric.title for metric in shown)
     measures = tuple(measure(metric, column=metric.title) for metric in shown)
     found = tuple(
         Row(
-            name,
-            "reference" if name == REAL else "ours",
-            {column: mean.cell for column, mean in row.items()},
-            notes[name],
+            str(row),
+            "reference" if row == REAL else "ours",
+            {column: mean.cell for column, mean in by_column.items()},
+            notes[row],
         )
-        for name, row in means.items()
+        for row, by_column in means.items()
     )
-    pairs = pairs_of((name for name in means if name != REAL), (REAL,))
+    pairs = pairs_of((row for row in means if row != REAL), (REAL,))
     paired = {
         (first, second): {
             column: difference
@@ -220,11 +226,11 @@ def blocks_of(
     return [block, *([differences] if differences else [])]
 
 
-def _nearest(means: Mapping[str, Mapping[str, Mean]]) -> list[str]:
+def _nearest(means: Mapping[RowId, Mapping[str, Mean]]) -> list[str]:
     """The row with the foot skating nearest to real motion's; none for blocks without that column."""
-    speeds = {name: row[SKATING].value for name, row in means.items() if SKATING in row}
+    speeds = {row: by_column[SKATING].value for row, by_column in means.items() if SKATING in by_column}
     real = speeds.pop(REAL, None)
-    return [] if real is None else sorted(speeds, key=lambda name: abs(speeds[name] - real))[:1]
+    return [] if real is None else [str(row) for row in sorted(speeds, key=lambda row: abs(speeds[row] - real))[:1]]
 
 
 def _means(metrics: Sequence[Metric], row: Measured, resampling: Resampling) -> dict[str, Mean]:

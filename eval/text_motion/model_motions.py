@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from eval.sets.generated import AT_ONCE
-from eval.sets.planted import PLANTED
+from eval.sets.row_ids import RowId, Variant
 from eval.sets.sets import SampleSet, sample_set
 from eval.text_motion.embedding_cache import Embedder
 from eval.text_motion.pairs import TextMotionPairs
@@ -32,7 +32,7 @@ REPEATED_FROM = 1_000_000
 class ModelMotions:
     """A model and its requests; `identity` is all that its motions depend on besides request and seed.
 
-    It yields the model's row, called `name`, and that of its planted motions. With `kit_lengths` motions are converted
+    It yields the row of the system `name`, and that of its planted motions. With `kit_lengths` motions are converted
     to KIT-ML's 21 joints before embedding. Raises what the model raises for a caption it does not support, when motions
     are first requested.
     """
@@ -45,11 +45,11 @@ class ModelMotions:
     on_motions: Callable[[int], None] = lambda count: None
 
     @property
-    def rows(self) -> tuple[str, str]:
-        """The names of both rows."""
-        return self.name, PLANTED.format(self.name)
+    def rows(self) -> tuple[RowId, RowId]:
+        """Both rows."""
+        return RowId(self.name), RowId(self.name, Variant.PLANTED)
 
-    def draw(self, wanted: CaptionedMotions, number: int, embedder: Embedder) -> dict[str, TextMotionPairs]:
+    def draw(self, wanted: CaptionedMotions, number: int, embedder: Embedder) -> dict[RowId, TextMotionPairs]:
         """One motion for each caption, as long as the real one; `number` counts independent draws."""
         made = self._embedded(_requests(wanted), self.seed + number, 0, wanted.samples.fps, embedder)
         texts = embedder.texts(wanted.captions)
@@ -57,7 +57,7 @@ class ModelMotions:
 
     def repeated(
         self, wanted: CaptionedMotions, rule: MultiModalityRule, most_motions: int, embedder: Embedder
-    ) -> dict[str, Float64[np.ndarray, "texts generations features"]]:
+    ) -> dict[RowId, Float64[np.ndarray, "texts generations features"]]:
         """Several motions per caption, for as many captions as the rule asks and `most_motions` allows.
 
         Empty if not even two motions of one text are allowed.
@@ -74,17 +74,17 @@ class ModelMotions:
 
     def _embedded(
         self, requests: Sequence[GenerationRequest], seed: int, first: int, fps: Fraction, embedder: Embedder
-    ) -> dict[str, Float64[np.ndarray, "requests features"]]:
+    ) -> dict[RowId, Float64[np.ndarray, "requests features"]]:
         requests_sha256 = sha256(dumps([asdict(request) for request in requests]).encode()).hexdigest()
         key = {"model": dict(self.identity), "requests": requests_sha256, "seed": seed, "first": first, "fps": str(fps)}
         if self.kit_lengths is not None:
             key["kit_lengths"] = sha256(self.kit_lengths.astype("<f4").tobytes()).hexdigest()
 
         @cache
-        def motions() -> dict[str, SampleSet]:
+        def motions() -> dict[RowId, SampleSet]:
             return self._motions(requests, seed, first, fps)
 
-        def kept(row: str, key: Mapping[str, object]) -> Float64[np.ndarray, "requests features"]:
+        def kept(row: RowId, key: Mapping[str, object]) -> Float64[np.ndarray, "requests features"]:
             return embedder.kept(key, len(requests), lambda: embedder.evaluator.embed_motions(motions()[row]))
 
         as_it_is, planted_row = self.rows
@@ -92,11 +92,11 @@ class ModelMotions:
 
     def _motions(
         self, requests: Sequence[GenerationRequest], seed: int, first: int, fps: Fraction
-    ) -> dict[str, SampleSet]:
+    ) -> dict[RowId, SampleSet]:
         names = [f"motion {first + index}" for index in range(len(requests))]
         texts = [request.text for request in requests]
         as_it_is, planted_row = self.rows
-        positions: dict[str, list[Float32[np.ndarray, "_frames 22 3"]]] = {as_it_is: [], planted_row: []}
+        positions: dict[RowId, list[Float32[np.ndarray, "_frames 22 3"]]] = {as_it_is: [], planted_row: []}
         for start in range(0, len(requests), AT_ONCE):
             fields = self.model.generate(requests[start : start + AT_ONCE], seed=seed, first=first + start)
             made = [to_motion(field, fps).joint_positions for field in fields]
@@ -104,7 +104,7 @@ class ModelMotions:
             positions[as_it_is] += made
             positions[planted_row] += [to_motion(planted(field, "free"), fps).joint_positions for field in fields]
             self.on_motions(len(made))
-        sets = {row: sample_set(row, fps, made, names, texts) for row, made in positions.items()}
+        sets = {row: sample_set(str(row), fps, made, names, texts) for row, made in positions.items()}
         lengths = self.kit_lengths
         return sets if lengths is None else {row: as_kit_joints(made, lengths) for row, made in sets.items()}
 

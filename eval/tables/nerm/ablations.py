@@ -147,7 +147,7 @@ def _synthesis_block(ablation: Ablation, rows: Sequence[_Trained], yardstick: Ya
     if any(found.values()):
         floors = yardstick.floors()
         missing = (*missing, *floors.missing)
-        references = tuple(Row(name, "reference", floors.rows[name], ROW_NOTES[name]) for name in (P1, P2))
+        references = tuple(Row(str(row), "reference", floors.rows[str(row)], ROW_NOTES[row]) for row in (P1, P2))
     protocol = yardstick.request.clip_fid.protocol
     block = Block(
         "Motion synthesis: clip-FID on the kinematic descriptor",

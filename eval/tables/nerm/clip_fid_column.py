@@ -14,24 +14,21 @@ from eval.sample_folder import SampleFolder
 from eval.sample_folder.takes import takes_of_samples
 from eval.sets.generated import Window, is_framed, sample_fields
 from eval.sets.partial import PartialResult
-from eval.sets.planted import PLANTED, is_planted, planted_set
+from eval.sets.planted import planted_set
 from eval.sets.real import NoRealMotionError, RealMotion
+from eval.sets.row_ids import REAL, TRAINING_TAKES, RowId, Variant
 from eval.sets.sets import SampleSet
 from eval.sets.upsampled import low_passed, upsample_as_vectors, upsampled
 from motionkit.core.progress import OnProgress, task
 from motionkit.fields.motion_field import MotionField
 
 LOW_FPS = Fraction(20)
-P1 = "real, independent draws (P1)"
-P2 = "real, disjoint halves of the takes (P2)"
-SLERP = "real kept at 20 fps, SLERP"
-VECTORS = "real kept at 20 fps, as vectors (handicapped)"
-TRAINING = "training takes, as a generator"
+P1 = RowId(REAL.system, Variant.INDEPENDENT_DRAWS)
+P2 = RowId(REAL.system, Variant.HALVES)
+SLERP = RowId(REAL.system, Variant.KEPT_AT_20)
+VECTORS = RowId(REAL.system, Variant.KEPT_AS_VECTORS)
+TRAINING = RowId(TRAINING_TAKES.system, Variant.AS_GENERATOR)
 REFERENCES = (P1, P2, TRAINING, SLERP, VECTORS)
-GENERATED_LOW = "{} generated at 20 fps, SLERP"
-"""The row of a model's motions that were asked for at 20 fps, then upsampled like the real ones."""
-GENERATED_VECTORS = "{} as vectors (handicapped)"
-"""The row of a model that makes frames, which are upsampled as published vectors and not by SLERP."""
 
 NOT_SO_FAST = "no generated motion is for a sequence this fast"
 MOTIONS, TAKES = "motions", "takes"
@@ -45,8 +42,8 @@ DETAIL_NAMES = {
     "coverage": "coverage",
 }
 
-# A model's motions for stretches of real sequences, by the model's name.
-ModelFields = Mapping[str, Mapping[Window, MotionField]]
+# Models' motions for stretches of real sequences.
+ModelFields = Mapping[RowId, Mapping[Window, MotionField]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,11 +56,11 @@ class Column:
 
     fps: Fraction
     real: SampleSet
-    rows: Mapping[str, SampleSet]
+    rows: Mapping[RowId, SampleSet]
     train: SampleSet | None
-    models: tuple[str, ...] = ()
-    samples: tuple[str, ...] = ()
-    subset_sizes: Mapping[str, int] = field(default_factory=dict)
+    models: tuple[RowId, ...] = ()
+    samples: tuple[RowId, ...] = ()
+    subset_sizes: Mapping[RowId, int] = field(default_factory=dict)
 
     def comparison(self, source: FeatureSource, protocol: Protocol) -> Comparison:
         """The comparison that scores its rows; raises `MotionkitError` if it is not available."""
@@ -73,8 +70,8 @@ class Column:
 
     @property
     def others(self) -> dict[str, SampleSet]:
-        """The rows that are not baselines of the real set."""
-        return {name: samples for name, samples in self.rows.items() if name not in REFERENCES}
+        """The rows that are not baselines of the real set, by name."""
+        return {str(row): samples for row, samples in self.rows.items() if row not in REFERENCES}
 
     @property
     def label(self) -> str:
@@ -84,7 +81,7 @@ class Column:
     @property
     def size(self) -> "ColumnSize":
         """Its summary, without the motions."""
-        generated = {name: self.rows[name].num_sequences for name in self.models}
+        generated = {str(row): self.rows[row].num_sequences for row in self.models}
         return ColumnSize(self.fps, self.real.num_sequences, self.real.duration_seconds, generated)
 
     def low_passed(self, cutoff_hz: float | None) -> "Column":
@@ -96,7 +93,7 @@ class Column:
         return replace(
             self,
             real=smooth[id(self.real)],
-            rows={name: smooth[id(samples)] for name, samples in self.rows.items()},
+            rows={row: smooth[id(samples)] for row, samples in self.rows.items()},
             train=None if self.train is None else smooth[id(self.train)],
         )
 
@@ -130,7 +127,7 @@ def real_column(fps: Fraction, real: RealMotion, train: RealMotion) -> Column:
 
 
 def make_column(
-    fps: Fraction, real: RealMotion, train: RealMotion, fields: ModelFields, samples: Mapping[str, SampleSet]
+    fps: Fraction, real: RealMotion, train: RealMotion, fields: ModelFields, samples: Mapping[RowId, SampleSet]
 ) -> PartialResult[Column]:
     """All sets of one framerate, as far as models have motion for it.
 
@@ -140,28 +137,28 @@ def make_column(
     reference, rows = column.real, dict(column.rows)
     if fps >= LOW_FPS:
         low = _same_sequences(real.at(LOW_FPS), reference)
-        rows[SLERP] = upsampled(low, fps, SLERP)
-        rows[VECTORS] = upsample_as_vectors(low, fps, VECTORS)
+        rows[SLERP] = upsampled(low, fps, str(SLERP))
+        rows[VECTORS] = upsample_as_vectors(low, fps, str(VECTORS))
     models, missing = [], []
-    for name, own in fields.items():
-        native = sample_fields(own, reference.sequence_ids, fps, name)
+    for row, own in fields.items():
+        native = sample_fields(own, reference.sequence_ids, fps, str(row))
         if native is None:
-            missing.append(f"{name}, {framerate_label(fps)}: {NOT_SO_FAST}")
+            missing.append(f"{row}, {framerate_label(fps)}: {NOT_SO_FAST}")
             continue
-        rows[name] = native
-        if is_planted(name):
+        rows[row] = native
+        if row.variant is not Variant.AS_IS:
             continue
-        models.append(name)
+        models.append(row)
         framed = is_framed(own)
-        coarse_name = (GENERATED_VECTORS if framed else GENERATED_LOW).format(name)
-        coarse = sample_fields(own, reference.sequence_ids, LOW_FPS, coarse_name)
+        coarse_row = RowId(row.system, Variant.AS_VECTORS if framed else Variant.UPSAMPLED)
+        coarse = sample_fields(own, reference.sequence_ids, LOW_FPS, str(coarse_row))
         if coarse is not None and fps >= LOW_FPS:
             bring = upsample_as_vectors if framed else upsampled
-            rows[coarse_name] = bring(coarse, fps, coarse_name)
+            rows[coarse_row] = bring(coarse, fps, str(coarse_row))
     rows |= samples
     sizes = {}
     if column.train is not None and train is not real:
-        others = [each.num_takes for name, each in rows.items() if name not in REFERENCES]
+        others = [each.num_takes for row, each in rows.items() if row not in REFERENCES]
         rows[TRAINING] = column.train
         sizes[TRAINING] = min([*(others or [reference.num_takes]), column.train.num_sequences])
     made = replace(column, rows=rows, models=tuple(models), samples=tuple(samples), subset_sizes=sizes)
@@ -172,15 +169,15 @@ def make_column(
 class ColumnScores:
     """A cell for each row, and differences of two rows with paired intervals."""
 
-    cells: Mapping[str, Cell]
-    differences: Mapping[tuple[str, str], Difference]
+    cells: Mapping[RowId, Cell]
+    differences: Mapping[tuple[RowId, RowId], Difference]
 
 
 def score_column(
     comparison: Comparison,
-    rows: Mapping[str, SampleSet],
+    rows: Mapping[RowId, SampleSet],
     on_replication: Callable[[], None] = lambda: None,
-    subset_sizes: Mapping[str, int] | None = None,
+    subset_sizes: Mapping[RowId, int] | None = None,
     *,
     halves: bool = True,
 ) -> PartialResult[ColumnScores]:
@@ -188,21 +185,21 @@ def score_column(
     label = framerate_label(comparison.real.fps)
     missing: list[str] = []
     fitting = {}
-    for name, samples in rows.items():
+    for row, samples in rows.items():
         try:
             check_lengths(samples, comparison.protocol)
-            fitting[name] = samples
+            fitting[row] = samples
         except ClipError as error:
-            missing.append(f"{name}, {label}: {error}")
+            missing.append(f"{row}, {label}: {error}")
     scores = comparison.scores(fitting, on_replication, subset_sizes)
-    cells = {name: clip_fid_cell(score, rows[name], (subset_sizes or {}).get(name)) for name, score in scores.items()}
+    cells = {row: clip_fid_cell(score, rows[row], (subset_sizes or {}).get(row)) for row, score in scores.items()}
     if halves:
         try:
             half = comparison.real.num_sequences // 2
             cells[P2] = clip_fid_cell(comparison.disjoint_halves(on_replication), comparison.real, half)
         except ClipError as error:
             missing.append(f"{P2}, {label}: {error}")
-    own = [name for name in scores if name not in REFERENCES]
+    own = [row for row in scores if row not in REFERENCES]
     pairs = {pair: scores[pair[0]].less(scores[pair[1]]) for pair in pairs_of(own, {SLERP} & scores.keys())}
     differences = {pair: difference for pair, difference in pairs.items() if difference is not None}
     return PartialResult(ColumnScores(cells, differences), tuple(missing))
@@ -223,12 +220,12 @@ def clip_fid_cell(score: ClipFid, samples: SampleSet, subset: int | None = None)
 
 def samples_at(
     folders: Sequence[SampleFolder], real: RealMotion, fps: Fraction, on_progress: OnProgress
-) -> PartialResult[dict[str, SampleSet]]:
-    """Every folder's motions at a framerate, by name, as they are and planted; only for takes as fast, if known.
+) -> PartialResult[dict[RowId, SampleSet]]:
+    """Every folder's motions at a framerate, as they are and planted; only for takes as fast, if known.
 
     Raises `NoRealMotionError` if too few real sequences are as fast.
     """
-    made: dict[str, SampleSet] = {}
+    made: dict[RowId, SampleSet] = {}
     missing = []
     for folder in folders:
         with task(on_progress, f"{folder.name}, {framerate_label(fps)}", folder.num_motions) as work:
@@ -238,7 +235,7 @@ def samples_at(
         if found is None:
             missing.append(f"{folder.name}, {framerate_label(fps)}: {NOT_SO_FAST}")
         else:
-            made |= {folder.name: found, PLANTED.format(folder.name): planted_set(found)}
+            made |= {RowId(folder.name): found, RowId(folder.name, Variant.PLANTED): planted_set(found)}
     return PartialResult(made, tuple(missing))
 
 

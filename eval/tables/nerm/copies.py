@@ -16,10 +16,11 @@ from eval.sets.memorisation import (
     moving,
     verdicts,
 )
+from eval.sets.row_ids import REAL, RowId, Variant
 from eval.sets.sets import SampleSet
 
 TITLE = "Copies of training motion"
-HELD_OUT = "real, held out"
+HELD_OUT = RowId(REAL.system, Variant.HELD_OUT)
 ACCUSED = "accused (%)"
 COPIED = {seconds: f"copied, {seconds:g} s (%)" for seconds in STRETCH_SECONDS}
 SHARES = {"nearest (mm)": 0.0, "5 % (mm)": 0.05, "25 % (mm)": 0.25, "50 % (mm)": 0.5, "95 % (mm)": 0.95}
@@ -42,8 +43,8 @@ def copies_block(
     held_out: SampleSet,
     training: TrainingMotion,
     limits: Limits,
-    others: Mapping[str, SampleSet],
-    notes: Mapping[str, str],
+    others: Mapping[RowId, SampleSet],
+    notes: Mapping[RowId, str],
 ) -> Block:
     """Shares of motions and stretches that are copies by the limits, and quantiles of the distance to training motion.
 
@@ -51,10 +52,10 @@ def copies_block(
     `ValueError` where the training motion is too short.
     """
     rows = []
-    for name, samples in {HELD_OUT: held_out, **others}.items():
-        origin: Origin = "reference" if name == HELD_OUT else "ours"
+    for row, samples in {HELD_OUT: held_out, **others}.items():
+        origin: Origin = "reference" if row == HELD_OUT else "ours"
         chosen = np.random.default_rng(0).permutation(samples.num_sequences)[:MOST_MOTIONS]
-        rows.append(_row(name, origin, samples.select(np.sort(chosen)), training, limits, notes.get(name, "")))
+        rows.append(_row(str(row), origin, samples.select(np.sort(chosen)), training, limits, notes.get(row, "")))
     columns = (ACCUSED, *COPIED.values(), *SHARES)
     return Block(
         TITLE,

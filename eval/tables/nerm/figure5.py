@@ -6,7 +6,8 @@ from itertools import chain
 from eval.clip_fid.score import CLIP_FID
 from eval.report.results import Block, Result, Row, measure
 from eval.sets.partial import collect
-from eval.sets.planted import PLANTED, PLANTED_NOTE
+from eval.sets.planted import VARIANT_NOTES
+from eval.sets.row_ids import REAL, RowId, Variant
 from eval.tables.models import TrainedModel, require_models, training_note
 from eval.tables.nerm.clip_fid_column import P1, P2
 from eval.tables.nerm.run_figures import DIVERSITY, REAL_DIVERSITY, SYNTHESIS, Yardstick, label
@@ -19,7 +20,6 @@ from motionkit.generate.models import installed_models, needs_a_condition
 from motionkit.training.run import RunError
 
 VERSION = "unconditional/3"
-REAL = "real"
 ANY_CONDITION = "it never learnt to do without a condition: each motion has that of a random training motion"
 
 
@@ -77,7 +77,7 @@ def _blocks(
             "clip-FID on the kinematic descriptor",
             columns,
             (
-                *(Row(name, "reference", floors.rows[name], ROW_NOTES[name]) for name in (P1, P2)),
+                *(Row(str(row), "reference", floors.rows[str(row)], ROW_NOTES[row]) for row in (P1, P2)),
                 *_rows(parts, SYNTHESIS, notes),
             ),
             metrics=(measure(CLIP_FID),),
@@ -85,7 +85,7 @@ def _blocks(
         Block(
             "Diversity (Eq. 7) of clips in the kinematic descriptor's space",
             columns,
-            (Row(REAL, "reference", real), *_rows(parts, DIVERSITY, {})),
+            (Row(str(REAL), "reference", real), *_rows(parts, DIVERSITY, {})),
             lower_is_better=False,
             note="Better the closer to real motion's. It sees clips, not whole motions.",
             metrics=(measure("diversity"),),
@@ -101,9 +101,12 @@ def _note(trained: TrainedModel) -> str:
 def _rows(parts: Mapping[str, Part], quantity: str, notes: Mapping[str, str]) -> list[Row]:
     """Each model's row of a quantity, with a note, and that of its planted motions."""
     return [
-        Row(form.format(name), "ours", part.rows.get(form.format(quantity), {}), note)
+        Row(str(RowId(name, variant)), "ours", part.rows.get(str(RowId(quantity, variant)), {}), note)
         for name, part in parts.items()
-        for form, note in (("{}", notes.get(name, "")), (PLANTED, PLANTED_NOTE))
+        for variant, note in (
+            (Variant.AS_IS, notes.get(name, "")),
+            (Variant.PLANTED, VARIANT_NOTES[Variant.PLANTED]),
+        )
     ]
 
 

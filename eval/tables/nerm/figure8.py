@@ -11,7 +11,7 @@ from jaxtyping import Float32
 from eval.clip_fid.score import CLIP_FID
 from eval.report.results import Block, Cell, Result, Row, measure
 from eval.sets.partial import PartialResult, collect
-from eval.sets.planted import PLANTED
+from eval.sets.row_ids import RowId, Variant
 from eval.tables.models import TrainedModel, require_models, training_note
 from eval.tables.nerm.clip_fid_column import P1, P2
 from eval.tables.nerm.run_figures import SYNTHESIS, Yardstick, label
@@ -27,6 +27,7 @@ TARGET_FPS, OTHER_FPS = Fraction(60), (Fraction(20), Fraction(120))
 SECONDS = 9.8
 STEPS = (50, 20, 10, 5)
 REPEATS = 5
+VARIANTS = (Variant.AS_IS, Variant.PLANTED)
 CPU, WALL = "CPU seconds a motion", "seconds a motion"
 
 
@@ -45,7 +46,7 @@ def build_figure8(request: TableRequest) -> Result:
     yardstick = Yardstick(store, request, (fps,))
     floors = yardstick.floors()
     quality = f"clip-FID, {label(fps)}"
-    references = [Row(name, "reference", _renamed(floors.rows[name], label(fps), quality)) for name in (P1, P2)]
+    references = [Row(str(row), "reference", _renamed(floors.rows[str(row)], label(fps), quality)) for row in (P1, P2)]
     seconds = min(SECONDS, *(trained.loaded.max_duration_seconds for trained in models.value.values()))
     made = collect(
         tracked(request.on_progress, "systems", models.value, len(models.value)),
@@ -66,9 +67,9 @@ def build_figure8(request: TableRequest) -> Result:
         blocks=(
             Block(
                 "Cost and clip-FID",
-                (CPU, WALL, quality, PLANTED.format(quality)),
+                (CPU, WALL, *(str(RowId(quality, variant)) for variant in VARIANTS)),
                 tuple(rows),
-                metrics=tuple(measure(CLIP_FID, column=form.format(quality)) for form in ("{}", PLANTED)),
+                metrics=tuple(measure(CLIP_FID, column=str(RowId(quality, variant))) for variant in VARIANTS),
             ),
         ),
         definition={"seconds": seconds, "fps": str(fps), "repeats": REPEATS, "split": request.real.split},
@@ -90,8 +91,9 @@ def _rows_of(name: str, trained: TrainedModel, yardstick: Yardstick, seconds: fl
         part = yardstick.synthesis(trained, sampling, planted=True)
         missing += part.missing
         cells = generation_cost(trained.loaded, sampling, fps, seconds)
-        for form in ("{}", PLANTED):
-            cells |= _renamed(part.rows[form.format(SYNTHESIS)], label(fps), form.format(f"clip-FID, {label(fps)}"))
+        for variant in VARIANTS:
+            column = str(RowId(f"clip-FID, {label(fps)}", variant))
+            cells |= _renamed(part.rows[str(RowId(SYNTHESIS, variant))], label(fps), column)
         rows.append(Row(f"{name}{suffix}", "ours", cells, training_note(trained)))
     return PartialResult(rows, tuple(missing))
 

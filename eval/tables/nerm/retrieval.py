@@ -73,7 +73,7 @@ def _block(
         (
             Row(CHANCE, "reference", _cells(chance, names), "an evaluator that sees nothing"),
             Row(ORACLE, "reference", _cells(ceiling, names), "captions that stand in the set twice are its ceiling"),
-            *(Row(row.name, row.origin, _cells(values, names)) for row, values in rows),
+            *(Row(str(each.row), each.origin, _cells(values, names)) for each, values in rows),
         ),
         lower_is_better=False,
         note=(

@@ -19,8 +19,9 @@ from eval.reconstruction.errors import mpjpe_cell, mre_cell, window_errors
 from eval.report.results import Cell
 from eval.sets.generated import Window, generate_fields, sample_fields, windows_of
 from eval.sets.partial import PartialResult, collect
-from eval.sets.planted import PLANTED, planted_fields
+from eval.sets.planted import planted_fields
 from eval.sets.real import NoRealMotionError, RealMotion, real_motion, training_motion
+from eval.sets.row_ids import RowId, Variant
 from eval.sets.sets import SampleSet
 from eval.sets.upsampled import low_passed
 from eval.tables.models import Trained, TrainedModel, reconstructor
@@ -50,8 +51,8 @@ ERRORS = {MPJPE: mpjpe_cell, MRE: mre_cell}
 _Fields = Mapping[Window, MotionField]
 
 
-def _and_planted(fields: _Fields) -> dict[str, _Fields]:
-    return {"{}": fields, PLANTED: planted_fields(fields)}
+def _and_planted(fields: _Fields) -> dict[Variant, _Fields]:
+    return {Variant.AS_IS: fields, Variant.PLANTED: planted_fields(fields)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,12 +151,12 @@ class Yardstick:
 
     def _floors(self) -> Part:
         missing = list(self._columns.missing)
-        rows: dict[str, dict[str, Cell]] = {P1: {}, P2: {}}
+        rows: dict[str, dict[str, Cell]] = {str(P1): {}, str(P2): {}}
         for fps, comparison in self._columns.value.items():
             found = score_column(comparison, {P1: comparison.real})
             missing += found.missing
-            for name, cell in found.value.cells.items():
-                rows[name][label(fps)] = cell
+            for row, cell in found.value.cells.items():
+                rows[str(row)][label(fps)] = cell
         return Part(rows, tuple(missing))
 
     def _windows(self, model: GenerativeModel) -> list[Window]:
@@ -167,10 +168,10 @@ class Yardstick:
         fields = generate_fields(model, self._windows(model), request.seed, request.evaluated.max_motions, sampling)
         rows: dict[str, dict[str, Cell]] = {}
         missing = list(self._columns.missing)
-        for form, made in (_and_planted(fields) if planted else {"{}": fields}).items():
-            cells = rows[form.format(SYNTHESIS)] = {}
+        for variant, made in (_and_planted(fields) if planted else {Variant.AS_IS: fields}).items():
+            cells = rows[str(RowId(SYNTHESIS, variant))] = {}
             for fps in self._columns.value:
-                found = self._scored(form.format(_named(trained)), made, fps)
+                found = self._scored(RowId(_named(trained), variant), made, fps)
                 missing += found.missing
                 if found.value is not None:
                     cells[label(fps)], _ = found.value
@@ -181,17 +182,17 @@ class Yardstick:
         windows = self._without_conditions(model)
         variants = _and_planted(generate_fields(model, windows, request.seed, request.evaluated.max_motions))
         rows: dict[str, dict[str, Cell]] = {
-            form.format(name): {} for form in variants for name in (SYNTHESIS, DIVERSITY)
+            str(RowId(name, variant)): {} for variant in variants for name in (SYNTHESIS, DIVERSITY)
         }
         missing = list(self._columns.missing)
         for fps, comparison in self._columns.value.items():
-            for form, fields in variants.items():
-                found = self._scored(form.format(_named(trained)), fields, fps)
+            for variant, fields in variants.items():
+                found = self._scored(RowId(_named(trained), variant), fields, fps)
                 missing += found.missing
                 if found.value is not None:
                     cell, samples = found.value
-                    rows[form.format(SYNTHESIS)][label(fps)] = cell
-                    rows[form.format(DIVERSITY)][label(fps)] = _diversity(samples, comparison)
+                    rows[str(RowId(SYNTHESIS, variant))][label(fps)] = cell
+                    rows[str(RowId(DIVERSITY, variant))][label(fps)] = _diversity(samples, comparison)
             rows.setdefault(REAL_DIVERSITY, {})[label(fps)] = _diversity(comparison.real, comparison)
         return Part(rows, tuple(missing))
 
@@ -217,16 +218,16 @@ class Yardstick:
         return [replace(window, request=request) for window, request in zip(windows, asked, strict=True)]
 
     def _scored(
-        self, name: str, fields: Mapping[Window, MotionField], fps: Fraction
+        self, row: RowId, fields: Mapping[Window, MotionField], fps: Fraction
     ) -> PartialResult[tuple[Cell, SampleSet] | None]:
         """clip-FID of a row's motions at a framerate, and these, smoothed like the real ones; None without any."""
         comparison, cutoff = self._columns.value[fps], self.request.clip_fid.low_pass_hz
-        samples = sample_fields(fields, comparison.real.sequence_ids, fps, name)
+        samples = sample_fields(fields, comparison.real.sequence_ids, fps, str(row))
         if samples is None:
-            return PartialResult(None, (f"{name}, {label(fps)}: {NOT_SO_FAST}",))
+            return PartialResult(None, (f"{row}, {label(fps)}: {NOT_SO_FAST}",))
         samples = samples if cutoff is None else low_passed(samples, cutoff)
-        scored = score_column(comparison, {name: samples}, halves=False)
-        cell = scored.value.cells.get(name)
+        scored = score_column(comparison, {row: samples}, halves=False)
+        cell = scored.value.cells.get(row)
         return PartialResult(None if cell is None else (cell, samples), scored.missing)
 
     def _reconstruction(self, trained: Trained[MotionEncoder]) -> Part:

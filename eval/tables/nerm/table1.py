@@ -16,9 +16,10 @@ from eval.report.results import Block, Result
 from eval.sample_folder import SampleFolder
 from eval.sets.memorisation import size_remarks
 from eval.sets.partial import PartialResult, collect
-from eval.sets.planted import PLANTED_NOTE, is_planted
+from eval.sets.planted import VARIANT_NOTES
 from eval.sets.real import NoRealMotionError
-from eval.tables.models import Trained, TrainedModel, check_names, trained_models, training_note
+from eval.sets.row_ids import REAL, RowId, check_sample_names
+from eval.tables.models import Trained, TrainedModel, trained_models, training_note
 from eval.tables.nerm.retrieval import RetrievalSets, retrieval_blocks, sentence_embeddings
 from eval.tables.nerm.sample_motions import sample_embeddings
 from eval.tables.nerm.text_motion import ScoredRow, paper_block, scored_blocks, text_motion_evaluators
@@ -38,7 +39,6 @@ from motionkit.generate.models import GenerationRequest, installed_models, refus
 
 VERSION = "text-motion/1"
 DEFAULT_FPS = Fraction(20)
-REAL = "real"
 FIXED_SUFFIX = "-fixed"
 """Suffix of a run whose models were trained at a single framerate."""
 FIXED_ROW = ", fixed framerate"
@@ -92,7 +92,7 @@ def build_table1(request: TableRequest) -> Result:
         found = _models(request)
         models = {name: each for name, each in found.value.items() if not _refusal(each)}
         refused = tuple(f"{name}: {_refusal(each)}" for name, each in found.value.items() if name not in models)
-        check_names(request.evaluated.samples, models)
+        check_sample_names(request.evaluated.samples, models)
         for each in models.values():
             longest = each.loaded.max_duration_seconds
             lengths, kit_lengths = (limited(rule, longest) for rule in (protocol.lengths, protocol.kit_lengths))
@@ -280,7 +280,7 @@ def _model_rows(
     for row in motions.rows:
         own = [draw[row] for draw in draws]
         remarks = size_remarks(pairs.motions, reference.motions, own[0].motions, request.seed)
-        made = (training_note(trained), "" if lengths is None else MADE_OF_22, PLANTED_NOTE if is_planted(row) else "")
+        made = (training_note(trained), "" if lengths is None else MADE_OF_22, VARIANT_NOTES.get(row.variant))
         note = "; ".join((f"run {trained.run.name!r}", *filter(None, made), *remarks))
         scores = _score(job, reference, own, repeated.get(row))
         rows.append(ScoredRow(row, "ours", scores, note, _retrieval(job, reference, own, chosen)))
@@ -295,7 +295,8 @@ def _sample_row(
     scores = _score(job, reference, list(found.draws), found.repeated)
     remarks = size_remarks(pairs.motions, reference.motions, found.draws[0].motions, job.request.seed)
     ranked = _retrieval(job, reference, list(found.draws), found.real_rows)
-    return ScoredRow(folder.name, "ours", scores, "; ".join((folder.describe(), *found.remarks, *remarks)), ranked)
+    note = "; ".join((folder.describe(), *found.remarks, *remarks))
+    return ScoredRow(RowId(folder.name), "ours", scores, note, ranked)
 
 
 def _retrieval(

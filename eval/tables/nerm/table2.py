@@ -19,12 +19,11 @@ from eval.sets.copies import TrainingMotion
 from eval.sets.generated import sample_fields
 from eval.sets.memorisation import limits_of_store, set_remarks
 from eval.sets.partial import PartialResult, collect
-from eval.sets.planted import PLANTED, PLANTED_NOTE, is_planted, planted_note
+from eval.sets.planted import VARIANT_NOTES
 from eval.sets.real import NoRealMotionError, RealMotion, real_motion, training_motion
-from eval.tables.models import check_names, generated_fields
+from eval.sets.row_ids import RowId, Variant
+from eval.tables.models import generated_fields
 from eval.tables.nerm.clip_fid_column import (
-    GENERATED_LOW,
-    GENERATED_VECTORS,
     LOW_FPS,
     MOTIONS,
     P1,
@@ -63,7 +62,7 @@ ROW_NOTES = {
     VECTORS: "humanml3d vectors interpolated with per-frame velocities unscaled: a handicap of the procedure",
 }
 GENERATED_NOTE = "asked for at the column's framerate, with the captions and durations of its real sequences"
-GENERATED_LOW_NOTE = (
+UPSAMPLED_NOTE = (
     "the same motions asked for at 20 fps, then upsampled like the real ones; the kinks that this makes can stand "
     "in for detail that a smooth motion lacks (docs/metrics.md)"
 )
@@ -75,8 +74,8 @@ SMALL_SECONDS = 3600.0
 class _Scored:
     """One feature set's cells of one column by row, their differences and remarks."""
 
-    cells: Mapping[str, Cell]
-    differences: Mapping[tuple[str, str], Difference]
+    cells: Mapping[RowId, Cell]
+    differences: Mapping[tuple[RowId, RowId], Difference]
     fingerprint: str
     warnings: tuple[str, ...]
 
@@ -99,7 +98,6 @@ def build_table2(request: TableRequest) -> Result:
         rates = _usable_rates(request.fps or COLUMNS, real)
     generated = generated_fields(request, real.at(min(rates.value)))
     fields = generated.value.rows
-    check_names(request.evaluated.samples, _model_notes(fields))
     notes = _row_notes(fields, folders, generated.value.training)
     sources = feature_sources(request.evaluated.run, request.evaluators.names, request.evaluators.guo)
     sheets: list[dict[str, _Scored]] = [{} for _ in sources.value]
@@ -154,21 +152,20 @@ def _usable_rates(rates: tuple[Fraction, ...], real: RealMotion) -> PartialResul
     return PartialResult(list(usable.value), usable.missing)
 
 
-def _row_notes(models: Iterable[str], folders: Sequence[SampleFolder], trained: Mapping[str, str]) -> dict[str, str]:
-    samples = {folder.name: folder.describe() for folder in folders}
-    return (
-        ROW_NOTES | _model_notes(models, trained) | samples | {PLANTED.format(name): PLANTED_NOTE for name in samples}
-    )
-
-
-def _model_notes(models: Iterable[str], trained: Mapping[str, str] = {}) -> dict[str, str]:
-    notes: dict[str, str] = {}
-    for name in models:
-        if is_planted(name):
-            notes[name] = planted_note(name)
-            continue
-        notes[name] = "; ".join(filter(None, (GENERATED_NOTE, trained.get(name))))
-        notes |= {GENERATED_LOW.format(name): GENERATED_LOW_NOTE, GENERATED_VECTORS.format(name): ROW_NOTES[VECTORS]}
+def _row_notes(
+    models: Iterable[RowId], folders: Sequence[SampleFolder], trained: Mapping[str, str]
+) -> dict[RowId, str]:
+    notes = dict(ROW_NOTES)
+    for system in dict.fromkeys(row.system for row in models):
+        notes |= {
+            RowId(system): "; ".join(filter(None, (GENERATED_NOTE, trained.get(system)))),
+            RowId(system, Variant.UPSAMPLED): UPSAMPLED_NOTE,
+            RowId(system, Variant.AS_VECTORS): ROW_NOTES[VECTORS],
+            **{RowId(system, variant): note for variant, note in VARIANT_NOTES.items()},
+        }
+    for folder in folders:
+        planted = RowId(folder.name, Variant.PLANTED)
+        notes |= {RowId(folder.name): folder.describe(), planted: VARIANT_NOTES[Variant.PLANTED]}
     return notes
 
 
@@ -179,7 +176,7 @@ def _copies(
     split: str,
     fields: ModelFields,
     folders: Sequence[SampleFolder],
-    notes: Mapping[str, str],
+    notes: Mapping[RowId, str],
 ) -> PartialResult[tuple[Block, ...]]:
     """The block on copies of training motion; none if there is no training split or it is too short.
 
@@ -190,12 +187,12 @@ def _copies(
             raise NoRealMotionError("the compared motion is the training motion")
         held_out, training = real.at(LOW_FPS), train.at(LOW_FPS)
         generated = {
-            name: sample_fields(own, held_out.sequence_ids, LOW_FPS, name)
-            for name, own in fields.items()
-            if not is_planted(name)
+            row: sample_fields(own, held_out.sequence_ids, LOW_FPS, str(row))
+            for row, own in fields.items()
+            if row.variant is Variant.AS_IS
         }
-        others = {name: samples for name, samples in generated.items() if samples is not None}
-        others |= {folder.name: folder.at(LOW_FPS) for folder in folders}
+        others = {row: samples for row, samples in generated.items() if samples is not None}
+        others |= {RowId(folder.name): folder.at(LOW_FPS) for folder in folders}
         indexed = TrainingMotion.of(training)
         limits = limits_of_store(store, training, indexed, with_validation=split not in ("val", "all"))
         return PartialResult((copies_block(held_out, indexed, limits, others, notes),))
@@ -227,13 +224,15 @@ def _scored(source: FeatureSource, column: Column, request: TableRequest) -> Par
 
 
 def _blocks(
-    source: FeatureSource, sheet: _Sheet, columns: Sequence[ColumnSize], notes: Mapping[str, str], request: TableRequest
+    source: FeatureSource,
+    sheet: _Sheet,
+    columns: Sequence[ColumnSize],
+    notes: Mapping[RowId, str],
+    request: TableRequest,
 ) -> list[Block]:
     """The scores, and which rows differ."""
-    names = dict.fromkeys((*REFERENCES, *(name for scored in sheet.values() for name in scored.cells)))
-    cells = {
-        name: {label: scored.cells[name] for label, scored in sheet.items() if name in scored.cells} for name in names
-    }
+    rows = dict.fromkeys((*REFERENCES, *(row for scored in sheet.values() for row in scored.cells)))
+    cells = {row: {label: scored.cells[row] for label, scored in sheet.items() if row in scored.cells} for row in rows}
     warnings = dict.fromkeys(warning for scored in sheet.values() for warning in scored.warnings)
     labels, metrics = tuple(column.label for column in columns), (measure(CLIP_FID),)
     pairs = dict.fromkeys(pair for scored in sheet.values() for pair in scored.differences)
@@ -246,12 +245,12 @@ def _blocks(
         labels,
         tuple(
             Row(
-                name,
-                "reference" if name in REFERENCES else "ours",
+                str(row),
+                "reference" if row in REFERENCES else "ours",
                 found,
-                "; ".join(filter(None, (notes.get(name, ""), _counted(found)))),
+                "; ".join(filter(None, (notes.get(row, ""), _counted(found)))),
             )
-            for name, found in cells.items()
+            for row, found in cells.items()
             if found
         ),
         note=" ".join((source.note, *warnings)).strip(),
@@ -286,7 +285,7 @@ def _too_few(column: Column, comparison: Comparison) -> list[str]:
             f"With {protocol.num_clips} clips for {size} features every covariance is singular: clip-FID is "
             f"still the distance of the two fitted Gaussians, and says little about the motions; {advice} clips."
         )
-    counts = {name: column.rows[name].num_sequences for name in (*column.models, *column.samples)}
+    counts = {str(row): column.rows[row].num_sequences for row in (*column.models, *column.samples)}
     counts = {"the real set": column.real.num_sequences, **counts}
     few = {name: count for name, count in counts.items() if count <= size}
     if few:

@@ -19,10 +19,11 @@ from eval.report.differences import DRAWING, differences_block, of_interest, sco
 from eval.report.results import Block, Cell, Origin, Result, Row, measure
 from eval.sets.memorisation import size_remarks
 from eval.sets.partial import PartialResult, collect
-from eval.sets.planted import PLANTED_NOTE, is_planted
+from eval.sets.planted import VARIANT_NOTES
 from eval.sets.real import RealMotion, has_training, real_motion
+from eval.sets.row_ids import REAL, RowId, check_sample_names
 from eval.sets.sets import SampleSet
-from eval.tables.models import check_names, trained_models, training_note
+from eval.tables.models import trained_models, training_note
 from eval.tables.parts import SOURCES, printed_rows, reported_figures
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import MotionkitError, UsageError
@@ -71,7 +72,7 @@ class _Real:
 class _System:
     """One row: independent draws of its motions, and remarks."""
 
-    name: str
+    row: RowId
     draws: tuple[LabelledRecognition, ...]
     note: str
     is_reference: bool = False
@@ -164,9 +165,13 @@ def _real(
         return PartialResult(_Real(compared, None), (*missing, f"FID (train): {error}"))
 
 
+def _real_name(request: TableRequest) -> str:
+    return f"{REAL} ({request.real.split})"
+
+
 def _real_system(real: _Real, recogniser: ActionRecogniser, request: TableRequest) -> _System:
     return _System(
-        f"real ({request.real.split})",
+        RowId(_real_name(request)),
         (real.compared.recognised(recogniser),),
         _counted(real.compared.samples.num_sequences, 1)
         + ("" if real.train is None else "; its FID (train) is what other takes leave"),
@@ -181,7 +186,7 @@ def _counted(motions: int, draws: int) -> str:
 def _models(real: _Real, recogniser: ActionRecogniser, request: TableRequest) -> PartialResult[list[_System]]:
     """Each model of the run, as it is and planted: `draws` motions per real one (of at most `max_motions`)."""
     models = trained_models(request.evaluated.run)
-    check_names(request.evaluated.samples, models.value)
+    check_sample_names(request.evaluated.samples, (_real_name(request), *models.value))
     known = known_to_all(real.compared, {name: trained.loaded for name, trained in models.value.items()})
     asked = known.value.at_most(request.evaluated.max_motions, request.seed)
     count = request.evaluated.draws
@@ -198,7 +203,7 @@ def _models(real: _Real, recogniser: ActionRecogniser, request: TableRequest) ->
             _System(
                 row,
                 tuple(draw[row].recognised(recogniser) for draw in draws),
-                "; ".join(filter(None, (note, training_note(trained), PLANTED_NOTE if is_planted(row) else ""))),
+                "; ".join(filter(None, (note, training_note(trained), VARIANT_NOTES.get(row.variant)))),
             )
             for row in draws[0]
         ]
@@ -222,7 +227,7 @@ def _folders(
             continue
         missing += [f"{folder.name}: {line}" for line in known.left_out]
         note = f"{_counted(known.samples.num_sequences, 1)}; {folder.describe()}"
-        systems.append(_System(folder.name, (recognised,), note))
+        systems.append(_System(RowId(folder.name), (recognised,), note))
     return PartialResult(systems, tuple(missing))
 
 
@@ -245,7 +250,7 @@ def _block(
     fids = {"fid_train": "FID (train)", "fid_test": f"FID ({request.real.split})"}
     rows, missing = [], []
     shown: dict[str, str] = {}
-    own: dict[str, Mapping[str, Score]] = {}
+    own: dict[RowId, Mapping[str, Score]] = {}
     for system in systems:
         against = {
             name: features for name, features in references.items() if not (system.is_reference and name == "test")
@@ -254,14 +259,14 @@ def _block(
         try:
             scores = score_actions(against, system.draws, protocol, request.seed)
         except ValueError as error:
-            missing.append(f"{system.name}, protocol {protocol.name!r}: {error}")
+            missing.append(f"{system.row}, protocol {protocol.name!r}: {error}")
             continue
         origin: Origin = "reference" if system.is_reference else "ours"
-        own |= {} if system.is_reference else {system.name: scores.values}
+        own |= {} if system.is_reference else {system.row: scores.values}
         shown |= {name: (fids | COLUMN_OF)[name] for name in scores.values}
         cells = _with_kid(_cells(scores, fids | COLUMN_OF), fids, against, system)
         remarks = [] if system.is_reference else size_remarks(against["test"], against["test"], first, request.seed)
-        rows.append(Row(system.name, origin, cells, "; ".join((_note(system, scores, protocol), *remarks))))
+        rows.append(Row(str(system.row), origin, cells, "; ".join((_note(system, scores, protocol), *remarks))))
     columns = (*fids.values(), ACCURACY, DIVERSITY, MULTIMODALITY)
     block = Block(
         f"Protocol {protocol.name!r}: {source.title}",
@@ -317,13 +322,13 @@ def _by_action(recogniser: ActionRecogniser, systems: Sequence[_System]) -> Bloc
     labels = systems[0].draws[0].labels
     rows = []
     for label, action in enumerate(recogniser.actions):
-        cells = {system.name: _accuracy_of(system, label) for system in systems}
+        cells = {str(system.row): _accuracy_of(system, label) for system in systems}
         found = {name: cell for name, cell in cells.items() if cell is not None}
         if found:
             rows.append(Row(f"{action} ({int((labels == label).sum())})", "ours", found))
     return Block(
         "Accuracy by action (real motions of it)",
-        tuple(system.name for system in systems),
+        tuple(str(system.row) for system in systems),
         tuple(rows),
         lower_is_better=False,
     )

@@ -18,6 +18,7 @@ from eval.metrics.resampling import half_width
 from eval.report.differences import DRAWING, differences_block, of_interest, score_differences
 from eval.report.results import Block, Cell, Origin, Row, measure
 from eval.sets.partial import PartialResult, collect
+from eval.sets.row_ids import RowId
 from eval.tables.parts import SOURCES, printed_rows, reported_figures
 from eval.tables.registry import TableRequest
 from eval.text_motion.evaluator import TextMotionEvaluator
@@ -114,7 +115,7 @@ PRINTED_NOTES = (
 class ScoredRow:
     """A row's scores; `retrieval` has a table's values for each of the protocol's rules."""
 
-    name: str
+    row: RowId
     origin: Origin
     scores: Scores
     note: str = ""
@@ -173,7 +174,7 @@ def scored_blocks(
         provenance=provenance,
         metrics=tuple(measure(name, column=title_of(name)) for name in turned),
     )
-    own = {row.name: row.scores.values for row in rows if row.origin == "ours"}
+    own = {each.row: each.scores.values for each in rows if each.origin == "ours"}
     differences = score_differences(own, {name: title_of(name) for name in every})
     tests = differences_block(main, of_interest(main, differences))
     return (main, other_way) if tests is None else (main, other_way, tests)
@@ -214,7 +215,7 @@ def _row(row: ScoredRow, names: Sequence[str], leaving_out: Sequence[str] = ()) 
     if "multimodality texts" in sizes:
         counted += f", {sizes['multimodality generations']} motions of {sizes['multimodality texts']} texts"
     remarks = [remark for remark in row.scores.remarks if remark not in leaving_out]
-    return Row(row.name, row.origin, cells, "; ".join((*([row.note] if row.note else []), counted, *remarks)))
+    return Row(str(row.row), row.origin, cells, "; ".join((*([row.note] if row.note else []), counted, *remarks)))
 
 
 def _score_cell(score: Score) -> Cell:

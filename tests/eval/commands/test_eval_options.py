@@ -3,6 +3,7 @@
 import inspect
 from dataclasses import dataclass
 from fractions import Fraction
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,8 @@ from eval.clip_fid.clips import SecondsRange
 from eval.commands import eval_options
 from eval.commands.eval_options import ClipOptions, EvaluatedOptions, EvaluatorOptions, TableOptions, in_groups
 from motionkit.core.errors import UsageError
+from motionkit.generate.models import ModelLoader
+from tests.helpers.scripted_model import ScriptedModel
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,7 @@ def test_options_become_what_tables_take(tmp_path: Path) -> None:
     [
         (lambda: EvaluatorOptions(glove=Path("glove")).chosen(), "--glove needs a published evaluator"),
         (lambda: EvaluatedOptions(samples_fps="x").chosen(), "--samples-fps x"),
-        (lambda: EvaluatedOptions(samples=["real=here"]).chosen(), "choose another name"),
+        (lambda: EvaluatedOptions(samples=["a=here", "a=there"]).chosen(), "of this name already"),
         (lambda: ClipOptions(sizes="64:16").chosen(0), "--sizes 64:16"),
         (lambda: ClipOptions(fps="fast").framerates(), "--fps fast"),
         (lambda: TableOptions(table="1", calibrate=True).numbers, "give --table NUMBER"),
@@ -74,3 +77,30 @@ def test_options_become_what_tables_take(tmp_path: Path) -> None:
 def test_what_means_nothing_is_refused(ask, told: str) -> None:
     with pytest.raises(UsageError, match=told):
         ask()
+
+
+@pytest.mark.parametrize(
+    ("samples", "taken"),
+    [
+        (["T2M-GPT=here", "MDM, 50 steps=there", "reality=here"], ""),
+        (["T2M=here"], "T2M"),
+        (["T2M, planted=here"], "T2M, planted"),
+        (["real=here"], "real"),
+        (["real kept at 20 fps, SLERP=here"], "real kept at 20 fps, SLERP"),
+        (["ours=here", "ours, planted=there"], "ours, planted"),
+        (["ours, planted=there", "ours=here"], "ours, planted"),
+    ],
+)
+def test_samples_may_begin_like_a_system_of_the_run_but_not_be_named_like_its_rows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, samples: list[str], taken: str
+) -> None:
+    (tmp_path / "mine" / "t2m").mkdir(parents=True)
+    (tmp_path / "mine" / "t2m" / "model.safetensors").touch()
+    loaders = {name: ModelLoader(name, (name.lower(),), ScriptedModel) for name in ("T2M", "MDM")}
+    monkeypatch.setattr(import_module("motionkit.generate.models"), "installed_models", lambda: loaders)
+    options = EvaluatedOptions(runs=tmp_path, run="mine", samples=samples)
+    if taken:
+        with pytest.raises(UsageError, match=f"a row '{taken}' already"):
+            options.chosen()
+    else:
+        assert len(options.chosen().samples) == len(samples)

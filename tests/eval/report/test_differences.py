@@ -4,6 +4,7 @@ from eval.metrics.replications import Score
 from eval.metrics.resampling import Difference
 from eval.report.differences import differences_block, of_interest, pairs_of, said, score_differences
 from eval.report.results import Block, Cell, Row, measure
+from eval.sets.row_ids import RowId, Variant
 
 MEASURES = (measure("fid", column="FID"), measure("accuracy", column="Accuracy"), measure("diversity", column="D"))
 
@@ -24,26 +25,30 @@ def test_better_is_what_the_metric_says() -> None:
 
 
 def test_pairs_are_each_row_with_later_ones_and_references() -> None:
-    assert pairs_of(["a", "b"], ["r"]) == [("a", "b"), ("a", "r"), ("b", "r")]
+    a, b, r = map(RowId, "abr")
+    assert pairs_of([a, b], [r]) == [(a, b), (a, r), (b, r)]
 
 
 def test_rows_without_resamplings_have_no_difference() -> None:
-    rows = {"a": {"fid": Score((1.0,), (1.0, 1.2))}, "b": {"fid": Score((3.0,), (3.0, 3.1))}}
+    a, b = map(RowId, "ab")
+    rows = {a: {"fid": Score((1.0,), (1.0, 1.2))}, b: {"fid": Score((3.0,), (3.0, 3.1))}}
     found = score_differences(rows, {"fid": "FID", "accuracy": "Accuracy"})
     block = differences_block(block_of(a=1.0, b=3.0), found)
     assert block is not None
     (row,) = block.rows
     assert (row.name, row.cells["FID"].value, row.note) == ("a − b", -2.0, "better: FID")
-    bare = {"a": {"fid": Score((1.0,))}, "b": {"fid": Score((3.0,))}}
+    assert block.differences_of == "t"
+    bare = {a: {"fid": Score((1.0,))}, b: {"fid": Score((3.0,))}}
     assert differences_block(block_of(a=1.0, b=3.0), score_differences(bare, {"fid": "FID"})) is None
 
 
 def test_pairs_without_the_best_row_are_shown_of_the_same_motions_alone() -> None:
-    names = ("a", "b", "b, planted", "c")
-    every = {pair: {"FID": Difference(-1.0, 0.5)} for pair in pairs_of(names, ("r",))}
-    block, treated = block_of(r=0.1, a=1.0, b=3.0, **{"b, planted": 2.0}, c=4.0), ("b", "b, planted")
-    references = [("a", "r"), ("b", "r"), ("b, planted", "r"), ("c", "r")]
-    best = [("a", "b"), ("a", "b, planted"), ("a", "c"), treated]
-    assert [*of_interest(block, every)] == [*best, *references]
-    named = [("a", "c"), treated, ("b", "c"), ("b, planted", "c")]
+    a, b, c, r = map(RowId, "abcr")
+    planted, other = RowId("b", Variant.PLANTED), RowId("b, 50 steps")
+    every = {pair: {"FID": Difference(-1.0, 0.5)} for pair in pairs_of((a, b, planted, other, c), (r,))}
+    block = block_of(r=0.1, a=1.0, b=3.0, **{"b, planted": 2.0, "b, 50 steps": 5.0}, c=4.0)
+    references = [(row, r) for row in (a, b, planted, other, c)]
+    with_best = [(a, b), (a, planted), (a, other), (a, c), (b, planted)]
+    assert [*of_interest(block, every)] == [*with_best, *references]
+    named = [(a, c), (b, planted), (b, c), (planted, c), (other, c)]
     assert [*of_interest(block, every, ["c"])] == [*named, *references]

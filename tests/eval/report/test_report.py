@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 from eval.commands.report import report
-from eval.report.differences import SUFFIX
 from eval.report.render import format_cell, format_number, to_csv, to_html, to_latex, to_markdown
 from eval.report.results import (
     Block,
@@ -62,7 +61,7 @@ def compared() -> tuple[Block, Block]:
     metrics = (replace(metrics[0], better="lower"), replace(metrics[1], better="as real"))
     reference = Row("real", "reference", {"A": Cell(0.0, 0.1), "B": Cell(0.0)})
     block = Block("numbers", ("A", "B"), (reference, *rows), metrics=metrics)
-    return block, Block("numbers" + SUFFIX, ("A", "B"), pairs, metrics=metrics)
+    return block, Block("differences", ("A", "B"), pairs, metrics=metrics, differences_of="numbers")
 
 
 def test_a_result_survives_its_file(result: Result, tmp_path: Path) -> None:
@@ -73,6 +72,18 @@ def test_a_result_survives_its_file(result: Result, tmp_path: Path) -> None:
     found = find_results(tmp_path)
     assert (found.results, found.faults) == ((result,), ())
     assert [path.name for path in found.others] == ["else.json", "other.json"]
+
+
+def test_older_results_name_their_differences_by_title(result: Result, tmp_path: Path) -> None:
+    scores, tests = compared()
+    tests = replace(tests, title="numbers: differences between rows")
+    path = write_result(replace(result, blocks=(scores, tests)), tmp_path)
+    document = json.loads(path.read_text())
+    for block in document["blocks"]:
+        del block["differences_of"]
+    del document["checksum"]
+    path.write_text(json.dumps(document))
+    assert [block.differences_of for block in read_result(path).blocks] == ["", "numbers"]
 
 
 def test_files_that_are_no_results_are_refused(result: Result, tmp_path: Path) -> None:

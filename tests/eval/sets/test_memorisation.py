@@ -25,6 +25,7 @@ from eval.sets.memorisation import (
     verdicts,
 )
 from eval.sets.real import real_motion
+from eval.sets.row_ids import RowId
 from eval.sets.sets import SampleSet, sample_set
 from eval.sets.stretches import BONE_LENGTHS, Track
 from eval.tables.nerm.copies import ACCUSED, COPIED, HELD_OUT, copies_block
@@ -343,14 +344,14 @@ def test_limits_of_a_store_are_computed_once_for_each_of_its_states(
 def test_the_block_tells_a_model_that_copies_from_one_that_does_not() -> None:
     copying = as_set(*(elsewhere(mirrored(swinging(2, 9.0)[start : start + 180])) for start in (0, 150, 300)))
     held_out = as_set(*(swinging(seed, 4.0) for seed in range(30, 34)))
-    sets = {"copying": copying, "too short": as_set(swinging(0, 0.3))}
+    sets = {RowId("copying"): copying, RowId("too short"): as_set(swinging(0, 0.3))}
     indexed = TrainingMotion.of(TRAINING)
-    block = copies_block(held_out, indexed, limits_of(TRAINING, indexed, None), sets, {"copying": "says so"})
+    block = copies_block(held_out, indexed, limits_of(TRAINING, indexed, None), sets, {RowId("copying"): "says so"})
     rows = {row.name: row for row in block.rows}
-    assert set(rows) == {HELD_OUT, "copying"}
+    assert set(rows) == {str(HELD_OUT), "copying"}
     assert {rows["copying"].cells[each].value for each in (ACCUSED, *COPIED.values())} == {100.0}
-    assert {rows[HELD_OUT].cells[each].value for each in (ACCUSED, *COPIED.values())} == {0.0}
-    assert rows["copying"].cells["95 % (mm)"].value < 3 < 10 < rows[HELD_OUT].cells["nearest (mm)"].value
+    assert {rows[str(HELD_OUT)].cells[each].value for each in (ACCUSED, *COPIED.values())} == {0.0}
+    assert rows["copying"].cells["95 % (mm)"].value < 3 < 10 < rows[str(HELD_OUT)].cells["nearest (mm)"].value
     assert rows["copying"].note == "3 motions; says so"
     assert block.provenance["limits"] == {
         "factor": 1.0,

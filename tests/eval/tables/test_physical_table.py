@@ -11,7 +11,7 @@ from eval.metrics.metric import find_metric
 from eval.metrics.physical import slide_speed
 from eval.metrics.resampling import Resampling
 from eval.sets.sets import sample_set
-from eval.tables.physical import PER_FRAME, REAL, build_physical, measured
+from eval.tables.physical import PER_FRAME, build_physical, measured
 from motionkit.core.motion import Caption, Motion
 from motionkit.fields.motion_field import to_motion
 from motionkit.generate.models import GenerationRequest
@@ -68,17 +68,17 @@ def test_rows_of_real_motion_and_of_a_model_that_slides(store: Path, tmp_path: P
     result = build_physical(request)
     ours, differences, published, _, faster = (cells(result, block) for block in range(5))
     assert result.blocks[0].title == "Per second, at 20 fps"
-    assert list(published[REAL]) == [metric.title for metric in PER_FRAME]
+    assert list(published["real"]) == [metric.title for metric in PER_FRAME]
     assert {row.note for row in result.blocks[0].rows} == {"4 takes, 4 motions, 17 s"}
     speed = "Skating speed"
-    assert ours[REAL][speed].value < 0.03 < 0.2 < ours["NeRM"][speed].value
+    assert ours["real"][speed].value < 0.03 < 0.2 < ours["NeRM"][speed].value
     assert ours["NeRM"][speed].value == pytest.approx(faster["NeRM"][speed].value, rel=0.05)
     difference = differences["NeRM − real"][speed]
-    assert difference.value == pytest.approx(ours["NeRM"][speed].value - ours[REAL][speed].value)
+    assert difference.value == pytest.approx(ours["NeRM"][speed].value - ours["real"][speed].value)
     assert result.blocks[1].rows[0].note.startswith("higher: Skating speed, ")
     assert 0 < ours["NeRM"][speed].ci95 < 0.1
     # Only bands of frames that hold 20 Hz have jitter.
-    assert "Jitter of 10 to 20 Hz" not in ours[REAL] and "Jitter of 10 to 20 Hz" in faster[REAL]
+    assert "Jitter of 10 to 20 Hz" not in ours["real"] and "Jitter of 10 to 20 Hz" in faster["real"]
     units = {measure.column: measure.unit for measure in result.blocks[0].metrics}
     assert units[speed] == "m/s" and units["PhysDiff Float"] == "mm"
     assert [measure.better for measure in result.blocks[0].metrics][:3] == ["as real"] * 3

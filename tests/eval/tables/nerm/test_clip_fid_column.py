@@ -9,6 +9,7 @@ import pytest
 from eval.clip_fid.clips import PoseRange, Protocol
 from eval.clip_fid.features import Comparison
 from eval.clip_fid.score import score_rows
+from eval.sets.row_ids import RowId
 from eval.sets.sets import SampleSet, sample_set
 from eval.tables.nerm.clip_fid_column import MOTIONS, P1, P2, SLERP, TAKES, TRAINING, score_column
 from tests.eval.clip_fid.test_calibration import MeanHeight
@@ -25,13 +26,14 @@ def takes(name: str, num_takes: int, frames: int = 40) -> SampleSet:
 
 def test_cells_are_the_scores_of_the_rows_that_fit() -> None:
     real, other = takes("real", 4), takes("other", 4)
-    rows = {P1: real, "other": other, "short": takes("short", 3, frames=12)}
+    own, short = RowId("other"), RowId("short")
+    rows = {P1: real, own: other, short: takes("short", 3, frames=12)}
     found = score_column(Comparison(real, MeanHeight(), PROTOCOL), rows)
-    assert set(found.value.cells) == {P1, P2, "other"}
+    assert set(found.value.cells) == {P1, P2, own}
     (told,) = found.missing
     assert told.startswith("short, 20 fps: short: no sequence has the 16 poses")
     expected = score_rows(real, {"other": other}, MeanHeight(), PROTOCOL)["other"].clip_fid
-    cell = found.value.cells["other"]
+    cell = found.value.cells[own]
     assert (cell.value, cell.ci95) == (expected.mean, expected.ci95)
     assert (cell.details[MOTIONS], cell.details[TAKES]) == (4, 4)
     assert (found.value.cells[P2].details[MOTIONS], found.value.differences) == (2, {})
@@ -49,13 +51,14 @@ def test_one_take_has_no_halves() -> None:
 
 def test_rows_are_compared_with_one_another_and_with_upsampling() -> None:
     real = takes("real", 12)
-    rows = {P1: real, SLERP: real, "near": takes("near1", 12), "far": moved(takes("far", 12), 50.0)}
+    near, far = RowId("near"), RowId("far")
+    rows = {P1: real, SLERP: real, near: takes("near1", 12), far: moved(takes("far", 12), 50.0)}
     found = score_column(Comparison(real, MeanHeight(), PROTOCOL), rows, halves=False).value
-    assert set(found.differences) == {("near", "far"), ("near", SLERP), ("far", SLERP)}
-    difference = found.differences["near", "far"]
+    assert set(found.differences) == {(near, far), (near, SLERP), (far, SLERP)}
+    difference = found.differences[near, far]
     assert difference.verdict == "lower"
-    assert difference.value == found.cells["near"].value - found.cells["far"].value
-    assert found.differences["far", SLERP].verdict == "higher"
+    assert difference.value == found.cells[near].value - found.cells[far].value
+    assert found.differences[far, SLERP].verdict == "higher"
 
 
 def test_a_row_of_subsets_has_the_spread_of_single_ones() -> None:

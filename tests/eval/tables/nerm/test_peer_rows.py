@@ -9,9 +9,9 @@ import pytest
 
 from eval.clip_fid import features
 from eval.clip_fid.clips import Protocol
-from eval.sets.planted import PLANTED
+from eval.sets.row_ids import RowId, Variant
 from eval.tables.models import trained_models, training_note
-from eval.tables.nerm import clip_fid_column, table2
+from eval.tables.nerm import table2
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
@@ -53,9 +53,11 @@ def test_a_peer_of_a_run_has_rows_and_the_others_have_commands(
     values = {"fps": (Fraction(20), Fraction(60)), "protocol": protocol, "features": ("kinematic",)}
     result = table2.build_table2(table_request(store, tmp_path / "results", run=tmp_path / "run", **values))
     rows = {row.name: row for row in result.blocks[0].rows}
-    vectors = clip_fid_column.GENERATED_VECTORS.format(NAME)
-    assert {NAME, PLANTED.format(NAME), vectors} <= rows.keys()
-    assert clip_fid_column.GENERATED_LOW.format(NAME) not in rows
+    vectors, upsampled, planted = (
+        str(RowId(NAME, variant)) for variant in (Variant.AS_VECTORS, Variant.UPSAMPLED, Variant.PLANTED)
+    )
+    assert {NAME, planted, vectors} <= rows.keys()
+    assert upsampled not in rows
     for name in (NAME, vectors):
         assert np.isfinite([cell.value for cell in rows[name].cells.values()]).all()
     # Velocities a frame that are left as they are carry the body three times as far.

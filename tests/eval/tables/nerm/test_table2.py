@@ -11,7 +11,8 @@ from eval.clip_fid import features
 from eval.clip_fid.clips import PoseRange, Protocol
 from eval.report.results import Block, Result
 from eval.sample_folder import SampleOptions
-from eval.sets.planted import DETAILED, DETAILED_NOTE, PLANTED
+from eval.sets.planted import VARIANT_NOTES
+from eval.sets.row_ids import RowId, Variant
 from eval.tables.nerm import clip_fid_column, copies, table2
 from eval.tables.registry import find_table, installed_tables
 from motionkit.core.errors import UsageError
@@ -98,14 +99,14 @@ def test_a_model_that_is_the_real_motion_reaches_the_floor(
     monkeypatch.setattr("eval.sets.memorisation.MOST_HELD_OUT", 3)
     result = build(store, tmp_path, run=trained_run(tmp_path / "run"))
     rows = rows_of(result)
-    floor = rows[clip_fid_column.P1]
+    floor = rows[str(clip_fid_column.P1)]
     for column in ("20 fps", "60 fps"):
         assert rows[NERM][column] < 2 * floor[column]
     assert rows[NERM_SLERP]["60 fps"] > 10 * floor["60 fps"]
-    assert rows[NERM_SLERP]["60 fps"] == pytest.approx(rows[clip_fid_column.SLERP]["60 fps"], rel=0.3)
+    assert rows[NERM_SLERP]["60 fps"] == pytest.approx(rows[str(clip_fid_column.SLERP)]["60 fps"], rel=0.3)
     assert not result.missing
     copied = next(block for block in result.blocks if block.title == copies.TITLE)
-    assert [row.name for row in copied.rows] == [copies.HELD_OUT, NERM]
+    assert [row.name for row in copied.rows] == [str(copies.HELD_OUT), NERM]
     assert result.definition["generated_motions"] == {"20 fps": {"NeRM": 12}, "60 fps": {"NeRM": 12}}
     assert result.provenance["run"] == "run"
     hashes = result.blocks[0].provenance["fingerprints"].values()
@@ -126,7 +127,7 @@ def test_generations_of_a_model_count_as_its_motions_and_rows_are_compared(
     told = {row.name: row for row in differences.rows}
     assert "better: 60 fps" in told[f"{NERM} − {clip_fid_column.SLERP}"].note
     assert "not told apart" in told[f"{NERM_SLERP} − {clip_fid_column.SLERP}"].note
-    training = next(row for row in scores.rows if row.name == clip_fid_column.TRAINING)
+    training = next(row for row in scores.rows if row.name == str(clip_fid_column.TRAINING))
     assert training.cells["60 fps"].details["takes"] == 12
 
 
@@ -156,7 +157,7 @@ def test_smoothing_every_set_hides_what_upsampling_loses(store: Path, tmp_path: 
     plain = rows_of(build(store, tmp_path, fps=FPS[1:]))
     result = build(store, tmp_path, fps=FPS[1:], low_pass_hz=4.0)
     smooth = rows_of(result)
-    assert smooth[clip_fid_column.SLERP]["60 fps"] < 0.7 * plain[clip_fid_column.SLERP]["60 fps"]
+    assert smooth[str(clip_fid_column.SLERP)]["60 fps"] < 0.7 * plain[str(clip_fid_column.SLERP)]["60 fps"]
     assert "low-passed at 4 Hz" in result.caption
 
 
@@ -164,7 +165,7 @@ def test_smoothing_every_set_hides_what_upsampling_loses(store: Path, tmp_path: 
 def test_clips_that_fit_nowhere_leave_the_column_out(store: Path, tmp_path: Path) -> None:
     protocol = Protocol(sizes=PoseRange(16, 200), num_clips=100, replications=1)
     result = build(store, tmp_path, protocol=protocol)
-    assert set(rows_of(result)[clip_fid_column.P1]) == {"60 fps"}
+    assert set(rows_of(result)[str(clip_fid_column.P1)]) == {"60 fps"}
     assert any("no sequence has the 200 poses that a clip at 20 fps" in line for line in result.missing)
 
 
@@ -184,8 +185,9 @@ def test_a_run_that_has_learnt_detail_has_a_row_with_it(
     monkeypatch.setattr("eval.tables.models.has_detail", lambda run: run.name == "run")
     monkeypatch.setattr("eval.tables.models.load_detail", lambda run: learnt)
     result = build(store, tmp_path, run=trained_run(tmp_path / "run"))
-    rows, (standing, fine) = rows_of(result), (PLANTED.format(NERM), DETAILED.format(NERM))
+    rows = rows_of(result)
+    standing, fine = (str(RowId(NERM, variant)) for variant in (Variant.PLANTED, Variant.DETAILED))
     assert rows[fine]["20 fps"] == pytest.approx(rows[standing]["20 fps"])
     assert rows[fine]["60 fps"] != pytest.approx(rows[standing]["60 fps"])
-    assert DETAILED_NOTE in next(row for row in result.blocks[0].rows if row.name == fine).note
+    assert VARIANT_NOTES[Variant.DETAILED] in next(row for row in result.blocks[0].rows if row.name == fine).note
     assert fine not in rows_of(build(store, tmp_path, run=trained_run(tmp_path / "other")))
