@@ -111,14 +111,17 @@ def analytic_motion(action: str = "walk", seconds: float = 4.0, seed: int = 0) -
     return replace(found, frequency=found.frequency * (0.9 + 0.2 * tempo), speed=found.speed * (0.9 + 0.2 * tempo))
 
 
-def write_analytic_store(path: Path, sequences: int = 8, seconds: float = 4.0) -> Path:
-    """A store of captioned sequences, by turns of each action, framerate (120, 30, 60, 20 fps) and split."""
+def write_analytic_store(path: Path, sequences: int = 12, seconds: float = 4.0) -> Path:
+    """A store of captioned sequences, by turns of each action, framerate (120, 30, 60, 20 fps) and split.
+
+    Two thirds are for training; twelve sequences have every action and every framerate among those.
+    """
     with StoreWriter.create(path) as writer:
         for seed in range(sequences):
             action, fps = list(ACTIONS)[seed % len(ACTIONS)], Fraction((120, 30, 60, 20)[seed % 4])
             motion = to_motion(analytic_motion(action, seconds, seed), fps)
             captions = (Caption(f"a person does a {action}"), Caption(f"the {action} begins", 0.0, seconds / 2))
-            split = ("train", "train", "train", "test", "val")[seed % 5]
+            split = ("train", "train", "test", "train", "val", "train", "train")[seed % 7]
             writer.add(replace(motion, captions=captions, action=action, split=split, sequence_id=f"sequence-{seed}"))
     return path
 
