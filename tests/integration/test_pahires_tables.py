@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from motionkit.core.checksums import read_json
+from motionkit.demo_corpus import write_demo_corpus
 from motionkit.store.ingest.ingest import ingest
-from motionkit.synthetic.demo_corpus import write_demo_corpus
 
 TINY = (
     *(
@@ -28,8 +28,8 @@ COMMON = ("--split", "all", "--where", TAKES)
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("pahires-tables")
-    corpus = write_demo_corpus(folder / "corpus", num_sequences=16)
-    ingest([corpus.folder / "bvh"], folder / "store", num_workers=1)
+    write_demo_corpus(folder / "corpus", every=8)
+    ingest([folder / "corpus"], folder / "store", num_workers=1)
     return folder / "store"
 
 
