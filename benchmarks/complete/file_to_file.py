@@ -2,7 +2,7 @@
 
     python benchmarks/complete/file_to_file.py [--minutes 1 10 60 180] [--fps 120] [--arguments "--run RUN"] [--json]
 
-The clip is a synthetic motion of the 22 joints at 30 fps, as BVH. Each figure is of a process of its own: wall seconds,
+The clip is an analytic motion of the 22 joints at 30 fps, as BVH. Each figure is of a process of its own: wall seconds,
 CPU seconds (user and system), peak resident memory. The baseline is a process that reads the clip's numbers and writes
 as many as the result has, in pieces, with the same parser and writer; the difference is the cost of completion.
 """
@@ -15,8 +15,6 @@ import tempfile
 import time
 from fractions import Fraction
 from pathlib import Path
-
-import numpy as np
 
 from benchmarks.command import arguments_parser, print_json
 
@@ -43,9 +41,9 @@ def write_clip(path: Path, minutes: float) -> None:
     """A BVH file at 30 fps: a minute's motion, repeated forwards and backwards."""
     from motionkit.fields.motion_field import to_motion
     from motionkit.io.bvh.writing import write_bvh
-    from motionkit.synthetic import make_body, perform
+    from tests.helpers.analytic import analytic_motion
 
-    field = perform(np.random.default_rng(0), make_body("benchmark"), ["walk", "squat", "jump", "bow"], PIECE_SECONDS)
+    field = analytic_motion("walk", PIECE_SECONDS)
     write_bvh(to_motion(field, Fraction(30)), path)
     head, _, body = path.read_text(encoding="utf-8").partition("MOTION\n")
     _, frame_time, *lines = body.strip().splitlines()

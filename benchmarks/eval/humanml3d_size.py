@@ -2,7 +2,7 @@
 
     python -m benchmarks.eval.humanml3d_size [--clips 14616] [--folder FOLDER] [--budget 45s]
 
-The motions are synthetic performances at 20 fps with captions and splits, in the published folder's form; their figures
+The motions are analytic, 2 to 9.8 s at 20 fps with captions and splits, in the published folder's form; their figures
 say nothing of models. Every command runs in a process of its own. The training is stopped by a signal after a while and
 started again by the same command, which must keep what was done. Beside seconds and memory stands what of it is
 reading: the bytes of the store. A table goes to stderr, JSON to stdout.
@@ -25,8 +25,11 @@ from rich.table import Table
 
 from eval.report.results import provenance
 from motionkit.cli.console import stderr
-from motionkit.io.humanml3d import write_humanml3d
-from motionkit.synthetic.demo_corpus import draw_sequences, humanml3d_entries
+from motionkit.core.motion import Caption
+from motionkit.features import humanml3d
+from motionkit.fields.motion_field import to_motion
+from motionkit.io.humanml3d import HUMANML3D, Entry, write_humanml3d
+from tests.helpers.analytic import ACTIONS, analytic_motion
 
 MOTIONKIT = (sys.executable, "-c", "from motionkit.cli.app import main; main()")
 INTERRUPTED = 130
@@ -56,8 +59,17 @@ def measured(folder: Path, *command: str, stop_after_seconds: float | None = Non
 
 
 def write_clips(folder: Path, clips: int) -> None:
-    """Synthetic performances as a folder of HumanML3D's form."""
-    write_humanml3d(folder, humanml3d_entries(draw_sequences(clips, 0)))
+    """Analytic motions as a folder of HumanML3D's form."""
+    write_humanml3d(folder, map(_entry, range(clips)))
+
+
+def _entry(number: int) -> Entry:
+    action = list(ACTIONS)[number % len(ACTIONS)]
+    field = analytic_motion(action, 2.0 + 0.05 * (number % 157), number)
+    joints = humanml3d.process(to_motion(field, HUMANML3D.fps).joint_positions, "smpl22")
+    split = ("train", "train", "train", "test", "train", "train", "val")[number % 7]
+    captions = (Caption(f"a person does a {action}"), Caption(f"someone does a {action}"))
+    return Entry(f"{number:06d}", joints, humanml3d.vectors(joints, "smpl22"), captions, split)
 
 
 def stages_done(folder: Path) -> list[str]:

@@ -1,6 +1,6 @@
 """Reading a folder of samples: 4,640 .npy files of 196 poses; its memory; upsampling one at a time and many at a time.
 
-python benchmarks/eval/sample_folder.py [--motions 4640] [--json]
+python -m benchmarks.eval.sample_folder [--motions 4640] [--json]
 """
 
 import argparse
@@ -18,15 +18,14 @@ from eval.report.results import provenance
 from eval.sample_folder import SampleOptions, read_sample_folder
 from eval.sets.upsampled import each_upsampled, upsampled_positions
 from motionkit.fields.motion_field import to_motion
-from motionkit.synthetic import ACTIONS, draw_body, perform
+from tests.helpers.analytic import ACTIONS, analytic_motion
 
 FPS, FAST = Fraction(20), Fraction(60)
 NUM_POSES, NUM_UPSAMPLED = 196, 128
 
 
 def motion(index: int) -> np.ndarray:
-    rng = np.random.default_rng(index)
-    field = perform(rng, draw_body(rng, "p"), [sorted(ACTIONS)[index % len(ACTIONS)]], NUM_POSES / 20 + 0.5)
+    field = analytic_motion(list(ACTIONS)[index % len(ACTIONS)], NUM_POSES / 20 + 0.5, index)
     return to_motion(field, FPS).joint_positions[:NUM_POSES]
 
 

@@ -3,7 +3,7 @@
     python benchmarks/features/humanml3d.py [--peer CLONE] [--json]
 
 Both sides take the same raw joints through uniform skeleton, floor, origin, facing and vectors. The peer's functions
-are read from its notebook and run in this process; the inputs are synthetic walks of 10,000 and of 170 frames.
+are read from its notebook and run in this process; the inputs are walks of 10,000 and of 170 frames.
 """
 
 import json

@@ -52,8 +52,8 @@ from motionkit.fields.interpolation.interpolators import interpolate
 from motionkit.fields.motion_field import MotionField, motion_chunks, to_motion
 from motionkit.fields.resample import resample_positions
 from motionkit.store.reader import Store
-from motionkit.synthetic import draw_body, perform
 from motionkit.training.detail.fit import fit_detail
+from tests.helpers.analytic import analytic_motion
 
 CUTOFF_HZ, SMOOTH_HZ = 10.0, 6.0
 RATES = (40, 60, 100, 120)
@@ -216,8 +216,7 @@ def strikes_of(height: Positions, lowest: Positions) -> list[tuple[int, float]]:
 
 def costs(detail: Detail) -> dict[str, float]:
     """Frames per second of process time, and peak memory besides the frames."""
-    rng = np.random.default_rng(0)
-    motion = to_motion(perform(rng, draw_body(rng, "somebody"), ["walk"], 60.0 * MINUTES[0]), GRID)
+    motion = to_motion(analytic_motion("walk", 60.0 * MINUTES[0]), GRID)
     base = interpolate(replace(motion, local_rotations=None, root_translation=None), "linear")
     spent = {}
     for name, field in (("without", base), ("with", detailed(base, detail, seed=0))):

@@ -36,7 +36,7 @@ from motionkit.fields.contact.planted import planted_frames
 from motionkit.fields.long_observation import LongObservation
 from motionkit.fields.motion_field import Observation, Poses, to_motion
 from motionkit.store.reader import Store
-from motionkit.synthetic import draw_body, perform
+from tests.helpers.analytic import analytic_motion
 
 FPS, SECONDS, MINUTES, SLIDING, VARIATION, REPEATS, AT_ONCE = Fraction(120), 10.0, 5, 0.2, 0.15, 3, 4096
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95, 0.98)
@@ -44,8 +44,7 @@ QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95, 0.98)
 
 def walk(minutes: float, sliding: float) -> Motion:
     """A walk, repeated forwards and backwards in time."""
-    rng = np.random.default_rng(0)
-    once = to_motion(perform(rng, draw_body(rng, "somebody"), ["walk"], SECONDS), FPS)
+    once = to_motion(analytic_motion("walk", SECONDS), FPS)
     count = int(minutes * 60 * FPS)
     rows = np.arange(count) % (2 * once.num_frames)
     rows = np.where(rows < once.num_frames, rows, 2 * once.num_frames - 1 - rows)

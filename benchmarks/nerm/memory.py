@@ -19,8 +19,6 @@ import time
 from fractions import Fraction
 from pathlib import Path
 
-import numpy as np
-
 from benchmarks.command import arguments_parser, print_json
 
 RATES = (20, 250)
@@ -33,13 +31,11 @@ def write_corpus(path: Path, fps: int, minutes: float) -> None:
     from motionkit.core.motion import Motion
     from motionkit.fields.motion_field import to_motion
     from motionkit.store.writer import StoreWriter
-    from motionkit.synthetic import make_body, perform
+    from tests.helpers.analytic import ACTIONS, analytic_motion
 
-    body = make_body("benchmark")
-    actions = ["walk", "jump", "squat", "bow", "walk"]
     with StoreWriter.create(path) as writer:
         for index in range(max(1, round(minutes * 60 / TAKE_SECONDS))):
-            performance = perform(np.random.default_rng(index), body, actions, TAKE_SECONDS)
+            performance = analytic_motion(list(ACTIONS)[index % len(ACTIONS)], TAKE_SECONDS, index)
             motion = to_motion(performance, Fraction(fps))
             plain = Motion(
                 motion.joint_positions, motion.skeleton, motion.timegrid, split="train", sequence_id=f"{index}"

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-ACTIONS = ("walk", "jump", "squat", "bow")
+ACTIONS = ("walk", "run", "squat", "bow")
 FRAMERATES = (30, 60)
 OLD_STORE = Path(__file__).parents[2] / "tests" / "motionkit" / "store" / "life" / "stores" / "v1"
 COLUMNS = ("file", "fps", "action", "subject", "caption", "split")
@@ -19,16 +19,16 @@ def write_takes(folder: str, first: str, count: str, seconds: str) -> None:
     """Write takes FIRST … FIRST + COUNT − 1 of so many seconds as BVH files, with a table of captions and splits."""
     from motionkit.fields.motion_field import to_motion
     from motionkit.io.bvh.writing import write_bvh
-    from motionkit.synthetic import make_body, perform
+    from tests.helpers.analytic import analytic_motion
 
-    path, body = Path(folder), make_body("drill")
+    path = Path(folder)
     path.mkdir(parents=True)
     with (path / "clips.csv").open("w", encoding="utf-8", newline="") as handle:
         table = csv.writer(handle, lineterminator="\n")
         table.writerow(COLUMNS)
         for number in range(int(first), int(first) + int(count)):
             action, fps = ACTIONS[number % len(ACTIONS)], FRAMERATES[number // 2 % len(FRAMERATES)]
-            field = perform(np.random.default_rng(number), body, [action], float(seconds))
+            field = analytic_motion(action, float(seconds), number)
             write_bvh(to_motion(field, Fraction(fps)), path / f"take-{number}.bvh")
             split = "test" if number % 4 == 3 else "train"
             table.writerow(

@@ -3,7 +3,6 @@
 from fractions import Fraction
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from benchmarks.eval.physical import RATIO, framerates_result, games_result
@@ -12,7 +11,7 @@ from motionkit.core.motion import Motion
 from motionkit.fields.motion_field import to_motion
 from motionkit.store.reader import Store
 from motionkit.store.writer import StoreWriter
-from motionkit.synthetic import draw_body, perform
+from tests.helpers.analytic import analytic_motion
 
 
 @pytest.fixture(scope="module")
@@ -20,8 +19,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("games") / "store"
     with StoreWriter.create(path) as writer:
         for seed, fps in enumerate((120, 120, 60)):
-            rng = np.random.default_rng(seed)
-            motion = to_motion(perform(rng, draw_body(rng, "p"), ["walk"], 3.0), Fraction(fps))
+            motion = to_motion(analytic_motion("walk", 3.0, seed), Fraction(fps))
             of_take = (motion.joint_positions, motion.skeleton, motion.timegrid)
             writer.add(Motion(*of_take, split="test", sequence_id=f"take-{seed}"))
     return path

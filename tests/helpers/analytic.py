@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from motionkit.core import kinematics as km
-from motionkit.core.motion import Caption
+from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.fields.motion_field import Poses, to_motion
 from motionkit.store.writer import StoreWriter
@@ -109,6 +109,15 @@ def analytic_motion(action: str = "walk", seconds: float = 4.0, seed: int = 0) -
     size, heading, tempo = np.modf(seed * np.array([0.8192, 0.6711, 0.5498]))[0]
     found = AnalyticMotion(seconds, BODY.scaled(0.9 + 0.2 * size), 6 * heading, **ACTIONS[action])
     return replace(found, frequency=found.frequency * (0.9 + 0.2 * tempo), speed=found.speed * (0.9 + 0.2 * tempo))
+
+
+def capture(fps: Fraction, action: str = "walk", seconds: float = 6.0, noise: float = 0.0, seed: int = 0) -> Motion:
+    """An action sampled at a framerate, with white noise of a standard deviation in metres on every joint."""
+    motion = to_motion(analytic_motion(action, seconds, seed), fps)
+    shaken = motion.joint_positions + noise * np.random.default_rng([seed, 5]).standard_normal(
+        (motion.num_frames, 22, 3)
+    )
+    return replace(motion, joint_positions=shaken.astype(np.float32))
 
 
 def write_analytic_store(path: Path, sequences: int = 12, seconds: float = 4.0) -> Path:

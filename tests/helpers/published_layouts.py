@@ -1,4 +1,4 @@
-"""Folders as published repositories write their samples: names, shapes and orders, with synthetic motions in them."""
+"""Folders as published repositories write their samples: names, shapes and orders, with analytic motions in them."""
 
 from collections.abc import Sequence
 from fractions import Fraction
@@ -11,7 +11,7 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.features import humanml3d
 from motionkit.fields.motion_field import to_motion
-from motionkit.synthetic import ACTIONS, draw_body, perform
+from tests.helpers.analytic import ACTIONS, analytic_motion
 
 FPS = Fraction(20)
 NUM_PROMPTS, NUM_REPEATS = 3, 2
@@ -22,11 +22,10 @@ CAPTIONS = ("a person walks", "a person waves, slowly", "someone jumps")
 
 @cache
 def motions(layout: str = "smpl22", fps: Fraction = FPS) -> tuple[np.ndarray, ...]:
-    """Six synthetic motions, by repetition, each as a published dataset processes it (metres; KIT: body heights)."""
+    """Six analytic motions, by repetition, each as a published dataset processes it (metres; KIT: body heights)."""
     made = []
     for index in range(NUM_PROMPTS * NUM_REPEATS):
-        rng = np.random.default_rng((7, index))
-        field = perform(rng, draw_body(rng, "p"), [sorted(ACTIONS)[index % len(ACTIONS)]], 2.6 + 0.2 * index)
+        field = analytic_motion(list(ACTIONS)[index % len(ACTIONS)], 2.6 + 0.2 * index, index)
         joints = map_joints(to_motion(field, fps), layout)
         made.append(humanml3d.process(joints, layout))
     return tuple(made)

@@ -7,12 +7,12 @@ from scipy.spatial.transform import Rotation
 
 from motionkit.core.motion import Motion
 from motionkit.fields.motion_field import to_motion
-from motionkit.synthetic import make_body, perform
+from tests.helpers.analytic import analytic_motion
 
 
 def walk(fps: int = 30, seconds: float = 3.0, seed: int = 0) -> Motion:
     """A walk in a circle with rotations, of the 22 joints."""
-    return to_motion(perform(np.random.default_rng(seed), make_body("test"), ["walk_circle"], seconds), Fraction(fps))
+    return to_motion(analytic_motion("circle", seconds), Fraction(fps))
 
 
 def _matrix(quaternion: np.ndarray) -> np.ndarray:

@@ -28,7 +28,7 @@ from motionkit.io.bvh.document import read_bvh, read_document
 from motionkit.io.bvh.writing import write_bvh
 from motionkit.io.humanml3d import Entry, write_humanml3d
 from motionkit.store import StoreWriter
-from motionkit.synthetic import make_body, perform
+from tests.helpers.analytic import analytic_motion
 from tests.helpers.bones import bone_lengths
 from tests.helpers.encoder_package import write_encoder_package
 from tests.helpers.format_samples import NUM_BVH_CHANNELS, bvh_text
@@ -44,7 +44,7 @@ PAGE = REPOSITORY / "docs" / "complete.md"
 @pytest.fixture(scope="module")
 def motion() -> Motion:
     """Two seconds of a walk at 30 fps, with rotations."""
-    performance = perform(np.random.default_rng(4), make_body("walker"), ["walk"], 2.0)
+    performance = analytic_motion("walk", 2.0)
     walked = to_motion(performance, Fraction(30)).frames(0, 60)
     return replace(walked, sequence_id="walk", captions=(Caption("a person walks"),))
 

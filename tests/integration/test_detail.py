@@ -17,8 +17,8 @@ from motionkit.generate.models import GenerationRequest
 from motionkit.store.writer import StoreWriter
 from motionkit.training.detail.stage import has_detail, load_detail
 from motionkit.training.run import RunError
+from tests.helpers.analytic import capture
 from tests.helpers.scripted_model import PosesAt, ScriptedModel
-from tests.helpers.synthetic_capture import capture
 
 
 def command(*arguments: object) -> str:

@@ -9,12 +9,11 @@ import numpy as np
 from motionkit.core.motion import Motion
 from motionkit.fields.motion_field import to_motion
 from motionkit.store.writer import StoreWriter
-from motionkit.synthetic import draw_body, perform
+from tests.helpers.analytic import analytic_motion
 
 
 def walk(seed: int) -> Motion:
-    rng = np.random.default_rng(seed)
-    return to_motion(perform(rng, draw_body(rng, "p"), ["walk"], 4.0), Fraction(30))
+    return to_motion(analytic_motion("walk", 4.0, seed), Fraction(30))
 
 
 def test_from_the_command_line_with_samples(tmp_path: Path, motionkit) -> None:

@@ -10,9 +10,9 @@ import pytest
 from motionkit.core.motion import Caption, Motion
 from motionkit.fields.motion_field import to_motion
 from motionkit.store.writer import StoreWriter
-from motionkit.synthetic import ACTIONS, draw_body, perform
 from motionkit.training.run import RunFolder
 from tests.helpers import published_layouts as published
+from tests.helpers.analytic import ACTIONS, analytic_motion
 
 SMALL = ("--fps", "20", "--clips", "96", "--replications", "2", "--features", "kinematic", "--sizes", "16:24")
 
@@ -22,8 +22,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("samples") / "store"
     with StoreWriter.create(path) as writer:
         for index in range(8):
-            rng = np.random.default_rng((11, index))
-            field = perform(rng, draw_body(rng, "p"), [sorted(ACTIONS)[index % len(ACTIONS)]], 4.0)
+            field = analytic_motion(list(ACTIONS)[index % len(ACTIONS)], 4.0, index)
             motion = to_motion(field, Fraction(30))
             writer.add(
                 Motion(

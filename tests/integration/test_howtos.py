@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 import motionkit as mk
+from motionkit.demo_corpus import read_demo_corpus
 from motionkit.fields.motion_field import to_motion
-from motionkit.synthetic import ACTIONS, draw_body, make_body, perform
 from tests.helpers import published_layouts
+from tests.helpers.analytic import ACTIONS, analytic_motion
 from tests.helpers.humanml3d_checkout import write_amass_tree, write_checkout
 from tests.helpers.outcome import Outcome
 from tests.helpers.pages import COMMAND, blocks, run_page, unmarked
@@ -42,9 +43,8 @@ def write_store(folder: Path, splits: tuple[str, ...] = ("train", "test")) -> No
     """A store of walks and other actions at 60 fps."""
     with mk.StoreWriter.create(folder) as writer:
         for number in range(8):
-            rng = np.random.default_rng(number)
-            action = "walk" if number % 2 else sorted(ACTIONS)[number]
-            motion = to_motion(perform(rng, draw_body(rng, "p"), [action], 2.5), Fraction(60))
+            action = "walk" if number % 2 else list(ACTIONS)[number % len(ACTIONS)]
+            motion = to_motion(analytic_motion(action, 2.5, number), Fraction(60))
             split = splits[number % 3 == 0]
             writer.add(replace(motion, sequence_id=f"takes/{number}", action=action, split=split))
 
@@ -88,8 +88,8 @@ def test_engines(run, tmp_path):
 
 def test_character(run, tmp_path):
     write_store(tmp_path / "store")
-    rng, tall = np.random.default_rng(0), make_body("hero", height=2.1)
-    mk.write(to_motion(perform(rng, tall, ["walk"], 2.0), Fraction(30)), tmp_path / "hero.bvh")
+    (hero,) = read_demo_corpus(["49_13"])
+    mk.write(hero, tmp_path / "hero.bvh")
     run("character")
     (first, *_), hero = sorted((tmp_path / "out").rglob("*.bvh")), mk.read(tmp_path / "hero.bvh")
     made = mk.read(first)

@@ -5,20 +5,18 @@ from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from motionkit.core.motion import Motion, Provenance
 from motionkit.fields.interpolation.interpolators import interpolate
 from motionkit.fields.motion_field import to_motion
 from motionkit.store.writer import StoreWriter
-from motionkit.synthetic import draw_body, perform
+from tests.helpers.analytic import analytic_motion
 from tests.helpers.repository import REPOSITORY
 
 
 def take(name: str, source: str, fps: int) -> Motion:
-    rng = np.random.default_rng(3)
-    motion = to_motion(perform(rng, draw_body(rng, "somebody"), ["walk"], 4.0), Fraction(fps))
+    motion = to_motion(analytic_motion("walk", 4.0, 3), Fraction(fps))
     return replace(motion, sequence_id=name, provenance=Provenance(source=source, stated_fps=str(fps)))
 
 

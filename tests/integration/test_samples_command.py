@@ -11,8 +11,8 @@ from eval.commands.samples import samples as command
 from eval.sample_folder.manifest import READERS, manifest_text, read_manifest
 from motionkit.cli.options import UpAxis
 from motionkit.core.errors import MotionkitError, UsageError
-from motionkit.synthetic import make_body, perform
 from tests.helpers import published_layouts as published
+from tests.helpers.analytic import analytic_motion
 from tests.helpers.repository import REPOSITORY
 
 DEFAULTS = {"init": False, "fps": None, "unit_metres": None, "statistics": None, "mean": None, "std": None}
@@ -136,7 +136,7 @@ def test_the_manifests_of_the_page_are_manifests(tmp_path):
 
 @pytest.mark.parametrize("order", [np.arange(22)[::-1], np.roll(np.arange(22), 9)])
 def test_joints_in_another_order_are_refused(samples, tmp_path, order):
-    positions = perform(np.random.default_rng(0), make_body("test"), ["walk"], 2.0).query(np.arange(60) / 30)
+    positions = analytic_motion("walk", 2.0).query(np.arange(60) / 30)
     for index in range(3):
         np.save(tmp_path / f"{index}.npy", positions.joint_positions.astype(np.float32))
     assert "motions" in samples(tmp_path, fps="30")

@@ -24,7 +24,7 @@ from motionkit.io.scan.items import ReadOptions
 from motionkit.io.scan.reading import read
 from motionkit.io.scan.scanner import scan
 from motionkit.store import StoreWriter
-from motionkit.synthetic import make_body, perform
+from tests.helpers.analytic import analytic_motion
 from tests.helpers.every_format import SOURCES
 from tests.helpers.outcome import Outcome
 from tests.helpers.packed import unpack
@@ -36,7 +36,7 @@ HALF_STEP = 5.1e-5
 @pytest.fixture(scope="module")
 def motion() -> Motion:
     """Two seconds of a walk at 30 fps, with rotations."""
-    walked = to_motion(perform(np.random.default_rng(4), make_body("walker"), ["walk"], 2.0), Fraction(30))
+    walked = to_motion(analytic_motion("walk", 2.0), Fraction(30))
     captions = (Caption("a person walks", 0.0, 1.0), Caption("on"))
     return replace(walked.frames(0, 60), sequence_id="set/walk", captions=captions, action="walk")
 

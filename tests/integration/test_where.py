@@ -4,7 +4,6 @@ import json
 from fractions import Fraction
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import motionkit.cli.train_jobs as train_command
@@ -16,9 +15,9 @@ from motionkit.features.quality import measure
 from motionkit.fields.motion_field import to_motion
 from motionkit.store.sql import conjunction
 from motionkit.store.writer import StoreWriter
-from motionkit.synthetic import draw_body, perform
 from motionkit.training.config import flatten
 from motionkit.training.stage import registered_stages
+from tests.helpers.analytic import analytic_motion
 
 CLEAN = "NOT list_contains(quality_flags, 'teleport')"
 TINY = (
@@ -33,8 +32,7 @@ TINY = (
 
 
 def take(index: int, split: str, glitch: bool) -> Motion:
-    rng = np.random.default_rng([index, 7])
-    motion = to_motion(perform(rng, draw_body(rng, "somebody"), ["walk"], 4.0), Fraction(60))
+    motion = to_motion(analytic_motion("walk", 4.0, index), Fraction(60))
     positions = motion.joint_positions.copy()
     if glitch:
         positions[100, 20] += 0.7

@@ -2,7 +2,6 @@
 
 from fractions import Fraction
 
-import numpy as np
 import pytest
 
 import motionkit as mk
@@ -14,7 +13,7 @@ from eval.clip_fid.score import score_rows
 from eval.sets.sets import sample_set
 from motionkit.core.errors import MotionkitWarning
 from motionkit.fields.motion_field import to_motion
-from motionkit.synthetic import ACTIONS, make_body, perform
+from tests.helpers.analytic import ACTIONS, analytic_motion
 
 # The same definition on fewer clips; the descriptor's fit on all of its 8,192 takes seconds.
 FEW = {"clips": 256, "replications": 3}
@@ -28,15 +27,17 @@ def quick_fit(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def real() -> list[mk.Motion]:
-    """Eight synthetic motions of three seconds at 60 fps."""
-    rng, body = np.random.default_rng(0), make_body("test")
-    return [to_motion(perform(rng, body, [action], 3.0), Fraction(60)) for action in list(ACTIONS)[:8]]
+    """Eight analytic motions of three seconds at 60 fps."""
+    return [
+        to_motion(analytic_motion(action, 3.0, seed), Fraction(60))
+        for seed, action in enumerate([*ACTIONS, "walk", "bow"])
+    ]
 
 
 @pytest.fixture(scope="module")
 def slowed(real: list[mk.Motion]) -> list[mk.Motion]:
-    """The same, brought to 15 fps and back."""
-    return [mk.complete(motion.resample(15), fps=60, model="slerp") for motion in real]
+    """The same, brought to 5 fps and back."""
+    return [mk.complete(motion.resample(5), fps=60, model="slerp") for motion in real]
 
 
 def test_it_is_the_number_of_the_definition(real: list[mk.Motion], slowed: list[mk.Motion]) -> None:

@@ -7,7 +7,7 @@ import pytest
 from eval.report import figures
 from motionkit.core.skeleton import SMPL22
 from motionkit.fields.motion_field import to_motion
-from motionkit.synthetic import make_body, perform
+from tests.helpers.analytic import analytic_motion
 
 
 def standing(left_hand_up: bool) -> np.ndarray:
@@ -43,8 +43,7 @@ def test_bones_keep_their_length_in_the_plane_or_shrink() -> None:
 
 
 def test_strips_are_written(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    field = perform(rng, make_body("b"), ["walk", "bow"], 5.0)
+    field = analytic_motion("walk", 5.0)
     strip = figures.strip_of(to_motion(field, Fraction(60)), "walks, then bows", num_poses=6, seconds=3.0)
     assert strip.seconds[-1] == pytest.approx(3.0)
     assert strip.joint_positions.shape == (6, 22, 3)

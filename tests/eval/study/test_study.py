@@ -16,7 +16,7 @@ from eval.study.page import ANSWERS_FORMAT, KEY_FORMAT
 from eval.study.preference import Key, KeyTrial, StudyError, preferences, read_key
 from eval.study.systems import System
 from motionkit.core.checksums import write_json
-from motionkit.synthetic import make_body, perform
+from tests.helpers.analytic import analytic_motion
 
 
 def system(name: str, captions: tuple[str, ...], fastest: tuple[Fraction, ...] | None = None) -> System:
@@ -75,12 +75,11 @@ def test_shares_have_wilsons_interval_and_the_binomial_test() -> None:
 
 
 def folders(tmp_path: Path) -> list[str]:
-    rng, body = np.random.default_rng(0), make_body("test")
     options = []
     for name, fps in (("ours", 60), ("theirs", 20)):
         (tmp_path / name).mkdir()
         for action in ("walk", "bow"):
-            joints = perform(rng, body, [action], 2.0).query(np.arange(fps) / fps).joint_positions
+            joints = analytic_motion(action, 2.0).query(np.arange(fps) / fps).joint_positions
             np.savez(tmp_path / name / f"{action}.npz", joint_positions=joints, fps=fps, captions=[f"to {action}"])
         options += ["--samples", f"{name}={tmp_path / name}"]
     return options

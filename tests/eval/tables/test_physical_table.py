@@ -16,7 +16,7 @@ from motionkit.core.motion import Caption, Motion
 from motionkit.fields.motion_field import to_motion
 from motionkit.generate.models import GenerationRequest
 from motionkit.store.writer import StoreWriter
-from motionkit.synthetic import draw_body, perform
+from tests.helpers.analytic import analytic_motion
 from tests.helpers.scripted_model import PosesAt, ScriptedModel, install_models, trained_run
 from tests.helpers.table_request import table_request
 
@@ -24,8 +24,7 @@ SECONDS = 4.0
 
 
 def performance(seed: int):
-    rng = np.random.default_rng(seed)
-    return perform(rng, draw_body(rng, "p"), ["walk"], SECONDS + 0.1)
+    return analytic_motion("walk", SECONDS + 0.1, seed)
 
 
 def poses_at(times_seconds: np.ndarray, seed: int, drift: float) -> np.ndarray:

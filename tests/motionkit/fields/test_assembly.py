@@ -23,7 +23,7 @@ from motionkit.fields.motion_field import (
     motion_chunks,
     to_motion,
 )
-from motionkit.synthetic import draw_body, perform
+from tests.helpers.analytic import analytic_motion
 from tests.helpers.turning_body import random_motion
 
 
@@ -139,7 +139,7 @@ def test_chunks_of_a_long_motion_are_the_whole() -> None:
 def test_a_chain_goes_on_where_the_last_motion_ends() -> None:
     """Parts of one walk, each put elsewhere and turned, are laid back over each other."""
     rng = np.random.default_rng(0)
-    walk = perform(rng, draw_body(rng, "somebody"), ["walk"], 6.0)
+    walk = analytic_motion("walk", 6.0)
     parts = []
     for first in (0.0, 2.0, 4.0):
         turned = Piece(

@@ -11,7 +11,7 @@ import pytest
 from motionkit.fields.interpolation.interpolators import INTERPOLATORS
 from motionkit.fields.motion_field import joint_velocities, to_motion
 from motionkit.io.bvh.writing import write_bvh
-from motionkit.synthetic import draw_body, perform
+from tests.helpers.analytic import analytic_motion
 from tests.helpers.repository import REPOSITORY
 
 PAGE = REPOSITORY / "docs" / "motion-fields.md"
@@ -19,8 +19,7 @@ PAGE = REPOSITORY / "docs" / "motion-fields.md"
 
 def test_its_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    rng = np.random.default_rng(0)
-    field = perform(rng, draw_body(rng, "somebody"), ["walk"], 3.0)
+    field = analytic_motion("walk", 3.0)
     write_bvh(to_motion(field, Fraction(30)), Path("walk.bvh"))
     names: dict[str, Any] = {}
     for code in re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL):

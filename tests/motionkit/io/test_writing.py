@@ -10,13 +10,13 @@ import motionkit as mk
 from motionkit.fields.motion_field import to_motion
 from motionkit.io import gltf
 from motionkit.io.catalogue import writers
-from motionkit.synthetic import make_body, perform
+from tests.helpers.analytic import analytic_motion
 
 
 @pytest.fixture(scope="module")
 def motion() -> mk.Motion:
     """Half a second of a walk at 30000/1001 fps, with rotations."""
-    return to_motion(perform(np.random.default_rng(4), make_body("walker"), ["walk"], 2.0), Fraction(30000, 1001))
+    return to_motion(analytic_motion("walk", 2.0), Fraction(30000, 1001))
 
 
 @pytest.mark.parametrize("suffix", [each.suffixes[0] for each in writers().values() if each.read is not None])

@@ -13,7 +13,6 @@ import torch
 import nerm.stages.codebook
 from motionkit.fields.motion_field import to_motion
 from motionkit.store.writer import StoreWriter
-from motionkit.synthetic import make_body, perform
 from motionkit.training.config import apply_overrides
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
@@ -23,6 +22,7 @@ from nerm.codebook.published import PUBLISHED, load_published
 from nerm.recipes import nano
 from nerm.settings import CodebookNetworkConfig
 from nerm.stages.codebook import train_codebook
+from tests.helpers.analytic import analytic_motion
 
 SMALL = CodebookNetworkConfig(width=10, code_dimension=8, num_codes=24)
 
@@ -219,7 +219,7 @@ def test_the_real_statistics_pass(tmp_path: Path, checkpoint: Path, captures: Pa
 def test_the_stage_takes_it_in_place_of_training(
     tmp_path: Path, checkpoint: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    performance = perform(np.random.default_rng(0), make_body("test"), ["walk"], 2.0)
+    performance = analytic_motion("walk", 2.0)
     with StoreWriter.create(tmp_path / "store") as writer:
         writer.add(replace(to_motion(performance, Fraction(20)), sequence_id="m", split="train"))
     loads = load_published

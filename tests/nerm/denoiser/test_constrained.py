@@ -14,10 +14,10 @@ from motionkit.data.pose_vectors.rotations import RotationVectors, smpl_rig
 from motionkit.fields.contact.legs import legs_of
 from motionkit.fields.motion_field import to_motion
 from motionkit.generate.constraints import Constraint
-from motionkit.synthetic import make_body, perform
 from motionkit.training.diffusion.process import sample_ddim
 from nerm.denoiser.constrained import Search
 from nerm.field.goals import ConstraintCost, FootSliding
+from tests.helpers.analytic import analytic_motion
 
 BODY = torch.from_numpy(np.random.default_rng(0).normal(size=(22, 3))).float()
 HEAD = SMPL22.joint_names.index("head")
@@ -94,7 +94,7 @@ def test_bones_of_another_length_cost_at_poses_alone() -> None:
 
 
 def test_feet_that_stand_cost_what_they_slide() -> None:
-    performance = perform(np.random.default_rng(0), make_body("test"), ["walk"], 4.0)
+    performance = analytic_motion("walk", 4.0)
     walk = torch.from_numpy(to_motion(performance, Fraction(60)).joint_positions)
     feet = FootSliding(lambda latent: walk, legs_of(SMPL22), torch.zeros(0, 2, 1)).with_contacts_of(torch.zeros(6))
     assert 0.3 < float((feet.contact > 0.5).float().mean()) < 0.9

@@ -22,8 +22,8 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.generate.models import GenerationRequest
 from motionkit.store.writer import StoreWriter
 from motionkit.training.detail.fit import fit_detail
+from tests.helpers.analytic import capture
 from tests.helpers.scripted_model import PosesAt, ScriptedModel, install_models, trained_run
-from tests.helpers.synthetic_capture import capture
 from tests.helpers.table_request import table_request
 
 FPS = (Fraction(20), Fraction(60))

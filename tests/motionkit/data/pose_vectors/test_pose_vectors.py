@@ -21,7 +21,6 @@ from motionkit.features import field, native
 from motionkit.fields.motion_field import to_motion
 from motionkit.store.reader import Store
 from motionkit.store.writer import StoreWriter
-from motionkit.synthetic import make_body, perform
 from motionkit.training.config import apply_overrides
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
@@ -29,6 +28,7 @@ from nerm.field.motion_encoder import encode_windows
 from nerm.field.trained import load_field
 from nerm.recipes import nano
 from nerm.stages.field import train_field
+from tests.helpers.analytic import analytic_motion
 
 NAMES = ("field", "native", "rotations")
 RATES = (60, 30, 120)
@@ -40,10 +40,9 @@ TOLERANCE_MM = {"field": 0.01, "native": 4.0, "rotations": 0.5}
 def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     """One body with rotations at three framerates, and one motion without."""
     path = tmp_path_factory.mktemp("vectors") / "store"
-    rng, body = np.random.default_rng(0), make_body("one")
     with StoreWriter.create(path) as writer:
         for index, rate in enumerate(RATES):
-            motion = to_motion(perform(rng, body, ["walk", "wave_left"], 4.0), Fraction(rate))
+            motion = to_motion(analytic_motion("walk", 4.0), Fraction(rate))
             writer.add(replace(motion, sequence_id=f"m{index}", split="train"))
         bare = replace(motion, local_rotations=None, root_translation=None)
         writer.add(replace(bare, sequence_id="bare", split="train"))
@@ -72,7 +71,7 @@ def test_what_is_encoded_comes_back_in_the_window_s_frame(store: Store, name: st
         truth = window_truth(poses.source, windows, row, windows.exact_fps(row))
         apart = np.linalg.norm(decoded.joint_positions - truth, axis=-1)
         # A body that is not symmetric has no mirror image on its own bones.
-        allowed = 12.0 if name == "rotations" and windows.mirrored[row] else TOLERANCE_MM[name]
+        allowed = 14.0 if name == "rotations" and windows.mirrored[row] else TOLERANCE_MM[name]
         assert apart.max() * 1000 < allowed
 
 
@@ -104,7 +103,7 @@ def test_groups_hold_every_number_once(store: Store) -> None:
 
 class TestNative:
     def test_a_mirrored_vector_is_that_of_the_mirrored_motion(self) -> None:
-        motion = to_motion(perform(np.random.default_rng(3), make_body("two"), ["walk", "bow"], 4.0), Fraction(60))
+        motion = to_motion(analytic_motion("walk", 4.0), Fraction(60))
         mirrored = mirror_positions(motion.joint_positions, SMPL22.left_right_pairs)
         vectors = native.vectors(motion.joint_positions, "smpl22", motion.fps)
         expected = native.vectors(mirrored, "smpl22", motion.fps)
@@ -112,7 +111,7 @@ class TestNative:
         np.testing.assert_array_equal(native.mirrored(native.mirrored(vectors, "smpl22"), "smpl22"), vectors)
 
     def test_the_path_is_integrated_over_the_time_stamps(self) -> None:
-        motion = to_motion(perform(np.random.default_rng(3), make_body("two"), ["walk"], 4.0), Fraction(240))
+        motion = to_motion(analytic_motion("walk", 4.0), Fraction(240))
         vectors = native.vectors(motion.joint_positions, "smpl22", motion.fps)
         some = np.sort(np.random.default_rng(1).choice(np.arange(1, len(vectors)), 300, replace=False))
         some = np.concatenate(([0], some))
@@ -164,7 +163,7 @@ class TestRotations:
             with_rotations(store, "sequence_id = 'bare'")
 
     def test_rest_poses_that_differ_are_reported(self, tmp_path: Path) -> None:
-        motion = to_motion(perform(np.random.default_rng(3), make_body("two"), ["walk"], 2.0), Fraction(30))
+        motion = to_motion(analytic_motion("walk", 2.0), Fraction(30))
         offsets = motion.skeleton.offsets.copy()
         for elbow in (18, 19):
             offsets[elbow] = (np.linalg.norm(offsets[elbow]) * (1 if elbow == 18 else -1), 0, 0)
@@ -243,7 +242,7 @@ def test_a_field_of_each_convention_trains_saves_and_decodes(store: Store, name:
     assert np.linalg.norm(found[0] - truth, axis=-1).mean() < 0.6 * standing
     motion_field = trained.as_motion_field(trained.posterior_mean[0], 3.5)
     assert motion_field.skeleton == trained.skeleton
-    poses = motion_field.query(times[[20, 3]])
+    poses = motion_field.at_fps(Fraction(60)).query(times[[20, 3]])
     assert (poses.local_rotations is not None) == (name == "rotations")
     np.testing.assert_allclose(poses.joint_positions[:, :22], found[0, [20, 3]], atol=2e-3)
     latents = encode_windows(trained, cache, windows.select(np.array([0])), frames)

@@ -9,13 +9,13 @@ import pytest
 import motionkit as mk
 from motionkit.fields.motion_field import to_motion
 from motionkit.io.arrays.npz import motion_arrays
-from motionkit.synthetic import make_body, perform
+from tests.helpers.analytic import analytic_motion
 
 
 @pytest.fixture(scope="module")
 def motion() -> mk.Motion:
     """Two seconds of a walk at 30 fps, with rotations."""
-    return to_motion(perform(np.random.default_rng(4), make_body("walker"), ["walk"], 2.0), Fraction(30)).frames(0, 60)
+    return to_motion(analytic_motion("walk", 2.0), Fraction(30)).frames(0, 60)
 
 
 @pytest.fixture(autouse=True)

@@ -1,11 +1,10 @@
-"""A small store of synthetic performances at several framerates, captioned, and how to ingest an export again."""
+"""A small store of analytic motions at several framerates, captioned, and how to ingest an export again."""
 
 from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from motionkit.core.motion import Caption, Motion, Provenance
@@ -14,15 +13,14 @@ from motionkit.edit.export.selection import Selection
 from motionkit.fields.motion_field import to_motion
 from motionkit.store import Store, StoreWriter
 from motionkit.store.ingest.ingest import ingest
-from motionkit.synthetic import make_body, perform
+from tests.helpers.analytic import analytic_motion
 
 RATES = (Fraction(30), Fraction(60000, 1001), Fraction(120))
 
 
 def performance(index: int, fps: Fraction, seconds: float = 4.0) -> Motion:
-    """A synthetic body that walks, with rotations, captions and a history."""
-    rng = np.random.default_rng(index)
-    motion = to_motion(perform(rng, make_body(f"body {index}"), ["walk", "wave_left"], seconds), fps)
+    """A body that walks, with rotations, captions and a history."""
+    motion = to_motion(analytic_motion("walk", seconds, index), fps)
     return replace(
         motion,
         captions=(Caption("a person walks, then waves"), Caption("waves", 1.5, 2.25, "wave/VERB")),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from motionkit.fields.motion_field import to_motion
-from motionkit.synthetic import make_body, perform
+from tests.helpers.analytic import analytic_motion
 
 LOOK = """
 import bpy, json, sys
@@ -33,7 +33,7 @@ def test_joints_stand_where_they_did(kind: str, millimetres: float, tmp_path: Pa
     python = os.environ.get("MOTIONKIT_BLENDER")
     if not python:
         pytest.skip("needs Blender: set MOTIONKIT_BLENDER to a Python that has bpy")
-    motion = to_motion(perform(np.random.default_rng(0), make_body("p"), ["walk"], 2.0), Fraction(120))
+    motion = to_motion(analytic_motion("walk", 2.0), Fraction(120))
     motion.save(tmp_path / f"walk.{kind}")
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     done = subprocess.run(

@@ -16,7 +16,7 @@ from motionkit.fields.contact.detection import Ground, find_contacts, ground_of
 from motionkit.fields.contact.planted import PlantedField, planted
 from motionkit.fields.interpolation.interpolators import interpolate
 from motionkit.fields.motion_field import MotionField, Poses, joint_velocities, to_motion
-from tests.helpers.synthetic_capture import capture
+from tests.helpers.analytic import capture
 
 FPS = Fraction(60)
 FEET = (7, 10, 8, 11)
@@ -128,7 +128,7 @@ def test_generated_feet_stand_where_captured_ones_may_creep() -> None:
     assert steadiest_speed(free.joint_positions, still, FPS).mean() < 0.015
 
 
-@pytest.mark.parametrize("action", ["walk", "jog", "turn_left", "squat", "wave_left"])
+@pytest.mark.parametrize("action", ["walk", "run", "circle", "squat", "wave"])
 def test_feet_that_stand_are_left_alone(action: str) -> None:
     motion = capture(FPS, action)
     after = to_motion(field_of(bare(motion), "near"), FPS)
@@ -184,7 +184,7 @@ def test_feet_below_the_floor_come_up() -> None:
 
 
 @settings(max_examples=15, deadline=None)
-@given(st.integers(0, 10_000), st.sampled_from(["walk", "jog", "squat", "turn_left"]), st.booleans())
+@given(st.integers(0, 10_000), st.sampled_from(["walk", "run", "squat", "circle"]), st.booleans())
 def test_it_is_one_function_of_time(seed: int, action: str, rotations: bool) -> None:
     motion = capture(Fraction(30), action, seconds=3.0, seed=seed)
     field = field_of(slid(motion if rotations else bare(motion), 0.15))
@@ -197,7 +197,7 @@ def test_it_is_one_function_of_time(seed: int, action: str, rotations: bool) -> 
 
 
 @settings(max_examples=10, deadline=None)
-@given(st.integers(0, 10_000), st.sampled_from(["walk", "jog", "squat"]))
+@given(st.integers(0, 10_000), st.sampled_from(["walk", "run", "squat"]))
 def test_velocity_is_continuous(seed: int, action: str) -> None:
     motion = bare(capture(Fraction(120), action, seconds=3.0, seed=seed))
     field = field_of(slid(motion, 0.15))
@@ -209,7 +209,7 @@ def test_velocity_is_continuous(seed: int, action: str) -> None:
 
 
 @settings(max_examples=10, deadline=None)
-@given(st.integers(0, 10_000), st.sampled_from(["walk", "jog", "squat", "jump"]))
+@given(st.integers(0, 10_000), st.sampled_from(["walk", "run", "squat", "bow"]))
 def test_bones_keep_their_length(seed: int, action: str) -> None:
     motion = bare(capture(Fraction(60), action, seconds=3.0, seed=seed, noise=0.003))
     after = to_motion(field_of(slid(motion, 0.15)), FPS).joint_positions.astype(np.float64)

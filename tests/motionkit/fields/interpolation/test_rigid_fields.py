@@ -12,7 +12,7 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.interpolation.interpolators import INTERPOLATORS
 from motionkit.fields.interpolation.rigid import on_bones
 from motionkit.fields.motion_field import Observation, Poses, to_motion
-from motionkit.synthetic import make_body, perform
+from tests.helpers.analytic import analytic_motion
 from tests.helpers.bones import bone_lengths
 from tests.helpers.turning_body import random_motion
 
@@ -30,7 +30,7 @@ LEG = Skeleton(
 
 @pytest.fixture(scope="module")
 def walk() -> Motion:
-    performance = perform(np.random.default_rng(4), make_body("walker"), ["walk"], 2.0)
+    performance = analytic_motion("walk", 2.0)
     return to_motion(performance, Fraction(30)).frames(0, 60)
 
 

@@ -19,7 +19,7 @@ from motionkit.io.characters.character import read_character
 from motionkit.io.gltf import GlbBuffer
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.smpl.body import mean_shape_skeleton
-from motionkit.synthetic import make_body, perform
+from tests.helpers.analytic import analytic_motion
 from tests.motionkit.io.characters.test_retargeting import directions
 
 NAMES = {"pelvis": "Hips", "spine1": "Spine", "spine2": "Spine1", "spine3": "Spine2", "neck": "Neck", "head": "Head"}
@@ -36,7 +36,7 @@ def mixamo_name(joint: str) -> str:
 @pytest.fixture(scope="module")
 def walk() -> mk.Motion:
     """Two seconds of a walk at 60000/1001 fps."""
-    return to_motion(perform(np.random.default_rng(4), make_body("walker"), ["walk"], 2.0), Fraction(60000, 1001))
+    return to_motion(analytic_motion("walk", 2.0), Fraction(60000, 1001))
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.motion_field import to_motion
 from motionkit.io.characters.retargeting import retarget, stands
 from motionkit.io.smpl.body import mean_shape_skeleton
-from motionkit.synthetic import make_body, perform
+from tests.helpers.analytic import analytic_motion
 
 LIMBS = [("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle")]
 
@@ -95,7 +95,7 @@ def test_limbs_point_where_the_source_s_do_whatever_the_rest_pose(
 
 
 def test_positions_alone_are_enough_for_the_limbs() -> None:
-    walk = to_motion(perform(np.random.default_rng(4), make_body("walker"), ["walk"], 2.0), Fraction(60))
+    walk = to_motion(analytic_motion("walk", 2.0), Fraction(60))
     bare = replace(walk, local_rotations=None, root_translation=None)
     assert bare.skeleton.joint_names == SMPL22.joint_names
     made = retarget(bare, mean_shape_skeleton())

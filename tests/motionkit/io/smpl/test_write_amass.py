@@ -14,8 +14,8 @@ from motionkit.fields.motion_field import to_motion
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.smpl.amass import write_amass as write
 from motionkit.io.smpl.body import LAYOUTS, mean_shape_skeleton
-from motionkit.synthetic import make_body, perform
 from tests.helpers.amass_samples import stageii_fields, standing_poses, write_amass
+from tests.helpers.analytic import analytic_motion
 from tests.motionkit.io.smpl.test_amass import read_one
 from tests.motionkit.io.smpl.test_body_models import write_body_model
 
@@ -63,7 +63,7 @@ def standing_body(places: np.ndarray) -> dict[str, object]:
 
 
 def test_gmr_s_calls_of_smplx_put_the_joints_where_the_motion_has_them(tmp_path: Path) -> None:
-    walk = to_motion(perform(np.random.default_rng(4), make_body("walker"), ["walk"], 2.0), Fraction(120))
+    walk = to_motion(analytic_motion("walk", 2.0), Fraction(120))
     write(walk, tmp_path / "walk.npz")
     path = tmp_path / "models" / "smplx" / "SMPLX_NEUTRAL.npz"
     write_body_model(path, LAYOUTS["smplx"], **standing_body(mean_rest()))

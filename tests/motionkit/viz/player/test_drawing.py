@@ -9,8 +9,8 @@ from motionkit.core.kinematics import quaternion_rotate
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import rest_positions
 from motionkit.fields.motion_field import to_motion
-from motionkit.synthetic import make_body, perform
 from motionkit.viz.player.takes import drawing_of
+from tests.helpers.analytic import analytic_motion
 
 
 def test_bones_sides_and_ends_of_the_22_joints() -> None:
@@ -36,7 +36,7 @@ def test_the_front_is_where_the_body_was_turned_to(skeleton: Skeleton, turned: f
 
 
 def test_a_joint_that_travels_hangs_on_no_bone() -> None:
-    motion = to_motion(perform(np.random.default_rng(1), make_body("walker"), ["walk"], 2.0), Fraction(30))
+    motion = to_motion(analytic_motion("walk", 2.0), Fraction(30))
     still = Skeleton(
         "on-the-floor",
         ("reference", *motion.skeleton.joint_names),

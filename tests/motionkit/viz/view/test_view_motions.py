@@ -14,8 +14,8 @@ import pytest
 
 import motionkit as mk
 from motionkit.fields.motion_field import to_motion
-from motionkit.synthetic import make_body, perform
 from motionkit.viz.view.motions import MOST_BYTES
+from tests.helpers.analytic import analytic_motion
 from tests.helpers.packed import unpack
 
 HALF_STEP = 5.1e-5
@@ -24,7 +24,7 @@ HALF_STEP = 5.1e-5
 @pytest.fixture(scope="module")
 def motion() -> mk.Motion:
     """Two seconds of a walk at 30 fps."""
-    return to_motion(perform(np.random.default_rng(4), make_body("walker"), ["walk"], 2.0), Fraction(30))
+    return to_motion(analytic_motion("walk", 2.0), Fraction(30))
 
 
 @pytest.fixture(autouse=True)
