@@ -191,7 +191,7 @@ class _Windows:
                 place = slice(starts[row], starts[row] + length)
                 added[place] += fade[:, None, None] * turn(fast, float(yaw[row] - self.yaw[window]))
                 weight[place] += fade
-        return added / weight[:, None, None]
+        return np.asarray(added / weight[:, None, None])
 
 
 def _windows(training: SampleSet) -> _Windows:

@@ -22,7 +22,7 @@ from eval.sets.stretches import FPS
 from motionkit.core.checksums import read_json, write_json
 from motionkit.core.errors import DamagedFileError, UsageError
 from motionkit.core.progress import warn
-from motionkit.store.cache.folder import cache_root
+from motionkit.store.cache import cache_root
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store
