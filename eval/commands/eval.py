@@ -1,7 +1,7 @@
 """`motionkit eval`: build a table or a figure, or calibrate the feature sets."""
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -42,9 +42,9 @@ def evaluate(
 
     Example: motionkit eval --table 2
     """
-    from eval.tables.registry import TableRequest
+    from eval.tables.registry import TableRequest, find_table
 
-    numbers = wanted.numbers
+    tables = {number: None if number is None else find_table(wanted.paper, number) for number in wanted.numbers}
     if wanted.calibrate and (clips.low_pass is not None or evaluated.samples):
         raise UsageError("--calibrate damages real motion by itself: leave out --low-pass and --samples")
     request = TableRequest(
@@ -59,24 +59,26 @@ def evaluate(
     )
     with progress() as show:
         request = replace(request, on_progress=show)
+        if any(table is not None and table.takes_samples for table in tables.values()):
+            _print_left_out(request)
         if wanted.table == ALL:
-            _build_all(request, numbers, wanted.paper, output.as_json)
+            _build_all(request, tables, output.as_json)
         else:
-            result = _build(request, numbers[0], wanted.paper)
+            result = _build(request, *tables.values())
             _show(result, output.as_json)
             _refuse_rowless(request, result)
     if not evaluated.allow_broken:
         _refuse_broken(request)
 
 
-def _build_all(request: "TableRequest", numbers: Sequence[str | None], paper: str, as_json: bool) -> None:
+def _build_all(request: "TableRequest", tables: "Mapping[str | None, Table | None]", as_json: bool) -> None:
     """Build every table in turn; raises `UsageError` at the end, with reasons, if some could not be built."""
     from dataclasses import asdict
 
     results, lacking = [], []
-    for number in numbers:
+    for number, table in tables.items():
         try:
-            result = _build(request, number, paper)
+            result = _build(request, table)
             results.append(result)
             _refuse_rowless(request, result)
         except MotionkitError as error:
@@ -87,7 +89,7 @@ def _build_all(request: "TableRequest", numbers: Sequence[str | None], paper: st
     if as_json:
         print_json([asdict(result) for result in results])
     if lacking:
-        raise UsageError(f"{len(results)} of {len(numbers)} were built. " + "; ".join(lacking))
+        raise UsageError(f"{len(results)} of {len(tables)} were built. " + "; ".join(lacking))
 
 
 def _refuse_rowless(request: "TableRequest", result: "Result") -> None:
@@ -110,19 +112,23 @@ def _refuse_rowless(request: "TableRequest", result: "Result") -> None:
         raise SampleFolderError(f"the table was written without rows for {', '.join(map(repr, rowless))}")
 
 
-def _refuse_broken(request: "TableRequest") -> None:
-    """Print every sample that was left out, and raise."""
-    from eval.sample_folder import SampleFolderError
-
-    incomplete = [folder for folder in request.sample_folders if folder.left_out]
-    for folder in incomplete:
+def _print_left_out(request: "TableRequest") -> None:
+    """Read the samples, and name those that are left out."""
+    for folder in request.sample_folders:
         for problem in folder.left_out[:SHOWN_PROBLEMS]:
             stderr.print(f"left out of {folder.name!r}: {problem}")
         if len(folder.left_out) > SHOWN_PROBLEMS:
             stderr.print(f"… and {len(folder.left_out) - SHOWN_PROBLEMS:,} more: motionkit samples FOLDER")
-    if incomplete:
-        names = ", ".join(f"{len(folder.left_out):,} of {folder.name!r}" for folder in incomplete)
-        raise SampleFolderError(f"the table was built without broken samples ({names}); --allow-broken accepts that")
+
+
+def _refuse_broken(request: "TableRequest") -> None:
+    """Raise if samples were left out."""
+    from eval.sample_folder import SampleFolderError
+
+    left_out = {folder.name: len(folder.left_out) for folder in request.sample_folders if folder.left_out}
+    if left_out:
+        counts = ", ".join(f"{count:,} of {name!r}" for name, count in left_out.items())
+        raise SampleFolderError(f"the table was built without broken samples ({counts}); --allow-broken accepts that")
 
 
 def _say_what_is_lacking(table: "Table", request: "TableRequest") -> None:
@@ -140,21 +146,19 @@ def _say_what_is_lacking(table: "Table", request: "TableRequest") -> None:
         stderr.print(f"no rows of {', '.join(lacking)}: motionkit train {options}{named} trains the missing ones")
 
 
-def _build(request: "TableRequest", table: str | None, paper: str) -> "Result":
+def _build(request: "TableRequest", table: "Table | None") -> "Result":
     """Build and write a table (None: the calibration)."""
     from eval.report.render import to_markdown
     from eval.report.results import write_result
     from eval.tables.calibration import build_calibration
-    from eval.tables.registry import find_table
 
     if table is None:
         result = build_calibration(request)
     else:
-        found = find_table(paper, table)
-        if request.evaluated.samples and not found.takes_samples:
-            raise UsageError(f"{found.title!r} has no rows of samples: leave out --samples")
-        result = found.build(request)
-        _say_what_is_lacking(found, request)
+        if request.evaluated.samples and not table.takes_samples:
+            raise UsageError(f"{table.title!r} has no rows of samples: leave out --samples")
+        result = table.build(request)
+        _say_what_is_lacking(table, request)
     path = write_result(result, request.results)
     if result.figure:
         from eval.report.curves import calibration_figure

@@ -80,7 +80,7 @@ AllowBroken = Annotated[
     bool,
     typer.Option(
         "--allow-broken",
-        help="Exit with 0 even if unreadable samples, or samples with NaN, were left out.",
+        help="Exit with 0 even if samples that are unreadable, hold NaN or are no bodies were left out.",
         rich_help_panel=EVALUATED,
     ),
 ]

@@ -1,5 +1,7 @@
 """Plausibility checks of joint positions: units, axes, joint order, padding."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Float, Float32, Int64
 
@@ -72,14 +74,54 @@ def some_poses(folder: SampleFolder) -> Float32[np.ndarray, "motions poses joint
     return poses
 
 
-def check_bodies(folder: SampleFolder) -> tuple[str, ...]:
-    """Remarks about implausible bodies. Raises `SampleFolderError` if most are no human bodies in metres."""
+@dataclass(frozen=True)
+class BodyFault:
+    """Why a motion's body is none: a short slug as in `FormatError`, and a message."""
+
+    reason: str
+    message: str
+
+
+def body_faults(folder: SampleFolder, up_is_stated: bool) -> dict[int, BodyFault]:
+    """The motions whose bodies are none, by index: of another unit, or lying in most of their poses.
+
+    Poses that lie are accepted if the folder states which way is up. Raises `SampleFolderError` if most bodies are of
+    another unit.
+    """
     poses = some_poses(folder)
     lengths = _bones(poses.reshape(-1, SMPL22.num_joints, 3)).reshape(*poses.shape[:2], -1)
     metres = np.median(lengths.sum(axis=2), axis=1)
-    typical = float(np.median(metres))
-    if _factor(typical) > PLAUSIBLE_FACTOR:
-        raise SampleFolderError(f"--samples {folder.name}: {_size_message(typical)}")
+    wrong = [index for index, each in enumerate(metres.tolist()) if _factor(each) > PLAUSIBLE_FACTOR]
+    if 2 * len(wrong) > folder.num_motions:
+        advice = "write unit_metres = {:.6g} into " + MANIFEST
+        raise SampleFolderError(f"--samples {folder.name}: {_size_message(float(np.median(metres[wrong])), advice)}")
+    advice = "multiply them by {:.6g}"
+    faults = {index: BodyFault("body-size", _size_message(float(metres[index]), advice)) for index in wrong}
+    lying = [] if up_is_stated else [index for index, motion in enumerate(poses) if _lies(motion)]
+    message = (
+        "in most poses the head is beside or below the feet: turn the motion so that y is up, or write "
+        f'up = "y" into {MANIFEST} if the body is meant to lie'
+    )
+    return {index: BodyFault("lying", message) for index in lying} | faults
+
+
+def _lies(poses: Float[np.ndarray, "poses 22 3"]) -> bool:
+    """Whether the head is above the feet by less than half their horizontal distance in most poses."""
+    x, y, z = _upward(poses).T
+    return bool(2 * np.count_nonzero(2 * y < np.hypot(x, z)) > len(poses))
+
+
+def _upward(poses: Float[np.ndarray, "poses 22 3"]) -> Float[np.ndarray, "poses 3"]:
+    """From the middle of the ankles to the head."""
+    head, ankles = SMPL22.index("head"), [SMPL22.index("left_ankle"), SMPL22.index("right_ankle")]
+    upward: Float[np.ndarray, "poses 3"] = poses[:, head] - poses[:, ankles].mean(axis=1)
+    return upward
+
+
+def check_joints(folder: SampleFolder) -> None:
+    """Raise `SampleFolderError` if bones do not keep their lengths, or have other proportions than people's."""
+    poses = some_poses(folder)
+    lengths = _bones(poses.reshape(-1, SMPL22.num_joints, 3)).reshape(*poses.shape[:2], -1)
     variation = float(np.median(lengths.std(axis=1) / np.maximum(lengths.mean(axis=1), 1e-9)))
     if variation > MOST_BONE_VARIATION:
         raise SampleFolderError(
@@ -92,8 +134,6 @@ def check_bodies(folder: SampleFolder) -> tuple[str, ...]:
             f"--samples {folder.name}: a bone of an arm or a leg is {order:.1f} times too long or too short beside the "
             "others, so these are no positions of the 22 SMPL (or 21 KIT) joints in their order (docs/samples.md)"
         )
-    odd = np.count_nonzero((metres > PLAUSIBLE_FACTOR * typical) | (metres * PLAUSIBLE_FACTOR < typical))
-    return (f"the bodies of {odd:,} motions are {PLAUSIBLE_FACTOR} times larger or smaller than most",) if odd else ()
 
 
 def _limb_factor(joints: Float[np.ndarray, "poses joints 3"]) -> float:
@@ -105,17 +145,18 @@ def _limb_factor(joints: Float[np.ndarray, "poses joints 3"]) -> float:
     return float(max(shares.max(), 1 / shares.min()))
 
 
-def _size_message(metres: float) -> str:
-    found = f"the bodies measure {metres:.3g} m from ankle to head, people {TYPICAL_HEIGHT_METRES} m"
+def _size_message(metres: float, advice: str) -> str:
+    """What is wrong with a body's size; `advice` is what to do with the unit's metres."""
+    found = f"a body measures {metres:.3g} m from ankle to head, people {TYPICAL_HEIGHT_METRES} m"
     units = {**UNITS, "KIT-ML's unit": KIT.unit_metres}
     name, unit = min(units.items(), key=lambda entry: _factor(metres * entry[1]))
     if _factor(metres * unit) > PLAUSIBLE_FACTOR:
         needed = TYPICAL_HEIGHT_METRES / metres if metres > 0 else np.inf
         return (
-            f"{found}, which no usual unit explains (unit_metres = {needed:.3g} in {MANIFEST} would): are these "
-            "positions of the 22 SMPL joints?"
+            f"{found}, which no usual unit explains (a unit of {needed:.3g} m would): are these positions of the 22 "
+            "SMPL joints?"
         )
-    return f"{found}; write unit_metres = {unit:.6g} into {MANIFEST} if they are in {name} ({metres * unit:.2f} m)"
+    return f"{found}; {advice.format(unit)} if the positions are in {name} ({metres * unit:.2f} m)"
 
 
 def turn_upright(positions: Float32[np.ndarray, "rows joints 3"], starts: Int64[np.ndarray, "motions"], up: str) -> str:
@@ -126,9 +167,7 @@ def turn_upright(positions: Float32[np.ndarray, "rows joints 3"], starts: Int64[
     if not len(starts):
         return ""
     if not up:
-        head, feet = SMPL22.index("head"), [SMPL22.index("left_ankle"), SMPL22.index("right_ankle")]
-        upward = positions[starts, head] - positions[starts][:, feet].mean(axis=1)
-        _, y, z = upward.T
+        _, y, z = _upward(positions[starts]).T
         if 2 * np.count_nonzero(z > 2 * np.abs(y)) > len(starts):
             up = "z"
         elif 2 * np.count_nonzero(-y > 2 * np.abs(z)) > len(starts):

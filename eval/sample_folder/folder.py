@@ -3,10 +3,11 @@
 import hashlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from itertools import groupby
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float32
@@ -16,6 +17,8 @@ from eval.sets.upsampled import each_upsampled
 from motionkit.core.errors import FormatError, MotionkitError
 from motionkit.core.skeleton import SMPL22
 from motionkit.fields.resample import resample_positions
+
+T = TypeVar("T")
 
 
 class SampleFolderError(MotionkitError):
@@ -37,7 +40,7 @@ class SampleFolder:
     """Motions of one system in the 22-joint layout (metres, y up), each at its stated framerate.
 
     Motions of one group share a prompt (for MultiModality); by default each is its own group. `left_out` are motions
-    that could not be read or hold NaN, `remarks` messages about what was found and done.
+    that could not be read, hold NaN or are no bodies, `remarks` messages about what was found and done.
 
     `vectors` are the pose vectors of every motion in their own units, with up to 3 stored frames of padding, if all
     came as vectors of one size and `SampleOptions.keep_published` is set; else empty. `kit_joints` are KIT-ML's 21
@@ -66,6 +69,24 @@ class SampleFolder:
         """Seconds of motion in all."""
         lengths = self.sequences.num_frames
         return float(sum(int(frames) / fps for frames, fps in zip(lengths, self.fps, strict=True)))
+
+    def select(self, indices: Sequence[int]) -> "SampleFolder":
+        """The motions at these indices; `left_out` and `remarks` are kept."""
+
+        def some(values: Sequence[T]) -> tuple[T, ...]:
+            return tuple(values[index] for index in indices) if values else ()
+
+        return replace(
+            self,
+            sequences=Ragged.of([self.sequences[index] for index in indices]),
+            fps=some(self.fps),
+            sequence_ids=some(self.sequence_ids),
+            captions=some(self.captions),
+            actions=some(self.actions),
+            groups=some(self.groups),
+            vectors=some(self.vectors),
+            kit_joints=some(self.kit_joints),
+        )
 
     @cached_property
     def fingerprint(self) -> str:

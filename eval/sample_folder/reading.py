@@ -1,6 +1,6 @@
 """Reading a folder of samples: every motion that can be read, and a list of those that cannot."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cache
@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from eval.sample_folder.arrays import StoredMotion, read_stored
-from eval.sample_folder.bodies import check_bodies, padding_remark, turn_upright
+from eval.sample_folder.bodies import BodyFault, body_faults, check_joints, padding_remark, turn_upright
 from eval.sample_folder.folder import Packer, SampleFolder, SampleFolderError, SampleText, left_out_line
 from eval.sample_folder.listing import Listing, list_samples
 from eval.sample_folder.manifest import MANIFEST, NamedParts, SampleOptions, named_parts, read_prompts
@@ -42,14 +42,15 @@ def read_sample_folder(
     options: SampleOptions | None = None,
     on_read: OnRead = lambda done, total: None,
 ) -> SampleFolder:
-    """Read every motion of a folder, or of one file; those that cannot be read or hold NaN are in `left_out`.
+    """Read every motion of a folder, or of one file.
 
-    Raises `SampleFolderError` without any motion, or for missing metadata (framerate, statistics of pose vectors, unit
-    of length), and `FormatError` for a broken `samples.toml`.
+    Motions that cannot be read, whose framerate is not known, that hold NaN or are no human bodies are in `left_out`.
+    Raises `SampleFolderError` without any other motion, or for missing metadata (statistics of pose vectors, unit of
+    length), and `FormatError` for a broken `samples.toml`.
     """
     listing = list_samples(name, source)
     reader = _Reader(name, listing, options or SampleOptions())
-    packer, left_out = Packer(), list(listing.problems)
+    packer, paths, left_out = Packer(), list[Path](), list(listing.problems)
     array_rows = 0
     files: tuple[Path | SourceItem, ...] = (*listing.arrays, *listing.items)
     for number, file in enumerate(files):
@@ -58,6 +59,7 @@ def read_sample_folder(
                 left_out.append(found)
             else:
                 packer.add(*found)
+                paths.append(file.path if isinstance(file, SourceItem) else file)
         if number + 1 == len(listing.arrays):
             array_rows = len(packer)
         on_read(number + 1, listing.num_files)
@@ -65,19 +67,42 @@ def read_sample_folder(
         raise SampleFolderError(f"--samples {name}: no motion can be read: {left_out_line(left_out, 0)}")
     padded = f"of {reader.num_trimmed:,} motions the last frames, all zeros, were dropped"
     remarks = (*listing.remarks, *([padded] if reader.num_trimmed else []))
-    return _checked(packer.finish(name, left_out, remarks), array_rows, reader.up)
+    return _checked(packer.finish(name, left_out, remarks), paths, array_rows, listing, reader.up)
 
 
-def _checked(folder: SampleFolder, num_of_arrays: int, up: str) -> SampleFolder:
-    """The folder with upright bodies; raises `SampleFolderError` if these are no human bodies."""
+def _checked(
+    folder: SampleFolder, paths: Sequence[Path], num_of_arrays: int, listing: Listing, up: str
+) -> SampleFolder:
+    """The folder's human bodies, upright; raises `SampleFolderError` if there are none."""
     end = int(folder.sequences.num_frames[:num_of_arrays].sum())
     starts = folder.sequences.start_row[:num_of_arrays]
     turned = turn_upright(folder.sequences.values[:end], starts, up)
-    remarks = (*folder.remarks, *([turned] if turned else []), *check_bodies(folder), *padding_remark(folder))
+    faults = body_faults(folder, up_is_stated=bool(up))
+    if faults:
+        folder = _without(folder, faults, paths, listing)
+    check_joints(folder)
+    remarks = (*folder.remarks, *([turned] if turned else []), *padding_remark(folder))
     if turned:
         # Pose vectors have y up by definition: if bodies had to be rotated, their vectors follow another convention.
         folder = replace(folder, vectors=(), kit_joints=())
     return replace(folder, remarks=remarks)
+
+
+def _without(
+    folder: SampleFolder, faults: Mapping[int, BodyFault], paths: Sequence[Path], listing: Listing
+) -> SampleFolder:
+    """The folder without the motions that are no bodies, each in `left_out`."""
+    problems = []
+    for index, fault in sorted(faults.items()):
+        # Motions of one file are named by their place in it.
+        place, name = listing.place(paths[index]), folder.sequence_ids[index]
+        which = "" if name == place else f"motion {name.removeprefix(f'{place}/')}: "
+        problems.append(FormatError(which + fault.message, path=paths[index], reason=fault.reason))
+    left_out = (*folder.left_out, *problems)
+    kept = [index for index in range(folder.num_motions) if index not in faults]
+    if not kept:
+        raise SampleFolderError(f"--samples {folder.name}: no motion is a body: {left_out_line(left_out, 0)}")
+    return replace(folder.select(kept), left_out=left_out)
 
 
 Vectors = Float32[np.ndarray, "_frames numbers"]
@@ -198,10 +223,11 @@ class _Reader:
         if fps is None and stored.is_vectors:
             fps = JOINTS_BY_WIDTH[stored.numbers.shape[1]].fps
         if fps is None:
-            raise SampleFolderError(
-                f"--samples {self.name}: nothing says the framerate of {path.name}; write fps = 20 (or what it is) "
-                f"into {self.listing.root / MANIFEST}, or give {self.options.fps_option} 20 (HumanML3D's models have "
-                "20, KIT-ML's 12.5)"
+            raise FormatError(
+                f"nothing says its framerate; write fps = 20 (or what it is) into {self.listing.root / MANIFEST}, or "
+                f"give {self.options.fps_option} 20 (HumanML3D's models have 20, KIT-ML's 12.5)",
+                path=path,
+                reason="framerate",
             )
         return fps
 

@@ -63,7 +63,7 @@ def test_every_published_layout_gets_its_row(motionkit, store, tmp_path):
     np.save(tmp_path / "gpt" / "000009_pred.npy", np.full((1, 50, 22, 3), np.nan, np.float32))
     arguments = ("--store", store, "--results", tmp_path / "results", "--samples-fps", 20, "--json", *SMALL)
     done = motionkit("eval", "--table", 2, *samples, *arguments, "--allow-broken")
-    assert (done.code, done.stderr.count("left out")) == (0, 0), done.stderr
+    assert (done.code, done.stderr.count("left out")) == (0, 1), done.stderr
     result = json.loads(done.stdout)
     rows = {row["name"]: row for row in result["blocks"][0]["rows"]}
     values = {name: rows[name]["cells"]["20 fps"]["value"] for name in folders}
@@ -88,15 +88,18 @@ def test_broken_samples_are_left_out_and_cost_the_exit_code(motionkit, store, tm
     folder = published.write_t2m_gpt(tmp_path / "gpt")
     np.save(folder / "000009_pred.npy", np.full((1, 50, 22, 3), np.nan, np.float32))
     (folder / "000010_pred.npy").write_bytes(b"half a file")
+    np.save(folder / "000011_pred.npy", 1000 * published.motions()[0])
     arguments = ("--store", store, "--results", tmp_path / "results", "--samples-fps", 20, *SMALL)
     done = motionkit("eval", "--table", 2, "--samples", f"mine={folder}", *arguments)
     assert done.code == 1
     assert "| mine" in done.stdout
-    assert "2 of 8 motions left out (1 nan, 1 not-what-it-says)" in done.stdout
-    assert "left out of 'mine': " in done.stderr
-    assert "000009_pred.npy, frame 0: nan" in done.stderr
-    assert "000010_pred.npy" in done.stderr
-    assert "built without broken samples (2 of 'mine'); --allow-broken accepts that" in done.stderr
+    assert "3 of 9 motions left out (1 nan, 1 not-what-it-says, 1 body-size)" in done.stdout
+    # They are named before anything is computed.
+    first = done.stderr.splitlines()[:3]
+    assert all(line.startswith("left out of 'mine': ") for line in first)
+    names = ("000009_pred.npy, frame 0: nan", "000010_pred.npy", "000011_pred.npy")
+    assert all(name in line for name, line in zip(names, first, strict=True))
+    assert "built without broken samples (3 of 'mine'); --allow-broken accepts that" in done.stderr
 
 
 def test_samples_without_a_row_cost_the_exit_code_and_are_reported(motionkit, store, tmp_path):
@@ -113,7 +116,7 @@ def test_samples_without_a_row_cost_the_exit_code_and_are_reported(motionkit, st
     ("samples", "says"),
     [
         (("mine=a", "mine=b"), "there are samples of this name already"),
-        (("NeRM=a",), "tables have a row 'NeRM' of their own"),
+        (("NeRM=a",), "there is a row 'NeRM' already"),
         (("mine",), "give NAME=DIR"),
     ],
 )
@@ -136,7 +139,7 @@ def test_a_table_without_rows_of_samples_says_so(motionkit, store, tmp_path):
     ("arguments", "says"),
     [
         (("--samples-fps", "fast"), "--samples-fps fast"),
-        ((), "nothing says the framerate of 000000_pred.npy; write fps = 20"),
+        ((), "000000_pred.npy: nothing says its framerate; write fps = 20"),
     ],
 )
 def test_faults_are_reported_before_anything_is_computed(motionkit, store, tmp_path, arguments, says):

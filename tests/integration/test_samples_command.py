@@ -42,7 +42,7 @@ def test_a_folder_is_described(samples, tmp_path):
     found = json.loads(samples(folder, fps="20", as_json=True))
     assert found["prompt_sizes"] == {"2": 3}
     assert found["body_metres"] == pytest.approx(1.48, abs=0.03)
-    with pytest.raises(MotionkitError, match=r"nothing says the framerate of results\.npy"):
+    with pytest.raises(MotionkitError, match=r"results\.npy: nothing says its framerate"):
         samples(folder)
 
 

@@ -39,7 +39,7 @@ def fault(folder: Path) -> str:
 
 def test_the_framerate_is_asked_for_with_the_line_to_write(tmp_path: Path) -> None:
     folder = folder_of(tmp_path, "", a=JOINTS)
-    assert f"nothing says the framerate of a.npy; write fps = 20 (or what it is) into {folder}/samples.toml" in fault(
+    assert f"a.npy: nothing says its framerate; write fps = 20 (or what it is) into {folder}/samples.toml" in fault(
         folder
     )
     assert read(folder, SampleOptions(Fraction(25))).fps == (25,)
@@ -87,7 +87,7 @@ def test_vectors_of_mdm_s_own_order_are_rows(tmp_path: Path) -> None:
 
 def test_metres_are_checked(tmp_path: Path) -> None:
     told = fault(folder_of(tmp_path, a=JOINTS * 100))
-    assert "from ankle to head, people 1.45 m; write unit_metres = 0.01 into samples.toml if they are in cm" in told
+    assert "write unit_metres = 0.01 into samples.toml if the positions are in cm" in told
     samples = read(folder_of(tmp_path, "fps = 20\nunit_metres = 0.01"))
     np.testing.assert_allclose(samples.sequences.values, JOINTS, rtol=1e-5, atol=1e-6)
     assert "no usual unit explains" in fault(folder_of(tmp_path, "fps = 20\nunit_metres = 1e-4"))
@@ -110,11 +110,55 @@ def test_z_up_is_turned_where_most_bodies_stand_along_z(tmp_path: Path) -> None:
     np.testing.assert_allclose(read(folder_of(tmp_path, 'fps = 20\nup = "y"')).sequences[0], z_up(standing[0]))
 
 
-def test_one_lying_body_turns_nothing(tmp_path: Path) -> None:
-    lying = np.stack((JOINTS[..., 0], -JOINTS[..., 2] + 1, JOINTS[..., 1]), axis=-1)
+LYING = np.stack((JOINTS[..., 0], -JOINTS[..., 2] + 1, JOINTS[..., 1]), axis=-1)
+
+
+@pytest.mark.parametrize(
+    ("array", "reason"),
+    [
+        (1000 * JOINTS, "body-size"),
+        (JOINTS / 100, "body-size"),
+        (LYING, "lying"),
+        (LYING[..., [2, 0, 1]], "lying"),
+        (JOINTS * np.float32([1, -1, -1]), "lying"),
+    ],
+    ids=["millimetres", "a hundredth", "z up", "x up", "y down"],
+)
+def test_a_motion_that_is_no_body_is_left_out_by_name(tmp_path: Path, array: np.ndarray, reason: str) -> None:
     arrays = {f"m{index}": joints for index, joints in enumerate(published.motions())}
-    samples = read(folder_of(tmp_path, **arrays, m6=lying))
-    np.testing.assert_array_equal(samples.sequences[6], lying)
+    folder = folder_of(tmp_path, **arrays, odd=array)
+    np.save(folder / "pair.npy", np.stack((JOINTS, array)))
+    samples = read(folder)
+    assert samples.sequence_ids == (*arrays, "pair/0000")
+    for name, sequence in zip(arrays, samples.sequences, strict=False):
+        np.testing.assert_array_equal(sequence, arrays[name])
+    left_out = {problem.path.name: problem for problem in samples.left_out}
+    assert {name: problem.reason for name, problem in left_out.items()} == {"odd.npy": reason, "pair.npy": reason}
+    assert left_out["pair.npy"].message.startswith("motion 0001: ")
+    assert f"2 of 9 motions left out (2 {reason})" in samples.describe()
+
+
+def test_bodies_lie_on_purpose_where_up_is_stated(tmp_path: Path) -> None:
+    samples = read(folder_of(tmp_path, 'fps = 20\nup = "y"', a=JOINTS, b=LYING))
+    np.testing.assert_array_equal(samples.sequences[1], LYING)
+
+
+def test_somebody_who_lies_for_half_of_the_time_is_a_body(tmp_path: Path) -> None:
+    half = len(JOINTS) // 2
+    arrays = {
+        "down": np.concatenate((JOINTS[:half], LYING[half:])),
+        "up": np.concatenate((LYING[:half], JOINTS[half:])),
+    }
+    assert read(folder_of(tmp_path, **arrays)).sequence_ids == ("down", "up")
+
+
+def test_one_file_without_a_framerate_is_left_out_by_name(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, "", a=JOINTS)
+    np.savez(folder / "b.npz", joint_positions=JOINTS, fps=60)
+    samples = read(folder)
+    assert (samples.sequence_ids, samples.fps) == (("b",), (60,))
+    assert [(problem.path.name, problem.reason) for problem in samples.left_out] == [("a.npy", "framerate")]
+    assert read(folder, SampleOptions(Fraction(20))).fps == (20, 60)
 
 
 def test_broken_motions_are_counted_and_left_out(tmp_path: Path) -> None:
