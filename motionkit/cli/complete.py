@@ -17,6 +17,8 @@ class ClipFormat(StrEnum):
     """Output formats other than the clip's own."""
 
     BVH = "bvh"
+    CSV = "csv"
+    GLB = "glb"
     NPZ = "npz"
 
 
@@ -49,7 +51,7 @@ OutPlace = Annotated[
     typer.Option(help="File, or folder for several clips.", show_default="NAME.completed.EXT beside each"),
 ]
 FormatChoice = Annotated[
-    ClipFormat | None, typer.Option("--format", help="Write bvh or npz instead of the clip's own format.")
+    ClipFormat | None, typer.Option("--format", help="Format of the files.", show_default="--out's, or the clip's own")
 ]
 Plant = Annotated[bool, typer.Option("--plant", help="Make sliding feet stand, in what is made.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")]
@@ -102,15 +104,18 @@ def complete(
     from motionkit.edit.complete.clips import find_clips
     from motionkit.edit.complete.encoders import choose_encoder
     from motionkit.edit.complete.job import Job, OutputPath
+    from motionkit.edit.export.files import output_suffix
 
     options = read_options(parse_rate(source_fps, "--source-fps"), skeleton_map)
     sources, problems = find_clips(clips, options, store or default_path("store"))
+    folders = [Path(each) for each in clips if Path(each).is_dir()]
+    suffix = output_suffix(out, file_format, several=len(sources) > 1 or bool(folders))
     runs_folder = runs or default_path("runs")
     chosen = choose_encoder(model, run, runs_folder)
     compared = [choose_encoder(name.strip(), None, runs_folder) for name in compare.split(",")] if compare else []
     stderr.print(f"motionkit: completing with {chosen.explanation}")
-    job = Job(request, chosen, compared, None if file_format is None else f".{file_format}", overwrite=overwrite)
-    path_of = OutputPath(out, len(sources), [Path(each) for each in clips if Path(each).is_dir()])
+    job = Job(request, chosen, compared, suffix, overwrite=overwrite)
+    path_of = OutputPath(out, len(sources), folders)
     write_each(
         "complete",
         (sources, problems),

@@ -61,6 +61,7 @@ def plant(
     """
     from motionkit.edit.complete.clips import clip_of_motion, find_clips
     from motionkit.edit.complete.job import OutputPath
+    from motionkit.edit.export.files import output_suffix
     from motionkit.edit.plant.job import Job
     from motionkit.io.scan.derived import PLANTED
     from motionkit.store.named_motions.reading import find_stored
@@ -72,9 +73,10 @@ def plant(
     sources, problems = find_clips(clips or [], options, place)
     if where is not None or not clips:
         sources += find_stored(place, where or "true", clip_of_motion)
-    job = Job(path.value, page, None if file_format is None else f".{file_format}", overwrite)
-    named = [Path(each) for each in clips or () if Path(each).is_dir()]
-    path_of = OutputPath(out, len(sources), named, PLANTED)
+    folders = [Path(each) for each in clips or () if Path(each).is_dir()]
+    several = len(sources) > 1 or bool(folders) or not clips
+    job = Job(path.value, page, output_suffix(out, file_format, several=several), overwrite)
+    path_of = OutputPath(out, len(sources), folders, PLANTED)
     write_each(
         "plant",
         (sources, problems),

@@ -1,6 +1,6 @@
 """All formats: motionkit's own and those of the entry point group `motionkit.io`; writing by a file's suffix."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -49,10 +49,16 @@ def writers() -> Mapping[str, Format]:
     return {each.name: each for each in _all() if each.write is not None}
 
 
-def writer_of(suffix: str) -> Format | None:
-    """The format that writes files of a suffix; of several, the one with the suffix's name."""
-    fitting = [each for each in writers().values() if each.suffixes[0] == suffix]
-    return next((each for each in fitting if each.name == suffix[1:]), fitting[0] if fitting else None)
+def writer_of(suffix: str) -> Callable[[Motion, Path], None]:
+    """The function that writes a motion to a file of this suffix: of several formats, that of the suffix's name.
+
+    Raises `UsageError` for a suffix that no format writes.
+    """
+    fitting = {each.name: each.write for each in writers().values() if each.suffixes[0] == suffix and each.write}
+    if not fitting:
+        suffixes = ", ".join(sorted({each.suffixes[0] for each in writers().values()}))
+        raise UsageError(f"a motion is written as {suffixes}, by the suffix of the file's name, not as {suffix!r}")
+    return fitting.get(suffix[1:]) or next(iter(fitting.values()))
 
 
 def _all() -> list[Format]:
@@ -80,9 +86,6 @@ def write(motion: Motion, path: str | Path) -> None:
     240
     """
     path = Path(path)
-    format = writer_of(path.suffix.lower())
-    if format is None or format.write is None:
-        suffixes = ", ".join(sorted({each.suffixes[0] for each in writers().values()}))
-        raise UsageError(f"{path}: a motion is written as {suffixes}, by the suffix of the file's name")
+    write_file = writer_of(path.suffix.lower())
     with whole_file(path) as temporary:
-        format.write(motion, temporary)
+        write_file(motion, temporary)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
-from motionkit.core.errors import FormatError, UsageError
+from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
 from motionkit.core.timegrid import TimeGrid
@@ -24,7 +24,7 @@ from motionkit.io.arrays import pose_vectors
 from motionkit.io.arrays.npz import write_npz
 from motionkit.io.bvh.document import BvhDocument
 from motionkit.io.bvh.writing import ChannelLines, check_writable
-from motionkit.io.catalogue import writer_of, writers
+from motionkit.io.catalogue import writer_of
 from motionkit.io.scan.items import ReadOptions, SourceItem
 from motionkit.io.scan.reading import read_document
 from motionkit.store.named_motions.holes import ReadClip, read_with_holes, write_vectors
@@ -88,17 +88,9 @@ def _as_it_came(read: ReadClip, item: SourceItem) -> Clip:
     """Arrays stay arrays; other motions become .bvh if they have rotations, else .npz."""
     suffix, why_not = item.path.suffix.lower(), f"{item.format} cannot be written"
     if item.format == "npz" or (suffix == ".npy" and read.motion.skeleton in STANDARD_SKELETONS.values()):
-        return _in_memory(read, suffix, _write_of(suffix))
+        return _in_memory(read, suffix, writer_of(suffix))
     other = ".npz" if read.motion.local_rotations is None else ".bvh"
-    return _in_memory(read, other, _write_of(other), f"{why_not}: its result is a {other[1:]} file")
-
-
-def _write_of(suffix: str) -> Callable[[Motion, Path], None]:
-    format = writer_of(suffix)
-    if format is None or format.write is None:
-        suffixes = ", ".join(sorted({each.suffixes[0] for each in writers().values()}))
-        raise UsageError(f"clips are written as {suffixes} or as they came, not as {suffix}")
-    return format.write
+    return _in_memory(read, other, writer_of(other), f"{why_not}: its result is a {other[1:]} file")
 
 
 def clip_of_document(document: BvhDocument) -> Clip:
@@ -151,7 +143,7 @@ def as_format(clip: Clip, suffix: str) -> Clip:
     """The same clip with another output format, by its suffix; raises `UsageError` for one that cannot be written."""
     if clip.suffix == suffix:
         return clip
-    return replace(clip, suffix=suffix, write=_writing(_write_of(suffix), clip.timegrid, clip.label), note="")
+    return replace(clip, suffix=suffix, write=_writing(writer_of(suffix), clip.timegrid, clip.label), note="")
 
 
 def clip_of_motion(motion: Motion) -> Clip:

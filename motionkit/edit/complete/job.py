@@ -15,6 +15,7 @@ from motionkit.core.timegrid import TimeGrid, num_frames_within
 from motionkit.edit.complete.clips import Clip, ClipSource, Progress, as_format
 from motionkit.edit.complete.encoders import ChosenEncoder
 from motionkit.edit.complete.request import ClipRequest, CompletionRequest
+from motionkit.edit.export.files import names_a_file
 from motionkit.fields.anchoring import anchored
 from motionkit.fields.completion import Completion, begin_observed, begin_uneven
 from motionkit.fields.contact.planted import planted
@@ -25,8 +26,6 @@ from motionkit.viz.player.takes import Take, packed_bytes, take_of
 
 # Extrapolation at constant velocity is implausible beyond this.
 LONGEST_PLAUSIBLE_SECONDS = 0.5
-# Suffixes that mean a file, not a folder.
-CLIP_SUFFIXES = (".bvh", ".npz", ".npy")
 # What is looked at; and a page of some megabytes opens at once, whatever the framerate.
 PAGE_SECONDS, PAGE_BYTES = 60.0, 24_000_000
 
@@ -162,7 +161,7 @@ class OutputPath:
 
     def __init__(self, out: Path | None, num_clips: int, folders: Sequence[Path], made: str = COMPLETED) -> None:
         self._out = out
-        self._single = num_clips == 1 and not folders
+        self._is_file = names_a_file(out) and num_clips == 1 and not folders
         self._folders = folders
         self._made = made
         self._taken: dict[Path, str] = {}
@@ -190,10 +189,8 @@ class OutputPath:
                     break
                 require_no_link(each, "name a folder with --out")
             return folder / (f"{stem}.npy" if suffix == ".npy" else f"{stem}.{self._made}{suffix}")
-        if self._single and self._out.suffix.lower() == suffix and not self._out.is_dir():
+        if self._is_file:
             return self._out
-        if self._single and self._out.suffix.lower() in CLIP_SUFFIXES and not self._out.is_dir():
-            raise MotionkitError(f"its result is a {suffix} file, not {self._out}: --format says another form")
         return self._out / (source.beside.relative_to(named).parent if named else "") / f"{stem}{suffix}"
 
 

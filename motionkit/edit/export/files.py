@@ -13,6 +13,7 @@ from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import SkeletonMapError, map_joints
 from motionkit.edit.export.selection import Outcome, Selection, flat_names, nested_names
+from motionkit.io.catalogue import writer_of
 from motionkit.io.format import Format
 
 TABLE = "motions.csv"
@@ -55,6 +56,29 @@ def _write(selection: Selection, folder: Path, names: Sequence[PurePosixPath], f
 
 def _with_22_joints(motion: Motion) -> Motion:
     return Motion(map_joints(motion, SMPL22.name), SMPL22, motion.timegrid, sequence_id=motion.sequence_id)
+
+
+def names_a_file(out: Path | None) -> bool:
+    """Whether a command's `--out` is one file: it has a suffix, and is no folder that exists."""
+    return out is not None and bool(out.suffix) and not out.is_dir()
+
+
+def output_suffix(out: Path | None, file_format: str | None, *, several: bool) -> str | None:
+    """The suffix of the files that a command writes: of `--out` where it is one file, or of `--format`.
+
+    None means each motion's own. Raises `UsageError` for a suffix that no format writes, for a format that is not that
+    of the file, and for one file where several motions are written.
+    """
+    suffix = None if file_format is None else f".{file_format}"
+    if out is not None and names_a_file(out):
+        if several:
+            raise UsageError(f"{out} is one file: for several motions name a folder, without a suffix")
+        if suffix not in (None, out.suffix.lower()):
+            raise UsageError(f"--format {file_format} and --out {out} are two formats: give one of them")
+        suffix = out.suffix.lower()
+    if suffix is not None:
+        writer_of(suffix)
+    return suffix
 
 
 class MotionTable:
