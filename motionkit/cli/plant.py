@@ -38,6 +38,9 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print what was written, an
 
 if TYPE_CHECKING:
     from motionkit.edit.plant.job import PlantedClip
+    from motionkit.edit.plant.report import Change
+
+SMALL_METRES = 0.001
 
 
 def plant(
@@ -87,10 +90,25 @@ def plant(
 
 
 def _remarks(planted: "PlantedClip") -> list[str]:
-    found, change = [f"warning: {planted.source}: {planted.note}"] if planted.note else [], planted.change
-    if change.sliding_before is not None and change.sliding_after is not None:
-        found.append(
-            f"{planted.source}: {change.num_contacts:,} contacts, which slid at {100 * change.sliding_before:.1f} "
-            f"cm/s, now {100 * change.sliding_after:.1f}; joints moved by up to {1000 * change.largest_change:.0f} mm"
+    notes = [f"warning: {planted.source}: {planted.note}"] if planted.note else []
+    return [*notes, f"{planted.source}: {_described(planted.change)}"]
+
+
+def _described(change: "Change") -> str:
+    """What was changed, and why."""
+    if change.sliding_before is None or change.sliding_after is None:
+        described = "no foot is on the ground"
+    elif change.largest_level_shift < SMALL_METRES:
+        described = f"feet slide no more than captures do ({100 * change.sliding_before:.1f} cm/s): left alone"
+    else:
+        described = (
+            f"{change.num_contacts:,} contacts slid at {100 * change.sliding_before:.1f} cm/s, now "
+            f"{100 * change.sliding_after:.1f}"
         )
-    return found
+    if change.largest_height_shift >= SMALL_METRES:
+        described += f"; feet were up to {1000 * change.largest_height_shift:.0f} mm above or below the ground"
+    if change.has_fixed_bones:
+        described += "; bones changed their length"
+    if change.largest_change >= SMALL_METRES:
+        described += f"; joints moved by up to {1000 * change.largest_change:.0f} mm"
+    return described

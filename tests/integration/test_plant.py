@@ -57,6 +57,8 @@ def test_a_bvh_file_whose_feet_slide(motionkit: Run, sliding: Motion, tmp_path: 
     assert told["sliding_before"] > 0.19
     assert told["sliding_after"] < 0.3 * told["sliding_before"]
     assert told["num_contacts"] > 4
+    assert told["largest_level_shift"] > 0.1 and not told["has_fixed_bones"]
+    assert "left alone" not in motionkit("plant", tmp_path / "walk.bvh", "--overwrite").stderr
     after = read_bvh(tmp_path / "walk.planted.bvh")
     before = read_bvh(tmp_path / "walk.bvh")
     assert steadiest(after) < 0.3 * steadiest(before)
@@ -139,3 +141,11 @@ def test_frames_that_are_lost_are_refused(motionkit: Run, sliding: Motion, tmp_p
     outcome = motionkit("plant", tmp_path / "lost.npz")
     assert outcome.code == 1
     assert "hold nan: complete it first" in outcome.stderr
+
+
+def test_bones_that_change_their_length_are_reported(motionkit: Run, standing: Motion, tmp_path: Path) -> None:
+    places = standing.joint_positions.copy()
+    places[:120, legs_of(standing.skeleton).left.knee, 1] += 0.1
+    write_npz(replace(standing, joint_positions=places, local_rotations=None), tmp_path / "walk.npz")
+    (told,) = json.loads(motionkit("plant", tmp_path / "walk.npz", "--json").stdout)["clips"]
+    assert told["has_fixed_bones"] and told["largest_change"] > 0.02

@@ -20,8 +20,10 @@ class Change:
     """Changes of a motion in m, m/s and s; speeds are None for feet without contact.
 
     `sliding` is the mean horizontal speed of feet in contact, weighted towards the steadier of ankle and toe.
-    `below_ground` is the maximum depth of a foot joint below its floor; `largest_pose_change` is relative to the first
-    joint, so that it ignores a displacement of the whole body.
+    `below_ground` is the maximum depth of a foot joint below its floor. `largest_level_shift` and
+    `largest_height_shift` are how far the correction moves a foot along the ground, and up or down to it;
+    `has_fixed_bones` is whether positions without rotations were projected onto bones of constant length.
+    `largest_pose_change` is relative to the first joint, so that it ignores a displacement of the whole body.
     """
 
     num_contacts: int
@@ -30,6 +32,9 @@ class Change:
     sliding_after: float | None
     below_ground_before: float
     below_ground_after: float
+    largest_level_shift: float
+    largest_height_shift: float
+    has_fixed_bones: bool
     largest_change: float
     largest_pose_change: float
     mean_change: float
@@ -64,6 +69,7 @@ def measure_change(
             below[place] = max(below[place], float(depth.max()))
         on_frames(len(change))
     contacts, seconds, speeds = _contacts(field.correction)
+    level_shift, height_shift = _shifts(field.correction)
     return (
         Change(
             num_contacts=contacts,
@@ -72,6 +78,9 @@ def measure_change(
             sliding_after=speeds[1],
             below_ground_before=float(below[0]),
             below_ground_after=float(below[1]),
+            largest_level_shift=level_shift,
+            largest_height_shift=height_shift,
+            has_fixed_bones=field.bones is not None,
             largest_change=largest,
             largest_pose_change=of_pose,
             mean_change=total / len(times),
@@ -98,3 +107,14 @@ def _contacts(correction: Correction) -> tuple[int, float, tuple[float | None, f
         return 0, 0.0, (None, None)
     before, after = (sums / instants).tolist()
     return count, instants / correction.fps, (before, after)
+
+
+def _shifts(correction: Correction) -> tuple[float, float]:
+    """The largest offset of a foot along the ground, and up or down."""
+    level, height = 0.0, 0.0
+    for number in range(correction.num_blocks if correction.works else 0):
+        offsets = correction.block(number).offsets[correction.own(number)]
+        feet = offsets[:, :1] + offsets[:, 1:]
+        level = max(level, float(np.hypot(feet[..., 0], feet[..., 2]).max()))
+        height = max(height, float(np.abs(feet[..., 1]).max()))
+    return level, height
