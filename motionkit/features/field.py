@@ -35,7 +35,7 @@ def window_frame(
     first_pose: Float[np.ndarray, "windows joints 3"], facing: FacingJoints | None = None
 ) -> tuple[Float32[np.ndarray, "windows"], Float32[np.ndarray, "windows 2"]]:
     """The frames of windows from their first poses: yaw in radians and origin (x, z) in metres."""
-    yaw = heading(first_pose, facing)
+    yaw = heading(first_pose.astype(np.float64), facing)
     return yaw.astype(np.float32), first_pose[:, 0, (0, 2)].astype(np.float32)
 
 
@@ -45,7 +45,9 @@ def to_window(
     origin: Float[np.ndarray, "windows 2"],
 ) -> Float32[np.ndarray, "windows poses joints 3"]:
     """World positions → positions in each window's frame, metres."""
-    sine, cosine = np.sin(yaw)[:, None, None], np.cos(yaw)[:, None, None]
+    # Sines of float32 angles differ in their last digit between processors.
+    angle, dtype = yaw.astype(np.float64)[:, None, None], joint_positions.dtype
+    sine, cosine = np.sin(angle).astype(dtype), np.cos(angle).astype(dtype)
     x = joint_positions[..., 0] - origin[:, None, None, 0]
     z = joint_positions[..., 2] - origin[:, None, None, 1]
     local = np.empty(joint_positions.shape, dtype=np.float32)

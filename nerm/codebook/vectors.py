@@ -38,7 +38,9 @@ def codebook_vectors(
     """T − 1 vectors of T poses in metres; raises `ValueError` for fewer than two poses."""
     if len(joint_positions) < 2:
         raise ValueError("pose vectors need two poses or more")
-    yaw = np.unwrap(field.heading(joint_positions).astype(np.float64))
+    # Float32 rounds yaw to 1e-7 rad, its rate to 1e-5 rad/s at 120 fps, and differently on each processor.
+    joint_positions = joint_positions.astype(np.float64)
+    yaw = np.unwrap(field.heading(joint_positions))
     rate = float(fps)
     here, facing = joint_positions[:-1], yaw[:-1]
     turned = field.to_window(here[:, None], facing, here[:, 0, (0, 2)])[:, 0]
