@@ -1,6 +1,5 @@
 """The peers as stages: each learns from a tiny corpus, is loaded as an encoder, and refuses what it cannot take."""
 
-from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -22,44 +21,14 @@ from motionkit.training.stage import Stage, StageContext
 from motionkit.training.tensors import CheckpointError, load_tensors
 from pahires.recipes import base as pahires_base
 from pahires.recipes import nano as pahires_nano
-from pahires.temporal.settings import TaskSettings, TemporalSettings
-from peers.recipes import PEERS
-from peers.settings import (
-    ALiifNetworkConfig,
-    DeltaInterpNetworkConfig,
-    EdsrConfig,
-    LiifNetworkConfig,
-    LmfNetworkConfig,
-    MetaSrNetworkConfig,
-    TsFormerNetworkConfig,
-)
+from peers.settings import EdsrConfig
 from peers.stages import A_LIIF, DELTA_INTERP, LIIF, LMF, META_SR, TS_FORMER
 from tests.helpers.nerm_corpus import analytic_positions
 from tests.helpers.tiny import write_store
+from tests.helpers.tiny_temporal import TEMPORAL_PEERS
 
-EDSR = EdsrConfig(blocks=1, features=8)
-ON_GRIDS = apply_overrides(
-    TemporalSettings(tasks=TaskSettings(num_frames=6, num_queries=8)),
-    ["schedule.steps=60", "schedule.batch_size=8", "schedule.learning_rate=0.003"],
-)
-WITH_GAPS = replace(
-    ON_GRIDS, tasks=TaskSettings(0.0, 1.0, past_frames=4, future_frames=2, longest_gap=9, num_queries=8)
-)
-
-CONFIGS: dict[str, Any] = {peer.name: peer.config_type for peer in PEERS}
 TINY: dict[str, tuple[Stage[Any], Any]] = {
-    "liif": (LIIF, CONFIGS["liif"](LiifNetworkConfig(EDSR, 32, 2), ON_GRIDS)),
-    "meta-sr": (META_SR, CONFIGS["meta-sr"](MetaSrNetworkConfig(EDSR, 16), ON_GRIDS)),
-    "a-liif": (A_LIIF, CONFIGS["a-liif"](ALiifNetworkConfig(EDSR, 16, 2, 3, 16, 2), ON_GRIDS)),
-    "lmf": (LMF, CONFIGS["lmf"](LmfNetworkConfig(EDSR, 16, 2), ON_GRIDS)),
-    "delta-interp": (
-        DELTA_INTERP,
-        CONFIGS["delta-interp"](DeltaInterpNetworkConfig(32, 1, 2, 2, 4, 32, 0.2), WITH_GAPS),
-    ),
-    "ts-former": (
-        TS_FORMER,
-        CONFIGS["ts-former"](TsFormerNetworkConfig(16, 1, 2, 8, 16), WITH_GAPS),
-    ),
+    stage.name: (stage, TEMPORAL_PEERS[stage.name]) for stage in (LIIF, META_SR, A_LIIF, LMF, DELTA_INTERP, TS_FORMER)
 }
 ON_GRIDS_ONLY = ("liif", "meta-sr", "a-liif", "lmf")
 

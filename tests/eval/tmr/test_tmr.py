@@ -37,8 +37,6 @@ CONFIG = TmrConfig(
         same_above=0.99,
     )
 )
-# Recorded on one thread. A change of what is learnt changes far more than kernels do.
-GOLDEN = (0.6348108381, 0.0420592966)
 
 
 def write(path: Path, shuffle: bool) -> Path:
@@ -55,14 +53,13 @@ def write(path: Path, shuffle: bool) -> Path:
     return path
 
 
-def train(store: Path, run: Path, config: TmrConfig = CONFIG, **options: bool) -> list[dict[str, float]]:
+def train(store: Path, run: Path, config: TmrConfig = CONFIG, **options: bool) -> None:
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("motionkit.training.text.load_text_encoder", lambda name: HashEncoder())
         train_tmr(StageContext(store, RunFolder(run), "tiny", device="cpu", **options), config)
     torch.set_num_threads(threads)
-    return [{"step": line["step"], "loss": line["loss"]} for line in RunFolder(run).stage("tmr").read_metrics()]
 
 
 @pytest.fixture(autouse=True)
@@ -115,11 +112,10 @@ def test_of_shuffled_captions_there_is_nothing_to_learn(tmp_path: Path) -> None:
     assert recalls(tmp_path / "run")[0] < 0.35 and recalls(tmp_path / "run")[2] < 0.7
 
 
-def test_losses_are_those_that_were_recorded_and_repeat(run: Path, tmp_path: Path) -> None:
-    found = train(run.parent / "store", tmp_path / "again")
+def test_a_training_repeats(run: Path, tmp_path: Path) -> None:
+    train(run.parent / "store", tmp_path / "again")
     again, first = (RunFolder(path).stage("tmr").model_path.read_bytes() for path in (tmp_path / "again", run))
     assert again == first
-    assert [line["loss"] for line in found] == pytest.approx(GOLDEN, rel=1e-2)
 
 
 def test_embeddings_have_length_1_and_are_each_motions_own(run: Path) -> None:

@@ -1,0 +1,47 @@
+"""PA-HiRes and its peers at a size of seconds."""
+
+from dataclasses import replace
+from typing import Any
+
+from motionkit.training.config import apply_overrides
+from pahires.recipes import NetworkSettings, PaHiResConfig, nano
+from pahires.temporal.settings import TaskSettings, TemporalSettings
+from peers.recipes import PEERS
+from peers.settings import (
+    ALiifNetworkConfig,
+    DeltaInterpNetworkConfig,
+    EdsrConfig,
+    LiifNetworkConfig,
+    LmfNetworkConfig,
+    MetaSrNetworkConfig,
+    TsFormerNetworkConfig,
+)
+from tests.helpers.small_network import TASKS
+
+PAHIRES_NETWORK = NetworkSettings(
+    frames_per_scale=(2, 4, 6), embedding=16, code=16, attention_tokens=4, hidden=24, decoder_layers=2, num_sines=4
+)
+PAHIRES = PaHiResConfig(
+    network=PAHIRES_NETWORK,
+    training=apply_overrides(
+        replace(nano().training, tasks=TASKS, mirrored=False, ema_decay=0.0),
+        ["schedule.steps=40", "schedule.batch_size=8"],
+    ),
+)
+EDSR = EdsrConfig(blocks=1, features=8)
+ON_GRIDS = apply_overrides(
+    TemporalSettings(tasks=TaskSettings(num_frames=6, num_queries=8)),
+    ["schedule.steps=60", "schedule.batch_size=8", "schedule.learning_rate=0.003"],
+)
+WITH_GAPS = replace(
+    ON_GRIDS, tasks=TaskSettings(0.0, 1.0, past_frames=4, future_frames=2, longest_gap=9, num_queries=8)
+)
+CONFIGS: dict[str, Any] = {peer.name: peer.config_type for peer in PEERS}
+TEMPORAL_PEERS: dict[str, Any] = {
+    "liif": CONFIGS["liif"](LiifNetworkConfig(EDSR, 32, 2), ON_GRIDS),
+    "meta-sr": CONFIGS["meta-sr"](MetaSrNetworkConfig(EDSR, 16), ON_GRIDS),
+    "a-liif": CONFIGS["a-liif"](ALiifNetworkConfig(EDSR, 16, 2, 3, 16, 2), ON_GRIDS),
+    "lmf": CONFIGS["lmf"](LmfNetworkConfig(EDSR, 16, 2), ON_GRIDS),
+    "delta-interp": CONFIGS["delta-interp"](DeltaInterpNetworkConfig(32, 1, 2, 2, 4, 32, 0.2), WITH_GAPS),
+    "ts-former": CONFIGS["ts-former"](TsFormerNetworkConfig(16, 1, 2, 8, 16), WITH_GAPS),
+}
