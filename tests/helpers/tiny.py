@@ -21,7 +21,7 @@ from nerm.settings import CodebookConfig, DenoiserConfig, FieldConfig, Transform
 from nerm.stages import CODEBOOK, DENOISER, FIELD
 from tests.helpers.nerm_corpus import analytic_positions
 
-STEPS = 60
+STEPS = 8
 NERM = NermConfig(
     codebook=apply_overrides(
         CodebookConfig(window_frames=32),
@@ -32,7 +32,7 @@ NERM = NermConfig(
             "schedule.batch_size=8",
             f"schedule.steps={STEPS}",
             "schedule.learning_rate=0.001",
-            "schedule.drop_at=50",
+            "schedule.drop_at=6",
         ],
     ),
     field=apply_overrides(

@@ -33,7 +33,7 @@ from peers.generative.settings import (
 from peers.generative.stages import STAGES
 from tests.helpers.nerm_corpus import analytic_positions
 
-STEPS = 60
+STEPS = 12
 SIZES = TransformerSizes(3, 32, 2, 64, 0.0)
 MOTIONS = MotionsConfig(max_frames=60, min_seconds=1.0, stride_seconds=1.0, mirrored=False)
 ACTIONS = ConditionsConfig(kind="action")

@@ -8,7 +8,7 @@ import pytest
 
 from motionkit.cli.console import stderr
 from motionkit.training.config import flatten, setting_text
-from tests.helpers.tiny import NERM, write_store
+from tests.helpers.tiny import NERM, STEPS, write_store
 
 Draw = Callable[..., str]
 BAR, ERASED = "━", "\x1b[2K"
@@ -53,7 +53,7 @@ def test_training_and_tables(drawn: Draw, tmp_path: Path) -> None:
         "train", "--stage", "field", "--store", store, "--runs", runs, "--run", "tiny", *settings,
         "--set=field.encoder.kind=fourier",
     )  # fmt: skip
-    assert "cache smpl22" in text and "0/60" in text
+    assert "cache smpl22" in text and f"0/{STEPS}" in text
     text = drawn(
         "eval", "--table", 2, "--store", store, "--split", "all", "--fps", 20, "--clips", 64, "--replications", 2,
         "--evaluator", "kinematic", "--results", tmp_path / "results",

@@ -28,7 +28,7 @@ from motionkit.training.ranks import joined_ranks
 from tests.helpers.tiny import STAGES, train_stage
 
 def interrupting(seed, purpose, step):
-    if step == 23 and os.environ["RANK"] == "1":
+    if step == 3 and os.environ["RANK"] == "1":
         os.kill(os.getpid(), signal.SIGINT)
     return step_generator(seed, purpose, step)
 
@@ -83,7 +83,7 @@ def losses(run: Path, name: str) -> list[dict[str, float]]:
 @pytest.mark.parametrize("name", STAGES)
 def test_two_ranks_learn_what_one_does(folder: Path, name: str) -> None:
     one, two = losses(folder / "one", name), losses(folder / "two", name)
-    assert len(one) == len(two) == 2
+    assert len(one) == len(two) == 1
     for expected, found in zip(one, two, strict=True):
         assert found == pytest.approx(expected, rel=1e-3, abs=1e-9)
 
@@ -104,7 +104,7 @@ def test_the_latents_of_both_ranks_are_in_the_model(folder: Path) -> None:
 
 def test_what_two_ranks_began_one_finishes(folder: Path) -> None:
     stage = RunFolder(folder / "interrupted").stage("field")
-    assert load_tensors(stage.checkpoint_path)[1]["step"] == 24
+    assert load_tensors(stage.checkpoint_path)[1]["step"] == 4
     assert not stage.is_complete
     train_stage("field", folder / "store", folder / "interrupted", resume=True)
     for expected, found in zip(losses(folder / "one", "field"), losses(folder / "interrupted", "field"), strict=True):

@@ -1,6 +1,5 @@
-"""Whole trainings of every stage: what they reach, that they are repeated and resumed exactly, what a crash leaves."""
+"""Whole trainings: an interrupted or killed one is resumed exactly; what a crash leaves; what is reported."""
 
-import json
 import os
 import shutil
 import signal
@@ -8,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -22,10 +22,9 @@ from motionkit.training.schedule import step_generator
 from motionkit.training.stage import StageContext
 from motionkit.training.tensors import CheckpointError
 from nerm.stages import CODEBOOK, DENOISER, FIELD
+from nerm.stages import field as field_stage
 from tests.helpers.repository import REPOSITORY
 from tests.helpers.tiny import NERM, STAGES, train_stage, write_store
-
-GOLDEN = Path(__file__).with_name("golden_losses.json")
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -35,6 +34,14 @@ def one_thread() -> Iterator[None]:
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def two_lines() -> Iterator[None]:
+    """The field logs its fifth step too."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(field_stage, "train_loop", partial(loop.train_loop, log_every=5))
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -72,30 +79,12 @@ def assert_the_same(folder: StageFolder, expected: StageFolder) -> None:
     assert figures(folder) == figures(expected)
 
 
-# The greatest relative difference that was seen between kernels of one processor (no vectors, SSE4.1, AVX2, AVX-512, in
-# torch, MKL and oneDNN; one thread and two) is 2.4e-6. What changes the training changes far more than this.
-GOLDEN_TOLERANCE = 1e-3
-
-
-@pytest.mark.parametrize("name", STAGES)
-def test_losses_are_those_that_were_recorded(name: str, run: Path, pytestconfig: pytest.Config) -> None:
-    """A change of these is a change of what is learnt: if it is meant, record again with --record-golden."""
-    found = figures(RunFolder(run).stage(name))
-    golden = json.loads(GOLDEN.read_text())
-    if pytestconfig.getoption("--record-golden"):
-        GOLDEN.write_text(json.dumps(golden | {name: found}, indent=2) + "\n")
-        return
-    assert len(found) == len(golden[name]) == 2
-    for line, recorded in zip(found, golden[name], strict=True):
-        assert line == pytest.approx(recorded, rel=GOLDEN_TOLERANCE, abs=1e-9)
-
-
 @pytest.mark.parametrize("name", STAGES)
 def test_an_interrupted_run_equals_an_uninterrupted_one_bit_by_bit(
     name: str, store: Path, run: Path, other_run: Callable[[str], StageFolder], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupting(seed: int, purpose: str, step: int) -> torch.Generator:
-        if step == 23:
+        if step == 3:
             os.kill(os.getpid(), signal.SIGINT)
         return step_generator(seed, purpose, step)
 
@@ -114,20 +103,19 @@ import os, signal, sys
 from functools import partial
 from pathlib import Path
 import torch
-from motionkit.training import loop, precision
-from motionkit.training.config import apply_overrides
+from motionkit.training import loop
 from motionkit.training.schedule import step_generator
 from nerm.stages import field as field_stage
 from tests.helpers.tiny import train_stage
 
 def killing(seed, purpose, step):
-    if step == 52:
+    if step == 6:
         os.kill(os.getpid(), signal.SIGKILL)
     return step_generator(seed, purpose, step)
 
 torch.set_num_threads(1)
 loop.step_generator = killing
-field_stage.train_loop = partial(loop.train_loop, checkpoint_seconds=0.0)
+field_stage.train_loop = partial(loop.train_loop, checkpoint_seconds=0.0, log_every=5)
 train_stage("field", Path(sys.argv[1]), Path(sys.argv[2]))
 """
 
@@ -140,8 +128,8 @@ def test_a_killed_run_that_left_half_a_line_is_resumed_bit_by_bit(
     killed = subprocess.run(command, cwd=REPOSITORY, check=False)
     assert killed.returncode == -signal.SIGKILL
     with folder.metrics_path.open("a") as log:
-        log.write('{"step": 52.0, "lo')
-    assert [line["step"] for line in folder.read_metrics()] == [50.0]
+        log.write('{"step": 8.0, "lo')
+    assert [line["step"] for line in folder.read_metrics()] == [5.0]
     train_stage("field", store, folder.path.parent, resume=True)
     assert_the_same(folder, RunFolder(run).stage("field"))
 
@@ -197,8 +185,19 @@ def test_the_chosen_precision_is_written_down_and_hardly_changes_what_is_learnt(
         train_stage("field", store, folder.path.parent, resume=True)
 
 
-def test_the_recipe_base_trains_here_with_fewer_steps_and_smaller_batches(store: Path, tmp_path: Path) -> None:
-    settings = ["denoiser.conditions.text_encoder=none", "field.windows.stride_seconds=4", "field.contacts.steps=1"]
+def test_the_recipe_base_trains_with_narrow_networks_and_one_step(store: Path, tmp_path: Path) -> None:
+    settings = [
+        "codebook.network.width=32",
+        "codebook.network.code_dimension=32",
+        "codebook.network.num_codes=32",
+        "field.encoder.num_queries=16",
+        "field.decoder.width=32",
+        "field.windows.stride_seconds=4",
+        "field.contacts.steps=1",
+        "denoiser.network.width=64",
+        "denoiser.network.ffn_width=32",
+        "denoiser.conditions.text_encoder=none",
+    ]
     for stage in (CODEBOOK, FIELD, DENOISER):
         settings += [f"{stage.name}.schedule.steps=1", f"{stage.name}.schedule.batch_size=2"]
     config = apply_overrides(CODEBOOK.recipe("base"), settings)

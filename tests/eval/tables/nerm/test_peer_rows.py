@@ -19,7 +19,7 @@ from motionkit.store.writer import StoreWriter
 from peers.generative.settings import ConditionsConfig, MotionsConfig
 from tests.helpers.nerm_corpus import analytic_positions
 from tests.helpers.table_request import table_request
-from tests.helpers.tiny_peers import tiny_config, train_peer
+from tests.helpers.tiny_peers import STEPS, tiny_config, train_peer
 
 NAME = "MDM, 50 steps"
 
@@ -62,7 +62,7 @@ def test_a_peer_of_a_run_has_rows_and_the_others_have_commands(
         assert np.isfinite([cell.value for cell in rows[name].cells.values()]).all()
     # Velocities a frame that are left as they are carry the body three times as far.
     assert rows[vectors].cells["60 fps"].value > rows[NAME].cells["60 fps"].value
-    assert "mdm-50: 60 steps, " in rows[NAME].note and "trained at up to 20 fps" in rows[NAME].note
+    assert f"mdm-50: {STEPS} steps, " in rows[NAME].note and "trained at up to 20 fps" in rows[NAME].note
     commands = " && ".join(f"motionkit train --stage {stage} --run run" for stage in ("mld-vae", "mld"))
     assert f"MLD: run 'run' has none ({commands})" in result.missing
     assert not any(line.startswith(NAME) for line in result.missing)
@@ -73,5 +73,5 @@ def test_a_note_says_what_summaries_say(store: Path, tmp_path: Path) -> None:
     train_peer("mdm-50", store, tmp_path / "run", config)
     (trained,) = trained_models(tmp_path / "run").value.values()
     numbers = sum(parameter.numel() for parameter in trained.loaded.trained.network.parameters())
-    assert training_note(trained).startswith(f"mdm-50: 60 steps, {numbers:,} parameters, ")
+    assert training_note(trained).startswith(f"mdm-50: {STEPS} steps, {numbers:,} parameters, ")
     assert " s of processor time; trained at up to 20 fps" in training_note(trained)
