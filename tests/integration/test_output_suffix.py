@@ -5,10 +5,10 @@ from fractions import Fraction
 from pathlib import Path
 
 import pytest
+from tests.helpers.synthetic_capture import capture
 
 import motionkit as mk
 from tests.helpers.outcome import Outcome
-from tests.helpers.synthetic_capture import capture
 
 Run = Callable[..., Outcome]
 
