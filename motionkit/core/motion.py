@@ -156,7 +156,7 @@ class Motion:
                 f"no frame lies in [{begin:g}, {end:g}) s: the motion's are at {times[0]:g} to {times[-1]:.6g} s"
             )
         part = self.frames(start, stop)
-        return replace(part, captions=_cut(self.captions, part.timegrid))
+        return replace(part, captions=captions_within(self.captions, part.timegrid))
 
     def resample(self, fps: Framerate) -> "Motion":
         """The motion at any framerate, as `motionkit.fields.resample` makes it.
@@ -204,7 +204,7 @@ class Motion:
         )
 
 
-def _cut(captions: tuple[Caption, ...], grid: TimeGrid) -> tuple[Caption, ...]:
+def captions_within(captions: tuple[Caption, ...], grid: TimeGrid) -> tuple[Caption, ...]:
     """The captions that overlap a time grid, clipped to it; a caption of all of it is unchanged."""
     begin, end = grid.start_seconds, grid.start_seconds + grid.duration_seconds
     kept = []

@@ -31,6 +31,8 @@ from motionkit.store.schema import (
 
 # Figures of a sequence that follow from others were computed in float64.
 _RELATIVE_ERROR = 1e-12
+# People give captions' ends in tenths of seconds, and releases of a data set differ by some frames.
+CAPTION_TOLERANCE_SECONDS = 0.25
 
 CHECKED_COLUMNS = (
     "sequence_index",
@@ -183,14 +185,19 @@ def _wrong_skeletons(
 
 
 def caption_faults(sequences: pa.Table) -> Iterator[str]:
-    """One line for each caption with invalid seconds; its motion can still be read."""
+    """One line for each caption with invalid seconds, or beyond its motion's end; the motion can still be read."""
     captions = sequences["captions"].combine_chunks()
     said = captions.values
     start, end = numbers_of(said.field("start_seconds")), numbers_of(pc.fill_null(said.field("end_seconds"), np.inf))
     row = np.searchsorted(numbers_of(captions.offsets), np.arange(len(said)), side="right") - 1
-    for wrong in np.flatnonzero(~(np.isfinite(start) & (start <= end))):
+    stop = (numbers_of(sequences["start_seconds"]) + numbers_of(sequences["duration_seconds"]))[row]
+    is_span = np.isfinite(start) & (start <= end)
+    beyond = (start >= stop) | (np.isfinite(end) & (end > stop + CAPTION_TOLERANCE_SECONDS))
+    for wrong in np.flatnonzero(~is_span | beyond):
         sequence_id = sequences["sequence_id"][int(row[wrong])].as_py()
-        yield (f"{SEQUENCES_FILE}: sequence {sequence_id!r}: a caption lasts from {start[wrong]:g} to {end[wrong]:g} s")
+        said_of = f"{SEQUENCES_FILE}: sequence {sequence_id!r}: a caption lasts from"
+        past = f", the motion ends at {stop[wrong]:g} s" if is_span[wrong] else ""
+        yield f"{said_of} {start[wrong]:g} to {end[wrong]:g} s{past}"
 
 
 def _differ(

@@ -77,18 +77,6 @@ def crop(motion: Motion, cut: Cut, path: Path) -> Motion:
             return _called_20_fps(_crop_frames(motion, stretch, step, path), step)
 
 
-def without_first(motion: Motion, num_frames: int, path: Path) -> Motion:
-    """The motion without its first frames, its clock starting at 0; raises `FormatError` if no frame is left."""
-    if num_frames == 0:
-        return motion
-    if num_frames >= motion.num_frames:
-        message = f"{motion.num_frames} frames, of which the first {num_frames} are to be left out"
-        raise FormatError(message, path=path, reason="skip-frames")
-    kept = motion.frames(num_frames, motion.num_frames)
-    line = f"the first {num_frames} of {motion.num_frames} frames left out (skip_frames)"
-    return replace(kept, timegrid=TimeGrid(motion.fps, kept.num_frames)).logged(line)
-
-
 def missing_seconds(cut: Cut, path: Path, num_frames: int, fps: Fraction, stated_fps: str) -> float:
     """How much shorter a cropped motion is than its cut, in seconds; 0 within the rounding to frames."""
     match cut:

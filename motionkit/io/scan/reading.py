@@ -8,8 +8,9 @@ from typing import TypeVar
 
 from motionkit.core.errors import FormatError
 from motionkit.core.mirror import mirror
-from motionkit.core.motion import Motion
+from motionkit.core.motion import Caption, Motion, captions_within
 from motionkit.core.skeletons.families import with_layout_map
+from motionkit.core.timegrid import TimeGrid
 from motionkit.io.bvh.document import BvhDocument
 from motionkit.io.catalogue import readers
 from motionkit.io.scan import cuts, framerate_rules
@@ -30,8 +31,7 @@ def read(item: SourceItem, options: ReadOptions | None = None) -> Motion:
     if item.cut is None and not item.mirrored:
         motion = _read_file(item, options)
         motion = replace(motion, captions=item.captions or motion.captions)
-        skipped = options.skip_frames if item.skip_frames is None else item.skip_frames
-        motion = cuts.without_first(motion, skipped, item.path)
+        motion = _without_first(motion, item, options)
     else:
         motion = _read_stretch(item, options)
     check_size(motion.num_frames, motion.skeleton.num_joints, item.path)
@@ -47,7 +47,36 @@ def read_document(item: SourceItem, options: ReadOptions | None = None) -> BvhDo
     if document is None:
         return None
     found = _on_clock(item, options, lambda wanted: document(item.path, wanted))
-    return _annotated(replace(found, captions=item.captions), item, options)
+    return _annotated(_without_first(replace(found, captions=item.captions), item, options), item, options)
+
+
+def _without_first(motion: Read, item: SourceItem, options: ReadOptions) -> Read:
+    """The motion without its first frames, its clock starting at 0; raises `FormatError` if no frame is left.
+
+    Captions, whose seconds count from the file's first frame, move with it; those of the left-out frames are dropped.
+    """
+    num_frames = options.skip_frames if item.skip_frames is None else item.skip_frames
+    if num_frames == 0:
+        return motion
+    if num_frames >= motion.num_frames:
+        message = f"{motion.num_frames} frames, of which the first {num_frames} are to be left out"
+        raise FormatError(message, path=item.path, reason="skip-frames")
+    kept = motion.frames(num_frames, motion.num_frames)
+    captions = captions_within(motion.captions, kept.timegrid)
+    line = f"the first {num_frames} of {motion.num_frames} frames left out (skip_frames)"
+    timegrid = TimeGrid(motion.fps, kept.num_frames)
+    return replace(kept, timegrid=timegrid, captions=_earlier(captions, float(num_frames / motion.fps))).logged(line)
+
+
+def _earlier(captions: tuple[Caption, ...], seconds: float) -> tuple[Caption, ...]:
+    return tuple(
+        replace(
+            caption,
+            start_seconds=max(0.0, caption.start_seconds - seconds),
+            end_seconds=None if caption.end_seconds is None else caption.end_seconds - seconds,
+        )
+        for caption in captions
+    )
 
 
 def _with_clock(item: SourceItem, options: ReadOptions | None) -> ReadOptions:

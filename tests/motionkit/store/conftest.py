@@ -40,7 +40,7 @@ def make_motion() -> MakeMotion:
             timegrid=TimeGrid(fps, num_frames, start_seconds=0.25),
             local_rotations=numbers(num_frames, joints, 4) if rotations else None,
             root_translation=numbers(num_frames, 3) if rotations else None,
-            captions=(Caption("a person waves"), Caption("ends", 0.5, 1.0, "ends/VERB")),
+            captions=(Caption("a person waves"), Caption("ends", 0.3, 0.5, "ends/VERB")),
             action="wave",
             split=split,
             sequence_id=sequence_id,

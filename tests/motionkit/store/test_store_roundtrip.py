@@ -109,8 +109,8 @@ def test_the_table_of_sequences(small_store):
     assert list(third["operations"]) == ["read", "units: centimetres"]
     assert third["captions"][1] == {
         "text": "ends",
-        "start_seconds": 0.5,
-        "end_seconds": 1.0,
+        "start_seconds": 0.3,
+        "end_seconds": 0.5,
         "tokens": "ends/VERB",
     }
     assert third["captions"][0]["end_seconds"] is None

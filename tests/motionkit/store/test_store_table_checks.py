@@ -185,9 +185,16 @@ def test_a_sequence_longer_than_its_part_asks_for_no_memory(small_store):
 
 @pytest.mark.parametrize(
     ("start", "end", "says"),
-    [(1.0, 0.5, "from 1 to 0.5 s"), (np.nan, None, "from nan to inf s"), (0.0, np.nan, "from 0 to nan s")],
+    [
+        (1.0, 0.5, "from 1 to 0.5 s"),
+        (np.nan, None, "from nan to inf s"),
+        (0.0, np.nan, "from 0 to nan s"),
+        (0.3, 9.0, "from 0.3 to 9 s, the motion ends at 0.616667 s"),
+        (2.0, 3.0, "from 2 to 3 s, the motion ends at 0.616667 s"),
+        (0.7, None, "from 0.7 to inf s, the motion ends at 0.616667 s"),
+    ],
 )
-def test_captions_that_end_before_they_start(small_store, start, end, says):
+def test_captions_that_are_not_about_their_motion(small_store, start, end, says):
     """They are found, and stop nobody: tables of captions that people wrote have such."""
 
     def change(column: Any) -> list[object]:

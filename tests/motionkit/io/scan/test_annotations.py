@@ -1,5 +1,6 @@
 """Sidecar tables: what they say about generated motions."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from motionkit.core.errors import FormatError
 from motionkit.io.scan.annotations import read_annotations, tables_in
 from motionkit.io.scan.items import IndexOptions, ReadOptions
-from motionkit.io.scan.reading import read
+from motionkit.io.scan.reading import read, read_document
 from motionkit.io.scan.scanner import scan
 from tests.helpers.format_samples import bvh_text
 
@@ -72,6 +73,32 @@ def test_the_first_frames_are_left_out(tmp_path: Path, table: str, option: int, 
     assert motion.num_frames == kept
     assert motion.timegrid.start_seconds == 0.0
     assert np.array_equal(motion.joint_positions[-1], whole.joint_positions[-1])
+
+
+@pytest.mark.parametrize("document", [False, True])
+def test_captions_move_with_the_first_frame(tmp_path: Path, document: bool) -> None:
+    """Their seconds count from the file's first frame; what is said of the left-out frames alone is dropped."""
+    rows = [[0.0, 95.0, 2.0 * frame, *[0.0] * 48] for frame in range(90)]
+    (tmp_path / "walk.bvh").write_text(bvh_text(rows))
+    said = [
+        "all of it",
+        {"text": "before", "start_seconds": 0.2, "end_seconds": 0.9},
+        {"text": "across", "start_seconds": 0.5, "end_seconds": 2.0},
+        {"text": "later", "start_seconds": 1.5, "end_seconds": 2.5},
+        {"text": "from then on", "start_seconds": 2.0},
+    ]
+    cell = json.dumps(said).replace('"', '""')
+    (tmp_path / "table.csv").write_text(f'file,skip_frames,captions\nwalk.bvh,30,"{cell}"\n')
+    (item,) = scan([tmp_path]).items
+    found = read_document(item) if document else read(item)
+    assert found is not None and (found.num_frames, found.timegrid.start_seconds) == (60, 0.0)
+    times = [(caption.text, caption.start_seconds, caption.end_seconds) for caption in found.captions]
+    assert times == [
+        ("all of it", 0.0, None),
+        ("across", 0.0, 1.0),
+        ("later", 0.5, 1.5),
+        ("from then on", 1.0, None),
+    ]
 
 
 def test_more_first_frames_than_there_are(tmp_path: Path) -> None:
