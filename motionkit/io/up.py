@@ -1,24 +1,27 @@
 """The up axis of a source: given by the user, or inferred from the motion; and the turn from it to y up."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float, Float32, Int64
 
 from motionkit.core import kinematics
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, body_axis
 
-# Up axis → the rotation (det +1) that takes it to +y, as order and signs of the coordinates. Left and right are kept.
+_HALF = np.sqrt(0.5)
+# Up axis → the rotation (det +1) that takes it to +y, as order and signs of the coordinates and as a quaternion. Left
+# and right are kept.
 _TURNS = {
-    "x": ((1, 0, 2), (-1, 1, 1)),
-    "-x": ((1, 0, 2), (1, -1, 1)),
-    "y": ((0, 1, 2), (1, 1, 1)),
-    "-y": ((0, 1, 2), (1, -1, -1)),
-    "z": ((0, 2, 1), (1, 1, -1)),
-    "-z": ((0, 2, 1), (1, -1, 1)),
+    "x": ((1, 0, 2), (-1, 1, 1), (_HALF, 0, 0, _HALF)),
+    "-x": ((1, 0, 2), (1, -1, 1), (_HALF, 0, 0, -_HALF)),
+    "y": ((0, 1, 2), (1, 1, 1), (1, 0, 0, 0)),
+    "-y": ((0, 1, 2), (1, -1, -1), (0, 1, 0, 0)),
+    "z": ((0, 2, 1), (1, 1, -1), (_HALF, -_HALF, 0, 0)),
+    "-z": ((0, 2, 1), (1, -1, 1), (_HALF, _HALF, 0, 0)),
 }
 AXES = tuple(_TURNS)
 # The axes that a user may give.
@@ -43,21 +46,20 @@ STANDING_METRES = (-0.15, 0.3)
 
 def to_y_up(vectors: Float[np.ndarray, "*shape 3"], up: str) -> Float[np.ndarray, "*shape 3"]:
     """Rotate vectors so that the axis `up` becomes +y."""
-    order, signs = _TURNS[up]
+    order, signs, _ = _TURNS[up]
     return np.asarray(vectors[..., order] * np.array(signs, vectors.dtype))
 
 
 def from_y_up(vectors: Float[np.ndarray, "*shape 3"], up: str) -> Float[np.ndarray, "*shape 3"]:
     """The inverse of `to_y_up`."""
-    order, signs = _TURNS[up]
+    order, signs, _ = _TURNS[up]
     back = np.argsort(order)
     return np.asarray(vectors[..., back] * np.array(signs, vectors.dtype)[back])
 
 
 def turn_of(up: str) -> Float32[np.ndarray, "4"]:
     """The rotation of `to_y_up` as a quaternion."""
-    images = to_y_up(np.eye(3), up)
-    return np.asarray(kinematics.matrix_to_quaternion(images.T[None])[0], np.float32)
+    return np.array(_TURNS[up][2], np.float32)
 
 
 def skeleton_to_y_up(skeleton: Skeleton, up: str) -> Skeleton:
@@ -93,6 +95,14 @@ def log_lines(up: str, given: str = "") -> list[str]:
     return [] if up == "y" else [_LINES[up]]
 
 
+def logged_up(operations: Sequence[str]) -> str:
+    """The up axis of a source by its motion's operation log."""
+    found = next(filter(None, (re.match(r"turned from (−?[xyz]) (up|down)", line) for line in operations)), None)
+    if found is None:
+        return "y"
+    return f"-{found[1]}" if found[2] == "down" else found[1].replace("−", "-")
+
+
 def upright(
     skeleton: Skeleton, joint_positions: Float32[np.ndarray, "frames joints 3"], given: str = ""
 ) -> tuple[Float32[np.ndarray, "frames joints 3"], list[str]]:
@@ -101,9 +111,10 @@ def upright(
     return (joint_positions if up == "y" else to_y_up(joint_positions, up)), log_lines(up, given)
 
 
-def sampled_frames(num_frames: int) -> np.ndarray:
+def sampled_frames(num_frames: int) -> Int64[np.ndarray, "sampled"]:
     """The indices of the frames that `infer_up` looks at."""
-    return np.unique(np.linspace(0, num_frames - 1, min(num_frames, SAMPLED_FRAMES)).round().astype(np.int64))
+    number = min(num_frames, SAMPLED_FRAMES)
+    return np.arange(number) * (num_frames - 1) // max(number - 1, 1)
 
 
 def infer_up(skeleton: Skeleton, joint_positions: Float32[np.ndarray, "frames joints 3"], axes: Sequence[str]) -> str:

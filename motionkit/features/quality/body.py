@@ -41,14 +41,16 @@ def bone_length_drift(
 def head_elevation(positions: Float32[np.ndarray, "frames joints 3"], skeleton: Skeleton, fps: float) -> float | None:
     """The sine of the angle at which the head is above the feet, its 95 % quantile; None for unknown joints.
 
-    It is near 1 for whoever stands in a twentieth of the time, near 0 for a body that lies or crawls throughout.
+    It is near 1 for a body that stands for a twentieth of the time, near 0 for one that lies or crawls throughout.
     """
     try:
         vectors = body_axis(skeleton, positions[:: max(1, round(fps / POSES_PER_SECOND))])
     except SkeletonMapError:
         return None
-    sines = np.sort(vectors[:, 1] / np.maximum(np.linalg.norm(vectors, axis=-1), MIN_BONE_METRES))
-    return float(sines[round(0.95 * (len(sines) - 1))])
+    lengths = np.linalg.norm(vectors, axis=-1)
+    has_length = lengths >= MIN_BONE_METRES
+    sines = np.sort(vectors[has_length, 1] / lengths[has_length])
+    return float(sines[round(0.95 * (len(sines) - 1))]) if len(sines) else None
 
 
 FOOT_JOINTS = ("left_ankle", "left_foot", "right_ankle", "right_foot")
