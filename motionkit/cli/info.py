@@ -1,4 +1,4 @@
-"""`motionkit info`: a summary of a store, its quality, or a file's rig."""
+"""`motionkit info`: a summary of a store or a file, a store's quality, a file's rig."""
 
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -8,11 +8,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from motionkit.cli.console import print_json, stderr, stdout
+from motionkit.cli.options import Up, named_store
 from motionkit.core.errors import UsageError
+from motionkit.core.files import is_store
 from motionkit.core.settings import default_path
 
 if TYPE_CHECKING:
+    from motionkit.core.motion import Motion
+    from motionkit.store.reports.motion import MotionSummary
     from motionkit.store.reports.quality import Offender, QualityReport, SourceQuality
+    from motionkit.store.reports.rig import RigTree
     from motionkit.store.reports.summary import Rig, SourceSummary, StoreSummary
 
 SHOWN_UPSAMPLED = 20
@@ -62,8 +67,14 @@ SHOWN_COUNTS = 8
 
 
 def info(
-    file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help="Show this file's rig, not a store.")] = None,
+    path: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="FILE|STORE", help="A motion's file, or a store; of a folder the first motion.", show_default=False
+        ),
+    ] = None,
     store: Annotated[Path | None, typer.Option(help="Store to describe.", show_default="./store")] = None,
+    up: Up = None,
     skeletons: Annotated[
         bool, typer.Option("--skeletons", "--skeleton", help="Say which joints reach the 22: the store's, or FILE's.")
     ] = False,
@@ -79,17 +90,19 @@ def info(
     html: Annotated[Path | None, typer.Option(metavar="FILE", help="Write it as a page to this file instead.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
 ) -> None:
-    """Show what a store holds (sources, hours, framerates, splits, captions, size on disk), or a file's rig.
+    """Show what a store holds (sources, hours, framerates, splits, captions, size on disk), or what a file is
+    (framerate, frames, height, unit, up axis, skeleton).
 
     Example: motionkit info --html corpus.html
     """
-    if init is not None and file is None:
-        raise UsageError("--init guesses the map of a file's rig: name a FILE")
-    if file is not None:
+    if path is not None and not is_store(path):
         if store is not None or quality or where or html is not None:
-            raise UsageError("FILE goes with --skeleton, --init and --json alone")
-        _show_rig(file, init, as_json)
+            raise UsageError("FILE goes with --up, --skeleton, --init and --json alone")
+        _show_file(path, "" if up is None else up.value, skeletons, init, as_json)
         return
+    if init is not None or up is not None:
+        raise UsageError("--init and --up are about a file: name a FILE")
+    store = named_store(path, store)
     from motionkit.store import Store
     from motionkit.store.reports.quality import report_quality
     from motionkit.store.reports.summary import rigs, summarise
@@ -120,38 +133,72 @@ def info(
         _print_summary(summary)
 
 
-def _show_rig(file: Path, init: Path | None, as_json: bool) -> None:
+def _show_file(path: Path, up: str, skeletons: bool, init: Path | None, as_json: bool) -> None:
     from motionkit.core.files import write_whole
     from motionkit.core.skeletons.guessing import map_text
-    from motionkit.store.named_motions.reading import read_all
+    from motionkit.store.reports.motion import summarise_motion
     from motionkit.store.reports.rig import rig_of
 
-    # The framerate is irrelevant here, and a few formats state none.
-    skeleton = next(iter(read_all(file, fps=30))).skeleton
+    motion, has_framerate = _first_motion(path, up)
     text = None
     if init is not None:
         if init.exists():
             raise UsageError(f"{init} exists: name another file, or delete it")
-        text = map_text(skeleton, init.stem)
-    found = rig_of(skeleton)
+        text = map_text(motion.skeleton, init.stem)
+    found, rig = summarise_motion(motion, has_framerate=has_framerate), rig_of(motion.skeleton)
     if as_json:
-        print_json(asdict(found))
+        print_json({"file": str(path), **asdict(found), **asdict(rig)})
     else:
-        how = (
-            f"maps by {found.family}"
-            if found.family
-            else f"maps by nothing{', a guess is shown' if found.guessed else ''}"
-        )
-        stdout.print(f"{file}: {len(found.joints)} joints, {how}")
-        for joint in found.joints:
-            x, y, z = joint.offset
-            name = f"{'  ' * joint.depth}{joint.name}"
-            stdout.print(f"{name:32} {x:7.3f} {y:7.3f} {z:7.3f}  {', '.join(joint.taken_for)}".rstrip())
-        if found.missing:
-            stdout.print(f"missing: {', '.join(found.missing)}")
+        stdout.print(str(path))
+        for name, value in _file_lines(found, rig):
+            stdout.print(f"{name:12}{value}")
+        if skeletons:
+            _print_rig(rig)
     if text is not None and init is not None:
         write_whole(init, text)
-        stderr.print(f"{init}: a guess; motionkit view {file} --skeleton-map {init} shows it")
+        stderr.print(f"{init}: a guess; motionkit view {path} --skeleton-map {init} shows it")
+
+
+def _first_motion(path: Path, up: str) -> "tuple[Motion, bool]":
+    """The first motion of a file or folder, and whether something says its framerate."""
+    from motionkit.core.errors import FormatError
+    from motionkit.io.scan.reading import NO_FRAMERATE
+    from motionkit.store.named_motions.reading import read_all
+
+    try:
+        return next(read_all(path, up=up or None)), True
+    except FormatError as error:
+        if error.reason not in NO_FRAMERATE:
+            raise
+        return next(read_all(path, fps=1, up=up or None)), False
+
+
+def _file_lines(found: "MotionSummary", rig: "RigTree") -> list[tuple[str, str]]:
+    stated = f" (the file says {found.stated_fps})" if found.stated_fps else ""
+    seconds = "" if found.duration_seconds is None else f", {found.duration_seconds:.6g} s"
+    height = "unknown" if found.height_metres is None else f"{found.height_metres:.3g} m from ankles to head"
+    maps = f"maps by {rig.family}" if rig.family else f"maps by nothing{', a guess is shown' if rig.guessed else ''}"
+    rotations = "rotations" if found.has_rotations else "positions only"
+    lines = [
+        ("motion", f"{found.sequence_id} ({found.format})"),
+        ("fps", "nothing says it: use --fps" if found.fps is None else f"{found.fps}{stated}"),
+        ("frames", f"{found.num_frames:,}{seconds}"),
+        ("height", height),
+        ("unit", f"{found.unit_metres:g} m ({found.unit})"),
+        ("up", found.up),
+        ("skeleton", f"{found.skeleton}: {found.num_joints} joints, {rotations}, {maps}"),
+        ("captions", f"{found.num_captions:,}"),
+    ]
+    return [*lines, ("flags", ", ".join(found.quality_flags))] if found.quality_flags else lines
+
+
+def _print_rig(rig: "RigTree") -> None:
+    for joint in rig.joints:
+        x, y, z = joint.offset
+        name = f"{'  ' * joint.depth}{joint.name}"
+        stdout.print(f"{name:32} {x:7.3f} {y:7.3f} {z:7.3f}  {', '.join(joint.taken_for)}".rstrip())
+    if rig.missing:
+        stdout.print(f"missing: {', '.join(rig.missing)}")
 
 
 def _print_quality(report: "QualityReport", as_json: bool) -> None:

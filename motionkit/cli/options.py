@@ -31,6 +31,18 @@ Up = Annotated[
 ]
 
 
+StoreArgument = Annotated[
+    Path | None, typer.Argument(metavar="STORE", help="The store, as with --store.", show_default=False)
+]
+
+
+def named_store(argument: Path | None, option: Path | None) -> Path | None:
+    """The store named by position or by --store, None for the default; raises `UsageError` for both."""
+    if argument is not None and option is not None:
+        raise UsageError(f"two stores, {argument} and --store {option}: name one")
+    return argument or option
+
+
 def of_default(option: str, given: Path | None) -> str:
     """An option as text for a suggested command; empty for the default."""
     return "" if given is None else f" {option} {shlex.quote(str(given))}"

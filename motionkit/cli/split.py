@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from motionkit.cli.console import print_json, say_next, stdout
-from motionkit.cli.options import of_default
+from motionkit.cli.options import StoreArgument, named_store, of_default
 from motionkit.core.errors import UsageError
 from motionkit.core.settings import default_path
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 
 def split(
+    path: StoreArgument = None,
     shares: Annotated[
         str, typer.Option(help="What part of the motion, in seconds, each split gets: test=1 puts all of it there.")
     ] = "train=0.8,val=0.05,test=0.15",
@@ -48,7 +49,7 @@ def split(
     from motionkit.store.life.splits import PERFORMER
     from motionkit.store.life.splits import split as split_store
 
-    wanted = parse_shares(shares)
+    wanted, store = parse_shares(shares), named_store(path, store)
     together = by or [PERFORMER]
     report = split_store(store or default_path("store"), wanted, by=together, where=where, seed=seed, dry_run=dry_run)
     if as_json:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from motionkit.cli.console import print_json, say_next
-from motionkit.cli.options import of_default, parse_duration
+from motionkit.cli.options import StoreArgument, named_store, of_default, parse_duration
 from motionkit.cli.tracking import tensorboard_events
 from motionkit.cli.train_jobs import Job, train_all
 from motionkit.core.errors import UsageError
@@ -29,6 +29,7 @@ from motionkit.training.systems import (
 
 
 def train(
+    path: StoreArgument = None,
     stage: Annotated[str, typer.Option(help="One installed stage, or all of the model's in order.")] = "all",
     wanted: Annotated[
         str | None, typer.Option("--for", metavar="table:N", help="Instead: what this table, or figure:N, lacks.")
@@ -68,6 +69,7 @@ def train(
     Example: motionkit train --recipe nano --run nano"""
     if resume and overwrite:
         raise UsageError("--resume and --overwrite exclude each other")
+    store = named_store(path, store)
     folder = RunFolder((runs or default_path("runs")) / (run or recipe))
     going_on = resume or (wanted is not None and not overwrite)
     context = StageContext(

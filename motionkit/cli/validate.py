@@ -6,11 +6,13 @@ from typing import Annotated
 import typer
 
 from motionkit.cli.console import print_json, progress, stdout
+from motionkit.cli.options import StoreArgument, named_store
 from motionkit.core.progress import task
 from motionkit.core.settings import default_path
 
 
 def validate(
+    path: StoreArgument = None,
     store: Annotated[Path | None, typer.Option(help="Store to check.", show_default="./store")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the faults as JSON.")] = False,
 ) -> None:
@@ -23,7 +25,7 @@ def validate(
     from motionkit.store.manifest import read_manifest
     from motionkit.store.validate import faults
 
-    path = store or default_path("store")
+    path = named_store(path, store) or default_path("store")
     manifest = read_manifest(path)
     with progress() as show, task(show, "validate", len(manifest.files)) as work:
 

@@ -74,7 +74,7 @@ def changing(store: Path, *, must_exist: bool = False, must_not_exist: bool = Fa
 
 def committed(store: Path) -> Manifest:
     """The state that a reader would see now; `EMPTY` if there is no store yet."""
-    return read_manifest(store) if (store / MANIFEST_FILE).exists() else EMPTY
+    return read_manifest(store) if files.is_store(store) else EMPTY
 
 
 def require_present_version(store: Path, manifest: Manifest) -> None:
@@ -150,7 +150,7 @@ def _is_committed(path: Path, entry: FileEntry) -> bool:
 def _check_target(path: Path, *, must_exist: bool, must_not_exist: bool) -> None:
     if path.exists() and not path.is_dir():
         raise StoreError(f"{path} is a file; a store is a folder")
-    is_store = (path / MANIFEST_FILE).exists()
+    is_store = files.is_store(path)
     if must_exist and not is_store:
         read_manifest(path)
     if must_not_exist and is_store:

@@ -12,6 +12,10 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float32
 
+from motionkit.core.files import MANIFEST_FILE as MANIFEST_FILE
+from motionkit.core.files import SEGMENTS_FOLDER as SEGMENTS_FOLDER
+from motionkit.core.files import SEQUENCES_FILE as SEQUENCES_FILE
+
 # 2^-22: 0.24 micrometres, or half a microradian of a quaternion's turn. It is the spacing of float32 itself from 2 to
 # 4 metres from the origin, so no coordinate loses what it would have kept a few steps further away.
 RESOLUTION_BITS = 22
@@ -44,10 +48,7 @@ PART_BYTES = 128 * 2**20
 PAGE_BYTES = 8 * 2**20
 SEQUENCES_PER_ROW_GROUP = 4096
 
-SEQUENCES_FILE = "sequences.parquet"
 SKELETONS_FILE = "skeletons.parquet"
-MANIFEST_FILE = "manifest.json"
-SEGMENTS_FOLDER = "segments"
 CACHE_FOLDER = "cache"
 
 # Bytes of one frame of one joint as raw float32: what sizes on disk are compared with.

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from motionkit.core.errors import FormatError
+from motionkit.core.files import is_store
 
 HIDDEN = (".", "__")
 
@@ -15,8 +16,8 @@ def walk(
     """The folders below `root`, itself first, in sorted order, each with its files; hidden ones are left out.
 
     A folder that `is_whole` is not entered. Links to folders are followed after all real folders, so that a folder
-    reachable both ways gets its real path; folders already visited, and those that contain the source, are skipped.
-    Folders that cannot be listed (`unreadable`) and dangling links (`dangling-link`) go to `on_problem`.
+    reachable both ways gets its real path; folders already visited, those that contain the source, and stores are
+    skipped. Folders that cannot be listed (`unreadable`) and dangling links (`dangling-link`) go to `on_problem`.
     """
     seen: set[tuple[int, int]] = set()
     starts = [root]
@@ -75,6 +76,6 @@ def _sorted_out(
             on_problem(problem)
         elif entry.is_file():  # not a pipe, which would block
             files.append(path)
-        elif entry.is_dir() and not entry.name.startswith(HIDDEN):
+        elif entry.is_dir() and not entry.name.startswith(HIDDEN) and not is_store(path):
             (linked if is_link else below).append(path)
     return below, linked, files

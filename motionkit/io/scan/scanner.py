@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 
 from motionkit.core.errors import FormatError, UsageError
+from motionkit.core.files import is_store
 from motionkit.io.catalogue import readers
 from motionkit.io.format import Format
 from motionkit.io.indexes import search
@@ -48,6 +49,8 @@ def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanRes
             raise UsageError(str(dangling(source) or f"{source} does not exist"))
         if not (source.is_file() or source.is_dir()):
             raise UsageError(f"{source} is neither a file nor a folder")
+        if is_store(source):
+            raise UsageError(f"{source} is a store, expected motions: 'motionkit merge' joins stores")
         table = annotations.read_annotations(options.captions, _root(source)) if options.captions else None
         given += [table] if table else []
         found = _scan_source(source, options, table)

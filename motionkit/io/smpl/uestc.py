@@ -25,6 +25,7 @@ from motionkit.io.format import Format, of_path
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.smpl.body import SMPL, Body, mean_body, own_body
 from motionkit.io.source import clock, source_file
+from motionkit.io.up import log_lines, turn_of
 
 FPS = Fraction(30)
 NUM_BETAS = 10
@@ -50,8 +51,8 @@ ACTIONS = (
     *("knee-to-chest", "knee-circling", "alternate-knee-lifting", "bent-over-twist", "rope-skipping"),
     *("standing-toe-touches", "standing-gastrocnemius-calf", "single-leg-lateral-hopping", "high-knees-running"),
 )
-# 180° about x: the camera's y points down and its z away from it.
-FROM_CAMERA = np.array([0.0, 1.0, 0.0, 0.0], np.float32)
+# The camera's y points down and its z away from it.
+FROM_CAMERA = turn_of("-y")
 
 
 @dataclass(frozen=True)
@@ -146,7 +147,7 @@ def _body(archive: NpzArchive, num_frames: int, options: ReadOptions) -> Body:
 
 def _to_front(name: _Name) -> tuple[Float32[np.ndarray, "4"], list[str]]:
     # Side cameras are at multiples of 45 degrees; views of the front and the moving camera are not rotated.
-    upright = "turned from the camera's frame to y up: (x, y, z) → (x, −y, −z)"
+    (upright,) = log_lines("-y")
     if name.front:
         return FROM_CAMERA, [upright]
     if name.view == MOVING_VIEW:

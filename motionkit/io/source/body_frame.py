@@ -1,5 +1,7 @@
 """Inference of a source's unit from the size of the body; lengths in metres."""
 
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -65,6 +67,12 @@ def standing_metres(skeleton: Skeleton, joint_positions: Float32[np.ndarray, "fr
 def is_plausible(metres: float) -> bool:
     """Whether this is a plausible length from ankle to head."""
     return _factor(metres, TYPICAL_HEIGHT_METRES) <= PLAUSIBLE_FACTOR
+
+
+def logged_unit(operations: Sequence[str]) -> tuple[float, str]:
+    """Metres per unit of a source by its motion's operation log, and how that was found; 1 where nothing was scaled."""
+    found = next(filter(None, (re.match(r"lengths × (\S+) to metres \((.+)\)", line) for line in operations)), None)
+    return (1.0, "metres") if found is None else (float(found[1]), found[2])
 
 
 def _chain_lengths(body: Float32[np.ndarray, "frames 22 3"]) -> Float32[np.ndarray, "frames"]:

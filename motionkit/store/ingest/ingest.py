@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from motionkit.core.errors import FormatError, StoreError
+from motionkit.core.files import is_store
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.families import parse_layout_map
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map
@@ -24,7 +25,6 @@ from motionkit.store.ingest.stored import StoredCounts, warnings_of
 from motionkit.store.ingest.stretches import NumberedItem, ReadSequence, ReadStretch, cut, read_stretch
 from motionkit.store.manifest import read_manifest
 from motionkit.store.reports.summary import BodySizes
-from motionkit.store.schema import MANIFEST_FILE
 from motionkit.store.writer import StoreWriter
 
 OnError = Literal["skip", "stop"]
@@ -153,7 +153,7 @@ class _Run:
         self._counts = StoredCounts()
 
     def ingest(self, sources: Sequence[Path], overwrite: bool) -> IngestReport:
-        appends = (self._store / MANIFEST_FILE).exists() and not overwrite
+        appends = is_store(self._store) and not overwrite
         writer = StoreWriter.append(self._store) if appends else StoreWriter.create(self._store, overwrite=overwrite)
         found = scan(sources, self._options)
         committed = True
@@ -175,7 +175,6 @@ class _Run:
         except OSError as error:
             # Readers report problems of files; this is the store's disk, before the commit: full, or not writable.
             raise StoreError(f"the store {self._store} cannot be written ({error}); it is as it was") from None
-        exists = (self._store / MANIFEST_FILE).exists()
         return IngestReport(
             store=self._store,
             committed=committed,
@@ -183,7 +182,7 @@ class _Run:
             num_frames=self._num_frames if committed else 0,
             duration_seconds=self._duration_seconds if committed else 0.0,
             num_already_stored=self._num_already_stored,
-            num_in_store=read_manifest(self._store).num_sequences if exists else 0,
+            num_in_store=read_manifest(self._store).num_sequences if is_store(self._store) else 0,
             problems=tuple(self._problems),
             warnings=tuple(self._warnings),
             datasets=self._datasets(found) if self._options.index else (),

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Generic, Literal, NamedTuple, TypeVar
 
 from motionkit.core.errors import FormatError, StoreError, UsageError
+from motionkit.core.files import is_store
 from motionkit.core.framerate import Framerate, parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.progress import warn
@@ -21,7 +22,6 @@ from motionkit.io.scan.items import ReadOptions, SourceItem
 from motionkit.io.scan.scanner import scan, with_tables_above
 from motionkit.io.up import GIVEN_AXES
 from motionkit.store import Store
-from motionkit.store.schema import MANIFEST_FILE, SEQUENCES_FILE
 
 ReadT = TypeVar("ReadT")
 SHOWN_IDS = 3
@@ -51,7 +51,7 @@ class Readers(Generic[ReadT]):
 def find_motions(
     names: Sequence[str], options: ReadOptions, store: Path, readers: Readers[ReadT]
 ) -> tuple[list[FoundMotion[ReadT]], list[FormatError]]:
-    """The motions of files and folders, or of a store if no file has that name; and problems of others.
+    """The motions of files, folders and stores, or those of `store` with these ids; and problems of others.
 
     Raises `UsageError` for a name that is neither.
     """
@@ -62,6 +62,8 @@ def find_motions(
         path = Path(name)
         if not path.exists():
             found.append(_stored_named(name, store, opened, readers.stored))
+        elif is_store(path):
+            found += find_stored(path, None, readers.stored)
         elif (published := _of_pose_folder(path)) is not None:
             found.append(_of_item(published, path, readers.item))
         else:
@@ -102,8 +104,8 @@ def _of_item(item: SourceItem, named: Path, read: Callable[[SourceItem], ReadT])
     return FoundMotion(f"{path}{key}", f"{path.name}{key}", path.with_name(stem), partial(read, item))
 
 
-def find_stored(store: Path, where: str, stored: Callable[[Motion], ReadT]) -> list[FoundMotion[ReadT]]:
-    """The sequences of a store for which a condition holds, in its order; raises `StoreError` or `UsageError`."""
+def find_stored(store: Path, where: str | None, stored: Callable[[Motion], ReadT]) -> list[FoundMotion[ReadT]]:
+    """The sequences of a store, for which a condition holds if there is one; raises `StoreError` or `UsageError`."""
     opened = Store.open(store)
     rows = opened.rows_of(opened.select_some(where))
     ids: list[str] = opened.sequences_table["sequence_id"].take(rows).to_pylist()
@@ -249,7 +251,7 @@ def existing_path(path: object) -> Path:
 
 
 def _find(path: Path, options: ReadOptions) -> tuple[list[_Sequence], list[FormatError]]:
-    if all((path / name).is_file() for name in (MANIFEST_FILE, SEQUENCES_FILE)):
+    if is_store(path):
         raise UsageError(f"{path} is a store: Store.open({str(path)!r}) reads it")
 
     def of_item(item: SourceItem) -> _Sequence:
