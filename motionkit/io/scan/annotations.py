@@ -76,8 +76,8 @@ class AnnotationTable:
     warnings: tuple[FormatError, ...] = field(default=())
 
 
-def tables_in(folder: Path) -> tuple[list[AnnotationTable], list[FormatError]]:
-    """The annotation tables among a folder's CSV files, and the errors of those that cannot be read.
+def tables_in(folder: Path, given: Path | None = None) -> tuple[list[AnnotationTable], list[FormatError]]:
+    """The annotation tables among a folder's CSV files but the `given` one, and the errors of those that cannot be read.
 
     A table has a column `file` and at least one other known column; one with another encoding or separator cannot be
     read. If a column's name is only similar to a known one, the table has no rows and a warning.
@@ -86,6 +86,8 @@ def tables_in(folder: Path) -> tuple[list[AnnotationTable], list[FormatError]]:
     problems: list[FormatError] = []
     for path in sorted(folder.glob("*.csv")):
         names = source_file.header_names(path)
+        if names and given is not None and path.samefile(given):
+            continue
         if "file" not in names:
             tables += _nearly_tables(names, path)
             continue

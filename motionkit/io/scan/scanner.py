@@ -110,16 +110,15 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
         if options.leave_out_made and one is None:
             files = [path for path in files if not _left_out(path, root, made)]
         licences[folder] = annotations.find_licence(folder) or licences.get(folder.parent, "")
-        if given is None:
-            tables_here, broken = annotations.tables_in(folder)
-            beside += tables_here
-            found.append((folder, ScanResult((), tuple(broken))))
+        tables_here, broken = annotations.tables_in(folder, given and given.path)
+        beside += tables_here
+        found.append((folder, ScanResult((), tuple(broken))))
         found.append((folder, _scan_folder(folder, files, root, licences[folder], options)))
         if source.is_dir():
             seen += _files_below(folder) if _is_claimed(folder) else files
         elif not found[-1][1].items and not found[-1][1].problems:
             found.append((folder, _recognise(root / source.name, licences[folder], options)))
-    tables = beside if given is None else [given]
+    tables = [*beside, *([given] if given else [])]
     items = [_annotate(item, tables) for _, result in found for item in result.items]
     problems = [problem for _, result in found for problem in result.problems]
     warnings = [warning for _, result in found for warning in result.warnings]
@@ -247,7 +246,7 @@ def _takes(entry: Format, path: Path) -> bool:
 
 
 def _annotate(item: SourceItem, tables: Sequence[AnnotationTable]) -> SourceItem:
-    # A table nearer to the file comes later and takes precedence.
+    # A table nearer to the file comes later and takes precedence, cell by cell; a given one comes last.
     for table in tables:
         row = table.rows.get(item.path)
         if row is not None:

@@ -89,7 +89,7 @@ def test_given_captions_replace_those_found_and_paths_stay_inside(source: Path, 
         "07/07_01.amc,bends,x\n"
     )
     result = scan([source], ReadOptions(captions=table))
-    assert [(problem.reason, problem.line) for problem in result.problems] == [
+    assert [(problem.reason, problem.line) for problem in result.problems if problem.path == table] == [
         ("duplicate-annotation", 3),
         ("path", 4),
         ("path", 5),
@@ -122,8 +122,29 @@ def test_given_captions_may_describe_several_sources(source: Path, tmp_path: Pat
     table.write_text("file,caption\nwalk.bvh,walks\nrun.bvh,runs\n07/07_01.amc,bends\ngone.bvh,nobody\n")
     result = scan([source, tmp_path / "more"], ReadOptions(captions=table))
     assert sorted(item.captions[0].text for item in result.items) == ["bends", "runs", "walks"]
-    assert [(problem.reason, problem.line) for problem in result.problems] == [("caption-without-motion", 5)]
+    problems = [problem for problem in result.problems if problem.path == table]
+    assert [(problem.reason, problem.line) for problem in problems] == [("caption-without-motion", 5)]
     assert not result.warnings
+
+
+@pytest.mark.parametrize("place", ["mine.csv", "takes/mine.csv", "takes/07/mine.csv"])
+def test_a_given_table_is_joined_to_the_one_beside_the_files_cell_by_cell(tmp_path: Path, place: str) -> None:
+    """What it leaves empty stays what the files' own table says, wherever it lies; its paths count from the source."""
+    folder = tmp_path / "takes"
+    (folder / "07").mkdir(parents=True)
+    for name in ("walk", "07/run"):
+        (folder / f"{name}.bvh").write_text(bvh_text())
+    (folder / "table.csv").write_text(
+        "file,fps,action,caption,skip_frames\nwalk.bvh,60,walk,theirs,1\n07/run.bvh,24,run,runs,\n"
+    )
+    (tmp_path / place).write_text("file,caption,split,action\nwalk.bvh,mine,test,\n")
+    result = scan([folder], ReadOptions(captions=tmp_path / place))
+    assert (result.problems, result.warnings, result.ignored) == ((), (), ())
+    found = {item.path.stem: item for item in result.items}
+    walk, run = found["walk"], found["run"]
+    assert ([caption.text for caption in walk.captions], walk.split, walk.action) == (["mine"], "test", "walk")
+    assert (walk.fps, walk.skip_frames) == (60, 1)
+    assert ([caption.text for caption in run.captions], run.fps, run.action) == (["runs"], 24, "run")
 
 
 def test_a_single_file_finds_its_row_and_misses_no_other(source: Path) -> None:
