@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from motionkit.core.errors import DamagedFileError
-from motionkit.core.files import read_regular, write_whole
+from motionkit.core.files import naming, read_regular, write_whole
 
 CHECKSUM = "checksum"
 # In the metadata of a safetensors file: the sha256 of the whole file with zeros in its place.
@@ -79,7 +79,7 @@ def _finite(text: str) -> float:
 
 def sha256_of(path: Path) -> str:
     """Hexadecimal sha256 of a file's content, read in pieces."""
-    with path.open("rb") as stream:
+    with naming(path), path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 

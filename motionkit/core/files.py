@@ -75,12 +75,13 @@ def create(path: Path) -> None:
 def read_regular(path: Path) -> bytes:
     """Content of a regular file; raises `OSError` for a pipe or a device, which might never end."""
     require_regular(path)
-    return path.read_bytes()
+    with naming(path):
+        return path.read_bytes()
 
 
 def read_at_most(path: Path, num_bytes: int) -> bytes:
     """Content of a file or a pipe of limited size; raises `OSError` for more."""
-    with path.open("rb") as file:
+    with naming(path), path.open("rb") as file:
         content = file.read(num_bytes + 1)
     if len(content) > num_bytes:
         raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
@@ -175,7 +176,7 @@ def _is_at(descriptor: int, path: Path) -> bool:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Add the file's name to an `OSError` without one, as raised for a full disk."""
+    """Add the file's name to an `OSError` without one, as raised for a full disk or by a failing one."""
     try:
         yield
     except OSError as error:

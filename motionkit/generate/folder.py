@@ -17,7 +17,7 @@ from typing import Any, TextIO
 
 from motionkit.core.checksums import checksum_of, read_json, sha256_of, write_json
 from motionkit.core.errors import DamagedFileError, UsageError
-from motionkit.core.files import LOCK, locked_folder, naming, temporary_name, write_whole
+from motionkit.core.files import LOCK, locked_folder, naming, read_regular, temporary_name, write_whole
 from motionkit.core.framerate import format_fps
 from motionkit.core.plain_text import whole_number
 from motionkit.core.progress import warn
@@ -101,7 +101,7 @@ class GeneratedTable:
         """The names of the columns and all rows, unchecked."""
         if not self.path.is_file():
             return (), []
-        data = self.path.read_bytes()
+        data = read_regular(self.path)
         text = data[: data.rfind(b"\n") + 1].decode("utf-8", errors="replace")
         # For rows of the wrong length, csv gives None as a name or a cell.
         rows = csv.DictReader(io.StringIO(text, newline=""))

@@ -37,7 +37,10 @@ OTHER_WIDTH = re.compile(r"Row #(\d+): Expected (\d+) columns, got (\d+)")
 
 def accepts(path: Path) -> bool:
     """Whether a CSV's first row has a clock and at least one joint, and is not of `robot_csv`; reads no further."""
-    names = source_file.header_names(path)
+    try:
+        names = source_file.header_names(path)
+    except FormatError:  # the scan reports it, as one of the tables of its folder
+        return False
     is_ours = any(name.endswith("_x") for name in names) and "root_qw" not in names
     return is_ours and (TIME in names or FRAME in names)
 

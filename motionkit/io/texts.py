@@ -82,5 +82,8 @@ def read_splits(folder: Path, known: Collection[str], where: str) -> tuple[dict[
 def _lines(path: Path) -> list[str]:
     if not path.is_file():
         return []
-    lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+    try:
+        lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+    except OSError as error:
+        raise source_file.unreadable(path, error) from None
     return [line.strip() for line in lines if line.strip()]

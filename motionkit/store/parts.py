@@ -112,7 +112,7 @@ class PartWriter:
 
 def read_footer(path: Path) -> bytes:
     """The end of a Parquet file, which says where its pages lie; raises `ValueError` where there is none."""
-    with path.open("rb") as file:
+    with files.naming(path), path.open("rb") as file:
         num_bytes = file.seek(0, os.SEEK_END)
         file.seek(max(0, num_bytes - _END_BYTES))
         end = file.read()

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from motionkit.core.errors import DamagedFileError
-from motionkit.core.files import naming, require_no_link, sync
+from motionkit.core.files import naming, read_regular, require_no_link, sync
 from motionkit.core.plain_text import shown
 
 # Called with a stage's name and logged metrics.
@@ -72,7 +72,7 @@ class MetricsLog:
                 log.truncate(extent["bytes"])
 
     def _content(self) -> bytes:
-        return self.path.read_bytes() if self.path.is_file() else b""
+        return read_regular(self.path) if self.path.is_file() else b""
 
 
 NOTHING_LOGGED: Mapping[str, Any] = {"bytes": 0, "sha256": hashlib.sha256().hexdigest()}

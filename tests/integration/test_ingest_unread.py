@@ -100,3 +100,16 @@ def test_under_stop_two_files_of_one_name_are_a_problem(motionkit, takes, tmp_pa
     np.savez(takes / "alpha.npz", joint_positions=np.zeros((5, 22, 3)), fps=30)
     outcome = motionkit("ingest", takes, "--store", tmp_path / "store", "--on-error", "stop")
     assert outcome.code == 1 and "is already taken by alpha.bvh" in outcome.error_lines[0]
+
+
+@pytest.mark.skipif(not Path("/proc/self/mem").exists(), reason="needs a file that opens and cannot be read")
+@pytest.mark.parametrize("name", ["table.csv", "walk.bvh", "walk.npy", "walk.npz", "walk.amc", "walk.c3d", "train.txt"])
+def test_a_file_that_cannot_be_read_is_named_and_costs_no_other(motionkit, takes, tmp_path, name):
+    """Reading fails with the system's error for a broken disk, which names no file."""
+    (takes / name).symlink_to("/proc/self/mem")
+    outcome = motionkit("ingest", takes, "--store", tmp_path / "store", "--workers", 1, "--json")
+    report = json.loads(outcome.stdout)
+    assert (outcome.code, report["stored"]) == (0, 3)
+    assert name in outcome.stderr or f".{name.split('.')[1]}" in report["ignored"]
+    alone = motionkit("ingest", takes / name, "--store", tmp_path / "other")
+    assert alone.code == 1 and name in alone.stderr

@@ -77,7 +77,7 @@ class AnnotationTable:
 
 
 def tables_in(folder: Path, given: Path | None = None) -> tuple[list[AnnotationTable], list[FormatError]]:
-    """The annotation tables among a folder's CSV files but the `given` one, and the errors of those that cannot be read.
+    """The annotation tables of a folder's CSV files but the `given` one, and the errors of those that cannot be read.
 
     A table has a column `file` and at least one other known column; one with another encoding or separator cannot be
     read. If a column's name is only similar to a known one, the table has no rows and a warning.
@@ -85,7 +85,11 @@ def tables_in(folder: Path, given: Path | None = None) -> tuple[list[AnnotationT
     tables: list[AnnotationTable] = []
     problems: list[FormatError] = []
     for path in sorted(folder.glob("*.csv")):
-        names = source_file.header_names(path)
+        try:
+            names = source_file.header_names(path)
+        except FormatError as problem:
+            problems.append(problem)
+            continue
         if names and given is not None and path.samefile(given):
             continue
         if "file" not in names:

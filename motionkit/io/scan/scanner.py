@@ -18,6 +18,7 @@ from motionkit.io.scan.annotations import Annotation, AnnotationTable
 from motionkit.io.scan.derived import is_derived
 from motionkit.io.scan.folders import dangling, walk
 from motionkit.io.scan.items import ReadOptions, ScanResult, SourceItem, Spare
+from motionkit.io.source import source_file
 
 
 def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanResult:
@@ -211,8 +212,11 @@ def with_tables_above(item: SourceItem, levels: int = 4) -> SourceItem:
 
 def _recognise(path: Path, licence: str, options: ReadOptions) -> ScanResult:
     # A single file with an uninformative name is recognised by its first bytes.
-    with path.open("rb") as file:
-        head = file.read(4096).removeprefix(b"\xef\xbb\xbf")
+    try:
+        with path.open("rb") as file:
+            head = file.read(4096).removeprefix(b"\xef\xbb\xbf")
+    except OSError as error:
+        return ScanResult((), (source_file.unreadable(path, error),))
     words = next((line.strip() for line in head.splitlines() if line.strip() and not line.startswith(b"#")), b"")
     for entry in readers().values():
         fits = options.format in ("auto", entry.name) and (entry.accepts is None or entry.accepts(path))

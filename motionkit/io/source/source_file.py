@@ -97,14 +97,17 @@ def decode(data: bytes, path: Path) -> str:
 
 
 def header_names(path: Path) -> list[str]:
-    """The names in a table's first line, in any encoding and with any separator; empty if there is no such line."""
+    """The names in a table's first line, in any encoding and with any separator; empty if there is no such line.
+
+    Raises `FormatError` (`unreadable`).
+    """
     try:
         if not path.is_file():
             return []
         with path.open("rb") as file:
             head = file.readline(HEADER_BYTES)
-    except OSError:
-        return []
+    except OSError as error:
+        raise unreadable(path, error) from None
     text = head.decode("utf-16" if head.startswith(UTF_16) else "utf-8-sig", "replace")
     return [name.strip('" \r\n\ufffd') for name in re.split(r"[,;\t]", text)]
 
@@ -219,8 +222,11 @@ class FileParts:
         if self.content is not None:
             return sha256(self.content)
         self._check_same()
-        with self.path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        try:
+            with self.path.open("rb") as file:
+                return hashlib.file_digest(file, "sha256").hexdigest()
+        except OSError as error:
+            raise unreadable(self.path, error) from None
 
     def _all(self) -> Iterator[bytes]:
         for start in range(0, self.size, PART_BYTES):

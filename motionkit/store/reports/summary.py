@@ -178,7 +178,9 @@ def _column_sizes(store: Store, sequences: pa.Table) -> dict[str, ColumnSize]:
         try:
             metadata = pq.read_metadata(store.part(name))
         except (pa.ArrowException, OSError) as error:
-            raise StoreError(f"{error}: 'motionkit validate --store {store.path}' says what is damaged") from None
+            raise StoreError(
+                f"{store.path / name}: {error}: 'motionkit validate --store {store.path}' says what is damaged"
+            ) from None
         for group in range(metadata.num_row_groups):
             for index in range(metadata.num_columns):
                 column = metadata.row_group(group).column(index)

@@ -4,14 +4,18 @@ import os
 import signal
 import stat
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
 
+from motionkit.core.checksums import sha256_of
 from motionkit.core.errors import LinkError
 from motionkit.core.files import (
     create,
     naming,
+    read_at_most,
     read_regular,
     remove_folder,
     replace,
@@ -20,6 +24,7 @@ from motionkit.core.files import (
     whole_file,
     write_whole,
 )
+from motionkit.store.parts import read_footer
 
 
 def test_the_file_appears_with_its_whole_content(tmp_path: Path) -> None:
@@ -200,3 +205,13 @@ def test_an_error_of_a_library_names_the_file_in_the_systems_words(tmp_path: Pat
         raise OSError(errno.ENOSPC, "Error writing bytes to file. Detail: [errno 28] No space left on device")
     with pytest.raises(OSError, match="corrupt"), naming(tmp_path / "part.parquet"):
         raise OSError("corrupt")
+
+
+@pytest.mark.skipif(not Path("/proc/self/mem").exists(), reason="needs a file that opens and cannot be read")
+@pytest.mark.parametrize("read", [read_regular, partial(read_at_most, num_bytes=10), sha256_of, read_footer])
+def test_errors_of_reading_name_the_file(tmp_path: Path, read: Callable[[Path], object]) -> None:
+    """The system names the file that cannot be opened, not the one that cannot be read."""
+    (tmp_path / "broken").symlink_to("/proc/self/mem")
+    with pytest.raises(OSError) as caught:
+        read(tmp_path / "broken")
+    assert caught.value.filename == str(tmp_path / "broken")
