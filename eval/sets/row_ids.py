@@ -46,6 +46,6 @@ def check_sample_names(samples: Iterable[str], systems: Iterable[str] = ()) -> N
     names = {str(RowId(system, variant)) for system in systems for variant in Variant}
     for system in samples:
         own = {str(RowId(system)), str(RowId(system, Variant.PLANTED))}
-        if taken := sorted(own & names):
-            raise UsageError(f"--samples {system}=…: there is a row {taken[0]!r} already; choose another name")
+        if duplicates := sorted(own & names):
+            raise UsageError(f"--samples {system}=…: there is a row {duplicates[0]!r} already; choose another name")
         names |= own

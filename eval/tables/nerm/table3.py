@@ -165,13 +165,9 @@ def _real(
         return PartialResult(_Real(compared, None), (*missing, f"FID (train): {error}"))
 
 
-def _real_name(request: TableRequest) -> str:
-    return f"{REAL} ({request.real.split})"
-
-
 def _real_system(real: _Real, recogniser: ActionRecogniser, request: TableRequest) -> _System:
     return _System(
-        RowId(_real_name(request)),
+        RowId(f"{REAL} ({request.real.split})"),
         (real.compared.recognised(recogniser),),
         _counted(real.compared.samples.num_sequences, 1)
         + ("" if real.train is None else "; its FID (train) is what other takes leave"),
@@ -186,7 +182,7 @@ def _counted(motions: int, draws: int) -> str:
 def _models(real: _Real, recogniser: ActionRecogniser, request: TableRequest) -> PartialResult[list[_System]]:
     """Each model of the run, as it is and planted: `draws` motions per real one (of at most `max_motions`)."""
     models = trained_models(request.evaluated.run)
-    check_sample_names(request.evaluated.samples, (_real_name(request), *models.value))
+    check_sample_names(request.evaluated.samples, (f"{REAL} ({request.real.split})", *models.value))
     known = known_to_all(real.compared, {name: trained.loaded for name, trained in models.value.items()})
     asked = known.value.at_most(request.evaluated.max_motions, request.seed)
     count = request.evaluated.draws
@@ -396,9 +392,8 @@ def _definition(
 
 def _notes(source: RecogniserSource, real: _Real) -> tuple[str, ...]:
     counts = np.bincount(real.compared.labels)
-    chance = counts.max() / counts.sum()
     return (
-        f"Always naming the commonest action has an accuracy of {chance:.3f}.",
+        f"Always naming the commonest action has an accuracy of {counts.max() / counts.sum():.3f}.",
         f"All motions are seen at {source.fps} fps: slower real ones are left out, generated ones are asked for at it.",
         "FIDs of different numbers of motions do not compare; rows name theirs. Intervals resample motions, and "
         "generations where there are several (--draws).",
