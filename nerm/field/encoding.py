@@ -4,6 +4,8 @@ There is no encoder: L-BFGS minimises Eq. 3's terms over z alone, starting from 
 or from zero. Numbers are scaled by their effect on the poses, which differs widely between banks of knots and paths.
 """
 
+from collections.abc import Callable
+
 import torch
 from jaxtyping import Float, Float32, Float64
 
@@ -11,8 +13,10 @@ from motionkit.data.poses import PoseBatch
 from nerm.field.network import EncodedCoordinates
 from nerm.field.trained import TrainedField
 
-ITERATIONS = 30
-PROBES = 4
+EVALUATIONS = 30
+HISTORY = 10
+SUFFICIENT_DECREASE, SMALLEST_CURVATURE = 1e-4, 1e-10
+PROBES = 8
 SMALLEST_EFFECT = 0.05
 
 
@@ -25,9 +29,9 @@ def starting_latents(trained: TrainedField, batch: PoseBatch) -> Float32[torch.T
 
 
 def encode_by_optimisation(
-    trained: TrainedField, batch: PoseBatch, *, iterations: int = ITERATIONS
+    trained: TrainedField, batch: PoseBatch, *, evaluations: int = EVALUATIONS
 ) -> Float32[torch.Tensor, "batch latent"]:
-    """The z of each clip of a batch: argmin ‖f_θ(t, z, s) − x‖² + λ_KL·½‖z‖²/d, all clips at once.
+    """The z of each clip of a batch: argmin ‖f_θ(t, z, s) − x‖² + λ_KL·½‖z‖²/d, independent of the other clips.
 
     A clip's poses must be in order of time. ½‖z‖²/d is the KL term for a fixed posterior variance; a field without
     distributions has none (Eq. 9). The result is on the CPU.
@@ -40,21 +44,77 @@ def encode_by_optimisation(
     with torch.no_grad():
         encoded = trained.network.encode_coordinates(batch.coordinates.to(device), fps)
     unit = 1.0 / effect_of_numbers(trained, start, encoded, fps)
-    moved = torch.zeros_like(start).requires_grad_()
-    search = torch.optim.LBFGS([moved], max_iter=iterations, history_size=10, line_search_fn="strong_wolfe")
 
-    def objective() -> float:
-        search.zero_grad()
+    @torch.enable_grad()
+    def objective(moved: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        moved = moved.detach().requires_grad_()
         latents = start + unit * moved
         misfit = (trained.network.decode(latents, encoded, fps) - target).square().mean(dim=(1, 2))
-        prior = 0.5 * kl_weight * latents.square().mean(dim=1)
-        # A sum, not a mean: clips are independent, and each gets the gradient that it would get alone.
-        loss = (misfit + prior).sum()
-        torch.autograd.backward(loss)
-        return float(loss.detach())
+        losses = misfit + 0.5 * kl_weight * latents.square().mean(dim=1)
+        (gradients,) = torch.autograd.grad(losses.sum(), moved)
+        return losses.detach(), gradients
 
-    search.step(objective)  # type: ignore[no-untyped-call]
-    return (start + unit * moved).detach().cpu()
+    return (start + unit * minimise_each(objective, torch.zeros_like(start), evaluations)).cpu()
+
+
+@torch.no_grad()
+def minimise_each(
+    objective: Callable[[torch.Tensor], tuple[torch.Tensor, torch.Tensor]],
+    start: Float[torch.Tensor, "batch n"],
+    evaluations: int,
+) -> Float[torch.Tensor, "batch n"]:
+    """Minimise a function of each row by L-BFGS with backtracking (Nocedal & Wright 2006, algorithms 7.5 and 3.1).
+
+    `objective` returns values [batch] and gradients [batch, n]. Rows are evaluated together, but each has its own step
+    length and history: where a value does not decrease, a shorter step is evaluated next, elsewhere the next one.
+    """
+    point = start
+    value, gradient = objective(point)
+    # The latest steps of each row and the changes of its gradient, the newest last; zeros have no effect.
+    steps = point.new_zeros((HISTORY, *point.shape))
+    changes = torch.zeros_like(steps)
+    length = torch.ones_like(value)
+    for _ in range(evaluations - 1):
+        direction = -_newton_step(gradient, steps, changes)
+        trial = point + length[:, None] * direction
+        trial_value, trial_gradient = objective(trial)
+        expected = length * (gradient * direction).sum(dim=1)
+        decreased = trial_value <= value + SUFFICIENT_DECREASE * expected
+        step, change = trial - point, trial_gradient - gradient
+        is_convex = (step * change).sum(dim=1) > SMALLEST_CURVATURE * change.square().sum(dim=1)
+        (rows,) = torch.where(decreased & is_convex)
+        steps[:, rows] = torch.cat((steps[1:, rows], step[None, rows]))
+        changes[:, rows] = torch.cat((changes[1:, rows], change[None, rows]))
+        # Towards the minimum of the parabola through both values and the slope.
+        shorter = length * (0.5 * expected / (expected + value - trial_value)).nan_to_num(0.0).clamp(0.1, 0.5)
+        length = torch.where(decreased, 1.0, shorter)
+        value = torch.where(decreased, trial_value, value)
+        point, gradient = (
+            torch.where(decreased[:, None], new, old) for new, old in ((trial, point), (trial_gradient, gradient))
+        )
+    return point
+
+
+def _newton_step(
+    gradient: Float[torch.Tensor, "batch n"],
+    steps: Float[torch.Tensor, "history batch n"],
+    changes: Float[torch.Tensor, "history batch n"],
+) -> Float[torch.Tensor, "batch n"]:
+    """The inverse Hessian that L-BFGS estimates, times the gradient (Nocedal & Wright 2006, algorithm 7.4)."""
+    curvature = (steps * changes).sum(dim=-1)
+    inverse = torch.where(curvature > 0, 1.0 / curvature, 0.0)
+    size = changes[-1].square().sum(dim=-1)
+    # Without a step yet: of length 1 at most.
+    first = 1.0 / gradient.abs().sum(dim=-1).clamp(min=1.0)
+    result, weights = gradient, []
+    for index in reversed(range(len(steps))):
+        weights.append(inverse[index] * (steps[index] * result).sum(dim=-1))
+        result = result - weights[-1][:, None] * changes[index]
+    result = result * torch.where(size > 0, curvature[-1] / size, first)[:, None]
+    for index, weight in enumerate(reversed(weights)):
+        other = inverse[index] * (changes[index] * result).sum(dim=-1)
+        result = result + (weight - other)[:, None] * steps[index]
+    return result
 
 
 def effect_of_numbers(
@@ -62,19 +122,19 @@ def effect_of_numbers(
     latents: Float32[torch.Tensor, "batch latent"],
     encoded: EncodedCoordinates,
     fps: Float64[torch.Tensor, "batch"],
-) -> Float[torch.Tensor, "latent"]:
-    """The relative effect of a unit of each number of z on the poses, averaged over clips.
+) -> Float[torch.Tensor, "batch latent"]:
+    """The relative effect of a unit of each number of z on the poses of its clip.
 
-    √diag(JᵀJ) by Hutchinson's estimator with random signs; at least `SMALLEST_EFFECT`, to bound the steps of numbers
-    with hardly any effect.
+    √diag(JᵀJ) by Hutchinson's estimator with random signs, the same for all clips; at least `SMALLEST_EFFECT`, to bound
+    the steps of numbers with hardly any effect.
     """
     generator = torch.Generator().manual_seed(0)
     latents = latents.detach().requires_grad_()
     vectors = trained.network.decode(latents, encoded, fps)
-    total = torch.zeros_like(latents[0])
+    total = torch.zeros_like(latents)
     for _ in range(PROBES):
-        signs = (torch.randint(0, 2, vectors.shape, generator=generator) * 2.0 - 1.0).to(vectors.device)
-        (gradient,) = torch.autograd.grad(vectors, latents, signs, retain_graph=True)
-        total += gradient.square().mean(dim=0)
+        signs = (torch.randint(0, 2, vectors.shape[1:], generator=generator) * 2.0 - 1.0).to(vectors.device)
+        (gradient,) = torch.autograd.grad(vectors, latents, signs.expand_as(vectors), retain_graph=True)
+        total += gradient.square()
     effect = total.sqrt()
-    return (effect / effect.square().mean().sqrt()).clamp(min=SMALLEST_EFFECT)
+    return (effect / effect.square().mean(dim=1, keepdim=True).sqrt()).clamp(min=SMALLEST_EFFECT)
