@@ -17,7 +17,7 @@ from motionkit.core.errors import FormatError
 from motionkit.core.framerate import parse_fps
 from motionkit.core.plain_text import shown
 from motionkit.io.arrays import npy, npz_archive
-from motionkit.io.arrays.pickled_data import is_pickled, read_pickled_dict
+from motionkit.io.arrays.pickled_data import read_pickled_dict
 from motionkit.io.source import source_file
 
 JOINTS = frozenset({21, 22, 24, 52})
@@ -57,9 +57,10 @@ def read_stored(path: Path) -> list[StoredMotion]:
     """All motions of a .npy or .npz file. Raises `FormatError` for files without any; NaN is not checked."""
     if path.suffix.lower() == ".npz":
         return _of_dictionary(_archive(path), path)
-    if is_pickled(path):
-        return _of_dictionary(read_pickled_dict(path), path)
-    motions, batched = split_motions(npy.parse_npy(path, source_file.read_bytes(path), None), path)
+    data = source_file.read_bytes(path)
+    if (pickled := npy.object_content(data)) is not None:
+        return _of_dictionary(read_pickled_dict(path, pickled), path)
+    motions, batched = split_motions(npy.parse_npy(path, data, None), path)
     return [StoredMotion(numbers, index if batched else None) for index, numbers in enumerate(motions)]
 
 
@@ -102,7 +103,7 @@ def _archive(path: Path) -> dict[str, Any]:
     """The known members of an .npz file: arrays unchanged, texts as lists."""
     archive = npz_archive.open_archive(path, source_file.read_bytes(path))
     found: dict[str, Any] = {}
-    for key in archive.members:
+    for key in archive.keys:
         if key in (*TEXT_KEYS, *ACTION_KEYS):
             found[key] = list(npz_archive.read_strings(archive, key))
         elif key in (*MOTION_KEYS, "lengths"):
@@ -143,8 +144,9 @@ def _of_dictionary(found: Mapping[str, Any], path: Path) -> list[StoredMotion]:
 def _lengths(stated: object, motions: Sequence[np.ndarray], path: Path) -> list[int]:
     if stated is None:
         return [len(numbers) for numbers in motions]
-    listed = isinstance(stated, (list, tuple)) and all(isinstance(length, (int, np.integer)) for length in stated)
-    lengths = np.asarray(stated).ravel() if listed or isinstance(stated, np.ndarray) else np.empty(0, np.int64)
+    stated = stated.ravel().tolist() if isinstance(stated, np.ndarray) else stated
+    listed = isinstance(stated, (list, tuple)) and all(isinstance(length, int) for length in stated)
+    lengths = np.array(stated) if listed else np.empty(0, np.int64)
     if lengths.dtype.kind not in "iu" or len(lengths) != len(motions):
         raise FormatError(
             f"{len(lengths)} lengths that are whole numbers for {len(motions)} motions", path=path, reason="lengths"

@@ -4,7 +4,6 @@ Files: our_vab_data.npy, our_vab_words.pkl and our_vab_idx.pkl, 4,199 words of 3
 utils/word_vectorizer.py and data/dataset.py.
 """
 
-import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -145,6 +144,6 @@ def _read_plain(path: Path) -> object:
     try:
         if path.stat().st_size > LARGEST_BYTES:
             raise GuoError(f"{path}: {path.stat().st_size:,} bytes are too many for a list of words")
-        return parse_pickle(io.BytesIO(path.read_bytes()))
+        return parse_pickle(path.read_bytes())
     except (OSError, PickleError) as error:
         raise GuoError(f"{path}: {error}") from None

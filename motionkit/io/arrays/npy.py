@@ -1,10 +1,10 @@
-"""Untrusted .npy arrays of numbers or strings: the header is checked against the bytes before use."""
+"""Untrusted .npy arrays of numbers or strings: the header is compared with the size before anything is allocated."""
 
-import ast
 import io
 import math
-import re
+import warnings
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Float32
@@ -44,22 +44,37 @@ def checked_rotations(rotations: Float[np.ndarray, "frames joints 4"], path: Pat
         )
 
 
-MAGIC = b"\x93NUMPY"
-HEADER_BYTES = 10_000
+MAGIC = np.lib.format.MAGIC_PREFIX
+# numpy refuses headers of more than 10,000 bytes.
+HEADER_BYTES = 1 << 14
+NUMBERS, STRINGS = "fiu", "SU"
 LARGEST_CHARACTER = 0x10FFFF
-LARGEST_SIZE = 2**48
-NUMBERS = re.compile(r"[<>|=]?(f[248]|[iu][1248])")
-STRINGS = re.compile(r"[<>|=]?[US][1-9]\d{0,6}")
+LARGEST_SIZE = 1 << 48
 
 
-def peek_shape(path: Path) -> tuple[int, ...] | None:
-    """Shape in a .npy file's header, None if it has no valid header; reads no data."""
-    found = peek_header(path)
-    return None if found is None else found[0]
+class Header(NamedTuple):
+    """The header of a .npy file."""
+
+    shape: tuple[int, ...]
+    column_major: bool
+    dtype: np.dtype
 
 
-def peek_header(path: Path) -> tuple[tuple[int, ...], bool, str] | None:
-    """The contents of a .npy file's header (`read_header`), None if it has no valid header; reads no data."""
+def read_header(file: io.BytesIO) -> Header:
+    """The header at the beginning of a .npy file, which is read up to the data; raises `ValueError`."""
+    readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    try:
+        with warnings.catch_warnings(action="ignore"):  # about Python 2's integers
+            header = Header(*readers[np.lib.format.read_magic(file)](file))
+    except Exception as error:  # numpy evaluates a literal, which fails in many ways
+        raise ValueError(f"{type(error).__name__}: {error}"[:200]) from None
+    if not all(type(size) is int and 0 <= size < LARGEST_SIZE for size in header.shape):
+        raise ValueError("a shape that no array has")
+    return header
+
+
+def peek_header(path: Path) -> Header | None:
+    """The header of a .npy file, None if it has no valid one; reads no data."""
     try:
         with path.open("rb") as file:
             return read_header(io.BytesIO(file.read(HEADER_BYTES)))
@@ -67,21 +82,34 @@ def peek_header(path: Path) -> tuple[tuple[int, ...], bool, str] | None:
         return None
 
 
-def read_npy(path: Path, data: bytes, shape: tuple[int | None, ...]) -> Float32[np.ndarray, "..."]:
-    """A numeric array as float32 that matches `shape` (None: any size), with finite numbers and no empty axes.
+def peek_shape(path: Path) -> tuple[int, ...] | None:
+    """The shape in a .npy file's header, None if it has no valid one; reads no data."""
+    header = peek_header(path)
+    return None if header is None else header.shape
+
+
+def object_content(data: bytes) -> bytes | None:
+    """The pickle in a .npy file's bytes; None if its header declares plain values, or is invalid."""
+    file = io.BytesIO(data)
+    try:
+        return file.read() if read_header(file).dtype.hasobject else None
+    except ValueError:
+        return None
+
+
+def read_npy(path: Path, data: bytes, shape: tuple[int | None, ...] | None) -> Float32[np.ndarray, "..."]:
+    """A numeric array as float32 that matches `shape` (`parse_npy`), with finite numbers and no empty axes.
 
     Raises `FormatError` as `parse_npy` does, and with the reasons `no-frames`, `nan` and `range`.
     """
     array = parse_npy(path, data, shape)
     if 0 in array.shape:
         raise FormatError("0 frames, expected at least one", path=path, reason="no-frames")
-    return checked_numbers(array, path)
+    return checked_numbers(np.atleast_1d(array), path).reshape(array.shape)
 
 
-def parse_npy(
-    path: Path, data: bytes, shape: tuple[int | None, ...] | None, codes: re.Pattern[str] = NUMBERS
-) -> np.ndarray:
-    """The array in a file's bytes, with a type among `codes` and a `shape` (None: any, as a whole or per axis).
+def parse_npy(path: Path, data: bytes, shape: tuple[int | None, ...] | None, kinds: str = NUMBERS) -> np.ndarray:
+    """The array in a file's bytes, of a dtype among `kinds` and of a `shape` (None: any, as a whole or per axis).
 
     Raises `FormatError` (`not-what-it-says`, `object-array`, `not-a-number`, `channel-count`, `truncated`).
     """
@@ -93,53 +121,31 @@ def parse_npy(
         )
     file = io.BytesIO(data)
     try:
-        stated, column_major, code = read_header(file)
+        header = read_header(file)
     except ValueError as error:
         raise FormatError(f"broken .npy header ({error})", path=path, reason="truncated") from None
-    if not codes.fullmatch(code):
+    dtype = header.dtype
+    if dtype.kind not in kinds or not dtype.itemsize:
         raise FormatError(
-            f"array of {code[:40]!r}, expected plain {'numbers' if codes is NUMBERS else 'values'}; Python objects are "
-            "not loaded, because they can run code",
+            f"array of dtype {str(dtype)[:40]!r}, expected plain {'numbers' if kinds == NUMBERS else 'values'}; Python "
+            "objects are not loaded, because they can run code",
             path=path,
-            reason="object-array" if "O" in code else "not-a-number",
+            reason="object-array" if dtype.hasobject else "not-a-number",
         )
     if shape is not None and (
-        len(stated) != len(shape) or any(n is not None and n != m for n, m in zip(shape, stated, strict=True))
+        len(header.shape) != len(shape)
+        or any(n is not None and n != m for n, m in zip(shape, header.shape, strict=True))
     ):
         expected = ", ".join("any" if n is None else str(n) for n in shape)
-        raise FormatError(f"array of shape {stated}, expected ({expected})", path=path, reason="channel-count")
-    dtype, count = np.dtype(code), math.prod(stated)
-    if count * dtype.itemsize != len(data) - file.tell():
+        raise FormatError(f"array of shape {header.shape}, expected ({expected})", path=path, reason="channel-count")
+    count, start = math.prod(header.shape), file.tell()
+    if count * dtype.itemsize != len(data) - start:
         raise FormatError(
-            f"the header states {count} values of {dtype.itemsize} bytes, but {len(data) - file.tell()} bytes follow",
+            f"the header states {count} values of {dtype.itemsize} bytes, but {len(data) - start} bytes follow",
             path=path,
             reason="truncated",
         )
-    flat = np.frombuffer(data, dtype, count, offset=file.tell())
+    flat = np.frombuffer(data, dtype, count, offset=start)
     if dtype.kind == "U" and (flat.view(dtype.byteorder + "u4") > LARGEST_CHARACTER).any():
         raise FormatError("text with characters that do not exist", path=path, reason="not-what-it-says")
-    return flat.reshape(stated, order="F" if column_major else "C")
-
-
-def read_header(file: io.BytesIO) -> tuple[tuple[int, ...], bool, str]:
-    """Shape, Fortran order and type code, from the header of a .npy file; raises `ValueError`.
-
-    The header is a Python literal of a dictionary (numpy's NEP 1); it is parsed here so that it cannot name a type
-    other than plain numbers.
-    """
-    magic = file.read(8)
-    if magic[:6] != MAGIC or magic[6:] not in (b"\x01\x00", b"\x02\x00"):
-        raise ValueError("neither version 1.0 nor 2.0")
-    width = 2 if magic[6] == 1 else 4
-    length = int.from_bytes(file.read(width), "little")
-    text = file.read(min(length, HEADER_BYTES))
-    if len(text) != length:
-        raise ValueError(f"{length} bytes long")
-    try:
-        header = ast.literal_eval(text.decode("latin-1").strip())
-        shape, column_major, code = header["shape"], header["fortran_order"], header["descr"]
-    except (ValueError, SyntaxError, TypeError, KeyError, IndexError, RecursionError, MemoryError):
-        raise ValueError("not a dictionary with shape, fortran_order and descr") from None
-    if not (isinstance(shape, tuple) and all(type(size) is int and 0 <= size < LARGEST_SIZE for size in shape)):
-        raise ValueError("a shape that no array has")
-    return shape, column_major is True, str(code)
+    return flat.reshape(header.shape, order="F" if header.column_major else "C")

@@ -95,7 +95,7 @@ def read_pose_vectors(path: Path, options: ReadOptions | None = None) -> Motion:
 def read_interhuman(item: SourceItem, options: ReadOptions) -> Motion:
     """Read one person of InterHuman's vectors: joint positions in metres, y up, in scene coordinates."""
     path, data = item.path, source_file.read_bytes(item.path)
-    values = npy.read_npy(path, data, (None,) * len(npy.parse_npy(path, data, None).shape))
+    values = npy.read_npy(path, data, None)
     if not _is_interhuman(values.shape):
         message = f"array of shape {values.shape}, expected rows of 262, 2 × 262 or 492 numbers"
         raise FormatError(message, path=path, reason="channel-count")
@@ -130,9 +130,8 @@ def read_motionstreamer(path: Path, options: ReadOptions | None = None) -> Motio
 
 
 def _rows(path: Path, data: bytes) -> Float32[np.ndarray, "frames numbers"]:
-    shape = npy.parse_npy(path, data, None).shape
-    values = npy.read_npy(path, data, (None,) * len(shape))
-    return values.reshape(-1, shape[-1])
+    values = npy.read_npy(path, data, None)
+    return values.reshape(-1, values.shape[-1])
 
 
 def _matrices(rows: Float64[np.ndarray, "frames joints 2 3"], path: Path) -> Float64[np.ndarray, "frames joints 3 3"]:

@@ -130,12 +130,10 @@ def _gender(archive: NpzArchive) -> str:
 def _betas(archive: NpzArchive) -> Float32[np.ndarray, "betas"]:
     if "betas" not in archive:
         return np.zeros(0, np.float32)
-    shape = npz_archive.read_shape(archive, "betas")
-    betas = npz_archive.read_numbers(archive, "betas", (None,) if len(shape) == 1 else (None, None))
-    if betas.ndim == 2 and (betas != betas[0]).any():
-        raise FormatError(
-            f"betas of shape {shape} that change, expected one body", path=archive.path, reason="channel-count"
-        )
+    betas = npz_archive.read_numbers(archive, "betas", None)
+    if betas.ndim not in (1, 2) or (betas.ndim == 2 and (betas != betas[0]).any()):
+        message = f"betas of shape {betas.shape} that change, expected one body"
+        raise FormatError(message, path=archive.path, reason="channel-count")
     first: np.ndarray = np.atleast_2d(betas)[0]
     return first
 

@@ -89,10 +89,10 @@ def _whole(
 
 def _values(archive: NpzArchive, key: str) -> Float32[np.ndarray, "..."]:
     """An array of numbers of any shape, but not a scalar."""
-    shape = npz_archive.read_shape(archive, key)
-    if not shape:
+    values = npz_archive.read_numbers(archive, key, None)
+    if not values.shape:
         raise FormatError(f"{key}: a single number, expected an array", path=archive.path, reason="channel-count")
-    return npz_archive.read_numbers(archive, key, (None,) * len(shape))
+    return values
 
 
 def _rotations(archive: NpzArchive, key: str, num_joints: int | None = None) -> Float32[np.ndarray, "frames joints 4"]:

@@ -127,7 +127,8 @@ def _copy_npz(path: Path, data: bytes, copy: Path) -> Bool[np.ndarray, "frames"]
     there = [name for name in FRAME_ARRAYS if name in archive]
     filled, seen = filled_rows({name: npz_archive.read_plain(archive, name) for name in there}, path)
     with zipfile.ZipFile(copy, "w") as out:
-        for name, info in archive.members.items():
+        for info in archive.zipped.infolist():
+            name = info.filename.removesuffix(".npy")
             if name not in filled:
                 out.writestr(info.filename, archive.zipped.read(info))
                 continue

@@ -226,22 +226,13 @@ def test_a_header_that_claims_more_than_there_is(tmp_path):
     assert caught.value.reason == "truncated"
 
 
-def test_a_member_of_which_the_directory_has_another_name_is_not_left_out(tmp_path):
-    path = save(tmp_path / "a.npz", captions=np.array(["a person walks"]))
-    content = path.read_bytes()
-    place = content.rindex(b"captions.npy")  # in the directory at the end; it is optional
-    path.write_bytes(content[:place] + b"C" + content[place + 1 :])
-    with pytest.raises(FormatError, match="broken"):
-        npz.read_npz(path)
-
-
 def test_characters_without_width_take_no_memory(tmp_path):
     path = save(tmp_path / "bomb.npz")
     header = io.BytesIO()
     np.lib.format.write_array_header_1_0(header, {"descr": "<U0", "fortran_order": False, "shape": (10**12,)})
     with zipfile.ZipFile(path, "a") as archive:
         archive.writestr("captions.npy", header.getvalue())
-    with pytest.raises(FormatError, match=r"captions: array of '<U0'") as caught:
+    with pytest.raises(FormatError, match=r"captions: array of dtype '<U0'") as caught:
         npz.read_npz(path)
     assert caught.value.reason == "not-a-number"
 
