@@ -3,19 +3,17 @@
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from eval.sample_folder.folder import SampleFolderError
 from eval.sample_folder.manifest import MANIFEST, Manifest, read_manifest
 from motionkit.core.errors import FormatError
 from motionkit.generate.folder import damaged_motions
-from motionkit.io.catalogue import readers
 from motionkit.io.scan import annotations
 from motionkit.io.scan.annotations import Annotation
 from motionkit.io.scan.folders import walk
-from motionkit.io.scan.globs import parse_glob
 from motionkit.io.scan.items import SourceItem
-from motionkit.io.scan.scanner import scan
+from motionkit.io.scan.scanner import claiming, scan
 
 ARRAY_SUFFIXES = (".npy", ".npz")
 STATISTICS_NAMES = frozenset({"mean", "std"})
@@ -101,17 +99,18 @@ class _FileFilter:
 
     def __init__(self, root: Path, manifest: Manifest) -> None:
         self._root = root
-        self._files = [parse_glob(glob) for glob in manifest.files]
-        self._exclude = [parse_glob(glob) for glob in manifest.exclude]
+        # A glob matches the end of a path, whatever the folders before it.
+        self._files, self._exclude = (
+            [glob.removeprefix("**/") for glob in globs] for globs in (manifest.files, manifest.exclude)
+        )
 
     def __call__(self, path: Path) -> bool:
-        place = path.relative_to(self._root).as_posix()
-        included = not self._files or any(glob.fits(place) for glob in self._files)
-        return included and not any(glob.fits(place) for glob in self._exclude)
+        place = PurePosixPath(path.relative_to(self._root).as_posix())
+        return (not self._files or any(map(place.match, self._files))) and not any(map(place.match, self._exclude))
 
 
 def _is_claimed(folder: Path) -> bool:
-    return any(entry.claims is not None and entry.claims(folder) for entry in readers().values())
+    return claiming(folder) is not None
 
 
 def _rows(

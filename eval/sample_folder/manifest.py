@@ -12,7 +12,6 @@ from typing import Any
 from motionkit.core.errors import FormatError, describe
 from motionkit.core.framerate import parse_fps
 from motionkit.core.plain_text import parse_toml, shown
-from motionkit.io.scan.globs import parse_glob
 from motionkit.io.source import source_file
 from motionkit.io.up import GIVEN_AXES
 
@@ -174,8 +173,7 @@ def _globs(value: Any, folder: Path) -> tuple[str, ...]:
     if not isinstance(globs, list) or not all(isinstance(glob, str) and glob for glob in globs):
         raise TypeError('expected a glob or a list of globs, such as ["*_pred.npy"]')
     for glob in globs:
-        _relative(glob)
-        parse_glob(glob)
+        PurePosixPath().match(str(_relative(glob)))  # which refuses an empty one
     return tuple(globs)
 
 

@@ -77,7 +77,7 @@ def read_asfamc(path: Path, options: ReadOptions | None = None, skeleton_path: P
 
 def find_skeleton(path: Path) -> Path:
     """The ASF file of an AMC file; raises `FormatError` (`no-skeleton`, `two-skeletons`)."""
-    found = skeletons(path.parent)
+    found = sorted(entry for entry in path.parent.iterdir() if entry.suffix.lower() == ".asf")
     subjects = {path.stem.lower(), path.stem.rsplit("_", 1)[0].lower()}
     named = [entry for entry in found if entry.stem.lower() in subjects]
     if len(named) == 1:
@@ -92,11 +92,6 @@ def find_skeleton(path: Path) -> Path:
         path=path,
         reason="two-skeletons",
     )
-
-
-def skeletons(folder: Path) -> list[Path]:
-    """The ASF files of a folder."""
-    return sorted(entry for entry in folder.iterdir() if entry.suffix.lower() == ".asf")
 
 
 def parse_amc(data: bytes, path: Path) -> AmcTable:
@@ -281,6 +276,6 @@ FORMAT = Format(
     name="asfamc",
     read=of_path(read_asfamc),
     suffixes=(".amc",),
-    beside=skeletons,
+    beside=("*.asf",),
     begins=b":FULLY-SPECIFIED",
 )

@@ -1,4 +1,4 @@
-"""All formats: motionkit's own and those of the entry point group `motionkit.io`; writing by a file's suffix."""
+"""All formats, motionkit's own and those of the entry point group `motionkit.io`: recognising files, writing."""
 
 from collections.abc import Callable, Mapping
 from functools import cache
@@ -13,7 +13,7 @@ from motionkit.io.arrays import joints_npy, npz, pose_vectors
 from motionkit.io.bvh import lafan1, style100
 from motionkit.io.bvh import writing as bvh
 from motionkit.io.characters import robot_csv
-from motionkit.io.format import Format
+from motionkit.io.format import FileHead, Format
 from motionkit.io.smpl import amass, dictionary, uestc
 
 GROUP = "motionkit.io"
@@ -41,6 +41,30 @@ _BUILT_IN = (
 def readers() -> Mapping[str, Format]:
     """The formats with a reader, by name, in the order in which they are tried: installed ones first."""
     return {each.name: each for each in _all() if each.read is not None}
+
+
+@cache
+def _by_suffix(name: str) -> Mapping[str, tuple[Format, ...]]:
+    # The formats that read files, or only the one of this name, in order.
+    found: dict[str, tuple[Format, ...]] = {}
+    for each in readers().values():
+        for suffix in each.suffixes if name in ("auto", each.name) else ():
+            found[suffix] = (*found.get(suffix, ()), each)
+    return found
+
+
+def recognise(head: FileHead, name: str = "auto") -> Format | None:
+    """The format of a file by its suffix, then its content; None for any other file, and for formats not of `name`."""
+    kinds = _by_suffix(name).get(head.path.suffix.lower(), ())
+    return next((each for each in kinds if each.accepts(head)), None)
+
+
+def recognise_unnamed(head: FileHead, name: str = "auto") -> Format | None:
+    """The format of a file whose suffix does not say it, by its first word."""
+    lines = map(bytes.strip, head.content.removeprefix(b"\xef\xbb\xbf").splitlines())
+    first = next((line for line in lines if line and not line.startswith(b"#")), b"").upper()
+    kinds = (each for each in readers().values() if name in ("auto", each.name) and each.begins)
+    return next((each for each in kinds if first.startswith(each.begins) and each.accepts(head)), None)
 
 
 @cache

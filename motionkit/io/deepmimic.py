@@ -28,12 +28,11 @@ from motionkit.core.plain_text import parse_json
 from motionkit.core.skeleton import Feet, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io.arrays import npy
-from motionkit.io.format import Format, of_path
+from motionkit.io.format import FileHead, Format, of_path
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.source import clock, source_file
 from motionkit.io.source.body_frame import in_metres
 
-HEAD_BYTES = 4096
 FRAMES_KEY = b'"Frames"'
 ROTATION_SIZES = {"spherical": 4, "revolute": 1, "fixed": 0}
 FIRST_ROTATION = 4
@@ -56,14 +55,9 @@ class Character:
         return FIRST_ROTATION + sum(self.rotation_sizes)
 
 
-def accepts(path: Path) -> bool:
+def accepts(head: FileHead) -> bool:
     """Whether a text file is a JSON object with "Frames" near its beginning."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(HEAD_BYTES)
-    except OSError:
-        return False
-    return head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{") and FRAMES_KEY in head
+    return head.content.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{") and FRAMES_KEY in head.content
 
 
 def read_deepmimic(path: Path, options: ReadOptions | None = None) -> Motion:

@@ -1,27 +1,64 @@
-"""The description of a file format: how its files are found and read, and how a motion is written."""
+"""The description of a file format: how its files are recognised and read, and how a motion is written."""
 
-from collections.abc import Callable, Iterable
+import io
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from motionkit.core.motion import Motion
+from motionkit.io.arrays import npy, npz_archive
 from motionkit.io.bvh.document import BvhDocument
 from motionkit.io.scan.items import ReadOptions, ScanResult, SourceItem
+from motionkit.io.source import source_file
 
 Reader = Callable[[SourceItem, ReadOptions], Motion]
 
 
 @dataclass(frozen=True)
+class FileHead:
+    """A file's path and what its beginning says, read when first needed and once for all formats."""
+
+    path: Path
+
+    @cached_property
+    def content(self) -> bytes:
+        """The first 16 KiB; empty if the file cannot be read."""
+        try:
+            with self.path.open("rb") as file:
+                return file.read(npy.HEADER_BYTES)
+        except OSError:
+            return b""
+
+    @cached_property
+    def array_shape(self) -> tuple[int, ...] | None:
+        """The shape of a .npy array; None without a valid header."""
+        try:
+            return npy.read_header(io.BytesIO(self.content)).shape
+        except ValueError:
+            return None
+
+    @cached_property
+    def array_names(self) -> frozenset[str]:
+        """The names of an .npz file's arrays; empty without a valid zip directory."""
+        return npz_archive.peek_keys(self.path)
+
+    @cached_property
+    def column_names(self) -> list[str]:
+        """The names in a table's first line."""
+        return source_file.header_names(self.path)
+
+
+@dataclass(frozen=True)
 class Format:
-    """A format: how its files are found, how they are read, how a motion is written.
+    """A format: how its files are recognised and read, and how a motion is written.
 
     A file format has `suffixes`, and `accepts` if the suffix is ambiguous; a single file with another name is
     recognised by the word that it `begins` with, apart from comments. A folder format has `claims`, which recognises a
     folder, and `find`, which lists its sequences; a claimed folder is not searched further.
-    `beside` lists possible files of a folder that belong to its sequences without being one: files read with them, and
-    known files of the data set. `keys` names the sequences of a file that holds several. A text format whose files can
-    be written again with their own lines has `document`, which reads the same skeleton, frames and clock as `read`, but
-    frames on demand.
+    `beside` are names, or patterns of names, of other files that belong to a folder of its sequences. `keys` names the
+    sequences of a file that holds several. A text format whose files can be written again with their own lines has
+    `document`, which reads the same skeleton, frames and clock as `read`, but frames on demand.
 
     `turns_up` is whether `read` applies `ReadOptions.up`; motions of other formats are turned after they are read.
 
@@ -32,12 +69,12 @@ class Format:
     name: str
     read: Reader | None = None
     suffixes: tuple[str, ...] = ()
-    accepts: Callable[[Path], bool] | None = None
+    accepts: Callable[[FileHead], bool] = lambda head: True
     begins: bytes = b""
     claims: Callable[[Path], bool] | None = None
     find: Callable[[Path, Path], ScanResult] | None = None
-    beside: Callable[[Path], Iterable[Path]] = lambda folder: ()
-    keys: Callable[[Path], tuple[str, ...]] = lambda path: ()
+    beside: tuple[str, ...] = ()
+    keys: Callable[[FileHead], tuple[str, ...]] = lambda head: ()
     document: Callable[[Path, ReadOptions], BvhDocument] | None = None
     turns_up: bool = False
     write: Callable[[Motion, Path], None] | None = None

@@ -11,8 +11,8 @@ from fractions import Fraction
 from pathlib import Path
 
 from motionkit.core.motion import Motion
-from motionkit.io.arrays import joints_npy, npy
-from motionkit.io.format import Format, of_path
+from motionkit.io.arrays import joints_npy
+from motionkit.io.format import FileHead, Format, of_path
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.source import clock
 
@@ -35,10 +35,10 @@ ACTIONS = (
 )
 
 
-def accepts(path: Path) -> bool:
+def accepts(head: FileHead) -> bool:
     """Whether a .npy file is a HumanAct12 clip: its name has the data set's form and its array is [T, 24, 3]."""
-    shape = npy.peek_shape(path)
-    return NAME.fullmatch(path.stem) is not None and (shape is None or shape[1:] == (NUM_JOINTS, 3))
+    shape = head.array_shape
+    return NAME.fullmatch(head.path.stem) is not None and (shape is None or shape[1:] == (NUM_JOINTS, 3))
 
 
 def read_humanact12(path: Path, options: ReadOptions | None = None) -> Motion:
@@ -67,5 +67,5 @@ FORMAT = Format(
     read=of_path(read_humanact12),
     suffixes=(".npy",),
     accepts=accepts,
-    beside=joints_npy.manifests,
+    beside=(joints_npy.MANIFEST,),
 )

@@ -5,7 +5,7 @@ A folder has `new_joints/ID.npy` [T, J, 3] and/or `new_joint_vecs/ID.npy` [T, 12
 Source: https://github.com/EricGuo5513/HumanML3D, https://motion-annotation.humanoids.kit.edu.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
@@ -111,15 +111,6 @@ def find(folder: Path, root: Path, layout: Layout = HUMANML3D) -> ScanResult:
             if key not in described
         ]
     return ScanResult(items, problems, tuple(warnings))
-
-
-def files_of_folder(folder: Path) -> Iterator[Path]:
-    """The files of a folder's arrays, texts, splits, statistics and framerate."""
-    for name in (JOINTS_FOLDER, VECTORS_FOLDER):
-        yield from (folder / name).glob("*.npy")
-    yield from (folder / TEXTS_FOLDER).glob("*.txt")
-    yield from (folder / f"{split}.txt" for split in ("all", "train_val", *SPLITS))
-    yield from (folder / name for name in ("Mean.npy", "Std.npy", joints_npy.MANIFEST))
 
 
 def read_humanml3d(item: SourceItem, options: ReadOptions, layout: Layout = HUMANML3D) -> Motion:
@@ -287,7 +278,6 @@ FORMAT = Format(
     read=read_humanml3d,
     claims=claims,
     find=find,
-    beside=files_of_folder,
 )
 
 
@@ -296,5 +286,4 @@ KIT_FORMAT = Format(
     read=partial(read_humanml3d, layout=KIT),
     claims=partial(claims, layout=KIT),
     find=partial(find, layout=KIT),
-    beside=files_of_folder,
 )

@@ -22,7 +22,7 @@ from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io.arrays.npy import MAX_NUMBER
 from motionkit.io.arrays.npz import bones_of_pose
-from motionkit.io.format import Format, of_path
+from motionkit.io.format import FileHead, Format, of_path
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.source import clock, source_file
 from motionkit.io.source.body_frame import in_metres
@@ -35,12 +35,9 @@ NO_NUMBER = re.compile(r"column #(\d+): Row #(\d+): .*invalid value '(.{0,40}?)'
 OTHER_WIDTH = re.compile(r"Row #(\d+): Expected (\d+) columns, got (\d+)")
 
 
-def accepts(path: Path) -> bool:
+def accepts(head: FileHead) -> bool:
     """Whether a CSV's first row has a clock and at least one joint, and is not of `robot_csv`; reads no further."""
-    try:
-        names = source_file.header_names(path)
-    except FormatError:  # the scan reports it, as one of the tables of its folder
-        return False
+    names = head.column_names
     is_ours = any(name.endswith("_x") for name in names) and "root_qw" not in names
     return is_ours and (TIME in names or FRAME in names)
 

@@ -18,7 +18,7 @@ from motionkit.core.skeleton import SMPL22, Feet, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io.arrays import npz_archive
 from motionkit.io.arrays.npz_archive import NpzArchive
-from motionkit.io.format import Format, of_path
+from motionkit.io.format import FileHead, Format, of_path
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.source import clock, rigid, source_file
 
@@ -75,9 +75,9 @@ SKELETONS = {
 }
 
 
-def accepts(path: Path) -> bool:
+def accepts(head: FileHead) -> bool:
     """Whether an .npz file has the joints under Kimodo's name."""
-    return JOINTS in npz_archive.peek_keys(path)
+    return JOINTS in head.array_names
 
 
 def read_kimodo(path: Path, options: ReadOptions | None = None) -> Motion:

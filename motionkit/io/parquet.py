@@ -100,11 +100,6 @@ def read_parquet(item: SourceItem, options: ReadOptions) -> Motion:
         raise _broken(item.path, error, item.key) from None
 
 
-def beside(folder: Path) -> tuple[Path, ...]:
-    """The files that an export writes beside the folder of its rows."""
-    return folder / CHECKSUMS, folder / CARD
-
-
 def _require_intact(path: Path) -> None:
     # Without recorded checksums there is nothing to compare with.
     record = path.parent.parent / CHECKSUMS
@@ -381,5 +376,4 @@ FORMAT = Format(
     read=read_parquet,
     claims=claims,
     find=find,
-    beside=beside,
 )

@@ -45,15 +45,11 @@ def test_nothing_is_said_where_nothing_was_ignored(motionkit, takes, tmp_path):
     assert (summary["ignored"], summary["ignored_paths"]) == ({}, [])
 
 
-def test_an_array_named_singly_is_reported_with_the_line_that_mends_it(motionkit, arrays, tmp_path, monkeypatch):
+def test_an_array_named_singly_is_reported_with_what_it_holds(motionkit, arrays, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     outcome = motionkit("ingest", "arrays/unknown-0.npz", "--store", tmp_path / "store")
     assert outcome.code == 1
-    assert outcome.error_lines[0] == (
-        "arrays/unknown-0.npz: no motion as it is: it holds xyz (5, 22, 3) float64; write one that can be read with "
-        "np.savez('arrays/unknown-0-motion.npz', joint_positions=np.load('arrays/unknown-0.npz')['xyz'], fps=30), "
-        "if these are metres, y up, and 30 is their framerate"
-    )
+    assert outcome.error_lines[0].startswith("arrays/unknown-0.npz: of no known format (an archive of xyz), expected ")
 
 
 @pytest.mark.parametrize("on_error", ["skip", "stop"])
@@ -68,32 +64,20 @@ def test_an_ingest_that_stored_nothing_and_failed_exits_1(motionkit, takes, tmp_
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_a_broken_file_costs_only_itself_where_another_has_its_name(motionkit, tmp_path, workers):
+def test_of_files_of_one_name_the_first_is_read(motionkit, tmp_path, workers):
     folder = tmp_path / "takes"
     folder.mkdir()
     SOURCES["c3d"](folder)
     SOURCES["npz"](folder)
-    (folder / "take.bvh").write_text(bvh_text()[:-30])
-    outcome = motionkit("ingest", folder, "--store", tmp_path / "store", "--workers", workers)
-    assert outcome.code == 0
-    assert "stored 1 sequence" in outcome.stdout and "failed: 2 (1 truncated, 1 duplicate-id)" in outcome.stdout
-    stored = Store.open(tmp_path / "store").sequences
-    assert list(stored["source_path"]) == ["take.c3d"]
-    assert f"{folder}/take.npz: its id 'takes/take' is already taken" in outcome.error_lines[1]
-
     (folder / "take.bvh").write_text(bvh_text())
-    again = motionkit("ingest", folder, "--store", tmp_path / "store", "--workers", workers)
-    assert "already there: 1" in again.stdout and "failed: 2 (2 duplicate-id)" in again.stdout
-    assert "take.bvh: the store already holds a sequence with the id 'takes/take'" in again.error_lines[0]
-
-
-def test_all_files_of_one_name_may_be_broken(motionkit, tmp_path):
-    folder = tmp_path / "takes"
-    folder.mkdir()
+    for code, counted in ((0, "stored 1 sequence"), (1, "already there: 1")):
+        outcome = motionkit("ingest", folder, "--store", tmp_path / "store", "--workers", workers)
+        assert outcome.code == code
+        assert counted in outcome.stdout and "failed: 2 (2 duplicate-id)" in outcome.stdout
+        assert list(Store.open(tmp_path / "store").sequences["source_path"]) == ["take.bvh"]
     (folder / "take.bvh").write_text(bvh_text()[:-30])
-    (folder / "take.npz").write_bytes(b"no archive")
-    outcome = motionkit("ingest", folder, "--store", tmp_path / "store")
-    assert outcome.code == 1 and "failed: 2 (1 truncated, 1 not-what-it-says)" in outcome.stdout
+    outcome = motionkit("ingest", folder, "--store", tmp_path / "other", "--workers", workers)
+    assert outcome.code == 1 and "failed: 3 (2 duplicate-id, 1 truncated)" in outcome.stdout
 
 
 def test_under_stop_two_files_of_one_name_are_a_problem(motionkit, takes, tmp_path):

@@ -101,7 +101,7 @@ def _tokens(caption: Caption) -> list[tuple[str, str]]:
 
 
 def read_word_vectors(folder: Path) -> WordVectors:
-    """The three published files of a folder, the pickles among them read without unpickling.
+    """The three published files of a folder, the pickles among them as plain data.
 
     Raises `GuoError` if one is missing, damaged, holds anything but words and numbers, or if they disagree.
     """

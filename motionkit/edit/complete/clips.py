@@ -25,6 +25,7 @@ from motionkit.io.arrays.npz import write_npz
 from motionkit.io.bvh.document import BvhDocument
 from motionkit.io.bvh.writing import ChannelLines, check_writable
 from motionkit.io.catalogue import writer_of
+from motionkit.io.format import FileHead
 from motionkit.io.scan.items import ReadOptions, SourceItem
 from motionkit.io.scan.reading import read_document
 from motionkit.store.named_motions.holes import ReadClip, read_with_holes, write_vectors
@@ -79,7 +80,7 @@ def _read(item: SourceItem, options: ReadOptions) -> Clip:
     if document is not None:
         return clip_of_document(document)
     read = read_with_holes(item, options)
-    if pose_vectors.accepts(item.path):
+    if pose_vectors.accepts(FileHead(item.path)):
         return _in_memory(read, ".npy", write_vectors)
     return _as_it_came(read, item)
 

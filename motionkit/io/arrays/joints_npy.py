@@ -19,7 +19,7 @@ from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS, Skeleton
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io.arrays import npy
-from motionkit.io.format import Format, of_path
+from motionkit.io.format import FileHead, Format, of_path
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.source import clock, source_file
 from motionkit.io.up import upright
@@ -37,15 +37,10 @@ class Manifest:
     unit_metres: float = 1.0
 
 
-def accepts(path: Path) -> bool:
+def accepts(head: FileHead) -> bool:
     """Whether a .npy file is a sequence of joints; a broken header passes, so that reading it reports the fault."""
-    shape = npy.peek_shape(path)
+    shape = head.array_shape
     return shape is None or (len(shape) == 3 and shape[2] == 3)
-
-
-def manifests(folder: Path) -> tuple[Path, ...]:
-    """The manifests that apply to the arrays of a folder."""
-    return (folder / MANIFEST,)
 
 
 def manifest_of(path: Path) -> Path:
@@ -154,7 +149,7 @@ FORMAT = Format(
     read=of_path(read_joints_npy),
     suffixes=(".npy",),
     accepts=accepts,
-    beside=manifests,
+    beside=(MANIFEST,),
     begins=npy.MAGIC,
     write=write_joints_npy,
     turns_up=True,

@@ -25,7 +25,7 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.io.arrays import npz_archive
 from motionkit.io.arrays.npy import checked_rotations
 from motionkit.io.arrays.npz_archive import NpzArchive
-from motionkit.io.format import Format, of_path
+from motionkit.io.format import FileHead, Format, of_path
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.source import clock, source_file
 from motionkit.io.source.body_frame import in_metres
@@ -153,10 +153,9 @@ def _indices(archive: NpzArchive, key: str, shape: tuple[int | None, ...], low: 
 PROVENANCE = ("source", "subset", "licence", "subject")
 
 
-def accepts(path: Path) -> bool:
+def accepts(head: FileHead) -> bool:
     """Whether an .npz file lists joint_positions; a broken file passes, so that reading it reports the fault."""
-    keys = npz_archive.peek_keys(path)
-    return not keys or "joint_positions" in keys
+    return not head.array_names or "joint_positions" in head.array_names
 
 
 def read_npz(path: Path, options: ReadOptions | None = None) -> Motion:

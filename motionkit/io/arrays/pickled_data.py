@@ -123,6 +123,8 @@ NAMES: dict[tuple[str, str], Any] = {
 class _Unpickler(pickle._Unpickler):
     # The one in Python: in C, the index of a memo can be made to take all memory.
 
+    stack: list[Any]
+
     def find_class(self, module: str, name: str) -> Any:
         key = (module.replace("numpy.core.", "numpy._core."), name)
         if key not in NAMES:
@@ -132,7 +134,7 @@ class _Unpickler(pickle._Unpickler):
     def load_build(self) -> None:
         if not isinstance(self.stack[-2], (_Type, _Array)):
             raise PickleError("it sets the state of an object")
-        super().load_build()
+        super().load_build()  # type: ignore[misc]
 
-    dispatch: ClassVar = {**pickle._Unpickler.dispatch, pickle.BUILD[0]: load_build}
+    dispatch: ClassVar[dict[int, Any]] = {**pickle._Unpickler.dispatch, pickle.BUILD[0]: load_build}
     del dispatch[pickle.BYTEARRAY8[0]]  # which allocates before it reads; numpy writes protocol 4

@@ -24,7 +24,7 @@ from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import humanml3d
 from motionkit.io.arrays import joints_npy, npy
-from motionkit.io.format import Format, of_path
+from motionkit.io.format import FileHead, Format, of_path
 from motionkit.io.humanml3d import LAYOUTS
 from motionkit.io.scan.items import ReadOptions, SourceItem
 from motionkit.io.source import body_frame, clock, rigid, source_file
@@ -43,21 +43,21 @@ PLACES, TURNS = slice(8, 8 + 3 * JOINTS), slice(8 + 6 * JOINTS, 8 + 12 * JOINTS)
 SMALLEST_CROSS = 1e-6
 
 
-def _shape(path: Path) -> tuple[int, ...]:
+def _shape(head: FileHead) -> tuple[int, ...]:
     # Without the batch axis of one that models save.
-    shape = npy.peek_shape(path) or ()
+    shape = head.array_shape or ()
     return shape[1:] if len(shape) == 3 and shape[0] == 1 else shape
 
 
-def accepts(path: Path) -> bool:
+def accepts(head: FileHead) -> bool:
     """Whether a .npy file holds rows of 263 or 251 numbers."""
-    shape = _shape(path)
+    shape = _shape(head)
     return len(shape) == 2 and shape[1] in LAYOUT_BY_WIDTH
 
 
-def accepts_interhuman(path: Path) -> bool:
+def accepts_interhuman(head: FileHead) -> bool:
     """Whether a .npy file holds rows of 262 numbers for one or two persons, or the data set's 492."""
-    return _is_interhuman(npy.peek_shape(path) or ())
+    return _is_interhuman(head.array_shape or ())
 
 
 def _is_interhuman(shape: tuple[int, ...]) -> bool:
@@ -65,15 +65,15 @@ def _is_interhuman(shape: tuple[int, ...]) -> bool:
     return len(shape) in (2, 3) and (shape[1] in widths if len(shape) == 2 else shape[1:] == (2, INTERHUMAN_WIDTH))
 
 
-def persons(path: Path) -> tuple[str, ...]:
+def persons(head: FileHead) -> tuple[str, ...]:
     """The persons' keys in an InterHuman file with two persons; empty for one."""
-    shape = npy.peek_shape(path) or ()
+    shape = head.array_shape or ()
     return PERSONS if len(shape) == 3 or shape[1:] == (2 * INTERHUMAN_WIDTH,) else ()
 
 
-def accepts_motionstreamer(path: Path) -> bool:
+def accepts_motionstreamer(head: FileHead) -> bool:
     """Whether a .npy file holds rows of 272 numbers."""
-    shape = _shape(path)
+    shape = _shape(head)
     return len(shape) == 2 and shape[1] == MOTIONSTREAMER_WIDTH
 
 
@@ -181,12 +181,13 @@ def _check_body(positions: Positions, skeleton: Skeleton, path: Path) -> None:
 
 
 FORMAT = Format(name="pose-vectors", read=of_path(read_pose_vectors), suffixes=(".npy",), accepts=accepts,
-                beside=joints_npy.manifests)  # fmt: skip
+                beside=(joints_npy.MANIFEST,))  # fmt: skip
 INTERHUMAN_FORMAT = Format(
     name="interhuman", read=read_interhuman, suffixes=(".npy",), accepts=accepts_interhuman, keys=persons,
-    beside=joints_npy.manifests, turns_up=True,
+    beside=(joints_npy.MANIFEST,),
+    turns_up=True,
 )  # fmt: skip
 MOTIONSTREAMER_FORMAT = Format(
     name="motionstreamer", read=of_path(read_motionstreamer), suffixes=(".npy",), accepts=accepts_motionstreamer,
-    beside=joints_npy.manifests,
+    beside=(joints_npy.MANIFEST,),
 )  # fmt: skip

@@ -16,7 +16,7 @@ from jaxtyping import Float32, Float64, Int64
 from motionkit.core import kinematics
 from motionkit.core.motion import Motion
 from motionkit.io.bvh.document import BvhDocument, read_bvh, read_document
-from motionkit.io.format import Format, of_path
+from motionkit.io.format import FileHead, Format, of_path
 from motionkit.io.scan.items import ReadOptions
 
 THEMES = (
@@ -47,9 +47,9 @@ class BenchmarkWindows:
     local_rotations: Float32[np.ndarray, "windows frames joints 4"]
 
 
-def accepts(path: Path) -> bool:
+def accepts(head: FileHead) -> bool:
     """Whether a BVH file has one of LaFAN1's names: a theme, a take number and a subject."""
-    return NAME.fullmatch(path.stem) is not None
+    return NAME.fullmatch(head.path.stem) is not None
 
 
 def read_lafan1(path: Path, options: ReadOptions | None = None) -> Motion:

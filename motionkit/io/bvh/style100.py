@@ -19,7 +19,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.plain_text import shown
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io.bvh.document import T_POSE_DROPPED, BvhDocument, read_bvh, read_document
-from motionkit.io.format import Format, of_path
+from motionkit.io.format import FileHead, Format, of_path
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.source import source_file
 
@@ -44,19 +44,14 @@ Read = TypeVar("Read", Motion, BvhDocument)
 Cuts = Mapping[tuple[str, str], tuple[int, int]]
 
 
-def accepts(path: Path) -> bool:
+def accepts(head: FileHead) -> bool:
     """Whether a BVH file is named after a style and a kind of movement, with Frame_Cuts.csv beside it or one above."""
-    return NAME.fullmatch(path.stem) is not None and find_cuts(path) is not None
+    return NAME.fullmatch(head.path.stem) is not None and find_cuts(head.path) is not None
 
 
 def find_cuts(path: Path) -> Path | None:
     """The table of cuts of a file: in its folder, or in the one above."""
-    return next((table for table in tables_of_cuts(path.parent) if table.is_file()), None)
-
-
-def tables_of_cuts(folder: Path) -> tuple[Path, ...]:
-    """Possible paths of the table of cuts of a folder's takes, nearest first."""
-    return folder / CUTS_FILE, folder.parent / CUTS_FILE
+    return next((folder / CUTS_FILE for folder in path.parents[:2] if (folder / CUTS_FILE).is_file()), None)
 
 
 def read_100style(path: Path, options: ReadOptions | None = None) -> Motion:
@@ -161,6 +156,6 @@ FORMAT = Format(
     document=read_100style_document,
     suffixes=(".bvh",),
     accepts=accepts,
-    beside=tables_of_cuts,
+    beside=(CUTS_FILE,),
     turns_up=True,
 )

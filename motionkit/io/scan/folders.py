@@ -8,6 +8,8 @@ from motionkit.core.errors import FormatError
 from motionkit.core.files import is_store
 
 HIDDEN = (".", "__")
+# Folders of the system, in which links lead everywhere and files have no end.
+SYSTEM = tuple(map(Path, ("/proc", "/sys", "/dev")))
 
 
 def walk(
@@ -17,7 +19,8 @@ def walk(
 
     A folder that `is_whole` is not entered. Links to folders are followed after all real folders, so that a folder
     reachable both ways gets its real path; folders already visited, those that contain the source, and stores are
-    skipped. Folders that cannot be listed (`unreadable`) and dangling links (`dangling-link`) go to `on_problem`.
+    skipped.
+    What cannot be listed or looked at (`unreadable`) and useless links (`dangling-link`) go to `on_problem`.
     """
     seen: set[tuple[int, int]] = set()
     starts = [root]
@@ -46,17 +49,19 @@ def walk(
 
 
 def dangling(link: Path) -> FormatError | None:
-    """The error of a dangling link; None for any other entry of a folder."""
+    """The error of a link that leads nowhere, or into a folder of the system; None for any other entry of a folder."""
     try:
         target = link.readlink()
     except OSError:
         return None
     try:
         link.stat()
+        fault = "a folder of the system" if any(link.resolve().is_relative_to(each) for each in SYSTEM) else ""
     except OSError as error:
-        message = f"is a link to {target}, which leads nowhere ({error.strerror or error}): mend the link or remove it"
-        return FormatError(message, path=link, reason="dangling-link")
-    return None
+        fault = f"which leads nowhere ({error.strerror or error})"
+    if not fault:
+        return None
+    return FormatError(f"is a link to {target}, {fault}: remove the link", path=link, reason="dangling-link")
 
 
 def _sorted_out(
@@ -71,11 +76,14 @@ def _sorted_out(
             continue
         path = folder / entry.name
         is_link = entry.is_symlink()
-        problem = dangling(path) if is_link else None
-        if problem is not None:
+        if is_link and (problem := dangling(path)) is not None:
             on_problem(problem)
-        elif entry.is_file():  # not a pipe, which would block
-            files.append(path)
-        elif entry.is_dir() and not entry.name.startswith(HIDDEN) and not is_store(path):
-            (linked if is_link else below).append(path)
+            continue
+        try:
+            if entry.is_file():  # not a pipe, which would block
+                files.append(path)
+            elif entry.is_dir() and not entry.name.startswith(HIDDEN) and not is_store(path):
+                (linked if is_link else below).append(path)
+        except OSError as error:
+            on_problem(FormatError(f"cannot be read ({error.strerror or error})", path=path, reason="unreadable"))
     return below, linked, files

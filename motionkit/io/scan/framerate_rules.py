@@ -1,22 +1,21 @@
 """Corrections of framerates that files state wrongly: the user's rules, and those shipped with motionkit.
 
-A rule has globs of files, the wrong framerate that they state (`stated`; omitted: any), the right one, and its source.
-The user's rules come first, and the first matching rule applies; an explicit framerate (--fps, or the column fps of an
-annotation CSV) overrides all rules. The shipped ones are framerate_rules.toml.
+A rule has globs of files (`pathlib.PurePath.match`), the wrong framerate that they state (`stated`; omitted: any), the
+right one, and its source. The user's rules come first, and the first matching rule applies; an explicit framerate
+(--fps, or the column fps of an annotation CSV) overrides all rules. The shipped ones are framerate_rules.toml.
 """
 
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
 from importlib import resources
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from motionkit.core.errors import UsageError
 from motionkit.core.files import read_at_most
 from motionkit.core.framerate import parse_fps
 from motionkit.core.plain_text import LONGEST_TOML, parse_toml, shown
-from motionkit.io.scan.globs import parse_glob
 from motionkit.io.source import clock
 
 KEYS = frozenset({"files", "stated", "fps", "reason", "source"})
@@ -66,8 +65,8 @@ def parse_rules(text: str, name: str) -> tuple[FramerateRule, ...]:
 
 def matching_rules(path: Path, root: Path, rules: tuple[FramerateRule, ...]) -> tuple[FramerateRule, ...]:
     """The rules whose globs match a file's path, relative to the parent folder of its source."""
-    place = f"{root.name}/{path.relative_to(root).as_posix()}"
-    return tuple(rule for rule in rules if any(parse_glob(glob).fits(place) for glob in rule.files))
+    place = PurePosixPath(root.name, path.relative_to(root).as_posix())
+    return tuple(rule for rule in rules if any(map(place.match, rule.files)))
 
 
 def corrected_fps(fps: Fraction, rules: tuple[FramerateRule, ...]) -> tuple[Fraction, list[str]]:
@@ -91,7 +90,7 @@ def _rule(table: Any, name: str, number: int) -> FramerateRule:
         raise UsageError(f"{where}: files must be a glob in quotes, or a list of them, not {shown(globs)}")
     for glob in globs:
         try:
-            parse_glob(glob)
+            PurePosixPath().match(glob)
         except ValueError as error:
             raise UsageError(f"{where}: files: {error}") from None
     for key in ("reason", "source"):

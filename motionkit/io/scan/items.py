@@ -86,22 +86,14 @@ class SourceItem:
         return f"{self.path} ({self.key})" if self.key else str(self.path)
 
 
-@dataclass(frozen=True, eq=False)
-class Spare:
-    """A sequence with the id of an earlier one: read if that one cannot be, and otherwise reported as `problem`."""
-
-    item: SourceItem
-    problem: FormatError
-
-
 @dataclass(frozen=True)
 class ScanResult:
     """The result of a scan: `items` to read, `problems` that lose a sequence, and `warnings` that do not.
 
     A motion without a caption, in a source with captions, is a warning: the motion is kept. `missing` counts, by
     dataset, the sequences of an index whose files are missing, `refused` those whose captions cannot be read; each is
-    also one of the problems, as are those of the `spares`. `ignored` are the files of a folder that are not sequences
-    and belong to none; it is empty for an index's folders.
+    also one of the problems. `ignored` are the files of a folder that are not sequences and belong to none; it is empty
+    for an index's folders.
     """
 
     items: tuple[SourceItem, ...]
@@ -109,5 +101,4 @@ class ScanResult:
     warnings: tuple[FormatError, ...] = field(default=())
     missing: Mapping[str, int] = field(default_factory=dict)
     refused: Mapping[str, int] = field(default_factory=dict)
-    spares: tuple[Spare, ...] = ()
     ignored: tuple[Path, ...] = ()

@@ -1,24 +1,30 @@
 """Finding the sequences of a source, to be read by `formats.scan.reading`.
 
-`scan` only lists names and folders, `read` opens one sequence: so ingest can scan once and read in many processes.
+`scan` lists folders and reads the beginnings of files whose suffix is ambiguous, `read` reads one sequence: so ingest
+can scan once and read in many processes.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
 
 from motionkit.core.errors import FormatError, UsageError
 from motionkit.core.files import is_store
-from motionkit.io.catalogue import readers
-from motionkit.io.format import Format
+from motionkit.io.catalogue import readers, recognise, recognise_unnamed
+from motionkit.io.format import FileHead, Format
 from motionkit.io.indexes import search
-from motionkit.io.scan import annotations, unread
+from motionkit.io.scan import annotations
 from motionkit.io.scan.annotations import Annotation, AnnotationTable
 from motionkit.io.scan.derived import is_derived
 from motionkit.io.scan.folders import dangling, walk
-from motionkit.io.scan.items import ReadOptions, ScanResult, SourceItem, Spare
-from motionkit.io.source import source_file
+from motionkit.io.scan.items import ReadOptions, ScanResult, SourceItem
+
+# Formats with a recipe in docs/formats.md, and limits of messages about what was not read.
+CONVERTED = (".fbx", ".pkl", ".pickle", ".pt", ".pth")
+SHOWN_KINDS, SHOWN_NAMES = 3, 8
 
 
 def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanResult:
@@ -31,19 +37,8 @@ def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanRes
     if options.format != "auto" and options.format not in readers():
         raise UsageError(f"unknown format {options.format!r}, expected auto or one of {', '.join(readers())}")
     if options.index is not None:
-        seen: list[AnnotationTable] = []
-        broken: list[FormatError] = []
-        found = search.scan_indexes(sources, options.index, _file_items(options, seen, broken))
-        found = replace(
-            found,
-            problems=(*found.problems, *broken, *(each for table in seen for each in table.problems)),
-            warnings=(*found.warnings, *(each for table in seen for each in table.warnings)),
-        )
-        return _unique(found)
-    items: list[SourceItem] = []
-    problems: list[FormatError] = []
-    warnings: list[FormatError] = []
-    ignored: list[Path] = []
+        return _unique(_scan_indexes(sources, options))
+    found: list[ScanResult] = []
     given: list[AnnotationTable] = []
     for source in sources:
         if not source.exists():
@@ -52,46 +47,19 @@ def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanRes
             raise UsageError(f"{source} is neither a file nor a folder")
         if is_store(source):
             raise UsageError(f"{source} is a store, expected motions: 'motionkit merge' joins stores")
-        table = annotations.read_annotations(options.captions, _root(source)) if options.captions else None
-        given += [table] if table else []
-        found = _scan_source(source, options, table)
-        if not found.items and not found.problems:
-            found = replace(found, problems=(unread.no_motion(source, options),))
-        items += found.items
-        problems += found.problems
-        warnings += found.warnings
-        ignored += found.ignored
-    problems += _problems_of_given(given, {item.path for item in items})
-    warnings += given[0].warnings if given else ()
-    return _unique(ScanResult(tuple(items), tuple(problems), tuple(warnings), ignored=tuple(dict.fromkeys(ignored))))
-
-
-def _file_items(
-    options: ReadOptions, seen: list[AnnotationTable], broken: list[FormatError]
-) -> Callable[[Path, Path], SourceItem | None]:
-    """A function (path, source folder) → the file's motion, with the framerate and licence given beside it.
-
-    Annotation tables beside the files are appended to `seen`, errors of unreadable ones to `broken`.
-    """
-    candidates = [entry for entry in readers().values() if options.format in ("auto", entry.name)]
-
-    @cache
-    def around(folder: Path, root: Path) -> tuple[str, tuple[AnnotationTable, ...]]:
-        licence, above = around(folder.parent, root) if folder != root else ("", ())
-        tables, not_tables = annotations.tables_in(folder)
-        seen.extend(tables)
-        broken.extend(not_tables)
-        return annotations.find_licence(folder) or licence, (*above, *tables)
-
-    def item_of(path: Path, root: Path) -> SourceItem | None:
-        kind = next((entry for entry in candidates if _takes(entry, path)), None)
-        if kind is None or kind.keys(path):  # an index does not say which of several
-            return None
-        licence, tables = around(path.parent, root)
-        # Annotations of a whole file need not hold for a stretch of it.
-        return replace(_annotate(_file_item(kind, path, root, licence), tables), captions=(), split="")
-
-    return item_of
+        given += [annotations.read_annotations(options.captions, _root(source))] if options.captions else []
+        found.append(_scan_source(source, options, given[-1] if given else None))
+    result = ScanResult(
+        items=tuple(item for each in found for item in each.items),
+        problems=(
+            *(problem for each in found for problem in each.problems),
+            *(given[0].problems if given else ()),
+            *_without_motion(given, {item.path for each in found for item in each.items}),
+        ),
+        warnings=(*(warning for each in found for warning in each.warnings), *(given[0].warnings if given else ())),
+        ignored=tuple(dict.fromkeys(path for each in found for path in each.ignored)),
+    )
+    return _unique(result)
 
 
 def _root(source: Path) -> Path:
@@ -100,162 +68,89 @@ def _root(source: Path) -> Path:
 
 def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | None) -> ScanResult:
     root = _root(source)
-    beside: list[AnnotationTable] = []
-    found: list[tuple[Path, ScanResult]] = []
+    items: list[SourceItem] = []
+    problems: list[FormatError] = []
+    warnings: list[FormatError] = []
+    tables: list[AnnotationTable] = []
     licences: dict[Path, str] = {}
-    lost: list[FormatError] = []
-    seen: list[Path] = []
-    made: list[Path] = []
-    one = [(root, [root / source.name])] if source.is_file() else None
-    for folder, files in one or walk(root, _is_claimed, lost.append):
-        if options.leave_out_made and one is None:
-            files = [path for path in files if not _left_out(path, root, made)]
+    others: list[Path] = []
+    derived: list[Path] = []
+    claim = cache(lambda folder: claiming(folder, options.format))
+    one_file = [(root, [root / source.name])]
+    for folder, files in (
+        walk(root, lambda folder: claim(folder) is not None, problems.append) if source.is_dir() else one_file
+    ):
         licences[folder] = annotations.find_licence(folder) or licences.get(folder.parent, "")
-        tables_here, broken = annotations.tables_in(folder, given and given.path)
-        beside += tables_here
-        found.append((folder, ScanResult((), tuple(broken))))
-        found.append((folder, _scan_folder(folder, files, root, licences[folder], options)))
-        if source.is_dir():
-            seen += _files_below(folder) if _is_claimed(folder) else files
-        elif not found[-1][1].items and not found[-1][1].problems:
-            found.append((folder, _recognise(root / source.name, licences[folder], options)))
-    tables = [*beside, *([given] if given else [])]
-    items = [_annotate(item, tables) for _, result in found for item in result.items]
-    problems = [problem for _, result in found for problem in result.problems]
-    warnings = [warning for _, result in found for warning in result.warnings]
-    warnings += [warning for table in beside for warning in table.warnings]
-    problems += [problem for table in beside for problem in table.problems]
-    problems += lost
-    # For a single file, or if nothing is read, rows without a motion are not reported.
-    if source.is_dir() and items:
-        known = {item.path for item in items}
-        rows = [(table, path, row) for table in beside for path, row in table.rows.items()]
-        problems += [_no_motion(table, path, row, known) for table, path, row in rows if path not in known]
-    captioned = [root] if given is not None and given.has_captions else []
-    captioned += [table.path.parent for table in beside if table.has_captions]
-    reported = {warning.path for warning in warnings if warning.reason == "no-caption"}
-    silent = [item for item in items if not item.captions and item.path not in reported]
-    warnings += _made_files(root, made)
-    ignored = unread.ignored(seen, found, (table.path.parent.resolve() / table.path.name for table in tables))
-    warnings += _motions_without_caption(silent, captioned)
-    return ScanResult(tuple(items), tuple(problems), tuple(warnings), ignored=ignored)
+        tables_here, broken = annotations.tables_in(folder, None if given is None else given.path)
+        tables += tables_here
+        problems += broken
+        kind = claim(folder)
+        if kind is not None and kind.find is not None:
+            of_folder = kind.find(folder, root)
+            items += [replace(item, licence=item.licence or licences[folder]) for item in of_folder.items]
+            problems += of_folder.problems
+            warnings += of_folder.warnings
+            continue
+        for path in files:
+            head = FileHead(path)
+            kind = recognise(head, options.format)
+            if kind is None and source.is_file():
+                kind = recognise_unnamed(head, options.format)
+            if kind is None:
+                others.append(path)
+            # The source folder's own name is ignored: whoever names a folder of completed clips means them.
+            elif options.leave_out_made and source.is_dir() and is_derived(path if folder != root else Path(path.name)):
+                derived.append(path)
+            else:
+                items += _items_of_file(kind, head, root, licences[folder])
+    if not items and not problems:
+        return ScanResult((), problems=(_no_motion(source, others, options),))
+    problems += [problem for table in tables for problem in table.problems]
+    if source.is_dir() and items:  # of a single file, other rows are not expected
+        problems += _without_motion(tables, {item.path for item in items})
+    given_too = tables if given is None else [*tables, given]
+    items = list(_annotated(items, given_too))
+    warnings += [warning for table in tables for warning in table.warnings]
+    warnings += _derived_files(root, derived)
+    warnings += _without_caption(items, given_too, root, {warning.path for warning in warnings})
+    known = {problem.path for problem in problems} | {table.path for table in given_too}
+    formats = {item.format for item in items}
+    ignored = [path for path in others if path not in known and not _belongs(path, formats)] if source.is_dir() else []
+    return ScanResult(tuple(items), tuple(problems), tuple(warnings), ignored=tuple(ignored))
 
 
-def _left_out(path: Path, root: Path, made: list[Path]) -> bool:
-    # The source folder's own name is ignored: whoever names a folder of completed clips means them.
-    known = any(_takes(entry, path) for entry in readers().values())
-    if known and is_derived(path if path.parent != root else Path(path.name)):
-        made.append(path)
-        return True
-    return False
+def claiming(folder: Path, name: str = "auto") -> Format | None:
+    """The format whose data set a folder is, None for any other folder; `name` allows only one format."""
+    kinds = (each for each in readers().values() if name in ("auto", each.name))
+    return next((each for each in kinds if each.claims is not None and each.claims(folder)), None)
 
 
-def _made_files(root: Path, made: Sequence[Path]) -> list[FormatError]:
-    if not made:
-        return []
-    which = made[0].name + (" …" if len(made) > 1 else "")
-    message = (
-        f"{len(made):,} of its files ({which}) were made by 'motionkit complete' or 'motionkit plant' and are left "
-        "out: name such files one by one to store them"
-    )
-    return [FormatError(message, path=root, reason="made")]
-
-
-def _problems_of_given(tables: Sequence[AnnotationTable], known: set[Path]) -> list[FormatError]:
-    # One table was read once for each source; a row is missing if no source has its motion.
-    if not tables:
-        return []
-    found = {row.line for table in tables for path, row in table.rows.items() if path in known}
-    rows = [(path, row) for path, row in tables[0].rows.items() if row.line not in found]
-    return [*tables[0].problems, *(_no_motion(tables[0], path, row, known) for path, row in rows)]
-
-
-def _no_motion(table: AnnotationTable, path: Path, row: Annotation, known: set[Path]) -> FormatError:
-    # Names without a suffix are the commonest mistake; the motions found have few different suffixes.
-    meant = [name for suffix in {each.suffix for each in known} if (name := Path(f"{path}{suffix}")) in known]
-    message = f"describes {path.name}, but there is no such motion in the source"
-    message += f" (did you mean {meant[0].name}?)" if meant else ""
-    return FormatError(message, path=table.path, reason="caption-without-motion", line=row.line)
-
-
-def _files_below(folder: Path) -> list[Path]:
-    return [path for _, files in walk(folder, lambda _: False, lambda _: None) for path in files]
-
-
-def _is_claimed(folder: Path) -> bool:
-    return any(entry.claims is not None and entry.claims(folder) for entry in readers().values())
-
-
-def _scan_folder(folder: Path, files: Iterable[Path], root: Path, licence: str, options: ReadOptions) -> ScanResult:
-    candidates = [entry for entry in readers().values() if options.format in ("auto", entry.name)]
-    for entry in candidates:
-        if entry.claims is not None and entry.find is not None and entry.claims(folder):
-            found = entry.find(folder, root)
-            return replace(found, items=tuple(replace(item, licence=item.licence or licence) for item in found.items))
-    kinds = ((path, next((entry for entry in candidates if _takes(entry, path)), None)) for path in files)
-    return ScanResult(
-        tuple(item for path, kind in kinds if kind is not None for item in _file_items_of(kind, path, root, licence))
-    )
-
-
-def with_tables_above(item: SourceItem, levels: int = 4) -> SourceItem:
-    """The item of a single file with annotations from the nearest table above it: `scan` uses only those beside it.
-
-    Unreadable tables are ignored.
-    """
-    for folder in item.path.parents[:levels]:
-        for table in annotations.tables_in(folder)[0]:
-            if item.path in table.rows:
-                return _stated(item, table.rows[item.path])
-    return item
-
-
-def _recognise(path: Path, licence: str, options: ReadOptions) -> ScanResult:
-    # A single file with an uninformative name is recognised by its first bytes.
-    try:
-        with path.open("rb") as file:
-            head = file.read(4096).removeprefix(b"\xef\xbb\xbf")
-    except OSError as error:
-        return ScanResult((), (source_file.unreadable(path, error),))
-    words = next((line.strip() for line in head.splitlines() if line.strip() and not line.startswith(b"#")), b"")
-    for entry in readers().values():
-        fits = options.format in ("auto", entry.name) and (entry.accepts is None or entry.accepts(path))
-        if fits and entry.begins and words.upper().startswith(entry.begins):
-            return ScanResult(tuple(_file_items_of(entry, path, path.parent, licence)))
-    return ScanResult(())
-
-
-def _file_item(kind: Format, path: Path, root: Path, licence: str) -> SourceItem:
-    relative = path.relative_to(root).as_posix()
+def _items_of_file(kind: Format, head: FileHead, root: Path, licence: str) -> Iterator[SourceItem]:
+    relative = head.path.relative_to(root).as_posix()
     folder, slash, _ = relative.partition("/")
-    return SourceItem(
+    whole = SourceItem(
         format=kind.name,
-        path=path,
+        path=head.path,
         root=root,
-        sequence_id=f"{root.name}/{relative.removesuffix(path.suffix)}",
+        sequence_id=f"{root.name}/{relative.removesuffix(head.path.suffix)}",
         source=root.name,
         subset=folder if slash else "",
         licence=licence,
     )
-
-
-def _file_items_of(kind: Format, path: Path, root: Path, licence: str) -> Iterator[SourceItem]:
-    whole = _file_item(kind, path, root, licence)
-    for key in kind.keys(path) or ("",):
+    for key in kind.keys(head) or ("",):
         yield replace(whole, key=key, sequence_id=f"{whole.sequence_id}/{key}") if key else whole
 
 
-def _takes(entry: Format, path: Path) -> bool:
-    return path.suffix.lower() in entry.suffixes and (entry.accepts is None or entry.accepts(path))
-
-
-def _annotate(item: SourceItem, tables: Sequence[AnnotationTable]) -> SourceItem:
-    # A table nearer to the file comes later and takes precedence, cell by cell; a given one comes last.
+def _annotated(items: Iterable[SourceItem], tables: Sequence[AnnotationTable]) -> Iterator[SourceItem]:
+    """The items with what all tables state of their files; a later table takes precedence, column by column."""
+    rows: dict[Path, list[Annotation]] = {}
     for table in tables:
-        row = table.rows.get(item.path)
-        if row is not None:
+        for path, row in table.rows.items():
+            rows.setdefault(path, []).append(row)
+    for item in items:
+        for row in rows.get(item.path, ()):
             item = _stated(item, row)
-    return item
+        yield item
 
 
 def _stated(item: SourceItem, row: Annotation) -> SourceItem:
@@ -276,25 +171,135 @@ def _stated(item: SourceItem, row: Annotation) -> SourceItem:
     )
 
 
-def _motions_without_caption(items: Iterable[SourceItem], folders: Sequence[Path]) -> list[FormatError]:
+def with_tables_above(item: SourceItem, levels: int = 4) -> SourceItem:
+    """The item of a single file with annotations from the nearest table above it: `scan` uses only those beside it.
+
+    Unreadable tables are ignored.
+    """
+    for folder in item.path.parents[:levels]:
+        for table in annotations.tables_in(folder)[0]:
+            if item.path in table.rows:
+                return _stated(item, table.rows[item.path])
+    return item
+
+
+def _without_motion(tables: Sequence[AnnotationTable], known: set[Path]) -> Iterator[FormatError]:
+    # One table may have been read once for each source: a row is without a motion if no source has it.
+    described = {(table.path, row.line) for table in tables for path, row in table.rows.items() if path in known}
+    suffixes = {path.suffix for path in known}
+    reported = set(described)
+    for table in tables:
+        for path, row in table.rows.items():
+            if (table.path, row.line) in reported:
+                continue
+            reported.add((table.path, row.line))
+            # Names without a suffix are the commonest mistake.
+            meant = next((name for each in suffixes if (name := Path(f"{path}{each}")) in known), None)
+            message = f"describes {path.name}, but there is no such motion in the source"
+            message += f" (did you mean {meant.name}?)" if meant else ""
+            yield FormatError(message, path=table.path, reason="caption-without-motion", line=row.line)
+
+
+def _without_caption(
+    items: Iterable[SourceItem], tables: Sequence[AnnotationTable], root: Path, reported: set[Path]
+) -> Iterator[FormatError]:
+    # A table with captions describes all motions below its folder; one that is given, all of the source.
+    folders = {
+        folder if (folder := table.path.parent).is_relative_to(root) else root for table in tables if table.has_captions
+    }
+
+    @cache
+    def has_captions(folder: Path) -> bool:
+        return folder in folders or (folder != root and has_captions(folder.parent))
+
     message = "has no caption in a source that has captions; kept without one"
-    return [
-        FormatError(message, path=item.path, reason="no-caption")
-        for item in items
-        if any(item.path.is_relative_to(folder) for folder in folders)
-    ]
+    for item in items:
+        if not item.captions and item.path not in reported and has_captions(item.path.parent):
+            yield FormatError(message, path=item.path, reason="no-caption")
+
+
+def _derived_files(root: Path, derived: Sequence[Path]) -> Iterator[FormatError]:
+    if derived:
+        which = derived[0].name + (" …" if len(derived) > 1 else "")
+        message = (
+            f"{len(derived):,} of its files ({which}) were made by 'motionkit complete' or 'motionkit plant' and are "
+            "left out: name such files one by one to store them"
+        )
+        yield FormatError(message, path=root, reason="made")
+
+
+def _belongs(path: Path, formats: Iterable[str]) -> bool:
+    """Whether a file that is no sequence belongs to sequences of these formats, or states their licence."""
+    name = path.name.lower()
+    patterns = ("licen[cs]e*", *(pattern.lower() for each in formats for pattern in readers()[each].beside))
+    return any(fnmatchcase(name, pattern) for pattern in patterns)
+
+
+def _no_motion(source: Path, others: Sequence[Path], options: ReadOptions) -> FormatError:
+    expected = options.format if options.format != "auto" else ", ".join(readers())
+    if source.is_file():
+        message = f"of no known format{_arrays_of(FileHead(source))}, expected {expected}"
+        message += "; docs/formats.md says how to convert it" if source.suffix.lower() in CONVERTED else ""
+        return FormatError(message, path=source, reason="unknown-format")
+    kinds = kinds_of(others)
+    there = ", ".join(f"{count:,} {kind}" for kind, count in list(kinds.items())[:SHOWN_KINDS])
+    there += f", the first: {others[0].relative_to(source.resolve())}" if others else "no files"
+    message = f"no motions in this folder (it has {there}), expected {expected}"
+    return FormatError(message, path=source, reason="empty-folder")
+
+
+def _arrays_of(head: FileHead) -> str:
+    if head.array_names:
+        names = sorted(head.array_names)
+        return f" (an archive of {', '.join(names[:SHOWN_NAMES])}{', …' if len(names) > SHOWN_NAMES else ''})"
+    return f" (an array of shape {head.array_shape})" if head.array_shape is not None else ""
+
+
+def kinds_of(paths: Iterable[Path]) -> dict[str, int]:
+    """Number of files by suffix, or by name where there is none; the most frequent first."""
+    return dict(Counter(path.suffix.lower() or path.name for path in paths).most_common())
+
+
+def _scan_indexes(sources: Sequence[Path], options: ReadOptions) -> ScanResult:
+    """The sequences of indexes, with what tables beside their files say of whole files: no captions and splits."""
+    assert options.index is not None
+    problems: list[FormatError] = []
+    tables: list[AnnotationTable] = []
+
+    @cache
+    def around(folder: Path, root: Path) -> tuple[str, tuple[AnnotationTable, ...]]:
+        licence, above = around(folder.parent, root) if folder != root else ("", ())
+        here, broken = annotations.tables_in(folder)
+        tables.extend(here)
+        problems.extend(broken)
+        return annotations.find_licence(folder) or licence, (*above, *here)
+
+    def item_of(path: Path, root: Path) -> SourceItem | None:
+        head = FileHead(path)
+        kind = recognise(head, options.format)
+        if kind is None or kind.keys(head):  # an index does not say which of several
+            return None
+        licence, near = around(path.parent, root)
+        (item,) = _annotated(_items_of_file(kind, head, root, licence), near)
+        return replace(item, captions=(), split="")
+
+    found = search.scan_indexes(sources, options.index, item_of)
+    return replace(
+        found,
+        problems=(*found.problems, *problems, *(each for table in tables for each in table.problems)),
+        warnings=(*found.warnings, *(each for table in tables for each in table.warnings)),
+    )
 
 
 def _unique(found: ScanResult) -> ScanResult:
-    # Of sequences with the same id, all but the first are spares.
+    # Of sequences with the same id, only the first is read.
     kept: dict[str, SourceItem] = {}
-    spares: list[Spare] = []
+    problems = list(found.problems)
     for item in found.items:
         first = kept.setdefault(item.sequence_id, item)
         if first is not item:
             message = (
                 f"its id {item.sequence_id!r} is already taken by {first.path.name}; rename the file or its folder"
             )
-            spares.append(Spare(item, FormatError(message, path=item.path, reason="duplicate-id")))
-    problems = (*found.problems, *(spare.problem for spare in spares))
-    return replace(found, items=tuple(kept.values()), problems=problems, spares=tuple(spares))
+            problems.append(FormatError(message, path=item.path, reason="duplicate-id"))
+    return replace(found, items=tuple(kept.values()), problems=tuple(problems))

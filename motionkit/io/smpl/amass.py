@@ -24,7 +24,7 @@ from motionkit.io import up
 from motionkit.io.arrays import npz_archive
 from motionkit.io.arrays.npz_archive import NpzArchive
 from motionkit.io.characters.retargeting import retarget
-from motionkit.io.format import Format
+from motionkit.io.format import FileHead, Format
 from motionkit.io.scan.items import ReadOptions, SourceItem
 from motionkit.io.smpl.body import (
     BODY,
@@ -51,23 +51,15 @@ WRITTEN_BETAS = 10
 GENDERS = ("male", "female", "neutral")
 
 
-def accepts(path: Path) -> bool:
+def accepts(head: FileHead) -> bool:
     """Whether an .npz file is an AMASS motion, not a shape beside one (`shape.npz`, `…_stagei.npz`)."""
-    if _is_shape(path):
+    stem = head.path.stem
+    if stem == "shape" or stem.endswith("_stagei"):
         return False
-    if path.stem.endswith(MOTION_NAMES):
+    if stem.endswith(MOTION_NAMES):
         return True
-    keys = npz_archive.peek_keys(path)
+    keys = head.array_names
     return "trans" in keys and ("poses" in keys or {"root_orient", "pose_body"} <= keys)
-
-
-def shapes(folder: Path) -> list[Path]:
-    """The files of a folder that hold a subject's shape, not a motion."""
-    return [path for path in folder.glob("*.npz") if _is_shape(path)]
-
-
-def _is_shape(path: Path) -> bool:
-    return path.stem == "shape" or path.stem.endswith("_stagei")
 
 
 def read_amass(item: SourceItem, options: ReadOptions) -> Motion:
@@ -246,6 +238,6 @@ FORMAT = Format(
     write=write_amass,
     suffixes=(".npz",),
     accepts=accepts,
-    beside=shapes,
+    beside=("shape.npz", "*_stagei.npz"),
     turns_up=True,
 )

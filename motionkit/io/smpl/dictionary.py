@@ -24,7 +24,7 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.io import up
 from motionkit.io.arrays import npy, npz_archive
 from motionkit.io.arrays.npz_archive import NpzArchive
-from motionkit.io.format import Format, of_path
+from motionkit.io.format import FileHead, Format, of_path
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.smpl.amass import FRAMERATE_KEYS, MAX_RADIANS
 from motionkit.io.smpl.body import BODY, SMPL, SMPLX, PoseLayout, mean_body, own_body
@@ -40,10 +40,9 @@ WIDTH, BODY_NUMBERS, MOVED, SHAPE = 322, slice(0, 66), slice(309, 312), slice(31
 MOTION_X_FPS = Fraction(30)
 
 
-def accepts(path: Path) -> bool:
+def accepts(head: FileHead) -> bool:
     """Whether an .npz file is such a dictionary, judged by its names."""
-    keys = npz_archive.peek_keys(path)
-    return {ORIENT, POSE} <= keys or WORLD in keys
+    return {ORIENT, POSE} <= head.array_names or WORLD in head.array_names
 
 
 def read_smpl(path: Path, options: ReadOptions | None = None) -> Motion:
@@ -188,9 +187,9 @@ def _motion(
     return made
 
 
-def accepts_motion_x(path: Path) -> bool:
+def accepts_motion_x(head: FileHead) -> bool:
     """Whether a .npy file has Motion-X's 322 numbers per frame."""
-    shape = npy.peek_shape(path)
+    shape = head.array_shape
     return shape is not None and len(shape) == 2 and shape[1] == WIDTH
 
 

@@ -21,7 +21,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io.arrays import npz_archive
 from motionkit.io.arrays.npz_archive import NpzArchive
-from motionkit.io.format import Format, of_path
+from motionkit.io.format import FileHead, Format, of_path
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.smpl.body import SMPL, Body, mean_body, own_body
 from motionkit.io.source import clock, source_file
@@ -70,8 +70,9 @@ class _Name:
         return "train" if self.subject in TRAIN_SUBJECTS else "test"
 
 
-def accepts(path: Path) -> bool:
+def accepts(head: FileHead) -> bool:
     """Whether a file is, by its name, a converted sequence or the pickle, which is refused with instructions."""
+    path = head.path
     return path.name == PICKLE or (path.suffix.lower() == ".npz" and NAME.fullmatch(path.stem) is not None)
 
 

@@ -14,9 +14,8 @@ from motionkit.core.files import is_store
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.families import parse_layout_map
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map
-from motionkit.io.scan.items import ReadOptions, ScanResult, SourceItem, Spare
-from motionkit.io.scan.scanner import scan
-from motionkit.io.scan.unread import kinds_of
+from motionkit.io.scan.items import ReadOptions, ScanResult, SourceItem
+from motionkit.io.scan.scanner import kinds_of, scan
 from motionkit.store.codec import RefusedMotion
 from motionkit.store.engines import LOCAL, check_engine, make_engine
 from motionkit.store.engines.parallel import Engine, WorkerDied, map_in_order, usable_cores
@@ -82,7 +81,7 @@ class IngestReport:
 class Listener:
     """Callbacks of an ingest.
 
-    `on_start` the number of sequences, again where it grows, `on_item` after each, `on_problem` what cost a sequence,
+    `on_start` the number of sequences, `on_item` after each, `on_problem` what cost a sequence,
     `on_warning` what looks odd and cost none.
     """
 
@@ -109,9 +108,8 @@ def ingest(
     `ray://HOST:PORT`) runs them; without a number given, all cores read, or as many as there are stretches.
     Under `skip` the good sequences are stored; under `stop` the first problem ends the ingest and the store stays as it
     was. A sequence that the store holds from an equal file is counted and left alone; one with the same id from another
-    file is a problem. So is one whose id an earlier sequence of the sources has, unless that one cannot be read: then
-    it takes its place. Raises `UsageError` for sources or options that make no sense and `StoreError` for a store that
-    cannot be written.
+    file is a problem, and so is one whose id an earlier sequence of the sources has. Raises `UsageError` for sources or
+    options that make no sense and `StoreError` for a store that cannot be written.
     """
     check_engine(engine)
     run = _Run(store, options or ReadOptions(), on_error, engine, num_workers, listener or Listener())
@@ -145,7 +143,6 @@ class _Run:
         self._rigs: set[tuple[tuple[str, ...], str]] = set()
         self._sizes = BodySizes(())
         self._failed_by_dataset: Counter[str] = Counter()
-        self._failed_ids: set[str] = set()
         self._num_stored = 0
         self._num_frames = 0
         self._num_already_stored = 0
@@ -160,11 +157,8 @@ class _Run:
         try:
             for warning in found.warnings:
                 self._warn(warning)
-            # Whether a spare is needed turns out later.
-            later = {spare.problem for spare in found.spares} if self._on_error == "skip" else set()
             for problem in found.problems:
-                if problem not in later:
-                    self._fail(problem)
+                self._fail(problem)
             if found.items:
                 self._write(writer, found)
                 self._check_maps()
@@ -196,22 +190,16 @@ class _Run:
             self._sizes = BodySizes(writer.skeletons)
             self._numbers = count(writer.next_sequence_index)
             engine = held.enter_context(self._engine(found.items))
-            self._read_all(writer, engine, found)
+            self._read_all(writer, engine, found.items)
             if not self._num_stored:
                 raise _Stopped
 
-    def _read_all(self, writer: StoreWriter, engine: Engine, found: ScanResult) -> None:
+    def _read_all(self, writer: StoreWriter, engine: Engine, items: Sequence[SourceItem]) -> None:
         function = partial(read_stretch, store=self._store.absolute(), options=self._options)
-        items, spares, total = found.items, found.spares, 0
-        while items:
-            total += len(items)
-            self._listener.on_start(total)
-            with closing(map_in_order(engine, function, self._numbered(writer, items))) as results:
-                for stretch, result in results:
-                    self._take(writer, stretch, result)
-            items, spares = self._wanted(spares)
-        for spare in spares:
-            self._fail(spare.problem)
+        self._listener.on_start(len(items))
+        with closing(map_in_order(engine, function, self._numbered(writer, items))) as results:
+            for stretch, result in results:
+                self._take(writer, stretch, result)
 
     def _numbered(self, writer: StoreWriter, items: Sequence[SourceItem]) -> Iterator[list[NumberedItem]]:
         # An index is the place among the sequences that are new, whether or not those before it can be read: so a part
@@ -222,18 +210,6 @@ class _Run:
                 NumberedItem(item, None if is_known else next(self._numbers))
                 for item, is_known in zip(stretch, known, strict=True)
             ]
-
-    def _wanted(self, spares: Sequence[Spare]) -> tuple[tuple[SourceItem, ...], tuple[Spare, ...]]:
-        # For each id that has failed its first spare, which is to be read, and the other spares.
-        wanted: list[SourceItem] = []
-        others: list[Spare] = []
-        for spare in spares:
-            if spare.item.sequence_id in self._failed_ids:
-                self._failed_ids.remove(spare.item.sequence_id)
-                wanted.append(spare.item)
-            else:
-                others.append(spare)
-        return tuple(wanted), tuple(others)
 
     def _engine(self, items: Sequence[SourceItem]) -> Engine:
         if self._engine_name != LOCAL:
@@ -315,7 +291,6 @@ class _Run:
     def _fail(self, problem: FormatError, item: SourceItem | None = None) -> None:
         if item is not None:
             self._failed_by_dataset[item.subset] += 1
-            self._failed_ids.add(item.sequence_id)
         self._problems.append(problem)
         self._listener.on_problem(problem)
         if self._on_error == "stop":

@@ -9,8 +9,9 @@ from motionkit.core import kinematics
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io.catalogue import readers
+from motionkit.io.catalogue import recognise
 from motionkit.io.characters.robot_csv import write_robot_csv
+from motionkit.io.format import FileHead
 from motionkit.io.smpl.body import mean_shape_skeleton
 
 FRAMES, FPS = 61, Fraction(30000, 1001)
@@ -69,4 +70,4 @@ def test_feet_that_stand_are_in_contact_and_feet_that_fly_are_not(tmp_path):
 
 def test_no_reader_takes_it_for_a_capture(tmp_path):
     table(t_pose(), tmp_path)
-    assert not any(each.accepts(tmp_path / "walk.csv") for each in readers().values() if ".csv" in each.suffixes)
+    assert recognise(FileHead(tmp_path / "walk.csv")) is None

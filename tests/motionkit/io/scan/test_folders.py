@@ -1,5 +1,7 @@
 """Linked folders: found once, whatever loops the links make."""
 
+import cProfile
+import os
 from pathlib import Path
 
 import numpy as np
@@ -104,3 +106,44 @@ def test_a_link_to_what_contains_the_source_is_not_followed(source: Path, tmp_pa
 def test_a_source_that_is_a_link_itself(source: Path, tmp_path: Path) -> None:
     (tmp_path / "alias").symlink_to(source)
     assert ids(tmp_path / "alias") == ["takes/b/walk"]
+
+
+@pytest.mark.parametrize("system", ["/proc", "/proc/self", "/sys", "/dev"])
+def test_links_into_the_system_are_reported_and_not_followed(source: Path, system: str) -> None:
+    (source / "system").symlink_to(system)
+    (source / "b" / "endless.bvh").symlink_to("/proc/kmsg")
+    found = scan([source])
+    assert [item.sequence_id for item in found.items] == ["takes/b/walk"]
+    assert [problem.path.name for problem in found.problems] == ["system", "endless.bvh"]
+    assert {problem.reason for problem in found.problems} == {"dangling-link"}
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may look everywhere")
+def test_what_may_not_be_looked_at_is_reported(source: Path, tmp_path: Path) -> None:
+    private = tmp_path / "private"
+    private.mkdir()
+    (private / "run.bvh").write_text(bvh_text())
+    (source / "b" / "run.bvh").symlink_to(private / "run.bvh")
+    private.chmod(0)
+    try:
+        found = scan([source])
+    finally:
+        private.chmod(0o700)
+    assert [item.sequence_id for item in found.items] == ["takes/b/walk"] and len(found.problems) == 1
+
+
+def test_many_folders_with_a_table_each_cost_no_more_than_their_sum(tmp_path: Path) -> None:
+    def calls(num_folders: int) -> int:
+        root = tmp_path / str(num_folders)
+        for number in range(num_folders):
+            folder = root / str(number)
+            folder.mkdir(parents=True)
+            for name in ("walk", "run"):
+                (folder / f"{name}.bvh").touch()
+            (folder / "motions.csv").write_text("file,caption\nwalk.bvh,walks\ngone.bvh,no\n")
+        profile = cProfile.Profile()
+        profile.runcall(scan, [root])
+        return sum(entry.callcount for entry in profile.getstats())
+
+    calls(2)
+    assert calls(80) < 9 * calls(10)

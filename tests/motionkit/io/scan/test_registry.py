@@ -82,7 +82,9 @@ def test_an_explicit_format_and_requests_that_make_no_sense(source: Path) -> Non
         scan([source / "gone"])
 
 
-def test_given_captions_replace_those_found_and_paths_stay_inside(source: Path, tmp_path: Path) -> None:
+def test_given_annotations_go_before_those_found_column_by_column_and_paths_stay_inside(
+    source: Path, tmp_path: Path
+) -> None:
     table = tmp_path / "mine.csv"
     table.write_text(
         "file,caption,fps\nwalk.bvh,mine,24\n../takes/walk.bvh,again,\n../../etc/passwd,no,\n/etc/passwd,no,\n"
@@ -97,7 +99,8 @@ def test_given_captions_replace_those_found_and_paths_stay_inside(source: Path, 
     ]
     walk = next(item for item in result.items if item.format == "bvh")
     motion = read(walk)
-    assert (motion.captions[0].text, motion.fps) == ("mine", 24)
+    assert ([caption.text for caption in motion.captions], motion.fps) == (["mine"], 24)
+    assert (motion.action, motion.split) == ("walk", "train")
     assert motion.provenance.operations[0] == "framerate set to 24; the file says 30"
 
 
@@ -180,4 +183,5 @@ def test_a_folder_of_nothing_known_says_what_it_has_in_one_line(tmp_path: Path) 
         (tmp_path / name).write_bytes(b"glTF")
     (tmp_path / "motions.csv").write_text("file,caption\nwalk.glb,a person walks\nrun.GLB,a person runs\n")
     (problem,) = scan([tmp_path]).problems
-    assert problem.reason == "empty-folder" and "(it has 2 .glb, 1 .csv), expected lafan1" in problem.message
+    assert problem.reason == "empty-folder"
+    assert "(it has 2 .glb, 1 .csv, the first: motions.csv), expected lafan1" in problem.message
