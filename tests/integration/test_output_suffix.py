@@ -5,9 +5,9 @@ from fractions import Fraction
 from pathlib import Path
 
 import pytest
-from tests.helpers.synthetic_capture import capture
 
 import motionkit as mk
+from tests.helpers.analytic import capture
 from tests.helpers.outcome import Outcome
 
 Run = Callable[..., Outcome]
