@@ -137,7 +137,7 @@ def _export(kind: str) -> Scenario:
     return Scenario(f"export {kind}", "store", command, refusal="is not empty", whole=("out/*", "out/*/*"))
 
 
-GENERATE = ("generate", "--action", "walk", "--action", "jump", "--fps", "30", "--seconds", "1", "--out", "made", *RUN)
+GENERATE = ("generate", "--action", "walk", "--action", "squat", "--fps", "30", "--seconds", "1", "--out", "made", *RUN)
 COMPLETE = ("complete", "one", "--fps", "90", "--out", "made", "--overwrite")
 EVAL = (*STORE, *RUN, "--results", "results", "--split", "all")
 EVAL_PAHIRES = ("eval", "--paper", "pahires", "--table", "2", *EVAL, "--where", "fps = 60")

@@ -265,15 +265,14 @@ def cache_root(store: Path, fingerprint: str) -> Path:
 
     Raises `LinkError` where it is a symbolic link.
     """
-    elsewhere = optional_path("cache")
-    root = store / CACHE_FOLDER if elsewhere is None else elsewhere / fingerprint
+    root = _root(store, fingerprint)
     require_no_link(root, "delete the link, and name the folder for caches in MOTIONKIT_CACHE")
     return root
 
 
 def cache_bytes(store: Path, fingerprint: str) -> int:
     """Bytes of all caches of a store, those of its earlier states in the store included."""
-    folders = _folders(cache_root(store, fingerprint))
+    folders = _folders(_root(store, fingerprint))
     return sum(path.lstat().st_size for folder in folders for path in folder.rglob("*"))
 
 
@@ -429,6 +428,11 @@ def _remove_stale(root: Path, fingerprint: str) -> None:
     for folder in _folders(root):
         if not folder.name.startswith(f"{fingerprint[:16]}-"):
             shutil.rmtree(folder)
+
+
+def _root(store: Path, fingerprint: str) -> Path:
+    elsewhere = optional_path("cache")
+    return store / CACHE_FOLDER if elsewhere is None else elsewhere / fingerprint
 
 
 def _folders(root: Path) -> list[Path]:

@@ -130,7 +130,7 @@ def test_calibration(motionkit: Command, store: Path, tmp_path: Path) -> None:
     assert "scores above other takes (P2) from " in jitter["note"]
     shares = {row["name"]: row["cells"]["60 fps"]["value"] for row in games["rows"]}
     assert shares["low-passed at 8 Hz, plain (absolute)"] > 0
-    assert len(shares) == 30
+    assert len(shares) == 44
     assert result["notes"] == ["Real sets: 60 fps: 4 sequences, 20 s."]
     assert "](calibration.png)" in (tmp_path / "calibration.md").read_text()
     drawn = (tmp_path / "calibration.png").read_bytes()

@@ -10,6 +10,7 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
+from motionkit.io.format import FileHead
 from motionkit.io.joints_csv import accepts, read_joints_csv, write_joints_csv
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.scan.reading import read
@@ -107,7 +108,7 @@ def test_tables_of_annotations_are_not_motions(tmp_path):
     save(tmp_path / "take.csv", HEAD + ROWS)
     save(tmp_path / "words.csv", "file,caption\ntake.csv,someone slides\n")
     save(tmp_path / "cuts.csv", "name,frame,start_x\n")
-    assert not accepts(tmp_path / "words.csv")
+    assert not accepts(FileHead(tmp_path / "words.csv"))
     found = scan([tmp_path])
     assert [item.path.name for item in found.items if item.format == "csv"][-1] == "take.csv"
     motion = read(next(item for item in found.items if item.path.name == "take.csv"))
