@@ -3,9 +3,10 @@
 import os
 import signal
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
+import jaxtyping
 import pytest
 from hypothesis import settings
 
@@ -33,6 +34,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def own_warnings_are_no_errors() -> None:
     """What motionkit says to people, as of a damaged cache that it makes anew; a test that is about one asks for it."""
     warnings.simplefilter("default", MotionkitWarning)
+
+
+@pytest.fixture
+def unchecked_annotations() -> Iterator[None]:
+    """As for users: annotations are checked in tests alone."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 @pytest.fixture(scope="session")

@@ -90,22 +90,30 @@ class Motion:
 
     @classmethod
     def from_joints(
-        cls, joint_positions: Float[np.ndarray, "frames joints 3"], fps: Framerate, skeleton: Skeleton | None = None
+        cls,
+        joint_positions: Float[np.ndarray, "frames joints 3"],
+        fps: Framerate,
+        skeleton: Skeleton | None = None,
+        *,
+        unit_metres: float = 1.0,
     ) -> "Motion":
-        """A motion of bare joint positions [T, J, 3] in metres, y up; frame 0 is at 0 s.
+        """A motion of bare joint positions [T, J, 3], y up, in units of `unit_metres`; frame 0 is at 0 s.
 
-        22 joints are SMPL's (HumanML3D's) and 21 are KIT-ML's unless a skeleton is given. Raises `ValueError` for any
-        other number of joints without a skeleton, and for a framerate that is not positive.
+        22 joints are SMPL's (HumanML3D's) and 21 are KIT-ML's unless a skeleton is given. Raises `TypeError` for
+        anything but an array of numbers; `ValueError` for another shape, another number of joints without a skeleton,
+        positions that are not finite or, in metres, of no person's size, and for a framerate that is not positive.
 
         >>> mk.Motion.from_joints(np.zeros((100, 22, 3)), fps=59.94)
         Motion('', 100 frames at 60000/1001 fps = 1.67 s, smpl22 (22 joints), positions only, 0 captions)
         """
+        _check_joints(joint_positions, unit_metres)
         num_frames, num_joints, _ = joint_positions.shape
         if skeleton is None:
             skeleton = next((each for each in STANDARD_SKELETONS.values() if each.num_joints == num_joints), None)
         if skeleton is None:
             raise ValueError(f"{num_joints} joints, expected 22 (SMPL's) or 21 (KIT-ML's): else give their skeleton")
-        return cls(joint_positions.astype(np.float32), skeleton, TimeGrid(parse_fps(fps), num_frames))
+        metres = (joint_positions * unit_metres).astype(np.float32)
+        return cls(metres, skeleton, TimeGrid(parse_fps(fps), num_frames))
 
     @property
     def fps(self) -> Fraction:
@@ -138,8 +146,8 @@ class Motion:
     def __getitem__(self, seconds: slice) -> "Motion":
         """The frames of [start, stop) in seconds; a part keeps its time stamps.
 
-        Captions are cut to the part, and those of other parts dropped. Raises `ValueError` for seconds without a frame,
-        `TypeError` for anything but `motion[start:stop]`; `frames` slices by frame indices.
+        Captions are cut to the part, and those of other parts dropped. Raises `ValueError` for negative seconds and
+        seconds without a frame, `TypeError` for anything but `motion[start:stop]`; `frames` slices by frame indices.
 
         >>> part = mk.read("walk.bvh")[1.5:2.0]
         >>> part.num_frames, part.timegrid.start_seconds
@@ -150,6 +158,11 @@ class Motion:
         begin = -np.inf if seconds.start is None else float(seconds.start)
         end = np.inf if seconds.stop is None else float(seconds.stop)
         times = self.timegrid.seconds()
+        if not all(each >= min(0.0, times[0]) for each in (seconds.start, seconds.stop) if each is not None):
+            raise ValueError(
+                f"motion[{_second(seconds.start)}:{_second(seconds.stop)}]: expected seconds from the start on, not "
+                f"from the end; this motion ends at {self.timegrid.start_seconds + self.duration_seconds:g} s"
+            )
         start, stop = np.searchsorted(times, (begin - SAME_SECONDS, end - SAME_SECONDS)).tolist()
         if start >= stop:
             raise ValueError(
@@ -202,6 +215,43 @@ class Motion:
             f"Motion({self.sequence_id!r}, {self.num_frames} frames at {self.fps} fps = {self.duration_seconds:.2f} s, "
             f"{self.skeleton.name} ({self.skeleton.num_joints} joints), {rotations}, {len(self.captions)} captions)"
         )
+
+
+# Units in which a person is of these sizes, and what they are called.
+_UNITS = {"metres": 1.0, "inches": 0.0254, "centimetres": 0.01, "millimetres": 0.001}
+# The longest side of a typical pose's bounding box.
+_PERSON_METRES = 1.6
+
+
+def _check_joints(joint_positions: object, unit_metres: float) -> None:
+    """Raises what `Motion.from_joints` raises for an array."""
+    if not isinstance(joint_positions, np.ndarray) or joint_positions.dtype.kind not in "fiu":
+        kind = f"{type(joint_positions).__module__}.{type(joint_positions).__qualname__}".removeprefix("builtins.")
+        of = f" of {joint_positions.dtype}" if isinstance(joint_positions, np.ndarray) else ""
+        raise TypeError(f"joint_positions are a {kind}{of}, expected a numpy array of numbers [frames, joints, 3]")
+    shape = joint_positions.shape
+    if len(shape) != 3 or shape[2] != 3 or not all(shape):
+        raise ValueError(f"joint_positions have the shape {shape}, expected [frames, joints, 3] and at least one frame")
+    if not 0 < unit_metres < np.inf:
+        raise ValueError(f"unit_metres is {unit_metres}, expected the length of a unit in metres, such as 0.001")
+    if not np.isfinite(joint_positions).all():
+        frame, joint, _ = np.argwhere(~np.isfinite(joint_positions))[0].tolist()
+        raise ValueError(
+            f"joint_positions are not finite in frame {frame}, joint {joint}: expected numbers in all frames"
+        )
+    size = float(np.median(np.ptp(joint_positions, axis=1).max(axis=1)))
+    name, unit = min(
+        _UNITS.items(), key=lambda each: abs(np.log(max(size * unit_metres, 1e-9) * each[1] / _PERSON_METRES))
+    )
+    if unit < 1.0 and size * unit_metres > 1.0:
+        raise ValueError(
+            f"a body of {size * unit_metres:.4g} m: these look like {name}; divide by {1 / unit:g} or pass "
+            f"unit_metres={unit_metres * unit:g}"
+        )
+
+
+def _second(value: float | None) -> str:
+    return "" if value is None else f"{value:g}"
 
 
 def captions_within(captions: tuple[Caption, ...], grid: TimeGrid) -> tuple[Caption, ...]:

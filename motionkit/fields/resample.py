@@ -15,7 +15,7 @@ from motionkit.core.kinematics import continuous_quaternions
 from motionkit.core.motion import Motion
 from motionkit.core.timegrid import TimeGrid, num_frames_within
 from motionkit.fields.completion import upsample
-from motionkit.fields.interpolation.interpolators import INTERPOLATORS, Method
+from motionkit.fields.interpolation.interpolators import Method, interpolator_of
 from motionkit.fields.interpolation.joints import Joints
 from motionkit.fields.motion_field import Poses
 
@@ -61,14 +61,16 @@ def resample(motion: Motion, fps: Framerate, method: Method = "slerp") -> Motion
     """The motion at any framerate: filtered below the new Nyquist frequency downwards, interpolated upwards.
 
     Downwards it is `downsample`; upwards the frames of the motion that fall on the new grid are kept, and `method` (an
-    interpolator, docs/motion-fields.md) makes the others. Raises `ValueError` for an invalid framerate.
+    interpolator, docs/motion-fields.md) makes the others. Raises `ValueError` for an invalid framerate or an unknown
+    method.
 
     >>> motion = mk.read("walk.bvh")
     >>> mk.resample(motion, 59.94).fps, mk.resample(motion, "120", "squad").num_frames
     (Fraction(60000, 1001), 479)
     """
     rate = parse_fps(fps)
-    return downsample(motion, rate) if rate < motion.fps else upsample(motion, rate, INTERPOLATORS[method])
+    interpolator = interpolator_of(method)
+    return downsample(motion, rate) if rate < motion.fps else upsample(motion, rate, interpolator)
 
 
 def resample_positions(

@@ -54,6 +54,17 @@ def test_the_axes_of_a_file_are_shown(motionkit, take: Path) -> None:
     assert given["up"] == "y" and "lying" in given["quality_flags"]
 
 
+def test_the_axis_that_points_up_is_an_option_of_ingest_and_view(motionkit, take: Path, tmp_path: Path) -> None:
+    for up, flags in ((), {}), (("--up", "z"), {"lying": 1}):
+        name = tmp_path / f"store-{len(up)}"
+        report = json.loads(motionkit("ingest", take, "--store", name, "--workers", 1, "--json", *up).stdout)
+        assert {flag: count for flag, count in report["quality_flags"].items() if flag == "lying"} == flags
+        shown = motionkit("view", take, "--out", tmp_path / f"{len(up)}.html", *up)
+        assert shown.code == 0, shown.stderr
+    assert (tmp_path / "0.html").read_text() != (tmp_path / "2.html").read_text()
+    assert motionkit("view", take, "--up", "-y").code == 2
+
+
 def test_a_file_without_a_framerate_is_described(motionkit, tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     np.save(tmp_path / "a.npy", rng.normal(size=(40, 22, 3)).astype(np.float32))

@@ -44,7 +44,10 @@ def test_clips_at_their_native_framerates(motionkit, amass, humanml3d, tmp_path)
         motion = store.read(f"humanml3d/{name}")
         assert frame_numbers(store, f"humanml3d/{name}") == list(range(start, stop)), name
         assert (motion.fps, motion.timegrid.start_seconds) == (FPS[name], 0.0)
-        assert [caption.text for caption in motion.captions] == ["a person stands", "then rises"]
+        said = ["a person stands", *(["then rises"] if name != "009707" else [])]
+        assert [caption.text for caption in motion.captions] == said
+        if name == "009707":
+            continue
         factor = {"000004": 14 / 15, "000005": 0.96}.get(name, 1.0)
         assert motion.captions[1].start_seconds == pytest.approx(0.5 * factor)
         assert motion.captions[1].end_seconds == pytest.approx(factor)

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from motionkit.core.motion import Motion
+from motionkit.core.plain_text import suggestion
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.interpolation.curves import CurveKind, RotationKind, curve, rotation_curve
 from motionkit.fields.interpolation.joints import Joints, JointsOfMany, with_rotations
@@ -131,7 +132,15 @@ class Interpolator:
 
 def interpolate(motion: Motion, method: Method = "slerp") -> InterpolatedField:
     """A motion as a field, from its first frame to its last."""
-    return INTERPOLATORS[method].encode(Observation.of(motion))
+    return interpolator_of(method).encode(Observation.of(motion))
+
+
+def interpolator_of(method: Method) -> "Interpolator":
+    """The interpolator of a name; raises `ValueError` for any other name."""
+    if method not in INTERPOLATORS:
+        near = suggestion(str(method), INTERPOLATORS)
+        raise ValueError(f"method is {method!r}, expected one of {', '.join(INTERPOLATORS)}{near}")
+    return INTERPOLATORS[method]
 
 
 def _hold(observations: Sequence[Observation]) -> PosesAt:

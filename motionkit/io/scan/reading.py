@@ -6,6 +6,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
+
 from motionkit.core.errors import FormatError
 from motionkit.core.mirror import mirror
 from motionkit.core.motion import Caption, Motion, captions_within
@@ -15,6 +17,7 @@ from motionkit.io.bvh.document import BvhDocument
 from motionkit.io.catalogue import readers
 from motionkit.io.scan import cuts, framerate_rules
 from motionkit.io.scan.items import ReadOptions, SourceItem
+from motionkit.io.source.body_frame import check_unit
 from motionkit.io.source.source_file import check_size
 from motionkit.io.up import log_lines, turned
 
@@ -34,6 +37,7 @@ def read(item: SourceItem, options: ReadOptions | None = None) -> Motion:
         motion = _without_first(motion, item, options)
     else:
         motion = _read_stretch(item, options)
+    check_unit(motion.skeleton, motion.joint_positions[:1], options.unit_metres, item.path)
     check_size(motion.num_frames, motion.skeleton.num_joints, item.path)
     return _annotated(motion, item, options)
 
@@ -47,6 +51,7 @@ def read_document(item: SourceItem, options: ReadOptions | None = None) -> BvhDo
     if document is None:
         return None
     found = _on_clock(item, options, lambda wanted: document(item.path, wanted))
+    check_unit(found.skeleton, found.poses(np.arange(1)).joint_positions, options.unit_metres, item.path)
     return _annotated(_without_first(replace(found, captions=item.captions), item, options), item, options)
 
 

@@ -4,10 +4,12 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float32
 
+from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, family_unit_metres, joint_map, rest_positions
@@ -18,6 +20,8 @@ TYPICAL_HEIGHT_METRES = 1.45
 # For a skeleton with unknown names, the longest chain from the root to a fingertip or a toe.
 TYPICAL_CHAIN_METRES = 1.25
 PLAUSIBLE_FACTOR = 2.2
+# Characters may be giants, if somebody says so; units differ by 10 and more.
+GIVEN_UNIT_FACTOR = 5.0
 TRUNK_AND_LEGS = (
     ("left_ankle", "left_knee"),
     ("left_knee", "left_hip"),
@@ -62,6 +66,26 @@ def standing_metres(skeleton: Skeleton, joint_positions: Float32[np.ndarray, "fr
     """Median length from the ankles along the bones to the head; raises `SkeletonMapError` for unknown joints."""
     body = np.matmul(joint_map(skeleton, SMPL22.name).weights, joint_positions)
     return float(np.median(_chain_lengths(body)))
+
+
+def check_unit(
+    skeleton: Skeleton, joint_positions: Float32[np.ndarray, "frames joints 3"], unit_metres: float | None, path: Path
+) -> None:
+    """Raise `FormatError` (`unit`) if a given unit makes a body 5 times larger or smaller than a person."""
+    if unit_metres is None:
+        return
+    try:
+        metres = standing_metres(skeleton, joint_positions)
+    except SkeletonMapError:
+        return
+    if metres > 0 and _factor(metres, TYPICAL_HEIGHT_METRES) > GIVEN_UNIT_FACTOR:
+        raise FormatError(
+            f"a unit of {unit_metres:g} m makes a body of {metres:.3g} m from ankles to head, people have "
+            f"{TYPICAL_HEIGHT_METRES} m: expected a unit of about "
+            f"{unit_metres * TYPICAL_HEIGHT_METRES / metres:.2g} m",
+            path=path,
+            reason="unit",
+        )
 
 
 def is_plausible(metres: float) -> bool:

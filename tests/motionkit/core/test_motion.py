@@ -1,9 +1,11 @@
 import pickle
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Caption, Motion
@@ -123,6 +125,52 @@ def test_bare_joints_become_a_motion() -> None:
         Motion.from_joints(np.ones((7, 24, 3)), 20)
     with pytest.raises(ValueError, match="framerate"):
         Motion.from_joints(np.ones((7, 22, 3)), "fast")
+
+
+def standing() -> np.ndarray:
+    pose = np.zeros((22, 3))
+    pose[:, 1] = np.linspace(0, 1.7, 22)
+    return np.tile(pose, (7, 1, 1))
+
+
+def with_nan() -> np.ndarray:
+    joints = standing()
+    joints[3, 5, 1] = np.nan
+    return joints
+
+
+@pytest.mark.parametrize(
+    ("joints", "error", "says"),
+    [
+        (standing().tolist(), TypeError, "list"),
+        (torch.tensor(standing()), TypeError, "torch.Tensor"),
+        (standing().astype(object), TypeError, "object"),
+        (standing()[0], ValueError, r"\(22, 3\)"),
+        (standing()[:0], ValueError, r"\(0, 22, 3\)"),
+        (with_nan(), ValueError, "frame 3, joint 5"),
+        (standing() * 1000, ValueError, "millimetres; divide by 1000 or pass unit_metres=0.001"),
+        (standing() * 100, ValueError, "centimetres; divide by 100 or pass unit_metres=0.01"),
+        (standing() / 0.0254, ValueError, "inches"),
+    ],
+)
+def test_joints_that_are_no_motion_in_metres_are_refused_in_one_line(
+    unchecked_annotations: None, joints: Any, error: type[Exception], says: str
+) -> None:
+    with pytest.raises(error, match=says) as caught:
+        Motion.from_joints(joints, 30)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("unit_metres", [1.0, 0.01, 0.001])
+def test_joints_in_another_unit_become_metres(unit_metres: float) -> None:
+    motion = Motion.from_joints(standing() / unit_metres, 30, unit_metres=unit_metres)
+    np.testing.assert_allclose(motion.joint_positions, standing(), atol=1e-6)
+
+
+@pytest.mark.parametrize("seconds", [slice(-0.5, None), slice(None, -0.5), slice(np.nan, None)])
+def test_seconds_do_not_count_from_the_end(seconds: slice) -> None:
+    with pytest.raises(ValueError, match="from the start"):
+        captioned()[seconds]
 
 
 def test_methods_reach_what_lies_above(tmp_path: Path) -> None:

@@ -86,6 +86,12 @@ def test_downsampling_filters_rotations_and_positions_together() -> None:
         downsample(motion, Fraction(240))
 
 
+@pytest.mark.parametrize("fps", [15, 60])
+def test_a_method_that_there_is_not_is_refused_with_those_that_there_are(unchecked_annotations: None, fps: int) -> None:
+    with pytest.raises(ValueError, match=r"'cubicc', expected one of .*squad.*did you mean cubic\?"):
+        resample(random_motion(13), fps, "cubicc")  # type: ignore[arg-type]
+
+
 def test_resample_goes_both_ways() -> None:
     motion = random_motion(13)
     assert resample(motion, Fraction(30)) is motion

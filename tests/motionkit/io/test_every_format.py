@@ -25,7 +25,7 @@ from motionkit.io.scan.scanner import scan
 from tests.helpers.damage import damaged, damaged_archive
 from tests.helpers.every_format import SOURCES
 
-OPTIONS = ReadOptions(fps=Fraction(30), unit_metres=1.0)
+OPTIONS = ReadOptions(fps=Fraction(30))
 # `MOTIONKIT_FUZZ_EXAMPLES=5000 pytest tests/motionkit/io/test_every_format.py` hunts for longer.
 EXAMPLES = int(os.environ.get("MOTIONKIT_FUZZ_EXAMPLES", "80"))
 # Reading a file of some kilobytes may take this much, whatever its numbers claim.

@@ -23,7 +23,7 @@ from tests.helpers.every_format import SOURCES
 from tests.helpers.format_samples import bvh_text
 from tests.helpers.side_files import BESIDE, MAP, RULES
 
-OPTIONS = ReadOptions(fps=Fraction(30), unit_metres=1.0)
+OPTIONS = ReadOptions(fps=Fraction(30))
 DEEP = b"[" * 100_000
 HOSTILE = {
     "nothing": b"",

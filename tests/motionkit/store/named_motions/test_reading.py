@@ -8,6 +8,7 @@ import pytest
 
 import motionkit as mk
 from tests.helpers.every_format import SOURCES
+from tests.helpers.format_samples import bvh_text as person_bvh
 from tests.helpers.small_bvh import bvh_text
 
 
@@ -72,6 +73,14 @@ def test_what_leads_nowhere_or_holds_no_motion(tmp_path: Path) -> None:
 def test_options_that_are_none(takes: Path, given: dict) -> None:
     with pytest.raises(ValueError):
         mk.read(takes / "alpha.bvh", **given)
+
+
+@pytest.mark.parametrize("unit_metres", [100, 1.0, 1e-4])
+def test_a_unit_that_makes_giants_or_dwarfs_is_refused(tmp_path: Path, unit_metres: float) -> None:
+    (tmp_path / "walk.bvh").write_text(person_bvh())
+    assert mk.read(tmp_path / "walk.bvh", unit_metres=0.02).num_frames == 4  # a giant, on purpose
+    with pytest.raises(mk.FormatError, match=r"ankles to head.*about 0\.0098 m"):
+        mk.read(tmp_path / "walk.bvh", unit_metres=unit_metres)
 
 
 def test_remedies_are_arguments_of_read(tmp_path: Path) -> None:

@@ -120,6 +120,6 @@ def test_a_long_motion_is_shown_in_part(motion: mk.Motion) -> None:
 
 
 def test_what_cannot_be_drawn_is_text() -> None:
-    motion = mk.Motion.from_joints(np.full((3, 22, 3), np.nan), 30)
+    motion = mk.Motion(np.full((3, 22, 3), np.nan, np.float32), mk.SMPL22, mk.TimeGrid(Fraction(30), 3))
     shown = motion._repr_html_()
     assert shown.startswith("<pre>Motion(") and "not within" in shown
