@@ -120,7 +120,10 @@ def info(
     if skeletons:
         _print_rigs(opened.path, rigs(opened), as_json)
         return
-    summary = summarise(opened)
+    _show_store(summarise(opened), html, as_json)
+
+
+def _show_store(summary: "StoreSummary", html: Path | None, as_json: bool) -> None:
     if html is not None:
         from motionkit.core.files import write_whole
         from motionkit.viz.corpus_card import corpus_page

@@ -145,8 +145,7 @@ def ingest(
     An existing store is added to: sequences that it has from equal files are kept, and the same id from another file
     is refused. The result does not depend on the engine or the number of workers.
 
-    Example: motionkit ingest takes
-    """
+    Example: motionkit ingest takes"""
     from motionkit.store.engines import LOCAL
     from motionkit.store.ingest import PRELOADED
 

@@ -103,9 +103,7 @@ def view(
     place = store or default_path("store")
     stored = [] if where is None else stored_where(place, where)
     if not clips and not stored:
-        raise UsageError(
-            "name motions to look at: files, folders, ids of a store, or --where for some of its sequences"
-        )
+        raise UsageError("name motions to look at: files, folders, a store, its ids, or --where")
     named, problems = find_sources(clips or (), options, place)
     sources = [*named, *stored]
     if len(sources) > limit:
