@@ -9,7 +9,7 @@ not grow with the file's length; it also keeps the file's text. Both find the sa
 `_find_body` and `BvhBody.poses`.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import chain
@@ -208,10 +208,15 @@ def read_bvh(path: Path, options: ReadOptions | None = None) -> Motion:
         operations.append(T_POSE_DROPPED)
     decoded = (_decoded(table, head.hierarchy, path.stem) for table in chain([first], tables))
     pose = channels.join(decoded, num_frames)
-    body, found = _find_body(pose.parts, pose.frames(sampled_frames(num_frames)), options, path)
+    body, found = _find_body(pose.parts, options, path)
     pose = replace(pose, placed_joints=body.moving, places=pose.places_of(body.moving))
     motion = body.motion(pose.parts(), num_frames, fps)
-    return replace(motion, sequence_id=path.stem, provenance=_provenance(file, head, (*operations, *found)))
+    body = _with_up(body, motion.joint_positions[sampled_frames(num_frames)], options.up)
+    if body.up != "y":
+        del motion  # before the memory of another is taken
+        motion = body.motion(pose.parts(), num_frames, fps)
+    operations += [*found, *log_lines(body.up, options.up)]
+    return replace(motion, sequence_id=path.stem, provenance=_provenance(file, head, operations))
 
 
 def read_document(path: Path, options: ReadOptions | None = None) -> BvhDocument:
@@ -229,14 +234,12 @@ def read_document(path: Path, options: ReadOptions | None = None) -> BvhDocument
         reference, lines = (lines.line(0),), lines.frames(1, len(lines))
         checked_seen(lines.seen, path)
         operations.append(T_POSE_DROPPED)
-    sample = _decoded(lines.table(sampled_frames(len(lines))), head.hierarchy, path.stem)
     body, found = _find_body(
-        lambda: (_decoded(table, head.hierarchy, path.stem) for table in lines.tables()),
-        sample,
-        options,
-        path,
-        any_size=True,
+        lambda: (_decoded(table, head.hierarchy, path.stem) for table in lines.tables()), options, path, any_size=True
     )
+    sample = _decoded(lines.table(sampled_frames(len(lines))), head.hierarchy, path.stem)
+    body = _with_up(body, body.poses(sample).joint_positions, options.up)
+    operations += [*found, *log_lines(body.up, options.up)]
     return BvhDocument(
         head=head,
         lines=lines,
@@ -245,7 +248,7 @@ def read_document(path: Path, options: ReadOptions | None = None) -> BvhDocument
         timegrid=TimeGrid(fps, len(lines)),
         skeleton=body.y_up,
         sequence_id=path.stem,
-        provenance=_provenance(file, head, (*operations, *found)),
+        provenance=_provenance(file, head, operations),
     )
 
 
@@ -253,23 +256,20 @@ def _decoded(table: Float64[np.ndarray, "frames channels"], hierarchy: BvhHierar
     return channels.fold_reference(channels.read_channels(table, hierarchy, name))
 
 
-def _provenance(file: FileParts, head: BvhText, operations: tuple[str, ...]) -> Provenance:
+def _provenance(file: FileParts, head: BvhText, operations: Sequence[str]) -> Provenance:
     return Provenance(
         source_path=file.path.name,
         source_sha256=file.sha256(),
         source_format="bvh",
         stated_fps=f"Frame Time: {head.frame_time}",
-        operations=operations,
+        operations=tuple(operations),
     )
 
 
 def _find_body(
-    pieces: Pieces, sample: ChannelPose, options: ReadOptions, path: Path, *, any_size: bool = False
+    pieces: Pieces, options: ReadOptions, path: Path, *, any_size: bool = False
 ) -> tuple[BvhBody, tuple[str, ...]]:
-    """The body of all frames, over which each call of `pieces` iterates; and log lines of how it was found.
-
-    `sample` holds the frames from which up is inferred.
-    """
+    """The body of all frames, over which each call of `pieces` iterates; and log lines of how it was found."""
     first = next(pieces())
     first = replace(first, skeleton=with_layout_map(first.skeleton, options.skeleton_maps))
     unit, reason = _unit(first, options, path, any_size)
@@ -279,8 +279,7 @@ def _find_body(
     if moving:
         names = ", ".join(skeleton.joint_names[joint] for joint in moving)
         operations.append(f"positions only: these bones change their length or place ({names})")
-    up, rests_along_up = _up_axis(body, body.poses(sample).joint_positions, options.up)
-    return replace(body, up=up, rests_along_up=rests_along_up), (*operations, *log_lines(up, options.up))
+    return body, tuple(operations)
 
 
 def _unit(pose: ChannelPose, options: ReadOptions, path: Path, any_size: bool) -> tuple[float, str]:
@@ -299,16 +298,15 @@ def _unit(pose: ChannelPose, options: ReadOptions, path: Path, any_size: bool) -
     )
 
 
-def _up_axis(body: BvhBody, positions: Float32[np.ndarray, "frames joints 3"], given: str) -> tuple[str, bool]:
-    """The axis that points up, and whether the rest pose has it too: whole files are along x or z, or only the motion.
+def _with_up(body: BvhBody, positions: Float32[np.ndarray, "frames joints 3"], given: str) -> BvhBody:
+    """The body with the axis that is given, else inferred from positions along the file's axes.
 
-    The axis of the rest pose is the expected one.
+    The rest pose's axis is the expected one: whole files are along z or x, or only their motion.
     """
     try:
         x, y, z = body_axis(body.skeleton, rest_positions(body.skeleton)[None])[0].tolist()
     except SkeletonMapError:
-        return given or "y", True
+        return replace(body, up=given or "y")
     rest = "z" if z > 2.0 * abs(y) else "x" if x > 2.0 * abs(y) else "y"
-    inferred = ("z", "y") if rest == "z" else ("y", "z")
-    up = given or infer_up(body.skeleton, positions, inferred)
-    return up, up == rest
+    up = given or infer_up(body.skeleton, positions, ("z", "y") if rest == "z" else ("y", "z"))
+    return replace(body, up=up, rests_along_up=up == rest)
