@@ -8,6 +8,7 @@ from eval.sets.row_ids import RowId, Variant
 from eval.sets.sets import Ragged, SampleSet
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import STANDARD_SKELETONS
+from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.contact.planted import planted, planted_frames
 from motionkit.fields.detail.detailed import detailed
 from motionkit.fields.detail.model import Detail
@@ -39,7 +40,8 @@ def planted_set(samples: SampleSet) -> SampleSet:
     skeleton = next(each for each in STANDARD_SKELETONS.values() if each.num_joints == joints)
     made = []
     for positions in samples.sequences:
-        motion = Motion.from_joints(positions, samples.fps, skeleton)
+        # Not from_joints, which refuses bodies of no person's size: a model may generate such.
+        motion = Motion(positions, skeleton, TimeGrid(samples.fps, len(positions)))
         field = planted_frames(Observation.of(motion), motion.timegrid, "free")
         made.append(field.query(motion.timegrid.seconds()).joint_positions)
     name = str(RowId(samples.name, Variant.PLANTED))
