@@ -102,7 +102,15 @@ class Skeleton:
 
     def children(self, joint: int) -> tuple[int, ...]:
         """Indices of a joint's children."""
-        return tuple(child for child, parent in enumerate(self.parents) if parent == joint)
+        return self._children[joint]
+
+    @cached_property
+    def _children(self) -> tuple[tuple[int, ...], ...]:
+        children: list[list[int]] = [[] for _ in self.parents]
+        for child, parent in enumerate(self.parents):
+            if parent >= 0:
+                children[parent].append(child)
+        return tuple(map(tuple, children))
 
 
 def _standard(

@@ -1,6 +1,5 @@
 """The description of a file format: how its files are recognised and read, and how a motion is written."""
 
-import io
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -33,10 +32,7 @@ class FileHead:
     @cached_property
     def array_shape(self) -> tuple[int, ...] | None:
         """The shape of a .npy array; None without a valid header."""
-        try:
-            return npy.read_header(io.BytesIO(self.content)).shape
-        except ValueError:
-            return None
+        return npy.peek_shape(self.path)
 
     @cached_property
     def array_names(self) -> frozenset[str]:

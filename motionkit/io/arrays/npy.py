@@ -73,19 +73,13 @@ def read_header(file: io.BytesIO) -> Header:
     return header
 
 
-def peek_header(path: Path) -> Header | None:
-    """The header of a .npy file, None if it has no valid one; reads no data."""
-    try:
-        with path.open("rb") as file:
-            return read_header(io.BytesIO(file.read(HEADER_BYTES)))
-    except (OSError, ValueError):
-        return None
-
-
 def peek_shape(path: Path) -> tuple[int, ...] | None:
     """The shape in a .npy file's header, None if it has no valid one; reads no data."""
-    header = peek_header(path)
-    return None if header is None else header.shape
+    try:
+        with path.open("rb") as file:
+            return read_header(io.BytesIO(file.read(HEADER_BYTES))).shape
+    except (OSError, ValueError):
+        return None
 
 
 def object_content(data: bytes) -> bytes | None:
