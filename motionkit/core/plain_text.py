@@ -86,6 +86,16 @@ def printable(text: str) -> str:
     return UNSAFE_LETTERS.sub(lambda found: found[0].encode("unicode_escape", "surrogatepass").decode("ascii"), text)
 
 
+def markdown_text(text: str) -> str:
+    """A text as one line of Markdown that shows it as it is: characters with a meaning there are escaped."""
+    return re.sub(r"[\\`*_\[\]<>|~&!$]", r"\\\g<0>", printable(text))
+
+
+def spreadsheet_text(text: str) -> str:
+    """A text for a cell of a CSV file: an apostrophe goes before what a spreadsheet would run as a formula."""
+    return f"'{text}" if text.startswith(("=", "+", "-", "@", "\t", "\r")) else text
+
+
 def shortened(text: str, limit: int) -> str:
     """A text of at most about `limit` characters, shortened in the middle, since the end has the advice."""
     if len(text) <= limit:

@@ -1,5 +1,6 @@
 """Motions and skeletons ↔ rows of the store's tables and segments of its parts, column by column."""
 
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from fractions import Fraction
@@ -272,8 +273,10 @@ def _check(motion: Motion) -> None:
     try:
         "".join(_texts_of(motion)).encode()
     except UnicodeEncodeError:
+        encoding = sys.getfilesystemencoding()
+        hint = "rename the file" if encoding == "utf-8" else f"names are read as {encoding} here, set PYTHONUTF8=1"
         raise RefusedMotion(
-            f"{motion.sequence_id!a}: a name or a text is not valid Unicode: rename the file", reason="not-unicode"
+            f"{motion.sequence_id!a}: a name or a text is not valid Unicode: {hint}", reason="not-unicode"
         ) from None
     if max(motion.fps.numerator, motion.fps.denominator) >= 2**63:
         raise RefusedMotion(f"the framerate {float(motion.fps):g} has too long a fraction", reason="frame-time")

@@ -10,6 +10,7 @@ from motionkit.core.errors import UsageError
 from motionkit.core.files import naming
 from motionkit.core.framerate import format_fps
 from motionkit.core.motion import Caption, Motion
+from motionkit.core.plain_text import markdown_text, spreadsheet_text
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import SkeletonMapError, map_joints
 from motionkit.edit.export.selection import Outcome, Selection, flat_names, nested_names
@@ -105,8 +106,7 @@ class MotionTable:
 
 def _row(motion: Motion, name: PurePosixPath) -> dict[str, str]:
     provenance = motion.provenance
-    return {
-        "file": name.as_posix(),
+    cells = {
         "sequence_id": motion.sequence_id,
         "captions": captions_json(motion.captions),
         "action": motion.action,
@@ -119,6 +119,10 @@ def _row(motion: Motion, name: PurePosixPath) -> dict[str, str]:
         "source": provenance.source,
         "subset": provenance.subset,
     }
+    file = name.as_posix()
+    # A path is read again, and stays the same with ./ before it.
+    file = file if spreadsheet_text(file) == file else f"./{file}"
+    return {"file": file, **{column: spreadsheet_text(cell) for column, cell in cells.items()}}
 
 
 def captions_json(captions: Sequence[Caption]) -> str:
@@ -138,7 +142,10 @@ def _caption(caption: Caption) -> str | dict[str, str | float]:
 
 
 def render(template: str, **values: Any) -> str:
-    """Render `templates/TEMPLATE`, in HTML with escaped values; raises for a missing name."""
+    """Render `templates/TEMPLATE`; raises for a missing name.
+
+    Values in HTML are escaped, those in Markdown by the filter `markdown`.
+    """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -149,4 +156,5 @@ def render(template: str, **values: Any) -> str:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
+    environment.filters["markdown"] = markdown_text
     return environment.get_template(template).render(values)

@@ -19,10 +19,12 @@ from typing import Any
 from motionkit.core import __version__
 from motionkit.core.errors import MissingExtraError, MotionkitError, UsageError
 from motionkit.core.files import free_bytes
-from motionkit.core.progress import OnProgress, ignore, task, tracked
+from motionkit.core.progress import OnProgress, ignore, task, tracked, warn
 
 PREFIX = "hf://"
 DATASET = "dataset"
+# Of one part of a path, in bytes.
+LONGEST_NAME = 255
 # The Hub limits how many requests it answers at once.
 DOWNLOADS_AT_ONCE = 8
 
@@ -151,9 +153,15 @@ def fetch(snapshot: Snapshot, names: Collection[str], on_progress: OnProgress = 
 def as_folder(snapshot: Snapshot, on_progress: OnProgress = ignore) -> Iterator[Path]:
     """A temporary folder of all files of a snapshot, named as the repository or the folder in it.
 
-    Its files are links into the cache.
+    Its files are links into the cache. A file that cannot have its name here is left out with a warning.
     """
-    names = [name for name in snapshot.sizes if not name.startswith(".")]
+    names = []
+    folders = {str(parent) for name in snapshot.sizes for parent in PurePosixPath(name).parents}
+    for name in snapshot.sizes:
+        if name in folders or not _can_be_stored(name):
+            warn(f"{snapshot.repository}: {name!a} is left out: it cannot be the name of a file")
+        elif not name.startswith("."):
+            names.append(name)
     if not names:
         raise HubError(f"{snapshot.repository} holds no files")
     source = fetch(snapshot, names, on_progress)
@@ -163,6 +171,13 @@ def as_folder(snapshot: Snapshot, on_progress: OnProgress = ignore) -> Iterator[
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).symlink_to(source / name)
         yield folder
+
+
+def _can_be_stored(name: str) -> bool:
+    try:
+        return "\0" not in name and all(0 < len(part.encode()) <= LONGEST_NAME for part in name.split("/"))
+    except UnicodeEncodeError:  # half a character
+        return False
 
 
 def copy_files(source: Path, names: Collection[str], target: Path) -> None:

@@ -5,6 +5,8 @@ import os
 import resource
 import shutil
 import struct
+import subprocess
+import sys
 import tracemalloc
 import zipfile
 from fractions import Fraction
@@ -210,6 +212,19 @@ def test_names_that_are_not_utf8_are_reported(tmp_path):
     report = ingest([tmp_path], tmp_path / "store", num_workers=1)
     assert report.num_stored == 1
     assert [problem.reason for problem in report.problems] == ["not-unicode"]
+
+
+def test_a_good_name_is_not_called_a_bad_one(tmp_path):
+    """Where the locale is not UTF-8, Python reads the names of files as something else."""
+    SOURCES["bvh"](tmp_path).rename(tmp_path / "gäng.bvh")
+    script = (
+        "import sys; from pathlib import Path; from motionkit.store.ingest.ingest import ingest; "
+        "[problem] = ingest([Path(sys.argv[1])], Path(sys.argv[2]), num_workers=1).problems; print(ascii(str(problem)))"
+    )
+    arguments = [sys.executable, "-c", script, str(tmp_path), str(tmp_path / "store")]
+    environment = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    result = subprocess.run(arguments, capture_output=True, text=True, env=environment, check=False)
+    assert "set PYTHONUTF8=1" in result.stdout, result.stderr
 
 
 def test_the_process_may_be_small(tmp_path):

@@ -18,7 +18,7 @@ from motionkit.cli.ingest import ingest
 from motionkit.cli.pull import pull
 from motionkit.cli.push import push
 from motionkit.core.checksums import write_json
-from motionkit.core.errors import DamagedFileError, StoreError
+from motionkit.core.errors import DamagedFileError, MotionkitWarning, StoreError
 from motionkit.store.hub.repository import HubError
 from motionkit.store.life.rewrite import compact, remove
 from motionkit.store.manifest import read_manifest
@@ -171,6 +171,14 @@ def test_a_name_that_is_no_stage_costs_its_own_files(hub: Hub, tmp_path: Path) -
     hub.add("models/me/walker", {**files, **others})
     done(pull, "hf://me/walker", "--run", "theirs")
     assert [path.name for path in (tmp_path / "runs" / "theirs").iterdir()] == ["field"]
+
+
+def test_names_that_no_file_can_have_cost_their_own_file(hub: Hub) -> None:
+    names = ["good.bvh", "half\ud800.bvh", f"{'x' * 300}.bvh", "both", "both/walk.bvh"]
+    hub.add("datasets/me/takes", {name: bvh_text().encode() for name in names})
+    with pytest.warns(MotionkitWarning, match="left out"):
+        told = done(ingest, "hf://datasets/me/takes", "--workers", "1")
+    assert "stored 2 sequences" in told
 
 
 def test_captures_of_a_repository_are_ingested_under_its_name(hub: Hub, tmp_path: Path) -> None:

@@ -1,6 +1,15 @@
 """Files out of a store and in again."""
 
+import csv
+from dataclasses import replace
+from fractions import Fraction
+
 import numpy as np
+
+from motionkit.core.motion import Motion, Provenance
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import TimeGrid
+from motionkit.store import Store, StoreWriter
 
 
 def test_npz_loses_nothing(store, export_as, ingest_again):
@@ -31,3 +40,18 @@ def test_csv_keeps_the_standard_joints_to_the_last_bit(store, export_as, ingest_
             assert getattr(after, name) == getattr(before, name), name
         assert after.skeleton.joint_names == before.skeleton.joint_names
         np.testing.assert_array_equal(after.joint_positions, before.joint_positions)
+
+
+def test_no_cell_is_a_formula(tmp_path, export_as, ingest_again):
+    formula = "=cmd|'/c calc'!A1"
+    with StoreWriter.create(tmp_path / "hostile") as writer:
+        motion = Motion(
+            np.zeros((4, 22, 3), np.float32), SMPL22, TimeGrid(Fraction(30), 4), sequence_id=f"{formula}/-x"
+        )
+        provenance = Provenance(source=formula, subset="@x", licence="+1", subject="\tx")
+        writer.add(replace(motion, action=formula, style="-x", provenance=provenance))
+    folder = export_as(Store.open(tmp_path / "hostile"), "npz").folder
+    [row] = csv.DictReader((folder / "motions.csv").read_text(encoding="utf-8").splitlines())
+    assert [cell for cell in row.values() if cell.startswith(("=", "+", "-", "@", "\t"))] == []
+    assert (folder / row["file"]).is_file() and row["action"] == f"'{formula}"
+    assert len(ingest_again(folder)) == 1

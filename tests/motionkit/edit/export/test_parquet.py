@@ -1,5 +1,6 @@
 """Parquet with a card: what `datasets`, pandas, polars and duckdb make of it, without the network."""
 
+import re
 from dataclasses import replace
 from fractions import Fraction
 
@@ -147,6 +148,17 @@ def test_several_licences(tmp_path, export_as):
     assert (head["license"], head["license_name"]) == ("other", "MIT; my | own; not stated")
     assert "| b | my \\| own | 1 |" in text
     assert "| (unnamed) | not stated | 1 |" in text
+
+
+def test_names_in_the_card_are_text(tmp_path, export_as):
+    name = "<img src=x>[a](http://b) `c` | d\n# e"
+    motion = replace(still("m", source=name, licence=name), skeleton=replace(SMPL22, name=name))
+    text = (export_as(write(tmp_path / "some", [motion]), "parquet").folder / "README.md").read_text()
+    shown = [line for line in text.splitlines() if "img" in line and line.startswith("|")]
+    assert len(shown) == 2
+    for line in shown:
+        assert re.sub(r"\\.", "", line).count("|") == 4
+        assert not re.search(r"(?<!\\)[<`\[]", line)
 
 
 def test_a_split_that_is_no_file_name(tmp_path, export_as):
