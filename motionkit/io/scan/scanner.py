@@ -67,7 +67,7 @@ def _root(source: Path) -> Path:
 
 
 def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | None) -> ScanResult:
-    root = _root(source)
+    root, is_folder = _root(source), source.is_dir()
     items: list[SourceItem] = []
     problems: list[FormatError] = []
     warnings: list[FormatError] = []
@@ -76,46 +76,44 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
     others: list[Path] = []
     derived: list[Path] = []
     claim = cache(lambda folder: claiming(folder, options.format))
-    one_file = [(root, [root / source.name])]
-    for folder, files in (
-        walk(root, lambda folder: claim(folder) is not None, problems.append) if source.is_dir() else one_file
-    ):
+    folders = walk(root, lambda folder: claim(folder) is not None, problems.append)
+    for folder, files in folders if is_folder else [(root, [root / source.name])]:
         licences[folder] = annotations.find_licence(folder) or licences.get(folder.parent, "")
         tables_here, broken = annotations.tables_in(folder, None if given is None else given.path)
         tables += tables_here
         problems += broken
         kind = claim(folder)
         if kind is not None and kind.find is not None:
-            of_folder = kind.find(folder, root)
-            items += [replace(item, licence=item.licence or licences[folder]) for item in of_folder.items]
-            problems += of_folder.problems
-            warnings += of_folder.warnings
+            found = kind.find(folder, root)
+            items += [replace(item, licence=item.licence or licences[folder]) for item in found.items]
+            problems += found.problems
+            warnings += found.warnings
             continue
         for path in files:
             head = FileHead(path)
-            kind = recognise(head, options.format)
-            if kind is None and source.is_file():
-                kind = recognise_unnamed(head, options.format)
+            kind = recognise(head, options.format) or (None if is_folder else recognise_unnamed(head, options.format))
             if kind is None:
                 others.append(path)
             # The source folder's own name is ignored: whoever names a folder of completed clips means them.
-            elif options.leave_out_made and source.is_dir() and is_derived(path if folder != root else Path(path.name)):
+            elif options.leave_out_made and is_folder and is_derived(path if folder != root else Path(path.name)):
                 derived.append(path)
             else:
                 items += _items_of_file(kind, head, root, licences[folder])
-    if not items and not problems:
-        return ScanResult((), problems=(_no_motion(source, others, options),))
     problems += [problem for table in tables for problem in table.problems]
-    if source.is_dir() and items:  # of a single file, other rows are not expected
+    if is_folder and items:  # of a single file, other rows are not expected
         problems += _without_motion(tables, {item.path for item in items})
-    given_too = tables if given is None else [*tables, given]
-    items = list(_annotated(items, given_too))
+    if not items and not problems:
+        problems.append(_no_motion(source, others, options))
+    items = list(_annotated(items, tables if given is None else [*tables, given]))
     warnings += [warning for table in tables for warning in table.warnings]
     warnings += _derived_files(root, derived)
-    warnings += _without_caption(items, given_too, root, {warning.path for warning in warnings})
-    known = {problem.path for problem in problems} | {table.path for table in given_too}
+    captioned = {table.path.parent for table in tables if table.has_captions}
+    captioned |= {root} if given is not None and given.has_captions else set()
+    warnings += _without_caption(items, captioned, root, {warning.path for warning in warnings})
+    known = {problem.path for problem in problems} | {table.path for table in tables}
+    known |= set() if given is None else {given.path.parent.resolve() / given.path.name}
     formats = {item.format for item in items}
-    ignored = [path for path in others if path not in known and not _belongs(path, formats)] if source.is_dir() else []
+    ignored = [path for path in others if is_folder and path not in known and not _belongs(path, formats)]
     return ScanResult(tuple(items), tuple(problems), tuple(warnings), ignored=tuple(ignored))
 
 
@@ -201,12 +199,9 @@ def _without_motion(tables: Sequence[AnnotationTable], known: set[Path]) -> Iter
 
 
 def _without_caption(
-    items: Iterable[SourceItem], tables: Sequence[AnnotationTable], root: Path, reported: set[Path]
+    items: Iterable[SourceItem], folders: set[Path], root: Path, reported: set[Path]
 ) -> Iterator[FormatError]:
-    # A table with captions describes all motions below its folder; one that is given, all of the source.
-    folders = {
-        folder if (folder := table.path.parent).is_relative_to(root) else root for table in tables if table.has_captions
-    }
+    """Warnings of the motions below `folders`, whose tables have captions, that have none."""
 
     @cache
     def has_captions(folder: Path) -> bool:

@@ -51,12 +51,13 @@ def test_of_formats_that_were_not_asked_for_all_is_ignored(tmp_path: Path) -> No
     assert set(ignored(tmp_path, ReadOptions(format="bvh"))) == {f"more/{file}" for file in files}
 
 
-def test_tables_are_not_ignored_whether_found_or_given(tmp_path: Path) -> None:
+def test_tables_are_not_ignored_whether_found_or_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "walk.bvh").write_text(bvh_text())
     for name in ("mine.csv", "theirs.csv"):
         (tmp_path / name).write_text("file,caption\nwalk.bvh,a person walks\n")
     assert ignored(tmp_path) == []
-    assert ignored(tmp_path, ReadOptions(captions=tmp_path / "mine.csv")) == []
+    monkeypatch.chdir(tmp_path)
+    assert ignored(tmp_path, ReadOptions(captions=Path("mine.csv"))) == []
 
 
 def test_of_sequences_of_one_id_the_first_is_read(tmp_path: Path) -> None:
