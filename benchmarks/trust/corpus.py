@@ -3,7 +3,6 @@
 import csv
 import hashlib
 import json
-import shutil
 from fractions import Fraction
 from pathlib import Path
 
@@ -11,7 +10,6 @@ import numpy as np
 
 ACTIONS = ("walk", "run", "squat", "bow")
 FRAMERATES = (30, 60)
-OLD_STORE = Path(__file__).parents[2] / "tests" / "motionkit" / "store" / "life" / "stores" / "v1"
 COLUMNS = ("file", "fps", "action", "subject", "caption", "split")
 
 
@@ -34,11 +32,6 @@ def write_takes(folder: str, first: str, count: str, seconds: str) -> None:
             table.writerow(
                 (f"take-{number}.bvh", fps, action, f"p{number % 3}", f"a person does a {action}", split),
             )
-
-
-def copy_old_store(store: str) -> None:
-    """Copy the store of format version 1 that the tests keep."""
-    shutil.copytree(OLD_STORE, store)
 
 
 def build_cache(store: str) -> None:

@@ -50,8 +50,6 @@ def _source_lines(source: "SourceQuality") -> Iterator[str]:
     yield f"  {'no flag':14}{source.clean.num_sequences:>8,}  {source.clean.hours:8.2f} h"
     for flag, count in source.flags.items():
         yield f"  {flag:14}{count.num_sequences:>8,}  {count.hours:8.2f} h"
-    if source.num_unmeasured:
-        yield f"  {source.num_unmeasured:,} not measured yet: motionkit migrate does"
 
 
 def _figure(value: float) -> str:

@@ -24,7 +24,6 @@ from motionkit.store.manifest import (
     read_manifest,
 )
 from motionkit.store.schema import (
-    FORMAT_VERSION,
     MANIFEST_FILE,
     SEGMENTS_FOLDER,
     SEQUENCES_PER_ROW_GROUP,
@@ -75,15 +74,6 @@ def changing(store: Path, *, must_exist: bool = False, must_not_exist: bool = Fa
 def committed(store: Path) -> Manifest:
     """The state that a reader would see now; `EMPTY` if there is no store yet."""
     return read_manifest(store) if files.is_store(store) else EMPTY
-
-
-def require_present_version(store: Path, manifest: Manifest) -> None:
-    """Raises `StoreError` with the command to run for a store of an earlier format version, which is read-only."""
-    if manifest.format_version != FORMAT_VERSION:
-        raise StoreError(
-            f"the store {store} has format version {manifest.format_version}, which can be read but not changed: "
-            f"bring it to version {FORMAT_VERSION} with 'motionkit migrate --store {store}'"
-        )
 
 
 def pending(store: Path, name: str) -> Path:

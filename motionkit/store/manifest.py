@@ -15,7 +15,6 @@ from motionkit.store.schema import (
     FORMAT_NAME,
     FORMAT_VERSION,
     MANIFEST_FILE,
-    READABLE_VERSIONS,
     SEGMENTS_FOLDER,
     SEQUENCES_FILE,
     SKELETONS_FILE,
@@ -148,11 +147,11 @@ def read_manifest(store: Path) -> Manifest:
     if document.get("format") != FORMAT_NAME:
         raise StoreError(f"{path} is not the manifest of a store: its 'format' is not {FORMAT_NAME!r}")
     version = document.get("format_version")
-    if version not in READABLE_VERSIONS:
+    if version != FORMAT_VERSION:
         raise StoreError(
             f"the store {store} has format version {version!r} and was written by {document.get('tool', 'another')!r}, "
-            f"but motionkit {__version__} reads versions {READABLE_VERSIONS[0]} to "
-            f"{FORMAT_VERSION}: install the motionkit that wrote it, or ingest the sources again"
+            f"but motionkit {__version__} reads version {FORMAT_VERSION}: "
+            f"install the motionkit that wrote it, or ingest the sources again"
         )
     try:
         return _parse(document)

@@ -228,7 +228,7 @@ def check_still_there(store: Path, parts: Iterable[str]) -> None:
     """Raises `StoreError` if a later state of the store doesn't use these parts, so that they were deleted."""
     if not set(parts) <= set(read_manifest(store).files):
         raise StoreError(
-            f"the store {store} was written anew after it was opened (compacted, migrated, overwritten, or sequences "
+            f"the store {store} was written anew after it was opened (compacted, overwritten, or sequences "
             "removed): open it again"
         )
 

@@ -24,14 +24,11 @@ from motionkit.store.manifest import Manifest, read_committed, read_manifest
 from motionkit.store.parts import SegmentReader, check_still_there
 from motionkit.store.schema import (
     FLOAT_COLUMNS,
-    FORMAT_VERSION,
     PLACE_COLUMNS,
     SEGMENTS,
     SEQUENCES,
     SEQUENCES_FILE,
     SKELETONS_FILE,
-    table_schema,
-    upgraded,
 )
 from motionkit.store.sql import UnknownTable, query
 from motionkit.store.table_checks import require_sound
@@ -63,7 +60,7 @@ def open_table(store: Path, manifest: Manifest, name: str, columns: Sequence[str
 def read_committed_table(
     store: Path, manifest: Manifest, name: str, columns: Sequence[str] | None = None
 ) -> pa.Table | None:
-    """A table as the manifest names it, with the columns of the present version; None where no file is that one.
+    """A table as the manifest names it; None where no file is that one.
 
     Raises `ValueError` for a table with other columns or another number of rows than it should have, and for what is
     no Parquet.
@@ -80,11 +77,11 @@ def read_committed_table(
         table.validate(full=True)  # texts that are no UTF-8, lists that leave their values
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         raise ValueError(f"it cannot be read as Parquet ({' '.join(str(error).split())})") from None
-    if not found.equals(table_schema(name, manifest.format_version)):
+    if not found.equals({SEQUENCES_FILE: SEQUENCES, SKELETONS_FILE: SKELETONS}[name]):
         raise ValueError("its columns are not those of this format version")
     if table.num_rows != entry.num_rows:
         raise ValueError(f"it has {table.num_rows} rows, the manifest says {entry.num_rows}")
-    return upgraded(table, name) if columns is None and manifest.format_version != FORMAT_VERSION else table
+    return table
 
 
 def not_committed(store: Path) -> StoreError:

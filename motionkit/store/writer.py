@@ -24,7 +24,6 @@ from motionkit.store.commit import (
     describe_pending,
     pending,
     publish,
-    require_present_version,
     write_pending,
 )
 from motionkit.store.manifest import FileEntry, Manifest
@@ -135,7 +134,6 @@ class StoreWriter:
                 changing(self.path, must_exist=self._keep, must_not_exist=self._new),
             )
             self._base = self._previous if self._keep else EMPTY
-            require_present_version(self.path, self._base)
             self._open()
             self._held = held.pop_all()
         return self

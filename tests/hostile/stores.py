@@ -17,7 +17,6 @@ WRITE = (
     ("compact", *STORE),
     ("split", "--by", "sequence_id", "--shares", "train=0.5,test=0.5", *STORE),
     ("merge", "store", "other"),
-    ("migrate", *STORE),
     ("merge", "new", "store"),
 )
 LOOK = (

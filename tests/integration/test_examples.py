@@ -32,7 +32,7 @@ OF_STORES = (
         "study",
         "ablate",
     ),
-    *("push", "remove", "compact", "migrate"),
+    *("push", "remove", "compact"),
 )
 # These train first: test_from_takes_to_a_table runs such commands out of README, test_front_door the demo. What is
 # pulled has to be pushed: test_publish.

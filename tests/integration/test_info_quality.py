@@ -12,7 +12,6 @@ from motionkit.fields.interpolation.interpolators import interpolate
 from motionkit.fields.motion_field import to_motion
 from motionkit.store.writer import StoreWriter
 from tests.helpers.analytic import analytic_motion
-from tests.helpers.repository import REPOSITORY
 
 
 def take(name: str, source: str, fps: int) -> Motion:
@@ -55,7 +54,6 @@ def test_json_holds_the_same(motionkit, store):
     ours, theirs = report["sources"]
     assert ours["clean"]["num_sequences"] == 1
     assert ours["flags"]["teleport"]["num_sequences"] == 1
-    assert ours["num_unmeasured"] == 0
     assert theirs["flags"]["upsampled"]["num_sequences"] == 1
     [worst] = [each for each in report["worst"] if each["flag"] == "teleport"]
     assert worst["offenders"] == [{"sequence_id": "glitch", "value": 2.0, "seconds": 1.5, "frame": 90}]
@@ -69,13 +67,6 @@ def test_a_condition_narrows_it(motionkit, store):
     nothing = motionkit("info", "--quality", "--store", store, "--where", "fps = 1")
     assert nothing.code == 0
     assert "0 sequences where fps = 1" in nothing.stdout
-
-
-def test_an_older_store_says_that_it_is_not_measured(motionkit):
-    old = REPOSITORY / "tests/motionkit/store/life/stores" / "v1"
-    told = motionkit("info", "--quality", "--store", old)
-    assert told.code == 0, told.stderr
-    assert "not measured yet: motionkit migrate does" in told.stdout
 
 
 def test_options_that_make_no_sense_are_refused(motionkit, store):

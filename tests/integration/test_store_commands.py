@@ -1,14 +1,10 @@
-"""`motionkit remove`, `compact`, `merge`, `migrate` as a person uses them."""
+"""`motionkit remove`, `compact`, `merge` as a person uses them."""
 
 import json
-import shutil
 
 import pytest
 
 from motionkit.store import Store
-from tests.helpers.repository import REPOSITORY
-
-VERSION_1 = REPOSITORY / "tests/motionkit/store/life/stores" / "v1"
 
 
 @pytest.fixture
@@ -126,23 +122,6 @@ def test_merge_of_conflicts(motionkit, store, takes, tmp_path):
     assert outcome.code == 0
     assert f"left out: {name!r} is there from another file" in outcome.stderr
     assert outcome.stdout.splitlines()[-1] == "left out: 1 whose ids are there from other files"
-
-
-def test_migrate(motionkit, takes, tmp_path):
-    store = tmp_path / "store"
-    shutil.copytree(VERSION_1, store)
-    assert motionkit("info", "--store", store).code == 0
-    for arguments in (("ingest", takes), ("remove", "limbs/long"), ("compact",)):
-        outcome = motionkit(*arguments, "--store", store)
-        assert outcome.code == 1
-        assert f"'motionkit migrate --store {store}'" in outcome.stderr
-    outcome = motionkit("migrate", "--store", store)
-    assert (outcome.code, outcome.stdout) == (0, f"{store}: 2 sequences from format version 1 to 2\n")
-    assert motionkit("migrate", "--store", store).stdout == f"{store} has format version 2 already\n"
-    assert motionkit("ingest", takes, "--store", store, "--workers", 1).code == 0
-    assert len(ids(store)) == 5
-    (fault,) = motionkit("validate", "--store", store).stdout.splitlines()
-    assert "'limbs/short': a caption lasts from 0.5" in fault
 
 
 def test_what_is_asked_of_no_store(motionkit, takes, tmp_path):

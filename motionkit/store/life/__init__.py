@@ -1,1 +1,1 @@
-"""Operations on existing stores: remove, compact, merge, migrate, split."""
+"""Operations on existing stores: remove, compact, merge, split."""

@@ -1,4 +1,4 @@
-"""Removes sequences from stores, migrates and compacts stores in place, and merges stores."""
+"""Removes sequences from stores, compacts stores in place, and merges stores."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -13,18 +13,17 @@ from jaxtyping import Int
 from motionkit.core.checksums import sha256_of
 from motionkit.core.errors import StoreError, UsageError, describe
 from motionkit.store.cache import remove_stale_caches
-from motionkit.store.codec import EncodedMotion, encode
+from motionkit.store.codec import EncodedMotion
 from motionkit.store.commit import (
     changing,
     committed,
     describe_pending,
     publish,
-    require_present_version,
     write_pending,
 )
 from motionkit.store.manifest import Manifest
 from motionkit.store.reader import Store
-from motionkit.store.schema import FORMAT_VERSION, MANIFEST_FILE, PART_BYTES, SEQUENCES_FILE, part_name, part_number
+from motionkit.store.schema import MANIFEST_FILE, PART_BYTES, SEQUENCES_FILE, part_name, part_number
 from motionkit.store.writer import StoreWriter
 
 OnSequence = Callable[[], None]
@@ -37,11 +36,10 @@ def remove(path: Path, sequence_ids: Sequence[str] = (), *, where: str | None = 
 
     Only the table of sequences is written again. The others keep their `sequence_index`, and a number that was removed
     is not given again before the store is compacted. Parts that hold nothing else are deleted. Raises `StoreError` for
-    an id that the store does not hold and for a store that is missing or of an earlier version; `BusyError` while
+    an id that the store does not hold and for a missing store; `BusyError` while
     another process writes to it; `UsageError` for bad SQL.
     """
     with changing(path, must_exist=True) as previous:
-        require_present_version(path, previous)
         removed, kept = _divided(Store.open(path), sequence_ids, where)
         if removed.num_rows:
             publish(path, _without(path, previous, kept))
@@ -87,7 +85,6 @@ class Removal:
 def plan_removal(path: Path, sequence_ids: Sequence[str] = (), *, where: str | None = None) -> Removal:
     """What `remove` would do with these arguments, without changing anything; raises as `remove` does."""
     store = Store.open(path)
-    require_present_version(path, store.manifest)
     removed, kept = _divided(store, sequence_ids, where)
     going, staying = _bytes_of(store.manifest, removed), _bytes_of(store.manifest, kept)
     at_once = sum(store.manifest.files[name].num_bytes for name in going.keys() - staying.keys())
@@ -103,29 +100,15 @@ def _bytes_of(manifest: Manifest, sequences: pa.Table) -> dict[str, int]:
     return {name: round(entry.num_bytes * count / entry.num_rows) for (name, entry), count in shares}
 
 
-def migrate(path: Path, on_sequence: OnSequence = lambda: None) -> bool:
-    """Migrates a store to the current format version; False if it has it already.
-
-    Every motion is read, measured and written again; until the commit the disk holds both. Raises `StoreError` if
-    there is no store, or it is damaged; `BusyError` while another process writes to it.
-    """
-    with changing(path, must_exist=True) as manifest:
-        if manifest.format_version == FORMAT_VERSION:
-            return False
-    _write_anew(path, PART_BYTES, on_sequence)
-    return True
-
-
 def compact(path: Path, on_sequence: OnSequence = lambda: None, *, part_bytes: int = PART_BYTES) -> bool:
     """Rewrites a store into full parts without removed sequences, numbered 0, 1, 2 …; False if nothing changes.
 
     Figures and frames are copied as they are: the parts and rows are those of one ingest of the same motions, but for
     the numbers of the parts, which go on. Until the commit the disk holds both; then the old parts and the training
     caches of earlier states are deleted, also those that a stopped command left. Raises `StoreError` where there is no
-    store, or it is damaged or of an earlier version; `BusyError` while another process writes to it.
+    store, or it is damaged; `BusyError` while another process writes to it.
     """
     with changing(path, must_exist=True) as manifest:
-        require_present_version(path, manifest)
         is_compact = _is_compact(manifest, part_bytes)
     if not is_compact:
         _write_anew(path, part_bytes, on_sequence)
@@ -154,7 +137,6 @@ def plan_compaction(path: Path, *, part_bytes: int = PART_BYTES) -> Compaction:
     """What `compact` would do, without changing anything; raises as `compact` does, except for a busy store."""
     store = Store.open(path)
     manifest = store.manifest
-    require_present_version(path, manifest)
     size = sum(manifest.files[name].num_bytes for name in manifest.parts)
     after = sum(_bytes_of(manifest, store.sequences_table).values())
     compact = _is_compact(manifest, part_bytes)
@@ -176,7 +158,7 @@ def _write_anew(path: Path, part_bytes: int, on_sequence: OnSequence) -> None:
 
 
 def _encoded(store: Store, indices: Int[np.ndarray, "chosen"]) -> Iterator[EncodedMotion]:
-    """Sequences as this version stores them: copied, or measured anew where the store is of an earlier version.
+    """Sequences as they are stored.
 
     Raises `StoreError` for a part that is not what the manifest says: under a new sha256 nobody would see the damage.
     """
@@ -184,10 +166,7 @@ def _encoded(store: Store, indices: Int[np.ndarray, "chosen"]) -> Iterator[Encod
     starts = np.flatnonzero(np.diff(parts, prepend=-1))
     for start, chosen in zip(starts, np.split(indices, starts[1:]), strict=True) if len(starts) else ():
         _require_intact(store, part_name(int(parts[start])))
-        if store.manifest.format_version == FORMAT_VERSION:
-            yield from store.read_encoded(chosen)
-        else:
-            yield from (encode(motion) for motion in store.read_many(chosen.tolist()))
+        yield from store.read_encoded(chosen)
 
 
 def _require_intact(store: Store, name: str) -> None:

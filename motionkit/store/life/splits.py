@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import connected_components
 
 from motionkit.core.errors import UsageError
 from motionkit.store.codec import array_of
-from motionkit.store.commit import changing, describe_pending, publish, require_present_version, write_pending
+from motionkit.store.commit import changing, describe_pending, publish, write_pending
 from motionkit.store.manifest import read_manifest
 from motionkit.store.reader import Store
 from motionkit.store.schema import SEQUENCES_FILE
@@ -90,7 +90,6 @@ def split(
         store = Store.open(path)
         return _plan(store, asked, wanted, where, seed)[0]
     with changing(path, must_exist=True) as previous:
-        require_present_version(path, previous)
         store = Store.open(path)
         report, column = _plan(store, asked, wanted, where, seed)
         if not report.num_changed:

@@ -32,7 +32,6 @@ class SourceQuality:
     hours: float
     clean: FlagCount
     flags: dict[str, FlagCount]
-    num_unmeasured: int
 
 
 @dataclass(frozen=True)
@@ -128,7 +127,6 @@ def _source(source: str, rows: "pd.DataFrame") -> SourceQuality:
             str(flag): FlagCount(int(size), float(seconds) / 3600)
             for flag, size, seconds in zip(counted.index, counted["size"], counted["sum"], strict=True)
         },
-        num_unmeasured=int(rows["num_teleports"].isna().sum()),
     )
 
 

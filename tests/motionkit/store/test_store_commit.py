@@ -15,7 +15,7 @@ from motionkit.core import files
 from motionkit.core.errors import BusyError, StoreError
 from motionkit.store import Store, StoreWriter
 from motionkit.store.commit import LOCK_FILE
-from motionkit.store.life.rewrite import compact, migrate, remove
+from motionkit.store.life.rewrite import compact, remove
 from motionkit.store.life.splits import split
 from motionkit.store.validate import faults
 
@@ -116,7 +116,7 @@ REWRITER = textwrap.dedent(
     from pathlib import Path
     from motionkit.core import files
     from motionkit.store.life.rewrite import remove
-    from motionkit.store.life.rewrite import compact, migrate
+    from motionkit.store.life.rewrite import compact
 
     store, what, left = Path(sys.argv[1]), sys.argv[2], [int(sys.argv[3])]
     rename = files.replace
@@ -125,8 +125,7 @@ REWRITER = textwrap.dedent(
         left[0] -= 1
         rename(source, target)
     files.replace = replace
-    change = {"remove": lambda: remove(store, ["take-3"]), "compact": lambda: compact(store)}
-    change.get(what, lambda: migrate(store))()
+    {"remove": lambda: remove(store, ["take-3"]), "compact": lambda: compact(store)}[what]()
     """
 )
 
@@ -137,15 +136,12 @@ REWRITER = textwrap.dedent(
     [
         *(("remove", moment, moment == 1) for moment in range(2)),
         *(("compact", moment, moment > 1) for moment in range(4)),
-        *(("migrate", moment, moment > 1) for moment in range(4)),
     ],
 )
 def test_a_killed_change(small_store, make_motion, what, moment, committed):
-    """A removal, compaction or migration that dies leaves the state before it or after it, and nothing for long."""
+    """A removal or compaction that dies leaves the state before it or after it, and nothing for long."""
     if what == "compact":
         append_two_parts(small_store, make_motion)
-    if what == "migrate":
-        shutil.copytree(Path(__file__).parent / "life" / "stores" / "v1", small_store, dirs_exist_ok=True)
     before = Store.open(small_store)
     arguments = [sys.executable, "-c", REWRITER, str(small_store), what, str(moment)]
     assert subprocess.run(arguments, check=False).returncode == -9
@@ -155,18 +151,16 @@ def test_a_killed_change(small_store, make_motion, what, moment, committed):
         name for name in before.sequences["sequence_id"] if not (committed and what == "remove" and name == "take-3")
     ]
     assert [motion.sequence_id for motion in store.read_many(store.select())] == expected
-    assert all("a caption lasts" in fault for fault in faults(small_store))
-    migrate(small_store)
+    assert list(faults(small_store)) == []
     with StoreWriter.append(small_store) as writer:
         writer.add(make_motion("later"))
     assert leftovers(small_store) == []
-    assert all("a caption lasts" in fault for fault in faults(small_store))
+    assert list(faults(small_store)) == []
 
 
 FINISHING = {
     "compact": lambda store: compact(store),
     "remove": lambda store: remove(store, where="false"),
-    "migrate": lambda store: migrate(store),
     "split": lambda store: split(store, {"train": 1.0}),
     "append": lambda store: StoreWriter.append(store).__enter__().__exit__(None, None, None),
 }

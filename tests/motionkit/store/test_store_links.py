@@ -10,7 +10,7 @@ import pytest
 from motionkit.core.errors import LinkError, MotionkitError
 from motionkit.store import Store, StoreWriter
 from motionkit.store.cache import open_cache
-from motionkit.store.life.rewrite import compact, merge, migrate, remove
+from motionkit.store.life.rewrite import compact, merge, remove
 from motionkit.store.life.splits import split
 from motionkit.store.reports.summary import summarise
 from motionkit.store.validate import faults
@@ -33,7 +33,6 @@ CHANGES: dict[str, Callable[[Path, Callable], object]] = {
     "overwrite": overwrite,
     "remove": lambda store, make_motion: remove(store, where="true"),
     "compact": lambda store, make_motion: compact(store),
-    "migrate": lambda store, make_motion: migrate(store),
     "split": lambda store, make_motion: split(store, by="sequence_id"),
     "merge": lambda store, make_motion: merge(store, [store.parent / "other"]),
 }
@@ -74,7 +73,7 @@ def test_parts_behind_a_link_are_not_touched(small_store, other, make_motion, ch
         "segments/part-00001-0123abcd.parquet.new",
     ],
 )
-@pytest.mark.parametrize("change", [name for name in CHANGES if name != "migrate"])
+@pytest.mark.parametrize("change", CHANGES)
 def test_files_that_are_links_are_replaced_and_not_written_through(small_store, other, make_motion, name, change):
     theirs = shutil.copytree(small_store, small_store.parent / "theirs")
     append(other, make_motion)  # what `merge` adds
