@@ -15,7 +15,7 @@ from tests.helpers.signed_again import sign
 
 def test_another_format_version(small_store):
     sign(small_store, lambda document: document.update(format_version=7))
-    with pytest.raises(StoreError, match=r"format version 7 and was written by 'motionkit .* reads versions 1 to 2"):
+    with pytest.raises(StoreError, match=r"format version 7 and was written by 'motionkit .* reads version 2"):
         Store.open(small_store)
     with pytest.raises(StoreError, match="format version 7"), StoreWriter.append(small_store):
         pass
