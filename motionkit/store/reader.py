@@ -28,6 +28,7 @@ from motionkit.store.schema import (
     SEGMENTS,
     SEQUENCES,
     SEQUENCES_FILE,
+    SKELETONS,
     SKELETONS_FILE,
 )
 from motionkit.store.sql import UnknownTable, query

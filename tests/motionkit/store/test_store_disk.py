@@ -12,7 +12,6 @@ import textwrap
 from pathlib import Path
 
 import pytest
-from motionkit.store.cache.positions import open_cache
 
 from motionkit.core.errors import StoreError
 from motionkit.store import Store, StoreWriter
