@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float32, Int64
 from torch import Tensor, nn
 
 from motionkit.core.errors import UsageError
+from motionkit.core.shapes import Bool, Float, Float32, Int64
 
 NO_ACTION = -1
 

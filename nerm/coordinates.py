@@ -3,8 +3,9 @@
 import math
 
 import torch
-from jaxtyping import Float, Float32, Float64, Int64
 from torch import nn
+
+from motionkit.core.shapes import Float, Float32, Float64, Int64
 
 REFERENCE_FPS = 20.0
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from jaxtyping import Float, Float32, Float64
 
+from motionkit.core.shapes import Float, Float32, Float64
 from pahires.recipes import Initialisation
 
 

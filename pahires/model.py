@@ -8,8 +8,8 @@ import math
 from itertools import pairwise
 
 import torch
-from jaxtyping import Float, Int64
 
+from motionkit.core.shapes import Float, Int64
 from pahires.activation import FourierActivation, linear
 from pahires.recipes import NetworkSettings
 from pahires.temporal.base_curves import located, seconds_beyond

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import torch
-from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.functional import normalize
 
+from motionkit.core.shapes import Float
 from pahires.temporal.network import ObservedWindow
 from peers.layers import EdsrEncoder, even_neighbours, gathered, mlp, per_query, unfolded
 from peers.settings import ALiifNetworkConfig, LmfNetworkConfig

@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
+from motionkit.core.shapes import Bool, Float, Int
 from pahires.temporal.network import ObservedWindow
 
 # Distances are rounded to this share of a frame.

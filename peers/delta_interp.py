@@ -1,9 +1,9 @@
 """Δ-Interp: given frames attend to each other, missing ones to the given, all relative to the last given frame."""
 
 import torch
-from jaxtyping import Float
 from torch import Tensor, nn
 
+from motionkit.core.shapes import Float
 from pahires.temporal.network import ObservedWindow
 from peers.attention import longest_gap
 from peers.settings import DeltaInterpNetworkConfig

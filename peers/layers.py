@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import torch
-from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from motionkit.core.shapes import Float, Int
 from pahires.temporal.network import ObservedWindow
 
 KERNEL = 3

@@ -1,9 +1,9 @@
 """LIIF and Meta-SR in one dimension: local networks around each frame, evaluated at any instant."""
 
 import torch
-from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from motionkit.core.shapes import Float, Int
 from pahires.temporal.network import ObservedWindow
 from peers.layers import EdsrEncoder, even_neighbours, gathered, mlp, per_query, unfolded
 from peers.settings import LiifNetworkConfig, MetaSrNetworkConfig

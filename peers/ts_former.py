@@ -1,9 +1,9 @@
 """TS-Former: a context transformer drafts the missing frames, a detail transformer refines them."""
 
 import torch
-from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
+from motionkit.core.shapes import Bool, Float
 from pahires.temporal.network import ObservedWindow
 from peers.attention import RelativeEncoder, longest_gap
 from peers.layers import gathered, neighbours

@@ -1,4 +1,4 @@
-"""`motionkit --help` and `motionkit train --help` load nothing heavy, whatever is installed; `info` no pandas."""
+"""`motionkit --help` and `motionkit train --help` load nothing heavy, whatever is installed; `info` little."""
 
 import subprocess
 import sys
@@ -51,7 +51,7 @@ def test_stages_are_listed_without_loading_anything_heavy() -> None:
     assert heavy == "loaded:"
 
 
-def test_a_summary_of_a_store_loads_no_pandas(tmp_path: Path) -> None:
+def test_a_summary_of_a_store_loads_little(tmp_path: Path) -> None:
     source = tmp_path / "takes"
     source.mkdir()
     (source / "walk.bvh").write_text(bvh_text())
@@ -60,7 +60,7 @@ def test_a_summary_of_a_store_loads_no_pandas(tmp_path: Path) -> None:
     script = (
         "import sys; from motionkit.cli.app import build_app\n"
         f"build_app()(['info', '--store', {store!r}, '--json'], standalone_mode=False)\n"
-        "print('loaded:', *sorted(set(sys.modules) & {'pandas', 'torch', 'scipy'}))"
+        "print('loaded:', *sorted(set(sys.modules) & {'jaxtyping', 'pandas', 'torch', 'scipy'}))"
     )
     result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr

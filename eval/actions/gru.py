@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32
 from torch import Tensor, nn
 
 from eval.actions.recogniser import Recognition, check_fps, clip_rows
 from eval.sets.sets import SampleSet
 from eval.text_motion.guo.networks import weights_digest
 from motionkit.core.errors import MotionkitError
+from motionkit.core.shapes import Float, Float32
 from motionkit.core.skeleton import SMPL22
 from motionkit.io import humanact12
 from motionkit.training.tensors import fill_checked, foreign_tensors, read_foreign

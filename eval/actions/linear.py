@@ -13,13 +13,13 @@ from fractions import Fraction
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float32, Float64
 from scipy.linalg import eigh
 
 from eval.actions.recogniser import Recognition, check_fps
 from eval.clip_fid.channels import local_poses
 from eval.sets.sets import SampleSet, middle
 from motionkit.core.errors import MotionkitError
+from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import SMPL22
 from motionkit.io.smpl.body import SMPL
 

@@ -5,10 +5,10 @@ from fractions import Fraction
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float64, Int64
 
 from eval.sets.sets import SampleSet
 from motionkit.core.errors import MotionkitError
+from motionkit.core.shapes import Float64, Int64
 
 
 @dataclass(frozen=True, eq=False)

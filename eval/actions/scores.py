@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float, Int
 from threadpoolctl import threadpool_limits
 
 from eval.actions.recogniser import Recognition
@@ -29,6 +28,7 @@ from eval.metrics.resampling import (
     weighted_means,
 )
 from motionkit.core.errors import UsageError
+from motionkit.core.shapes import Float, Int
 
 
 @dataclass(frozen=True)

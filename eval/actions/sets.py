@@ -7,7 +7,6 @@ from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float32, Int64
 
 from eval.actions.recogniser import ActionRecogniser
 from eval.actions.scores import LabelledRecognition
@@ -16,6 +15,7 @@ from eval.sets.partial import PartialResult
 from eval.sets.row_ids import RowId, Variant
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.errors import MotionkitError
+from motionkit.core.shapes import Float32, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.fields.contact.planted import planted
 from motionkit.fields.motion_field import MotionField, to_motion

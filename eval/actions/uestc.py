@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32
 from torch import Tensor, nn
 
 from eval.actions.recogniser import Recognition, check_fps, clip_rows
@@ -20,6 +19,7 @@ from eval.sets.sets import SampleSet
 from eval.text_motion.guo.networks import weights_digest
 from motionkit.core import kinematics
 from motionkit.core.errors import MotionkitError
+from motionkit.core.shapes import Float, Float32
 from motionkit.core.skeleton import SMPL22
 from motionkit.io.smpl import uestc
 from motionkit.io.smpl.body import SMPL

@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy.fft
 import scipy.ndimage
-from jaxtyping import Float, Float64
+
+from motionkit.core.shapes import Float, Float64
 
 NUM_JOINTS = 22
 JOINT_GROUPS: Mapping[str, tuple[int, ...]] = {

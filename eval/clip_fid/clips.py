@@ -6,12 +6,12 @@ from dataclasses import dataclass, field, replace
 from fractions import Fraction
 
 import numpy as np
-from jaxtyping import Float, Float64, Int64
 
 from eval.metrics.gaussian import Gaussian, frechet_distance
 from eval.metrics.resampling import RESAMPLINGS
 from eval.sets.sets import Ragged, SampleSet
 from motionkit.core.errors import MotionkitError
+from motionkit.core.shapes import Float, Float64, Int64
 
 Distance = Callable[[Gaussian, Gaussian], float]
 REAL, OTHER = 0, 1

@@ -22,7 +22,6 @@ from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
-from jaxtyping import Float, Float32, Float64
 
 from eval.clip_fid.channels import (
     HIGH_NOISE_METRES,
@@ -40,6 +39,7 @@ from eval.metrics.gaussian import Gaussian, frechet_distance
 from eval.sets.sets import Ragged, SampleSet
 from motionkit.core.errors import DamagedFileError
 from motionkit.core.files import whole_file
+from motionkit.core.shapes import Float, Float32, Float64
 
 VERSION = "kinematic/2"
 NUM_POSE_COMPONENTS = 10

@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from jaxtyping import Float, Float64
 
 from eval.clip_fid.channels import FEET, GROUP_MEANS, JOINT_GROUPS, NUM_JOINTS, local_poses
 from motionkit.core.files import whole_file
+from motionkit.core.shapes import Float, Float64
 
 VERSION = "kinematic/1"
 BAND_EDGES = (0.0, 0.17, 0.34, 0.5, 0.75, 1.0)

@@ -5,7 +5,6 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
 from eval.clip_fid.clips import ClipError, Protocol
 from eval.clip_fid.features import Comparison, kinematic_source, native_source
@@ -15,6 +14,7 @@ from motionkit.core.errors import UsageError
 from motionkit.core.framerate import Framerate, format_fps, parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.progress import warn
+from motionkit.core.shapes import Float
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints
 

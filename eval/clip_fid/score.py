@@ -14,7 +14,6 @@ from typing import Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from jaxtyping import Float64, Int64
 
 from eval.clip_fid.clips import (
     OTHER,
@@ -54,6 +53,7 @@ from eval.metrics.resampling import (
     units_of,
 )
 from eval.sets.sets import SampleSet
+from motionkit.core.shapes import Float64, Int64
 
 VERSION = "clip-fid/2"
 PART = "part "

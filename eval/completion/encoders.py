@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
 
 from eval.sets.partial import PartialResult
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.core.kinematics import closest_rotations, matrix_to_quaternion
+from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.edit.complete.encoders import (
     EncoderLoader,

@@ -3,13 +3,13 @@
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from jaxtyping import Float32
 
 from eval.completion.encoders import Completer
 from eval.completion.protocol import Question
 from eval.completion.scores import Scores, TakeStreams, scores_of
 from eval.completion.windows import FPS, PoseWindows, global_poses
 from motionkit.core.kinematics import continuous_quaternions
+from motionkit.core.shapes import Float32
 from motionkit.fields.completion import query_many
 from motionkit.fields.motion_field import Observation, Poses
 

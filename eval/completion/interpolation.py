@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
 
 from eval.completion.encoders import Completer
 from eval.completion.protocol import InterpolationProtocol, scale_label
@@ -13,6 +12,7 @@ from eval.completion.scores import ClipFrames, PoseScale, Scores, TakeStreams, s
 from eval.completion.takes import TrueClips, TruePoses, observations
 from eval.metrics.metric import MeanStream, all_metrics
 from motionkit.core.errors import MotionkitError
+from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.features.rotation_rows import rows_of_poses, two_columns
 from motionkit.fields.completion import query_many

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from jaxtyping import Bool, Int64
 
+from motionkit.core.shapes import Bool, Int64
 from motionkit.io.bvh.lafan1 import NUM_PAST_FRAMES
 
 INBETWEENING_VERSION = "inbetweening/1"

@@ -6,13 +6,13 @@ from functools import cached_property, reduce
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
 
 from eval.completion.takes import TrueClips
 from eval.metrics.metric import MeanStream, MeanSums, find_metric
 from eval.metrics.resampling import Resampled, Resampling
 from eval.metrics.signal import to_unit_range
 from motionkit.core.moments import stream
+from motionkit.core.shapes import Bool, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.features import rotation_rows
 

@@ -6,11 +6,11 @@ from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
 
 from eval.sets.real import of_split_and
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.kinematics import closest_rotations, matrix_to_quaternion
+from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.data.takes import open_takes
 from motionkit.fields.motion_field import Observation, Poses

@@ -6,12 +6,12 @@ from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float32, Float64
 
 from eval.completion.scores import split_remark
 from eval.completion.takes import DataSet, NoTakesError, open_clips
 from motionkit.core import kinematics
 from motionkit.core.moments import Moments, stream
+from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.features import rotation_rows
 from motionkit.io.bvh import lafan1

@@ -4,10 +4,10 @@ from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
-from jaxtyping import Float, Float64, Int, Int64
 
 from eval.metrics.checks import checked_features
 from eval.metrics.metric import Metric, by_frames
+from motionkit.core.shapes import Float, Float64, Int, Int64
 
 
 def accuracy(scores: Float[np.ndarray, "samples classes"], labels: Int[np.ndarray, "samples"]) -> float:

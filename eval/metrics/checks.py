@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float64
+
+from motionkit.core.shapes import Float, Float64
 
 
 def checked_features(

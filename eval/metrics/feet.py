@@ -4,10 +4,10 @@ Both take one sequence, y up, metres; velocities are per second, from each frame
 """
 
 import numpy as np
-from jaxtyping import Float, Float64
 
 from eval.metrics.checks import checked_features, checked_fps
 from eval.metrics.metric import Metric, by_steps
+from motionkit.core.shapes import Float, Float64
 
 ANKLE_HEIGHT = 0.08
 TOE_HEIGHT = 0.04

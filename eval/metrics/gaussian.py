@@ -7,11 +7,11 @@ from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
-from jaxtyping import Float, Float64
 from threadpoolctl import threadpool_limits
 
 from eval.metrics.checks import checked_features
 from eval.metrics.metric import Metric
+from motionkit.core.shapes import Float, Float64
 
 
 @dataclass(frozen=True, eq=False)

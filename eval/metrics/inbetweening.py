@@ -4,10 +4,10 @@ Both are norms over all numbers of a pose, averaged over frames and clips; neith
 """
 
 import numpy as np
-from jaxtyping import Float, Float64
 
 from eval.metrics.checks import checked_difference, checked_quaternions
 from eval.metrics.metric import Metric, by_clip_frames
+from motionkit.core.shapes import Float, Float64
 
 
 def l2p(

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from jaxtyping import Bool, Float, Float64
 
 from eval.metrics.checks import checked_features
 from eval.metrics.metric import Metric
+from motionkit.core.shapes import Bool, Float, Float64
 
 BLOCK_ROWS = 512
 BLOCK_PAIRS = 1 << 16

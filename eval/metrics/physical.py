@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64
 
 from eval.metrics.checks import checked_features
 from eval.metrics.metric import Arguments, Metric
 from motionkit.core.framerate import Framerate, parse_fps
+from motionkit.core.shapes import Bool, Float, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.fields.resample import resample_positions
 

@@ -6,10 +6,10 @@ project counts per frame is counted per frame here, without `fps`: such a value 
 """
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64
 
 from eval.metrics.checks import checked_features, checked_fps
 from eval.metrics.metric import Arguments, Metric
+from motionkit.core.shapes import Bool, Float, Float64
 from motionkit.core.skeleton import SMPL22
 
 Positions = Float[np.ndarray, "frames 22 3"]

@@ -7,10 +7,10 @@ motion its texts. Both come from one matrix of distances per pool; a table says 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float64, Int64
 from scipy.spatial.distance import cdist
 
 from eval.metrics.metric import Metric
+from motionkit.core.shapes import Float, Float64, Int64
 
 REFERENCE_POOL = 32
 RANKS = 3

@@ -4,10 +4,10 @@ Arrays hold valid frames only, of one sequence or of many concatenated; every fr
 """
 
 import numpy as np
-from jaxtyping import Float, Float64
 
 from eval.metrics.checks import checked_difference, checked_features, checked_fps, checked_quaternions
 from eval.metrics.metric import Metric, by_clip_steps, by_frames, by_numbers
+from motionkit.core.shapes import Float, Float64
 
 
 def mpjpe_global(

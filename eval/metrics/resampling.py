@@ -13,9 +13,9 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float, Float64, Int64
 
 from eval.metrics.gaussian import Gaussian, quick_frechet_distance
+from motionkit.core.shapes import Float, Float64, Int64
 
 Weights = Float64[np.ndarray, "resamplings units"]
 Labels = Int64[np.ndarray, "labels"]

@@ -6,10 +6,10 @@ R-Precision (`r_precision`) is retrieval in pools of 32 at the first three ranks
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64, Int64
 
 from eval.metrics.checks import checked_features
 from eval.metrics.metric import Metric, by_frames
+from motionkit.core.shapes import Bool, Float, Float64, Int64
 
 RECALL_RANKS = (1, 2, 3, 5, 10)
 

@@ -6,10 +6,10 @@ Neither has a published definition for motion; this one is motionkit's own (docs
 import math
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64
 
 from eval.metrics.checks import checked_difference
 from eval.metrics.metric import Metric, by_clips
+from motionkit.core.shapes import Bool, Float, Float64
 
 SSIM_WINDOW = 7
 _C1, _C2 = 0.01**2, 0.03**2

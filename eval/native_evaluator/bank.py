@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from jaxtyping import Float64, Int64
 
 from eval.sets.sets import Ragged
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Caption
+from motionkit.core.shapes import Float64, Int64
 from motionkit.fields.resample import resample_positions
 
 

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Float64
 from torch import Tensor
 
 from eval.native_evaluator.network import (
@@ -30,6 +29,7 @@ from eval.native_evaluator.network import (
 )
 from eval.native_evaluator.settings import NativeNetworkConfig
 from motionkit.core.errors import MotionkitError
+from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.training.config import from_plain
 from motionkit.training.run import RunFolder
 from motionkit.training.tensors import CheckpointError, load_tensors, rebuilding, unprefixed

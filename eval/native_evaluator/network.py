@@ -9,10 +9,10 @@ import math
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Float64
 from torch import Tensor, nn
 
 from eval.native_evaluator.settings import NativeNetworkConfig
+from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import SMPL22
 
 NUM_JOINTS = 22

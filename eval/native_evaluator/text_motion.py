@@ -6,13 +6,13 @@ from fractions import Fraction
 
 import numpy as np
 import numpy.typing as npt
-from jaxtyping import Float64
 
 from eval.native_evaluator.evaluator import NativeEvaluator
 from eval.native_evaluator.network import MIN_POSES
 from eval.sets.sets import SampleSet
 from motionkit.core.errors import MotionkitError
 from motionkit.core.motion import Caption
+from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import SMPL22
 
 

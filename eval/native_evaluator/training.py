@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float32, Float64, Int64
 from torch import Tensor
 
 from eval.native_evaluator.bank import ClipBank, DrawnClips
@@ -20,6 +19,7 @@ from eval.native_evaluator.network import TARGETS, NativeNetwork, TextProjection
 from eval.native_evaluator.settings import NativeConfig
 from eval.sets.corruptions import Family, families
 from motionkit.core.motion import Caption
+from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64
 from motionkit.training.config import rate_factor
 from motionkit.training.schedule import seeded_initialisation, set_rate
 from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed

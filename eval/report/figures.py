@@ -6,13 +6,13 @@ from pathlib import Path
 from textwrap import fill
 
 import numpy as np
-from jaxtyping import Float32, Float64
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from motionkit.core.files import whole_file
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import map_joints
 

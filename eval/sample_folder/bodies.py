@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float32, Int64
 
 from eval.sample_folder.folder import SampleFolder, SampleFolderError
 from eval.sample_folder.manifest import MANIFEST
+from motionkit.core.shapes import Float, Float32, Int64
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.io.humanml3d import KIT
 from motionkit.io.source.body_frame import PLAUSIBLE_FACTOR, TRUNK_AND_LEGS, TYPICAL_HEIGHT_METRES, UNITS

@@ -10,11 +10,11 @@ from itertools import groupby
 from typing import TypeVar
 
 import numpy as np
-from jaxtyping import Float32
 
 from eval.sets.sets import GrowingRagged, Ragged, SampleSet
 from eval.sets.upsampled import each_upsampled
 from motionkit.core.errors import FormatError, MotionkitError
+from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import SMPL22
 from motionkit.fields.resample import resample_positions
 

@@ -7,7 +7,6 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32
 
 from eval.sample_folder.arrays import StoredMotion, read_stored
 from eval.sample_folder.bodies import BodyFault, body_faults, check_joints, padding_remark, turn_upright
@@ -19,6 +18,7 @@ from eval.text_motion.guo.kind import REACH_FRAMES
 from motionkit.core.errors import FormatError, MotionkitError
 from motionkit.core.motion import Motion
 from motionkit.core.plain_text import whole_number
+from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import KIT21, SMPL22
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.core.timegrid import TimeGrid

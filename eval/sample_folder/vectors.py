@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Float32
 
 from eval.sample_folder.bodies import bone_variation, is_body, standing_metres
 from eval.sample_folder.folder import SampleFolderError
 from eval.sample_folder.manifest import MANIFEST, NORMALISED, RAW, Manifest
 from motionkit.core.errors import FormatError
+from motionkit.core.shapes import Float, Float32
 from motionkit.features.layout import layout_of
 from motionkit.features.statistics import Statistics
 from motionkit.io import humanml3d

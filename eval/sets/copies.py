@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
 from threadpoolctl import threadpool_limits
 
 from eval.sets.sets import SampleSet
 from eval.sets.stretches import FPS, PARENTS, POSE_EVERY, Stretches, Tracks, flat, numbers, unit
+from motionkit.core.shapes import Bool, Float32, Float64, Int64
 
 HOP_FRAMES = 10
 TEMPI = tuple(Fraction(1.25 ** (step / 4)).limit_denominator(400) for step in range(-4, 5))

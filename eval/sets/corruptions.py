@@ -13,8 +13,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 import scipy.fft
-from jaxtyping import Float, Float64
 
+from motionkit.core.shapes import Float, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
 
 Array = npt.NDArray[np.floating]

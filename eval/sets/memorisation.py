@@ -11,7 +11,6 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int64
 from threadpoolctl import threadpool_limits
 
 from eval.metrics.gaussian import fit_gaussian, frechet_distance
@@ -22,6 +21,7 @@ from eval.sets.stretches import FPS
 from motionkit.core.checksums import read_json, write_json
 from motionkit.core.errors import DamagedFileError, UsageError
 from motionkit.core.progress import warn
+from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64
 from motionkit.store.cache import cache_root
 
 if TYPE_CHECKING:

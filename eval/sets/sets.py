@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from jaxtyping import Float32, Int64
+
+from motionkit.core.shapes import Float32, Int64
 
 FIRST_CAPACITY = 1 << 12
 ABOUT_EACH = ("captions", "actions", "groups", "takes", "generations")

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from jaxtyping import Complex64, Float32, Float64, Int64, Shaped
 
 from eval.sets.corruptions import low_pass
+from motionkit.core.shapes import Complex64, Float32, Float64, Int64, Shaped
 from motionkit.core.skeleton import SMPL22
 from motionkit.features.field import heading
 from motionkit.fields.resample import resample_positions

@@ -4,11 +4,11 @@ from collections.abc import Iterator, Sequence
 from fractions import Fraction
 
 import numpy as np
-from jaxtyping import Float32
 
 from eval.sets.corruptions import low_pass
 from eval.sets.sets import SampleSet
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid, num_frames_within
 from motionkit.features import humanml3d

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from jaxtyping import Float32
 
 from eval.sample_folder import SampleFolder
 from eval.sets.real import RealMotion
 from eval.sets.upsampled import upsampled_positions
 from motionkit.core.errors import UsageError
+from motionkit.core.shapes import Float32
 from motionkit.fields.contact.planted import planted
 from motionkit.fields.motion_field import to_motion
 from motionkit.fields.resample import resample_positions

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from jaxtyping import Float64
 
 from eval.metrics.metric import Metric, find_metric
 from eval.metrics.physical import METRICS, ground_height
@@ -33,6 +32,7 @@ from eval.tables.models import generated_fields
 from eval.tables.nerm.clip_fid_column import NOT_SO_FAST, ModelFields, framerate_label, samples_at
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.progress import task
+from motionkit.core.shapes import Float64
 from motionkit.generate.models import installed_models
 
 VERSION = "physical/1"

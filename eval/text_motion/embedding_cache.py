@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Float64
 from safetensors.numpy import load_file, save
 
 from eval.sets.sets import SampleSet
@@ -22,6 +21,7 @@ from motionkit.core.errors import DamagedFileError
 from motionkit.core.files import require_no_link
 from motionkit.core.motion import Caption
 from motionkit.core.progress import warn
+from motionkit.core.shapes import Float32, Float64
 from motionkit.training.sealed_tensors import checked_metadata, write_sealed_tensors
 
 FOLDER = "embeddings"

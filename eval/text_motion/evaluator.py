@@ -5,10 +5,10 @@ from fractions import Fraction
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float32, Float64
 
 from eval.sets.sets import SampleSet
 from motionkit.core.motion import Caption
+from motionkit.core.shapes import Float32, Float64
 
 
 @runtime_checkable

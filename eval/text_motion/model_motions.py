@@ -11,7 +11,6 @@ from hashlib import sha256
 from json import dumps
 
 import numpy as np
-from jaxtyping import Float32, Float64
 
 from eval.sets.generated import AT_ONCE
 from eval.sets.row_ids import RowId, Variant
@@ -20,6 +19,7 @@ from eval.text_motion.embedding_cache import Embedder
 from eval.text_motion.pairs import TextMotionPairs
 from eval.text_motion.protocol import MultiModalityRule
 from eval.text_motion.real_pairs import CaptionedMotions, as_kit_joints
+from motionkit.core.shapes import Float32, Float64
 from motionkit.fields.contact.planted import planted
 from motionkit.fields.motion_field import to_motion
 from motionkit.generate.models import GenerationRequest, GenerativeModel

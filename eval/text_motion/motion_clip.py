@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Float64, Int64
 from torch import Tensor, nn
 
 from eval.sets.sets import SampleSet
@@ -24,6 +23,7 @@ from eval.text_motion.guo.kind import KINDS, GuoError, GuoKind, read_statistics
 from eval.text_motion.guo.networks import FRAMES_PER_TOKEN
 from motionkit.core.errors import MissingExtraError
 from motionkit.core.motion import Caption
+from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.training.tensors import CheckpointError, fill_checked, foreign_tensors, read_foreign
 
 WHAT = "MARDM's MotionCLIP"

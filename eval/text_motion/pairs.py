@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from jaxtyping import Float, Float64, Int64
 
 from eval.metrics.r_precision import RANKS, hits
 from eval.metrics.resampling import (
@@ -18,6 +17,7 @@ from eval.metrics.resampling import (
     units_of,
     weighted_means,
 )
+from motionkit.core.shapes import Float, Float64, Int64
 
 Pairs = Float[np.ndarray, "_pairs _numbers"]
 Distances = Float64[np.ndarray, "_pools _pool _pool"]

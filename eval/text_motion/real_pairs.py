@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from jaxtyping import Float32
 
 from eval.sets.real import NoRealMotionError, real_motion
 from eval.sets.sets import SampleSet, middle, sample_set
 from eval.text_motion.protocol import LengthRule
 from motionkit.core.motion import Caption
+from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import KIT21, SMPL22
 from motionkit.core.skeletons.mapping import joint_map
 from motionkit.features.humanml3d import bone_lengths, uniform_skeleton

@@ -3,13 +3,13 @@
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float
 from scipy.spatial.distance import cdist
 
 from eval.metrics.checks import Estimate, estimate
 from eval.metrics.retrieval import RECALL_RANKS, cosines, least_similar, retrieval
 from eval.text_motion.pairs import TextMotionPairs
 from eval.text_motion.protocol import RetrievalRule
+from motionkit.core.shapes import Bool, Float
 
 RETRIEVAL = 9
 """The random stream of pools."""

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from jaxtyping import Float, Float32, Int64
 from threadpoolctl import threadpool_limits
 
 from eval.metrics.actions import diversity, multimodality, multimodality_shared_pairs
@@ -13,6 +12,7 @@ from eval.metrics.replications import Scores, Tally
 from eval.metrics.retrieval import clip_score, tmr_score
 from eval.text_motion.pairs import AddTerms, PairTerms, TextMotionPairs, resampled_multimodality
 from eval.text_motion.protocol import NAN_IS_BEST, KnownBug, TextMotionProtocol, chosen_bugs
+from motionkit.core.shapes import Float, Float32, Int64
 
 
 def ranked_as_published(

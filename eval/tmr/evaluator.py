@@ -6,12 +6,12 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64
 
 from eval.native_evaluator.evaluator import load_networks
 from eval.native_evaluator.text_motion import NativeTextMotion
 from eval.sets.sets import SampleSet
 from motionkit.core.motion import Caption
+from motionkit.core.shapes import Float64
 
 VERSION = "tmr/1"
 STAGE_NAME = "tmr"

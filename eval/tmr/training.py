@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Float64, Int64
 from torch import Tensor
 
 from eval.native_evaluator.bank import ClipBank
@@ -17,6 +16,7 @@ from eval.native_evaluator.network import MIN_POSES, NativeNetwork, TextProjecti
 from eval.native_evaluator.training import Sentences, symmetric_cross_entropy
 from eval.tmr.settings import TmrConfig
 from motionkit.core.errors import UsageError
+from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.training.config import rate_factor
 from motionkit.training.schedule import seeded_initialisation, set_rate
 from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed

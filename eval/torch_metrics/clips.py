@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
 from torch import Tensor
 from torchmetrics import Metric
 
@@ -16,6 +15,7 @@ from eval.clip_fid.features import Comparison
 from eval.clip_fid.motions import Motions, comparison_with, samples_of
 from eval.torch_metrics.arrays import array_of, rows_of
 from motionkit.core.framerate import Framerate, parse_fps
+from motionkit.core.shapes import Float, Int
 
 Some = Sequence[Float[Tensor, "_frames 22 3"]] | Float[Tensor, "motions frames 22 3"]
 

@@ -6,7 +6,6 @@ from typing import Any, ClassVar
 
 import numpy.typing as npt
 import torch
-from jaxtyping import Float
 from torch import Tensor
 from torchmetrics import Metric
 
@@ -14,6 +13,7 @@ from eval.metrics.metric import MeanSums, find_metric
 from eval.metrics.physical import ground_height
 from eval.torch_metrics.arrays import array_of
 from motionkit.core.framerate import Framerate, parse_fps
+from motionkit.core.shapes import Float
 
 
 class DeclaredMean(Metric):

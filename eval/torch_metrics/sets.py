@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
 from torch import Tensor
 from torchmetrics import Metric
 
@@ -12,6 +11,7 @@ from eval.metrics.actions import NUM_PAIRS, PAIRS, diversity, multimodality
 from eval.metrics.gaussian import FeatureSums, feature_sums, frechet_distance
 from eval.metrics.r_precision import REFERENCE_POOL, r_precision
 from eval.torch_metrics.arrays import array_of, rows_of
+from motionkit.core.shapes import Float
 
 
 class FID(Metric):

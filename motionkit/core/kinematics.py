@@ -6,8 +6,8 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from jaxtyping import Bool, Float, Float64
 
+from motionkit.core.shapes import Bool, Float, Float64
 from motionkit.core.skeleton import Skeleton
 
 Array = npt.NDArray[np.floating]

@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float32, Int
 
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float32, Int
 from motionkit.core.skeleton import Skeleton
 
 FLIP = np.array([-1.0, 1.0, 1.0], dtype=np.float32)

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from jaxtyping import Float, Float64
+
+from motionkit.core.shapes import Float, Float64
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,10 +8,10 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Float32
 
 from motionkit.core.framerate import Framerate, parse_fps
 from motionkit.core.public_names import provided
+from motionkit.core.shapes import Float, Float32
 from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
 from motionkit.core.timegrid import SAME_SECONDS, TimeGrid
 

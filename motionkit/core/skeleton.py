@@ -5,7 +5,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float32, Int64
+
+from motionkit.core.shapes import Float32, Int64
 
 # More joints in a file are a mistake or an attack.
 MAX_JOINTS = 10_000

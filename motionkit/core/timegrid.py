@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from jaxtyping import Float64
+
+from motionkit.core.shapes import Float64
 
 # Tolerance for equal instants.
 SAME_SECONDS = 1e-6

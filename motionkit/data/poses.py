@@ -6,9 +6,9 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32, Float64, Int64
 
 from motionkit.core.mirror import mirror_positions
+from motionkit.core.shapes import Bool, Float32, Float64, Int64
 from motionkit.core.timegrid import normalise_seconds
 from motionkit.data.windows import PositionSource, Windows, read_positions
 from motionkit.features import field

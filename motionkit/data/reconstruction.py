@@ -10,9 +10,9 @@ from fractions import Fraction
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int64
 
 from motionkit.core.mirror import mirror_positions
+from motionkit.core.shapes import Bool, Float32, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.data.windows import PositionSource, Windows
 from motionkit.features import field

@@ -6,9 +6,9 @@ from fractions import Fraction
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
 
 from motionkit.core.errors import UsageError
+from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.features.rotation_rows import num_numbers, rotation_rows, rows_of_poses
 from motionkit.fields.motion_field import Poses

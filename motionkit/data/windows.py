@@ -12,10 +12,10 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32, Float64, Int, Int64
 
 from motionkit.core.errors import UsageError
 from motionkit.core.mirror import mirror_positions
+from motionkit.core.shapes import Bool, Float32, Float64, Int, Int64
 from motionkit.features import field
 from motionkit.store.cache import RowFile
 

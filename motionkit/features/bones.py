@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from jaxtyping import Float32, Int
 
+from motionkit.core.shapes import Float32, Int
 from motionkit.features.layout import LAYOUTS
 
 _NO_LENGTH = 1e-14

@@ -6,8 +6,8 @@ needs integration, so the path cannot drift; the inverse is one addition.
 """
 
 import numpy as np
-from jaxtyping import Float, Float32
 
+from motionkit.core.shapes import Float, Float32
 from motionkit.features.layout import FacingJoints, facing_direction, layout_of
 
 CONVENTION = "field"

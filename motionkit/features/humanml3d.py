@@ -10,8 +10,8 @@ Source: HumanML3D, motion_representation.ipynb and common/skeleton.py.
 from functools import cache
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64
 
+from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.features.bones import BoneTree, bone_tree, rotations_6d
 from motionkit.features.layout import PoseLayout, facing_direction, pose_layout, smooth, to_z_half_angle
 from motionkit.features.native import fill_joint_velocities, fill_positions, turn

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float, Float64
 
 from motionkit.core.errors import UsageError
+from motionkit.core.shapes import Float, Float64
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.io.humanml3d import vector_blocks
 

@@ -11,8 +11,8 @@ from fractions import Fraction
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64, Int
 
+from motionkit.core.shapes import Float, Float32, Float64, Int
 from motionkit.core.timegrid import TimeGrid
 from motionkit.features.bones import bone_tree, rotations_6d
 from motionkit.features.layout import SMPL22_LAYOUT, PoseLayout, VectorLayout, pose_layout, smooth, to_z_half_angle

@@ -8,10 +8,10 @@ window's: `turned` converts from one to the other.
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64
 
 from motionkit.core import kinematics
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.fields.interpolation.joints import Joints

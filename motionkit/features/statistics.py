@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64
 
 from motionkit.core.moments import Moments
+from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.features.layout import layout_of, vector_layout
 
 Signature = Literal["published", "evaluator"]

@@ -6,7 +6,6 @@ from fractions import Fraction
 from functools import cached_property, lru_cache
 
 import numpy as np
-from jaxtyping import Float64
 
 from motionkit.core.kinematics import (
     quaternion_conjugate,
@@ -14,6 +13,7 @@ from motionkit.core.kinematics import (
     quaternion_to_rotation_vector,
     rotation_vector_to_quaternion,
 )
+from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.interpolation.joints import Joints
 from motionkit.fields.motion_field import (

@@ -12,9 +12,9 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64
 
 from motionkit.core.kinematics import quaternion_multiply, quaternion_rotate, quaternion_slerp
+from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.contact.predicted import contacts_of
 from motionkit.fields.interpolation.joints import Joints

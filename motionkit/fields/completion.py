@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int
 
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Bool, Float64, Int
 from motionkit.core.timegrid import SAME_SECONDS, TimeGrid, num_frames_within
 from motionkit.fields.interpolation.interpolators import INTERPOLATORS
 from motionkit.fields.motion_field import (

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float64, Int64
 
+from motionkit.core.shapes import Float64, Int64
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.motion_field import Observation, Poses, RemakePoses
 

@@ -10,10 +10,10 @@ from fractions import Fraction
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64
 
 from motionkit.core.kinematics import continuous_quaternions
 from motionkit.core.motion import Motion, Provenance
+from motionkit.core.shapes import Bool, Float32, Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid, num_frames_within
 

@@ -8,11 +8,11 @@ evaluators use both ways.
 from fractions import Fraction
 
 import numpy as np
-from jaxtyping import Float, Float64
 
 from motionkit.core.framerate import Framerate, parse_fps
 from motionkit.core.kinematics import continuous_quaternions
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float, Float64
 from motionkit.core.timegrid import TimeGrid, num_frames_within
 from motionkit.fields.completion import upsample
 from motionkit.fields.interpolation.interpolators import Method, interpolator_of

@@ -12,10 +12,10 @@ from fractions import Fraction
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float64
 
 from motionkit.core.kinematics import global_rotations, quaternion_conjugate, quaternion_multiply
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import joint_map, map_joints
 from motionkit.core.timegrid import TimeGrid

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64
 
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.plain_text import shown
+from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.generate.constraints import Constraint

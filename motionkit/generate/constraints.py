@@ -8,10 +8,10 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float, Float64
 
 from motionkit.core.checksums import checksum_of
 from motionkit.core.errors import UsageError
+from motionkit.core.shapes import Float, Float64
 from motionkit.core.skeleton import SMPL22
 from motionkit.features.field import heading as heading_of
 from motionkit.features.field import to_window

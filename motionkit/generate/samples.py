@@ -6,11 +6,11 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Float64
 
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.progress import warn
+from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError
 from motionkit.core.timegrid import TimeGrid

@@ -10,10 +10,10 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64
 
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
+from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import MAX_JOINTS, Skeleton
 from motionkit.io.source import source_file
 from motionkit.io.source.number_table import parse_number

@@ -12,11 +12,11 @@ from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, Float64
 
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float32, Float64
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io.asf import ROTATIONS, AsfSkeleton, read_asf
 from motionkit.io.format import Format, of_path

@@ -18,13 +18,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Float64
 
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
 from motionkit.core.framerate import SNAP_TOLERANCE, parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.plain_text import parse_json
+from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import Feet, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io.arrays import npy

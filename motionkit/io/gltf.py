@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float32, UInt16
 
 from motionkit.core.framerate import format_fps
 from motionkit.core.kinematics import continuous_quaternions
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float32, UInt16
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, rest_positions
 from motionkit.core.timegrid import TimeGrid

@@ -12,12 +12,12 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64
 
 from motionkit.core.errors import FormatError
 from motionkit.core.files import naming
 from motionkit.core.moments import Moments, merge, moments
 from motionkit.core.motion import Caption, Motion
+from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import texts

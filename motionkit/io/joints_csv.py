@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pc
-from jaxtyping import Float64
 
 from motionkit.core.errors import FormatError
 from motionkit.core.framerate import format_fps
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io.arrays.npy import MAX_NUMBER

@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from jaxtyping import Float32
 
 from motionkit.core.checksums import read_json, sha256_of
 from motionkit.core.errors import DamagedFileError, FormatError
 from motionkit.core.framerate import format_fps, parse_fps
 from motionkit.core.motion import Caption, Motion, Provenance
+from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import Feet, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io.arrays.npy import checked_numbers, checked_rotations

@@ -9,11 +9,11 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64
 
 from motionkit.core.errors import FormatError
 from motionkit.core.framerate import parse_fps
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float64
 from motionkit.core.skeletons.families import with_layout_map
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io.bvh import channels

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float, Float32, Int64
 
 from motionkit.core import kinematics
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float, Float32, Int64
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, body_axis
 

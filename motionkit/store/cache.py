@@ -21,13 +21,13 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, Int, Int32, Int64
 
 from motionkit.core.checksums import read_json, write_json
 from motionkit.core.errors import DamagedFileError, StoreError, UsageError
 from motionkit.core.files import exclusive_lock, require_no_link, require_regular, whole_file, whole_folder
 from motionkit.core.progress import tracked, warn
 from motionkit.core.settings import optional_path
+from motionkit.core.shapes import Float32, Int, Int32, Int64
 from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, map_joints
 from motionkit.store.reader import Store

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from jaxtyping import Float32, Shaped
 
 from motionkit.core.errors import StoreError
 from motionkit.core.motion import Caption, Motion, Provenance
+from motionkit.core.shapes import Float32, Shaped
 from motionkit.core.skeleton import Feet, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.features.quality import measure

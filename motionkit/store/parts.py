@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from jaxtyping import Float32, Int64
 
 from motionkit.core import files
 from motionkit.core.checksums import sha256_of
 from motionkit.core.errors import StoreError
 from motionkit.core.files import require_regular
+from motionkit.core.shapes import Float32, Int64
 from motionkit.store import codec
 from motionkit.store.codec import RUN, array_of
 from motionkit.store.manifest import FileEntry, describe_file, read_manifest

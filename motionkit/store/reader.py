@@ -11,11 +11,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from jaxtyping import Int, Int64
 
 from motionkit.core.errors import StoreError, UsageError
 from motionkit.core.motion import Motion
 from motionkit.core.progress import OnProgress, ignore
+from motionkit.core.shapes import Int, Int64
 from motionkit.store import codec
 from motionkit.store.codec import EncodedMotion
 from motionkit.store.fetched import fetch_store

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from jaxtyping import Float32
 
 from motionkit.core.files import MANIFEST_FILE as MANIFEST_FILE
 from motionkit.core.files import SEGMENTS_FOLDER as SEGMENTS_FOLDER
 from motionkit.core.files import SEQUENCES_FILE as SEQUENCES_FILE
+from motionkit.core.shapes import Float32
 
 # 2^-22: 0.24 micrometres, or half a microradian of a quaternion's turn. It is the spacing of float32 itself from 2 to
 # 4 metres from the origin, so no coordinate loses what it would have kept a few steps further away.

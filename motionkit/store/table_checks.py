@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-from jaxtyping import Bool, Float64, Int64
 
 from motionkit.core.errors import MotionkitError, StoreError
+from motionkit.core.shapes import Bool, Float64, Int64
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.skeletons.families import parse_layout_map
 from motionkit.store import codec

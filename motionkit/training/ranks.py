@@ -14,10 +14,10 @@ from datetime import timedelta
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int64, Shaped
 from torch import distributed
 
 from motionkit.core.errors import UsageError
+from motionkit.core.shapes import Float, Int64, Shaped
 
 # A rank may wait for long while the first one trains a stage alone; torchrun ends all ranks if one dies.
 PATIENCE = timedelta(days=7)

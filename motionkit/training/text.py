@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float32
 from safetensors.numpy import load_file, save
 
 from motionkit.core.errors import DamagedFileError, UsageError
 from motionkit.core.files import require_no_link
 from motionkit.core.progress import warn
+from motionkit.core.shapes import Float32
 from motionkit.store.cache import writable
 from motionkit.training.sealed_tensors import checked_metadata, write_sealed_tensors
 

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64, Int64, UInt8
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
@@ -22,6 +21,7 @@ from PIL import Image
 from motionkit.core.errors import MissingExtraError, MotionkitError
 from motionkit.core.files import whole_file
 from motionkit.core.framerate import format_fps
+from motionkit.core.shapes import Float64, Int64, UInt8
 from motionkit.viz.player.takes import Drawing, Take, drawing_of
 
 PANEL_PIXELS, DPI = 480, 100

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from jaxtyping import Float, Float32, Int64
 from torch import nn
 
+from motionkit.core.shapes import Float, Float32, Int64
 from motionkit.training.run import RunFolder
 from motionkit.training.tensors import CheckpointError, load_tensors
 from nerm.settings import CodebookNetworkConfig

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float32
 
 from motionkit.core.errors import FormatError
+from motionkit.core.shapes import Float32
 from motionkit.features.layout import vector_layout
 from motionkit.features.statistics import Statistics, check_statistics
 from motionkit.io.arrays import npy

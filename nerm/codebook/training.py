@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 
 import torch
-from jaxtyping import Float32, Int64
 from torch.nn.functional import smooth_l1_loss
 
+from motionkit.core.shapes import Float32, Int64
 from motionkit.training.precision import autocast
 from motionkit.training.ranks import ALONE, Ranks
 from motionkit.training.schedule import seeded_initialisation, set_rate

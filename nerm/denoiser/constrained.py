@@ -10,9 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float32, Float64
 from torch import Tensor
 
+from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import SMPL22
 from motionkit.generate.constraints import Constraint
 from motionkit.generate.models import SamplingOptions

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Int64
 from torch import Tensor
 
+from motionkit.core.shapes import Float32, Int64
 from motionkit.data.captions import actions_of_windows, captions_of_windows
 from motionkit.data.windows import Windows
 from motionkit.store.cache import cache_root

@@ -7,9 +7,9 @@ metres per second of sliding. As steps in the body's frame, a path is as station
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float, Float32, Float64, Int64
 from torch import Tensor
 
+from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64
 from nerm.latents.local import LocalLatents
 from nerm.settings import LatentScale, PathNumbers
 

@@ -7,10 +7,10 @@ and a linear map.
 import math
 
 import torch
-from jaxtyping import Bool, Float, Float32, Int64, Shaped
 from torch import Tensor, nn
 from torch.nn import functional
 
+from motionkit.core.shapes import Bool, Float, Float32, Int64, Shaped
 from nerm.conditions import ConditionEmbedding, ConditionLayout, Conditions
 from nerm.latents.posterior import in_use
 from nerm.settings import TransformerConfig

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
-from jaxtyping import Float32, Float64
 from torch import Tensor
 
 from motionkit.core.errors import UsageError
+from motionkit.core.shapes import Float32, Float64
 from motionkit.generate.models import SamplingOptions
 from motionkit.training.config import from_plain, to_plain
 from motionkit.training.diffusion.process import (

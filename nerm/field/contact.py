@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Int64
 from torch import Tensor, nn
 
 from motionkit.core.progress import OnProgress, task
+from motionkit.core.shapes import Float, Float32, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import normalise_seconds
 from motionkit.data.windows import Windows, rows_by_duration, shuffled_batches

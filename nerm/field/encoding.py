@@ -7,8 +7,8 @@ or from zero. Numbers are scaled by their effect on the poses, which differs wid
 from collections.abc import Callable
 
 import torch
-from jaxtyping import Float, Float32, Float64
 
+from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.data.poses import PoseBatch
 from nerm.field.network import EncodedCoordinates
 from nerm.field.trained import TrainedField

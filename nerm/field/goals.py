@@ -10,9 +10,9 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Float64
 from torch import Tensor
 
+from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import SkeletonMapError
 from motionkit.data.pose_vectors.joints import joints_of

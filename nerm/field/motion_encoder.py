@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Float64, Int, Int64
 
+from motionkit.core.shapes import Float32, Float64, Int, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import normalise_seconds
 from motionkit.data.poses import FrameVectors, PoseBatch, WindowPoses

@@ -7,9 +7,9 @@ parts for z (once per clip), the coordinate (once per distinct t) and the framer
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float, Float32, Float64, Int64
 from torch import nn
 
+from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64
 from nerm.coordinates import (
     CodebookCoordinateAttention,
     FourierFeatures,

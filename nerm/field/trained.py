@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Float64
 
+from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import normalise_seconds
 from motionkit.data.pose_vectors.convention import PoseVectors, VectorScaling, described, restored

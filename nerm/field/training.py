@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Float64, Int64
 
 from motionkit.core.errors import UsageError
+from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.data.pose_vectors.convention import PoseVectors, VectorScaling, measure_scaling
 from motionkit.data.pose_vectors.field import FIELD_VECTORS

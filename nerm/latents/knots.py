@@ -13,8 +13,8 @@ from typing import Literal
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Float64
 
+from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.features import field
 
 Kernel = Literal["hann", "lanczos"]

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Float64, Int64
 
+from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.data.pose_vectors.convention import ROOT_PATH, VectorScaling
 from motionkit.data.poses import PoseBatch, WindowPoses
 from motionkit.data.windows import chunks

@@ -10,8 +10,8 @@ import math
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Float32, Float64, Int64, Shaped
 
+from motionkit.core.shapes import Float, Float32, Float64, Int64, Shaped
 from nerm.latents.knots import NUM_PATH_NUMBERS, KnotLayout, mix, path_speed
 from nerm.settings import FieldConfig
 

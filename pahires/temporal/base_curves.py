@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Float64, Int64
 
+from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.core.skeleton import Skeleton
 from motionkit.features import rotation_rows
 from pahires.temporal.network import ObservedWindow

@@ -12,8 +12,8 @@ from typing import Literal
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Float64, Int64
 
+from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.features.rotation_rows import PoseRows, num_numbers, poses_of, rows_of_poses
 from motionkit.fields.interpolation.joints import with_rotations

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Float, Float32
+
+from motionkit.core.shapes import Float, Float32
 
 
 @dataclass(frozen=True, eq=False)

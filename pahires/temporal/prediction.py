@@ -3,8 +3,8 @@
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float32
 
+from motionkit.core.shapes import Float32
 from pahires.temporal.base_curves import Scaling, interpolated, located, seconds_beyond
 from pahires.temporal.network import ObservedWindow, TemporalNetwork
 from pahires.temporal.settings import AnswerSettings, Sizing

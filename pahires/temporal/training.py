@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float32
 
+from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import Feet, Skeleton
 from motionkit.data.takes import open_takes
 from motionkit.training.config import from_plain, to_plain

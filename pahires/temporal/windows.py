@@ -10,9 +10,9 @@ from typing import Literal
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32, Float64, Int64
 
 from motionkit.core.errors import UsageError
+from motionkit.core.shapes import Bool, Float32, Float64, Int64
 from motionkit.data.takes import Takes
 from motionkit.features import rotation_rows
 from pahires.temporal.base_curves import Scaling, WindowFrames, measure_scaling

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import torch
-from jaxtyping import Bool, Float, Float32, Int64
 from torch import Tensor, nn
 
 from motionkit.core.errors import UsageError
+from motionkit.core.shapes import Bool, Float, Float32, Int64
 from motionkit.data.pose_vectors.convention import PoseVectors, VectorScaling
 from motionkit.features.layout import vector_layout
 

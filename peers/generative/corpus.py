@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Int64
 from torch import Tensor
 
 from motionkit.core.errors import UsageError
+from motionkit.core.shapes import Float32, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.data.captions import actions_of_windows, captions_of_windows
 from motionkit.data.pose_vectors.convention import (

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float32
 
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.interpolation.interpolators import INTERPOLATORS, InterpolatedField

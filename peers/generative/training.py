@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Float, Float64
 from torch import Tensor, nn
 
+from motionkit.core.shapes import Float, Float64
 from motionkit.data.pose_vectors.convention import VectorScaling, described, restored
 from motionkit.training.config import Schedule, from_plain, to_plain
 from motionkit.training.diffusion.settings import DiffusionConfig

@@ -6,7 +6,6 @@ from fractions import Fraction
 from itertools import chain
 
 import numpy as np
-from jaxtyping import Float32
 
 from eval.clip_fid.score import CLIP_FID
 from eval.report.results import Block, Cell, Result, Row, measure
@@ -18,6 +17,7 @@ from eval.tables.nerm.run_figures import SYNTHESIS, Yardstick, label
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import tracked
+from motionkit.core.shapes import Float32
 from motionkit.fields.motion_field import to_motion
 from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions, installed_models
 from motionkit.training.run import RunError

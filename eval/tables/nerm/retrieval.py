@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32
 
 from eval.metrics.checks import Estimate
 from eval.metrics.retrieval import RECALL_RANKS
@@ -14,6 +13,7 @@ from eval.text_motion.pairs import TextMotionPairs
 from eval.text_motion.protocol import RetrievalRule, TextMotionProtocol
 from eval.text_motion.retrieval import SUFFIXES, no_distance, score_retrieval, share_of_same_texts
 from motionkit.core.motion import Caption
+from motionkit.core.shapes import Float32
 from motionkit.training.text import load_text_encoder
 
 SENTENCES = "minilm"

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from jaxtyping import Float64
 
 from eval.sample_folder import SampleFolder
 from eval.sample_folder.takes import rows_by_name
@@ -18,6 +17,7 @@ from eval.text_motion.protocol import TextMotionProtocol
 from eval.text_motion.real_pairs import MADE_OF_22, CaptionedMotions, as_kit_joints, kit_bone_lengths
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Caption
+from motionkit.core.shapes import Float64
 
 AS_VECTORS = "read as the pose vectors that they came as"
 BY_JOINTS = "read as pose vectors made of joint positions"

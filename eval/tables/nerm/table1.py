@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from jaxtyping import Float32
 
 from eval.metrics.checks import Estimate
 from eval.metrics.replications import Scores
@@ -34,6 +33,7 @@ from eval.text_motion.retrieval import score_retrieval
 from eval.text_motion.scores import score_text_motion
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.progress import task
+from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS
 from motionkit.generate.models import GenerationRequest, installed_models, refusal
 

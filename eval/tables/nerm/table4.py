@@ -7,7 +7,6 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Int64
 
 from eval.reconstruction.errors import WindowErrors, mpjpe_cell, mre_cell, window_errors
 from eval.report.results import Block, Cell, Result, Row, measure
@@ -16,6 +15,7 @@ from eval.tables.models import reconstructor, trained_reconstructors
 from eval.tables.parts import printed_rows, reported_figures
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import UsageError
+from motionkit.core.shapes import Int64
 from motionkit.data.reconstruction import (
     ModelWindows,
     Reconstruction,

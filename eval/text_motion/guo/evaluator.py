@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Float64
 
 from eval.sets.sets import SampleSet
 from eval.text_motion.guo.kind import REACH_FRAMES, GuoError, GuoFiles, GuoKind, Padding, read_statistics
@@ -27,6 +26,7 @@ from eval.text_motion.guo.networks import (
 )
 from eval.text_motion.guo.words import WordVectors, read_word_vectors
 from motionkit.core.motion import Caption
+from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import placed, process
 from motionkit.features.layout import pose_layout

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float64
 
 from motionkit.core.errors import FormatError, MotionkitError
+from motionkit.core.shapes import Float64
 from motionkit.features.layout import pose_layout
 from motionkit.features.statistics import Statistics, check_statistics
 from motionkit.io.arrays import npy

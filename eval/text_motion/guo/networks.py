@@ -12,12 +12,12 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float64
 from torch import Tensor, nn
 from torch.nn.utils.rnn import pack_sequence
 
 from eval.text_motion.guo.kind import KINDS, GuoKind
 from eval.text_motion.guo.words import NUM_NUMBERS, PARTS_OF_SPEECH
+from motionkit.core.shapes import Float, Float64
 from motionkit.training.tensors import CheckpointError, fill_checked, foreign_tensors
 
 WHAT = "the evaluator of Guo et al."

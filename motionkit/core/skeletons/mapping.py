@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from functools import cache, lru_cache
 
 import numpy as np
-from jaxtyping import Float32
 
 from motionkit.core import kinematics
 from motionkit.core.errors import MotionkitError
 from motionkit.core.motion import Motion
 from motionkit.core.plain_text import shortened
+from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import KIT21, SMPL22, STANDARD_SKELETONS, Skeleton
 from motionkit.core.skeletons.families import (
     canonical_names,

@@ -10,8 +10,8 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Float64
 
+from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.data.pose_vectors import PoseVectorsName
 from motionkit.data.pose_vectors.field import FIELD_VECTORS

@@ -1,9 +1,9 @@
 """Joint positions as a differentiable function of pose vectors, for conventions that allow it."""
 
 import torch
-from jaxtyping import Float
 from torch import Tensor
 
+from motionkit.core.shapes import Float
 from motionkit.data.pose_vectors.convention import PoseVectors
 from motionkit.data.pose_vectors.native import NativeVectors
 from motionkit.data.pose_vectors.rotations import RotationVectors

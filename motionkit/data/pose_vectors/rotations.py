@@ -10,11 +10,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int64
 
 from motionkit.core import kinematics
 from motionkit.core.errors import UsageError
 from motionkit.core.mirror import FLIP, TURN_BACK
+from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.data.poses import FrameVectors
 from motionkit.features import field

@@ -10,10 +10,10 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
 
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Bool, Float64, Int64
 from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.completion import Completion

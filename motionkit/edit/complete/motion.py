@@ -5,13 +5,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool
 
 from motionkit.core.errors import UsageError
 from motionkit.core.framerate import Framerate, parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.progress import warn
 from motionkit.core.settings import default_path
+from motionkit.core.shapes import Bool
 from motionkit.edit.complete.clips import Clip, clip_of_motion, completed_line, find_clips
 from motionkit.edit.complete.encoders import choose_encoder
 from motionkit.edit.complete.job import begin_clip

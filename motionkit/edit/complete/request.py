@@ -8,11 +8,11 @@ from fractions import Fraction
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Bool, Float64
 
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.framerate import format_fps
 from motionkit.core.plain_text import shown, whole_number
+from motionkit.core.shapes import Bool, Float64
 from motionkit.core.timegrid import TimeGrid
 
 # More than a minute of extrapolation is probably a typo.

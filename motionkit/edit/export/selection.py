@@ -9,10 +9,10 @@ from pathlib import PurePosixPath
 
 import numpy as np
 import pyarrow as pa
-from jaxtyping import Int64
 
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Int64
 from motionkit.fields.resample import resample
 from motionkit.store.reader import Store
 

@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool
 
 from motionkit.core.errors import MotionkitError
 from motionkit.core.files import whole_file
 from motionkit.core.framerate import format_fps
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Bool
 from motionkit.core.timegrid import TimeGrid, num_frames_within
 from motionkit.edit.complete.clips import Clip, ClipSource, Progress, as_format
 from motionkit.edit.complete.job import PAGE_BYTES, PAGE_SECONDS, OutputPath

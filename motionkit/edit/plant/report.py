@@ -5,8 +5,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float64
 
+from motionkit.core.shapes import Bool, Float64
 from motionkit.fields.contact.correction import Correction
 from motionkit.fields.contact.detection import runs
 from motionkit.fields.contact.planted import PlantedField

@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int64
+
+from motionkit.core.shapes import Bool, Float, Float32, Int64
 
 # No capture system sees a body stand still to a micrometre; held frames are equal to the last bit, and those of a
 # format that stores differences nearly so.

@@ -10,9 +10,9 @@ from fractions import Fraction
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64
 
 from motionkit.core.framerate import COMMON_FPS
+from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.features.quality.steps import middle
 
 Kernel = Callable[[Float64[np.ndarray, "*shape"]], Float64[np.ndarray, "*shape"]]

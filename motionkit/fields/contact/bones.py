@@ -4,9 +4,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64
 
 from motionkit.core.kinematics import fit_rotation, quaternion_conjugate, quaternion_rotate
+from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.contact.two_bone import LEAST_ROOM_METRES, LONGEST_SHARE, Vectors
 

@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64
 
+from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.contact.bones import Bones
 from motionkit.fields.contact.planted import on_bones

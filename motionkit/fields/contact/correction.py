@@ -6,8 +6,8 @@ from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float64
 
+from motionkit.core.shapes import Bool, Float64
 from motionkit.fields.contact.detection import (
     CAPTURED,
     GENERATED,

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64, Int64
+
+from motionkit.core.shapes import Bool, Float, Float64, Int64
 
 LEVEL_QUANTILE, LEVEL_METRES = 0.05, 0.06
 MOST_BETWEEN_FEET_METRES = 0.04

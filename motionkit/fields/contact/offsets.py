@@ -9,7 +9,8 @@ ends up in r, which doesn't bend the knees; the rest fades out while a foot swin
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
+
+from motionkit.core.shapes import Float64
 
 KINDS = 3
 _BAND = 2 * KINDS + 1

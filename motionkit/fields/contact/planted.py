@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
 
 from motionkit.core.kinematics import quaternion_conjugate, quaternion_multiply, quaternion_rotate
+from motionkit.core.shapes import Bool, Float32, Float64, Int64
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.contact.bones import Bones

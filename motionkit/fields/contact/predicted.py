@@ -3,8 +3,8 @@
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float32, Float64
 
+from motionkit.core.shapes import Float32, Float64
 from motionkit.fields.motion_field import MotionField
 
 

@@ -7,9 +7,9 @@ plane is undefined, bends forward. A leg is never fully straightened: full reach
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
 
 from motionkit.core.kinematics import quaternion_between, quaternion_multiply, quaternion_rotate
+from motionkit.core.shapes import Float64
 
 Vectors = Float64[np.ndarray, "frames 3"]
 

@@ -5,9 +5,9 @@ from fractions import Fraction
 from functools import cached_property, lru_cache
 
 import numpy as np
-from jaxtyping import Float64
 
 from motionkit.core.errors import UsageError
+from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.fields.detail.displaced import displaced
 from motionkit.fields.detail.model import NUM_JOINTS, Detail

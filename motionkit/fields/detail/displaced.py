@@ -1,9 +1,9 @@
 """Small joint displacements applied by rotating bones, which keeps bone lengths and the shapes of several bones."""
 
 import numpy as np
-from jaxtyping import Float64
 
 from motionkit.core.kinematics import quaternion_between, quaternion_rotate, rotation_vector_to_quaternion
+from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.contact.planted import turned_rotations
 from motionkit.fields.motion_field import Poses

@@ -4,8 +4,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
-from jaxtyping import Float64
 
+from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import SMPL22
 from motionkit.fields.detail.slow_motion import (
     BAND_REACH,

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from jaxtyping import Float, Float64
+
+from motionkit.core.shapes import Float, Float64
 
 GRID_FPS = 120
 MARGIN = 192

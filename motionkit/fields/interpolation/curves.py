@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from jaxtyping import Float, Float64, Int
 
 from motionkit.core.kinematics import (
     continuous_quaternions,
@@ -19,6 +18,7 @@ from motionkit.core.kinematics import (
     quaternion_to_rotation_vector,
     rotation_vector_to_quaternion,
 )
+from motionkit.core.shapes import Float, Float64, Int
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly

@@ -12,10 +12,10 @@ from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float64
 
 from motionkit.core.motion import Motion
 from motionkit.core.plain_text import suggestion
+from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.interpolation.curves import CurveKind, RotationKind, curve, rotation_curve
 from motionkit.fields.interpolation.joints import Joints, JointsOfMany, with_rotations

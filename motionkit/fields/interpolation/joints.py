@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Float64
 
 from motionkit.core import kinematics
+from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.motion_field import Observation, Observed, Poses
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float32, Float64
 
 from motionkit.core.kinematics import (
     fit_rotation,
@@ -20,6 +19,7 @@ from motionkit.core.kinematics import (
     quaternion_multiply,
     quaternion_rotate,
 )
+from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.interpolation.interpolators import INTERPOLATORS, Settling
 from motionkit.fields.interpolation.joints import Joints

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Float32
 
 from motionkit.core.errors import FormatError
+from motionkit.core.shapes import Float, Float32
 from motionkit.io.source import source_file
 
 # A kilometre in millimetres.

@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32
 
 from motionkit.core.errors import FormatError, MotionkitError
 from motionkit.core.framerate import format_fps, parse_fps
 from motionkit.core.motion import Caption, Motion, Provenance
+from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import STANDARD_SKELETONS, Feet, Skeleton
 from motionkit.core.skeletons.families import parse_layout_map
 from motionkit.core.timegrid import TimeGrid

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, Float64
 
 from motionkit.core.errors import FormatError
+from motionkit.core.shapes import Float32, Float64
 from motionkit.io.arrays import npy, pickled_data
 from motionkit.io.source import source_file
 

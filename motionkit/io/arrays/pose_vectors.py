@@ -14,12 +14,12 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, Float64
 
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
 from motionkit.core.framerate import format_fps
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import humanml3d

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int64
 
 from motionkit.core import kinematics
 from motionkit.core.kinematics import euler_to_quaternion, quaternion_conjugate, quaternion_multiply
+from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64
 from motionkit.core.skeleton import Skeleton
 from motionkit.io.bvh.text import BvhHierarchy
 

@@ -16,11 +16,11 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
 
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Caption, Motion, Provenance
+from motionkit.core.shapes import Bool, Float32, Float64, Int64
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.skeletons.families import with_layout_map
 from motionkit.core.skeletons.mapping import SkeletonMapError, body_axis, rest_positions

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
 
 from motionkit.core.errors import FormatError
+from motionkit.core.shapes import Bool, Float64, Int64
 from motionkit.io.bvh.text import BvhText
 from motionkit.io.source import number_table
 from motionkit.io.source.number_table import RowsFound, TablePart

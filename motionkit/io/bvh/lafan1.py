@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
 
 from motionkit.core import kinematics
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.io.bvh.document import BvhDocument, read_bvh, read_document
 from motionkit.io.format import FileHead, Format, of_path
 from motionkit.io.scan.items import ReadOptions

@@ -5,11 +5,11 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64, Int64
 
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float64, Int64
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.motion_field import Poses
 from motionkit.io.bvh import channels

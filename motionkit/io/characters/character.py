@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64
 
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.contact.planted import planted_frames
 from motionkit.fields.motion_field import Observation, Poses

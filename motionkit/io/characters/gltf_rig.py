@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
 
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
 from motionkit.core.files import read_at_most
 from motionkit.core.motion import Motion
 from motionkit.core.plain_text import parse_json
+from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import MAX_JOINTS, Skeleton
 from motionkit.core.skeletons.families import with_layout_map
 from motionkit.io.gltf import BINARY_CHUNK, JSON_CHUNK, MAGIC, GlbBuffer

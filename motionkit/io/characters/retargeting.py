@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
-from jaxtyping import Float32, Float64
 
 from motionkit.core import kinematics
 from motionkit.core.errors import MotionkitError
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.families import canonical_names
 from motionkit.core.skeletons.mapping import map_joints, rest_positions

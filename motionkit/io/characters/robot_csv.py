@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pc
-from jaxtyping import Float64
 
 from motionkit.core import kinematics
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.fields.contact.detection import find_contacts, ground_of

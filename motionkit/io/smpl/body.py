@@ -11,10 +11,10 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Float64
 
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.io.arrays import npz_archive
 from motionkit.io.source import source_file

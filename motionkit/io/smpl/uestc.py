@@ -13,11 +13,11 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32
 
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float32
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io.arrays import npz_archive
 from motionkit.io.arrays.npz_archive import NpzArchive

@@ -7,10 +7,10 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32
 
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, family_unit_metres, joint_map, rest_positions
 

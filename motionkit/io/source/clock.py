@@ -5,10 +5,10 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64
 
 from motionkit.core.errors import FormatError
 from motionkit.core.framerate import parse_fps
+from motionkit.core.shapes import Float64
 from motionkit.core.timegrid import TimeGrid
 
 # Rounding to milliseconds is an error of 0.06 frames at 120 fps; a missing frame is one of 1.

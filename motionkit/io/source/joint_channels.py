@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float32
 
 from motionkit.core import kinematics
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.contact.bones import Bones
 

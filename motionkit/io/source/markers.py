@@ -6,9 +6,9 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
 
 from motionkit.core.errors import FormatError
+from motionkit.core.shapes import Bool, Float32, Float64, Int64
 from motionkit.core.skeleton import Skeleton
 
 UNITS = {"mm": 0.001, "cm": 0.01, "dm": 0.1, "m": 1.0, "in": 0.0254, "inch": 0.0254, "ft": 0.3048}

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int32, Int64, UInt8
 
 from motionkit.core.errors import FormatError
+from motionkit.core.shapes import Bool, Float64, Int32, Int64, UInt8
 
 LARGEST_VALUE = 1e9
 # A block and its word tables fit into a core's cache, and each is small enough for malloc to reuse its memory: from

@@ -3,10 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
 
 from motionkit.core import kinematics
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float
 
 # Tolerance of positions against those of the rotations.
 RIGID_METRES = 0.002

@@ -8,10 +8,10 @@ from typing import Literal
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-from jaxtyping import Int
 
 from motionkit.core.checksums import sha256_of
 from motionkit.core.errors import StoreError, UsageError, describe
+from motionkit.core.shapes import Int
 from motionkit.store.cache import remove_stale_caches
 from motionkit.store.codec import EncodedMotion
 from motionkit.store.commit import (

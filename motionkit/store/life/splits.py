@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-from jaxtyping import Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from motionkit.core.errors import UsageError
+from motionkit.core.shapes import Float, Int
 from motionkit.store.codec import array_of
 from motionkit.store.commit import changing, describe_pending, publish, write_pending
 from motionkit.store.manifest import read_manifest

@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float64
 
 from motionkit.core.checksums import write_json
 from motionkit.core.errors import FormatError, MotionkitError
 from motionkit.core.framerate import format_fps, parse_fps
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Bool, Float64
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import at_origin, facing_forward
 from motionkit.io.arrays import joints_npy, npy, npz_archive

@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64
 
+from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.fields.detail.model import NUM_JOINTS, Detail, floors
 from motionkit.fields.detail.slow_motion import (
     BAND_REACH,

@@ -8,9 +8,9 @@ import math
 from collections.abc import Callable, Sequence
 
 import torch
-from jaxtyping import Float, Float64, Int64
 from torch import Tensor
 
+from motionkit.core.shapes import Float, Float64, Int64
 from motionkit.training.diffusion.settings import DiffusionConfig, LossMeasure, Prediction
 
 NoisePredictor = Callable[[Tensor, Tensor], Tensor]

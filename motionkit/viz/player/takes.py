@@ -7,10 +7,10 @@ from fractions import Fraction
 from typing import Literal, TypedDict
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int
 
 from motionkit.core.framerate import format_fps
 from motionkit.core.motion import Caption, Motion
+from motionkit.core.shapes import Bool, Float32, Float64, Int
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError
 from motionkit.core.timegrid import TimeGrid

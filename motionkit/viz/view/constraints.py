@@ -5,9 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64
 
 from motionkit.core.errors import UsageError
+from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import SMPL22
 from motionkit.features.field import heading, to_world
 from motionkit.features.layout import SMPL22_LAYOUT

@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 
 import torch
-from jaxtyping import Bool, Float, Int64
 from torch import Tensor, nn
 
+from motionkit.core.shapes import Bool, Float, Int64
 from motionkit.training.diffusion.settings import DiffusionConfig
 from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, SampleBatch
 from peers.generative.networks.layers import (

@@ -3,11 +3,11 @@
 from collections.abc import Mapping
 
 import torch
-from jaxtyping import Bool, Float, Int64
 from torch import Tensor, nn
 from torch.nn.functional import scaled_dot_product_attention, silu
 
 from motionkit.core.errors import UsageError
+from motionkit.core.shapes import Bool, Float, Int64
 from motionkit.training.diffusion.settings import DiffusionConfig
 from peers.generative.batches import (
     Conditions,

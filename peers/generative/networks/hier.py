@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from itertools import chain, pairwise
 
 import torch
-from jaxtyping import Float, Int64
 from torch import Tensor, nn
 from torch.func import functional_call
 from torch.nn.functional import binary_cross_entropy_with_logits, smooth_l1_loss
 
 from motionkit.core.errors import UsageError
+from motionkit.core.shapes import Float, Int64
 from motionkit.features.layout import pose_layout
 from motionkit.training.diffusion.settings import DiffusionConfig
 from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, SampleBatch, frames_within

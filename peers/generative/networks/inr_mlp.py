@@ -7,12 +7,12 @@ from itertools import pairwise
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float64, Int64
 from scipy.spatial.distance import cdist
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.mixture import GaussianMixture
 from torch import Tensor, nn
 
+from motionkit.core.shapes import Float, Float64, Int64
 from motionkit.training.diffusion.settings import DiffusionConfig
 from peers.generative.batches import NO_ACTION, ConditionSizes, MotionBatch, PoseSpace, SampleBatch
 from peers.generative.networks.layers import ConditionVector, kl_divergence, reparameterized, sinusoids

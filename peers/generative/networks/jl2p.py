@@ -6,10 +6,10 @@ A recurrent encoder gives a motion's code, a linear layer a condition's; a recur
 from collections.abc import Mapping
 
 import torch
-from jaxtyping import Float, Int64
 from torch import Tensor, nn
 from torch.nn.functional import smooth_l1_loss
 
+from motionkit.core.shapes import Float, Int64
 from motionkit.training.diffusion.settings import DiffusionConfig
 from peers.generative.batches import ConditionSizes, MotionBatch, PoseSpace, SampleBatch, frames_within
 from peers.generative.networks.layers import ConditionVector, first_poses, last_states

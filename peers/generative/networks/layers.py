@@ -4,9 +4,9 @@ import math
 from collections.abc import Callable
 
 import torch
-from jaxtyping import Bool, Float, Int64, Shaped
 from torch import Tensor, nn
 
+from motionkit.core.shapes import Bool, Float, Int64, Shaped
 from motionkit.training.diffusion.process import (
     add_noise,
     cumulative_alphas,

@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 
 import torch
-from jaxtyping import Bool, Float, Int64
 from torch import Tensor, nn
 from torch.nn.functional import smooth_l1_loss
 
+from motionkit.core.shapes import Bool, Float, Int64
 from motionkit.training.diffusion.settings import DiffusionConfig
 from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, SampleBatch, frames_within
 from peers.generative.networks.layers import (

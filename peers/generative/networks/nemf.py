@@ -5,11 +5,11 @@ from itertools import pairwise
 
 import roma
 import torch
-from jaxtyping import Float, Int64
 from torch import Tensor, nn
 from torch.nn.functional import avg_pool1d, binary_cross_entropy_with_logits, l1_loss, pad
 
 from motionkit.core.errors import UsageError
+from motionkit.core.shapes import Float, Int64
 from motionkit.features.layout import VectorLayout, vector_layout
 from motionkit.training.diffusion.settings import DiffusionConfig
 from peers.generative.batches import ConditionSizes, MotionBatch, PoseSpace, SampleBatch, frames_within

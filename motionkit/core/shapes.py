@@ -1,0 +1,34 @@
+"""Annotations of arrays with their dtype and axes: `Float32[np.ndarray, "frames joints 3"]`.
+
+They are jaxtyping's, which the tests check at every call. Where nothing has imported jaxtyping they are bare arrays, as
+importing it and building its types is a noticeable part of a short command.
+"""
+
+import sys
+from typing import TYPE_CHECKING, Any
+
+__all__ = [
+    "Bool",
+    "Complex64",
+    "Float",
+    "Float32",
+    "Float64",
+    "Int",
+    "Int32",
+    "Int64",
+    "Shaped",
+    "UInt8",
+    "UInt16",
+]
+
+if TYPE_CHECKING or "jaxtyping" in sys.modules:
+    from jaxtyping import Bool, Complex64, Float, Float32, Float64, Int, Int32, Int64, Shaped, UInt8, UInt16
+else:
+
+    class Shaped:
+        """An array of any dtype."""
+
+        def __class_getitem__(cls, arguments: tuple[Any, str]) -> Any:
+            return arguments[0]
+
+    Bool = Complex64 = Float = Float32 = Float64 = Int = Int32 = Int64 = UInt8 = UInt16 = Shaped
