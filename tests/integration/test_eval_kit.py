@@ -190,10 +190,10 @@ class Lengths:
 def test_another_unit_or_framerate_is_reported(
     motionkit: Callable[..., Any], published: Path, files: tuple[object, ...], tmp_path: Path
 ) -> None:
-    metres = tmp_path / "store"
-    assert motionkit("ingest", published, "--store", metres, "--unit-metres", 1.0).code == 0
-    table = ("eval", "--table", 1, "--store", metres, "--results", tmp_path / "results", *files)
-    told = motionkit(*table)
-    assert told.code == 1 and "these motions are in another unit" in " ".join(told.stderr.split())
+    store = tmp_path / "store"
+    refused = motionkit("ingest", published, "--store", store, "--unit-metres", 1.0)
+    assert refused.code == 1 and "makes a body of" in " ".join(refused.stderr.split())
+    assert motionkit("ingest", published, "--store", store).code == 0
+    table = ("eval", "--table", 1, "--store", store, "--results", tmp_path / "results", *files)
     told = motionkit(*table, "--fps", 20)
     assert told.code == 2 and "is only valid at 12.5 fps" in " ".join(told.stderr.split())

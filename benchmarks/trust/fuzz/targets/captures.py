@@ -75,7 +75,7 @@ def _explained(problem: MotionkitError, folder: Path) -> MotionkitError:
 
 def view_folder(folder: Path) -> None:
     """Read the motions of a folder as `motionkit view` and `complete` do, holes included."""
-    sources, problems = find_sources([str(folder)], STATED, folder / "no-store")
+    sources, problems = find_sources([str(folder)], ReadOptions(fps=Fraction(30)), folder / "no-store")
     for source in sources:
         clip = source.read()
         if clip.seen.all():
