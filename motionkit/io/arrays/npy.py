@@ -50,6 +50,7 @@ HEADER_BYTES = 1 << 14
 NUMBERS, STRINGS = "fiu", "SU"
 LARGEST_CHARACTER = 0x10FFFF
 LARGEST_SIZE = 1 << 48
+MOST_AXES = 32
 
 
 class Header(NamedTuple):
@@ -68,7 +69,8 @@ def read_header(file: io.BytesIO) -> Header:
             header = Header(*readers[np.lib.format.read_magic(file)](file))
     except Exception as error:  # numpy evaluates a literal, which fails in many ways
         raise ValueError(f"{type(error).__name__}: {error}"[:200]) from None
-    if not all(type(size) is int and 0 <= size < LARGEST_SIZE for size in header.shape):
+    sizes = header.shape
+    if len(sizes) > MOST_AXES or not all(type(size) is int and 0 <= size < LARGEST_SIZE for size in sizes):
         raise ValueError("a shape that no array has")
     return header
 

@@ -140,8 +140,9 @@ def test_characters_that_do_not_exist_are_refused(order: str) -> None:
         npy.parse_npy(Path("a.npy"), content + beyond, None, npy.STRINGS)
 
 
-def test_a_shape_is_of_numbers() -> None:
-    header = b"{'descr': '<f4', 'fortran_order': False, 'shape': (True, 2)}".ljust(117) + b"\n"
+@pytest.mark.parametrize("shape", ["(True, 2)", "(-1, -2)", f"({'1, ' * 70})", f"({2**60}, 0)"])
+def test_a_shape_is_of_numbers(shape: str) -> None:
+    header = f"{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}}}".encode().ljust(500) + b"\n"
     content = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + bytes(8)
     with pytest.raises(FormatError, match="a shape that no array has"):
         npy.parse_npy(Path("a.npy"), content, None)
