@@ -81,7 +81,7 @@ def test_splits_of_another_corpus_are_reported_with_an_example_of_each_side(moti
     )
     warned = [line for line in outcome.stderr.splitlines() if "train.txt" in line or "SFU" in line]
     assert outcome.code == 0 and warned == [
-        f"warning: {amass}/SFU: is a link to /nowhere/SFU, which leads nowhere (No such file or directory): mend "
+        f"warning: {amass}/SFU: is a link to /nowhere/SFU, which leads nowhere (No such file or directory): fix "
         "the link or remove it",
         f"warning: {other}/train.txt: none of its 2 names is in index.csv: it lists '00001', index.csv has '000000'; "
         "so nothing is of the split train",

@@ -61,7 +61,7 @@ def dangling(link: Path) -> FormatError | None:
         fault = f"which leads nowhere ({error.strerror or error})"
     if not fault:
         return None
-    return FormatError(f"is a link to {target}, {fault}: remove the link", path=link, reason="dangling-link")
+    return FormatError(f"is a link to {target}, {fault}: fix the link or remove it", path=link, reason="dangling-link")
 
 
 def _sorted_out(
