@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.io.arrays import npy, npz_archive
 from motionkit.io.bvh.document import BvhDocument
@@ -41,8 +42,11 @@ class FileHead:
 
     @cached_property
     def column_names(self) -> list[str]:
-        """The names in a table's first line."""
-        return source_file.header_names(self.path)
+        """The names in a table's first line; empty if the file cannot be read, which annotations report."""
+        try:
+            return source_file.header_names(self.path)
+        except FormatError:
+            return []
 
 
 @dataclass(frozen=True)

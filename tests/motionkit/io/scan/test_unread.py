@@ -4,6 +4,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -117,3 +118,22 @@ def opened() -> Callable[[Callable[[], object]], Counter[str]]:
         return counts
 
     return count
+
+
+def test_a_table_that_cannot_be_read_is_a_problem_and_no_motion(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "walk.bvh").write_text(bvh_text())
+    table = tmp_path / "captions.csv"
+    table.write_text("file,caption\nwalk.bvh,a person walks\n")
+    real = Path.open
+
+    def refuse(path: Path, *arguments: Any, **options: Any) -> Any:
+        if path == table:
+            raise PermissionError(13, "Permission denied", str(path))
+        return real(path, *arguments, **options)
+
+    monkeypatch.setattr(Path, "open", refuse)
+    found = scan([tmp_path])
+    assert [item.path.name for item in found.items] == ["walk.bvh"]
+    assert {problem.path for problem in found.problems} == {table}
