@@ -54,7 +54,8 @@ def test_the_axis_that_points_up_can_be_given(samples, tmp_path):
         x, y, z = np.moveaxis(joints, -1, 0)
         np.save(folder / f"m{index}.npy", np.stack((y, -x, z), axis=-1))
     turned = "turned from x up to y up"
-    assert turned not in samples(folder, fps="20")
+    with pytest.raises(MotionkitError, match="6 lying"):
+        samples(folder, fps="20")
     assert turned in samples(folder, fps="20", up=UpAxis.X)
     assert turned in samples(folder, fps="20", up=UpAxis.X, init=True)
     assert turned in samples(folder)
