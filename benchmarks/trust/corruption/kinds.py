@@ -9,7 +9,6 @@ RUNS = "runs/drill"
 EXPORT = ("export", "out", "--format", "npz", *STORE)
 QUERY = ("query", "SELECT * FROM sequences ORDER BY 1", "--json", *STORE)
 STORE_USES = (("validate", "--json", *STORE), QUERY, EXPORT, ingest("three"), ("compact", *STORE))
-CACHE = "store/cache/*-smpl22-*"
 REPORT = (("report", "--format", "markdown", "--results", "results"), ("report", "--json", "--results", "results"))
 COMPLETE = ("complete", "long/take-0.bvh", "--fps", "90", "--out", "completed", "--model", "pahires", *RUN)
 STAGES = ("codebook", "field", "denoiser", "evaluator", "pahires")
@@ -37,14 +36,6 @@ def _of_store() -> list[Kind]:
         Kind("skeletons.parquet", "gaps", "store/skeletons.parquet", STORE_USES),
         Kind("part", "gaps", "store/segments/*.parquet", reads),
     ]
-
-
-def _of_cache() -> list[Kind]:
-    overwrite = ((*train("field"), "--overwrite"),)
-    return [
-        Kind(f"cache: {name}", "field", f"{CACHE}/{name}", overwrite)
-        for name in ("cache.json", "index.npy", "positions.npy")
-    ] + [Kind("cache: derived", "pahires", f"{CACHE}/rotation-rows-*.npy", ((*train("pahires"), "--overwrite"),))]
 
 
 def _of_interrupted_runs() -> list[Kind]:
@@ -102,4 +93,4 @@ def _of_outputs() -> list[Kind]:
     ]
 
 
-KINDS: tuple[Kind, ...] = (*_of_store(), *_of_cache(), *_of_interrupted_runs(), *_of_runs(), *_of_outputs())
+KINDS: tuple[Kind, ...] = (*_of_store(), *_of_interrupted_runs(), *_of_runs(), *_of_outputs())
