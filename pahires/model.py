@@ -21,11 +21,11 @@ _TINY = 1e-3
 
 
 class PaHiRes(torch.nn.Module):
-    """The network of Eq. 2 to 7, a `TemporalNetwork`, with `num_answers` outputs per query (default: `num_numbers`)."""
+    """The network of Eq. 2 to 7, a `TemporalNetwork`, with `num_answers` a query (`num_features` by default)."""
 
     time_frequencies: torch.Tensor
 
-    def __init__(self, settings: NetworkSettings, num_numbers: int, num_answers: int | None = None) -> None:
+    def __init__(self, settings: NetworkSettings, num_features: int, num_answers: int | None = None) -> None:
         super().__init__()
         self.settings = settings
         activations = _Activations(settings)
@@ -33,7 +33,7 @@ class PaHiRes(torch.nn.Module):
         self.register_buffer("time_frequencies", bands)
         num_times = 2 * settings.time_features + 2
         self.scales = torch.nn.ModuleList(
-            ScaleEncoder(count, num_numbers, settings, activations) for count in settings.frames_per_scale
+            ScaleEncoder(count, num_features, settings, activations) for count in settings.frames_per_scale
         )
         self.attentions = torch.nn.ModuleList(
             CrossScaleAttention(settings.code, settings.attention_tokens) for _ in settings.frames_per_scale[1:]
@@ -43,7 +43,7 @@ class PaHiRes(torch.nn.Module):
         self.when = linear(num_times, settings.hidden, settings.initialisation)
         widths = [settings.hidden] * settings.decoder_layers
         self.decoder = torch.nn.Sequential(activations.next(), *_layers(widths, settings, activations))
-        self.answer = torch.nn.Linear(settings.hidden, num_answers or num_numbers)
+        self.answer = torch.nn.Linear(settings.hidden, num_answers or num_features)
         # Initial output zero: the mean pose, or the unchanged interpolation.
         torch.nn.init.zeros_(self.answer.weight)
         torch.nn.init.zeros_(self.answer.bias)
@@ -82,13 +82,13 @@ class PaHiRes(torch.nn.Module):
 class ScaleEncoder(torch.nn.Module):
     """E_s and F_s: the N_s observed frames around a segment with their signed times, as one latent code (Eq. 2, 3)."""
 
-    def __init__(self, count: int, num_numbers: int, settings: NetworkSettings, activations: "_Activations") -> None:
+    def __init__(self, count: int, num_features: int, settings: NetworkSettings, activations: "_Activations") -> None:
         super().__init__()
         self.count = count
         # One linear map of all pairs (frame, Δt), in parts.
         initialisation = settings.initialisation
-        self.pose = linear(num_numbers + 1, settings.code, initialisation)
-        self.embed = linear(num_numbers, settings.embedding, initialisation)
+        self.pose = linear(num_features + 1, settings.code, initialisation)
+        self.embed = linear(num_features, settings.embedding, initialisation)
         self.changes = linear(count * settings.embedding, settings.code, initialisation)
         self.times = linear(count, settings.code, initialisation)
         layers = _layers([settings.code] * settings.encoder_layers, settings, activations)

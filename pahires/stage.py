@@ -9,12 +9,12 @@ if TYPE_CHECKING:
     from pahires.model import PaHiRes
 
 
-def make_network(config: PaHiResConfig, num_numbers: int) -> "PaHiRes":
+def make_network(config: PaHiResConfig, num_features: int) -> "PaHiRes":
     """The network for rows of so many numbers."""
     from pahires.model import PaHiRes
     from pahires.temporal.prediction import num_answers
 
-    return PaHiRes(config.network, num_numbers, num_answers(config.training.answer, num_numbers))
+    return PaHiRes(config.network, num_features, num_answers(config.training.answer, num_features))
 
 
 STAGE = temporal_stage(

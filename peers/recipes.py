@@ -72,10 +72,10 @@ class Peer:
         make: Callable[..., Any] = self.config_type
         return {name: partial(make, *parts) for name, parts in self.recipes.items()}
 
-    def make_network(self, config: Any, num_numbers: int) -> "torch.nn.Module":
-        """Build the network for rows of `num_numbers`, initialised by torch's global generator."""
+    def make_network(self, config: Any, num_features: int) -> "torch.nn.Module":
+        """Build the network for rows of `num_features`, initialised by torch's global generator."""
         module, _, name = self.network.partition(":")
-        made: torch.nn.Module = getattr(import_module(module), name)(config.network, num_numbers)
+        made: torch.nn.Module = getattr(import_module(module), name)(config.network, num_features)
         return made
 
 

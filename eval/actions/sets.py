@@ -20,7 +20,7 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.fields.contact.planted import planted
 from motionkit.fields.motion_field import MotionField, to_motion
 from motionkit.fields.resample import resample
-from motionkit.generate.models import GenerationRequest, GenerativeModel, knows_no_conditions, refusal
+from motionkit.generate.models import GenerationRequest, GenerativeModel, is_unconditional, refusal
 from motionkit.io.smpl.body import SMPL
 
 if TYPE_CHECKING:
@@ -146,7 +146,7 @@ def known_to_all(real: ActionSet, models: Mapping[str, GenerativeModel]) -> Part
     actions = dict.fromkeys(real.samples.actions)
     unknown: dict[str, list[str]] = {}
     for name, model in models.items():
-        if not knows_no_conditions(model):
+        if not is_unconditional(model):
             refused = [action for action in actions if refusal(model, GenerationRequest(None, action=action))]
             unknown |= {name: refused} if 0 < len(refused) < len(actions) else {}
     left_out = set(chain.from_iterable(unknown.values()))

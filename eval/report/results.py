@@ -23,7 +23,7 @@ FORMAT = "motionkit-result/1"
 # The name of a result's or figure's file, without a folder.
 _FILE_NAME = re.compile(r"\w[\w.+-]*", re.ASCII)
 FORMAT_OF_ANY_VERSION = FORMAT.rpartition("/")[0] + "/"
-MEND = "run the evaluation again, or restore the file from a copy"
+HINT = "run the evaluation again, or restore the file from a copy"
 Origin = Literal["ours", "reference", "paper"]
 DIFFERENCES = ": differences between rows"
 """End of the title of a block that compares another block's rows."""
@@ -177,7 +177,7 @@ def read_result(path: Path | str) -> Result:
     """
     path = Path(path)
     try:
-        return _result(path, read_json(path, MEND))
+        return _result(path, read_json(path, HINT))
     except OSError as error:
         raise ResultError(f"{path}: cannot be read as a result: {error}") from None
 
@@ -196,7 +196,7 @@ def find_results(folder: Path) -> FoundResults:
     results, faults, others = [], [], []
     for path in sorted(folder.glob("*.json")):
         try:
-            document = read_json(path, MEND)
+            document = read_json(path, HINT)
             if str(document.get("format", "")).startswith(FORMAT_OF_ANY_VERSION):
                 results.append(_result(path, document))
             else:

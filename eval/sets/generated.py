@@ -10,7 +10,7 @@ import numpy as np
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.fields.interpolation.interpolators import InterpolatedField
 from motionkit.fields.motion_field import MotionField, to_motion
-from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions, knows_no_conditions
+from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions, is_unconditional
 
 AT_ONCE = 256
 
@@ -47,7 +47,7 @@ def windows_of(real: SampleSet, max_duration_seconds: float) -> list[Window]:
 
 def as_known(model: GenerativeModel, requests: Sequence[GenerationRequest]) -> list[GenerationRequest]:
     """Requests as a model can take them: one that knows no conditions is asked for durations alone."""
-    if knows_no_conditions(model):
+    if is_unconditional(model):
         return [GenerationRequest(request.duration_seconds) for request in requests]
     return list(requests)
 

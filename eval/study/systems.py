@@ -14,7 +14,7 @@ from motionkit.core.shapes import Float32
 from motionkit.fields.contact.planted import planted
 from motionkit.fields.motion_field import to_motion
 from motionkit.fields.resample import resample_positions
-from motionkit.generate.models import GenerationRequest, GenerativeModel, knows_no_conditions
+from motionkit.generate.models import GenerationRequest, GenerativeModel, is_unconditional
 
 Positions = Float32[np.ndarray, "frames 22 3"]
 
@@ -67,7 +67,7 @@ def of_model(model: GenerativeModel, beside: Sequence[System], seed: int, longes
         for caption, length in zip(system.captions, system.seconds, strict=True):
             prompts.setdefault(caption, min(length, longest_seconds, model.max_duration_seconds))
     prompts.pop("", None)
-    if not prompts or (knows_no_conditions(model)):
+    if not prompts or (is_unconditional(model)):
         lengths = [min(each, longest_seconds, model.max_duration_seconds) for each in beside[0].seconds]
         requests = [GenerationRequest(length) for length in lengths]
     else:

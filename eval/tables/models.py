@@ -18,7 +18,7 @@ from motionkit.core.progress import task, tracked
 from motionkit.data.reconstruction import ReconstructsWindows
 from motionkit.edit.complete.encoders import installed_encoders
 from motionkit.fields.motion_field import MotionEncoder, MotionField
-from motionkit.generate.models import GenerativeModel, installed_models, knows_no_conditions
+from motionkit.generate.models import GenerativeModel, installed_models, is_unconditional
 from motionkit.training.detail.stage import has_detail, load_detail
 from motionkit.training.loaders import Loader
 from motionkit.training.run import RunError, RunFolder
@@ -96,7 +96,7 @@ def training_note(trained: Trained[Any]) -> str:
         notes += [f"{name}: {', '.join(facts)}"] if effort else []
     model = trained.loaded
     rate = f"trained at up to {float(model.max_training_fps):g} fps"
-    if knows_no_conditions(model):
+    if is_unconditional(model):
         rate += ", knows no texts and no actions"
     return "; ".join((*notes, rate)) if notes else ""
 

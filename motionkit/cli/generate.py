@@ -169,7 +169,7 @@ def _write_all(job: "Job", folder: "GeneratedFolder", as_json: bool) -> dict[str
 
 def _say_beforehand(job: "Job") -> None:
     """Warn about framerates above those of training, and report motions that are joined from pieces."""
-    from motionkit.generate.long_motions import goes_on
+    from motionkit.generate.long_motions import supports_continuation
     from motionkit.generate.models import warn_above_training
 
     warn_above_training(job.model, job.fps)
@@ -177,7 +177,7 @@ def _say_beforehand(job: "Job") -> None:
         stderr.print(
             f"motionkit: {job.num_joined:,} of {len(job.request.motions):,} motions are joined from several of up to "
             f"{job.model.max_duration_seconds:g} s, the longest that the model makes at once; each "
-            + ("begins as" if goes_on(job.model) else "is laid over")
+            + ("begins as" if supports_continuation(job.model) else "is laid over")
             + f" the last {job.request.overlap_seconds:g} s of the one before"
-            + (" go" if goes_on(job.model) else ", of which it knows nothing"),
+            + (" go" if supports_continuation(job.model) else ", of which it knows nothing"),
         )

@@ -163,7 +163,7 @@ def ingest(
         fps_rules=tuple(rule for path in fps_rules or () for rule in read_rules(path)),
         body_models=_body_models(body_models),
         skip_frames=skip_frames,
-        leave_out_made=True,
+        skip_derived=True,
     )
     with progress() as show, _fetched(sources, show) as paths, task(show, "ingest", note="scanning") as work:
         report = ingest_sources(

@@ -55,8 +55,8 @@ def write_json(path: Path, document: Mapping[str, Any]) -> None:
     write_whole(path, json.dumps(sealed(document), indent=2, allow_nan=False, ensure_ascii=False) + "\n")
 
 
-def read_json(path: Path, mend: str) -> dict[str, Any]:
-    """Read a JSON object and verify it; `mend` tells the user how to repair a damaged file.
+def read_json(path: Path, hint: str) -> dict[str, Any]:
+    """Read a JSON object and verify it; `hint` tells the user how to repair a damaged file.
 
     Raises `DamagedFileError` for anything but a complete JSON object that matches its checksum, and `OSError` if the
     file cannot be read.
@@ -67,7 +67,7 @@ def read_json(path: Path, mend: str) -> dict[str, Any]:
             raise ValueError("it is not a JSON object")
         return unsealed(document)
     except (ValueError, RecursionError) as error:
-        raise DamagedFileError(path, str(error), mend) from None
+        raise DamagedFileError(path, str(error), hint) from None
 
 
 def _finite(text: str) -> float:
@@ -83,10 +83,10 @@ def sha256_of(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def require_whole_tensors(path: Path, mend: str) -> re.Match[bytes]:
+def require_whole_tensors(path: Path, hint: str) -> re.Match[bytes]:
     """Verify the size of a safetensors file, and that it has a checksum; returns the checksum's place in its header.
 
-    `mend` tells the user how to repair a damaged file. Raises `DamagedFileError`, or `OSError` for one that cannot be
+    `hint` tells the user how to repair a damaged file. Raises `DamagedFileError`, or `OSError` for one that cannot be
     read.
     """
     with path.open("rb") as file:
@@ -98,16 +98,16 @@ def require_whole_tensors(path: Path, mend: str) -> re.Match[bytes]:
     except (ValueError, RecursionError, LookupError, TypeError, AttributeError):
         is_whole = False
     if not is_whole:
-        raise DamagedFileError(path, "it is not a whole safetensors file", mend)
+        raise DamagedFileError(path, "it is not a whole safetensors file", hint)
     stated = _TENSORS_CHECKSUM.search(header)
     if stated is None:
-        raise DamagedFileError(path, "it has no checksum", mend)
+        raise DamagedFileError(path, "it has no checksum", hint)
     return stated
 
 
-def require_intact_tensors(path: Path, mend: str) -> None:
+def require_intact_tensors(path: Path, hint: str) -> None:
     """Verify a safetensors file by the checksum in its header; errors as in `require_whole_tensors`."""
-    stated = require_whole_tensors(path, mend)
+    stated = require_whole_tensors(path, hint)
     header, (start, end) = stated.string, stated.span(1)
     digest = hashlib.sha256(len(header).to_bytes(8, "little") + header[:start] + ZEROS + header[end:])
     with path.open("rb") as file:
@@ -115,4 +115,4 @@ def require_intact_tensors(path: Path, mend: str) -> None:
         while piece := file.read(PIECE_BYTES):
             digest.update(piece)
     if digest.hexdigest() != stated[1].decode():
-        raise DamagedFileError(path, "its content is not what its checksum says", mend)
+        raise DamagedFileError(path, "its content is not what its checksum says", hint)

@@ -47,16 +47,16 @@ def _rebuild_format_error(message: str, path: str, reason: str, line: int | None
 
 
 class DamagedFileError(MotionkitError):
-    """A damaged file; `mend` tells the user how to repair it."""
+    """A damaged file; `hint` tells the user how to repair it."""
 
-    def __init__(self, path: Path | str, fault: str, mend: str) -> None:
-        super().__init__(f"{path} is damaged ({fault}): {mend}")
+    def __init__(self, path: Path | str, fault: str, hint: str) -> None:
+        super().__init__(f"{path} is damaged ({fault}): {hint}")
         self.path = Path(path)
         self.fault = fault
-        self.mend = mend
+        self.hint = hint
 
     def __reduce__(self) -> tuple[object, ...]:
-        return type(self), (str(self.path), self.fault, self.mend)
+        return type(self), (str(self.path), self.fault, self.hint)
 
 
 class MotionkitWarning(UserWarning):

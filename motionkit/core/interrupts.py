@@ -10,7 +10,7 @@ STOPPING = (signal.SIGTERM, signal.SIGINT)
 
 
 @contextmanager
-def held_back() -> Iterator[None]:
+def defer_signals() -> Iterator[None]:
     """Deliver Ctrl-C and SIGTERM only after the block, however it ends; for short blocks.
 
     Blocks may be nested. Does nothing outside the main thread, where no signals are handled.

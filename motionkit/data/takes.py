@@ -10,7 +10,7 @@ import numpy as np
 from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.features.rotation_rows import num_numbers, rotation_rows, rows_of_poses
+from motionkit.features.rotation_rows import num_features, rotation_rows, rows_of_poses
 from motionkit.fields.motion_field import Poses
 from motionkit.store.cache import PositionCache, RowFile, open_cache
 from motionkit.store.reader import Store
@@ -36,7 +36,7 @@ class Takes:
     skipped: int
 
     @property
-    def num_numbers(self) -> int:
+    def num_features(self) -> int:
         """Numbers per frame: 135 for 22 joints."""
         return self.rows.shape[1]
 
@@ -79,7 +79,7 @@ def open_takes(
             f"no chosen take of {store.path} has a framerate that is a whole multiple of {fps} fps (they have "
             f"{', '.join(rates[:8])}): choose another fps, or another where"
         )
-    size = num_numbers(skeleton.num_joints)
+    size = num_features(skeleton.num_joints)
     rows = cache.derived_rows("rotation-rows-1", size, lambda: _vectors(store, cache, skeleton))
     keep_every = np.maximum(keep_every, 1)
     names = store.columns("source")["source"].loc[cache.sequence_index[chosen]].to_numpy(str)

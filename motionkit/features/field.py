@@ -13,7 +13,7 @@ from motionkit.features.layout import FacingJoints, facing_direction, layout_of
 CONVENTION = "field"
 
 
-def num_numbers(num_joints: int) -> int:
+def num_features(num_joints: int) -> int:
     """Numbers per pose: 3·J, so 66 for 22 joints."""
     return 3 * num_joints
 

@@ -37,7 +37,7 @@ class PoseRows:
         return poses_of(self.vectors, self.bones, self.skeleton)
 
 
-def num_numbers(num_joints: int) -> int:
+def num_features(num_joints: int) -> int:
     """Numbers per pose: 3 + 6·J, so 135 for 22 joints."""
     return 3 + 6 * num_joints
 

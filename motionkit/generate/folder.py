@@ -28,7 +28,7 @@ from motionkit.generate.samples import GeneratedSample, motion_name
 
 # As motionkit.io.scan.annotations reads them; seconds and num_frames are informative.
 COLUMNS = ("file", "captions", "action", "fps", "seconds", "num_frames")
-MEND = "delete it, and motionkit generate --resume makes all motions again"
+HINT = "delete it, and motionkit generate --resume makes all motions again"
 FILES_CHECKSUM, ROW_CHECKSUM = "files_sha256", "checksum"
 Row = dict[str, str]
 MANIFEST = "generation.json"
@@ -83,7 +83,7 @@ class GeneratedTable:
         """All rows, without an incomplete last line. Raises `DamagedFileError` for a damaged one."""
         columns, rows = self._read()
         if columns and tuple(columns) != self.columns:
-            raise DamagedFileError(self.path, "its first line is not what was written", MEND)
+            raise DamagedFileError(self.path, "its first line is not what was written", HINT)
         for number, row in enumerate(rows, start=1):
             whole = tuple(row) == self.columns and _names_a_file(row)
             if self.has_checksums and whole:
@@ -108,7 +108,7 @@ class GeneratedTable:
         try:
             found = [{str(name): str(cell) for name, cell in row.items()} for row in rows]
         except csv.Error as error:
-            raise DamagedFileError(self.path, str(error), MEND) from None
+            raise DamagedFileError(self.path, str(error), HINT) from None
         return rows.fieldnames or (), found
 
     def motion_names(self) -> list[str]:
@@ -288,8 +288,8 @@ def _keep_complete(table: GeneratedTable) -> int:
             break
         fault = table.fault(row)
         if fault is not None:
-            mend = "delete it, and --resume makes it again; or --overwrite all"
-            raise DamagedFileError(table.folder / row["file"], fault, mend)
+            hint = "delete it, and --resume makes it again; or --overwrite all"
+            raise DamagedFileError(table.folder / row["file"], fault, hint)
         done.append(row)
     table.keep(done)
     return len(done)

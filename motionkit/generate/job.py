@@ -15,7 +15,7 @@ from motionkit.fields.detail.model import Detail
 from motionkit.fields.motion_field import MotionField
 from motionkit.generate.files import OutputFormat
 from motionkit.generate.folder import CONSTRAINTS, FORMAT, JOINS, GeneratedFolder
-from motionkit.generate.long_motions import check_script, generate_scripts, goes_on, is_joined
+from motionkit.generate.long_motions import check_script, generate_scripts, is_joined, supports_continuation
 from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions
 from motionkit.generate.request import MotionsRequest
 from motionkit.generate.samples import GeneratedSample, motion_name, sample_field, standing
@@ -78,7 +78,7 @@ class Job:
             "conditions": [_described(prompt.request) for prompts in request.scripts for prompt in prompts],
             "joined": any(len(script) > 1 for script in request.scripts),
             "overlap_seconds": request.overlap_seconds if self.num_joined else None,
-            JOINS: None if not self.num_joined else "in phase" if goes_on(self.model) else "cross-faded",
+            JOINS: None if not self.num_joined else "in phase" if supports_continuation(self.model) else "cross-faded",
             CONSTRAINTS: [each.plain() for each in request.constraints],
             "versions": versions(),
         }

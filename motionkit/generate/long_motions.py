@@ -91,7 +91,7 @@ def generate_joined(
     """
     requests = pieces_of(script, model.max_duration_seconds, overlap_seconds)
     own_seed = int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1, np.uint64)[0] >> np.uint64(1))
-    if not goes_on(model):
+    if not supports_continuation(model):
         return chain(model.generate(requests, seed=own_seed, sampling=sampling), overlap_seconds)
     constraints, pieces, start = constraints_of(script), list[Piece](), 0.0
     for piece, request in enumerate(requests):
@@ -105,7 +105,7 @@ def generate_joined(
     return assemble(pieces)
 
 
-def goes_on(model: GenerativeModel) -> bool:
+def supports_continuation(model: GenerativeModel) -> bool:
     """Whether a model supports continuing from another motion's end."""
     return isinstance(model, FollowsConstraints) and "pose" in model.constraint_kinds
 
@@ -131,7 +131,7 @@ def check_script(model: GenerativeModel, script: Script, sampling: SamplingOptio
         pieces = pieces_of(script, model.max_duration_seconds, overlap_seconds)
         whole = GenerationRequest(seconds, constraints=constraints_of(script))
     check_constraints(model, whole)
-    if len(pieces) > 1 and whole.constraints and not goes_on(model):
+    if len(pieces) > 1 and whole.constraints and not supports_continuation(model):
         raise UsageError(
             f"the model {model.name!r} supports no poses: motions joined from several cannot be constrained"
         )

@@ -99,7 +99,7 @@ class ChecksRequests(Protocol):
         ...
 
 
-def knows_no_conditions(model: GenerativeModel) -> bool:
+def is_unconditional(model: GenerativeModel) -> bool:
     """Whether a model declares by an attribute `unconditional` that it was trained without texts and actions.
 
     Tables give it unconditional requests.

@@ -39,7 +39,7 @@ STATED = ("sequence_id", "source", "subset", "licence")
 # A row group is decoded as a whole.
 MAX_ROW_GROUP_BYTES = 2 << 30
 CHECKSUMS = "checksums.json"
-MEND = "export again, or restore the file from a copy"
+HINT = "export again, or restore the file from a copy"
 FAULTS = (pa.ArrowException, OSError, ValueError, TypeError, KeyError, IndexError, OverflowError, ZeroDivisionError)
 
 
@@ -104,11 +104,11 @@ def _require_intact(path: Path) -> None:
     # Without recorded checksums there is nothing to compare with.
     record = path.parent.parent / CHECKSUMS
     try:
-        intact = not record.is_file() or sha256_of(path) == read_json(record, MEND).get(path.name)
+        intact = not record.is_file() or sha256_of(path) == read_json(record, HINT).get(path.name)
     except DamagedFileError as error:
         raise FormatError(f"its checksum cannot be read ({error})", path=path, reason="damaged") from None
     if not intact:
-        raise FormatError(f"not what {CHECKSUMS} says: {MEND}", path=path, reason="damaged")
+        raise FormatError(f"not what {CHECKSUMS} says: {HINT}", path=path, reason="damaged")
 
 
 def _files(folder: Path) -> list[Path]:

@@ -290,7 +290,7 @@ def _check(motion: Motion) -> None:
             continue
         frame = int(np.nonzero(~np.isfinite(array.reshape(len(array), -1)).all(axis=1))[0][0])
         raise RefusedMotion(
-            f"{motion.sequence_id}: {name} are not finite from frame {frame} on: mend or cut the take", reason="nan"
+            f"{motion.sequence_id}: {name} are not finite from frame {frame} on: repair or cut it", reason="nan"
         )
 
 

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 from motionkit.core import files
 from motionkit.core.errors import StoreError, describe
 from motionkit.core.files import exclusive_lock
-from motionkit.core.interrupts import held_back
+from motionkit.core.interrupts import defer_signals
 from motionkit.store.manifest import (
     PENDING_SUFFIX,
     TABLES,
@@ -59,7 +59,7 @@ def changing(store: Path, *, must_exist: bool = False, must_not_exist: bool = Fa
         try:
             yield manifest
         except BaseException as error:
-            with held_back():
+            with defer_signals():
                 unchanged = committed(store) == manifest
                 if unchanged:
                     _tidy(store, manifest)
@@ -105,7 +105,7 @@ def describe_pending(store: Path, num_rows: Mapping[str, int]) -> dict[str, File
 
 def publish(store: Path, manifest: Manifest) -> None:
     """Commits: the rename of the manifest changes the store's state; then the tables get their final names."""
-    with held_back():
+    with defer_signals():
         commit_manifest(store, manifest)
         _tidy(store, manifest)
 

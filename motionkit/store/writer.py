@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 
 from motionkit.core import files
 from motionkit.core.errors import StoreError
-from motionkit.core.interrupts import held_back
+from motionkit.core.interrupts import defer_signals
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import Skeleton
 from motionkit.store import codec
@@ -256,7 +256,7 @@ class StoreWriter:
     ) -> None:
         # An exception goes on to `changing`, which removes what was written.
         if kind is not None:
-            with held_back():
+            with defer_signals():
                 try:
                     self._close()  # also fails if the disk is full
                 finally:

@@ -11,7 +11,7 @@ import torch
 from motionkit.core.checksums import write_json
 from motionkit.core.errors import DamagedFileError, UsageError
 from motionkit.training.loop import Trainable
-from motionkit.training.metrics_log import MEND
+from motionkit.training.metrics_log import HINT
 from motionkit.training.run import StageFolder, abandon_stage
 from motionkit.training.schedule import step_generator
 
@@ -49,7 +49,7 @@ def plan_steps(
     if folder.budget_path.is_file():
         found = folder.read_budget()
         if "steps" not in found:
-            raise DamagedFileError(folder.budget_path, "it says no number of steps", MEND)
+            raise DamagedFileError(folder.budget_path, "it says no number of steps", HINT)
         trainable.steps = int(found["steps"])
         return
     plan = _measured(trainable, folder.path.name, budget_seconds, seed, clock)

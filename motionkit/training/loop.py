@@ -152,18 +152,18 @@ def _restore(trainable: Trainable, folder: StageFolder, steps: int, ranks: Ranks
     if not path.is_file():
         ranks.on_first(lambda: folder.metrics.cut(NOTHING_LOGGED))
         return 0, _Figures({}, since=0), 0.0
-    mend = "train the stage again with --overwrite"
+    hint = "train the stage again with --overwrite"
     tensors, description = load_tensors(path)
     if description.get("stage") != folder.path.name:
-        raise CheckpointError(f"{path} is of stage {description.get('stage')!r}, not {folder.path.name!r}: {mend}")
+        raise CheckpointError(f"{path} is of stage {description.get('stage')!r}, not {folder.path.name!r}: {hint}")
     try:
         step, logged = int(description["step"]), int(description["logged"])
         trainable.load_state_tensors(unprefixed("state", tensors))
     except (KeyError, RuntimeError, TypeError, ValueError) as error:
         fault = f"{path} does not fit these settings or this version ({one_line(error)})"
-        raise CheckpointError(f"{fault}: {mend}") from None
+        raise CheckpointError(f"{fault}: {hint}") from None
     if not 0 <= logged <= step <= steps:
-        raise CheckpointError(f"{path} is of a step that a training of {steps:,} steps does not have: {mend}")
+        raise CheckpointError(f"{path} is of a step that a training of {steps:,} steps does not have: {hint}")
     logged_until = description.get("metrics") or folder.metrics.extent_until(step)
     ranks.on_first(lambda: folder.metrics.cut(logged_until))
     figures = _Figures(unprefixed("sums", tensors) if ranks.is_first else {}, since=logged)

@@ -12,7 +12,7 @@ from motionkit.core.plain_text import shown
 
 # Called with a stage's name and logged metrics.
 OnMetrics = Callable[[str, Mapping[str, float]], None]
-MEND = "restore it from a copy, or train the stage again with --overwrite"
+HINT = "restore it from a copy, or train the stage again with --overwrite"
 
 
 def ignore_metrics(stage: str, values: Mapping[str, float]) -> None:
@@ -55,13 +55,13 @@ class MetricsLog:
     def check(self, extent: Any) -> None:
         """Raise `DamagedFileError` if the log does not begin with the recorded extent (from JSON)."""
         if not isinstance(extent, Mapping) or not isinstance(extent.get("bytes"), int):
-            raise DamagedFileError(self.path, f"its length and sha256 were recorded as {shown(extent)}", MEND)
+            raise DamagedFileError(self.path, f"its length and sha256 were recorded as {shown(extent)}", HINT)
         found = _extent_of(self._content()[: extent["bytes"]])
         if found["bytes"] < extent["bytes"]:
             fault = f"it has {found['bytes']:,} bytes, expected {extent['bytes']:,}"
-            raise DamagedFileError(self.path, fault if self.path.is_file() else "it is missing", MEND)
+            raise DamagedFileError(self.path, fault if self.path.is_file() else "it is missing", HINT)
         if found != extent:
-            raise DamagedFileError(self.path, "its content does not match its checksum", MEND)
+            raise DamagedFileError(self.path, "its content does not match its checksum", HINT)
 
     def cut(self, extent: Any) -> None:
         """Check the recorded extent and truncate the log to it; errors as in `check`."""

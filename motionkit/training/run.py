@@ -24,7 +24,7 @@ from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.core.files import LOCK, locked_folder, remove_entry, require_no_link, temporary_name, write_whole
 from motionkit.core.plain_text import shown
 from motionkit.training.config import ConfigLike, flatten, to_plain
-from motionkit.training.metrics_log import MEND, MetricsLog
+from motionkit.training.metrics_log import HINT, MetricsLog
 
 # A pattern. Without a hyphen first, as options have.
 STAGE_NAME = r"\w[\w-]*"
@@ -98,10 +98,10 @@ class StageFolder:
         config = self._read(self.config_path)
         for name, kind in CONFIG_TYPES.items():
             if name in config and not isinstance(config[name], kind):
-                raise DamagedFileError(self.config_path, f"{name} is {shown(config[name])}", MEND)
+                raise DamagedFileError(self.config_path, f"{name} is {shown(config[name])}", HINT)
         for name, sha256 in config.get("builds_on", {}).items():
             if not isinstance(sha256, str):
-                raise DamagedFileError(self.config_path, f"{shown(name)} in builds_on is {shown(sha256)}", MEND)
+                raise DamagedFileError(self.config_path, f"{shown(name)} in builds_on is {shown(sha256)}", HINT)
         return config
 
     def read_summary(self) -> dict[str, Any]:
@@ -120,7 +120,7 @@ class StageFolder:
         self.read_summary()
         if not self.model_path.is_file():
             raise RunError(f"{self.path} is called complete, but has no {self.model_path.name}")
-        require_whole_tensors(self.model_path, MEND)
+        require_whole_tensors(self.model_path, HINT)
 
     def effort(self) -> dict[str, str]:
         """Steps, parameters and processor time from the summary of a complete stage, as text."""
@@ -137,7 +137,7 @@ class StageFolder:
         budget = self._read(self.budget_path)
         for name, value in budget.items():
             if not isinstance(value, float | int) or isinstance(value, bool):
-                raise DamagedFileError(self.budget_path, f"{name} is {shown(value)}", MEND)
+                raise DamagedFileError(self.budget_path, f"{name} is {shown(value)}", HINT)
         return budget
 
     @property
@@ -179,7 +179,7 @@ class StageFolder:
                 f"{path} does not exist: stage {self.path.name!r} of run {str(self.path.parent)!r} is not trained "
                 f"(motionkit train --stage {self.path.name} --run {self.path.parent.name})"
             )
-        return read_json(path, MEND)
+        return read_json(path, HINT)
 
 
 @dataclass(frozen=True)
@@ -202,7 +202,7 @@ def weights_sha256(run: Path) -> dict[str, str]:
     """Hexadecimal sha256 of every stage's trained weights; raises `DamagedFileError`."""
     paths = sorted(run.glob("*/model.safetensors"))
     for path in paths:
-        require_intact_tensors(path, MEND)
+        require_intact_tensors(path, HINT)
     return {path.parent.name: sha256_of(path) for path in paths}
 
 

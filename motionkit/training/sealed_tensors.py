@@ -52,19 +52,19 @@ def _header(described: Mapping[str, object], metadata: Mapping[str, str], checks
     return len(text).to_bytes(8, "little") + text
 
 
-def checked_metadata(path: Path, known: Set[str], mend: str) -> dict[str, str]:
+def checked_metadata(path: Path, known: Set[str], hint: str) -> dict[str, str]:
     """The metadata of a safetensors file after verifying its checksum; `known` are the allowed keys.
 
-    `mend` tells the user how to repair a damaged file. Raises `DamagedFileError`, and `OSError` if the file cannot be
+    `hint` tells the user how to repair a damaged file. Raises `DamagedFileError`, and `OSError` if the file cannot be
     read.
     """
-    require_intact_tensors(path, mend)
+    require_intact_tensors(path, hint)
     try:
         with safe_open(path, framework="np") as opened:
             metadata: dict[str, str] = dict(opened.metadata() or {})
     except (SafetensorError, ValueError) as error:
-        raise DamagedFileError(path, str(error), mend) from None
+        raise DamagedFileError(path, str(error), hint) from None
     unknown = metadata.keys() - known - {CHECKSUM}
     if unknown:
-        raise DamagedFileError(path, f"its header has an unknown key {min(unknown)!r}", mend)
+        raise DamagedFileError(path, f"its header has an unknown key {min(unknown)!r}", hint)
     return metadata

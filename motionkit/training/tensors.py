@@ -17,7 +17,7 @@ from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.training.sealed_tensors import checked_metadata, write_sealed_tensors
 
 DESCRIPTION = "description"
-MEND = "train the stage again with --overwrite, or restore the file from a copy"
+HINT = "train the stage again with --overwrite, or restore the file from a copy"
 
 # Limit of a network's size relative to its file: parameters may be replaced during construction, and missing tensors
 # should be reported by name.
@@ -43,14 +43,14 @@ def save_tensors(path: Path, tensors: Mapping[str, torch.Tensor], description: M
     write_sealed_tensors(path, own, {DESCRIPTION: json.dumps(dict(description), allow_nan=False)}, save)
 
 
-def load_tensors(path: Path, mend: str = MEND) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+def load_tensors(path: Path, hint: str = HINT) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
     """Read a file of `save_tensors`: tensors on the CPU, and the description.
 
-    Raises `CheckpointError` for a missing file, and `DamagedFileError`, with `mend`, for a damaged one.
+    Raises `CheckpointError` for a missing file, and `DamagedFileError`, with `hint`, for a damaged one.
     """
     if not path.is_file():
         raise CheckpointError(f"{path}: there is no such checkpoint")
-    metadata = checked_metadata(path, {DESCRIPTION}, mend)
+    metadata = checked_metadata(path, {DESCRIPTION}, hint)
     try:
         description = json.loads(metadata.get(DESCRIPTION, "{}"))
         if not isinstance(description, dict):
@@ -58,9 +58,9 @@ def load_tensors(path: Path, mend: str = MEND) -> tuple[dict[str, torch.Tensor],
         with safetensors.safe_open(path, framework="pt") as opened:
             return {name: opened.get_tensor(name) for name in opened.keys()}, description  # noqa: SIM118
     except RecursionError:
-        raise DamagedFileError(path, "the description in its header is nested too deep", mend) from None
+        raise DamagedFileError(path, "the description in its header is nested too deep", hint) from None
     except (safetensors.SafetensorError, ValueError) as error:
-        raise DamagedFileError(path, one_line(error), mend) from None
+        raise DamagedFileError(path, one_line(error), hint) from None
 
 
 def one_line(error: Exception, longest: int = 200) -> str:

@@ -38,15 +38,15 @@ def residual_stack(width: int, depth: int) -> nn.Sequential:
     return nn.Sequential(*(ResidualConvolution(width, DILATION_GROWTH**power) for power in reversed(range(depth))))
 
 
-def build_encoder(config: CodebookNetworkConfig, num_numbers: int) -> nn.Sequential:
+def build_encoder(config: CodebookNetworkConfig, num_features: int) -> nn.Sequential:
     """Pose vectors [batch, numbers, frames] → [batch, code, frames / 4]."""
-    width, layers = config.width, [nn.Conv1d(num_numbers, config.width, 3, padding=1), nn.ReLU()]
+    width, layers = config.width, [nn.Conv1d(num_features, config.width, 3, padding=1), nn.ReLU()]
     for _ in range(DOWNSAMPLINGS):
         layers += [nn.Conv1d(width, width, 4, stride=2, padding=1), residual_stack(width, config.residual_layers)]
     return nn.Sequential(*layers, nn.Conv1d(width, config.code_dimension, 3, padding=1))
 
 
-def build_decoder(config: CodebookNetworkConfig, num_numbers: int) -> nn.Sequential:
+def build_decoder(config: CodebookNetworkConfig, num_features: int) -> nn.Sequential:
     """[batch, code, frames / 4] → pose vectors [batch, numbers, frames]."""
     width, layers = config.width, [nn.Conv1d(config.code_dimension, config.width, 3, padding=1), nn.ReLU()]
     for _ in range(DOWNSAMPLINGS):
@@ -55,7 +55,7 @@ def build_decoder(config: CodebookNetworkConfig, num_numbers: int) -> nn.Sequent
             nn.Upsample(scale_factor=2, mode="nearest"),
             nn.Conv1d(width, width, 3, padding=1),
         ]
-    layers += [nn.Conv1d(width, width, 3, padding=1), nn.ReLU(), nn.Conv1d(width, num_numbers, 3, padding=1)]
+    layers += [nn.Conv1d(width, width, 3, padding=1), nn.ReLU(), nn.Conv1d(width, num_features, 3, padding=1)]
     return nn.Sequential(*layers)
 
 
@@ -146,11 +146,11 @@ class Quantiser(nn.Module):
 class CodebookNetwork(nn.Module):
     """Encoder, quantiser and decoder on standardised pose vectors [batch, frames, numbers]."""
 
-    def __init__(self, config: CodebookNetworkConfig, num_numbers: int) -> None:
+    def __init__(self, config: CodebookNetworkConfig, num_features: int) -> None:
         super().__init__()
-        self.encoder = build_encoder(config, num_numbers)
+        self.encoder = build_encoder(config, num_features)
         self.quantiser = Quantiser(config)
-        self.decoder = build_decoder(config, num_numbers)
+        self.decoder = build_decoder(config, num_features)
 
     def encode(
         self, vectors: Float[torch.Tensor, "batch frames numbers"]

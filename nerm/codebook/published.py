@@ -35,7 +35,7 @@ class PublishedCodebook:
     """The VQ-VAE with its codes, and the statistics of its pose vectors if given."""
 
     network: CodebookNetwork
-    num_numbers: int
+    num_features: int
     statistics: Statistics | None
 
     @property

@@ -93,7 +93,7 @@ class FieldNetwork(nn.Module):
     """
 
     def __init__(
-        self, config: FieldConfig, num_numbers: int, codebook: Float[torch.Tensor, "codes dimension"] | None = None
+        self, config: FieldConfig, num_features: int, codebook: Float[torch.Tensor, "codes dimension"] | None = None
     ) -> None:
         super().__init__()
         self.config = config
@@ -112,9 +112,9 @@ class FieldNetwork(nn.Module):
         self.layers = nn.ModuleList(layers)
         self.linear = None
         if config.decoder.linear_path and self.local is not None:
-            self.linear = nn.Linear(self.local.num_seen, num_numbers, bias=False)
+            self.linear = nn.Linear(self.local.num_seen, num_features, bias=False)
         self.finish = nn.Sequential(nn.LayerNorm(hidden), ACTIVATIONS[config.decoder.activation]())
-        self.output = nn.Linear(hidden, num_numbers)
+        self.output = nn.Linear(hidden, num_features)
 
     @torch.no_grad()
     def start_linear_path(

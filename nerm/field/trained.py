@@ -169,7 +169,7 @@ class TrainedField:
         num_times = rows.shape[1]
         context = np.zeros(0) if context_seconds is None else context_seconds
         at_once = POSES_IN_CONTEXT_AT_ONCE if len(context) else POSES_AT_ONCE
-        found = np.empty((len(latents), num_times, self.vectors.num_numbers), dtype=np.float32)
+        found = np.empty((len(latents), num_times, self.vectors.num_features), dtype=np.float32)
         per_call = max(1, POSES_AT_ONCE // max(1, num_times))
         for start in range(0, len(latents), per_call):
             some = latents[start : start + per_call].float().to(self.device)

@@ -79,10 +79,10 @@ class FieldTraining:
         in_corpus = np.argsort(poses.windows.start_row, kind="stable")
         self.own = DealtRows(ranks, poses.windows.duration_seconds, in_corpus)
         means = initial_means(poses, model, config, seed, self.own.rows)
-        num_numbers = len(self.scaling.mean)
+        num_features = len(self.scaling.mean)
         self.scaling = self.scaling.to(device)
         with seeded_initialisation(seed, "field"):
-            self.network = FieldNetwork(config, num_numbers, codebook).to(device)
+            self.network = FieldNetwork(config, num_features, codebook).to(device)
         if self.network.linear is not None and self.components is not None:
             self.network.start_linear_path(self.components.mean, self.components.inverse())
         if config.compile:

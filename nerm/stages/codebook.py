@@ -81,7 +81,7 @@ def _tensors(published: PublishedCodebook) -> dict[str, torch.Tensor]:
 
 def _facts(published: PublishedCodebook) -> dict[str, Any]:
     statistics = "not given" if published.statistics is None else "evaluator"
-    return {"convention": "T2M-GPT", "numbers": published.num_numbers, "statistics": statistics}
+    return {"convention": "T2M-GPT", "numbers": published.num_features, "statistics": statistics}
 
 
 def check_codebook(context: StageContext, config: NermConfig) -> None:

@@ -15,7 +15,7 @@ import torch
 
 from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.features.rotation_rows import PoseRows, num_numbers, poses_of, rows_of_poses
+from motionkit.features.rotation_rows import PoseRows, num_features, poses_of, rows_of_poses
 from motionkit.fields.interpolation.joints import with_rotations
 from motionkit.fields.motion_field import (
     Observation,
@@ -248,7 +248,7 @@ class NetworkField:
         """Rows at times, each in its given window; windows are batched, with bounded memory."""
         order = np.lexsort((times, window))
         window, times = window[order], times[order]
-        result = np.empty((len(times), num_numbers(self.skeleton.num_joints)), np.float32)
+        result = np.empty((len(times), num_features(self.skeleton.num_joints)), np.float32)
         # Runs of queries of one window, at most QUERIES_AT_ONCE; many runs are padded to a batch.
         first_of_window = np.searchsorted(window, window)
         place = np.arange(len(window)) - first_of_window

@@ -132,6 +132,6 @@ class Predictor:
         return bases.chunk(3, dim=1)[1], 0.25 * before + 0.5 * middle + 0.25 * after
 
 
-def num_answers(settings: AnswerSettings, num_numbers: int) -> int:
+def num_answers(settings: AnswerSettings, num_features: int) -> int:
     """Numbers that a network answers for each query: a row, and a row of weights for each blended curve."""
-    return num_numbers * (1 + len(settings.curves))
+    return num_features * (1 + len(settings.curves))

@@ -164,7 +164,7 @@ def train_network(
     takes = open_takes(store, settings.framerate, where=settings.where or None, layout=settings.layout)
     folder = context.begin(stage, config, store_fingerprint=store.fingerprint)
     with seeded_initialisation(context.seed, stage):
-        network = make(config, takes.num_numbers)
+        network = make(config, takes.num_features)
     training = TemporalTraining(network, WindowSampler(takes, settings), seed=context.seed, device=device)
     with float32_products(settings.precision):
         context.fit_budget(training, folder)

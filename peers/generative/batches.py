@@ -133,7 +133,7 @@ class PoseSpace(nn.Module):
         self.scale: Tensor
 
     @property
-    def num_numbers(self) -> int:
+    def num_features(self) -> int:
         """Size of a pose vector."""
         return len(self.mean)
 
@@ -143,7 +143,7 @@ class PoseSpace(nn.Module):
         Raises `UsageError` for vectors of another convention.
         """
         part = vector_layout(self.vectors.skeleton.num_joints)
-        if self.num_numbers != part.size:
+        if self.num_features != part.size:
             raise UsageError("joints can only be recovered from native vectors: motions.pose_vectors=native")
         numbers = rows * self.scale + self.mean
         angle = self.heading(numbers)

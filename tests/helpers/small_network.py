@@ -42,10 +42,10 @@ class SmallConfig:
 class SmallNetwork(torch.nn.Module):
     """The frames on both sides of a query, the fraction between them and the seconds beyond: an MLP."""
 
-    def __init__(self, num_numbers: int, width: int) -> None:
+    def __init__(self, num_features: int, width: int) -> None:
         super().__init__()
         self.layers = torch.nn.Sequential(
-            torch.nn.Linear(2 * num_numbers + 2, width), torch.nn.SiLU(), torch.nn.Linear(width, num_numbers)
+            torch.nn.Linear(2 * num_features + 2, width), torch.nn.SiLU(), torch.nn.Linear(width, num_features)
         )
 
     def forward(self, window: ObservedWindow) -> torch.Tensor:
@@ -59,8 +59,8 @@ class SmallNetwork(torch.nn.Module):
         return answer
 
 
-def make(config: SmallConfig, num_numbers: int) -> torch.nn.Module:
-    return SmallNetwork(num_numbers, config.width)
+def make(config: SmallConfig, num_features: int) -> torch.nn.Module:
+    return SmallNetwork(num_features, config.width)
 
 
 def train(folder: Path, config: SmallConfig, *, resume: bool = False) -> RunFolder:

@@ -28,7 +28,7 @@ from eval.tables.parts import SOURCES, printed_rows, reported_figures
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.progress import task, tracked
-from motionkit.generate.models import installed_models, knows_no_conditions
+from motionkit.generate.models import installed_models, is_unconditional
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store
@@ -190,7 +190,7 @@ def _models(real: _Real, recogniser: ActionRecogniser, request: TableRequest) ->
 
     def systems(name: str) -> list[_System]:
         trained = models.value[name]
-        note = f"{counted} {'' if knows_no_conditions(trained.loaded) else 'actions and '}durations of real ones"
+        note = f"{counted} {'' if is_unconditional(trained.loaded) else 'actions and '}durations of real ones"
         draws = [
             generated_like(asked, trained.loaded, draw, request.seed)
             for draw in tracked(request.on_progress, name, range(count), count)

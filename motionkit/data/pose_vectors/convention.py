@@ -34,7 +34,7 @@ class PoseVectors(Protocol):
         ...
 
     @property
-    def num_numbers(self) -> int:
+    def num_features(self) -> int:
         """Numbers per pose."""
         ...
 
@@ -104,7 +104,7 @@ def measure_scaling(
     first group, the root's path. With `centred_path` x and z of positions have mean zero, so that standardised poses
     can be rotated.
     """
-    size = vectors.num_numbers
+    size = vectors.num_features
     count, total, squares = 0, torch.zeros(size, dtype=torch.float64), torch.zeros(size, dtype=torch.float64)
     for rows in chunks(len(poses.windows), 512):
         some = poses.evenly(rows, poses_per_window).vectors.double().flatten(0, 1)

@@ -23,14 +23,14 @@ class FieldVectors:
         return SMPL22
 
     @property
-    def num_numbers(self) -> int:
+    def num_features(self) -> int:
         """66."""
-        return field.num_numbers(SMPL22.num_joints)
+        return field.num_features(SMPL22.num_joints)
 
     @property
     def groups(self) -> tuple[tuple[int, ...], ...]:
         """The root's x and z, then everything else."""
-        return (0, 2), tuple(number for number in range(self.num_numbers) if number not in (0, 2))
+        return (0, 2), tuple(number for number in range(self.num_features) if number not in (0, 2))
 
     def open(self, store: Store, where: str | None) -> tuple[PositionCache, FrameVectors]:
         """Positions straight from the cache."""

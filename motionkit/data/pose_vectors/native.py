@@ -64,7 +64,7 @@ class NativeVectors:
         return SMPL22
 
     @property
-    def num_numbers(self) -> int:
+    def num_features(self) -> int:
         """263."""
         return SMPL22_LAYOUT.vector.size
 
@@ -82,11 +82,11 @@ class NativeVectors:
             for sequence in range(cache.num_sequences):
                 positions = np.asarray(cache.sequence_positions(sequence))
                 if len(positions) < 2:
-                    yield np.zeros((len(positions), self.num_numbers), np.float32)
+                    yield np.zeros((len(positions), self.num_features), np.float32)
                 else:
                     yield native.vectors(positions, SMPL22.name, cache.exact_fps(sequence))
 
-        return cache, NativeRows(cache.derived_rows(NATIVE_ROWS, self.num_numbers, compute))
+        return cache, NativeRows(cache.derived_rows(NATIVE_ROWS, self.num_features, compute))
 
     def instants(self, seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "instants"]:
         """All from the window's start, no more than 1/120 s apart: the path is integrated over them."""

@@ -18,7 +18,7 @@ from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.data.poses import FrameVectors
 from motionkit.features import field
-from motionkit.features.rotation_rows import num_numbers, two_columns
+from motionkit.features.rotation_rows import num_features, two_columns
 from motionkit.fields.motion_field import Poses
 from motionkit.store.cache import PositionCache, RowFile, open_cache
 from motionkit.store.reader import Store
@@ -85,14 +85,14 @@ class RotationVectors:
     skeleton: Skeleton
 
     @property
-    def num_numbers(self) -> int:
+    def num_features(self) -> int:
         """3 + 6·J: 135 or 147."""
-        return num_numbers(self.skeleton.num_joints)
+        return num_features(self.skeleton.num_joints)
 
     @property
     def groups(self) -> tuple[tuple[int, ...], ...]:
         """The root's x and z, its height, the rotations."""
-        return (0, 2), (1,), tuple(range(3, self.num_numbers))
+        return (0, 2), (1,), tuple(range(3, self.num_features))
 
     def open(self, store: Store, where: str | None) -> tuple[PositionCache, FrameVectors]:
         """Rotations of whole sequences, copied from the store into one memory map once."""

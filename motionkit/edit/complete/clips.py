@@ -71,7 +71,7 @@ def find_clips(names: Sequence[str], options: ReadOptions, store: Path) -> tuple
     Raises `UsageError` for an unknown name.
     """
     readers = Readers(partial(_read, options=options), clip_of_motion)
-    found, problems = find_motions(names, replace(options, leave_out_made=True), store, readers)
+    found, problems = find_motions(names, replace(options, skip_derived=True), store, readers)
     return found, problems
 
 

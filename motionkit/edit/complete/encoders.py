@@ -120,7 +120,7 @@ class ChosenEncoder:
         return self.encoder.reach_seconds if isinstance(self.encoder, StatesItsTraining) else None
 
     @property
-    def goes_on(self) -> bool:
+    def supports_continuation(self) -> bool:
         """Whether it extrapolates at constant velocity."""
         return not self.is_trained and self.name not in (*SETTLING, "hold")
 

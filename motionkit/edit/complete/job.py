@@ -143,7 +143,7 @@ def _warnings(clip: Clip, wanted: ClipRequest, chosen: ChosenEncoder) -> list[st
     if longest is not None and gap > longest + 1e-6:
         found.append(f"a gap of {gap:.2f} s is longer than the {longest:.2f} s that {chosen.name} has learnt to close")
     reach = max(wanted.before_seconds, wanted.after_seconds)
-    if chosen.goes_on and reach > LONGEST_PLAUSIBLE_SECONDS:
+    if chosen.supports_continuation and reach > LONGEST_PLAUSIBLE_SECONDS:
         found.append(
             f"{chosen.name} goes on at constant velocity for {reach:g} s; beyond {LONGEST_PLAUSIBLE_SECONDS:g} s that "
             "is unrealistic (the model spline comes to rest)"

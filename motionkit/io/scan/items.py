@@ -37,7 +37,7 @@ class ReadOptions:
     one that fits it. `fps_rules` are the user's corrections of framerates, before the shipped ones
     (`framerate_rules`). `body_models` is the user's folder of SMPL-family models. `index` selects stretches of a
     source's files. `skip_frames` frames are dropped at the start of every whole file whose annotations give no number.
-    `leave_out_made` skips the outputs of `motionkit complete` and `motionkit plant` in folders (`made`).
+    `skip_derived` skips the outputs of `motionkit complete` and `motionkit plant` in folders (`made`).
     """
 
     format: str = "auto"
@@ -50,7 +50,7 @@ class ReadOptions:
     body_models: Path | None = None
     index: IndexOptions | None = None
     skip_frames: int = 0
-    leave_out_made: bool = False
+    skip_derived: bool = False
 
 
 @dataclass(frozen=True)

@@ -95,7 +95,7 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
             if kind is None:
                 others.append(path)
             # The source folder's own name is ignored: whoever names a folder of completed clips means them.
-            elif options.leave_out_made and is_folder and is_derived(path if folder != root else Path(path.name)):
+            elif options.skip_derived and is_folder and is_derived(path if folder != root else Path(path.name)):
                 derived.append(path)
             else:
                 items += _items_of_file(kind, head, root, licences[folder])

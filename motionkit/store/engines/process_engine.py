@@ -15,7 +15,7 @@ from multiprocessing.context import BaseContext
 from typing import Any
 
 from motionkit.core.errors import MotionkitError
-from motionkit.core.interrupts import held_back
+from motionkit.core.interrupts import defer_signals
 from motionkit.store.engines.parallel import Function, WorkerDied
 
 
@@ -27,7 +27,7 @@ def start_server(preload: Sequence[str] = ()) -> BaseContext:
     """
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["__main__", __name__, *preload])
-    with held_back():
+    with defer_signals():
         resource_tracker.ensure_running()  # else it starts with the server, and unblocks signals in between
         # What is blocked stays so in the process that is started, from its first moment on. Python has the server
         # ignore Ctrl-C too, but only when everything is loaded, and until then prints a traceback.
@@ -69,7 +69,7 @@ class Processes:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        with held_back():
+        with defer_signals():
             self._stop.close()  # do not wait for unfinished work
             if self._pool is not None:
                 self._pool.shutdown(cancel_futures=True)
@@ -79,7 +79,7 @@ class Processes:
     def submit(self, function: Function, batch: Sequence[Any]) -> _Ticket:
         """Submit a batch to the pool, which is started if needed."""
         # A worker that is just being started when this process gives up would look for semaphores that are gone.
-        with held_back():
+        with defer_signals():
             if self._pool is None:
                 self._pool = ProcessPoolExecutor(
                     self.num_workers,

@@ -31,13 +31,13 @@ class Actor(nn.Module):
         transformer = config.transformer
         width = transformer.width
         self.config, self.space, self.width = config, space, width
-        self.frame_in = nn.Linear(space.num_numbers, width)
+        self.frame_in = nn.Linear(space.num_features, width)
         self.mean_token, self.variance_token = ConditionVector(sizes, width), ConditionVector(sizes, width)
         self.bias = ConditionVector(sizes, width)
         self.dropout = nn.Dropout(transformer.dropout)
         self.encoder = nn.TransformerEncoder(encoder_layer(transformer), transformer.layers, enable_nested_tensor=False)
         self.decoder = nn.TransformerDecoder(decoder_layer(transformer), transformer.layers)
-        self.frame_out = nn.Linear(width, space.num_numbers)
+        self.frame_out = nn.Linear(width, space.num_features)
 
     def encode(
         self, rows: Float[Tensor, "batch frames numbers"], lengths: Int64[Tensor, "batch"], conditions: Conditions

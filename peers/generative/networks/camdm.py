@@ -30,7 +30,7 @@ class Camdm(nn.Module):
         super().__init__()
         width = config.transformer.width
         self.config, self.diffusion, self.space, self.width = config, config.diffusion, space, width
-        self.numbers = space.num_numbers
+        self.numbers = space.num_features
         self.frame_in, self.past_in = nn.Linear(self.numbers, width), nn.Linear(self.numbers, width)
         self.no_past = nn.Parameter(torch.zeros(width))
         self.condition = ConditionVector(sizes, width)

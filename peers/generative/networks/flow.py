@@ -35,7 +35,7 @@ class Flow(nn.Module):
     ) -> None:
         super().__init__()
         width = config.transformer.width
-        self.config, self.width, self.numbers = config, width, space.num_numbers
+        self.config, self.width, self.numbers = config, width, space.num_features
         self.coordinates = (AbsoluteCoordinates(space),)  # in a tuple: not a submodule, its buffers are the space's
         self.frame_in = nn.Linear(self.numbers, width)
         self.condition = ConditionVector(sizes, width)
@@ -97,7 +97,7 @@ class AbsoluteCoordinates:
 
     def __init__(self, space: PoseSpace) -> None:
         self.space = space
-        if space.num_numbers != 3 * space.vectors.skeleton.num_joints:
+        if space.num_features != 3 * space.vectors.skeleton.num_joints:
             raise UsageError("absolute coordinates are of field vectors: motions.pose_vectors=field")
 
     def _standard(self) -> tuple[Float[Tensor, "joints 3"], Float[Tensor, "joints 3"]]:

@@ -29,7 +29,7 @@ def body_parts(space: PoseSpace) -> list[list[int]]:
     """
     layout = pose_layout(space.vectors.skeleton.name)
     vector = layout.vector
-    if space.num_numbers != vector.size:
+    if space.num_features != vector.size:
         raise UsageError("body parts are of native vectors: motions.pose_vectors=native")
     numbers = list(range(vector.size))
     positions, rotations, velocities = (
@@ -140,10 +140,10 @@ class Hier(nn.Module):
     ) -> None:
         super().__init__()
         parts = body_parts(space)
-        self.config, self.numbers = config, space.num_numbers
+        self.config, self.numbers = config, space.num_features
         self.sentence = ConditionVector(sizes, 2 * config.width)
         self.encoder, self.decoder = TwoStreamEncoder(parts, config), TwoStreamDecoder(parts, config)
-        self.critic = Critic(space.num_numbers, config.critic)
+        self.critic = Critic(space.num_features, config.critic)
 
     def encode_condition(self, conditions: Conditions) -> Float[Tensor, "2 batch width"]:
         """Codes of conditions."""

@@ -45,7 +45,7 @@ class InrMlp(nn.Module):
                 nn.init.constant_(vector.actions.weight, start)
         widths = (2 * config.code + config.time_features, *config.hidden)
         layers = [layer for pair in pairwise(widths) for layer in (nn.Linear(*pair), nn.ELU())]
-        self.layers = nn.Sequential(*layers, nn.Linear(widths[-1], space.num_numbers))
+        self.layers = nn.Sequential(*layers, nn.Linear(widths[-1], space.num_features))
         # Length and action of the motion that each code stands for.
         self.register_buffer("frames_of", torch.zeros(sizes.num_windows, dtype=torch.int64))
         self.register_buffer("action_of", torch.full((sizes.num_windows,), NO_ACTION))

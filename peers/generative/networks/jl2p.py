@@ -25,7 +25,7 @@ class Jl2p(nn.Module):
         self, config: Jl2pNetworkConfig, space: PoseSpace, sizes: ConditionSizes, earlier: Mapping[str, nn.Module]
     ) -> None:
         super().__init__()
-        numbers, width = space.num_numbers, config.width
+        numbers, width = space.num_features, config.width
         self.config, self.numbers = config, numbers
         self.sentence = ConditionVector(sizes, width)
         self.encoder = nn.GRU(numbers, width, batch_first=True)

@@ -21,7 +21,7 @@ class Mdm(nn.Module):
         super().__init__()
         width = config.transformer.width
         self.config, self.diffusion, self.width = config, config.diffusion, width
-        self.numbers = space.num_numbers
+        self.numbers = space.num_features
         self.frame_in = nn.Linear(self.numbers, width)
         self.text_in = nn.Linear(sizes.text_dimension, width) if sizes.text_dimension else None
         self.actions = nn.Embedding(len(sizes.actions), width) if sizes.actions else None

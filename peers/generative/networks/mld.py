@@ -33,13 +33,13 @@ class MldVae(nn.Module):
         super().__init__()
         width = config.transformer.width
         self.config, self.space, self.width = config, space, width
-        self.frame_in = nn.Linear(space.num_numbers, width)
+        self.frame_in = nn.Linear(space.num_features, width)
         self.distribution = nn.Parameter(torch.randn(2, width))
         self.encoder_positions = nn.Parameter(torch.rand(config.longest, width))
         self.decoder_positions = nn.Parameter(torch.rand(config.longest, width))
         self.encoder = LongSkips(config.transformer, encoder_layer)
         self.decoder = LongSkips(config.transformer, decoder_layer)
-        self.frame_out = nn.Linear(width, space.num_numbers)
+        self.frame_out = nn.Linear(width, space.num_features)
 
     def encode(
         self, rows: Float[Tensor, "batch frames numbers"], lengths: Int64[Tensor, "batch"]

@@ -48,7 +48,7 @@ def residuals(widths: tuple[int, ...], kernel: int, activation: Callable[[], nn.
 def native_layout(space: PoseSpace) -> VectorLayout:
     """Layout of a pose vector; raises `UsageError` for a convention other than `native`."""
     part = vector_layout(space.vectors.skeleton.num_joints)
-    if space.num_numbers != part.size:
+    if space.num_features != part.size:
         raise UsageError("NeMF learns native vectors: motions.pose_vectors=native")
     return part
 
@@ -210,7 +210,7 @@ class Nemf(nn.Module):
         count = int(lengths.max())
         # One extra frame, for the last frame's yaw velocity.
         positions, rotations, orientation = self(count + 1, local, turns)
-        rows: Tensor = positions.new_zeros((len(positions), count, space.num_numbers))
+        rows: Tensor = positions.new_zeros((len(positions), count, space.num_features))
 
         def put(block: slice, numbers: Tensor) -> None:
             rows[..., block] = (numbers - space.mean[block]) / space.scale[block]

@@ -31,7 +31,7 @@ class T2mAutoencoder(nn.Module):
         earlier: Mapping[str, nn.Module],
     ) -> None:
         super().__init__()
-        numbers, width = space.num_numbers, config.width
+        numbers, width = space.num_features, config.width
         self.config, self.width = config, width
         self.encoder = nn.Sequential(
             nn.Conv1d(numbers - CONTACTS, width, 4, 2, 1),

@@ -10,7 +10,7 @@ from motionkit.core.checksums import CHECKSUM, read_json, sealed, unsealed, writ
 from motionkit.core.errors import DamagedFileError
 
 DOCUMENT = {"name": "nano", "steps": 1200, "rate": 1e-3, "parts": {"b": [1, None], "a": "ü"}, "done": True}
-MEND = "train it again"
+HINT = "train it again"
 
 json_values = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
@@ -40,7 +40,7 @@ def test_every_flipped_bit_is_noticed_or_changes_no_value(tmp_path: Path) -> Non
             damaged[place] ^= 1 << bit
             path.write_bytes(damaged)
             try:
-                assert read_json(path, MEND) == DOCUMENT
+                assert read_json(path, HINT) == DOCUMENT
             except DamagedFileError:
                 noticed += 1
     assert noticed > 7 * len(whole)
@@ -51,7 +51,7 @@ def test_a_damaged_file_is_named_with_what_mends_it(tmp_path: Path) -> None:
     write_json(path, DOCUMENT)
     path.write_text(path.read_text().replace("1200", "1201"))
     with pytest.raises(DamagedFileError, match=r"config\.json is damaged \(its content .*\): train it again"):
-        read_json(path, MEND)
+        read_json(path, HINT)
 
 
 @pytest.mark.parametrize("text", ["[1]", "{", '{"a": NaN}', '{"a": 1e999}', "\udc80", '{"a": ' + "[" * 100_000])
@@ -59,13 +59,13 @@ def test_what_is_no_whole_json_object_is_damaged(tmp_path: Path, text: str) -> N
     path = tmp_path / "config.json"
     path.write_bytes(text.encode("utf-8", "surrogateescape"))
     with pytest.raises(DamagedFileError, match="train it again"):
-        read_json(path, MEND)
+        read_json(path, HINT)
 
 
 def test_a_file_of_before_there_were_checksums_is_read(tmp_path: Path) -> None:
     path = tmp_path / "config.json"
     path.write_text(json.dumps(DOCUMENT))
-    assert read_json(path, MEND) == DOCUMENT
+    assert read_json(path, HINT) == DOCUMENT
 
 
 def test_numbers_that_are_not_finite_are_refused() -> None:
@@ -74,5 +74,5 @@ def test_numbers_that_are_not_finite_are_refused() -> None:
 
 
 def test_the_error_travels_between_processes() -> None:
-    error = DamagedFileError("a.json", "it is empty", MEND)
+    error = DamagedFileError("a.json", "it is empty", HINT)
     assert str(pickle.loads(pickle.dumps(error))) == str(error)  # noqa: S301

@@ -61,7 +61,7 @@ def cut(length: int, path: Path) -> None:
 @pytest.mark.parametrize(
     "damage", [no_checksum, one_byte_more, zeros, *(partial(cut, length) for length in (0, 2, 3, 8, 40, 100, -1))]
 )
-@pytest.mark.parametrize("reads", [load_tensors, partial(require_whole_tensors, mend="train it again")])
+@pytest.mark.parametrize("reads", [load_tensors, partial(require_whole_tensors, hint="train it again")])
 def test_a_file_that_is_not_whole_is_damaged(
     damage: Callable[[Path], None], reads: Callable[[Path], object], tmp_path: Path
 ) -> None:

@@ -127,7 +127,7 @@ def test_what_adjusts_the_sampler_is_what_comes_out() -> None:
 def test_joints_of_rotations_are_those_that_are_decoded() -> None:
     rng = np.random.default_rng(1)
     vectors = RotationVectors(smpl_rig(rng.normal(size=(22, 3)).astype(np.float32)))
-    numbers = rng.normal(size=(5, vectors.num_numbers)).astype(np.float32)
+    numbers = rng.normal(size=(5, vectors.num_features)).astype(np.float32)
     seconds = np.arange(5.0)
     expected = vectors.decode(numbers, seconds, seconds).joint_positions
     found = joints_of(torch.from_numpy(numbers), vectors)

@@ -225,14 +225,14 @@ def test_a_training_that_was_interrupted_goes_on_as_if_it_was_not(folder: Path, 
         layout=EXACT.training.layout,
     )
     make_one = partial(TemporalTraining, sampler=WindowSampler(takes, EXACT.training), seed=1, device=CPU)
-    networks = [SmallNetwork(takes.num_numbers, 8) for _ in range(2)]
+    networks = [SmallNetwork(takes.num_features, 8) for _ in range(2)]
     networks[1].load_state_dict(networks[0].state_dict())
     whole, halves = (make_one(network) for network in networks)
     for step in range(6):
         figures = whole.step(step, step_generator(1, "small", step))
     for step in range(3):
         halves.step(step, step_generator(1, "small", step))
-    resumed = make_one(SmallNetwork(takes.num_numbers, 8))
+    resumed = make_one(SmallNetwork(takes.num_features, 8))
     resumed.load_state_tensors(halves.state_tensors())
     for step in range(3, 6):
         again = resumed.step(step, step_generator(1, "small", step))

@@ -65,7 +65,7 @@ def test_what_is_encoded_comes_back_in_the_window_s_frame(store: Store, name: st
     for row in range(len(windows)):
         count = int(windows.num_frames[row])
         batch = poses.at_frames(np.array([row]), np.arange(count)[None])
-        assert batch.vectors.shape == (1, count, vectors.num_numbers)
+        assert batch.vectors.shape == (1, count, vectors.num_features)
         seconds = np.arange(count) / windows.fps[row]
         decoded = vectors.decode(batch.vectors[0].numpy(), seconds, seconds)
         truth = window_truth(poses.source, windows, row, windows.exact_fps(row))
@@ -98,7 +98,7 @@ def test_groups_hold_every_number_once(store: Store) -> None:
     for name in NAMES:
         vectors = training_vectors(name, store, None)  # type: ignore[arg-type]
         numbers = [number for group in vectors.groups for number in group]
-        assert sorted(numbers) == list(range(vectors.num_numbers))
+        assert sorted(numbers) == list(range(vectors.num_features))
 
 
 class TestNative:
@@ -148,7 +148,7 @@ class TestRotations:
 
     def test_two_columns_that_are_not_orthogonal_still_are_a_rotation(self) -> None:
         vectors = RotationVectors(SMPL22)
-        numbers = np.random.default_rng(0).normal(size=(5, vectors.num_numbers)).astype(np.float32)
+        numbers = np.random.default_rng(0).normal(size=(5, vectors.num_features)).astype(np.float32)
         decoded = vectors.decode(numbers, np.arange(5.0), np.arange(5.0))
         assert decoded.local_rotations is not None
         np.testing.assert_allclose(np.linalg.norm(decoded.local_rotations, axis=-1), 1.0, atol=1e-6)
@@ -178,7 +178,7 @@ class TestRotations:
         rig = smpl_rig(np.ones((24, 3), np.float32))
         assert rig.joint_names[22:] == ("left_hand", "right_hand")
         assert (rig.parents[22], rig.parents[23]) == (20, 21)
-        assert RotationVectors(rig).num_numbers == 147
+        assert RotationVectors(rig).num_features == 147
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -188,7 +188,7 @@ def test_a_rank_without_a_window_in_the_batch_has_nothing_to_encode(store: Store
     nothing = frames.gather(np.zeros((0, 8), np.int64), np.zeros(0, np.bool_))
     between = frames.between(nothing, nothing, np.zeros((0, 8), np.float32))
     encoded = frames.encode(between, np.zeros(0, np.float32), np.zeros((0, 2), np.float32))
-    assert encoded.shape == (0, 8, vectors.num_numbers)
+    assert encoded.shape == (0, 8, vectors.num_features)
 
 
 def test_rows_of_a_cache_are_computed_once(store: Store) -> None:

@@ -100,7 +100,7 @@ def test_a_file_is_opened_once_to_know_its_format(
     tmp_path: Path, name: str, opened: Callable[[Callable[[], object]], Counter[str]]
 ) -> None:
     path = SOURCES[name](tmp_path)
-    options = ReadOptions(leave_out_made=True)
+    options = ReadOptions(skip_derived=True)
     counts = opened(lambda: scan([tmp_path], options))
     once = 2 if path.suffix == ".csv" else 1  # a table might be one of annotations, too
     assert counts[str(path)] <= once
