@@ -21,7 +21,7 @@ from eval.sets.sets import SampleSet, middle
 from motionkit.core.errors import MotionkitError
 from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import SMPL22
-from motionkit.io.smpl.body import SMPL
+from motionkit.io.smpl_body import SMPL
 
 VERSION = "motion-statistics/1"
 MIN_FRAMES = 10

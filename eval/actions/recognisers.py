@@ -41,7 +41,7 @@ def find_recogniser(name: str) -> RecogniserSource:
 def _sources() -> Mapping[str, RecogniserSource]:
     from eval.actions.gru import CMU_MOCAP, HUMANACT12, load_gru
     from eval.actions.uestc import TITLE, load_uestc
-    from motionkit.io.smpl import uestc
+    from motionkit.io import uestc
 
     sources = (
         RecogniserSource(

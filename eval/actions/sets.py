@@ -21,7 +21,7 @@ from motionkit.fields.contact.planted import planted
 from motionkit.fields.motion_field import MotionField, to_motion
 from motionkit.fields.resample import resample
 from motionkit.generate.models import GenerationRequest, GenerativeModel, is_unconditional, refusal
-from motionkit.io.smpl.body import SMPL
+from motionkit.io.smpl_body import SMPL
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store

@@ -21,8 +21,8 @@ from motionkit.core import kinematics
 from motionkit.core.errors import MotionkitError
 from motionkit.core.shapes import Float, Float32
 from motionkit.core.skeleton import SMPL22
-from motionkit.io.smpl import uestc
-from motionkit.io.smpl.body import SMPL
+from motionkit.io import uestc
+from motionkit.io.smpl_body import SMPL
 from motionkit.training.tensors import CheckpointError, fill_checked, read_foreign
 
 CHANNELS = (64, 64, 64, 64, 128, 128, 128, 256, 256, 256)

@@ -16,8 +16,8 @@ import numpy as np
 from motionkit.core.errors import FormatError
 from motionkit.core.framerate import parse_fps
 from motionkit.core.plain_text import shown
-from motionkit.io.arrays import npy, npz_archive
-from motionkit.io.arrays.pickled_data import read_pickled_dict
+from motionkit.io import npy, npz_archive
+from motionkit.io.pickled_data import read_pickled_dict
 from motionkit.io.source import source_file
 
 JOINTS = frozenset({21, 22, 24, 52})

@@ -23,9 +23,8 @@ from motionkit.core.skeleton import KIT21, SMPL22
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.core.timegrid import TimeGrid
 from motionkit.features.statistics import Statistics
-from motionkit.io import texts
-from motionkit.io.arrays import joints_npy
-from motionkit.io.arrays.npy import MAX_NUMBER
+from motionkit.io import joints_npy, texts
+from motionkit.io.npy import MAX_NUMBER
 from motionkit.io.scan.annotations import Annotation
 from motionkit.io.scan.items import ReadOptions, SourceItem
 from motionkit.io.scan.reading import read

@@ -81,7 +81,7 @@ def _kind(format: str | None) -> "Export":
 
 def _character(path: Path, format: str | None, plant: bool, skeleton_maps: list[Path] | None) -> "Export":
     from motionkit.edit.export.run import character_kind
-    from motionkit.io.characters.character import read_character
+    from motionkit.io.character import read_character
 
     character = read_character(path, read_options(None, skeleton_maps))
     if format not in (None, {".glb": "gltf"}.get(character.suffix, character.suffix[1:])):

@@ -13,14 +13,14 @@ from motionkit.core.files import whole_file
 from motionkit.edit.export.pose_folder import HUMANML3D_KIND, pose_entry, write_folder_manifest
 from motionkit.edit.export.selection import Outcome
 from motionkit.generate.samples import GeneratedSample
-from motionkit.io.arrays import joints_npy, npz
+from motionkit.io import joints_npy, npz
 from motionkit.io.catalogue import writers
 from motionkit.io.format import Format
 from motionkit.io.humanml3d import JOINTS_FOLDER, TEXTS_FOLDER, VECTORS_FOLDER, FolderWriter
 
 
 def write_npz_file(path: Path, sample: GeneratedSample) -> None:
-    """Write a .npz of `motionkit.io.arrays.npz`'s schema, atomically.
+    """Write a .npz of `motionkit.io.npz`'s schema, atomically.
 
     Poses at arbitrary instants have `time_seconds` and no `fps`. In addition to the schema: `duration_seconds`, the
     requested duration.

@@ -8,13 +8,28 @@ from pathlib import Path
 from motionkit.core.errors import UsageError
 from motionkit.core.files import whole_file
 from motionkit.core.motion import Motion
-from motionkit.io import asfamc, c3d, deepmimic, gltf, humanact12, humanml3d, joints_csv, kimodo, parquet, trc
-from motionkit.io.arrays import joints_npy, npz, pose_vectors
+from motionkit.io import (
+    amass,
+    asfamc,
+    c3d,
+    deepmimic,
+    gltf,
+    humanact12,
+    humanml3d,
+    joints_csv,
+    joints_npy,
+    kimodo,
+    npz,
+    parquet,
+    pose_vectors,
+    robot_csv,
+    smpl,
+    trc,
+    uestc,
+)
 from motionkit.io.bvh import lafan1, style100
 from motionkit.io.bvh import writing as bvh
-from motionkit.io.characters import robot_csv
 from motionkit.io.format import FileHead, Format
-from motionkit.io.smpl import amass, dictionary, uestc
 
 GROUP = "motionkit.io"
 
@@ -30,7 +45,7 @@ _BUILT_IN = (
         deepmimic.FORMAT,
         uestc.FORMAT,
     ),
-    *(kimodo.FORMAT, dictionary.FORMAT, dictionary.MOTION_X_FORMAT),
+    *(kimodo.FORMAT, smpl.FORMAT, smpl.MOTION_X_FORMAT),
     *(amass.FORMAT, humanml3d.FORMAT, humanml3d.KIT_FORMAT, humanact12.FORMAT, joints_npy.FORMAT, npz.FORMAT),
     *(pose_vectors.FORMAT, pose_vectors.INTERHUMAN_FORMAT, pose_vectors.MOTIONSTREAMER_FORMAT),
     *(joints_csv.FORMAT, robot_csv.FORMAT, gltf.FORMAT, parquet.FORMAT),

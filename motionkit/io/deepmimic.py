@@ -27,7 +27,7 @@ from motionkit.core.plain_text import parse_json
 from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import Feet, Skeleton
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io.arrays import npy
+from motionkit.io import npy
 from motionkit.io.format import FileHead, Format, of_path
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.source import clock, source_file

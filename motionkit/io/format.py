@@ -7,7 +7,7 @@ from pathlib import Path
 
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
-from motionkit.io.arrays import npy, npz_archive
+from motionkit.io import npy, npz_archive
 from motionkit.io.bvh.document import BvhDocument
 from motionkit.io.scan.items import ReadOptions, ScanResult, SourceItem
 from motionkit.io.source import source_file

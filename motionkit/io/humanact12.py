@@ -11,7 +11,7 @@ from fractions import Fraction
 from pathlib import Path
 
 from motionkit.core.motion import Motion
-from motionkit.io.arrays import joints_npy
+from motionkit.io import joints_npy
 from motionkit.io.format import FileHead, Format, of_path
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.source import clock

@@ -20,8 +20,7 @@ from motionkit.core.motion import Caption, Motion
 from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io import texts
-from motionkit.io.arrays import joints_npy, npy
+from motionkit.io import joints_npy, npy, texts
 from motionkit.io.format import Format
 from motionkit.io.scan.items import ReadOptions, ScanResult, SourceItem
 from motionkit.io.source import clock, source_file
@@ -116,7 +115,7 @@ def find(folder: Path, root: Path, layout: Layout = HUMANML3D) -> ScanResult:
 def read_humanml3d(item: SourceItem, options: ReadOptions, layout: Layout = HUMANML3D) -> Motion:
     """Read one sequence: joints if the folder has them, else recovered from its pose vectors, in metres.
 
-    The framerate is the published one unless the folder's `motions.json` (formats/arrays/joints_npy.py) or `options`
+    The framerate is the published one unless the folder's `motions.json` (motionkit/io/joints_npy.py) or `options`
     gives another. The published 6D rotations lack twist and are not used as rotations. Raises `FormatError`.
     """
     data = source_file.read_bytes(item.path)

@@ -16,9 +16,9 @@ from motionkit.core.framerate import parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, Feet, Skeleton
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io.arrays import npz_archive
-from motionkit.io.arrays.npz_archive import NpzArchive
+from motionkit.io import npz_archive
 from motionkit.io.format import FileHead, Format, of_path
+from motionkit.io.npz_archive import NpzArchive
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.source import clock, rigid, source_file
 

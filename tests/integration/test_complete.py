@@ -21,12 +21,12 @@ from motionkit.features.humanml3d import process
 from motionkit.fields.completion import complete
 from motionkit.fields.interpolation.interpolators import INTERPOLATORS
 from motionkit.fields.motion_field import Observation, to_motion
-from motionkit.io.arrays.joints_npy import read_joints_npy
-from motionkit.io.arrays.npz import motion_arrays, read_npz, write_npz
 from motionkit.io.bvh import frame_lines
 from motionkit.io.bvh.document import read_bvh, read_document
 from motionkit.io.bvh.writing import write_bvh
 from motionkit.io.humanml3d import Entry, write_humanml3d
+from motionkit.io.joints_npy import read_joints_npy
+from motionkit.io.npz import motion_arrays, read_npz, write_npz
 from motionkit.store import StoreWriter
 from tests.helpers.analytic import analytic_motion
 from tests.helpers.bones import bone_lengths

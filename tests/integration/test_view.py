@@ -16,10 +16,10 @@ from motionkit.core.motion import Caption, Motion
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import process
 from motionkit.fields.motion_field import to_motion
-from motionkit.io.arrays.npz import motion_arrays, write_npz
 from motionkit.io.bvh.document import read_bvh
 from motionkit.io.bvh.writing import write_bvh
 from motionkit.io.humanml3d import Entry, write_humanml3d
+from motionkit.io.npz import motion_arrays, write_npz
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.scan.reading import read
 from motionkit.io.scan.scanner import scan

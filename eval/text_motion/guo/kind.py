@@ -16,7 +16,7 @@ from motionkit.core.errors import FormatError, MotionkitError
 from motionkit.core.shapes import Float64
 from motionkit.features.layout import pose_layout
 from motionkit.features.statistics import Statistics, check_statistics
-from motionkit.io.arrays import npy
+from motionkit.io import npy
 from motionkit.io.humanml3d import KIT
 from motionkit.io.source import source_file
 

@@ -20,12 +20,12 @@ from motionkit.fields.completion import Completion
 from motionkit.fields.interpolation.rigid import on_bones
 from motionkit.fields.long_observation import LongObservation
 from motionkit.fields.motion_field import Observation, Observed, Poses
-from motionkit.io.arrays import pose_vectors
-from motionkit.io.arrays.npz import write_npz
+from motionkit.io import pose_vectors
 from motionkit.io.bvh.document import BvhDocument
 from motionkit.io.bvh.writing import ChannelLines, check_writable
 from motionkit.io.catalogue import writer_of
 from motionkit.io.format import FileHead
+from motionkit.io.npz import write_npz
 from motionkit.io.scan.items import ReadOptions, SourceItem
 from motionkit.io.scan.reading import read_document
 from motionkit.store.named_motions.holes import ReadClip, read_with_holes, write_vectors

@@ -20,7 +20,7 @@ from motionkit.core.skeletons.mapping import SkeletonMapError, map_joints
 from motionkit.edit.export.files import TABLE, MotionTable, render
 from motionkit.edit.export.selection import Outcome, Selection, short_names
 from motionkit.features import humanml3d
-from motionkit.io.arrays import joints_npy
+from motionkit.io import joints_npy
 from motionkit.io.humanml3d import (
     HUMANML3D,
     JOINTS_FOLDER,

@@ -8,7 +8,7 @@ from fractions import Fraction
 from motionkit.core.errors import FormatError
 from motionkit.io.scan.cuts import missing_seconds, unlike_stated_seconds
 from motionkit.io.scan.items import SourceItem
-from motionkit.io.smpl.body import substituted_body
+from motionkit.io.smpl_body import substituted_body
 from motionkit.store.codec import Row
 
 # Before its second frame a jump may be seen one frame late.

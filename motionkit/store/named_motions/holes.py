@@ -22,7 +22,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Bool, Float64
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import at_origin, facing_forward
-from motionkit.io.arrays import joints_npy, npy, npz_archive
+from motionkit.io import joints_npy, npy, npz_archive
 from motionkit.io.humanml3d import LAYOUTS
 from motionkit.io.scan import reading
 from motionkit.io.scan.items import ReadOptions, SourceItem

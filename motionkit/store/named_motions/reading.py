@@ -14,7 +14,7 @@ from motionkit.core.framerate import Framerate, parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.progress import warn
 from motionkit.core.skeletons.families import read_skeleton_map
-from motionkit.io.arrays import joints_npy, npy
+from motionkit.io import joints_npy, npy
 from motionkit.io.humanml3d import JOINTS_FOLDER, LAYOUTS, VECTORS_FOLDER
 from motionkit.io.scan import reading as one_sequence
 from motionkit.io.scan.folders import dangling

@@ -12,7 +12,7 @@ from eval.actions.recogniser import ActionRecogniser
 from eval.actions.uestc import StgcnNetwork, load_uestc, rotation_rows, spatial_graph
 from eval.sets.sets import Ragged, SampleSet
 from motionkit.core.errors import MotionkitError
-from motionkit.io.smpl.body import SMPL
+from motionkit.io.smpl_body import SMPL
 from motionkit.training.tensors import CheckpointError
 
 Weights = dict[str, np.ndarray]

@@ -14,8 +14,8 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.features.humanml3d import positions
 from motionkit.generate.models import GenerationRequest
 from motionkit.generate.samples import motion_name
-from motionkit.io.arrays.npz import read_npz
 from motionkit.io.bvh.document import read_bvh
+from motionkit.io.npz import read_npz
 from motionkit.store import Store
 from tests.helpers.drift_model import GoesOn, rows_of
 

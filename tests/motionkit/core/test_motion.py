@@ -11,7 +11,7 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import KIT21, SMPL22, STANDARD_SKELETONS, Skeleton
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io.arrays.npz import read_npz
+from motionkit.io.npz import read_npz
 
 
 def still(num_frames: int = 5, fps: int = 30) -> Motion:

@@ -10,7 +10,7 @@ import motionkit as mk
 from motionkit.core.skeleton import SMPL22
 from motionkit.generate.constraint_files import parse_joint, parse_pose, path_and_seconds, read_path
 from motionkit.generate.constraints import Constraint, followed
-from motionkit.io.arrays.npz import write_npz
+from motionkit.io.npz import write_npz
 from tests.helpers.scripted_model import ScriptedField
 
 BODY = np.random.default_rng(0).normal(size=(22, 3))

@@ -13,10 +13,10 @@ from motionkit.core import kinematics
 from motionkit.core.motion import Motion
 from motionkit.core.timegrid import TimeGrid
 from motionkit.features.quality import measure
+from motionkit.io.amass import write_amass
 from motionkit.io.scan.reading import read, read_document
 from motionkit.io.scan.scanner import scan
-from motionkit.io.smpl.amass import write_amass
-from motionkit.io.smpl.body import mean_shape_skeleton
+from motionkit.io.smpl_body import mean_shape_skeleton
 
 FPS = Fraction(30)
 # The rotations about x by ±90 degrees, as quaternions: y up → z up, and its inverse.

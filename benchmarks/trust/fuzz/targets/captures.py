@@ -18,7 +18,7 @@ from motionkit.io.scan.framerate_rules import read_rules
 from motionkit.io.scan.items import IndexOptions, ReadOptions
 from motionkit.io.scan.reading import read
 from motionkit.io.scan.scanner import scan
-from motionkit.io.smpl.body import LAYOUTS
+from motionkit.io.smpl_body import LAYOUTS
 from motionkit.viz.player.page import check_places
 from motionkit.viz.player.takes import take_of
 from motionkit.viz.view.job import find_sources
@@ -119,7 +119,7 @@ def _indexed(name: str, content: bytes) -> Make:
 
 
 def _body_model(folder: Path) -> None:
-    from tests.motionkit.io.smpl.test_body_models import write_body_model
+    from tests.motionkit.io.test_body_models import write_body_model
 
     write_body_model(folder / "models" / "smpl" / "SMPL_NEUTRAL.npz", LAYOUTS["smpl"])
     write_amass(folder / "take_poses.npz", smplh_fields(3, 72, gender=np.array("neutral"), betas=np.zeros(10)))

@@ -23,9 +23,9 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.generate.models import GenerationRequest, SamplingOptions
-from motionkit.io.arrays.joints_npy import write_joints_npy
-from motionkit.io.smpl import uestc
-from motionkit.io.smpl.body import SMPL
+from motionkit.io import uestc
+from motionkit.io.joints_npy import write_joints_npy
+from motionkit.io.smpl_body import SMPL
 from motionkit.store.reader import Store
 from motionkit.store.writer import StoreWriter
 from tests.helpers.acting import ACTIONS, acted, acted_at

@@ -14,7 +14,7 @@ from motionkit.core.skeletons.families import (
     with_layout_map,
 )
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, map_joints, rest_positions
-from motionkit.io.arrays.npz import read_npz, write_npz
+from motionkit.io.npz import read_npz, write_npz
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.scan.reading import read
 from motionkit.io.scan.scanner import scan

@@ -8,7 +8,7 @@ import pytest
 
 import motionkit as mk
 from motionkit.fields.motion_field import to_motion
-from motionkit.io.arrays.npz import motion_arrays
+from motionkit.io.npz import motion_arrays
 from tests.helpers.analytic import analytic_motion
 
 

@@ -10,15 +10,15 @@ from motionkit.core.motion import Motion
 from motionkit.edit.export.run import export, export_kinds
 from motionkit.edit.export.selection import Selection
 from motionkit.features import humanml3d
+from motionkit.io.amass import read_amass
 from motionkit.io.scan.items import IndexOptions, ReadOptions, SourceItem
 from motionkit.io.scan.reading import read
 from motionkit.io.scan.scanner import scan
-from motionkit.io.smpl.amass import read_amass
-from motionkit.io.smpl.body import LAYOUTS, find_body_model
+from motionkit.io.smpl_body import LAYOUTS, find_body_model
 from motionkit.store import Store
 from motionkit.store.ingest.ingest import ingest
 from tests.helpers.amass_samples import smplh_fields, stageii_fields, write_amass
-from tests.motionkit.io.smpl.test_body_models import write_body_model
+from tests.motionkit.io.test_body_models import write_body_model
 
 HEADER = "source_path,start_frame,end_frame,new_name\n"
 # The store keeps numbers on a grid of 2^-22.

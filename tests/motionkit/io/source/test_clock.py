@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from motionkit.core.errors import FormatError
-from motionkit.io.arrays.npz import read_npz
 from motionkit.io.bvh.document import read_bvh
+from motionkit.io.npz import read_npz
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.source.clock import fps_in_use, replaced_fps
 

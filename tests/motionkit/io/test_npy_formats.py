@@ -10,9 +10,9 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io.arrays import npy
-from motionkit.io.arrays.joints_npy import read_joints_npy, write_joints_npy
+from motionkit.io import npy
 from motionkit.io.humanact12 import read_humanact12
+from motionkit.io.joints_npy import read_joints_npy, write_joints_npy
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.scan.reading import read
 from motionkit.io.scan.scanner import scan

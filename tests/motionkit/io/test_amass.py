@@ -11,7 +11,7 @@ from motionkit.core.skeletons.mapping import map_joints, rest_positions
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.scan.reading import read
 from motionkit.io.scan.scanner import scan
-from motionkit.io.smpl.body import mean_shape_skeleton
+from motionkit.io.smpl_body import mean_shape_skeleton
 from tests.helpers.amass_samples import WIDTHS, smplh_fields, stageii_fields, standing_poses, write_amass
 
 

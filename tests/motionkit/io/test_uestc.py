@@ -21,11 +21,11 @@ from motionkit.core.skeletons.mapping import map_joints
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.scan.reading import read
 from motionkit.io.scan.scanner import scan
-from motionkit.io.smpl.body import SMPL
-from motionkit.io.smpl.uestc import ACTIONS, TRAIN_SUBJECTS, read_uestc
+from motionkit.io.smpl_body import SMPL
+from motionkit.io.uestc import ACTIONS, TRAIN_SUBJECTS, read_uestc
 from tests.helpers.repository import REPOSITORY
 from tests.motionkit.core.skeletons.test_skeleton_mapping import check_body
-from tests.motionkit.io.smpl.test_body_models import write_body_model
+from tests.motionkit.io.test_body_models import write_body_model
 
 
 def pose(num_frames: int = 3, view: int = 0) -> np.ndarray:

@@ -10,9 +10,9 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io.catalogue import recognise
-from motionkit.io.characters.robot_csv import write_robot_csv
 from motionkit.io.format import FileHead
-from motionkit.io.smpl.body import mean_shape_skeleton
+from motionkit.io.robot_csv import write_robot_csv
+from motionkit.io.smpl_body import mean_shape_skeleton
 
 FRAMES, FPS = 61, Fraction(30000, 1001)
 

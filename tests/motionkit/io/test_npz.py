@@ -14,7 +14,7 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.skeleton import KIT21, SMPL22, Feet, Skeleton
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io.arrays import npz
+from motionkit.io import npz
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.scan.reading import read
 from motionkit.io.scan.scanner import scan

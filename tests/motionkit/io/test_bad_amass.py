@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
-from motionkit.io.arrays import npz_archive
-from motionkit.io.arrays.pickled_data import parse_scalar
+from motionkit.io import npz_archive
+from motionkit.io.amass import read_amass
+from motionkit.io.pickled_data import parse_scalar
 from motionkit.io.scan.items import ReadOptions, SourceItem
 from motionkit.io.scan.scanner import scan
-from motionkit.io.smpl.amass import read_amass
 from tests.helpers.amass_samples import smplh_fields, stageii_fields, standing_poses, write_amass
 
 

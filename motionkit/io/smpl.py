@@ -21,13 +21,12 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io import up
-from motionkit.io.arrays import npy, npz_archive
-from motionkit.io.arrays.npz_archive import NpzArchive
+from motionkit.io import npy, npz_archive, up
+from motionkit.io.amass import FRAMERATE_KEYS, MAX_RADIANS
 from motionkit.io.format import FileHead, Format, of_path
+from motionkit.io.npz_archive import NpzArchive
 from motionkit.io.scan.items import ReadOptions
-from motionkit.io.smpl.amass import FRAMERATE_KEYS, MAX_RADIANS
-from motionkit.io.smpl.body import BODY, SMPL, SMPLX, PoseLayout, mean_body, own_body
+from motionkit.io.smpl_body import BODY, SMPL, SMPLX, PoseLayout, mean_body, own_body
 from motionkit.io.source import clock, source_file
 from motionkit.io.source.rigid import MAX_MATRIX_ERROR
 

@@ -20,13 +20,12 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io import up
-from motionkit.io.arrays import npz_archive
-from motionkit.io.arrays.npz_archive import NpzArchive
-from motionkit.io.characters.retargeting import retarget
+from motionkit.io import npz_archive, up
 from motionkit.io.format import FileHead, Format
+from motionkit.io.npz_archive import NpzArchive
+from motionkit.io.retargeting import retarget
 from motionkit.io.scan.items import ReadOptions, SourceItem
-from motionkit.io.smpl.body import (
+from motionkit.io.smpl_body import (
     BODY,
     LAYOUTS,
     POSE_PARTS,

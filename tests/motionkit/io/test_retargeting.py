@@ -12,8 +12,8 @@ from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, rest_positions
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.motion_field import to_motion
-from motionkit.io.characters.retargeting import retarget, stands
-from motionkit.io.smpl.body import mean_shape_skeleton
+from motionkit.io.retargeting import retarget, stands
+from motionkit.io.smpl_body import mean_shape_skeleton
 from tests.helpers.analytic import analytic_motion
 
 LIMBS = [("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle")]

@@ -12,9 +12,9 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.scan.reading import read
 from motionkit.io.scan.scanner import scan
-from motionkit.io.smpl.body import LAYOUTS, PoseLayout, find_body_model
+from motionkit.io.smpl_body import LAYOUTS, PoseLayout, find_body_model
 from tests.helpers.amass_samples import smplh_fields, stageii_fields, write_amass
-from tests.motionkit.io.smpl.test_amass import read_one
+from tests.motionkit.io.test_amass import read_one
 
 NUM_VERTICES = {"smplh": 6890, "smplx": 10475}
 NUM_DIRECTIONS = {"smplh": 300, "smplx": 400}

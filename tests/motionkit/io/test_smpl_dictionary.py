@@ -8,7 +8,7 @@ from motionkit.core.errors import FormatError
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.scan.reading import read
 from motionkit.io.scan.scanner import scan
-from motionkit.io.smpl.dictionary import read_motion_x, read_smpl
+from motionkit.io.smpl import read_motion_x, read_smpl
 from tests.helpers.amass_samples import smplh_fields, write_amass
 
 FRAMES = 6

@@ -15,12 +15,12 @@ from motionkit.core.errors import FormatError, MotionkitError, UsageError
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.motion_field import to_motion
 from motionkit.io.bvh.writing import write_bvh
-from motionkit.io.characters.character import read_character
+from motionkit.io.character import read_character
 from motionkit.io.gltf import GlbBuffer
 from motionkit.io.scan.items import ReadOptions
-from motionkit.io.smpl.body import mean_shape_skeleton
+from motionkit.io.smpl_body import mean_shape_skeleton
 from tests.helpers.analytic import analytic_motion
-from tests.motionkit.io.characters.test_retargeting import directions
+from tests.motionkit.io.test_retargeting import directions
 
 NAMES = {"pelvis": "Hips", "spine1": "Spine", "spine2": "Spine1", "spine3": "Spine2", "neck": "Neck", "head": "Head"}
 PARTS = {"hip": "UpLeg", "knee": "Leg", "ankle": "Foot", "foot": "ToeBase", "collar": "Shoulder", "shoulder": "Arm"}

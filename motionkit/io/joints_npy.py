@@ -18,7 +18,7 @@ from motionkit.core.plain_text import parse_json, shown
 from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS, Skeleton
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io.arrays import npy
+from motionkit.io import npy
 from motionkit.io.format import FileHead, Format, of_path
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.source import clock, source_file

@@ -19,11 +19,11 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io.arrays import npz_archive
-from motionkit.io.arrays.npz_archive import NpzArchive
+from motionkit.io import npz_archive
 from motionkit.io.format import FileHead, Format, of_path
+from motionkit.io.npz_archive import NpzArchive
 from motionkit.io.scan.items import ReadOptions
-from motionkit.io.smpl.body import SMPL, Body, mean_body, own_body
+from motionkit.io.smpl_body import SMPL, Body, mean_body, own_body
 from motionkit.io.source import clock, source_file
 from motionkit.io.up import log_lines, turn_of
 

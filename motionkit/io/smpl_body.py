@@ -16,7 +16,7 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.io.arrays import npz_archive
+from motionkit.io import npz_archive
 from motionkit.io.source import source_file
 
 FINGERS = tuple(f"{finger}{bone}" for finger in ("index", "middle", "pinky", "ring", "thumb") for bone in (1, 2, 3))

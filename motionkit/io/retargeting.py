@@ -20,7 +20,7 @@ from motionkit.core.skeletons.mapping import map_joints, rest_positions
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.contact.legs import Legs, legs_of
 from motionkit.fields.transfer import counterpart_joints
-from motionkit.io.smpl.body import mean_shape_skeleton
+from motionkit.io.smpl_body import mean_shape_skeleton
 from motionkit.io.source.joint_channels import joint_channels
 
 _LIMBS = {"shoulder": "elbow", "elbow": "wrist", "hip": "knee", "knee": "ankle"}

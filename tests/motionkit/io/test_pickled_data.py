@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motionkit.core.errors import FormatError
-from motionkit.io.arrays.npy import object_content
-from motionkit.io.arrays.pickled_data import PickleError, parse_pickle, read_pickled_dict
+from motionkit.io.npy import object_content
+from motionkit.io.pickled_data import PickleError, parse_pickle, read_pickled_dict
 
 MOTION = np.random.default_rng(0).normal(size=(4, 22, 3, 7)).astype(np.float32)
 RESULTS = {

@@ -15,7 +15,7 @@ import numpy as np
 
 from motionkit.core.errors import FormatError
 from motionkit.core.shapes import Float32, Float64
-from motionkit.io.arrays import npy, pickled_data
+from motionkit.io import npy, pickled_data
 from motionkit.io.source import source_file
 
 # Deflate's ratio is at most 1,032, for constant bytes; measurements stay below 10. Small members may be constant.

@@ -22,8 +22,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io import humanml3d
-from motionkit.io.arrays import joints_npy, npy
+from motionkit.io import humanml3d, joints_npy, npy
 from motionkit.io.format import FileHead, Format, of_path
 from motionkit.io.humanml3d import LAYOUTS
 from motionkit.io.scan.items import ReadOptions, SourceItem

@@ -22,10 +22,10 @@ from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import STANDARD_SKELETONS, Feet, Skeleton
 from motionkit.core.skeletons.families import parse_layout_map
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io.arrays import npz_archive
-from motionkit.io.arrays.npy import checked_rotations
-from motionkit.io.arrays.npz_archive import NpzArchive
+from motionkit.io import npz_archive
 from motionkit.io.format import FileHead, Format, of_path
+from motionkit.io.npy import checked_rotations
+from motionkit.io.npz_archive import NpzArchive
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.source import clock, source_file
 from motionkit.io.source.body_frame import in_metres

@@ -11,13 +11,13 @@ import torch
 import motionkit as mk
 from motionkit.core.skeletons.mapping import rest_positions
 from motionkit.fields.motion_field import to_motion
+from motionkit.io.amass import write_amass as write
 from motionkit.io.scan.items import ReadOptions
-from motionkit.io.smpl.amass import write_amass as write
-from motionkit.io.smpl.body import LAYOUTS, mean_shape_skeleton
+from motionkit.io.smpl_body import LAYOUTS, mean_shape_skeleton
 from tests.helpers.amass_samples import stageii_fields, standing_poses, write_amass
 from tests.helpers.analytic import analytic_motion
-from tests.motionkit.io.smpl.test_amass import read_one
-from tests.motionkit.io.smpl.test_body_models import write_body_model
+from tests.motionkit.io.test_amass import read_one
+from tests.motionkit.io.test_body_models import write_body_model
 
 
 @pytest.mark.parametrize("models", [False, True])

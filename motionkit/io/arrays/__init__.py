@@ -1,1 +1,0 @@
-"""Readers and writers of motions in numpy files (.npy, .npz), which may be untrusted."""

@@ -1,1 +1,0 @@
-"""Characters: rigs with their own bones, names and proportions, onto which motions are retargeted."""

@@ -1,1 +1,0 @@
-"""Motions of SMPL bodies (AMASS, UESTC, …), with joints from a body model or the mean shape."""
