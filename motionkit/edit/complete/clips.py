@@ -1,7 +1,4 @@
-"""Clips from files, folders and stores, and writing them in their own format.
-
-BVH files are read and written in pieces; clips of other formats and their results are held in memory.
-"""
+"""Clips from files, folders and stores, and writing them in their own format."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -18,7 +15,6 @@ from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.completion import Completion
 from motionkit.fields.interpolation.rigid import on_bones
-from motionkit.fields.long_observation import LongObservation
 from motionkit.fields.motion_field import Observation, Observed, Poses
 from motionkit.io import pose_vectors
 from motionkit.io.bvh.document import BvhDocument
@@ -30,8 +26,6 @@ from motionkit.io.scan.items import ReadOptions, SourceItem
 from motionkit.io.scan.reading import read_document
 from motionkit.store.named_motions.holes import ReadClip, read_with_holes, write_vectors
 from motionkit.store.named_motions.reading import FoundMotion, Readers, find_motions
-
-FRAMES_AT_ONCE = 2048
 
 Progress = Callable[[int], None]
 
@@ -95,20 +89,18 @@ def _as_it_came(read: ReadClip, item: SourceItem) -> Clip:
 
 
 def clip_of_document(document: BvhDocument) -> Clip:
-    """A BVH file as a clip, with frames read lazily. Raises `FormatError` as `check_writable`."""
+    """A BVH file as a clip, with its frames in memory. Raises `FormatError` as `check_writable`."""
     check_writable(document)
+    poses = document.poses(np.arange(document.num_frames))
 
     def observe(observed: Bool[np.ndarray, "frames"]) -> Observed:
-        frames = np.flatnonzero(observed)
-        return LongObservation(
-            document.timegrid.seconds()[frames], lambda rows: document.poses(frames[rows]), document.skeleton
-        )
+        return Observation(document.timegrid.seconds()[observed], poses.rows(observed), document.skeleton)
 
     return Clip(
         document.timegrid,
         document.skeleton,
         document.seen,
-        document.poses,
+        poses.rows,
         observe,
         document.annotated,
         ".bvh",
@@ -174,25 +166,14 @@ def completed_line(completion: Completion, source: TimeGrid) -> str:
 
 
 def write_document(document: BvhDocument, completion: Completion, path: Path, progress: Progress) -> None:
-    """Write a completed BVH file in pieces; given frames keep their original lines.
+    """Write a completed BVH file; given frames keep their original lines.
 
     Fields without rotations are converted to rotations of the file's bones.
     """
     completion = replace(completion, field=on_bones(completion.field, completion.observation))
-    num_frames, known = completion.grid.num_frames, completion.known_frames
-    observation = completion.observation
-    lines = ChannelLines(document, known, observation.times_seconds)
-    # Extrapolation before the first known frame starts from it, so it must be in the first piece.
-    reach_seconds = observation.start_seconds - completion.grid.start_seconds
-    first_known = max(0, int(np.ceil((reach_seconds - 1e-9) * float(completion.grid.fps))))
-    with path.open("wb") as file:
-        file.write(document.heading(num_frames, Fraction(completion.grid.fps)))
-        start = 0
-        while start < num_frames:
-            stop = min(num_frames, max(start + FRAMES_AT_ONCE, first_known + 1 if start == 0 else 0))
-            made = completion.motion(start, stop)
-            rows, given = completion.given(start, stop)
-            written = lines.lines(completion.seconds(start, stop), Poses.of(made), rows, known[given])
-            file.write(b"\n".join((*written, b"")))
-            progress(stop - start)
-            start = stop
+    grid, known = completion.grid, completion.known_frames
+    poses = Poses.of(completion.motion(0, grid.num_frames))
+    lines = ChannelLines(document, known, completion.observation.times_seconds)
+    written = lines.lines(grid.seconds(), poses, completion.given_rows, known[completion.given_poses])
+    path.write_bytes(document.heading(grid.num_frames, Fraction(grid.fps)) + b"\n".join((*written, b"")))
+    progress(grid.num_frames)

@@ -8,7 +8,6 @@ import pytest
 from pymotion.io.bvh import BVH
 
 from motionkit.core.errors import FormatError
-from motionkit.edit.complete import clips
 from motionkit.edit.complete.clips import clip_of_document, write_document
 from motionkit.fields.completion import begin_observed
 from motionkit.fields.interpolation.interpolators import INTERPOLATORS
@@ -85,19 +84,6 @@ def test_another_reader_sees_the_same_motion(tmp_path: Path) -> None:
         positions[:, 0] * document.body.unit_metres, poses_of(made).joint_positions[:, 0], atol=1e-5
     )
     np.testing.assert_allclose(offsets[1:] * document.body.unit_metres, made.skeleton.offsets[1:], atol=1e-6)
-
-
-@pytest.mark.parametrize("cut", [3, 1000])
-def test_pieces_make_the_file_that_the_whole_makes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cut: int) -> None:
-    observed = np.ones(12, bool)
-    observed[:2] = observed[4:9] = False
-    document = read_document(written(tmp_path / "in.bvh", bvh_text(rows())))
-    asked = {"fps": Fraction(120), "observed": observed, "before_seconds": 0.1, "after_seconds": 0.1}
-    whole = completed(document, tmp_path / "whole.bvh", **asked)
-    monkeypatch.setattr(clips, "FRAMES_AT_ONCE", cut)
-    pieces = completed(document, tmp_path / "pieces.bvh", **asked)
-    np.testing.assert_allclose(table_of(pieces), table_of(whole), atol=1e-4)
-    assert np.abs(np.diff(table_of(whole), axis=0)).max() < 30
 
 
 def test_frames_with_nan_are_made_like_a_gap(tmp_path: Path) -> None:

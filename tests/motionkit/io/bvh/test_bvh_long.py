@@ -1,7 +1,5 @@
 """BVH files read piece by piece: checked as a whole is, written the same whatever the pieces, in any length."""
 
-import subprocess
-import sys
 from fractions import Fraction
 from pathlib import Path
 
@@ -11,7 +9,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from motionkit.core.errors import FormatError
-from motionkit.edit.complete import clips
 from motionkit.edit.complete.clips import clip_of_document, write_document
 from motionkit.fields.anchoring import Anchored
 from motionkit.fields.completion import begin_observed
@@ -21,7 +18,6 @@ from motionkit.fields.transfer import Transferred
 from motionkit.io.bvh.document import BvhDocument, read_bvh, read_document
 from tests.helpers.damage import damaged
 from tests.helpers.format_samples import NUM_BVH_CHANNELS, bvh_text
-from tests.helpers.repository import REPOSITORY
 from tests.helpers.whole_documents import lines_of, poses_of, table_of
 from tests.motionkit.io.bvh.test_bad_bvh import BAD
 
@@ -42,7 +38,6 @@ def swinging(num_frames: int) -> list[list[float]]:
 def in_small_blocks(patched: pytest.MonkeyPatch, frames: int, num_bytes: int) -> None:
     """Everything in blocks of so few frames and bytes that short clips have many."""
     patched.setattr("motionkit.io.bvh.frame_lines.FRAMES_AT_ONCE", frames)
-    patched.setattr("motionkit.fields.long_observation.FRAMES_AT_ONCE", 2 * frames)
     patched.setattr("motionkit.fields.anchoring._FRAMES_AT_ONCE", 2 * frames)
     patched.setattr("motionkit.fields.interpolation.interpolators.FRAMES_AT_ONCE", 4 * frames)
     patched.setattr("motionkit.io.source.number_table.BLOCK_BYTES", num_bytes)
@@ -69,19 +64,6 @@ def with_gaps(path: Path) -> tuple[BvhDocument, np.ndarray]:
     document = read_document(path)
     assert np.flatnonzero(~document.seen).tolist() == [30]
     return document, kept & document.seen
-
-
-@pytest.mark.parametrize("encoder", [SPLINE, LEARNT], ids=["spline", "learnt"])
-def test_pieces_of_any_length_make_the_same_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, encoder: MotionEncoder
-) -> None:
-    document, kept = with_gaps(tmp_path / "in.bvh")
-    contents = []
-    for piece in (2048, 50, 7):
-        monkeypatch.setattr(clips, "FRAMES_AT_ONCE", piece)
-        completed(document, encoder, kept, tmp_path / "out.bvh", before_seconds=0.3, after_seconds=0.4)
-        contents.append((tmp_path / "out.bvh").read_bytes())
-    assert contents[1] == contents[0] and contents[2] == contents[0]
 
 
 @pytest.mark.parametrize("encoder", [SPLINE, LEARNT], ids=["spline", "learnt"])
@@ -159,34 +141,3 @@ def test_a_file_that_changes_meanwhile_is_not_mixed(tmp_path: Path, monkeypatch:
     path.write_text(bvh_text(swinging(41)), encoding="utf-8")
     with pytest.raises(FormatError, match="changed while it was read"):
         table_of(document)
-
-
-# In a process of its own, for here every array's shape is checked, which takes memory and, traced, much time.
-PEAK = """
-import sys, tracemalloc
-from pathlib import Path
-import numpy, pytest
-sys.path.insert(0, sys.argv[1])
-from tests.motionkit.io.bvh.test_bvh_long import LEARNT, clips, completed, in_small_blocks, read_document
-
-patched = pytest.MonkeyPatch()
-in_small_blocks(patched, 32, 4000)
-patched.setattr(clips, "FRAMES_AT_ONCE", 128)
-for path in map(Path, sys.argv[2:]):
-    tracemalloc.start()
-    document = read_document(path)
-    completed(document, LEARNT, document.seen, path.with_suffix(".out"))
-    print(tracemalloc.get_traced_memory()[1])
-    tracemalloc.stop()
-"""
-
-
-def test_memory_does_not_grow_with_the_clip(tmp_path: Path) -> None:
-    paths = []
-    for num_frames in (50, 300, 900):
-        paths.append(tmp_path / f"{num_frames}.bvh")
-        paths[-1].write_text(bvh_text((swinging(300) * 3)[:num_frames]), encoding="utf-8")
-    root = REPOSITORY
-    ran = subprocess.run([sys.executable, "-c", PEAK, root, *paths], check=True, capture_output=True, text=True)
-    _, short, long = map(int, ran.stdout.split())  # the first one is what is imported and cached
-    assert long < 1.1 * short
