@@ -24,7 +24,7 @@ from eval.sets.sets import SampleSet, sample_set
 from motionkit.fields.motion_field import to_motion
 from motionkit.generate.constraints import Constraint, followed
 from motionkit.generate.models import GenerationRequest, SamplingOptions
-from motionkit.generate.samples import standing
+from motionkit.generate.output import plant_generated
 from motionkit.store import Store
 from nerm.model import NermModel, load
 
@@ -52,7 +52,7 @@ def made(model: NermModel, requests: dict[int, GenerationRequest], seed: int, st
     begin, poses, met = time.process_time(), {}, []
     for number, request in requests.items():
         [field] = model.generate([request], seed=seed, first=number, sampling=SamplingOptions(steps=steps))
-        shown = standing(field, (request,))
+        shown = plant_generated(field, (request,))
         poses[number] = to_motion(shown, Fraction(60)).joint_positions
         met += [followed(shown, each) for each in request.constraints]
     return poses, met, (time.process_time() - begin) / len(requests)

@@ -23,7 +23,7 @@ from motionkit.fields.assembly import AssembledField, chain
 from motionkit.fields.motion_field import to_motion
 from motionkit.generate.long_motions import Script, generate_joined, pieces_of
 from motionkit.generate.models import GenerationRequest, SamplingOptions
-from motionkit.generate.samples import standing
+from motionkit.generate.output import plant_generated
 from nerm.model import NermModel, load
 
 TEXTS = (
@@ -82,12 +82,13 @@ def figures_of(field: AssembledField, script: Script, seconds: float) -> Figures
     def of_feet(rows: np.ndarray) -> float:
         return float(foot_speed[low & rows[:-1, None]].mean()) if (low & rows[:-1, None]).any() else float("nan")
 
+    planted = to_motion(plant_generated(field, script), Fraction(FPS))
     return Figures(
         apart_cm=float(np.mean(apart)),
         foot_speed=(of_feet(joins), of_feet(~joins)),
         jerk=(float(third[joins[1:-2]].mean()), float(third[~joins[1:-2]].mean())),
         largest_velocity_change=(float(change[joins[1:-1]].max()), float(change[~joins[1:-1]].max())),
-        skating=slide_speed(to_motion(standing(field, script), Fraction(FPS)).joint_positions, Fraction(FPS)) or 0.0,
+        skating=slide_speed(planted.joint_positions, Fraction(FPS)) or 0.0,
         seconds=seconds,
     )
 

@@ -26,7 +26,7 @@ from motionkit.edit.plant.report import measure_change
 from motionkit.fields.contact.planted import PlantedField
 from motionkit.fields.motion_field import to_motion
 from motionkit.generate.models import GenerationRequest, SamplingOptions
-from motionkit.generate.samples import motion_name, standing
+from motionkit.generate.output import motion_name, plant_generated
 from motionkit.store import Store
 from motionkit.viz.player.page import write_page
 from motionkit.viz.player.takes import take_of
@@ -90,7 +90,7 @@ def rows_of(arguments: argparse.Namespace) -> list[dict[str, Any]]:
         request = GenerationRequest(seconds, real.captions[number])
         sampling = SamplingOptions(arguments.guidance, steps=arguments.steps)
         [field] = model.generate([request], seed=arguments.seed, first=index, sampling=sampling)
-        shown = standing(field, (request,))
+        shown = plant_generated(field, (request,))
         assert isinstance(shown, PlantedField)
         before, after = to_motion(field, FPS), to_motion(shown, FPS)
         row = {"caption": request.text, "take": real.sequence_ids[number], **figures_of(shown, before, after)}

@@ -8,7 +8,6 @@ from pathlib import Path, PurePosixPath
 from eval.sample_folder.folder import SampleFolderError
 from eval.sample_folder.manifest import MANIFEST, Manifest, read_manifest
 from motionkit.core.errors import FormatError
-from motionkit.generate.folder import damaged_motions
 from motionkit.io.scan import annotations
 from motionkit.io.scan.annotations import Annotation
 from motionkit.io.scan.folders import walk
@@ -56,8 +55,7 @@ class Listing:
 def list_samples(name: str, source: Path) -> Listing:
     """List a folder (or one file) of samples.
 
-    Raises `SampleFolderError` for an empty one, `FormatError` for a broken manifest, `DamagedFileError` for a
-    generated folder with a damaged table.
+    Raises `SampleFolderError` for an empty one, `FormatError` for a broken manifest.
     """
     if not source.exists():
         raise SampleFolderError(f"--samples {name}: there is no folder {str(source)!r}")
@@ -67,20 +65,17 @@ def list_samples(name: str, source: Path) -> Listing:
     # What cannot be listed is one of the problems that `scan` finds below.
     folders = list(walk(root, _is_claimed, lambda error: None)) if only is None else [(root, [only])]
     rows, problems, warnings = _rows(folders)
-    broken = _damaged(folders, only)
-    problems += [problem for problem, _ in broken]
-    damaged = frozenset(path for _, paths in broken for path in paths)
     found = scan([source])
     known = {problem.path for problem in problems}
     problems += [each for each in found.problems if each.reason not in HANDLED_HERE and each.path not in known]
-    items = [item for item in found.items if item.format not in PLAIN_ARRAYS and item.path not in damaged]
+    items = [item for item in found.items if item.format not in PLAIN_ARRAYS]
     taken = {item.path for item in items}
     arrays = [
         path
         for folder, files in folders
         if only is not None or not _is_claimed(folder)
         for path in files
-        if path.suffix.lower() in ARRAY_SUFFIXES and path not in taken | damaged and _may_be_motion(path, manifest)
+        if path.suffix.lower() in ARRAY_SUFFIXES and path not in taken and _may_be_motion(path, manifest)
     ]
     selects = _FileFilter(root, manifest)
     arrays, items = [path for path in arrays if selects(path)], [item for item in items if selects(item.path)]
@@ -128,23 +123,6 @@ def _rows(
             problems += table.problems
             warnings += table.warnings
     return rows, problems, warnings
-
-
-def _damaged(folders: Sequence[tuple[Path, list[Path]]], only: Path | None) -> list[tuple[FormatError, Sequence[Path]]]:
-    """Damaged motions in generated folders: the problem, and the files of each."""
-    return [
-        (
-            FormatError(
-                f"{motion.fault}: delete it, and motionkit generate --resume makes it again",
-                path=motion.paths[0],
-                reason="damaged",
-            ),
-            motion.paths,
-        )
-        for folder, _ in folders
-        for motion in damaged_motions(folder)
-        if only is None or only in motion.paths
-    ]
 
 
 def _may_be_motion(path: Path, manifest: Manifest) -> bool:

@@ -71,7 +71,6 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print what was written as 
 
 
 if TYPE_CHECKING:
-    from motionkit.generate.folder import GeneratedFolder
     from motionkit.generate.job import Job
 
 
@@ -109,20 +108,19 @@ def generate(
     """Generate motions from texts, actions or nothing: any framerate, or poses at arbitrary instants.
 
     Example: motionkit generate --unconditional --seconds 4 --fps 120 -n 4 --out made --format bvh"""
-    from motionkit.generate.constraint_files import path_and_seconds, wanted_constraints
-    from motionkit.generate.files import output_format
-    from motionkit.generate.request import MotionsRequest, parse_times, wanted_prompts
+    from motionkit.generate.constraint_files import parse_constraints, path_and_seconds
+    from motionkit.generate.output import output_format
+    from motionkit.generate.request import MotionsRequest, parse_prompts, parse_times
 
     _check_together(resume and overwrite, bool(times and fps), detail and file_format == "bvh")
     table, seconds = path_and_seconds(path, seconds)
-    wanted = wanted_prompts(prompts, texts or [], action or [], unconditional, seconds)
+    chosen = parse_prompts(prompts, texts or [], action or [], unconditional, seconds)
     rate, instants = parse_rate(fps), parse_times(times)
     output = output_format(file_format, instants)
-    held = wanted_constraints(table, join, wanted, pose, joint, joints=pose_joints, placed=pose_placed)
-    request = MotionsRequest(tuple(wanted), count, instants, rate, join, overlap, held)
+    held = parse_constraints(table, join, chosen, pose, joint, joints=pose_joints, placed=pose_placed)
+    request = MotionsRequest(tuple(chosen), count, instants, rate, join, overlap, held)
 
-    from motionkit.generate.folder import open_folder
-    from motionkit.generate.job import Job
+    from motionkit.generate.job import Job, locked_output
     from motionkit.generate.models import SamplingOptions, load_model, model_of
     from motionkit.training.detail.stage import load_detail
 
@@ -131,8 +129,8 @@ def generate(
     sampling, learnt = SamplingOptions(guidance, sampler, sampling_steps), load_detail(place) if detail else None
     job = Job(request, loaded, place, output, seed, sampling, plant, learnt)
     _say_beforehand(job)
-    with open_folder(out, job.manifest(), resume=resume, overwrite=overwrite) as folder:
-        report = _write_all(job, folder, as_json)
+    with locked_output(out, job.manifest(), resume=resume, overwrite=overwrite):
+        report = _write_all(job, out, as_json)
     if as_json:
         print_json({"model": loaded.name, "run": run, "seed": seed, "folder": str(out), **report})
 
@@ -147,13 +145,13 @@ def _check_together(resumed_and_replaced: bool, at_times_and_fps: bool, detail_a
         raise UsageError("--detail is for measuring and training: it adds captures' jitter, and isn't written as BVH")
 
 
-def _write_all(job: "Job", folder: "GeneratedFolder", as_json: bool) -> dict[str, Any]:
+def _write_all(job: "Job", folder: Path, as_json: bool) -> dict[str, Any]:
     """Generate and write missing motions; print each file on stdout, or return all of them for JSON."""
     from motionkit.generate.models import DescribesMotions
 
-    num_motions = len(job.request.motions)
-    report: dict[str, Any] = {"already_there": folder.num_done, "motions": []}
-    with progress() as show, task(show, "generate", num_motions, done=folder.num_done) as work:
+    num_motions, num_complete = len(job.request.motions), len(job.complete_in(folder))
+    report: dict[str, Any] = {"already_there": num_complete, "motions": []}
+    with progress() as show, task(show, "generate", num_motions, done=num_complete) as work:
         for field, sample, path in job.write(folder):
             work.advance()
             if not as_json:
@@ -162,8 +160,8 @@ def _write_all(job: "Job", folder: "GeneratedFolder", as_json: bool) -> dict[str
             if not report["motions"] and isinstance(job.model, DescribesMotions):
                 report |= {f"{name}_of_first": value for name, value in job.model.describe(field).items()}
             report["motions"].append(sample.plain(str(path)))
-    if folder.num_done and not as_json:
-        stderr.print(f"motionkit: {folder.num_done:,} of {num_motions:,} motions were there already")
+    if num_complete and not as_json:
+        stderr.print(f"motionkit: {num_complete:,} of {num_motions:,} motions were there already")
     return report
 
 

@@ -5,8 +5,6 @@ is walked evenly over the whole motion. A pose is `SECONDS=FILE`, or `SECONDS=FI
 frames; a joint is `NAME@SECONDS=x,y,z` or `NAME@FROM-TO=x,y,z`.
 """
 
-import csv
-import io
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,7 +18,7 @@ from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.generate.constraints import Constraint
-from motionkit.generate.request import Prompt
+from motionkit.generate.request import Prompt, read_csv, read_text
 from motionkit.store.named_motions.reading import read
 
 COLUMNS = ("seconds", "x", "z", "heading_degrees")
@@ -56,30 +54,22 @@ class PathTable:
 
 def read_path(path: Path) -> PathTable:
     """Read a CSV of a path; raises `UsageError` with file and line for an invalid one."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise UsageError(f"{path}: {error.strerror or error}") from None
-    except UnicodeDecodeError as error:
-        raise UsageError(f"{path}: not UTF-8 text ({error.reason} at byte {error.start})") from None
-    reader = csv.DictReader(io.StringIO(text, newline=""), restkey="", restval="", strict=True)
-    names = reader.fieldnames or ()
-    unknown = [name for name in names if name not in COLUMNS]
-    if unknown or not {"x", "z"} <= set(names):
-        raise UsageError(f"{path}, line 1: expected the columns x and z, perhaps {COLUMNS[0]} and {COLUMNS[3]}")
+
+    def check(names: Sequence[str]) -> None:
+        if not {"x", "z"} <= set(names) <= set(COLUMNS):
+            raise UsageError(f"{path}, line 1: expected the columns x and z, perhaps {COLUMNS[0]} and {COLUMNS[3]}")
+
     rows: list[dict[str, float]] = []
     lines: list[int] = []
-    try:
-        for row in reader:
-            place = f"{path}, line {reader.line_num}"
-            lines.append(reader.line_num)
-            rows.append({name: _number(row.get(name, ""), f"{place}: {name}") for name in names})
-            _check_step(rows[-2:], "" in row, place)
-    except csv.Error as error:
-        raise UsageError(f"{path}, line {reader.line_num}: not a CSV table ({error})") from None
+    for line, cells in read_csv(read_text(path), path, check):
+        place = f"{path}, line {line}"
+        row = {name: _number(cell, f"{place}: {name}") for name, cell in cells.items()}
+        _check_step(rows[-1] if rows else None, row, place)
+        rows.append(row)
+        lines.append(line)
     if len(rows) < 2:
         raise UsageError(f"{path}: a path has two points or more, not {len(rows)}")
-    column = {name: np.array([row[name] for row in rows]) for name in names}
+    column = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     heading = np.radians(column[COLUMNS[3]]) if COLUMNS[3] in column else None
     places = np.stack((column["x"], column["z"]), axis=1)
     return PathTable(path.name, places, column.get("seconds"), heading, tuple(lines))
@@ -96,7 +86,7 @@ def path_and_seconds(path: Path | None, seconds: float | None) -> tuple[PathTabl
     return table, seconds
 
 
-def wanted_constraints(
+def parse_constraints(
     path: PathTable | None,
     is_joined: bool,
     prompts: Sequence[Prompt],
@@ -131,17 +121,16 @@ def _number(cell: str, place: str) -> float:
     return value
 
 
-def _check_step(rows: Sequence[dict[str, float]], is_too_long: bool, place: str) -> None:
-    if is_too_long:
-        raise UsageError(f"{place}: more fields than the header names")
-    if "seconds" in rows[-1] and rows[-1]["seconds"] < 0:
-        raise UsageError(f"{place}: {rows[-1]['seconds']:g} s lies before the motion, which begins at 0")
-    if len(rows) < 2:
+def _check_step(before: dict[str, float] | None, row: dict[str, float], place: str) -> None:
+    """Raise `UsageError` for a point that does not come after the one `before`."""
+    seconds = row.get("seconds")
+    if seconds is not None and seconds < 0:
+        raise UsageError(f"{place}: {seconds:g} s lies before the motion, which begins at 0")
+    if before is None:
         return
-    before, after = rows
-    if "seconds" in after and after["seconds"] <= before["seconds"]:
-        raise UsageError(f"{place}: {after['seconds']:g} s does not come after the {before['seconds']:g} s before it")
-    if "seconds" not in after and (after["x"], after["z"]) == (before["x"], before["z"]):
+    if seconds is not None and seconds <= before["seconds"]:
+        raise UsageError(f"{place}: {seconds:g} s does not come after the {before['seconds']:g} s before it")
+    if seconds is None and (row["x"], row["z"]) == (before["x"], before["z"]):
         raise UsageError(f"{place}: the same point twice; a path that rests says so by its seconds")
 
 

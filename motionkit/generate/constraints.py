@@ -3,13 +3,13 @@
 Models declare the kinds that they support (`motionkit.generate.models.FollowsConstraints`).
 """
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
 
-from motionkit.core.checksums import checksum_of
 from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Float, Float64
 from motionkit.core.skeleton import SMPL22
@@ -150,10 +150,10 @@ class Constraint:
 
     def plain(self) -> dict[str, Any]:
         """Its identity as JSON: kind, name and checksum."""
-        free = self.positions.round(9), self.heading.round(9), self.seconds.round(9)
-        numbers = [[None if np.isnan(each) else each for each in array.ravel().tolist()] for array in free]
-        content = {"frame": self.frame, "joints": list(self.joints), "deviation": self.deviation, "numbers": numbers}
-        return {"kind": self.kind, "name": self.name, "sha256": checksum_of(content)}
+        digest = hashlib.sha256(repr((self.frame, self.joints, self.deviation)).encode())
+        for array in (self.positions, self.heading, self.seconds):
+            digest.update((array.round(9) + 0.0).tobytes())  # + 0.0: the same bytes for 0 and −0
+        return {"kind": self.kind, "name": self.name, "sha256": digest.hexdigest()}
 
     def later(self, seconds: float) -> "Constraint":
         """The same, delayed by some seconds."""

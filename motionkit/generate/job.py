@@ -1,25 +1,46 @@
-"""The work of a `motionkit generate` call: generate the motions of a request and write them into a folder."""
+"""The work of a `motionkit generate` call: generate the motions of a request and write them into a folder.
 
-from collections.abc import Iterator
+generation.json holds the request and is written first; a motion is complete when its main file is there, since files
+appear whole. motions.csv lists the complete motions when the call ends, also by an error or Ctrl-C. So a stopped call
+can be resumed, and `motionkit ingest` reads the folder with its captions.
+"""
+
+import csv
+import io
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from fractions import Fraction
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
+from motionkit.core.checksums import read_json, write_json
 from motionkit.core.errors import UsageError
+from motionkit.core.files import LOCK, locked_folder, temporary_name, write_whole
 from motionkit.core.framerate import format_fps
+from motionkit.edit.export.files import TABLE, captions_json
 from motionkit.fields.detail.detailed import detailed
 from motionkit.fields.detail.model import Detail
 from motionkit.fields.motion_field import MotionField
-from motionkit.generate.files import OutputFormat
-from motionkit.generate.folder import CONSTRAINTS, FORMAT, JOINS, GeneratedFolder
-from motionkit.generate.long_motions import check_script, generate_scripts, is_joined, supports_continuation
-from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions
+from motionkit.generate.long_motions import captions_of, check_script, generate_scripts, is_joined
+from motionkit.generate.models import GenerativeModel, SamplingOptions
+from motionkit.generate.output import (
+    GeneratedSample,
+    OutputFormat,
+    action_of,
+    motion_name,
+    plant_generated,
+    sample_field,
+)
 from motionkit.generate.request import MotionsRequest
-from motionkit.generate.samples import GeneratedSample, motion_name, sample_field, standing
 from motionkit.training.run import versions, weights_sha256
+
+MANIFEST = "generation.json"
+FORMAT = "motionkit-generation"
+ANOTHER = "name another folder with --out"
 
 
 @dataclass(frozen=True)
@@ -58,9 +79,16 @@ class Job:
         """How many motions are joined from several."""
         return sum(is_joined(script, self.model.max_duration_seconds) for script in self.request.motions)
 
+    @property
+    def main_files(self) -> list[PurePosixPath]:
+        """Each motion's main file below the folder."""
+        return [self.output.files(motion_name(*each))[0] for each in enumerate(self.request.motions)]
+
     def manifest(self) -> dict[str, Any]:
         """The request and the weights' identity: the same manifest gives the same motions."""
         request = self.request
+        conditions = [prompt.request for prompts in request.scripts for prompt in prompts]
+        names = [motion_name(*each) for each in enumerate(request.motions)]
         return {
             "format": FORMAT,
             "version": 1,
@@ -75,44 +103,115 @@ class Job:
             "times_seconds": list(request.times) or None,
             "max_training_fps": format_fps(self.model.max_training_fps),
             "count": request.count,
-            "conditions": [_described(prompt.request) for prompts in request.scripts for prompt in prompts],
+            "conditions": [
+                {"text": each.text, "action": each.action, "seconds": each.duration_seconds} for each in conditions
+            ],
             "joined": any(len(script) > 1 for script in request.scripts),
             "overlap_seconds": request.overlap_seconds if self.num_joined else None,
-            JOINS: None if not self.num_joined else "in phase" if supports_continuation(self.model) else "cross-faded",
-            CONSTRAINTS: [each.plain() for each in request.constraints],
+            "constraints": [each.plain() for each in request.constraints],
             "versions": versions(),
+            "files": [*self.output.shared, *(str(file) for name in names for file in self.output.files(name))],
         }
 
-    def samples(self, num_done: int = 0) -> Iterator[tuple[MotionField, GeneratedSample]]:
-        """Fields and their poses from motion `num_done` on, one at a time in memory.
+    def complete_in(self, folder: Path) -> frozenset[int]:
+        """Numbers of the motions whose files are in a folder."""
+        return frozenset(number for number, file in enumerate(self.main_files) if (folder / file).is_file())
 
-        Batches are aligned whatever the first motion, so a resumed call writes the same numbers.
+    def write(self, folder: Path) -> Iterator[tuple[MotionField, GeneratedSample, Path]]:
+        """Generate and write missing motions one by one: the field, its poses, and its file.
+
+        Batches are the same whatever is missing, so a resumed call writes the same numbers.
         """
-        motions, times = self.request.motions, self.request.times
-        fields = generate_scripts(
-            *(self.model, motions),
-            seed=self.seed,
-            first=num_done,
-            sampling=self.sampling,
-            overlap_seconds=self.request.overlap_seconds,
-        )
-        for index, field in enumerate(fields, start=num_done):
-            name = motion_name(index, motions[index])
-            seconds = np.array(times, dtype=np.float64) if times else None
-            shown = standing(field, motions[index]) if self.plant else field
-            if self.detail is not None:
-                shown = detailed(shown, self.detail, seed=self.seed, number=index)
-            yield field, sample_field(shown, name, motions[index], self.fps, seconds)
+        request, motions = self.request, self.request.motions
+        times = np.array(request.times, dtype=np.float64) if request.times else None
+        try:
+            for number, field in generate_scripts(
+                self.model,
+                motions,
+                seed=self.seed,
+                skip=self.complete_in(folder),
+                sampling=self.sampling,
+                overlap_seconds=request.overlap_seconds,
+            ):
+                final = plant_generated(field, motions[number]) if self.plant else field
+                if self.detail is not None:
+                    final = detailed(final, self.detail, seed=self.seed, number=number)
+                sample = sample_field(final, motion_name(number, motions[number]), motions[number], self.fps, times)
+                path = folder / self.main_files[number]
+                self.output.write(path, sample)
+                yield field, sample, path
+        finally:
+            self._write_table(folder)
 
-    def write(self, folder: GeneratedFolder) -> Iterator[tuple[MotionField, GeneratedSample, Path]]:
-        """Generate and write missing motions one by one: the field, its poses, and its file."""
-        self.output.begin(folder.path, self.fps)
-        for field, sample in self.samples(folder.num_done):
-            path = folder.path / self.output.files(sample.name)[0]
-            self.output.write(path, sample)
-            folder.add(sample)
-            yield field, sample, path
+    def _write_table(self, folder: Path) -> None:
+        """Write motions.csv, a row per complete motion, as `motionkit.io.scan.annotations` reads it."""
+        text = io.StringIO(newline="")
+        table = csv.writer(text, lineterminator="\n")
+        table.writerow(("file", "captions", "action", "fps"))
+        fps = "" if self.request.times else format_fps(self.fps)
+        for number in sorted(self.complete_in(folder)):
+            script = self.request.motions[number]
+            table.writerow((self.main_files[number], captions_json(captions_of(script)), action_of(script), fps))
+        write_whole(folder / TABLE, text.getvalue())
 
 
-def _described(request: GenerationRequest) -> dict[str, Any]:
-    return {"text": request.text, "action": request.action, "seconds": request.duration_seconds}
+@contextmanager
+def locked_output(path: Path, manifest: Mapping[str, Any], *, resume: bool, overwrite: bool) -> Iterator[None]:
+    """Hold the lock of a call's folder, which is new, empty, or one to `resume` or `overwrite`; has generation.json.
+
+    Overwriting deletes the files of an earlier call and nothing else. Raises `BusyError` while another process writes
+    the folder, `UsageError` for one that is not empty, that another call made, or that has links, `DamagedFileError`.
+    """
+    if path.exists() and not path.is_dir():
+        raise UsageError(f"{path} is a file: name a folder with --out")
+    busy = f"another process is generating into {path}: wait until it has ended, or {ANOTHER}"
+    with locked_folder(path, busy=busy):
+        link = next((entry for entry in path.rglob("*") if entry.is_symlink()), None)
+        if link is not None:
+            raise UsageError(f"{link} is a link: nothing is written or deleted through it; {ANOTHER}")
+        if (path / MANIFEST).is_file():
+            former = _read_manifest(path)
+            if resume:
+                _check_same(path, former, manifest)
+            elif overwrite:
+                _delete_files(path, former)
+            else:
+                keeps = "--resume continues them, --overwrite replaces them, --out FOLDER keeps both"
+                raise UsageError(f"{path} holds generated motions: {keeps}")
+        elif any(entry.name not in (LOCK, temporary_name(path / MANIFEST).name) for entry in path.iterdir()):
+            raise UsageError(f"{path} is not empty: {ANOTHER}")
+        write_json(path / MANIFEST, manifest)
+        yield
+
+
+def _read_manifest(path: Path) -> dict[str, Any]:
+    value = read_json(path / MANIFEST, f"delete the folder, or {ANOTHER}")
+    files = value.get("files")
+    if value.get("format") != FORMAT or not isinstance(files, list) or not all(isinstance(each, str) for each in files):
+        raise UsageError(f"{path / MANIFEST} was not written by `motionkit generate`: {ANOTHER}")
+    return value
+
+
+def _check_same(path: Path, former: Mapping[str, Any], manifest: Mapping[str, Any]) -> None:
+    """Raise `UsageError` for another request, weights or settings than those of generation.json."""
+    now = json.loads(json.dumps(dict(manifest)))
+    for name in sorted({*former, *now} - {"versions", "files"}):
+        if former.get(name) != now.get(name):
+            before, after = (_short(each.get(name)) for each in (former, now))
+            raise UsageError(
+                f"{path} was begun with another {name} ({before}, now {after}): repeat the same call, or {ANOTHER}"
+            )
+
+
+def _delete_files(path: Path, manifest: Mapping[str, Any]) -> None:
+    """Delete a call's motions and its table, but not its generation.json, which the next one replaces."""
+    for name in (TABLE, *manifest["files"]):
+        if ".." in PurePosixPath(name).parts or PurePosixPath(name).is_absolute():
+            raise UsageError(f"{path / MANIFEST} names {name!r}, which lies outside of the folder: {ANOTHER}")
+        (path / name).unlink(missing_ok=True)
+        temporary_name(path / name).unlink(missing_ok=True)
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= 60 else f"{text[:57]}…"

@@ -6,7 +6,7 @@ strides stay in phase; the remaining gap of about a centimetre is cross-faded. F
 independently, and `motionkit.fields.assembly.chain` aligns and cross-fades them.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from itertools import accumulate, groupby, pairwise
 
@@ -145,28 +145,37 @@ def generate_scripts(
     scripts: Sequence[Script],
     *,
     seed: int,
-    first: int = 0,
+    skip: Collection[int] = (),
     sampling: SamplingOptions = SamplingOptions(),
     overlap_seconds: float = OVERLAP_SECONDS,
-) -> Iterator[MotionField]:
-    """The motions of scripts from number `first` on, in order; script i is number i of the seed.
+) -> Iterator[tuple[int, MotionField]]:
+    """The motions of scripts with their numbers, in order, but not those to `skip`; script i is number i of the seed.
 
-    Neighbours of a single piece are sampled in one batch. Batches are aligned whatever the first number, so a resumed
-    call gives the same motions. Raises what `pieces_of` and the model raise.
+    Neighbours of a single piece are sampled in one batch. Batches are the same whatever is skipped, so a resumed call
+    gives the same motions. Raises what `pieces_of` and the model raise.
     """
-    for start in range(first - first % MOTIONS_AT_ONCE, len(scripts), MOTIONS_AT_ONCE):
+    for start in range(0, len(scripts), MOTIONS_AT_ONCE):
         batch = enumerate(scripts[start : start + MOTIONS_AT_ONCE], start=start)
         for joined, group in groupby(batch, lambda each: is_joined(each[1], model.max_duration_seconds)):
-            numbered = list(group)
-            begin, last = numbered[0][0], numbered[-1][0]
+            numbered = dict(group)
+            missing = [number for number in numbered if number not in skip]
             if joined:
-                for number, script in numbered[max(0, first - begin) :]:
-                    yield generate_joined(
-                        *(model, script), seed=seed, number=number, sampling=sampling, overlap_seconds=overlap_seconds
+                for number in missing:
+                    yield (
+                        number,
+                        generate_joined(
+                            model,
+                            numbered[number],
+                            seed=seed,
+                            number=number,
+                            sampling=sampling,
+                            overlap_seconds=overlap_seconds,
+                        ),
                     )
-            elif last >= first:
-                requests = [request for _, (request,) in numbered]
-                yield from model.generate(requests, seed=seed, sampling=sampling, first=begin)[max(0, first - begin) :]
+            elif missing:
+                requests, first = [request for (request,) in numbered.values()], min(numbered)
+                fields = model.generate(requests, seed=seed, sampling=sampling, first=first)
+                yield from ((number, fields[number - first]) for number in missing)
 
 
 def constraints_of(script: Script) -> tuple[Constraint, ...]:

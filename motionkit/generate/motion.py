@@ -17,7 +17,7 @@ from motionkit.generate import models
 from motionkit.generate.constraints import Constraint
 from motionkit.generate.long_motions import OVERLAP_SECONDS, Script, check_script, generate_scripts
 from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions, model_of, warn_above_training
-from motionkit.generate.samples import motion_name, sample_field, standing
+from motionkit.generate.output import motion_name, plant_generated, sample_field
 
 Several = list[str] | tuple[str, ...]
 
@@ -109,7 +109,7 @@ class MotionModel:
         scripts = self._scripts(text, action, seconds, n)
         fields = self.draw(scripts, seed, sampling or SamplingOptions())
         motions = [
-            sample_field(standing(field, script) if plant else field, motion_name(number, script), script, rate)
+            sample_field(plant_generated(field, script) if plant else field, motion_name(number, script), script, rate)
             .motion()
             .logged(f"generate motion {number} of seed {seed} at {format_fps(rate)} fps ({self.name}, {self.run})")
             for number, (script, field) in enumerate(zip(scripts, fields, strict=True))
@@ -135,13 +135,13 @@ class MotionModel:
         """
         scripts = self._scripts(text, action, seconds, n)
         fields = self.draw(scripts, seed, sampling or SamplingOptions())
-        return list(map(standing, fields, scripts)) if plant else fields
+        return list(map(plant_generated, fields, scripts)) if plant else fields
 
     def draw(self, scripts: Sequence[Script], seed: int, sampling: SamplingOptions) -> list[MotionField]:
         """The motions of scripts, each a sequence of requests; all are checked before the first is generated."""
         for script in dict.fromkeys(scripts):
             check_script(self.model, script, sampling, OVERLAP_SECONDS)
-        return list(generate_scripts(self.model, scripts, seed=seed, sampling=sampling))
+        return [field for _, field in generate_scripts(self.model, scripts, seed=seed, sampling=sampling)]
 
     def _scripts(
         self, text: str | Several | None, action: str | None, seconds: int | float | None, n: int | None

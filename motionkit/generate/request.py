@@ -11,7 +11,7 @@ Empty lines are skipped. A line has a text or an action; without `seconds` its l
 
 import csv
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -24,7 +24,6 @@ from motionkit.generate.long_motions import OVERLAP_SECONDS, Script
 from motionkit.generate.models import GenerationRequest
 
 COLUMNS = ("text", "action", "seconds")
-SUFFIXES = (".txt", ".csv", ".jsonl")
 
 
 @dataclass(frozen=True)
@@ -93,21 +92,14 @@ def parse_times(times: str | None) -> tuple[float, ...]:
         raise UsageError(f"--times takes seconds separated by commas (0.5,1.25), not {times!r}") from None
 
 
-def wanted_prompts(
+def parse_prompts(
     file: Path | None, texts: Sequence[str], actions: Sequence[str], unconditional: bool, seconds: float | None
 ) -> list[Prompt]:
-    """The prompts of a file or of the arguments; raises `UsageError` unless exactly one is given."""
-    if file is None:
-        return prompts_from_arguments(texts, actions, unconditional, seconds)
-    if texts or actions or unconditional:
-        raise UsageError("--prompts takes the place of texts, --action and --unconditional")
-    return read_prompts(file, seconds)
-
-
-def prompts_from_arguments(
-    texts: Sequence[str], actions: Sequence[str], unconditional: bool, seconds: float | None
-) -> list[Prompt]:
-    """One prompt per text or action; raises `UsageError` unless exactly one kind of condition is given."""
+    """The prompts of a file, or one per text or action; raises `UsageError` unless exactly one kind is given."""
+    if file is not None:
+        if texts or actions or unconditional:
+            raise UsageError("--prompts takes the place of texts, --action and --unconditional")
+        return read_prompts(file, seconds)
     if sum((bool(texts), bool(actions), unconditional)) != 1:
         raise UsageError("give texts, or --action, or --unconditional, or --prompts: exactly one of them")
     if any(not text.strip() for text in (*texts, *actions)):
@@ -124,22 +116,42 @@ def read_prompts(path: Path, seconds: float | None = None) -> list[Prompt]:
     Raises `UsageError` with file and line for unreadable content, an unknown column, a line without a text or action
     or with both, seconds that are not positive, and a file without prompts.
     """
-    if path.suffix.lower() not in SUFFIXES:
+    readers = {".txt": _text_rows, ".csv": _csv_rows, ".jsonl": _json_rows}
+    if path.suffix.lower() not in readers:
         raise UsageError(f"{path}: prompts are a .txt (a text a line), a .csv or a .jsonl (text, action, seconds)")
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise UsageError(f"{path}: {error.strerror or error}") from None
-    except UnicodeDecodeError as error:
-        raise UsageError(f"{path}: not UTF-8 text ({error.reason} at byte {error.start})") from None
-    rows = {".txt": _text_rows, ".csv": _csv_rows, ".jsonl": _json_rows}[path.suffix.lower()]
     prompts = []
-    for line, row in rows(text, path):
+    for line, row in readers[path.suffix.lower()](read_text(path), path):
         where = f"{path}, line {line}"
         prompts.append(Prompt(_request(row, seconds, where), where))
     if not prompts:
         raise UsageError(f"{path}: holds no prompts")
     return prompts
+
+
+def read_text(path: Path) -> str:
+    """The text of a file in UTF-8, without a byte order mark; raises `UsageError`."""
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror or error}") from None
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{path}: not UTF-8 text ({error.reason} at byte {error.start})") from None
+
+
+def read_csv(text: str, path: Path, check: Callable[[Sequence[str]], None]) -> Iterator[tuple[int, dict[str, str]]]:
+    """The rows of a CSV with their line numbers, after `check` of the columns' names; absent cells are empty.
+
+    Raises `UsageError` with file and line for anything but a table, and for rows longer than the header.
+    """
+    reader = csv.DictReader(io.StringIO(text, newline=""), restkey="", restval="", strict=True)
+    try:
+        check(reader.fieldnames or ())
+        for row in reader:
+            if "" in row:
+                raise UsageError(f"{path}, line {reader.line_num}: more fields than the header names")
+            yield reader.line_num, row
+    except csv.Error as error:
+        raise UsageError(f"{path}, line {reader.line_num}: not a CSV table ({error})") from None
 
 
 def _text_rows(text: str, path: Path) -> Iterator[tuple[int, Mapping[str, Any]]]:
@@ -149,17 +161,13 @@ def _text_rows(text: str, path: Path) -> Iterator[tuple[int, Mapping[str, Any]]]
 
 
 def _csv_rows(text: str, path: Path) -> Iterator[tuple[int, Mapping[str, Any]]]:
-    reader = csv.DictReader(io.StringIO(text, newline=""), restkey="", strict=True)
-    try:
-        _check_columns(reader.fieldnames or (), f"{path}, line 1")
-        if not {"text", "action"} & set(reader.fieldnames or ()):
+    def check(names: Sequence[str]) -> None:
+        _check_columns(names, f"{path}, line 1")
+        if not {"text", "action"} & set(names):
             raise UsageError(f"{path}, line 1: the header names neither 'text' nor 'action'")
-        for row in reader:
-            if "" in row:
-                raise UsageError(f"{path}, line {reader.line_num}: more fields than the header names; quote texts")
-            yield reader.line_num, {name: value.strip() for name, value in row.items() if value and value.strip()}
-    except csv.Error as error:
-        raise UsageError(f"{path}, line {reader.line_num}: not a CSV table ({error})") from None
+
+    for line, row in read_csv(text, path, check):
+        yield line, {name: cell.strip() for name, cell in row.items()}
 
 
 def _json_rows(text: str, path: Path) -> Iterator[tuple[int, Mapping[str, Any]]]:

@@ -5,10 +5,12 @@ Field types may be bool, int, float, str, `Literal`, `T | None`, `tuple[T, ...]`
 
 import dataclasses
 import difflib
+import json
 import math
 import types
 import typing
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any, ClassVar, Literal, Protocol, TypeVar, runtime_checkable
 
 from motionkit.core.errors import UsageError
@@ -86,20 +88,22 @@ def rate_factor(
 
 def to_plain(config: ConfigLike) -> dict[str, Any]:
     """A configuration as nested dictionaries, lists and scalars, ready for JSON."""
-    return {field.name: _plain_value(getattr(config, field.name)) for field in dataclasses.fields(config)}
+    plain: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(config)))
+    return plain
 
 
 def from_plain(config_type: type[T], values: dict[str, Any]) -> T:
     """The inverse of `to_plain`; missing fields keep their defaults.
 
-    Raises `UsageError` for an unknown key or a value of another type.
+    Raises `UsageError` for an unknown key or a value of another type, `ValueError` for values that the configuration
+    itself refuses.
     """
     hints = typing.get_type_hints(config_type)
     known = config_type.__dataclass_fields__  # type: ignore[attr-defined]
     unknown = sorted(set(values) - set(known))
     if unknown:
         raise UsageError(f"{config_type.__name__} has no {', '.join(unknown)}; it has: {', '.join(sorted(known))}")
-    return config_type(**{name: _typed_value(value, hints[name], name) for name, value in values.items()})
+    return config_type(**{name: _converted(value, hints[name], name) for name, value in values.items()})
 
 
 def flatten(config: ConfigLike, prefix: str = "") -> dict[str, Any]:
@@ -132,9 +136,9 @@ def setting_text(value: Any) -> str:
 def unknown_setting(key: str, configs: Sequence[ConfigLike]) -> str:
     """The message for an unknown key, with similar ones."""
     known = list(dict.fromkeys(setting for config in configs for setting in flatten(config)))
-    of_that_name = [each for each in known if each.rpartition(".")[2] == key.rpartition(".")[2]]
-    meant = list(dict.fromkeys([*difflib.get_close_matches(key, known, n=3, cutoff=0.85), *of_that_name]))
-    return f"no setting is called {key!r}" + (f", perhaps {' or '.join(meant)}" if meant else "")
+    same_name = [each for each in known if each.rpartition(".")[2] == key.rpartition(".")[2]]
+    similar = list(dict.fromkeys([*difflib.get_close_matches(key, known, n=3, cutoff=0.85), *same_name]))
+    return f"no setting is called {key!r}" + (f", perhaps {' or '.join(similar)}" if similar else "")
 
 
 def apply_overrides(config: ConfigT, overrides: Sequence[str]) -> ConfigT:
@@ -154,77 +158,59 @@ def _replaced(config: ConfigT, changes: Mapping[str, str], prefix: str) -> Confi
     hints = typing.get_type_hints(type(config))
     values: dict[str, Any] = {}
     for field in dataclasses.fields(config):
-        key, value = prefix + field.name, getattr(config, field.name)
+        key = prefix + field.name
         if key in changes:
-            values[field.name] = _parse_text(changes[key], hints[field.name], key)
+            values[field.name] = _converted(_parsed(changes[key], hints[field.name]), hints[field.name], key)
         elif any(changed.startswith(key + ".") for changed in changes):
-            values[field.name] = _replaced(value, changes, key + ".")
+            values[field.name] = _replaced(getattr(config, field.name), changes, key + ".")
     try:
         return dataclasses.replace(config, **values)
     except ValueError as error:
-        asked = ", ".join(f"{key}={text}" for key, text in changes.items() if key.startswith(prefix))
-        raise UsageError(f"{asked}: {error}") from None
+        settings = ", ".join(f"{key}={text}" for key, text in changes.items() if key.startswith(prefix))
+        raise UsageError(f"{settings}: {error}") from None
 
 
-def _plain_value(value: Any) -> Any:
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return to_plain(value)
-    if isinstance(value, tuple):
-        return [_plain_value(item) for item in value]
-    return value
-
-
-def _typed_value(value: Any, annotation: Any, key: str) -> Any:
-    """A JSON value as the annotated type."""
-    if dataclasses.is_dataclass(annotation) and isinstance(annotation, type):
-        if not isinstance(value, dict):
-            raise UsageError(f"{key} must be a table of {annotation.__name__}, not {value!r}")
-        return from_plain(annotation, value)
+def _parsed(text: str, annotation: Any) -> Any:
+    """An override's text as a JSON value of the annotated type, or unchanged where it is none."""
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if origin in (typing.Union, types.UnionType):
-        inner = next(argument for argument in arguments if argument is not types.NoneType)
-        return None if value is None else _typed_value(value, inner, key)
-    if origin is tuple and isinstance(value, list):
-        return tuple(_typed_value(item, arguments[0], key) for item in value)
-    if origin is Literal:
-        if value in arguments:
-            return value
-    elif annotation is float and isinstance(value, int | float) and not isinstance(value, bool):
-        return float(value)
-    elif isinstance(annotation, type) and type(value) is annotation:
-        return value
-    raise UsageError(f"{key} must be {_describe(annotation)}, not {value!r}")
-
-
-def _parse_text(text: str, annotation: Any, key: str) -> Any:
-    """A value from the command line as the annotated type."""
-    origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
-    if origin in (typing.Union, types.UnionType):
-        inner = next(argument for argument in arguments if argument is not types.NoneType)
-        return None if text.lower() in ("none", "null", "") else _parse_text(text, inner, key)
+        return None if text.lower() in ("none", "null", "") else _parsed(text, _not_none(arguments))
     if origin is tuple:
-        return tuple(_parse_text(item.strip(), arguments[0], key) for item in text.split(",") if item.strip())
-    if origin is Literal and text in arguments:
-        return text
-    if annotation is bool and text.lower() in ("true", "false"):
-        return text.lower() == "true"
-    if annotation is str:
-        return text
+        return [_parsed(item.strip(), arguments[0]) for item in text.split(",") if item.strip()]
+    if annotation is bool:
+        return {"true": True, "false": False}.get(text.lower(), text)
     if annotation in (int, float):
-        try:
-            value = annotation(text)
-        except ValueError:
-            value = math.nan
-        if math.isfinite(value):
-            return value
-    raise UsageError(f"{key} must be {_describe(annotation)}, not {text!r}")
+        with suppress(ValueError):
+            return annotation(text) if math.isfinite(float(text)) else text
+    return text
 
 
-def _describe(annotation: Any) -> str:
+def _converted(value: Any, annotation: Any, key: str) -> Any:
+    """A JSON value as the annotated type; raises `UsageError` that names the key and the type."""
+    origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
+    if isinstance(annotation, type) and dataclasses.is_dataclass(annotation) and isinstance(value, dict):
+        return from_plain(annotation, value)
+    if origin in (typing.Union, types.UnionType):
+        return None if value is None else _converted(value, _not_none(arguments), key)
+    if origin is tuple and isinstance(value, list):
+        return tuple(_converted(item, arguments[0], key) for item in value)
+    if annotation is float and type(value) is int:
+        return float(value)
+    if value in arguments if origin is Literal else type(value) is annotation:
+        return value
+    raise UsageError(f"{key} must be {_described(annotation)}, not {value!r}")
+
+
+def _not_none(arguments: tuple[Any, ...]) -> Any:
+    """T of `T | None`."""
+    return next(argument for argument in arguments if argument is not types.NoneType)
+
+
+def _described(annotation: Any) -> str:
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if origin is Literal:
-        return "one of " + ", ".join(str(argument) for argument in arguments)
+        return "one of " + ", ".join(map(str, arguments))
     if origin is tuple:
-        return f"a list of {_describe(arguments[0])}"
+        return f"a list of {_described(arguments[0])}"
     names = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
-    return names.get(annotation, str(annotation))
+    return names.get(annotation) or f"a table of {annotation.__name__}"

@@ -17,7 +17,7 @@ from motionkit.fields.motion_field import to_motion
 from motionkit.generate.constraints import Constraint
 from motionkit.generate.long_motions import generate_joined
 from motionkit.generate.models import GenerationRequest, load_model
-from motionkit.generate.samples import standing
+from motionkit.generate.output import plant_generated
 from motionkit.store.writer import StoreWriter
 from motionkit.training.run import RunError, RunFolder
 from motionkit.training.tensors import load_tensors, save_tensors
@@ -117,7 +117,9 @@ def test_feet_stand_and_bones_keep_their_length(trained: Path) -> None:
     ]
     assert spread[0] < 1e-5 < spread[1]
     [field] = model.generate([GenerationRequest(2.0, text="a person walks")], seed=3)
-    expected = standing(field, (GenerationRequest(2.0),)).at_fps(Fraction(30)).query(np.arange(60) / 30).joint_positions
+    expected = (
+        plant_generated(field, (GenerationRequest(2.0),)).at_fps(Fraction(30)).query(np.arange(60) / 30).joint_positions
+    )
     np.testing.assert_allclose(positions(planted), expected, atol=1e-5)
     [written] = generate(trained, "animation", *call, "--format", "bvh")
     text = Path(str(written["file"])).read_text()

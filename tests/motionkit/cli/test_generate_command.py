@@ -13,7 +13,7 @@ from motionkit.core.motion import Caption
 from motionkit.core.skeleton import SMPL22
 from motionkit.features.humanml3d import positions
 from motionkit.generate.models import GenerationRequest
-from motionkit.generate.samples import motion_name
+from motionkit.generate.output import motion_name
 from motionkit.io.bvh.document import read_bvh
 from motionkit.io.npz import read_npz
 from motionkit.store import Store
@@ -224,8 +224,6 @@ def test_long_and_short_motions_of_one_call_are_numbered_alike(run_command, tmp_
     places = [read_npz(path).joint_positions[0, 0, 2] for path in sorted((tmp_path / "whole").glob("*.npz"))]
     assert [round(10 * float(place)) for place in places[::3]] == [0, 3, 6]
     run_command(*call, "--out", "parts")
-    table = tmp_path / "parts" / "motions.csv"
-    table.write_text("".join(table.read_text().splitlines(keepends=True)[:4]))  # stopped after three motions
     for number in range(3, 7):
         (tmp_path / "parts" / f"000{number}-walk-{number}.npz").unlink()
     run_command(*call, "--out", "parts", "--resume")

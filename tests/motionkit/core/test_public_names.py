@@ -60,11 +60,11 @@ def test_a_name_that_is_none_is_an_attribute_error() -> None:
 
 
 @pytest.mark.parametrize(
-    "first", ["import motionkit.generate.samples", "from motionkit.generate import samples", "import motionkit as mk"]
+    "first", ["import motionkit.generate.output", "from motionkit.generate import output", "import motionkit as mk"]
 )
 def test_a_function_is_never_the_subpackage_of_its_name(first: str) -> None:
     script = "import motionkit as mk; print(callable(mk.generate), callable(mk.resample))"
-    again = "; from motionkit.generate import samples; from motionkit.fields.resample import downsample; "
+    again = "; from motionkit.generate import output; from motionkit.fields.resample import downsample; "
     assert run(f"{first}; {script}{again}{script}").split() == ["True"] * 4
 
 
