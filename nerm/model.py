@@ -18,7 +18,7 @@ from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid, num_frames_within
 from motionkit.fields.assembly import laid
-from motionkit.fields.contact.bones_field import with_lengths
+from motionkit.fields.contact.bones import with_lengths
 from motionkit.fields.motion_field import FramerateConditioned, MotionField
 from motionkit.generate.constraints import KINDS, ConstraintKind
 from motionkit.generate.models import GenerationRequest, SamplingOptions, check_constraints

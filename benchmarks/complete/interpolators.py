@@ -22,7 +22,7 @@ from benchmarks.command import arguments_parser, print_json
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.fields.completion import complete
-from motionkit.fields.interpolation.interpolators import INTERPOLATORS, Settling
+from motionkit.fields.interpolation import INTERPOLATORS, Settling
 from motionkit.fields.motion_field import MotionEncoder
 from motionkit.fields.resample import downsample
 from motionkit.io.bvh.document import read_bvh

@@ -16,7 +16,6 @@ import argparse
 import json
 import os
 import time
-import tracemalloc
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -48,8 +47,8 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.fields.detail.detailed import detailed
 from motionkit.fields.detail.model import Detail
 from motionkit.fields.detail.slow_motion import FEET, GRID_FPS, SlowMotion
-from motionkit.fields.interpolation.interpolators import interpolate
-from motionkit.fields.motion_field import MotionField, motion_chunks, to_motion
+from motionkit.fields.interpolation import interpolate
+from motionkit.fields.motion_field import to_motion
 from motionkit.fields.resample import resample_positions
 from motionkit.store.reader import Store
 from motionkit.training.detail.fit import fit_detail
@@ -59,7 +58,7 @@ CUTOFF_HZ, SMOOTH_HZ = 10.0, 6.0
 RATES = (40, 60, 100, 120)
 GRID = Fraction(GRID_FPS)
 CLIPS, REPLICATIONS, RESAMPLINGS, FOLLOWING_DRAWS = 2048, 5, 200, 3
-MINUTES = (2, 20)
+MINUTES = 2
 REAL_TAKES, GENERATED = "real takes", "generated"
 AROUND = 24
 NEAR = slice(AROUND - 8, AROUND + 9)
@@ -215,38 +214,15 @@ def strikes_of(height: Positions, lowest: Positions) -> list[tuple[int, float]]:
 
 
 def costs(detail: Detail) -> dict[str, float]:
-    """Frames per second of process time, and peak memory besides the frames."""
-    motion = to_motion(analytic_motion("walk", 60.0 * MINUTES[0]), GRID)
+    """Frames per second of process time."""
+    motion = to_motion(analytic_motion("walk", 60.0 * MINUTES), GRID)
     base = interpolate(replace(motion, local_rotations=None, root_translation=None), "linear")
     spent = {}
     for name, field in (("without", base), ("with", detailed(base, detail, seed=0))):
         begun = time.process_time()
-        for chunk in motion_chunks(field, GRID, 4096):
-            assert chunk.num_frames
+        to_motion(field, GRID)
         spent[name] = time.process_time() - begun
-    found = {"frames a second": motion.num_frames / (spent["with"] - spent["without"])}
-    for minutes in MINUTES:
-        long = Repeated(base, 60.0 * minutes)
-        tracemalloc.start()
-        for chunk in motion_chunks(detailed(long, detail, seed=0), GRID, 4096):
-            assert chunk.num_frames
-        found[f"MB, {minutes} minutes"] = tracemalloc.get_traced_memory()[1] / 1e6
-        tracemalloc.stop()
-    return found
-
-
-@dataclass(frozen=True, eq=False)
-class Repeated:
-    """A field repeated periodically."""
-
-    once: MotionField
-    end_seconds: float
-    start_seconds: float = 0.0
-    skeleton = SMPL22
-
-    def query(self, times_seconds: npt.NDArray[np.float64]) -> Any:
-        """Poses of the field at the remainder of the times."""
-        return self.once.query(times_seconds % self.once.end_seconds)
+    return {"frames a second": motion.num_frames / (spent["with"] - spent["without"])}
 
 
 def measured(options: argparse.Namespace) -> dict[str, Any]:

@@ -1,17 +1,15 @@
-"""Speed and memory of planting, and the statistics of real feet that its limits come from.
+"""Speed of planting, and the statistics of real feet that its limits come from.
 
     python -m benchmarks.fields.planting [--store STORE] [--json]
 
 Frames a second of the process's own time, the best of three: five minutes at 120 fps of a body that walks on a floor
 going at 0.2 m/s, its positions known as `motionkit plant` knows a file's; of the same walk standing, and with bones
 whose lengths vary by 15 %, as a model's do, which are projected onto constant ones; and beside them forward kinematics
-of as many frames, the floor of anything that makes poses. Memory: the most that Python's allocator
-holds beside the frames' own numbers while six and sixty minutes are planted. Of a store's training takes: how many
+of as many frames, the floor of anything that makes poses. Of a store's training takes: how many
 times the rests of their feet are faster than the limit (`motionkit.fields.contact.detection`), quantiles over takes.
 """
 
 import os
-import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
@@ -33,12 +31,11 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.contact.detection import MOST_TIMES, Rests, find_contacts, ground_of, velocities
 from motionkit.fields.contact.legs import legs_of
 from motionkit.fields.contact.planted import planted_frames
-from motionkit.fields.long_observation import LongObservation
-from motionkit.fields.motion_field import Observation, Poses, to_motion
+from motionkit.fields.motion_field import Observation, to_motion
 from motionkit.store.reader import Store
 from tests.helpers.analytic import analytic_motion
 
-FPS, SECONDS, MINUTES, SLIDING, VARIATION, REPEATS, AT_ONCE = Fraction(120), 10.0, 5, 0.2, 0.15, 3, 4096
+FPS, SECONDS, MINUTES, SLIDING, VARIATION, REPEATS = Fraction(120), 10.0, 5, 0.2, 0.15, 3
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95, 0.98)
 
 
@@ -79,10 +76,8 @@ def varying(motion: Motion) -> Motion:
 
 
 def plant(motion: Motion) -> None:
-    """All frames, some thousand at once."""
-    field, times = planted_frames(Observation.of(motion), motion.timegrid), motion.timegrid.seconds()
-    for start in range(0, len(times), AT_ONCE):
-        field.query(times[start : start + AT_ONCE])
+    """All frames."""
+    planted_frames(Observation.of(motion), motion.timegrid).query(motion.timegrid.seconds())
 
 
 def frames_a_second(work: Callable[[], object], frames: int) -> float:
@@ -108,22 +103,6 @@ def speeds() -> dict[str, float]:
     return {name: frames_a_second(work, slides.num_frames) for name, work in ways.items()}
 
 
-def most_megabytes(minutes: int) -> float:
-    """Peak memory besides the frames, which come from one repeated walk."""
-    once = bare(walk(0.5, 0.0)).joint_positions
-    count = int(minutes * 60 * FPS)
-    grid = TimeGrid(FPS, count)
-    observation = LongObservation(grid.seconds(), lambda rows: Poses(once[rows % len(once)]), SMPL22)
-    times = observation.times_seconds
-    field = planted_frames(observation, grid, "free")
-    tracemalloc.start()
-    for start in range(0, count, AT_ONCE):
-        field.query(times[start : start + AT_ONCE])
-    _, most = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    return most / 1e6
-
-
 def rests(store: Path) -> dict[str, float]:
     """Of training takes: the mean over contacts of how many times a foot's rests are faster than the limit."""
     real, legs = real_motion(Store.open(store), "train"), legs_of(SMPL22)
@@ -147,10 +126,7 @@ def main() -> None:
     parser.add_argument("--store", type=Path)
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    figures: dict[str, Any] = {
-        "frames a second": speeds(),
-        "most MB beside the frames": {f"{minutes} minutes": most_megabytes(minutes) for minutes in (6, 60)},
-    }
+    figures: dict[str, Any] = {"frames a second": speeds()}
     if arguments.store is not None:
         figures["times the limit, training takes"] = rests(arguments.store)
     if arguments.json:

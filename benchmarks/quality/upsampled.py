@@ -24,7 +24,7 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.timegrid import TimeGrid
 from motionkit.features.quality import measure
-from motionkit.fields.interpolation.interpolators import interpolate
+from motionkit.fields.interpolation import interpolate
 from motionkit.fields.motion_field import to_motion
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.scan.reading import read

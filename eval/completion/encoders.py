@@ -23,10 +23,9 @@ from motionkit.edit.complete.encoders import (
     trained_encoder_names,
 )
 from motionkit.features.rotation_rows import two_columns
-from motionkit.fields.interpolation.curves import CurveKind, curve
-from motionkit.fields.interpolation.interpolators import INTERPOLATORS
-from motionkit.fields.interpolation.joints import JointsOfMany
-from motionkit.fields.motion_field import MotionEncoder, Observation, Observed, Poses, check_observed_alike, check_times
+from motionkit.fields.interpolation import INTERPOLATORS, CurveKind, curve
+from motionkit.fields.joints import JointsOfMany
+from motionkit.fields.motion_field import MotionEncoder, Observation, Poses, check_observed_alike, check_times
 from motionkit.training.run import RunFolder, commit, versions
 from motionkit.training.stage import recorded_settings
 
@@ -43,7 +42,7 @@ class RowCurves:
     kind: CurveKind
 
     def encode(
-        self, observation: Observed, *, before_seconds: float = 0.0, after_seconds: float = 0.0
+        self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
     ) -> "RowCurveField":
         """The field through all observed frames; raises `ValueError` for a negative reach."""
         if not (0 <= before_seconds < np.inf and 0 <= after_seconds < np.inf):

@@ -8,7 +8,7 @@ from math import ceil
 import numpy as np
 
 from eval.sets.sets import SampleSet, sample_set
-from motionkit.fields.interpolation.interpolators import InterpolatedField
+from motionkit.fields.interpolation import InterpolatedField
 from motionkit.fields.motion_field import MotionField, to_motion
 from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions, is_unconditional
 

@@ -257,37 +257,26 @@ def inverse_kinematics(
     least-squares rotation of all its bones; a leaf keeps its parent's. Forward kinematics with the observed bone
     lengths restores the positions of every joint whose parent has one child. Source: Kabsch 1976 for the least squares.
     """
-    return _pointed(joint_positions, skeleton, lambda _, rest, observed: quaternion_between(rest, observed))
+    return _pointed(joint_positions, skeleton, quaternion_between)
 
 
 def inverse_kinematics_in_time(
-    joint_positions: Float[np.ndarray, "frames joints 3"],
-    skeleton: Skeleton,
-    first_rotations: Float[np.ndarray, "joints 4"] | None = None,
+    joint_positions: Float[np.ndarray, "frames joints 3"], skeleton: Skeleton
 ) -> Float[np.ndarray, "frames joints 4"]:
     """`inverse_kinematics` with continuous twist over time, for interpolation.
 
     The shortest rotation from rest has a pole: near the opposite of the rest direction (an arm overhead) its twist
     spins, and interpolation swings the bone's children by decimetres. Here a joint with one child is rotated from frame
-    to frame by the shortest rotation of its bone, starting from `first_rotations` if given. Over a long motion the
-    twist drifts from the anatomical one, so the result is not for display or export.
+    to frame by the shortest rotation of its bone. Over a long motion the twist drifts from the anatomical one, so the
+    result is not for display or export.
     """
-
-    def point(
-        joint: int, rest: Float[np.ndarray, "3"], observed: Float[np.ndarray, "frames 3"]
-    ) -> Float[np.ndarray, "frames 4"]:
-        if first_rotations is None:
-            return _carried_along(rest, observed, quaternion_between(rest, observed[:1]))
-        first = first_rotations[joint].astype(np.float64)
-        return _carried_along(rest, observed, first[None] / np.linalg.norm(first))
-
-    return _pointed(joint_positions, skeleton, point)
+    return _pointed(joint_positions, skeleton, _carried_along)
 
 
 def _pointed(
     joint_positions: Float[np.ndarray, "frames joints 3"],
     skeleton: Skeleton,
-    point: Callable[[int, Float[np.ndarray, "3"], Float[np.ndarray, "frames 3"]], Float[np.ndarray, "frames 4"]],
+    point: Callable[[Float[np.ndarray, "3"], Float[np.ndarray, "frames 3"]], Float[np.ndarray, "frames 4"]],
 ) -> Float[np.ndarray, "frames joints 4"]:
     positions = joint_positions.astype(np.float64)
     num_frames, num_joints = positions.shape[:2]
@@ -304,7 +293,7 @@ def _pointed(
             continue
         bones = quaternion_rotate(quaternion_conjugate(above)[:, None], positions[:, children] - positions[:, [joint]])
         if len(children) == 1:
-            local[:, joint] = point(joint, rest[children[0]], bones[:, 0])
+            local[:, joint] = point(rest[children[0]], bones[:, 0])
         else:
             local[:, joint] = fit_rotation(rest[children], bones)
         world[:, joint] = quaternion_multiply(above, local[:, joint])
@@ -312,9 +301,9 @@ def _pointed(
 
 
 def _carried_along(
-    rest: Float[np.ndarray, "3"], observed: Float[np.ndarray, "frames 3"], first: Float[np.ndarray, "1 4"]
+    rest: Float[np.ndarray, "3"], observed: Float[np.ndarray, "frames 3"]
 ) -> Float[np.ndarray, "frames 4"]:
-    q = np.concatenate((first, quaternion_between(observed[:-1], observed[1:])))
+    q = np.concatenate((quaternion_between(rest, observed[:1]), quaternion_between(observed[:-1], observed[1:])))
     reach = 1
     while reach < len(q):  # products of all steps so far, in log₂ frames passes
         q[reach:] = quaternion_multiply(q[reach:], q[:-reach])

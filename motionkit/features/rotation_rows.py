@@ -14,7 +14,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import map_joints
-from motionkit.fields.interpolation.joints import Joints
+from motionkit.fields.joints import Joints
 from motionkit.fields.motion_field import Poses
 
 # Signs of the first and second column of a mirrored rotation M·R·M with M = diag(−1, 1, 1).

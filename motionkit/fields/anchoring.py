@@ -1,9 +1,9 @@
 """Corrects a motion field so that it passes through the observed frames without jumps."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property, lru_cache
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,21 +15,19 @@ from motionkit.core.kinematics import (
 )
 from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import Skeleton
-from motionkit.fields.interpolation.joints import Joints
+from motionkit.fields.joints import Joints
 from motionkit.fields.motion_field import (
     MotionEncoder,
     MotionField,
     Observation,
-    Observed,
     Poses,
     at_fps,
     check_skeleton,
     check_times,
 )
 
-_NEIGHBOURS = 3
-_FRAMES_AT_ONCE = 1024
-_BLOCKS_KEPT = 4
+if TYPE_CHECKING:
+    from scipy.interpolate import PchipInterpolator
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +47,7 @@ class Anchored:
         return f"{self.encoder.name}, anchored"
 
     def encode(
-        self, observation: Observed, *, before_seconds: float = 0.0, after_seconds: float = 0.0
+        self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
     ) -> "AnchoredField":
         """The encoder's field, corrected to pass through the observed frames; raises what the encoder raises."""
         field = self.encoder.encode(observation, before_seconds=before_seconds, after_seconds=after_seconds)
@@ -58,10 +56,10 @@ class Anchored:
 
 @dataclass(frozen=True, eq=False)
 class AnchoredField:
-    """A field plus interpolated offsets, computed from the observed frames near each query."""
+    """A field plus what it misses the observed frames by, interpolated."""
 
     field: MotionField
-    observation: Observed
+    observation: Observation
 
     @property
     def skeleton(self) -> Skeleton:
@@ -85,51 +83,29 @@ class AnchoredField:
     def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
         """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
         poses = self.field.query(times_seconds)
-        if not len(times_seconds):
-            return poses
-        offsets = self._offsets_at(times_seconds)
-        on_rotations = poses.local_rotations is not None and self._rotations_are_observed
-        return _with_offsets(poses, offsets, self.skeleton) if on_rotations else _with_moves(poses, offsets)
+        offsets = np.asarray(self._offsets(np.clip(times_seconds, *self._offsets.x[[0, -1]])))
+        if self._on_rotations(poses):
+            return _with_offsets(poses, offsets, self.skeleton)
+        return Poses((poses.joint_positions + offsets.reshape(poses.joint_positions.shape)).astype(np.float32))
+
+    def _on_rotations(self, poses: Poses) -> bool:
+        return poses.local_rotations is not None and self.observation.poses.local_rotations is not None
 
     @cached_property
-    def _rotations_are_observed(self) -> bool:
-        return self.observation.rows(slice(0, 1)).poses.local_rotations is not None
-
-    def _offsets_at(self, times: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times numbers"]:
+    def _offsets(self) -> "PchipInterpolator":
+        """What the field misses the observed poses by, as a function of time; constant beyond both ends."""
         from scipy.interpolate import PchipInterpolator
 
-        # Slopes depend on neighbours only, so a few frames on both sides are enough for a long motion.
-        observed = self.observation.times_seconds
-        first = max(0, int(np.searchsorted(observed, times.min())) - _NEIGHBOURS)
-        last = min(len(observed), int(np.searchsorted(observed, times.max())) + _NEIGHBOURS)
-        first, last = min(first, len(observed) - 1), max(last, 1)
-        near, offsets = observed[first:last], self._offsets(first, last)
+        observed, times = self.observation, self.observation.times_seconds
+        poses = self.field.query(times)
+        on_rotations = self._on_rotations(poses)
+        offsets = _missed(poses, observed, self.skeleton) if on_rotations else _missed_positions(poses, observed)
         # The end offsets again beyond the ends: there the slope becomes zero, so velocity stays continuous.
-        knots = np.concatenate(([near[0] - 1.0], near, [near[-1] + 1.0]))
-        curve = PchipInterpolator(knots, np.concatenate((offsets[:1], offsets, offsets[-1:])))
-        return np.asarray(curve(np.clip(times, knots[0], knots[-1])))
-
-    def _offsets(self, first: int, last: int) -> Float64[np.ndarray, "frames numbers"]:
-        found = []
-        for number in range(first // _FRAMES_AT_ONCE, (last - 1) // _FRAMES_AT_ONCE + 1):
-            start = number * _FRAMES_AT_ONCE
-            found.append(self._missed(number)[max(first - start, 0) : last - start])
-        return np.concatenate(found)
-
-    @cached_property
-    def _missed(self) -> Callable[[int], Float64[np.ndarray, "frames numbers"]]:
-        @lru_cache(_BLOCKS_KEPT)
-        def missed(number: int) -> Float64[np.ndarray, "frames numbers"]:
-            start = number * _FRAMES_AT_ONCE
-            some = self.observation.rows(slice(start, start + _FRAMES_AT_ONCE))
-            made = self.field.query(some.times_seconds)
-            on_rotations = made.local_rotations is not None and self._rotations_are_observed
-            return _missed(made, some, self.skeleton) if on_rotations else _missed_positions(made, some)
-
-        return missed
+        knots = np.concatenate(([times[0] - 1.0], times, [times[-1] + 1.0]))
+        return PchipInterpolator(knots, np.concatenate((offsets[:1], offsets, offsets[-1:])))
 
 
-def anchored(field: MotionField, observation: Observed) -> AnchoredField:
+def anchored(field: MotionField, observation: Observation) -> AnchoredField:
     """A field corrected to pass through observed frames; raises `ValueError` if times or skeleton don't match."""
     check_skeleton(field, observation)
     check_times(field, observation.times_seconds)
@@ -146,11 +122,6 @@ def _missed(made: Poses, given: Observation, skeleton: Skeleton) -> Float64[np.n
     turns = quaternion_to_rotation_vector(quaternion_multiply(quaternion_conjugate(mine.rotations), theirs.rotations))
     parts = (turns, theirs.bones - mine.bones, (theirs.root - mine.root)[:, None])
     return np.concatenate(parts, axis=1).reshape(len(turns), -1)
-
-
-def _with_moves(poses: Poses, offsets: Float64[np.ndarray, "times numbers"]) -> Poses:
-    positions = poses.joint_positions + offsets.reshape(poses.joint_positions.shape)
-    return Poses(positions.astype(np.float32))
 
 
 def _with_offsets(poses: Poses, offsets: Float64[np.ndarray, "times numbers"], skeleton: Skeleton) -> Poses:

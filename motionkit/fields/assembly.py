@@ -16,9 +16,8 @@ import numpy as np
 from motionkit.core.kinematics import quaternion_multiply, quaternion_rotate, quaternion_slerp
 from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import Skeleton
-from motionkit.fields.contact.predicted import contacts_of
-from motionkit.fields.interpolation.joints import Joints
-from motionkit.fields.motion_field import MotionField, Poses, at_fps, check_times
+from motionkit.fields.joints import Joints
+from motionkit.fields.motion_field import MotionField, Poses, at_fps, check_times, contacts_of
 
 SHORTEST_OVERLAP_SECONDS = 1e-3
 _TIMES_TO_FIT = 16

@@ -9,13 +9,12 @@ import numpy as np
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Bool, Float64, Int
 from motionkit.core.timegrid import SAME_SECONDS, TimeGrid, num_frames_within
-from motionkit.fields.interpolation.interpolators import INTERPOLATORS
+from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.motion_field import (
     BatchEncoder,
     MotionEncoder,
     MotionField,
     Observation,
-    Observed,
     Poses,
     at_fps,
     check_observed_alike,
@@ -99,7 +98,7 @@ class Completion:
     `given_poses[i]`; all ascend. `line` overrides the entry in the operation log.
     """
 
-    observation: Observed
+    observation: Observation
     known_frames: Int[np.ndarray, "known"]
     field: MotionField
     grid: TimeGrid
@@ -130,7 +129,7 @@ class Completion:
 
 
 def begin_observed(
-    observation: Observed,
+    observation: Observation,
     known_frames: Int[np.ndarray, "known"],
     source: TimeGrid,
     encoder: MotionEncoder,
@@ -141,7 +140,7 @@ def begin_observed(
 ) -> Completion:
     """Like `complete`, but not sampled yet, for motions that are written in pieces; raises what `complete` raises.
 
-    Observed are the frames `known_frames` of the grid `source`, in memory or not.
+    Observed are the frames `known_frames` of the grid `source`.
     """
     grid = _grid(source.start_seconds, source.span_seconds, fps, before_seconds, after_seconds)
     rows, frames = _shared_frames(source, grid, before_seconds)
@@ -151,7 +150,7 @@ def begin_observed(
 
 
 def begin_uneven(
-    observation: Observed,
+    observation: Observation,
     known_frames: Int[np.ndarray, "known"],
     span: tuple[float, float],
     encoder: MotionEncoder,
@@ -173,7 +172,7 @@ def begin_uneven(
 
 
 def _completion(
-    observation: Observed,
+    observation: Observation,
     known: Int[np.ndarray, "known"],
     encoder: MotionEncoder,
     grid: TimeGrid,

@@ -4,7 +4,7 @@ Splines, NeRM's latents and PA-HiRes are `MotionEncoder`s that make `MotionField
 and export are written once against the two.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Protocol, runtime_checkable
@@ -16,6 +16,8 @@ from motionkit.core.motion import Motion, Provenance
 from motionkit.core.shapes import Bool, Float32, Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid, num_frames_within
+
+TIMES_AT_ONCE = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,16 +74,11 @@ class Poses:
         if self.root_translation is not None:
             self.root_translation[rows] = poses.root_translation
 
-    def joined(self, others: "Sequence[Poses]") -> "Poses":
-        """Concatenates poses with the same fields, as a copy."""
-        each = (self, *others)
-        made = self.room_for(sum(len(poses.joint_positions) for poses in each))
-        start = 0
-        for poses in each:
-            stop = start + len(poses.joint_positions)
-            made.put(slice(start, stop), poses)
-            start = stop
-        return made
+    def copy(self) -> "Poses":
+        """A copy whose arrays may be changed in place."""
+        copy = self.room_for(len(self.joint_positions))
+        copy.put(slice(None), self)
+        return copy
 
     def at(self, grid: TimeGrid, skeleton: Skeleton, provenance: Provenance | None = None) -> Motion:
         """The poses as a motion on a time grid."""
@@ -98,48 +95,6 @@ class Poses:
         times, joints = self.joint_positions.shape[:2]
         has = [name for name in ("local_rotations", "root_translation") if getattr(self, name) is not None]
         return f"Poses({times} of {joints} joints, {', '.join(has) or 'positions only'})"
-
-
-# Transforms consecutive poses; the second argument is the last transformed pose before them, None at the beginning.
-RemakePoses = Callable[["Observation", Poses | None], Poses]
-
-
-@runtime_checkable
-class Observed(Protocol):
-    """The observed frames of a motion: an `Observation`, or a `LongObservation` of one in a file.
-
-    Taking some `rows` needs memory for those only.
-    """
-
-    @property
-    def times_seconds(self) -> Float64[np.ndarray, "frames"]:
-        """Times of the poses, ascending."""
-        ...
-
-    @property
-    def skeleton(self) -> Skeleton:
-        """Skeleton of the poses."""
-        ...
-
-    @property
-    def start_seconds(self) -> float:
-        """Time of the first pose."""
-        ...
-
-    @property
-    def end_seconds(self) -> float:
-        """Time of the last pose."""
-        ...
-
-    def __len__(self) -> int: ...
-
-    def rows(self, rows: np.ndarray | slice) -> "Observation":
-        """Some of the poses with their times, by index, slice or mask, in memory."""
-        ...
-
-    def remade(self, remake: RemakePoses, skeleton: Skeleton) -> "Observed":
-        """Transformed poses at the same times, computed from first to last."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,10 +154,6 @@ class Observation:
         """Some of the poses with their times, by index, slice or mask."""
         return Observation(self.times_seconds[rows], self.poses.rows(rows), self.skeleton)
 
-    def remade(self, remake: RemakePoses, skeleton: Skeleton) -> "Observation":
-        """Transformed poses at the same times, computed at once."""
-        return Observation(self.times_seconds, remake(self, None), skeleton)
-
     @property
     def start_seconds(self) -> float:
         """Time of the first pose."""
@@ -220,18 +171,12 @@ class Observation:
         return f"Observation([{self.start_seconds:.4f}, {self.end_seconds:.4f}] s, {self.poses!r}, {self.skeleton!r})"
 
 
-def continuous_rotations(observation: Observation, before: Poses | None) -> Poses:
-    """The same poses with quaternion signs made continuous in time, if there are rotations.
-
-    A `RemakePoses`, for `observation.remade`.
-    """
+def continuous_rotations(observation: Observation) -> Observation:
+    """The same poses with quaternion signs made continuous in time, if there are rotations."""
     poses = observation.poses
     if poses.local_rotations is None:
-        return poses
-    if before is None or before.local_rotations is None:
-        return replace(poses, local_rotations=continuous_quaternions(poses.local_rotations))
-    on = continuous_quaternions(np.concatenate((before.local_rotations, poses.local_rotations)))
-    return replace(poses, local_rotations=on[1:])
+        return observation
+    return replace(observation, poses=replace(poses, local_rotations=continuous_quaternions(poses.local_rotations)))
 
 
 @runtime_checkable
@@ -267,10 +212,10 @@ class MotionEncoder(Protocol):
         """Name for tables and operation logs."""
         ...
 
-    def encode(self, observation: Observed, *, before_seconds: float = 0.0, after_seconds: float = 0.0) -> MotionField:
+    def encode(
+        self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
+    ) -> MotionField:
         """The motion field of an observation; its domain is the observed span, extended as requested.
-
-        A field that reads `rows` lazily needs no more memory for a long motion than for a short one.
 
         Raises `ValueError` if the encoder cannot extrapolate that far.
         """
@@ -301,6 +246,37 @@ class FramerateConditioned(Protocol):
         ...
 
 
+@runtime_checkable
+class PredictsContacts(Protocol):
+    """A motion field whose model also predicts which feet touch the ground."""
+
+    def contacts(self, times_seconds: Float64[np.ndarray, "times"]) -> Float32[np.ndarray, "times 2 2"] | None:
+        """Contact probabilities of ankle and toe of left and right foot; None if not available."""
+        ...
+
+
+def contacts_of(
+    field: MotionField, times_seconds: Float64[np.ndarray, "times"]
+) -> Float32[np.ndarray, "times 2 2"] | None:
+    """A field's predicted contacts; None if it has none."""
+    return field.contacts(times_seconds) if isinstance(field, PredictsContacts) else None
+
+
+def query_in_blocks(
+    query: Callable[[Float64[np.ndarray, "times"]], Poses], times_seconds: Float64[np.ndarray, "times"]
+) -> Poses:
+    """`query` for some thousand times at once, so that its intermediate arrays stay in the processor's cache."""
+    if len(times_seconds) <= TIMES_AT_ONCE:
+        return query(times_seconds)
+    blocks = [slice(start, start + TIMES_AT_ONCE) for start in range(0, len(times_seconds), TIMES_AT_ONCE)]
+    first = query(times_seconds[blocks[0]])
+    result = first.room_for(len(times_seconds))
+    result.put(blocks[0], first)
+    for block in blocks[1:]:
+        result.put(block, query(times_seconds[block]))
+    return result
+
+
 def check_times(field: MotionField, times_seconds: Float64[np.ndarray, "times"]) -> None:
     """Raise `ValueError` for times outside the field's domain (a microsecond of rounding is allowed)."""
     inside = (times_seconds >= field.start_seconds - 1e-6) & (times_seconds <= field.end_seconds + 1e-6)
@@ -313,7 +289,7 @@ def check_times(field: MotionField, times_seconds: Float64[np.ndarray, "times"])
 
 
 def check_observed_alike(observations: Sequence[Observation]) -> None:
-    """Raise `ValueError` unless all motions are observed at the same times and have joints that hang together alike."""
+    """Raise `ValueError` unless all motions are observed at the same times and have the same hierarchy."""
     for number, observation in enumerate(observations):
         if not np.array_equal(observation.times_seconds, observations[0].times_seconds):
             raise ValueError(f"motion {number} of {len(observations)} is not observed at the times of the first")
@@ -323,7 +299,7 @@ def check_observed_alike(observations: Sequence[Observation]) -> None:
         raise ValueError("no motion is observed")
 
 
-def check_skeleton(field: MotionField, observation: Observed) -> None:
+def check_skeleton(field: MotionField, observation: Observation) -> None:
     """Raise `ValueError` where a field and an observation do not have the same joints."""
     if field.skeleton.joint_names != observation.skeleton.joint_names:
         raise ValueError(
@@ -347,21 +323,6 @@ def to_motion(field: MotionField, fps: Fraction, provenance: Provenance | None =
     grid = frame_grid(field, fps)
     poses = at_fps(field, fps).query(np.minimum(grid.seconds(), field.end_seconds))
     return poses.at(grid, field.skeleton, provenance)
-
-
-def motion_chunks(field: MotionField, fps: Fraction, frames_per_chunk: int) -> Iterator[Motion]:
-    """`to_motion` piece by piece: successive motions of at most `frames_per_chunk` frames, each with its own times.
-
-    Memory is bounded by the chunk, however long the field. Raises `ValueError` for chunks of less than one frame.
-    """
-    if frames_per_chunk < 1:
-        raise ValueError(f"a chunk has one frame at least, not {frames_per_chunk}")
-    grid, sampled = frame_grid(field, fps), at_fps(field, fps)
-    for first in range(0, grid.num_frames, frames_per_chunk):
-        count = min(frames_per_chunk, grid.num_frames - first)
-        times = grid.start_seconds + (first + np.arange(count, dtype=np.float64)) * fps.denominator / fps.numerator
-        poses = sampled.query(np.minimum(times, field.end_seconds))
-        yield poses.at(TimeGrid(fps, count, float(times[0])), field.skeleton)
 
 
 def joint_velocities(

@@ -15,8 +15,8 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float, Float64
 from motionkit.core.timegrid import TimeGrid, num_frames_within
 from motionkit.fields.completion import upsample
-from motionkit.fields.interpolation.interpolators import Method, interpolator_of
-from motionkit.fields.interpolation.joints import Joints
+from motionkit.fields.interpolation import Method, interpolator_of
+from motionkit.fields.joints import Joints
 from motionkit.fields.motion_field import Poses
 
 STOPBAND_DECIBEL = 80.0

@@ -19,12 +19,11 @@ from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import joint_map, map_joints
 from motionkit.core.timegrid import TimeGrid
-from motionkit.fields.interpolation.interpolators import INTERPOLATORS
-from motionkit.fields.interpolation.joints import Joints, rotations_in_time, with_rotations
-from motionkit.fields.interpolation.rigid import Rig
-from motionkit.fields.motion_field import MotionEncoder, MotionField, Observation, Observed, Poses, at_fps
+from motionkit.fields.interpolation import INTERPOLATORS
+from motionkit.fields.joints import Joints, with_rotations
+from motionkit.fields.motion_field import MotionEncoder, MotionField, Observation, Poses, at_fps, query_in_blocks
+from motionkit.fields.rig import Rig
 
-_TIMES_AT_ONCE = 4096
 _SMALLEST_WEIGHT = 0.5
 _SPINE = tuple(SMPL22.index(name) for name in ("spine1", "spine2", "spine3"))
 _PELVIS, _LEFT_HIP, _RIGHT_HIP = (SMPL22.index(name) for name in ("pelvis", "left_hip", "right_hip"))
@@ -47,7 +46,7 @@ class Transferred:
         return self.encoder.name
 
     def encode(
-        self, observation: Observed, *, before_seconds: float = 0.0, after_seconds: float = 0.0
+        self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
     ) -> "TransferredField":
         """The source skeleton's field; raises `SkeletonMapError` for an unknown skeleton, and the encoder's errors."""
         skeleton = observation.skeleton
@@ -61,7 +60,7 @@ class Transferred:
             base=self.interpolator.encode(canonical, **reach),
             counterparts=counterparts,
             moved_joint=_moved_joint(own, counterparts[_PELVIS]),
-            like=observation.rows(slice(0, 1)).poses.rows(slice(0, 0)),
+            like=observation.poses.rows(slice(0, 0)),
         )
 
 
@@ -103,14 +102,7 @@ class TransferredField:
 
     def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
         """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
-        result: Poses | None = None
-        for start in range(0, max(1, len(times_seconds)), _TIMES_AT_ONCE):
-            rows = np.arange(start, min(start + _TIMES_AT_ONCE, len(times_seconds)))
-            poses = self._poses(times_seconds[rows])
-            result = result or poses.room_for(len(times_seconds))
-            result.put(rows, poses)
-        assert result is not None
-        return result
+        return query_in_blocks(self._poses, times_seconds)
 
     def _poses(self, times: Float64[np.ndarray, "times"]) -> Poses:
         own, model, base = (field.query(times) for field in (self.own, self.model, self.base))
@@ -173,27 +165,22 @@ def _counterparts(skeleton: Skeleton) -> tuple[tuple[int, int], ...]:
     return tuple(sorted({**found, _PELVIS: pelvis}.items()))
 
 
-def canonical_observation(observation: Observed) -> Observed:
+def canonical_observation(observation: Observation) -> Observation:
     """An observation of any known skeleton in the 22-joint layout, with rotations and its own bone lengths.
 
     Rotations are its own if its joints are the layout's; else those of inverse kinematics in time, from the layout's
     rest pose. Raises `SkeletonMapError`.
     """
-    has_rotations = observation.rows(slice(0, 1)).poses.local_rotations is not None
-    if observation.skeleton.joint_names == SMPL22.joint_names and has_rotations:
-        return observation
-    return observation.remade(_canonical_poses, SMPL22)
-
-
-def _canonical_poses(observation: Observation, before: Poses | None) -> Poses:
     poses = observation.poses
+    if observation.skeleton.joint_names == SMPL22.joint_names and poses.local_rotations is not None:
+        return observation
     grid = TimeGrid(Fraction(1), len(observation))  # its times don't matter to a map
-    positions = map_joints(Motion(poses.joint_positions, observation.skeleton, grid, poses.local_rotations), "smpl22")
-    positions = positions.astype(np.float32)
-    return rotations_in_time(Poses(positions, None, positions[:, 0]), SMPL22, before)
+    motion = Motion(poses.joint_positions, observation.skeleton, grid, poses.local_rotations)
+    positions = map_joints(motion, SMPL22.name).astype(np.float32)
+    return with_rotations(Observation(observation.times_seconds, Poses(positions, None, positions[:, 0]), SMPL22))
 
 
-def _moved_joint(observation: Observed, pelvis: int) -> int:
+def _moved_joint(observation: Observation, pelvis: int) -> int:
     """The joint that carries the body's path: the one nearest the pelvis whose bone is not rigid, else the root."""
     moving = Rig.of(observation).moving
     return next((joint for joint in _path_to_root(observation.skeleton, pelvis) if joint in moving), 0)

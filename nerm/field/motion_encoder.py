@@ -18,7 +18,7 @@ from motionkit.data.reconstruction import ModelWindows
 from motionkit.data.windows import PositionSource, Windows, cut_windows
 from motionkit.features import field
 from motionkit.fields.assembly import AssembledField, Piece, assemble, even_starts
-from motionkit.fields.motion_field import MotionField, Observation, Observed
+from motionkit.fields.motion_field import MotionField, Observation
 from motionkit.store.reader import Store
 from motionkit.training.run import RunFolder
 from nerm.field.encoding import encode_by_optimisation
@@ -83,7 +83,7 @@ class NermEncoder:
         ]
 
     def encode(
-        self, observation: Observed, *, before_seconds: float = 0.0, after_seconds: float = 0.0
+        self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
     ) -> AssembledField:
         """The motion as a field in the world's frame.
 
@@ -99,11 +99,10 @@ class NermEncoder:
         start = observation.start_seconds - before_seconds
         span = observation.end_seconds + after_seconds - start
         length = min(span, self.trained.max_duration_seconds)
-        known = observation.rows(slice(None))
         starts = start + even_starts(span, self.trained.max_duration_seconds, self.overlap_seconds)
         pieces: list[Piece] = []
         for first in range(0, len(starts), WINDOWS_AT_ONCE):
-            pieces += self._pieces(known, starts[first : first + WINDOWS_AT_ONCE], length)
+            pieces += self._pieces(observation, starts[first : first + WINDOWS_AT_ONCE], length)
         return assemble(pieces)
 
     def _pieces(self, observation: Observation, starts: Float64[np.ndarray, "windows"], length: float) -> list[Piece]:

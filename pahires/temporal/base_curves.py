@@ -13,6 +13,7 @@ import torch
 from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.core.skeleton import Skeleton
 from motionkit.features import rotation_rows
+from motionkit.fields.interpolation import inner_rates
 from pahires.temporal.network import ObservedWindow
 from pahires.temporal.settings import Base
 
@@ -148,8 +149,8 @@ def _rows(
 
 
 def _parabola_rates(gaps: _Gaps, slopes: _Slopes) -> _Rates:
-    """Catmull-Rom's rates at the frames (`motionkit.fields.interpolation.curves.knot_rates`)."""
-    inner = (gaps[:, 1:] * slopes[:, :-1] + gaps[:, :-1] * slopes[:, 1:]) / (gaps[:, 1:] + gaps[:, :-1])
+    """Catmull-Rom's rates at the frames."""
+    inner = inner_rates(gaps.transpose(0, 1), slopes.transpose(0, 1)).transpose(0, 1)
     return torch.cat((slopes[:, :1], inner, slopes[:, -1:]), dim=1)
 
 

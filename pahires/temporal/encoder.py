@@ -1,13 +1,12 @@
 """A trained network as a motion encoder: observations of any length, at even or uneven times, to motion fields.
 
 Long observations are cut into overlapping windows of as many frames as in training; each is evaluated in its own frame,
-and outputs are cross-faded in the middle of overlaps. So memory does not grow with the motion beyond its own rows, and
-a pose depends on the observation and its time alone.
+and outputs are cross-faded in the middle of overlaps, so a pose depends on the observation and its time alone.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -16,14 +15,14 @@ import torch
 from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.features.rotation_rows import PoseRows, num_features, poses_of, rows_of_poses
-from motionkit.fields.interpolation.joints import with_rotations
+from motionkit.fields.joints import with_rotations
 from motionkit.fields.motion_field import (
     Observation,
-    Observed,
     Poses,
     check_observed_alike,
     check_times,
     continuous_rotations,
+    query_in_blocks,
 )
 from pahires.temporal.base_curves import WindowFrames
 from pahires.temporal.network import ObservedWindow
@@ -36,9 +35,6 @@ OVERLAP_FRAMES = 8
 WINDOWS_AT_ONCE = 32
 MOTIONS_AT_ONCE = 64
 QUERIES_AT_ONCE = 256
-TIMES_AT_ONCE = 8192
-FRAMES_AT_ONCE = 1024
-BLOCKS_KEPT = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +65,7 @@ class NetworkEncoder:
         return self.trained.reach_seconds
 
     def encode(
-        self, observation: Observed, *, before_seconds: float = 0.0, after_seconds: float = 0.0
+        self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
     ) -> "NetworkField":
         """The field of an observation.
 
@@ -91,7 +87,7 @@ class NetworkEncoder:
                 f"{max(before_seconds, after_seconds):.2f} s: ask for less, or let it stand still there "
                 "(extrapolation='clamp')"
             )
-        observation = observation.remade(continuous_rotations, observation.skeleton)
+        observation = continuous_rotations(observation)
         return NetworkField(
             self,
             observation,
@@ -123,7 +119,7 @@ class NetworkEncoder:
         made: list[Poses] = []
         for start in range(0, len(fields), MOTIONS_AT_ONCE):
             some = fields[start : start + MOTIONS_AT_ONCE]
-            rows = np.stack([field.rows(0, len(first)).vectors for field in some])
+            rows = np.stack([field.rows.vectors for field in some])
             vectors = self.answers(rows, np.tile(first.times_seconds, (len(some), 1)), np.tile(asked, (len(some), 1)))
             made += [field.poses_of(times_seconds, answer) for field, answer in zip(some, vectors, strict=True)]
         return made
@@ -155,7 +151,7 @@ class NetworkField:
     """A `MotionField`: an observation, and the network that completes it."""
 
     encoder: NetworkEncoder
-    observation: Observed
+    observation: Observation
     window_starts: Int64[np.ndarray, "windows"]
     start_seconds: float
     end_seconds: float
@@ -165,46 +161,20 @@ class NetworkField:
         """The observation's skeleton."""
         return self.observation.skeleton
 
-    def rows(self, start: int, stop: int) -> PoseRows:
-        """The rotation rows of observed poses [start, stop)."""
-        numbers = range(start // FRAMES_AT_ONCE, (stop - 1) // FRAMES_AT_ONCE + 1)
-        blocks = [self._block(number) for number in numbers]
-        here = slice(start - numbers[0] * FRAMES_AT_ONCE, stop - numbers[0] * FRAMES_AT_ONCE)
-        vectors = np.concatenate([block.vectors for block in blocks])[here]
-        bones = np.concatenate([block.bones for block in blocks])[here]
-        return PoseRows(vectors, bones, blocks[0].skeleton)
-
     @cached_property
-    def _block(self) -> Callable[[int], PoseRows]:
-        # In the 22-joint layout rotations are computed from that layout's own rest pose, for a common convention.
+    def rows(self) -> PoseRows:
+        """The rotation rows of the observed poses."""
         observed = self.observation
-        if not self._has_rotations and observed.skeleton.joint_names == SMPL22.joint_names:
-            observed = observed.remade(lambda some, _: some.poses, SMPL22)
+        # In the 22-joint layout rotations are computed from that layout's own rest pose, for a common convention.
+        if observed.poses.local_rotations is None and observed.skeleton.joint_names == SMPL22.joint_names:
+            observed = replace(observed, skeleton=SMPL22)
         turned = with_rotations(observed)
-
-        @lru_cache(BLOCKS_KEPT)
-        def block(number: int) -> PoseRows:
-            start = number * FRAMES_AT_ONCE
-            return rows_of_poses(turned.rows(slice(start, start + FRAMES_AT_ONCE)).poses, turned.skeleton)
-
-        return block
-
-    @cached_property
-    def _has_rotations(self) -> bool:
-        return self.observation.rows(slice(0, 1)).poses.local_rotations is not None
+        return rows_of_poses(turned.poses, turned.skeleton)
 
     def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
         """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
         check_times(self, times_seconds)
-        result: Poses | None = None
-        for first in range(0, max(1, len(times_seconds)), TIMES_AT_ONCE):
-            some = slice(first, first + TIMES_AT_ONCE)
-            poses = self.poses_of(times_seconds[some], self.vectors(times_seconds[some]))
-            if result is None:
-                result = poses.room_for(len(times_seconds))
-            result.put(np.arange(len(times_seconds))[some], poses)
-        assert result is not None
-        return result
+        return query_in_blocks(lambda times: self.poses_of(times, self.vectors(times)), times_seconds)
 
     def vectors(self, times_seconds: Float64[np.ndarray, "times"]) -> Float32[np.ndarray, "times numbers"]:
         """World rotation rows at any times, as the network outputs them (columns not yet orthonormal)."""
@@ -267,17 +237,13 @@ class NetworkField:
     ) -> Float32[np.ndarray, "batch queries numbers"]:
         count = min(len(self.observation), self.encoder.window_frames)
         frames = self.window_starts[windows][:, None] + np.arange(count)
-        first = int(frames.min())
-        rows = self.rows(first, int(frames.max()) + 1).vectors
-        return self.encoder.answers(rows[frames - first], self.observation.times_seconds[frames], times)
+        return self.encoder.answers(self.rows.vectors[frames], self.observation.times_seconds[frames], times)
 
     def poses_of(self, times: Float64[np.ndarray, "times"], vectors: Float32[np.ndarray, "times numbers"]) -> Poses:
         """World rows at these times as poses of the observed body."""
         before, weight = self._between(times)
-        first = int(before.min(initial=len(self.observation) - 1))
-        last = min(int(before.max(initial=first)) + 1, len(self.observation) - 1)
-        rows, given = self.rows(first, last + 1), self.observation.rows(slice(first, last + 1)).poses
-        before, after = before - first, np.minimum(before + 1, last) - first
+        after = np.minimum(before + 1, len(self.observation) - 1)
+        rows, given = self.rows, self.observation.poses
         bones = rows.bones[before]
         bones = bones + weight[:, None, None] * (rows.bones[after] - bones)
         poses = poses_of(vectors, bones, rows.skeleton)

@@ -15,7 +15,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid
-from motionkit.fields.interpolation.interpolators import INTERPOLATORS, InterpolatedField
+from motionkit.fields.interpolation import INTERPOLATORS, InterpolatedField
 from motionkit.fields.motion_field import MotionField, Observation
 from motionkit.generate.models import GenerationRequest, SamplingOptions
 from motionkit.training.diffusion.settings import DiffusionConfig

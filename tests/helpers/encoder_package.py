@@ -3,7 +3,7 @@
 from pathlib import Path
 
 LEARNT = """
-from motionkit.fields.interpolation.interpolators import INTERPOLATORS
+from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.core.skeleton import SMPL22
 
 class Learnt:

@@ -19,7 +19,7 @@ from motionkit.edit.complete import job
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import process
 from motionkit.fields.completion import complete
-from motionkit.fields.interpolation.interpolators import INTERPOLATORS
+from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.motion_field import Observation, to_motion
 from motionkit.io.bvh import frame_lines
 from motionkit.io.bvh.document import read_bvh, read_document

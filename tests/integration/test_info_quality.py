@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from motionkit.core.motion import Motion, Provenance
-from motionkit.fields.interpolation.interpolators import interpolate
+from motionkit.fields.interpolation import interpolate
 from motionkit.fields.motion_field import to_motion
 from motionkit.store.writer import StoreWriter
 from tests.helpers.analytic import analytic_motion

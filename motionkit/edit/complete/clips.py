@@ -14,8 +14,8 @@ from motionkit.core.shapes import Bool, Float64, Int64
 from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.completion import Completion
-from motionkit.fields.interpolation.rigid import on_bones
-from motionkit.fields.motion_field import Observation, Observed, Poses
+from motionkit.fields.motion_field import Observation, Poses
+from motionkit.fields.rig import on_bones
 from motionkit.io import pose_vectors
 from motionkit.io.bvh.document import BvhDocument
 from motionkit.io.bvh.writing import ChannelLines, check_writable
@@ -43,7 +43,7 @@ class Clip:
     skeleton: Skeleton
     seen: Bool[np.ndarray, "frames"]
     poses: Callable[[Int64[np.ndarray, "rows"]], Poses]
-    observe: Callable[[Bool[np.ndarray, "frames"]], Observed]
+    observe: Callable[[Bool[np.ndarray, "frames"]], Observation]
     label: Callable[[Motion], Motion]
     suffix: str
     write: Callable[[Completion, Path, Progress], None]
@@ -93,7 +93,7 @@ def clip_of_document(document: BvhDocument) -> Clip:
     check_writable(document)
     poses = document.poses(np.arange(document.num_frames))
 
-    def observe(observed: Bool[np.ndarray, "frames"]) -> Observed:
+    def observe(observed: Bool[np.ndarray, "frames"]) -> Observation:
         return Observation(document.timegrid.seconds()[observed], poses.rows(observed), document.skeleton)
 
     return Clip(
@@ -111,7 +111,7 @@ def clip_of_document(document: BvhDocument) -> Clip:
 def _in_memory(read: ReadClip, suffix: str, write: Callable[[Motion, Path], None], note: str = "") -> Clip:
     motion, uneven = read.motion, read.uneven_seconds
 
-    def observe(observed: Bool[np.ndarray, "frames"]) -> Observed:
+    def observe(observed: Bool[np.ndarray, "frames"]) -> Observation:
         known = Observation.of(motion, observed)
         return known if uneven is None else replace(known, times_seconds=uneven[observed])
 

@@ -13,7 +13,7 @@ from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError
 from motionkit.fields.anchoring import Anchored
-from motionkit.fields.interpolation.interpolators import INTERPOLATORS, Method, Settling
+from motionkit.fields.interpolation import INTERPOLATORS, Method, Settling
 from motionkit.fields.motion_field import MotionEncoder
 from motionkit.fields.transfer import Transferred, counterpart_joints
 from motionkit.training.loaders import Loader, installed_loaders, loader_names, loader_of

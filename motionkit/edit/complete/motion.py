@@ -16,7 +16,7 @@ from motionkit.edit.complete.clips import Clip, clip_of_motion, completed_line, 
 from motionkit.edit.complete.encoders import choose_encoder
 from motionkit.edit.complete.job import begin_clip
 from motionkit.edit.complete.request import CompletionRequest, FrameRange, Reach, parse_extend, parse_keep
-from motionkit.fields.interpolation.rigid import on_bones
+from motionkit.fields.rig import on_bones
 from motionkit.io.scan.items import ReadOptions
 from motionkit.store.named_motions.reading import existing_path
 

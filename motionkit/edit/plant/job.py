@@ -18,7 +18,7 @@ from motionkit.edit.plant.report import Change, measure_change
 from motionkit.fields.completion import Completion
 from motionkit.fields.contact.correction import Path as BodyPath
 from motionkit.fields.contact.planted import PlantedField, planted, planted_frames
-from motionkit.fields.interpolation.interpolators import INTERPOLATORS
+from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.viz.player.page import write_page
 from motionkit.viz.player.takes import Take, packed_bytes, take_of
 

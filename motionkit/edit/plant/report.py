@@ -92,29 +92,18 @@ def measure_change(
 
 def _contacts(correction: Correction) -> tuple[int, float, tuple[float | None, float | None]]:
     """Number and seconds of a foot's contacts, and its speed there without and with the correction."""
-    count, instants, sums = 0, 0, np.zeros(2)
-    for number in range(correction.num_blocks if correction.works else 0):
-        block, own = correction.block(number), correction.own(number)
-        down = np.asarray(block.contacts.down[own].any(axis=-1))
-        moves = np.gradient(block.offsets[:, :1] + block.offsets[:, 1:], axis=0)[own] * correction.fps
-        velocity = block.contacts.velocity[own]
-        for place, each in enumerate((velocity, velocity + moves)):
-            sums[place] += np.hypot(each[..., 0], each[..., 2])[down].sum()
-        instants += int(down.sum())
-        # A contact that continues from the previous block is counted there.
-        count += sum(int((runs(down[:, foot])[0] > (0 if number else -1)).sum()) for foot in range(2))
-    if not instants:
+    if not correction.is_possible or not correction.contacts.down.any():
         return 0, 0.0, (None, None)
-    before, after = (sums / instants).tolist()
-    return count, instants / correction.fps, (before, after)
+    down, velocity = correction.contacts.down.any(axis=-1), correction.contacts.velocity
+    moves = np.gradient(correction.offsets[:, :1] + correction.offsets[:, 1:], axis=0) * correction.fps
+    before, after = (float(np.hypot(each[..., 0], each[..., 2])[down].mean()) for each in (velocity, velocity + moves))
+    count = sum(len(runs(down[:, foot])[0]) for foot in range(2))
+    return count, int(down.sum()) / correction.fps, (before, after)
 
 
 def _shifts(correction: Correction) -> tuple[float, float]:
     """The largest offset of a foot along the ground, and up or down."""
-    level, height = 0.0, 0.0
-    for number in range(correction.num_blocks if correction.works else 0):
-        offsets = correction.block(number).offsets[correction.own(number)]
-        feet = offsets[:, :1] + offsets[:, 1:]
-        level = max(level, float(np.hypot(feet[..., 0], feet[..., 2]).max()))
-        height = max(height, float(np.abs(feet[..., 1]).max()))
-    return level, height
+    if not correction.is_possible:
+        return 0.0, 0.0
+    feet = correction.offsets[:, :1] + correction.offsets[:, 1:]
+    return float(np.hypot(feet[..., 0], feet[..., 2]).max()), float(np.abs(feet[..., 1]).max())

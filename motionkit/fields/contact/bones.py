@@ -1,14 +1,16 @@
 """Projects joint positions onto constant bone lengths, and rigid shapes where a joint has several children."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from fractions import Fraction
 
 import numpy as np
 
 from motionkit.core.kinematics import fit_rotation, quaternion_conjugate, quaternion_rotate
 from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import Skeleton
-from motionkit.fields.contact.two_bone import LEAST_ROOM_METRES, LONGEST_SHARE, Vectors
+from motionkit.fields.contact.legs import LEAST_ROOM_METRES, LONGEST_SHARE, Vectors
+from motionkit.fields.motion_field import MotionField, Poses, at_fps, contacts_of
 
 # If a joint's distance from its parent varies by more, there is no bone: hips above a reference on the floor, markers.
 TRAVELLING_FROM_ROOT_METRES, TRAVELLING_METRES = 0.25, 0.5
@@ -20,6 +22,8 @@ LIMB_RATIO = 0.4
 """Smallest length ratio of the two bones of a limb: arms and legs, not ankle and toe."""
 SHRUNK_SHARE, GONE_SHARE = 0.8, 0.2
 """Below this fraction of its length, the direction of a limb's second bone counts less and less."""
+SAMPLES = 200
+"""Poses that a body's bones are measured from."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,6 +164,57 @@ class Bones:
         bent = along * forth + side * np.sqrt(upper**2 - np.square(forth))
         old = reached[joint, rows] - reached[start, rows]
         reached[joint, rows] = reached[start, rows] + upper * _directions(old + gone[:, None] * (bent - old))[0]
+
+
+@dataclass(frozen=True, eq=False)
+class BonesField:
+    """A `MotionField` of another one's positions, projected onto bones."""
+
+    field: MotionField
+    bones: Bones
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """Same as the wrapped field's."""
+        return self.field.skeleton
+
+    @property
+    def start_seconds(self) -> float:
+        """Same as the wrapped field's."""
+        return self.field.start_seconds
+
+    @property
+    def end_seconds(self) -> float:
+        """Same as the wrapped field's."""
+        return self.field.end_seconds
+
+    def at_fps(self, fps: Fraction) -> "BonesField":
+        """The field for this framerate on the same bones."""
+        return replace(self, field=at_fps(self.field, fps))
+
+    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
+        """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
+        poses = self.field.query(times_seconds)
+        return Poses(self.bones.applied(poses.joint_positions), None, poses.root_translation)
+
+    def contacts(self, times_seconds: Float64[np.ndarray, "times"]) -> Float32[np.ndarray, "times 2 2"] | None:
+        """The wrapped field's predicted contacts, if any."""
+        return contacts_of(self.field, times_seconds)
+
+
+def with_lengths(field: MotionField, lengths: Float[np.ndarray, "bones"]) -> MotionField:
+    """A motion with these bone lengths, metres, from the second joint on.
+
+    Unchanged if it has rotations: its bones are then its skeleton's.
+    """
+    poses = field.query(np.linspace(field.start_seconds, field.end_seconds, SAMPLES))
+    if poses.local_rotations is not None:
+        return field
+    bones = Bones.of(poses.joint_positions, field.skeleton)
+    own = np.linalg.norm(bones.offsets[1:], axis=-1, keepdims=True)
+    offsets = bones.offsets.copy()
+    offsets[1:] *= np.where(own > 0, lengths[:, None] / np.where(own > 0, own, 1.0), 1.0)
+    return BonesField(field, replace(bones, offsets=offsets))
 
 
 def _middle_and_spread(

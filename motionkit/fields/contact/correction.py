@@ -1,8 +1,15 @@
-"""The foot-sliding correction as a function of time: offsets of the body and of both feet, computed in blocks."""
+"""The foot-sliding correction as a function of time: offsets of the body and of both feet.
+
+The offsets are the solution of a banded least-squares problem along time, linear in its length. The unknowns at every
+sample of the grid are the body's offset r and each foot's additional offset f. The objective asks for velocities that
+cancel the sliding of feet in contact (ṙ + ḟ = −e) and for heights on the ground; it penalises feet away from their
+original position (f², more while they swing) and accelerations (f̈², r̈²). What both feet share ends up in r, which
+doesn't bend the knees; the rest fades out while a foot swings.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -19,13 +26,31 @@ from motionkit.fields.contact.detection import (
     smoothstep,
 )
 from motionkit.fields.contact.legs import Legs
-from motionkit.fields.contact.offsets import Costs, Wishes, solve_offsets
 
 Path = Literal["near", "free", "kept"]
 """Whether the body returns to its path, may end elsewhere (where its planted feet carry it), or stays on its path.
 
 If the path is `kept` (to a few centimetres), feet slide by what the legs cannot reach.
 """
+
+KINDS = 3
+"""Unknown offsets at every sample: of the body, the left and the right foot."""
+_BAND = 2 * KINDS + 1
+
+
+@dataclass(frozen=True)
+class Costs:
+    """Weights of the cost terms, relative to 1 for (m/s)² of sliding: `keep` of metres², `sudden` of (m/s²)².
+
+    `foot_down` and `foot_up` weigh a foot's distance from its original position in contact and in swing.
+    """
+
+    foot_down: float
+    foot_up: float
+    foot_sudden: float
+    body: float
+    body_sudden: float
+
 
 LEVEL_COSTS = {
     "near": Costs(foot_down=0.05, foot_up=1.0, foot_sudden=2e-4, body=0.02, body_sudden=3e-3),
@@ -46,26 +71,60 @@ ABOVE_METRES, BELOW_METRES, HIGHEST_METRES = (0.03, 0.003), 0.003, (0.05, 0.08)
 HEIGHT_ROUNDS, TOLERATED_METRES = 2, 0.001
 """Feet that the other foot's correction pulls further below the ground are raised in a second pass."""
 
-BLOCK_SECONDS, MARGIN_SECONDS, FADE_SECONDS = 180.0, 12.0, 1.0
-BLOCKS_KEPT = 3
-LEVEL_STRETCHES, LEVEL_STRETCH_SECONDS = 24, 10.0
 FEWEST_INSTANTS = 4
 HELD = 1e9
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
-    """A segment of the grid from sample `first` on: foot positions, contacts, and the offsets."""
+class Correction:
+    """Offsets of body, left and right foot at any instant of a motion, metres.
 
-    first: int
-    paths: Float64[np.ndarray, "instants feet ends 3"]
-    contacts: Contacts
-    offsets: Float64[np.ndarray, "instants 3 3"]
+    `positions()` are the joints (at least those of the feet) at the `count` samples of a grid, `fps` per second from
+    `start_seconds` on. `down()` says which foot joints are on the ground there, if the motion predicts contacts; else
+    they are detected from the feet's paths. A motion of fewer than four samples is not corrected.
+    """
 
-    def at(self, place: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times 3 3"]:
-        """The offsets at fractional grid positions, by C1 cubic interpolation."""
+    legs: Legs
+    positions: Callable[[], Float64[np.ndarray, "instants joints 3"]]
+    start_seconds: float
+    fps: float
+    count: int
+    path: Path
+    down: Callable[[], Bool[np.ndarray, "instants feet ends"]] | None = None
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether the motion is long enough to detect contacts."""
+        return self.count >= FEWEST_INSTANTS
+
+    @cached_property
+    def paths(self) -> Float64[np.ndarray, "instants feet ends 3"]:
+        """Positions of ankle and toe of both feet at the samples."""
+        return self.legs.foot_paths(self.positions()).astype(np.float64)
+
+    @cached_property
+    def ground(self) -> Ground:
+        """Heights of the feet on the ground, estimated from the whole motion."""
+        return ground_of(self.paths, self.fps)
+
+    @cached_property
+    def contacts(self) -> Contacts:
+        """Contacts of both feet at the samples."""
+        predicted = None if self.down is None else self.down()
+        limits = CAPTURED if self.path == "near" else GENERATED
+        return find_contacts(self.paths, self.fps, self.ground, predicted, limits)
+
+    @cached_property
+    def offsets(self) -> Float64[np.ndarray, "instants 3 3"]:
+        """The offsets at the samples."""
+        return offsets_of(self.paths, self.contacts, self.ground, self.fps, self.path)
+
+    def at(self, times_seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times 3 3"]:
+        """The offsets at any times, by C1 cubic interpolation; constant before the first sample and after the last."""
+        if not self.is_possible:
+            return np.zeros((len(times_seconds), 3, 3))
         values = self.offsets
-        place = np.clip(place - self.first, 0.0, len(values) - 1.0)
+        place = np.clip((times_seconds - self.start_seconds) * self.fps, 0.0, len(values) - 1.0)
         row = np.minimum(place.astype(np.int64), len(values) - 2)
         u = (place - row)[:, None, None]
         before, after = np.maximum(row - 1, 0), np.minimum(row + 2, len(values) - 1)
@@ -77,128 +136,6 @@ class Block:
         return np.asarray(
             start + u * (rise + u * ((3.0 * step - 2.0 * rise - later) + u * (rise + later - 2.0 * step)))
         )
-
-
-@dataclass(frozen=True, eq=False)
-class Correction:
-    """Offsets of body, left and right foot at any instant of a motion, metres.
-
-    `positions(start, stop)` are the joints (at least those of the feet) at samples [start, stop) of a grid of `count`
-    samples, `fps` per second from `start_seconds` on. Blocks of three minutes are computed on demand, with 12 s of
-    context on both sides, and blended into one another, so memory doesn't grow with the motion. `down(start, stop)`
-    returns which foot joints are on the ground if the motion predicts contacts; else they are detected from the feet's
-    paths.
-    """
-
-    legs: Legs
-    positions: Callable[[int, int], Float64[np.ndarray, "instants joints 3"]]
-    start_seconds: float
-    fps: float
-    count: int
-    path: Path
-    down: Callable[[int, int], Bool[np.ndarray, "instants feet ends"]] | None = None
-
-    def at(self, times_seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times 3 3"]:
-        """The offsets at any times; constant before the first sample and after the last one."""
-        place = (times_seconds - self.start_seconds) * self.fps
-        found = np.zeros((len(place), 3, 3))
-        if not self.works:
-            return found
-        number = np.clip(np.floor(place / self._block_length), 0, self.num_blocks - 1).astype(np.int64)
-        for each in np.unique(number).tolist():
-            rows = np.flatnonzero(number == each)
-            found[rows] = self._in_block(each, place[rows])
-        return found
-
-    @property
-    def num_blocks(self) -> int:
-        """Number of blocks; a motion shorter than two blocks is one."""
-        return max(1, self.count // self._block_length)
-
-    @property
-    def works(self) -> bool:
-        """Whether the motion is long enough to detect contacts."""
-        return self.count >= FEWEST_INSTANTS
-
-    def own(self, number: int) -> slice:
-        """Rows of a block that don't overlap other blocks."""
-        first = self.block(number).first
-        last = number == self.num_blocks - 1
-        stop = self.count if last else (number + 1) * self._block_length
-        return slice(number * self._block_length - first, stop - first)
-
-    @cached_property
-    def block(self) -> Callable[[int], Block]:
-        """A block by number, its offsets continuous with the previous block's."""
-        return lru_cache(BLOCKS_KEPT)(self._block)
-
-    @cached_property
-    def _alone(self) -> Callable[[int], Block]:
-        return lru_cache(BLOCKS_KEPT)(self._raw)
-
-    @cached_property
-    def ground(self) -> Ground:
-        """Ground height, estimated from the whole motion, or from some minutes spread over one of several blocks."""
-        if self.num_blocks == 1:
-            return ground_of(self._paths(0, self.count), self.fps)
-        stretch = round(LEVEL_STRETCH_SECONDS * self.fps)
-        starts = np.linspace(0, self.count - stretch, LEVEL_STRETCHES).astype(np.int64)
-        each = [ground_of(self._paths(start, start + stretch), self.fps) for start in starts.tolist()]
-        level, floor = (np.median([getattr(one, name) for one in each], axis=0) for name in ("level", "floor"))
-        return Ground(level, floor, float(np.median([one.bottom for one in each])))
-
-    @property
-    def _block_length(self) -> int:
-        return round(BLOCK_SECONDS * self.fps)
-
-    @cached_property
-    def _paths(self) -> Callable[[int, int], Float64[np.ndarray, "instants feet ends 3"]]:
-        """Foot paths at samples [start, stop); the last ones are kept, since a motion of one block needs them twice."""
-
-        @lru_cache(1)
-        def paths(start: int, stop: int) -> Float64[np.ndarray, "instants feet ends 3"]:
-            return self.legs.foot_paths(self.positions(start, stop)).astype(np.float64)
-
-        return paths
-
-    def _in_block(self, number: int, place: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times 3 3"]:
-        found = self.block(number).at(place)
-        u = (place - number * self._block_length) / (FADE_SECONDS * self.fps)
-        fades = np.flatnonzero((u < 1.0) & (number > 0))
-        if len(fades):
-            u = u[fades, None, None]
-            before = self.block(number - 1).at(place[fades])
-            found[fades] = before + u**3 * (10.0 - 15.0 * u + 6.0 * u * u) * (found[fades] - before)
-        return found
-
-    def _block(self, number: int) -> Block:
-        start = self._start(number)
-        alone = self._alone(number)
-        return replace(alone, offsets=alone.offsets + start * np.array([[1.0], [0.0], [0.0]]))
-
-    @cached_property
-    def _starts(self) -> list[Float64[np.ndarray, "3"]]:
-        return [np.zeros(3)]
-
-    def _start(self, number: int) -> Float64[np.ndarray, "3"]:
-        """Initial body offset of a block, continuous with the previous block; computes earlier blocks first."""
-        while self.path == "free" and len(self._starts) <= number:
-            after = len(self._starts)
-            middle = np.array([after * self._block_length + FADE_SECONDS * self.fps / 2])
-            step = self._alone(after - 1).at(middle)[0, 0] - self._alone(after).at(middle)[0, 0]
-            self._starts.append(self._starts[-1] + step * (1.0, 0.0, 1.0))
-        return self._starts[number] if self.path == "free" else self._starts[0]
-
-    def _raw(self, number: int) -> Block:
-        margin = round(MARGIN_SECONDS * self.fps)
-        first = max(0, number * self._block_length - margin)
-        last = number == self.num_blocks - 1
-        stop = self.count if last else min(self.count, (number + 1) * self._block_length + margin)
-        paths = self._paths(first, stop)
-        offered = None if self.down is None else self.down(first, stop)
-        limits = CAPTURED if self.path == "near" else GENERATED
-        contacts = find_contacts(paths, self.fps, self.ground, offered, limits)
-        return Block(first, paths, contacts, offsets_of(paths, contacts, self.ground, self.fps, self.path))
 
 
 def offsets_of(
@@ -318,3 +255,85 @@ def _heights(
     sunk = (lowest - height).max(axis=-1)
     is_sunk = sunk > np.minimum(raised, 0.0)
     return np.where(is_sunk, sunk, -floats), np.where(is_sunk, SUNK, FLOATING * contacts.hold)
+
+
+@dataclass(frozen=True, eq=False)
+class Wishes:
+    """Targets for a foot's total offset: `velocity` between neighbours and `place`, with weights."""
+
+    velocity: Float64[np.ndarray, "steps feet axes"]
+    velocity_weight: Float64[np.ndarray, "steps feet"]
+    place: Float64[np.ndarray, "instants feet axes"]
+    place_weight: Float64[np.ndarray, "instants feet"]
+
+
+def solve_offsets(
+    wishes: Wishes, down: Float64[np.ndarray, "instants feet"], fps: float, costs: Costs
+) -> Float64[np.ndarray, "instants 3 axes"]:
+    """The least-cost offsets of body, left and right foot, metres; a foot's total offset is body plus foot."""
+    from scipy.linalg import solveh_banded
+
+    count, axes = len(down), wishes.place.shape[-1]
+    band = np.zeros((_BAND, count, KINDS))  # band[d, t, k]: the entry of unknown (t, k) and the one d places after it
+    right = np.zeros((count, KINDS, axes))
+    _add_keep(band, down, costs)
+    _add_sudden(band, fps, costs)
+    for foot in range(2):
+        _add_velocity(band, right, foot, wishes, fps)
+        _add_place(band, right, foot, wishes)
+    lower = band.reshape(_BAND, count * KINDS)
+    solved = solveh_banded(lower, right.reshape(count * KINDS, axes), lower=True, overwrite_ab=True, check_finite=False)
+    return np.asarray(solved).reshape(count, KINDS, axes)
+
+
+def _add_keep(
+    band: Float64[np.ndarray, "band instants 3"], down: Float64[np.ndarray, "instants feet"], costs: Costs
+) -> None:
+    band[0, :, 0] += costs.body
+    band[0, :, 1:] += costs.foot_up + (costs.foot_down - costs.foot_up) * down
+
+
+def _add_sudden(band: Float64[np.ndarray, "band instants 3"], fps: float, costs: Costs) -> None:
+    sudden = np.array([costs.body_sudden, costs.foot_sudden, costs.foot_sudden]) * fps**4
+    for first, factor in ((0, 1.0), (1, -2.0), (2, 1.0)):
+        for second, other in ((0, 1.0), (1, -2.0), (2, 1.0)):
+            if second >= first:
+                stop = band.shape[1] - 2 + first
+                band[KINDS * (second - first), first:stop] += sudden * factor * other
+
+
+def _add_velocity(
+    band: Float64[np.ndarray, "band instants 3"],
+    right: Float64[np.ndarray, "instants 3 axes"],
+    foot: int,
+    wishes: Wishes,
+    fps: float,
+) -> None:
+    """Weight · |(r + f)(t + 1) − (r + f)(t) − v/fps|² · fps²."""
+    own = 1 + foot
+    weight = wishes.velocity_weight[:, foot] * fps**2
+    for earlier, rows in ((True, slice(None, -1)), (False, slice(1, None))):
+        sign = -1.0 if earlier else 1.0
+        pull = sign * weight[:, None] * wishes.velocity[:, foot] / fps
+        for kind in (0, own):
+            band[0, rows, kind] += weight
+            right[rows, kind] += pull
+        band[own, rows, 0] += weight  # body and foot of one sample
+    for kind in (0, own):
+        band[KINDS, :-1, kind] -= weight  # each with itself one sample later
+    band[KINDS + own, :-1, 0] -= weight  # the body with the foot one sample later
+    band[KINDS - own, :-1, own] -= weight  # the foot with the body one sample later
+
+
+def _add_place(
+    band: Float64[np.ndarray, "band instants 3"],
+    right: Float64[np.ndarray, "instants 3 axes"],
+    foot: int,
+    wishes: Wishes,
+) -> None:
+    own = 1 + foot
+    weight = wishes.place_weight[:, foot]
+    for kind in (0, own):
+        band[0, :, kind] += weight
+        right[:, kind] += weight[:, None] * wishes.place[:, foot]
+    band[own, :, 0] += weight

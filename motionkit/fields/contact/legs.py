@@ -1,16 +1,28 @@
-"""The legs of a skeleton: the joints that bend, and those rigidly attached to thigh, shank and foot."""
+"""The legs of a skeleton, and how they bend: the joints of each, and inverse kinematics of thigh and shank.
+
+An ankle moves with the hip fixed and the lengths of thigh and shank kept. The knee stays in the leg's plane, rotated by
+the minimum that the ankle's new direction needs; a straight leg, whose plane is undefined, bends forward. A leg is
+never fully straightened: full reach is approached, not met.
+"""
 
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from motionkit.core.shapes import Float
+from motionkit.core.kinematics import quaternion_between, quaternion_multiply, quaternion_rotate
+from motionkit.core.shapes import Float, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError
 from motionkit.fields.transfer import counterpart_joints
 
+Vectors = Float64[np.ndarray, "frames 3"]
+
 SIDES = ("left", "right")
+LONGEST_SHARE = 0.9995
+LEAST_ROOM_METRES = 1e-4
+BEND_METRES = 0.005
+TINY = 1e-9
 
 
 @dataclass(frozen=True)
@@ -87,3 +99,74 @@ def _below(skeleton: Skeleton, joint: int) -> frozenset[int]:
         if parent in found:
             found.add(each)
     return frozenset(found - {joint})
+
+
+@dataclass(frozen=True, eq=False)
+class BentLeg:
+    """New positions of knee and ankle."""
+
+    knee: Vectors
+    ankle: Vectors
+
+
+def bend(hip: Vectors, knee: Vectors, ankle: Vectors, target: Vectors, forward: Vectors) -> BentLeg:
+    """The leg with its ankle at `target`, or as close as it reaches; unchanged if the ankle is there already.
+
+    `forward` is the horizontal facing direction of the body.
+    """
+    thigh, old, wanted = knee - hip, ankle - hip, target - hip
+    upper, lower = _length(thigh), _length(ankle - knee)
+    old_reach, reach = _length(old), _length(wanted)
+    along, new_along = old / np.maximum(old_reach, TINY), wanted / np.maximum(reach, TINY)
+    reach = _reachable(old_reach, reach, upper, lower)
+    side = thigh - along * _dot(thigh, along)
+    # `forward` counts for a straight leg in proportion to the ankle's motion: not at all if it doesn't move.
+    moved = np.square(_length(target - ankle))
+    hint = BEND_METRES * moved / (moved + BEND_METRES**2)
+    pole = side + hint * (forward - along * _dot(forward, along))
+    pole = _turned(pole, along, new_along)
+    pole /= np.maximum(_length(pole), TINY)
+    share = (np.square(upper) - np.square(lower) + np.square(reach)) / (2.0 * np.maximum(reach, TINY))
+    share = np.clip(share, -upper, upper)
+    out = np.sqrt(np.maximum(np.square(upper) - np.square(share), 0.0))
+    return BentLeg(hip + new_along * share + pole * out, hip + new_along * reach)
+
+
+def turns(leg: BentLeg, hip: Vectors, knee: Vectors, ankle: Vectors) -> tuple[Float64[np.ndarray, "frames 4"], ...]:
+    """World rotations of thigh and shank, with no twist other than their plane's."""
+    swing = quaternion_between(ankle - hip, leg.ankle - hip)
+    found = []
+    for old, new in ((knee - hip, leg.knee - hip), (ankle - knee, leg.ankle - leg.knee)):
+        found.append(quaternion_multiply(quaternion_between(quaternion_rotate(swing, old), new), swing))
+    return tuple(found)
+
+
+def _reachable(
+    old: Float64[np.ndarray, "frames 1"],
+    wanted: Float64[np.ndarray, "frames 1"],
+    upper: Float64[np.ndarray, "frames 1"],
+    lower: Float64[np.ndarray, "frames 1"],
+) -> Float64[np.ndarray, "frames 1"]:
+    """The distance from hip to ankle: the target's, softly limited near the leg's full reach."""
+    room = np.maximum(LONGEST_SHARE * (upper + lower) - old, LEAST_ROOM_METRES)
+    farther = np.maximum(wanted - old, 0.0) / room
+    farther = room * farther / np.sqrt(np.sqrt(1.0 + np.square(np.square(farther))))
+    nearest = np.abs(upper - lower) + LEAST_ROOM_METRES
+    return np.asarray(np.maximum(np.minimum(wanted, old) + farther, np.minimum(nearest, old)))
+
+
+def _turned(vectors: Vectors, start: Vectors, stop: Vectors) -> Vectors:
+    """Rotates vectors by the shortest rotation from one direction to another (Rodrigues, without angles)."""
+    axis = np.cross(start, stop)
+    cosine = _dot(start, stop)
+    return np.asarray(
+        vectors * cosine + np.cross(axis, vectors) + axis * (_dot(axis, vectors) / np.maximum(1.0 + cosine, TINY))
+    )
+
+
+def _dot(a: Vectors, b: Vectors) -> Float64[np.ndarray, "frames 1"]:
+    return np.asarray(np.einsum("ni,ni->n", a, b)[:, None])
+
+
+def _length(vectors: Vectors) -> Float64[np.ndarray, "frames 1"]:
+    return np.asarray(np.sqrt(_dot(vectors, vectors)))

@@ -6,21 +6,27 @@ from fractions import Fraction
 
 import numpy as np
 
-from motionkit.core.kinematics import quaternion_conjugate, quaternion_multiply, quaternion_rotate
+from motionkit.core.kinematics import quaternion_rotate
 from motionkit.core.shapes import Bool, Float32, Float64, Int64
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.contact.bones import Bones
 from motionkit.fields.contact.correction import Correction, Path
-from motionkit.fields.contact.legs import Leg, Legs, legs_of
-from motionkit.fields.contact.predicted import contacts_of
-from motionkit.fields.contact.two_bone import BentLeg, bend, turns
-from motionkit.fields.interpolation.interpolators import INTERPOLATORS
-from motionkit.fields.motion_field import MotionField, Observed, Poses, at_fps, check_times
+from motionkit.fields.contact.legs import BentLeg, Leg, Legs, bend, legs_of, turns
+from motionkit.fields.interpolation import INTERPOLATORS
+from motionkit.fields.joints import turned_rotations
+from motionkit.fields.motion_field import (
+    MotionField,
+    Observation,
+    Poses,
+    at_fps,
+    check_times,
+    contacts_of,
+    query_in_blocks,
+)
 
 GRID_FPS = 120.0
 BONE_SAMPLES = 512
-TIMES_AT_ONCE = 4096
 _UP = np.array([0.0, 1.0, 0.0])
 _SMALL_METRES = 1e-7
 PROBABLY = 0.5
@@ -31,8 +37,7 @@ class PlantedField:
     """Wraps a `MotionField`: its poses with planted feet and constant bone lengths.
 
     The correction is computed once, on a 120 Hz grid of the wrapped field, and is a function of time with continuous
-    velocity: it can be sampled at any times in any order, and every second frame at 60 fps is a frame at 30. Memory
-    doesn't grow with the motion.
+    velocity: it can be sampled at any times in any order, and every second frame at 60 fps is a frame at 30.
     """
 
     field: MotionField
@@ -62,17 +67,13 @@ class PlantedField:
     def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
         """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
         check_times(self, times_seconds)
-        result: Poses | None = None
-        for start in range(0, max(1, len(times_seconds)), TIMES_AT_ONCE):
-            times = times_seconds[start : start + TIMES_AT_ONCE]
-            poses = on_bones(self.field.query(times), self.bones)
-            poses = with_offsets(poses, self.correction.at(times), self.legs, self.skeleton)
-            if len(times_seconds) <= TIMES_AT_ONCE:
-                return poses
-            result = result or poses.room_for(len(times_seconds))
-            result.put(slice(start, start + TIMES_AT_ONCE), poses)
-        assert result is not None
-        return result
+        return query_in_blocks(self._poses, times_seconds)
+
+    def _poses(self, times: Float64[np.ndarray, "times"]) -> Poses:
+        poses = self.field.query(times)
+        if self.bones is not None:
+            poses = Poses(self.bones.applied(poses.joint_positions), None, poses.root_translation)
+        return with_offsets(poses, self.correction.at(times), self.legs, self.skeleton)
 
 
 def planted(field: MotionField, path: Path = "near") -> PlantedField:
@@ -96,15 +97,15 @@ def planted(field: MotionField, path: Path = "near") -> PlantedField:
     if contacts_of(field, seconds(np.zeros(1, np.int64))) is None:
         return made
 
-    def down(start: int, stop: int) -> Bool[np.ndarray, "instants feet ends"]:
-        probability = contacts_of(field, seconds(np.arange(start, stop)))
+    def down() -> Bool[np.ndarray, "instants feet ends"]:
+        probability = contacts_of(field, seconds(np.arange(count)))
         assert probability is not None
         return np.asarray(probability > PROBABLY)
 
     return replace(made, correction=replace(made.correction, down=down))
 
 
-def planted_frames(observation: Observed, frames: TimeGrid, path: Path = "near") -> PlantedField:
+def planted_frames(observation: Observation, frames: TimeGrid, path: Path = "near") -> PlantedField:
     """A motion's frames with planted feet, defined at the frames' own times only.
 
     At very high framerates only every second frame, or third, is used for detection.
@@ -112,7 +113,7 @@ def planted_frames(observation: Observed, frames: TimeGrid, path: Path = "near")
     step = max(1, round(float(frames.fps) / GRID_FPS))
 
     def positions(rows: Int64[np.ndarray, "rows"]) -> Float32[np.ndarray, "rows joints 3"]:
-        return observation.rows(step * rows).poses.joint_positions
+        return observation.poses.joint_positions[step * rows]
 
     field, count = INTERPOLATORS["hold"].encode(observation), (frames.num_frames - 1) // step + 1
     return _planted(field, positions, float(frames.fps / step), count, path)
@@ -132,16 +133,11 @@ def _planted(
         some = np.unique(np.linspace(0, count - 1, min(count, BONE_SAMPLES)).astype(np.int64))
         bones = Bones.lacking(positions(some), field.skeleton, captured=path == "near")
 
-    def seen(start: int, stop: int) -> Float32[np.ndarray, "instants joints 3"]:
-        found = positions(np.arange(start, stop))
-        return found if bones is None else bones.applied(found, legs.feet)
+    def on_bones() -> Float32[np.ndarray, "instants joints 3"]:
+        sampled = positions(np.arange(count))
+        return sampled if bones is None else bones.applied(sampled, legs.feet)
 
-    return PlantedField(field, legs, bones, Correction(legs, seen, field.start_seconds, fps, count, path))
-
-
-def on_bones(poses: Poses, bones: Bones | None) -> Poses:
-    """Poses projected onto these bones; unchanged if None."""
-    return poses if bones is None else Poses(bones.applied(poses.joint_positions), None, poses.root_translation)
+    return PlantedField(field, legs, bones, Correction(legs, on_bones, field.start_seconds, fps, count, path))
 
 
 def with_offsets(poses: Poses, offsets: Float64[np.ndarray, "times 3 3"], legs: Legs, skeleton: Skeleton) -> Poses:
@@ -153,7 +149,7 @@ def with_offsets(poses: Poses, offsets: Float64[np.ndarray, "times 3 3"], legs: 
     moved = _moved(some, offsets[rows], legs, skeleton)
     if len(rows) == len(offsets):
         return moved
-    result = poses.joined(())
+    result = poses.copy()
     result.put(rows, moved)
     return result
 
@@ -203,39 +199,3 @@ def _carry(
         for joint in joints:
             if joint not in (leg.knee, leg.ankle):
                 positions[:, joint] = new + quaternion_rotate(turn, positions[:, joint] - start)
-
-
-def turned_rotations(
-    rotations: Float32[np.ndarray, "times joints 4"],
-    turned: dict[int, Float64[np.ndarray, "times 4"]],
-    skeleton: Skeleton,
-) -> Float32[np.ndarray, "times joints 4"]:
-    """Local rotations of joints that turned in the world, and of their children that didn't."""
-    result = rotations.copy()
-    old: dict[int, Float64[np.ndarray, "times 4"]] = {}
-    for joint, parent in enumerate(skeleton.parents):
-        if joint not in turned and parent not in turned:
-            continue
-        local = _world(old, joint, rotations, skeleton)
-        if joint in turned:
-            local = quaternion_multiply(turned[joint], local)
-        if parent >= 0:
-            above = _world(old, parent, rotations, skeleton)
-            if parent in turned:
-                above = quaternion_multiply(turned[parent], above)
-            local = quaternion_multiply(quaternion_conjugate(above), local)
-        result[:, joint] = local / np.linalg.norm(local, axis=-1, keepdims=True)
-    return result
-
-
-def _world(
-    known: dict[int, Float64[np.ndarray, "times 4"]],
-    joint: int,
-    rotations: Float32[np.ndarray, "times joints 4"],
-    skeleton: Skeleton,
-) -> Float64[np.ndarray, "times 4"]:
-    """A joint's world rotation, cached; only few are needed of a whole body."""
-    if joint not in known:
-        own, parent = rotations[:, joint].astype(np.float64), skeleton.parents[joint]
-        known[joint] = own if parent < 0 else quaternion_multiply(_world(known, parent, rotations, skeleton), own)
-    return known[joint]

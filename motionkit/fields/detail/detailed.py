@@ -106,7 +106,7 @@ class DetailedField:
         poses = self.field.query(times_seconds)
         if self.fps is not None and self.fps <= 2 * EDGES_HZ[0]:
             return poses
-        result = poses.joined(())
+        result = poses.copy()
         for start in range(0, len(times_seconds), TIMES_AT_ONCE):
             rows = slice(start, start + TIMES_AT_ONCE)
             result.put(rows, displaced(poses.rows(rows), self.steps(times_seconds[rows]), self.skeleton))

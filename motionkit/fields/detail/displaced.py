@@ -5,7 +5,7 @@ import numpy as np
 from motionkit.core.kinematics import quaternion_between, quaternion_rotate, rotation_vector_to_quaternion
 from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import Skeleton
-from motionkit.fields.contact.planted import turned_rotations
+from motionkit.fields.joints import turned_rotations
 from motionkit.fields.motion_field import Poses
 
 _NO_LENGTH = 1e-9

@@ -28,7 +28,7 @@ from motionkit.core.errors import UsageError
 from motionkit.core.motion import Motion, Provenance
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
-from motionkit.fields.interpolation.interpolators import INTERPOLATORS
+from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.motion_field import MotionEncoder, Observation, Poses
 from motionkit.store.reader import Store
 from motionkit.store.writer import StoreWriter

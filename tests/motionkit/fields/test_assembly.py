@@ -14,13 +14,12 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.assembly import AssembledField, Piece, assemble, chain, even_starts
-from motionkit.fields.interpolation.interpolators import INTERPOLATORS, InterpolatedField, Method, interpolate
+from motionkit.fields.interpolation import INTERPOLATORS, InterpolatedField, Method, interpolate
 from motionkit.fields.motion_field import (
     MotionField,
     Observation,
     Poses,
     joint_velocities,
-    motion_chunks,
     to_motion,
 )
 from tests.helpers.analytic import analytic_motion
@@ -125,15 +124,6 @@ def test_a_motion_cut_into_overlapping_parts_is_itself_again(rotations: bool) ->
     asked.clear()
     field.query(np.array([field.start_seconds]))
     assert asked == [1]  # the other pieces are not read
-
-
-def test_chunks_of_a_long_motion_are_the_whole() -> None:
-    field = chain([wandering(seed) for seed in range(4)], 0.4)
-    whole = to_motion(field, Fraction(60)).joint_positions
-    chunks = [chunk.joint_positions for chunk in motion_chunks(field, Fraction(60), 37)]
-    assert np.allclose(np.concatenate(chunks), whole, atol=1e-6)
-    assert all(len(chunk) <= 37 for chunk in chunks)
-    assert field.end_seconds == pytest.approx(4 * 39 / 20 - 3 * 0.4)
 
 
 def test_a_chain_goes_on_where_the_last_motion_ends() -> None:

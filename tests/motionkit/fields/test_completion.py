@@ -18,7 +18,7 @@ from motionkit.fields.completion import (
     reconstruct,
     upsample,
 )
-from motionkit.fields.interpolation.interpolators import INTERPOLATORS, Method, interpolate
+from motionkit.fields.interpolation import INTERPOLATORS, Method, interpolate
 from motionkit.fields.motion_field import Observation, to_motion
 from tests.helpers.turning_body import random_motion
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from motionkit.fields.interpolation.interpolators import INTERPOLATORS
+from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.motion_field import joint_velocities, to_motion
 from motionkit.io.bvh.writing import write_bvh
 from tests.helpers.analytic import analytic_motion

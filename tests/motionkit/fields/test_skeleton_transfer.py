@@ -13,8 +13,8 @@ from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, map_joints
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.completion import complete
-from motionkit.fields.interpolation.interpolators import INTERPOLATORS, Interpolator
-from motionkit.fields.interpolation.joints import Joints
+from motionkit.fields.interpolation import INTERPOLATORS, Interpolator
+from motionkit.fields.joints import Joints
 from motionkit.fields.motion_field import MotionEncoder, MotionField, Observation, Poses
 from motionkit.fields.transfer import Transferred, canonical_observation, counterpart_joints
 

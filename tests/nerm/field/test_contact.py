@@ -12,7 +12,7 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.data.poses import WindowPoses
 from motionkit.data.windows import cut_windows
 from motionkit.fields.assembly import Piece, assemble
-from motionkit.fields.contact.predicted import PredictsContacts
+from motionkit.fields.motion_field import PredictsContacts
 from motionkit.store.cache import RowFile
 from motionkit.training.config import apply_overrides
 from motionkit.training.run import StageFolder

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from motionkit.core.skeleton import SMPL22
 from motionkit.features.rotation_rows import poses_of, rows_of_poses
-from motionkit.fields.interpolation.curves import curve, rotation_curve
+from motionkit.fields.interpolation import curve, rotation_curve
 from motionkit.fields.motion_field import Poses
 from pahires.temporal.base_curves import Scaling, interpolated, located, seconds_beyond
 from pahires.temporal.network import ObservedWindow

@@ -15,8 +15,6 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.data.takes import open_takes
 from motionkit.features.rotation_rows import rows_of_poses
 from motionkit.fields.completion import observed_errors
-from motionkit.fields.interpolation.joints import with_rotations
-from motionkit.fields.long_observation import LongObservation
 from motionkit.fields.motion_field import (
     BatchEncoder,
     MotionEncoder,
@@ -118,30 +116,6 @@ def test_other_framerates_uneven_times_and_gaps(exact: TrainedNetwork) -> None:
         field = NetworkEncoder(exact, window_frames=16).encode(observation)
         assert observed_errors(field, observation).max() < 2e-5
         assert np.isfinite(field.query(random_times(field)).joint_positions).all()
-
-
-@pytest.mark.parametrize("rotations", [True, False])
-def test_a_motion_that_is_not_in_memory_has_the_same_field(
-    exact: TrainedNetwork, monkeypatch: pytest.MonkeyPatch, rotations: bool
-) -> None:
-    held = Observation.of(capture())
-    held = with_rotations(held).rows(slice(None)) if rotations else held
-    encoder = NetworkEncoder(exact, window_frames=16)
-    field = encoder.encode(held, after_seconds=0.2)
-    times = np.sort(random_times(field))
-    wanted = field.query(times)
-    monkeypatch.setattr("motionkit.fields.long_observation.FRAMES_AT_ONCE", 20)
-    monkeypatch.setattr("pahires.temporal.encoder.FRAMES_AT_ONCE", 20)
-    taken: list[int] = []
-
-    def take(rows: np.ndarray) -> Poses:
-        taken.append(len(rows))
-        return held.poses.rows(rows)
-
-    long = encoder.encode(LongObservation(held.times_seconds, take, held.skeleton), after_seconds=0.2)
-    found = np.concatenate([long.query(some).joint_positions for some in np.array_split(times, 9)])
-    np.testing.assert_allclose(found, wanted.joint_positions, atol=2e-5)
-    assert max(taken) < len(held) / 3  # in pieces, not as a whole
 
 
 @pytest.mark.parametrize("frames", [9, 40])

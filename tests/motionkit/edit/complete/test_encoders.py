@@ -17,13 +17,13 @@ from motionkit.edit.complete.encoders import (
     runs_with,
     trained_encoder_names,
 )
-from motionkit.fields.interpolation.interpolators import INTERPOLATORS
+from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.motion_field import MotionEncoder, Observation, Poses
 from motionkit.training.run import RunFolder
 
 MODULE = '''
 """An encoder that a package brings: the named interpolator that its run folder's file asks for."""
-from motionkit.fields.interpolation.interpolators import INTERPOLATORS
+from motionkit.fields.interpolation import INTERPOLATORS
 
 def load(run):
     return INTERPOLATORS[(run / "wanted.txt").read_text()]
@@ -31,7 +31,7 @@ def load(run):
 
 PREFERRED = """
 from motionkit.edit.complete.encoders import EncoderLoader
-from motionkit.fields.interpolation.interpolators import INTERPOLATORS
+from motionkit.fields.interpolation import INTERPOLATORS
 
 OWN = EncoderLoader("Own", ("halves",), lambda run: INTERPOLATORS["linear"], preferred=True)
 """

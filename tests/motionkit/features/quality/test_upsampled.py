@@ -9,7 +9,7 @@ import pytest
 from motionkit.core.motion import Motion
 from motionkit.core.timegrid import TimeGrid
 from motionkit.features.quality import measure
-from motionkit.fields.interpolation.interpolators import interpolate
+from motionkit.fields.interpolation import interpolate
 from motionkit.fields.motion_field import to_motion
 from tests.helpers.analytic import capture
 

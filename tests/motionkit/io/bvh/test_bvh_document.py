@@ -10,7 +10,7 @@ from pymotion.io.bvh import BVH
 from motionkit.core.errors import FormatError
 from motionkit.edit.complete.clips import clip_of_document, write_document
 from motionkit.fields.completion import begin_observed
-from motionkit.fields.interpolation.interpolators import INTERPOLATORS
+from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.motion_field import Observation
 from motionkit.io.bvh.document import BvhDocument, read_bvh, read_document
 from tests.helpers.format_samples import NUM_BVH_CHANNELS, bvh_hierarchy, bvh_text

@@ -12,7 +12,7 @@ from motionkit.core.errors import FormatError
 from motionkit.edit.complete.clips import clip_of_document, write_document
 from motionkit.fields.anchoring import Anchored
 from motionkit.fields.completion import begin_observed
-from motionkit.fields.interpolation.interpolators import INTERPOLATORS, Settling
+from motionkit.fields.interpolation import INTERPOLATORS, Settling
 from motionkit.fields.motion_field import MotionEncoder
 from motionkit.fields.transfer import Transferred
 from motionkit.io.bvh.document import BvhDocument, read_bvh, read_document
@@ -39,7 +39,7 @@ def in_small_blocks(patched: pytest.MonkeyPatch, frames: int, num_bytes: int) ->
     """Everything in blocks of so few frames and bytes that short clips have many."""
     patched.setattr("motionkit.io.bvh.frame_lines.FRAMES_AT_ONCE", frames)
     patched.setattr("motionkit.fields.anchoring._FRAMES_AT_ONCE", 2 * frames)
-    patched.setattr("motionkit.fields.interpolation.interpolators.FRAMES_AT_ONCE", 4 * frames)
+    patched.setattr("motionkit.fields.interpolation.FRAMES_AT_ONCE", 4 * frames)
     patched.setattr("motionkit.io.source.number_table.BLOCK_BYTES", num_bytes)
     patched.setattr("motionkit.io.source.source_file.PART_BYTES", num_bytes)
     patched.setattr("motionkit.io.bvh.text.PART_BYTES", num_bytes)

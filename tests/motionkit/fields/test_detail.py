@@ -24,7 +24,7 @@ from motionkit.fields.detail.slow_motion import (
     to_world,
     with_ends,
 )
-from motionkit.fields.interpolation.interpolators import interpolate
+from motionkit.fields.interpolation import interpolate
 from motionkit.fields.motion_field import to_motion
 from motionkit.fields.resample import resample_positions
 from motionkit.training.detail.fit import fit_detail

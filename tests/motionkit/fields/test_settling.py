@@ -10,8 +10,8 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.completion import complete
-from motionkit.fields.interpolation.interpolators import INTERPOLATORS, Settling
-from motionkit.fields.interpolation.joints import Joints
+from motionkit.fields.interpolation import INTERPOLATORS, Settling
+from motionkit.fields.joints import Joints
 from motionkit.fields.motion_field import MotionEncoder, MotionField, Observation, Poses, joint_velocities
 from tests.helpers.turning_body import random_motion
 

@@ -14,7 +14,7 @@ from motionkit.fields.contact import correction
 from motionkit.fields.contact.bones import Bones
 from motionkit.fields.contact.detection import Ground, find_contacts, ground_of
 from motionkit.fields.contact.planted import PlantedField, planted
-from motionkit.fields.interpolation.interpolators import interpolate
+from motionkit.fields.interpolation import interpolate
 from motionkit.fields.motion_field import MotionField, Poses, joint_velocities, to_motion
 from tests.helpers.analytic import capture
 
@@ -346,31 +346,6 @@ def test_rotations_agree_with_positions() -> None:
     before = forward_kinematics(motion.local_rotations, motion.root_translation, motion.skeleton)
     missed = np.abs(before - motion.joint_positions).max()
     np.testing.assert_allclose(again, after.joint_positions, atol=missed + 2e-5)
-
-
-def test_a_long_motion_is_the_same_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(correction, "BLOCK_SECONDS", 30.0)
-    walk = slid(bare(capture(Fraction(30), "walk", seconds=9.0)), 0.2)
-    count = 30 * 100
-    rows = np.arange(count) % (2 * walk.num_frames)
-    rows = np.where(rows < walk.num_frames, rows, 2 * walk.num_frames - 1 - rows)
-    long = Motion.from_joints(walk.joint_positions[rows], 30)
-    paths: tuple[correction.Path, ...] = ("near", "free")
-    for path in paths:
-        field = field_of(long, path)
-        assert field.correction.num_blocks == 3
-        whole = field.query(long.timegrid.seconds()).joint_positions
-        for part in (slice(1500, 2200), slice(850, 950)):
-            again = field_of(long, path).query(long.timegrid.seconds()[part]).joint_positions
-            np.testing.assert_array_equal(again, whole[part])
-        # Nothing jumps where blocks meet, and blocks differ by little from one that is everything.
-        moved = (whole - long.joint_positions)[:, FEET]
-        steps = np.linalg.norm(np.diff(moved, axis=0), axis=-1).max(axis=-1)
-        assert max(steps[895:935].max(), steps[1795:1835].max()) <= steps[100:800].max() + 1e-3
-        with monkeypatch.context() as patched:
-            patched.setattr(correction, "BLOCK_SECONDS", 300.0)
-            at_once = field_of(long, path).query(long.timegrid.seconds()).joint_positions
-        assert np.abs(at_once - whole).max() < (0.02 if path == "near" else 0.1)
 
 
 def test_short_motions_are_planted_too() -> None:

@@ -9,9 +9,9 @@ from motionkit.core import kinematics
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid
-from motionkit.fields.interpolation.interpolators import INTERPOLATORS
-from motionkit.fields.interpolation.rigid import on_bones
+from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.motion_field import Observation, Poses, to_motion
+from motionkit.fields.rig import on_bones
 from tests.helpers.analytic import analytic_motion
 from tests.helpers.bones import bone_lengths
 from tests.helpers.turning_body import random_motion

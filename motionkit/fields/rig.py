@@ -21,11 +21,11 @@ from motionkit.core.kinematics import (
 )
 from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import Skeleton
-from motionkit.fields.interpolation.interpolators import INTERPOLATORS, Settling
-from motionkit.fields.interpolation.joints import Joints
-from motionkit.fields.motion_field import MotionField, Observed, Poses
+from motionkit.fields.interpolation import INTERPOLATORS, Settling
+from motionkit.fields.joints import Joints
+from motionkit.fields.motion_field import MotionField, Observation, Poses
 
-_FRAMES_TO_SEE = 500
+_FRAMES_TO_ESTIMATE_FROM = 500
 _RIGID_METRES, _STILL_NUMBERS = 1e-4, 1e-6
 _NO_LENGTH = 1e-6
 # Negligible if the bones determine a joint's rotation, and enough if they are collinear.
@@ -45,9 +45,9 @@ class Rig:
     still: frozenset[int]
 
     @classmethod
-    def of(cls, observation: Observed) -> "Rig":
+    def of(cls, observation: Observation) -> "Rig":
         """The rig of an observation with rotations, estimated from some hundred frames."""
-        poses = observation.rows(slice(None, None, max(1, len(observation) // _FRAMES_TO_SEE))).poses
+        poses = observation.poses.rows(slice(None, None, max(1, len(observation) // _FRAMES_TO_ESTIMATE_FROM)))
         joints = Joints.of(poses, observation.skeleton)
         spread = np.ptp(joints.bones, axis=0).max(axis=-1)
         # q and −q are one rotation.
@@ -73,7 +73,7 @@ def _carried(rig: Rig, joint: int) -> tuple[int, ...]:
     return tuple(found)
 
 
-def on_bones(field: MotionField, observation: Observed) -> MotionField:
+def on_bones(field: MotionField, observation: Observation) -> MotionField:
     """The field itself if it has rotations, else one with the bones of the observation (required).
 
     Joints without a rigid bone keep the field's positions, all others are placed along bones.

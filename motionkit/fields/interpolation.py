@@ -1,0 +1,502 @@
+"""The interpolators: between observed frames by a curve, beyond them at rest or at constant velocity.
+
+All pass through every observed frame, at even or uneven times. Those on joint positions move each joint by itself, so
+bones shorten between frames that turn; those on rotations keep bones, root and rotations apart. Beyond the observed
+span `hold` stands still; all others go on at their end velocity: joints on straight lines (positions), or the root on a
+straight line while every joint turns at a constant rate and bones keep their length (rotations).
+
+Quaternions are (w, x, y, z), float64; their rates are rotation vectors per second in the joint's own frame.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from motionkit.core.kinematics import (
+    continuous_quaternions,
+    quaternion_conjugate,
+    quaternion_multiply,
+    quaternion_slerp,
+    quaternion_to_rotation_vector,
+    rotation_vector_to_quaternion,
+)
+from motionkit.core.motion import Motion
+from motionkit.core.plain_text import suggestion
+from motionkit.core.shapes import Float, Float64, Int
+from motionkit.core.skeleton import Skeleton
+from motionkit.fields.joints import Joints, with_rotations
+from motionkit.fields.motion_field import (
+    Observation,
+    Poses,
+    check_observed_alike,
+    check_times,
+    continuous_rotations,
+    query_in_blocks,
+)
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
+
+Method = Literal["hold", "linear", "catmull-rom", "cubic", "slerp", "rotation-catmull-rom", "squad", "rotation-cubic"]
+CurveKind = Literal["linear", "catmull-rom", "cubic"]
+RotationKind = Literal["slerp", "catmull-rom", "squad", "cubic"]
+
+# An instant this close to an observed one is that one: time stamps are rounded to float64, frames are not.
+SNAP_SECONDS = 1e-8
+_TRAVELLING_METRES = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A piecewise polynomial on [first_seconds, last_seconds], and its end velocities beyond."""
+
+    polynomial: "PPoly"
+    first_seconds: float
+    last_seconds: float
+
+    def __call__(self, times_seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times *rest"]:
+        """Values at any times, in any order."""
+        values, beyond = self.clamped(times_seconds), self._beyond(times_seconds)
+        outside = np.flatnonzero(beyond)
+        if outside.size:
+            ends = np.clip(times_seconds[outside], self.first_seconds, self.last_seconds)
+            velocity = np.asarray(self.polynomial(ends, 1))
+            values[outside] += beyond[outside].reshape(-1, *(1,) * (values.ndim - 1)) * velocity
+        return values
+
+    def clamped(self, times_seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times *rest"]:
+        """Values at any times, the end values beyond both ends."""
+        return np.asarray(self.polynomial(np.clip(times_seconds, self.first_seconds, self.last_seconds)))
+
+    def _beyond(self, times: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times"]:
+        return np.asarray(times - np.clip(times, self.first_seconds, self.last_seconds))
+
+
+def curve(
+    kind: CurveKind, times_seconds: Float64[np.ndarray, "frames"], values: Float[np.ndarray, "frames *rest"]
+) -> Curve:
+    """A curve through `values` at strictly increasing times; a single one is constant."""
+    values = values.astype(np.float64)
+    if len(values) == 1:
+        return _constant(times_seconds, values)
+    return {"linear": _linear, "catmull-rom": _catmull_rom_values, "cubic": _cubic_values}[kind](times_seconds, values)
+
+
+def inner_rates(gaps: Any, slopes: Any) -> Any:
+    """Catmull-Rom rates at all knots but the outer two: the slope of the parabola through a knot and its neighbours.
+
+    Works on numpy arrays and torch tensors, whose first axis are the segments: their lengths `gaps` in seconds, even or
+    not, and their `slopes` per second. Source: Barry & Goldman 1988 (the derivative of their recursion at a knot).
+    """
+    return (gaps[1:] * slopes[:-1] + gaps[:-1] * slopes[1:]) / (gaps[1:] + gaps[:-1])
+
+
+def knot_rates(
+    times_seconds: Float64[np.ndarray, "frames"], steps: Float64[np.ndarray, "segments *rest"]
+) -> Float64[np.ndarray, "frames *rest"]:
+    """Catmull-Rom rates per second at all knots, from the steps between them; at both ends those of the outer steps."""
+    gaps = np.diff(times_seconds).reshape(-1, *(1,) * (steps.ndim - 1))
+    slopes = steps / gaps
+    return np.concatenate((slopes[:1], inner_rates(gaps, slopes), slopes[-1:]))
+
+
+def _constant(times: Float64[np.ndarray, "frames"], values: Float64[np.ndarray, "frames *rest"]) -> Curve:
+    from scipy.interpolate import PPoly
+
+    return Curve(PPoly(values[None], np.array([times[0], times[0] + 1.0])), float(times[0]), float(times[0]))
+
+
+def _linear(times: Float64[np.ndarray, "frames"], values: Float64[np.ndarray, "frames *rest"]) -> Curve:
+    from scipy.interpolate import PPoly
+
+    slopes = np.diff(values, axis=0) / np.diff(times).reshape(-1, *(1,) * (values.ndim - 1))
+    return Curve(PPoly(np.stack((slopes, values[:-1])), times), float(times[0]), float(times[-1]))
+
+
+def _catmull_rom_values(times: Float64[np.ndarray, "frames"], values: Float64[np.ndarray, "frames *rest"]) -> Curve:
+    from scipy.interpolate import CubicHermiteSpline
+
+    rates = knot_rates(times, np.diff(values, axis=0))
+    return Curve(CubicHermiteSpline(times, values, rates), float(times[0]), float(times[-1]))
+
+
+def _cubic_values(times: Float64[np.ndarray, "frames"], values: Float64[np.ndarray, "frames *rest"]) -> Curve:
+    from scipy.interpolate import CubicSpline
+
+    return Curve(CubicSpline(times, values), float(times[0]), float(times[-1]))
+
+
+_Between = Callable[
+    [Int[np.ndarray, "times"], Float64[np.ndarray, "times 1"]],
+    Float64[np.ndarray, "times joints 4"],
+]
+
+
+@dataclass(frozen=True, eq=False)
+class RotationCurve:
+    """Rotations between knots by `between(segment, fraction of it)`, and the end rates beyond."""
+
+    times_seconds: Float64[np.ndarray, "frames"]
+    between: _Between
+    end_rates: Float64[np.ndarray, "2 joints 3"]
+
+    def __call__(self, times_seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times joints 4"]:
+        """Unit quaternions at any times, in any order."""
+        knots = self.times_seconds
+        inside = np.clip(times_seconds, knots[0], knots[-1])
+        segment = np.clip(np.searchsorted(knots, inside, side="right") - 1, 0, len(knots) - 2)
+        fraction = (inside - knots[segment]) / (knots[segment + 1] - knots[segment])
+        rotations = self.between(segment, fraction[:, None])
+        beyond = times_seconds - inside
+        outside = np.flatnonzero(beyond)
+        if outside.size:
+            rates = self.end_rates[(beyond[outside] > 0).astype(np.int64)]
+            turned = rotation_vector_to_quaternion(rates * beyond[outside, None, None])
+            rotations[outside] = quaternion_multiply(rotations[outside], turned)
+        return rotations
+
+
+def rotation_curve(
+    kind: RotationKind, times_seconds: Float64[np.ndarray, "frames"], rotations: Float64[np.ndarray, "frames joints 4"]
+) -> RotationCurve:
+    """A curve through rotations at strictly increasing times; a single one is constant."""
+    if len(rotations) == 1:
+        times_seconds, rotations = times_seconds[0] + np.arange(2.0), np.repeat(rotations, 2, axis=0)
+    rotations = continuous_quaternions(rotations)
+    make = {"slerp": _slerp, "catmull-rom": _catmull_rom, "squad": _squad, "cubic": _cubic}[kind]
+    return make(times_seconds, rotations)
+
+
+def turns_between(rotations: Float64[np.ndarray, "frames joints 4"]) -> Float64[np.ndarray, "segments joints 3"]:
+    """log(q_i⁻¹·q_{i+1}): the shortest rotation from each one to the next, in the joint's own frame, radians."""
+    return quaternion_to_rotation_vector(quaternion_multiply(quaternion_conjugate(rotations[:-1]), rotations[1:]))
+
+
+def _slerp(times: Float64[np.ndarray, "frames"], q: Float64[np.ndarray, "frames joints 4"]) -> RotationCurve:
+    """Great arcs (Shoemake 1985)."""
+
+    def between(
+        segment: Int[np.ndarray, "times"], fraction: Float64[np.ndarray, "times 1"]
+    ) -> Float64[np.ndarray, "times joints 4"]:
+        return quaternion_slerp(q[segment], q[segment + 1], fraction)
+
+    return RotationCurve(times, between, _outermost_rates(times, q))
+
+
+def _catmull_rom(times: Float64[np.ndarray, "frames"], q: Float64[np.ndarray, "frames joints 4"]) -> RotationCurve:
+    """Cubic Hermite quaternion curves (Kim, Kim & Shin 1995, Eq. 16) with Catmull-Rom's rates at the knots."""
+    turns = turns_between(q)
+    rates = knot_rates(times, turns) * (1.0 / 3.0)
+    gaps = np.diff(times)[:, None, None]
+    first, third = gaps * rates[:-1], gaps * rates[1:]
+    exp = rotation_vector_to_quaternion
+    middle = quaternion_multiply(quaternion_multiply(exp(-first), exp(turns)), exp(-third))
+    second = quaternion_to_rotation_vector(middle)
+
+    def between(
+        segment: Int[np.ndarray, "times"], fraction: Float64[np.ndarray, "times 1"]
+    ) -> Float64[np.ndarray, "times joints 4"]:
+        u = fraction[..., None]
+        result = quaternion_multiply(q[segment], exp(first[segment] * (1.0 - (1.0 - u) ** 3)))
+        result = quaternion_multiply(result, exp(second[segment] * (u * u * (3.0 - 2.0 * u))))
+        return quaternion_multiply(result, exp(third[segment] * u**3))
+
+    return RotationCurve(times, between, _outermost_rates(times, q))
+
+
+def _squad(times: Float64[np.ndarray, "frames"], q: Float64[np.ndarray, "frames joints 4"]) -> RotationCurve:
+    """Spherical quadrangles (Shoemake 1987), with inner points that keep the rate continuous at uneven times too.
+
+    SQUAD leaves q_i at (L_i + 2·log(q_i⁻¹·a_i))/h_i and reaches it at (L_{i−1} − 2·log(q_i⁻¹·b_i))/h_{i−1}; both are
+    set to Catmull-Rom's rate at the knot. At even times a_i = b_i is Shoemake's inner point.
+    """
+    turns = turns_between(q)
+    rates, gaps = knot_rates(times, turns), np.diff(times)[:, None, None]
+    leaving = quaternion_multiply(q[:-1], rotation_vector_to_quaternion((gaps * rates[:-1] - turns) / 2.0))
+    reaching = quaternion_multiply(q[1:], rotation_vector_to_quaternion((turns - gaps * rates[1:]) / 2.0))
+
+    def between(
+        segment: Int[np.ndarray, "times"], fraction: Float64[np.ndarray, "times 1"]
+    ) -> Float64[np.ndarray, "times joints 4"]:
+        chord = quaternion_slerp(q[segment], q[segment + 1], fraction)
+        inner = quaternion_slerp(leaving[segment], reaching[segment], fraction)
+        return quaternion_slerp(chord, inner, 2.0 * fraction * (1.0 - fraction))
+
+    return RotationCurve(times, between, _outermost_rates(times, q))
+
+
+def _cubic(times: Float64[np.ndarray, "frames"], q: Float64[np.ndarray, "frames joints 4"]) -> RotationCurve:
+    """scipy's cubic rotation spline: continuous angular velocity and acceleration."""
+    from scipy.spatial.transform import Rotation, RotationSpline
+
+    splines = [RotationSpline(times, Rotation.from_quat(q[:, joint], scalar_first=True)) for joint in range(q.shape[1])]
+
+    def between(
+        segment: Int[np.ndarray, "times"], fraction: Float64[np.ndarray, "times 1"]
+    ) -> Float64[np.ndarray, "times joints 4"]:
+        instants = times[segment] + fraction[:, 0] * (times[segment + 1] - times[segment])
+        result = np.stack([spline(instants).as_quat(scalar_first=True) for spline in splines], axis=1)
+        # scipy's signs are arbitrary: the knot's are continuous.
+        return result * np.where(np.sum(result * q[segment], axis=-1, keepdims=True) < 0, -1.0, 1.0)
+
+    ends = np.stack([spline(times[[0, -1]], 1) for spline in splines], axis=1)
+    return RotationCurve(times, between, ends)
+
+
+def _outermost_rates(
+    times: Float64[np.ndarray, "frames"], q: Float64[np.ndarray, "frames joints 4"]
+) -> Float64[np.ndarray, "2 joints 3"]:
+    first, last = turns_between(q[:2]) / (times[1] - times[0]), turns_between(q[-2:]) / (times[-1] - times[-2])
+    return np.concatenate((first, last))
+
+
+# Poses of several motions at the same times, a `Poses` for each motion.
+PosesAt = Callable[[Float64[np.ndarray, "times"]], list[Poses]]
+
+
+@dataclass(frozen=True, eq=False)
+class InterpolatedField:
+    """A `MotionField` through all frames of an observation, on its span and the requested extension."""
+
+    observation: Observation
+    interpolator: "Interpolator"
+    start_seconds: float
+    end_seconds: float
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The observation's skeleton."""
+        return self.observation.skeleton
+
+    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
+        """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
+        check_times(self, times_seconds)
+        times = _snapped(times_seconds, self.observation.times_seconds)
+        return query_in_blocks(lambda some: self._poses_at(some)[0], times)
+
+    @cached_property
+    def _poses_at(self) -> PosesAt:
+        return self.interpolator.fit([continuous_rotations(self.observation)])
+
+
+@dataclass(frozen=True)
+class Interpolator:
+    """A `MotionEncoder` without training: curves through frames.
+
+    Also a `BatchEncoder`: motions observed at the same times share their curves.
+    """
+
+    name: Method
+    fit: Callable[[Sequence[Observation]], PosesAt] = field(repr=False)
+
+    def encode(
+        self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
+    ) -> InterpolatedField:
+        """The field through all observed frames; raises `ValueError` for a negative reach."""
+        if not (0 <= before_seconds < np.inf and 0 <= after_seconds < np.inf):
+            raise ValueError(f"seconds to extend by must be 0 or more, not {before_seconds:g} and {after_seconds:g}")
+        start, end = observation.start_seconds - before_seconds, observation.end_seconds + after_seconds
+        return InterpolatedField(observation, self, start, end)
+
+    def query_many(
+        self, observations: Sequence[Observation], times_seconds: Float64[np.ndarray, "times"]
+    ) -> list[Poses]:
+        """Poses of each motion at the same times, inside the observed span or beyond it, as its own field gives them.
+
+        Raises `ValueError` for motions that are not observed at the same times, or have other joints.
+        """
+        check_observed_alike(observations)
+        times = _snapped(times_seconds, observations[0].times_seconds)
+        return self.fit([continuous_rotations(observation) for observation in observations])(times)
+
+
+def interpolate(motion: Motion, method: Method = "slerp") -> InterpolatedField:
+    """A motion as a field, from its first frame to its last."""
+    return interpolator_of(method).encode(Observation.of(motion))
+
+
+def interpolator_of(method: Method) -> Interpolator:
+    """The interpolator of a name; raises `ValueError` for any other name."""
+    if method not in INTERPOLATORS:
+        near = suggestion(str(method), INTERPOLATORS)
+        raise ValueError(f"method is {method!r}, expected one of {', '.join(INTERPOLATORS)}{near}")
+    return INTERPOLATORS[method]
+
+
+def _hold(observations: Sequence[Observation]) -> PosesAt:
+    """Each pose until the next one (zero-order hold)."""
+
+    def poses_at(times: Float64[np.ndarray, "times"]) -> list[Poses]:
+        rows = np.maximum(np.searchsorted(observations[0].times_seconds, times, side="right") - 1, 0)
+        return [observation.poses.rows(rows) for observation in observations]
+
+    return poses_at
+
+
+def _on_positions(kind: CurveKind) -> Callable[[Sequence[Observation]], PosesAt]:
+    def fit(observations: Sequence[Observation]) -> PosesAt:
+        observed = np.stack([observation.poses.joint_positions for observation in observations], axis=1)
+        positions = curve(kind, observations[0].times_seconds, observed)
+
+        def poses_at(times: Float64[np.ndarray, "times"]) -> list[Poses]:
+            found = positions(times).astype(np.float32)
+            return [Poses(np.ascontiguousarray(found[:, motion])) for motion in range(len(observations))]
+
+        return poses_at
+
+    return fit
+
+
+def _on_rotations(rotation_kind: RotationKind, root_kind: CurveKind) -> Callable[[Sequence[Observation]], PosesAt]:
+    """Interpolates rotations, from inverse kinematics if there are none; the field has rotations only if observed."""
+
+    def fit(observations: Sequence[Observation]) -> PosesAt:
+        times_seconds, skeleton = observations[0].times_seconds, observations[0].skeleton
+        joints = Joints.stacked([Joints.of(observation.poses, observation.skeleton) for observation in observations])
+        # Joints of all motions side by side.
+        shape = joints.rotations.shape[1:]
+        rotations = rotation_curve(rotation_kind, times_seconds, joints.rotations.reshape(len(times_seconds), -1, 4))
+        bones = curve(root_kind, times_seconds, joints.bones)
+        # Hips that travel in a reference on the floor continue like a root; bones keep their last length.
+        travels = np.ptp(joints.bones, axis=0).max(axis=-1) > _TRAVELLING_METRES
+        root = curve(root_kind, times_seconds, joints.root)
+        translations = [
+            None
+            if observation.poses.root_translation is None
+            else curve(root_kind, times_seconds, observation.poses.root_translation)
+            for observation in observations
+        ]
+
+        def poses_at(times: Float64[np.ndarray, "times"]) -> list[Poses]:
+            turned = rotations(times).reshape(len(times), *shape)
+            bones_then = bones.clamped(times)
+            if travels.any():
+                bones_then[:, travels] = bones(times)[:, travels]
+            positions = Joints(turned, bones_then, root(times)).positions(skeleton)
+            return [
+                Poses(
+                    joint_positions=np.ascontiguousarray(positions[:, motion]),
+                    local_rotations=(
+                        None if observation.poses.local_rotations is None else turned[:, motion].astype(np.float32)
+                    ),
+                    root_translation=None if translation is None else translation(times).astype(np.float32),
+                )
+                for motion, (observation, translation) in enumerate(zip(observations, translations, strict=True))
+            ]
+
+        return poses_at
+
+    return fit
+
+
+INTERPOLATORS: dict[Method, Interpolator] = {
+    interpolator.name: interpolator
+    for interpolator in (
+        Interpolator("hold", _hold),
+        Interpolator("linear", _on_positions("linear")),
+        Interpolator("catmull-rom", _on_positions("catmull-rom")),
+        Interpolator("cubic", _on_positions("cubic")),
+        Interpolator("slerp", _on_rotations("slerp", "linear")),
+        Interpolator("rotation-catmull-rom", _on_rotations("catmull-rom", "catmull-rom")),
+        Interpolator("squad", _on_rotations("squad", "catmull-rom")),
+        Interpolator("rotation-cubic", _on_rotations("cubic", "cubic")),
+    )
+}
+
+
+def _snapped(
+    times: Float64[np.ndarray, "times"], observed: Float64[np.ndarray, "frames"]
+) -> Float64[np.ndarray, "times"]:
+    after = np.searchsorted(observed, times)
+    above = observed[np.minimum(after, len(observed) - 1)]
+    below = observed[np.maximum(after - 1, 0)]
+    nearest = np.where(np.abs(times - below) < np.abs(times - above), below, above)
+    return np.where(np.abs(times - nearest) < SNAP_SECONDS, nearest, times)
+
+
+JOINTS_SECONDS, ROOT_SECONDS = 0.2, 1.0
+
+
+@dataclass(frozen=True)
+class Settling:
+    """A `MotionEncoder`: an interpolator on rotations between frames, coming to rest before and after them."""
+
+    interpolator: Interpolator
+    joints_seconds: float = JOINTS_SECONDS
+    root_seconds: float = ROOT_SECONDS
+
+    @property
+    def name(self) -> str:
+        """The interpolator's name."""
+        return self.interpolator.name
+
+    def encode(
+        self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
+    ) -> "SettlingField | InterpolatedField":
+        """The field through all observed frames; raises `ValueError` for a negative reach."""
+        between = self.interpolator.encode(observation, before_seconds=before_seconds, after_seconds=after_seconds)
+        if not (before_seconds or after_seconds):
+            return between
+        longest = max(self.joints_seconds, self.root_seconds)
+        beyond = self.interpolator.encode(
+            with_rotations(observation),
+            before_seconds=min(before_seconds, longest),
+            after_seconds=min(after_seconds, longest),
+        )
+        return SettlingField(self, between, beyond)
+
+
+@dataclass(frozen=True, eq=False)
+class SettlingField:
+    """`between` inside the observed span; outside it `beyond`, which has rotations, at slowed times."""
+
+    encoder: Settling
+    between: InterpolatedField
+    beyond: InterpolatedField
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The observation's skeleton."""
+        return self.between.skeleton
+
+    @property
+    def start_seconds(self) -> float:
+        """First instant of the domain."""
+        return self.between.start_seconds
+
+    @property
+    def end_seconds(self) -> float:
+        """Last instant of the domain."""
+        return self.between.end_seconds
+
+    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
+        """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
+        check_times(self, times_seconds)
+        observation = self.between.observation
+        inside = np.clip(times_seconds, observation.start_seconds, observation.end_seconds)
+        outside = np.flatnonzero(inside != times_seconds)
+        poses = self.between.query(inside)
+        if outside.size:
+            poses.put(outside, self._settled(inside[outside], (times_seconds - inside)[outside], poses))
+        return poses
+
+    def _settled(self, ends: Float64[np.ndarray, "times"], reach: Float64[np.ndarray, "times"], like: Poses) -> Poses:
+        def slowed(seconds: float) -> Poses:
+            way = seconds * -np.expm1(-np.abs(reach) / seconds)
+            return self.beyond.query(
+                np.clip(ends + np.sign(reach) * way, self.beyond.start_seconds, self.beyond.end_seconds)
+            )
+
+        limbs, path = slowed(self.encoder.joints_seconds), slowed(self.encoder.root_seconds)
+        assert limbs.local_rotations is not None
+        # A bone that travels, hips in a reference on the floor, is a part of the path.
+        travelled = Joints.of(path, self.skeleton)
+        joints = Joints(Joints.of(limbs, self.skeleton).rotations, travelled.bones, travelled.root)
+        return Poses(
+            joints.positions(self.skeleton),
+            None if like.local_rotations is None else limbs.local_rotations,
+            None if like.root_translation is None else path.root_translation,
+        )

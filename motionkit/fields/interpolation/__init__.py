@@ -1,1 +1,0 @@
-"""Interpolators: observed frames, at even or uneven times, as motion fields (`interpolators`)."""
