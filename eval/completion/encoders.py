@@ -24,7 +24,7 @@ from motionkit.edit.complete.encoders import (
 )
 from motionkit.features.rotation_rows import two_columns
 from motionkit.fields.interpolation import INTERPOLATORS, CurveKind, curve
-from motionkit.fields.joints import JointsOfMany
+from motionkit.fields.joints import Joints
 from motionkit.fields.motion_field import MotionEncoder, Observation, Poses, check_observed_alike, check_times
 from motionkit.training.run import RunFolder, commit, versions
 from motionkit.training.stage import recorded_settings
@@ -48,20 +48,20 @@ class RowCurves:
         if not (0 <= before_seconds < np.inf and 0 <= after_seconds < np.inf):
             raise ValueError(f"seconds beyond a motion are 0 or more, not {before_seconds:g} and {after_seconds:g}")
         reach = (observation.start_seconds - before_seconds, observation.end_seconds + after_seconds)
-        return RowCurveField(self, observation.rows(slice(None)), *reach)
+        return RowCurveField(self, observation, *reach)
 
     def query_many(
         self, observations: Sequence[Observation], times_seconds: Float64[np.ndarray, "times"]
     ) -> list[Poses]:
         """Poses of many motions at the same times; see `motionkit.fields.motion_field.BatchEncoder`."""
         check_observed_alike(observations)
-        joints = JointsOfMany.of(observations)
+        joints = Joints.stacked([Joints.of(observation.poses, observation.skeleton) for observation in observations])
         observed = observations[0].times_seconds
         columns = curve(self.kind, observed, two_columns(joints.rotations))(times_seconds)
         rotations = matrix_to_quaternion(closest_rotations(columns))
         bones = curve(self.kind, observed, joints.bones).clamped(times_seconds)
         root = curve(self.kind, observed, joints.root)(times_seconds)
-        positions = JointsOfMany(rotations, bones, root).positions(observations[0].skeleton)
+        positions = Joints(rotations, bones, root).positions(observations[0].skeleton)
         return [
             Poses(np.ascontiguousarray(positions[:, motion]), rotations[:, motion].astype(np.float32))
             for motion in range(len(observations))

@@ -94,7 +94,7 @@ def _contacts(correction: Correction) -> tuple[int, float, tuple[float | None, f
     """Number and seconds of a foot's contacts, and its speed there without and with the correction."""
     if not correction.is_possible or not correction.contacts.down.any():
         return 0, 0.0, (None, None)
-    down, velocity = correction.contacts.down.any(axis=-1), correction.contacts.velocity
+    down, velocity = np.asarray(correction.contacts.down.any(axis=-1)), correction.contacts.velocity
     moves = np.gradient(correction.offsets[:, :1] + correction.offsets[:, 1:], axis=0) * correction.fps
     before, after = (float(np.hypot(each[..., 0], each[..., 2])[down].mean()) for each in (velocity, velocity + moves))
     count = sum(len(runs(down[:, foot])[0]) for foot in range(2))

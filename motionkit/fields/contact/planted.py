@@ -113,7 +113,7 @@ def planted_frames(observation: Observation, frames: TimeGrid, path: Path = "nea
     step = max(1, round(float(frames.fps) / GRID_FPS))
 
     def positions(rows: Int64[np.ndarray, "rows"]) -> Float32[np.ndarray, "rows joints 3"]:
-        return observation.poses.joint_positions[step * rows]
+        return np.asarray(observation.poses.joint_positions[step * rows])
 
     field, count = INTERPOLATORS["hold"].encode(observation), (frames.num_frames - 1) // step + 1
     return _planted(field, positions, float(frames.fps / step), count, path)

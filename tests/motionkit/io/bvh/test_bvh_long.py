@@ -38,8 +38,6 @@ def swinging(num_frames: int) -> list[list[float]]:
 def in_small_blocks(patched: pytest.MonkeyPatch, frames: int, num_bytes: int) -> None:
     """Everything in blocks of so few frames and bytes that short clips have many."""
     patched.setattr("motionkit.io.bvh.frame_lines.FRAMES_AT_ONCE", frames)
-    patched.setattr("motionkit.fields.anchoring._FRAMES_AT_ONCE", 2 * frames)
-    patched.setattr("motionkit.fields.interpolation.FRAMES_AT_ONCE", 4 * frames)
     patched.setattr("motionkit.io.source.number_table.BLOCK_BYTES", num_bytes)
     patched.setattr("motionkit.io.source.source_file.PART_BYTES", num_bytes)
     patched.setattr("motionkit.io.bvh.text.PART_BYTES", num_bytes)
