@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from motionkit.store.ingest.ingest import ingest
+from motionkit.store.ingest import ingest
 from tests.helpers.format_samples import bvh_text
 
 HEAVY = ("torch", "pandas", "scipy", "matplotlib", "pyarrow", "duckdb", "sklearn", "transformers", "rich.progress")

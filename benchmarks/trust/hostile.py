@@ -21,7 +21,7 @@ from benchmarks.trust.report import Case, Report
 from benchmarks.trust.trees import copy
 from benchmarks.trust.trials import shows_traceback
 from eval.report.results import environment
-from motionkit.store.engines.parallel import usable_cores
+from motionkit.store.workers import usable_cores
 from tests.hostile import SCENES
 from tests.hostile.scene import Arguments, Scene
 

@@ -1,7 +1,7 @@
 """`motionkit ingest`: read sources into a store."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from enum import StrEnum
@@ -14,7 +14,7 @@ from motionkit.cli.console import print_json, print_text, progress, say_next, st
 from motionkit.cli.options import Up, of_default, parse_rate, read_options
 from motionkit.core.errors import FormatError, MotionkitError, UsageError
 from motionkit.core.plain_text import printable
-from motionkit.core.progress import OnProgress, Task, task
+from motionkit.core.progress import OnProgress
 from motionkit.core.settings import default_path, optional_path
 
 
@@ -111,10 +111,10 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print the summary as JSON.
 
 if TYPE_CHECKING:
     from motionkit.io.scan.items import IndexOptions
-    from motionkit.store.ingest.ingest import DatasetCount, IngestReport, Listener
+    from motionkit.store.ingest import DatasetCount, IngestReport
 
-# Ignored files to show.
-SHOWN_KINDS = 5
+# Suffixes of ignored files, and faults of one reason.
+SHOWN_KINDS, MAX_PRINTED_OF_A_REASON = 5, 5
 
 
 def ingest(
@@ -146,16 +146,8 @@ def ingest(
     is refused. The result does not depend on the engine or the number of workers.
 
     Example: motionkit ingest takes"""
-    from motionkit.store.engines import LOCAL
-    from motionkit.store.ingest import PRELOADED
-
-    if engine == LOCAL and workers is not None and workers > 1:
-        from motionkit.store.engines.process_engine import start_server
-
-        start_server(PRELOADED)
-
     from motionkit.io.scan.framerate_rules import read_rules
-    from motionkit.store.ingest.ingest import ingest as ingest_sources
+    from motionkit.store.ingest import ingest as ingest_sources
 
     options = replace(
         read_options(parse_rate(fps), skeleton_map, format, unit_metres, captions, up),
@@ -165,7 +157,8 @@ def ingest(
         skip_frames=skip_frames,
         skip_derived=True,
     )
-    with progress() as show, _fetched(sources, show) as paths, task(show, "ingest", note="scanning") as work:
+    print_fault = _fault_printer()
+    with progress() as show, _fetched(sources, show) as paths:
         report = ingest_sources(
             *(paths, store or default_path("store")),
             options=options,
@@ -173,9 +166,11 @@ def ingest(
             overwrite=overwrite,
             num_workers=workers,
             engine=engine,
-            listener=_listener(work),
+            on_progress=show,
+            on_problem=lambda problem: print_fault(problem, ""),
+            on_warning=lambda warning: print_fault(warning, "warning: "),
         )
-    print_json(_as_json(report)) if as_json else _print_summary(report, store)
+    print_json(_as_json(report)) if as_json else _print_summary(report, of_default("--store", store))
     _check_success(report, on_error)
 
 
@@ -189,22 +184,6 @@ def _fetched(sources: Sequence[str], show: OnProgress) -> Iterator[list[Path]]:
             stack.enter_context(as_folder(look_up(parse_address(each)), show)) if is_address(each) else Path(each)
             for each in sources
         ]
-
-
-def _listener(work: Task) -> "Listener":
-    from motionkit.store.ingest.ingest import Listener
-
-    def start(num_items: int) -> None:
-        work.note("")
-        work.set_total(num_items)
-
-    shown = _FirstOfEachReason()
-    return Listener(
-        on_start=start,
-        on_item=work.advance,
-        on_warning=lambda warning: shown.print(warning, "warning: "),
-        on_problem=shown.print,
-    )
 
 
 def _check_success(report: "IngestReport", on_error: OnError) -> None:
@@ -236,9 +215,9 @@ def _index_options(
 
     if not index:
         given = {"--texts": texts, "--splits": splits, "--mirrored": mirrored, "--compat": compat}
-        if any(given.values()):
-            name = next(name for name, value in given.items() if value)
-            raise UsageError(f"{name} is about an index: give one with --index")
+        for name, value in given.items():
+            if value:
+                raise UsageError(f"{name} is about an index: give one with --index")
         return None
     if skip_frames:
         raise UsageError("--skip-frames is about whole files; an index counts the frames of its stretches itself")
@@ -247,79 +226,66 @@ def _index_options(
     return IndexOptions(tuple(index), texts, splits, mirrored, published=compat is not None)
 
 
-class _FirstOfEachReason:
-    """Prints problems and warnings as they occur, the first few of each reason: a corpus can have thousands."""
+def _fault_printer() -> Callable[[FormatError, str], None]:
+    """A function that prints a fault after a prefix: the first few of each reason, of which a corpus can have many."""
+    num_printed: Counter[str] = Counter()
 
-    NUM_SHOWN = 5
+    def print_fault(fault: FormatError, prefix: str) -> None:
+        num_printed[fault.reason] += 1
+        if num_printed[fault.reason] <= MAX_PRINTED_OF_A_REASON:
+            stderr.print(f"{prefix}{fault}")
+        elif num_printed[fault.reason] == MAX_PRINTED_OF_A_REASON + 1:
+            stderr.print(f"{prefix}more of the kind {fault.reason}: counted at the end, --json names them all")
 
-    def __init__(self) -> None:
-        self._num_met: Counter[str] = Counter()
-
-    def print(self, problem: FormatError, kind: str = "") -> None:
-        """Print one problem with its `kind`, or where to find the others of its reason."""
-        self._num_met[problem.reason] += 1
-        if self._num_met[problem.reason] <= self.NUM_SHOWN:
-            stderr.print(f"{kind}{problem}")
-        elif self._num_met[problem.reason] == self.NUM_SHOWN + 1:
-            stderr.print(f"{kind}more of the kind {problem.reason}: counted at the end, --json names them all")
+    return print_fault
 
 
-def _print_summary(report: "IngestReport", store: Path | None) -> None:
-    hours = report.duration_seconds / 3600
+def _print_summary(report: "IngestReport", of_store: str) -> None:
+    stored = report.stored
+    sequences = _counted(stored.num_sequences, "sequence")
     stdout.print(
-        f"stored {_counted(report.num_stored, 'sequence')} ({hours:.2f} h, {_counted(report.num_frames, 'frame')}) "
-        f"in {report.store}, "
-        f"which holds {report.num_in_store:,}",
+        f"stored {sequences} ({stored.duration_seconds / 3600:.2f} h, {_counted(stored.num_frames, 'frame')}) in "
+        f"{report.store}, which holds {report.num_in_store:,}",
     )
     if report.num_already_stored:
         stdout.print(
             f"already there: {report.num_already_stored:,} (as they were, with the captions that they had; --overwrite "
             "makes the store anew of these sources)"
         )
-    for name, counts in (("failed", report.problems_by_reason), ("warnings", report.warnings_by_reason)):
-        if counts:
-            reasons = ", ".join(f"{count:,} {reason}" for reason, count in counts.items())
-            stdout.print(f"{name}: {sum(counts.values()):,} ({reasons})")
+    for name, faults in (("failed", report.problems), ("warnings", report.warnings)):
+        if faults:
+            reasons = ", ".join(f"{count:,} {reason}" for reason, count in _by_reason(faults).items())
+            stdout.print(f"{name}: {len(faults):,} ({reasons})")
     if report.ignored:
-        stdout.print(_ignored_line(report))
+        kinds = [f"{count:,} {kind}" for kind, count in _by_suffix(report.ignored).items()]
+        listed = ", ".join(kinds[:SHOWN_KINDS]) + (", …" if len(kinds) > SHOWN_KINDS else "")
+        stdout.print(f"ignored: {len(report.ignored):,} ({listed}; the first: {report.ignored[0]})")
     if report.datasets:
         print_text(_dataset_table(report.datasets))
-    if report.num_stored:
-        of_store = of_default("--store", store)
-        stdout.print(_quality_line(report, of_store))
-        say_next(_next_command(report, of_store))
-
-
-def _quality_line(report: "IngestReport", of_store: str) -> str:
-    stored = report.stored
-    if not stored.num_flagged:
-        return f"quality: nothing looks odd in {_counted(report.num_stored, 'sequence')}"
-    flags = ", ".join(f"{count:,} {flag}" for flag, count in stored.flags.most_common())
-    return (
-        f"quality: {stored.num_flagged:,} of {_counted(report.num_stored, 'sequence')} have flags ({flags}); "
-        f"'motionkit info --quality{of_store}' lists them"
-    )
-
-
-def _next_command(report: "IngestReport", of_store: str) -> str:
-    stored = report.stored
-    if stored.num_in_splits:
-        return f"motionkit train{of_store}"
-    by = "" if stored.num_with_performer == report.num_stored else " --by sequence_id"
-    return f"motionkit split{by}{of_store}"
-
-
-def _ignored_line(report: "IngestReport") -> str:
-    kinds = list(report.ignored_by_suffix.items())
-    shown = ", ".join(f"{count:,} {kind}" for kind, count in kinds[:SHOWN_KINDS])
-    more = ", …" if len(kinds) > SHOWN_KINDS else ""
-    line = f"ignored: {len(report.ignored):,} ({shown}{more}; the first: {report.ignored[0]})"
-    has_arrays = any(path.suffix.lower() in (".npy", ".npz") for path in report.ignored)
-    return f"{line}; ingest an array alone to see what it holds" if has_arrays else line
+    if not stored.num_sequences:
+        return
+    if stored.num_flagged:
+        flags = ", ".join(f"{count:,} {flag}" for flag, count in stored.flags.most_common())
+        stdout.print(
+            f"quality: {stored.num_flagged:,} of {sequences} have flags ({flags}); "
+            f"'motionkit info --quality{of_store}' lists them"
+        )
+    else:
+        stdout.print(f"quality: nothing looks odd in {sequences}")
+    by = "" if stored.num_with_performer == stored.num_sequences else " --by sequence_id"
+    say_next(f"motionkit train{of_store}" if stored.num_in_splits else f"motionkit split{by}{of_store}")
 
 
 def _counted(number: int, noun: str) -> str:
     return f"{number:,} {noun}" if number == 1 else f"{number:,} {noun}s"
+
+
+def _by_reason(faults: Sequence[FormatError]) -> dict[str, int]:
+    return dict(Counter(fault.reason for fault in faults).most_common())
+
+
+def _by_suffix(paths: Sequence[Path]) -> dict[str, int]:
+    return dict(Counter(path.suffix.lower() or path.name for path in paths).most_common())
 
 
 def _dataset_table(counts: "Sequence[DatasetCount]") -> str:
@@ -334,24 +300,20 @@ def _as_json(report: "IngestReport") -> dict[str, Any]:
     return {
         "store": str(report.store),
         "committed": report.committed,
-        "stored": report.num_stored,
-        "frames": report.num_frames,
-        "hours": report.duration_seconds / 3600,
+        "stored": report.stored.num_sequences,
+        "frames": report.stored.num_frames,
+        "hours": report.stored.duration_seconds / 3600,
         "already_stored": report.num_already_stored,
         "sequences_in_store": report.num_in_store,
-        "failed": report.problems_by_reason,
-        "warnings": report.warnings_by_reason,
+        "failed": _by_reason(report.problems),
+        "warnings": _by_reason(report.warnings),
         "quality_flags": dict(report.stored.flags.most_common()),
         "datasets": {
             count.dataset: {"found": count.num_found, "missing": count.num_missing, "failed": count.num_failed}
             for count in report.datasets
         },
-        "ignored": report.ignored_by_suffix,
+        "ignored": _by_suffix(report.ignored),
         "ignored_paths": [str(path) for path in report.ignored],
-        "problems": _named(report.problems),
-        "warned": _named(report.warnings),
+        "problems": [{"reason": each.reason, "message": str(each)} for each in report.problems],
+        "warned": [{"reason": each.reason, "message": str(each)} for each in report.warnings],
     }
-
-
-def _named(problems: Sequence[FormatError]) -> list[dict[str, str]]:
-    return [{"reason": problem.reason, "message": str(problem)} for problem in problems]

@@ -16,8 +16,7 @@ import pytest
 
 from motionkit.core import files
 from motionkit.core.motion import Motion
-from motionkit.store import Store, StoreWriter
-from motionkit.store.ingest import stretches
+from motionkit.store import Store, StoreWriter, chunks
 from tests.helpers.small_bvh import bvh_text
 
 
@@ -87,7 +86,7 @@ def test_nothing_new_leaves_the_store_untouched(motionkit, takes, tmp_path):
 
 def test_an_ingest_of_one_worker_loads_little(takes, tmp_path):
     script = (
-        "import sys; from motionkit.store.ingest.ingest import ingest; from pathlib import Path; "
+        "import sys; from motionkit.store.ingest import ingest; from pathlib import Path; "
         f"assert ingest([Path({str(takes)!r})], Path({str(tmp_path / 'store')!r}), num_workers=1).num_stored == 3; "
         "print(*sorted({'pandas', 'scipy', 'duckdb', 'torch', 'multiprocessing', 'numpy.ma'} & set(sys.modules)))"
     )
@@ -244,8 +243,8 @@ def test_a_reader_that_fails_in_a_way_that_nobody_foresaw(motionkit, takes, tmp_
             raise ZeroDivisionError("division by zero")
         return original(item, options)
 
-    original = stretches.read
-    monkeypatch.setattr(stretches, "read", read)
+    original = chunks.read
+    monkeypatch.setattr(chunks, "read", read)
     outcome = motionkit("ingest", takes, "--store", tmp_path / "store", "--workers", 1)
     assert outcome.error_lines == [f"{takes}/beta.bvh: the bvh reader failed: ZeroDivisionError: division by zero"]
     assert ids(tmp_path / "store") == ["takes/alpha", "takes/gamma"]
@@ -293,12 +292,12 @@ DEADLY_INGEST = textwrap.dedent(
     """
     import os, sys
     from motionkit.cli.app import main
-    from motionkit.store.ingest import stretches
+    from motionkit.store import chunks
 
-    read = stretches.read
+    read = chunks.read
     def deadly(item, options):
         return os._exit(9) if item.path.stem == "beta" else read(item, options)
-    stretches.read = deadly  # also in the workers, which import this file
+    chunks.read = deadly  # also in the workers, which import this file
     if __name__ == "__main__":
         sys.argv = ["motionkit", *sys.argv[1:]]
         main()

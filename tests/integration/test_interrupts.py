@@ -89,21 +89,6 @@ def test_other_errors_of_loading_stay_what_they_are(monkeypatch: pytest.MonkeyPa
         start.main()
 
 
-def test_the_server_of_workers_never_sees_ctrl_c() -> None:
-    # Its process is sent one in each of its first moments, while it loads Python and what it serves.
-    code = (
-        "import os, signal, time; from multiprocessing import forkserver\n"
-        "from motionkit.store.engines.process_engine import Processes, start_server\n"
-        "from motionkit.store.engines.parallel import map_in_order\n"
-        "start_server()\n"
-        "for _ in range(30):\n"
-        "    os.kill(forkserver._forkserver._forkserver_pid, signal.SIGINT); time.sleep(0.02)\n"
-        "with Processes(1) as engine: print(list(map_in_order(engine, sorted, [[3]])))"
-    )
-    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert (ran.stdout, ran.stderr) == ("[([3], [3])]\n", "")
-
-
 @pytest.fixture(scope="module")
 def corpus(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Files that two workers read while the command writes what they have read."""
@@ -127,17 +112,6 @@ def temporary() -> Iterator[Path]:
     """A folder for temporary files whose path is short: a socket's may have 107 bytes."""
     with tempfile.TemporaryDirectory(dir="/tmp") as folder:
         yield Path(folder)
-
-
-def test_a_temporary_folder_with_too_long_a_path_is_named(corpus: Path, tmp_path: Path) -> None:
-    temporary = tmp_path / ("long" * 25)
-    temporary.mkdir()
-    outcome, _ = run(ingest_of(corpus, tmp_path / "store"), temporary)
-    assert outcome.code == 1
-    assert outcome.stderr == (
-        f"motionkit: {temporary}: the path is too long for the sockets by which workers are reached. "
-        "Set TMPDIR to a folder with a shorter path, or use --workers 1.\n"
-    )
 
 
 @pytest.mark.parametrize("to_group", [True, False], ids=["to the group", "to the process"])

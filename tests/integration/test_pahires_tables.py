@@ -8,7 +8,7 @@ import pytest
 
 from motionkit.core.checksums import read_json
 from motionkit.demo_corpus import write_demo_corpus
-from motionkit.store.ingest.ingest import ingest
+from motionkit.store.ingest import ingest
 
 TINY = (
     *(

@@ -17,7 +17,7 @@ from benchmarks.trust.corruption.trials import Tally, Trials
 from benchmarks.trust.process import Commands
 from benchmarks.trust.report import Case, Report
 from eval.report.results import environment
-from motionkit.store.engines.parallel import usable_cores
+from motionkit.store.workers import usable_cores
 
 DEFAULT_SECONDS = 1800.0
 MANY = 1 << 40

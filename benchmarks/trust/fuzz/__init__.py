@@ -17,7 +17,7 @@ from benchmarks.trust.fuzz.targets import all_targets
 from benchmarks.trust.fuzz.workers import Block, Tally, prepare
 from benchmarks.trust.report import Case, Report
 from eval.report.results import environment
-from motionkit.store.engines.parallel import usable_cores
+from motionkit.store.workers import usable_cores
 
 DEFAULT_SECONDS = 1200.0
 BLOCK_SECONDS = 5.0

@@ -206,7 +206,7 @@ def test_names_that_are_not_utf8_are_reported(tmp_path):
         path.rename(tmp_path / os.fsdecode(b"caf\xe9.bvh"))
     except OSError:
         pytest.skip("this file system refuses names that are not UTF-8")
-    from motionkit.store.ingest.ingest import ingest
+    from motionkit.store.ingest import ingest
 
     SOURCES["csv"](tmp_path)
     report = ingest([tmp_path], tmp_path / "store", num_workers=1)
@@ -218,7 +218,7 @@ def test_a_good_name_is_not_called_a_bad_one(tmp_path):
     """Where the locale is not UTF-8, Python reads the names of files as something else."""
     SOURCES["bvh"](tmp_path).rename(tmp_path / "gäng.bvh")
     script = (
-        "import sys; from pathlib import Path; from motionkit.store.ingest.ingest import ingest; "
+        "import sys; from pathlib import Path; from motionkit.store.ingest import ingest; "
         "[problem] = ingest([Path(sys.argv[1])], Path(sys.argv[2]), num_workers=1).problems; print(ascii(str(problem)))"
     )
     arguments = [sys.executable, "-c", script, str(tmp_path), str(tmp_path / "store")]

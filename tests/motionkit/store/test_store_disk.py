@@ -16,7 +16,7 @@ import pytest
 from motionkit.core.errors import StoreError
 from motionkit.store import Store, StoreWriter
 from motionkit.store.cache import open_cache
-from motionkit.store.ingest.ingest import ingest
+from motionkit.store.ingest import ingest
 from motionkit.store.life.rewrite import compact, merge, remove
 from motionkit.store.life.splits import split
 from motionkit.store.validate import faults

@@ -12,7 +12,7 @@ from motionkit.edit.export.run import ExportReport, export, export_kinds
 from motionkit.edit.export.selection import Selection
 from motionkit.fields.motion_field import to_motion
 from motionkit.store import Store, StoreWriter
-from motionkit.store.ingest.ingest import ingest
+from motionkit.store.ingest import ingest
 from tests.helpers.analytic import analytic_motion
 
 RATES = (Fraction(30), Fraction(60000, 1001), Fraction(120))

@@ -115,7 +115,7 @@ def test_what_is_too_short_or_has_no_legs_is_left_out(tmp_path, export_as):
 
 
 def test_the_published_clip_gives_the_published_vectors(golden_humanml3d, tmp_path, export_as):
-    from motionkit.store.ingest.ingest import ingest
+    from motionkit.store.ingest import ingest
 
     ingest([golden_humanml3d], tmp_path / "golden", num_workers=1)
     out = export_as(Store.open(tmp_path / "golden"), "humanml3d").folder

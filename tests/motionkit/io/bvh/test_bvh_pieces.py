@@ -179,13 +179,13 @@ import sys, tracemalloc
 from pathlib import Path
 from motionkit.io.scan.scanner import scan
 from motionkit.io.scan.items import ReadOptions
-from motionkit.store.ingest.stretches import NumberedItem, read_stretch
+from motionkit.store.chunks import NumberedItem, read_chunk
 
 for number, path in enumerate(map(Path, sys.argv[1:])):
     (path.parent / "segments").mkdir(exist_ok=True)
     tracemalloc.start()
     (item,) = scan([path]).items
-    (read,) = read_stretch([NumberedItem(item, number)], path.parent, ReadOptions()).outcomes
+    (read,) = read_chunk([NumberedItem(item, number)], path.parent, ReadOptions()).outcomes
     print(read.row["num_frames"] * read.skeleton.num_joints, tracemalloc.get_traced_memory()[1])
     del read
     tracemalloc.stop()

@@ -14,7 +14,7 @@ from motionkit.edit.complete.request import CompletionRequest
 from motionkit.io.scan.framerate_rules import parse_rules
 from motionkit.io.scan.items import ReadOptions
 from motionkit.store import Store
-from motionkit.store.ingest.ingest import ingest
+from motionkit.store.ingest import ingest
 from motionkit.viz.view.job import find_sources
 from tests.helpers.format_samples import lafan1_text
 from tests.motionkit.io.bvh.test_bvh_pieces import TAKES, carried

@@ -16,7 +16,7 @@ from motionkit.io.scan.reading import read
 from motionkit.io.scan.scanner import scan
 from motionkit.io.smpl_body import LAYOUTS, find_body_model
 from motionkit.store import Store
-from motionkit.store.ingest.ingest import ingest
+from motionkit.store.ingest import ingest
 from tests.helpers.amass_samples import smplh_fields, stageii_fields, write_amass
 from tests.motionkit.io.test_body_models import write_body_model
 

@@ -11,7 +11,7 @@ from motionkit.core.errors import FormatError, UsageError
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.scan.reading import read
 from motionkit.io.scan.scanner import scan
-from motionkit.store.ingest.stretches import read_or_fault
+from motionkit.store.chunks import read_or_fault
 from tests.helpers.format_samples import bvh_text
 
 

@@ -17,7 +17,7 @@ from motionkit.io.scan.items import ReadOptions
 from motionkit.io.scan.reading import read
 from motionkit.io.scan.scanner import scan
 from motionkit.io.source.source_file import read_bytes
-from motionkit.store.ingest.ingest import ingest
+from motionkit.store.ingest import ingest
 from tests.helpers.damage import damaged
 from tests.helpers.every_format import SOURCES
 from tests.helpers.format_samples import bvh_text

@@ -2,7 +2,7 @@
 
 import os
 import socket
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -17,12 +17,11 @@ from motionkit.store.parts import PartWriter, PendingPart
 from motionkit.store.schema import SEGMENTS_FOLDER
 
 # A second of reading, and a part of about 10 MB: keeps all workers busy for small corpora.
-STRETCH_BYTES = 32 * 2**20
-STRETCH_ITEMS = 1024
-# Larger corpora are cut into so many stretches, until their parts have the 128 MB and more that are read best. A worker
-# gives back the rows of all items of a stretch at once.
-NUM_STRETCHES = 64
-MOST_STRETCH_BYTES, MOST_STRETCH_ITEMS = 512 * 2**20, 4096
+CHUNK_BYTES, CHUNK_ITEMS = 32 << 20, 1024
+# Larger corpora are cut into this number of chunks, until their parts have the 128 MB and more that are read best. A
+# worker returns the rows of all items of a chunk at once.
+NUM_CHUNKS = 64
+MAX_CHUNK_BYTES, MAX_CHUNK_ITEMS = 512 << 20, 4096
 
 
 @dataclass(frozen=True)
@@ -31,9 +30,6 @@ class NumberedItem:
 
     item: SourceItem
     sequence_index: int | None
-
-    def __str__(self) -> str:
-        return str(self.item)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,44 +41,54 @@ class ReadSequence:
 
 
 @dataclass(frozen=True, eq=False)
-class ReadStretch:
+class ReadChunk:
     """Result of a chunk: the part, None if nothing was written, and an outcome per item."""
 
     part: PendingPart | None
     outcomes: tuple[ReadSequence | FormatError, ...]
 
 
-def cut(items: Iterable[SourceItem]) -> Iterator[list[SourceItem]]:
-    """The items in order, in stretches of a 64th of all files' bytes; a larger file is a stretch of its own.
+def chunks_of(items: Iterable[SourceItem]) -> Iterator[list[SourceItem]]:
+    """The items in order, in chunks of a 64th of all files' bytes; a larger file is a chunk of its own.
 
-    A stretch has 32 MiB at least and 512 MiB at most. The cut depends on the items alone. Sequences of one file come
-    into one stretch, so that it is read once, unless they are more than 1,024 for each 32 MiB, or 4,096.
+    A chunk has 32 MiB at least and 512 MiB at most. It depends on the items alone. Sequences of one file come into one
+    chunk, so that it is read once, unless they are more than 1,024 for each 32 MiB, or 4,096.
     """
     files = [(_size(path), list(of_file)) for path, of_file in groupby(items, key=lambda item: item.path)]
-    wanted_bytes = sum(size for size, _ in files) // NUM_STRETCHES
-    most_bytes = min(max(STRETCH_BYTES, wanted_bytes), MOST_STRETCH_BYTES)
-    most_items = min(STRETCH_ITEMS * most_bytes // STRETCH_BYTES, MOST_STRETCH_ITEMS)
-    stretch: list[SourceItem] = []
+    share = sum(size for size, _ in files) // NUM_CHUNKS
+    max_bytes = min(max(CHUNK_BYTES, share), MAX_CHUNK_BYTES)
+    max_items = min(CHUNK_ITEMS * max_bytes // CHUNK_BYTES, MAX_CHUNK_ITEMS)
+    chunk: list[SourceItem] = []
     num_bytes = 0
     for size, of_file in files:
-        if stretch and num_bytes + size > most_bytes:
-            yield stretch
-            stretch, num_bytes = [], 0
+        if chunk and num_bytes + size > max_bytes:
+            yield chunk
+            chunk, num_bytes = [], 0
         num_bytes += size
         for item in of_file:
-            if len(stretch) == most_items:
-                yield stretch
-                stretch, num_bytes = [], size
-            stretch.append(item)
-    if stretch:
-        yield stretch
+            if len(chunk) == max_items:
+                yield chunk
+                chunk, num_bytes = [], size
+            chunk.append(item)
+    if chunk:
+        yield chunk
 
 
-def read_stretch(items: Sequence[NumberedItem], store: Path, options: ReadOptions) -> ReadStretch:
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0
+
+
+def read_chunk(
+    items: Sequence[NumberedItem], store: Path, options: ReadOptions, deadly: Container[int] = ()
+) -> ReadChunk:
     """Read sequences and write those that have an index into one part of the store, under a pending name.
 
-    A fault of a source is returned, so that it travels between processes like a result. Raises `OSError` where the part
-    cannot be written, and `StoreError` where there is no such store.
+    A fault of a source is returned, so that it travels between processes like a result. The items at the positions
+    `deadly` are faults, unread. Raises `OSError` where the part cannot be written, and `StoreError` where there is no
+    such store.
     """
     if not (store / SEGMENTS_FOLDER).is_dir():
         raise StoreError(f"there is no store {store} on {socket.gethostname()}: it must be where all machines see it")
@@ -90,8 +96,8 @@ def read_stretch(items: Sequence[NumberedItem], store: Path, options: ReadOption
     skeletons: dict[str, Skeleton] = {}
     outcomes: list[ReadSequence | FormatError] = []
     try:
-        for each in items:
-            motion = read_or_fault(each.item, options)
+        for position, each in enumerate(items):
+            motion = worker_died(each.item) if position in deadly else read_or_fault(each.item, options)
             if isinstance(motion, FormatError):
                 outcomes.append(motion)
                 continue
@@ -101,7 +107,7 @@ def read_stretch(items: Sequence[NumberedItem], store: Path, options: ReadOption
                 row = {**row, "sequence_index": each.sequence_index, "first_row": first_row}
             skeleton = skeletons.setdefault(motion.skeleton.fingerprint, motion.skeleton)
             outcomes.append(ReadSequence(row, skeleton))
-        return ReadStretch(part.finish(), tuple(outcomes))
+        return ReadChunk(part.finish(), tuple(outcomes))
     finally:
         part.abandon()
 
@@ -115,7 +121,13 @@ def read_or_fault(item: SourceItem, options: ReadOptions) -> EncodedMotion | For
     try:
         return encode(read(item, options))
     except FormatError as problem:
-        return problem if os.path.lexists(item.path) else _not_visible(item)
+        if os.path.lexists(item.path):
+            return problem
+        message = (
+            f"there is no such file on {socket.gethostname()}, but there was when the source was scanned: removed "
+        )
+        message += "since, or not in a folder that all machines share"
+        return FormatError(message, path=item.path, reason="not-visible")
     except RefusedMotion as refused:
         return FormatError(str(refused), path=item.path, reason=refused.reason)
     except Exception as error:
@@ -123,17 +135,12 @@ def read_or_fault(item: SourceItem, options: ReadOptions) -> EncodedMotion | For
         return FormatError(f"the {item.format} reader failed: {text}", path=item.path, reason="unexpected")
 
 
-def _not_visible(item: SourceItem) -> FormatError:
-    return FormatError(
-        f"there is no such file on {socket.gethostname()}, where it was to be read, but there was when the source was "
-        "scanned: removed since, or not in a folder that all machines share",
-        path=item.path,
-        reason="not-visible",
-    )
+def check_readable(item: SourceItem, options: ReadOptions) -> None:
+    """Reads and encodes a sequence, whatever its faults: a worker that survives this does not die of it."""
+    read_or_fault(item, options)
 
 
-def _size(path: Path) -> int:
-    try:
-        return path.stat().st_size
-    except OSError:
-        return 0
+def worker_died(item: SourceItem) -> FormatError:
+    """The fault of a sequence whose reader ended its process."""
+    message = "the process that read it ended without a word (killed, or out of memory?): --workers 1 shows where"
+    return FormatError(message, path=item.path, reason="worker-died")

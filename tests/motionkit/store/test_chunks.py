@@ -1,4 +1,4 @@
-"""Stretches of the sources: how they are cut, and what a worker makes of one."""
+"""Chunks of the sources: how they are cut, and what a worker returns for one."""
 
 import re
 import subprocess
@@ -9,10 +9,9 @@ import pytest
 
 from motionkit.core.errors import FormatError, StoreError
 from motionkit.io.scan.items import ReadOptions, SourceItem
-from motionkit.store import Store
-from motionkit.store.ingest import stretches
-from motionkit.store.ingest.ingest import ingest
-from motionkit.store.ingest.stretches import NumberedItem, ReadSequence, cut, read_stretch
+from motionkit.store import Store, chunks
+from motionkit.store.chunks import NumberedItem, ReadSequence, chunks_of, read_chunk
+from motionkit.store.ingest import ingest
 from tests.helpers.small_bvh import two_joints_bvh
 
 
@@ -42,33 +41,33 @@ def items_of(folder: Path, sizes: list[int | tuple[int, int]]) -> list[SourceIte
         ([], []),
     ],
 )
-def test_a_stretch_has_so_many_bytes(tmp_path, monkeypatch, sizes, expected):
+def test_bytes_of_a_chunk(tmp_path, monkeypatch, sizes, expected):
     """A file that is larger is one of its own; one of many sequences stays together up to their greatest number."""
-    monkeypatch.setattr(stretches, "STRETCH_BYTES", 100)
-    monkeypatch.setattr(stretches, "STRETCH_ITEMS", 5)
+    monkeypatch.setattr(chunks, "CHUNK_BYTES", 100)
+    monkeypatch.setattr(chunks, "CHUNK_ITEMS", 5)
     items = items_of(tmp_path, sizes)
-    found = list(cut(items))
-    assert [item for stretch in found for item in stretch] == items
-    assert [len(stretch) for stretch in found] == expected
+    found = list(chunks_of(items))
+    assert [item for chunk in found for item in chunk] == items
+    assert [len(chunk) for chunk in found] == expected
 
 
 @pytest.mark.parametrize(
     ("size", "count", "expected"), [(10, 64, 10), (10, 640, 10), (10, 1280, 20), (100, 1000, 10), (1, 20_000, 60)]
 )
-def test_large_corpora_have_larger_stretches(tmp_path, monkeypatch, size, count, expected):
+def test_large_corpora_have_larger_chunks(tmp_path, monkeypatch, size, count, expected):
     """A 64th of all bytes, but not without bounds; nor of numbers of sequences, here 60."""
     for name, value in (
-        ("STRETCH_BYTES", 100),
-        ("STRETCH_ITEMS", 50),
-        ("MOST_STRETCH_BYTES", 1000),
-        ("MOST_STRETCH_ITEMS", 60),
+        ("CHUNK_BYTES", 100),
+        ("CHUNK_ITEMS", 50),
+        ("MAX_CHUNK_BYTES", 1000),
+        ("MAX_CHUNK_ITEMS", 60),
     ):
-        monkeypatch.setattr(stretches, name, value)
-    monkeypatch.setattr(stretches, "_size", lambda path: size)
+        monkeypatch.setattr(chunks, name, value)
+    monkeypatch.setattr(chunks, "_size", lambda path: size)
     items = [SourceItem("bvh", tmp_path / f"{number}.bvh", tmp_path, str(number)) for number in range(count)]
-    found = list(cut(items))
-    assert [item for stretch in found for item in stretch] == items
-    assert {len(stretch) for stretch in found[:-1]} == {expected}
+    found = list(chunks_of(items))
+    assert [item for chunk in found for item in chunk] == items
+    assert {len(chunk) for chunk in found[:-1]} == {expected}
 
 
 def folder_of(tmp_path: Path, lengths: list[int]) -> Path:
@@ -85,7 +84,7 @@ def test_a_worker_writes_what_has_an_index_and_says_what_it_read(tmp_path):
     (tmp_path / "segments").mkdir()
     items = [SourceItem("bvh", folder / f"{number}.bvh", folder, f"takes/{number}") for number in (0, 1, 2, 2)]
     numbered = [NumberedItem(item, index) for item, index in zip(items, (4, 5, None, 6), strict=True)]
-    read, again = (read_stretch(numbered, tmp_path, ReadOptions()) for _ in range(2))
+    read, again = (read_chunk(numbered, tmp_path, ReadOptions()) for _ in range(2))
     assert read.part is not None and again.part is not None and read.part.path != again.part.path
     assert read.part.entry == again.part.entry and read.part.entry.num_rows == 3
     first, broken, known, last = read.outcomes
@@ -100,14 +99,14 @@ def test_what_is_only_read_leaves_no_file(tmp_path):
     folder = folder_of(tmp_path, [3])
     (tmp_path / "segments").mkdir()
     item = SourceItem("bvh", folder / "0.bvh", folder, "takes/0")
-    assert read_stretch([NumberedItem(item, None)], tmp_path, ReadOptions()).part is None
+    assert read_chunk([NumberedItem(item, None)], tmp_path, ReadOptions()).part is None
     assert list((tmp_path / "segments").iterdir()) == []
 
 
 def test_a_file_that_a_worker_does_not_see(tmp_path):
     (tmp_path / "segments").mkdir()
     gone = SourceItem(format="bvh", path=tmp_path / "gone.bvh", root=tmp_path, sequence_id="takes/gone")
-    (problem,) = read_stretch([NumberedItem(gone, 0)], tmp_path, ReadOptions()).outcomes
+    (problem,) = read_chunk([NumberedItem(gone, 0)], tmp_path, ReadOptions()).outcomes
     assert isinstance(problem, FormatError)
     assert problem.reason == "not-visible"
     assert "there is no such file on" in str(problem)
@@ -115,14 +114,14 @@ def test_a_file_that_a_worker_does_not_see(tmp_path):
 
 def test_a_store_that_a_worker_does_not_see(tmp_path):
     with pytest.raises(StoreError, match=rf"there is no store {re.escape(str(tmp_path))}/away on .* all machines"):
-        read_stretch([], tmp_path / "away", ReadOptions())
+        read_chunk([], tmp_path / "away", ReadOptions())
     assert not (tmp_path / "away").exists()
 
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_an_index_is_the_place_among_what_is_new(tmp_path, monkeypatch, workers):
     """Whatever failed and whatever is there already: so a part's bytes do not depend on other parts."""
-    monkeypatch.setattr(stretches, "STRETCH_BYTES", 2000)
+    monkeypatch.setattr(chunks, "CHUNK_BYTES", 2000)
     folder = folder_of(tmp_path, [20, 30, 40, 50, 60])
     broken = folder / "2.bvh"
     good = broken.read_text()
@@ -146,12 +145,12 @@ def test_an_index_is_the_place_among_what_is_new(tmp_path, monkeypatch, workers)
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from motionkit.store.ingest import stretches
-from motionkit.store.ingest.ingest import ingest
+from motionkit.store import chunks
+from motionkit.store.ingest import ingest
 
 folder, store, when = map(Path, sys.argv[1:])
-marker, finish, read = folder.parent / "died", stretches.PartWriter.finish, stretches.read
-stretches.STRETCH_BYTES = 12000
+marker, finish, read = folder.parent / "died", chunks.PartWriter.finish, chunks.read
+chunks.CHUNK_BYTES = 12000
 
 def die_once():
     if not marker.exists():
@@ -169,7 +168,7 @@ def finish_or_die(part):
         die_once()
     return written
 
-stretches.read, stretches.PartWriter.finish = deadly, finish_or_die
+chunks.read, chunks.PartWriter.finish = deadly, finish_or_die
 if __name__ == "__main__":
     report = ingest([folder], store, num_workers=2)
     assert (report.num_stored, report.problems) == (6, ()), report
@@ -178,9 +177,9 @@ if __name__ == "__main__":
 
 @pytest.mark.parametrize("when", ["reading", "written"])
 def test_a_worker_that_is_killed_from_outside_changes_nothing(tmp_path, monkeypatch, when):
-    """Its stretch is done again, whole; what it wrote is deleted."""
+    """Its chunk is done again, whole; what it wrote is deleted."""
     folder = folder_of(tmp_path, [20, 40, 300, 30, 600, 50])
-    monkeypatch.setattr(stretches, "STRETCH_BYTES", 12000)
+    monkeypatch.setattr(chunks, "CHUNK_BYTES", 12000)
     ingest([folder], tmp_path / "undisturbed", num_workers=1)
     program = tmp_path / "program.py"
     program.write_text(KILLED)
@@ -194,8 +193,8 @@ def test_a_worker_that_is_killed_from_outside_changes_nothing(tmp_path, monkeypa
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_a_problem_under_stop_leaves_no_part_of_other_stretches(tmp_path, monkeypatch, workers):
-    monkeypatch.setattr(stretches, "STRETCH_BYTES", 1)
+def test_a_problem_under_stop_leaves_no_part_of_other_chunks(tmp_path, monkeypatch, workers):
+    monkeypatch.setattr(chunks, "CHUNK_BYTES", 1)
     folder = folder_of(tmp_path, [20, 30, 40, 50, 60])
     (folder / "3.bvh").write_text("HIERARCHY\n")
     report = ingest([folder], tmp_path / "store", num_workers=workers, on_error="stop")

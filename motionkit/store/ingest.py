@@ -1,0 +1,337 @@
+"""Sources → store: scan, read and write in chunks, commit; unreadable files are reported and counted."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from functools import partial
+from itertools import count, islice
+from pathlib import Path
+from typing import Literal
+
+from motionkit.core.errors import FormatError, MotionkitError, StoreError
+from motionkit.core.files import is_store
+from motionkit.core.progress import OnProgress, Task, ignore, task
+from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.core.skeletons.families import parse_layout_map
+from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map
+from motionkit.io.scan.cuts import missing_seconds, unlike_stated_seconds
+from motionkit.io.scan.items import ReadOptions, ScanResult, SourceItem
+from motionkit.io.scan.scanner import scan
+from motionkit.io.smpl_body import substituted_body
+from motionkit.store.chunks import (
+    NumberedItem,
+    ReadChunk,
+    ReadSequence,
+    check_readable,
+    chunks_of,
+    read_chunk,
+    worker_died,
+)
+from motionkit.store.codec import RefusedMotion, Row
+from motionkit.store.manifest import read_manifest
+from motionkit.store.reports.summary import BodySizes
+from motionkit.store.workers import LOCAL, WorkerDied, Workers, check_engine, start_workers, usable_cores
+from motionkit.store.writer import StoreWriter
+
+OnError = Literal["skip", "stop"]
+# Before its second frame a jump may be seen one frame late.
+FIRST_FRAMES = 2
+
+
+@dataclass(frozen=True)
+class DatasetCount:
+    """Counts of an index's sequences of one dataset: files found, missing and failed."""
+
+    dataset: str
+    num_found: int
+    num_missing: int
+    num_failed: int
+
+
+@dataclass
+class StoredCounts:
+    """What an ingest added: sequences, frames and seconds; and how many have a flag, a split, a performer."""
+
+    num_sequences: int = 0
+    num_frames: int = 0
+    duration_seconds: float = 0.0
+    num_flagged: int = 0
+    num_in_splits: int = 0
+    num_with_performer: int = 0
+    flags: Counter[str] = field(default_factory=Counter)
+
+    def add(self, row: Row) -> None:
+        """Count one row of the table of sequences."""
+        self.num_sequences += 1
+        self.num_frames += row["num_frames"]
+        self.duration_seconds += row["duration_seconds"]
+        self.num_flagged += bool(row["quality_flags"])
+        self.num_in_splits += bool(row["split"])
+        self.num_with_performer += bool(row["subject"])
+        self.flags.update(row["quality_flags"])
+
+
+@dataclass(frozen=True)
+class IngestReport:
+    """Result of an ingest: what it stored, what the store had already, problems (each costs a sequence), warnings.
+
+    `datasets` says it by dataset where the sequences are an index's. `ignored` are the files of the sources' folders
+    that are no sequences and belong to none. `committed` is False where the store was left as it was: after a problem
+    under `stop`, or with nothing to store.
+    """
+
+    store: Path
+    committed: bool
+    stored: StoredCounts
+    num_already_stored: int
+    num_in_store: int
+    problems: tuple[FormatError, ...]
+    warnings: tuple[FormatError, ...]
+    datasets: tuple[DatasetCount, ...] = ()
+    ignored: tuple[Path, ...] = ()
+
+    @property
+    def num_stored(self) -> int:
+        """Number of sequences added."""
+        return self.stored.num_sequences
+
+
+def ingest(
+    sources: Sequence[Path],
+    store: Path,
+    *,
+    options: ReadOptions | None = None,
+    on_error: OnError = "skip",
+    overwrite: bool = False,
+    num_workers: int | None = None,
+    engine: str = LOCAL,
+    on_progress: OnProgress = ignore,
+    on_problem: Callable[[FormatError], None] = lambda problem: None,
+    on_warning: Callable[[FormatError], None] = lambda warning: None,
+) -> IngestReport:
+    """Read every sequence of the sources into a store, which is made, added to, or (`overwrite`) replaced.
+
+    The store is the same, byte for byte, whatever the number of workers and whichever `engine` (`local`, `ray`,
+    `ray://HOST:PORT`) runs them; without a number given, all cores read, or as many as there are chunks. Under `skip`
+    the good sequences are stored; under `stop` the first problem ends the ingest and the store stays as it was. A
+    sequence that the store holds from an equal file is counted and left alone; one with the same id from another file
+    is a problem, and so is one whose id an earlier sequence of the sources has. `on_problem` is called with each fault
+    that costs a sequence, `on_warning` with others. Raises `UsageError` for sources or options that make no sense and
+    `StoreError` for a store that cannot be written.
+    """
+    check_engine(engine)
+    options = options or ReadOptions()
+    appends = is_store(store) and not overwrite
+    writer = StoreWriter.append(store) if appends else StoreWriter.create(store, overwrite=overwrite)
+    with task(on_progress, "ingest", note="scanning") as work:
+        found = scan(sources, options)
+        work.note("")
+        work.set_total(len(found.items))
+        run = _Ingest(writer, options, on_error == "stop", work, on_problem, on_warning)
+        try:
+            run.report_scan(found)
+            run.store_all(found.items, engine, num_workers)
+            committed = True
+        except _Stopped:
+            committed = False
+        except OSError as error:
+            # Readers report problems of files; this is the store's disk, before the commit: full, or not writable.
+            raise StoreError(f"the store {store} cannot be written ({error}); it is as it was") from None
+    return IngestReport(
+        store=store,
+        committed=committed,
+        stored=run.stored if committed else StoredCounts(),
+        num_already_stored=run.num_already_stored,
+        num_in_store=read_manifest(store).num_sequences if is_store(store) else 0,
+        problems=tuple(run.problems),
+        warnings=tuple(run.warnings),
+        datasets=_datasets(found, run.failed_by_dataset) if options.index else (),
+        ignored=tuple(path for path in found.ignored if not path.is_relative_to(store.resolve())),
+    )
+
+
+def _datasets(found: ScanResult, failed_by_dataset: Counter[str]) -> tuple[DatasetCount, ...]:
+    with_file = Counter(item.subset for item in found.items) + Counter(found.refused)
+    failed = failed_by_dataset + Counter(found.refused)
+    return tuple(
+        DatasetCount(name, with_file[name], found.missing.get(name, 0), failed[name])
+        for name, _ in (with_file + Counter(found.missing)).most_common()
+    )
+
+
+class _Stopped(Exception):
+    """A problem under `stop`, or nothing to store: leaves the writer without a commit."""
+
+
+class _Ingest:
+    """One ingest: owns the writer, the counts and the faults."""
+
+    def __init__(
+        self,
+        writer: StoreWriter,
+        options: ReadOptions,
+        stops: bool,
+        work: Task,
+        on_problem: Callable[[FormatError], None],
+        on_warning: Callable[[FormatError], None],
+    ) -> None:
+        self._writer = writer
+        self._options = options
+        self._stops = stops
+        self._work = work
+        self._on_problem = on_problem
+        self._on_warning = on_warning
+        self._rigs: set[tuple[tuple[str, ...], str]] = set()
+        self.problems: list[FormatError] = []
+        self.warnings: list[FormatError] = []
+        self.failed_by_dataset: Counter[str] = Counter()
+        self.num_already_stored = 0
+        self.stored = StoredCounts()
+
+    def report_scan(self, found: ScanResult) -> None:
+        """Report the faults of a scan."""
+        for warning in found.warnings:
+            self._warn(warning)
+        for problem in found.problems:
+            self._fail(problem)
+
+    def store_all(self, items: Sequence[SourceItem], engine: str, num_workers: int | None) -> None:
+        """Read all items and commit them; raises `_Stopped` where nothing is to be committed."""
+        if not items:
+            raise _Stopped
+        if engine == LOCAL:
+            num_workers = num_workers or sum(1 for _ in islice(chunks_of(items), usable_cores()))
+        with self._writer, start_workers(engine, num_workers, preload=["motionkit.store.chunks"]) as workers:
+            self._sizes = BodySizes(self._writer.skeletons)
+            read = partial(read_chunk, store=self._writer.path.absolute(), options=self._options)
+            with closing(workers.map(read, self._numbered_chunks(items))) as results:
+                for chunk, result in results:
+                    self._add_chunk(chunk, self._again(workers, chunk) if isinstance(result, WorkerDied) else result)
+            if not self.stored.num_sequences:
+                raise _Stopped
+        self._check_maps()
+
+    def _numbered_chunks(self, items: Sequence[SourceItem]) -> Iterator[list[NumberedItem]]:
+        # An index is the place among the sequences that are new, whether or not those before it can be read: so a part
+        # has the same bytes whoever writes it, whenever.
+        numbers = count(self._writer.next_sequence_index)
+        for chunk in chunks_of(items):
+            known = [self._writer.holds(item.sequence_id) for item in chunk]
+            yield [
+                NumberedItem(item, None if is_known else next(numbers))
+                for item, is_known in zip(chunk, known, strict=True)
+            ]
+
+    def _again(self, workers: Workers, chunk: Sequence[NumberedItem]) -> ReadChunk:
+        """A chunk of which two workers died, without the files that they die of: these are found one by one."""
+        deadly: set[int] = set()
+        for position, each in enumerate(chunk):
+            try:
+                workers.call(partial(check_readable, options=self._options), each.item)
+            except WorkerDied:
+                deadly.add(position)
+                self._check_alive(workers)
+        read = partial(read_chunk, store=self._writer.path.absolute(), options=self._options, deadly=deadly)
+        try:
+            return workers.call(read, chunk)
+        except WorkerDied:
+            return ReadChunk(None, tuple(worker_died(each.item) for each in chunk))
+
+    def _check_alive(self, workers: Workers) -> None:
+        try:
+            workers.call(len, ())
+        except WorkerDied:
+            message = "workers end before they have done anything: killed, or out of memory? --workers 1 shows where"
+            raise MotionkitError(message) from None
+
+    def _add_chunk(self, chunk: Sequence[NumberedItem], result: ReadChunk) -> None:
+        place = {} if result.part is None else {"part": self._writer.add_part(result.part)}
+        for each, outcome in zip(chunk, result.outcomes, strict=True):
+            if isinstance(outcome, FormatError):
+                self._fail(outcome, each.item)
+            else:
+                self._add(each.item, replace(outcome, row={**outcome.row, **place}))
+            self._work.advance()
+
+    def _add(self, item: SourceItem, read: ReadSequence) -> None:
+        self._check_rig(item, read.skeleton)
+        if self._writer.holds_from(item.sequence_id, read.row["source_sha256"]):
+            self.num_already_stored += 1
+            return
+        is_new_skeleton = not self._writer.knows_skeleton(read.skeleton)
+        try:
+            self._writer.add_row(read.row, read.skeleton)
+        except RefusedMotion as refused:
+            self._fail(FormatError(str(refused), path=item.path, reason=refused.reason), item)
+            return
+        size = self._sizes.warning_of(read.skeleton) if is_new_skeleton else ""
+        if size:
+            self._warn(FormatError(size, path=item.path, reason="body-size"))
+        for warning in _warnings_of(item, read.row):
+            self._warn(warning)
+        self.stored.add(read.row)
+
+    def _check_rig(self, item: SourceItem, skeleton: Skeleton) -> None:
+        # Joints that no layout knows are reported once, whatever the lengths of their bones; the motions are kept.
+        # Markers, which have no bones, are reported once for all their sets.
+        rig = (skeleton.joint_names if skeleton.offsets.any() else (), skeleton.layout_map)
+        if rig in self._rigs:
+            return
+        self._rigs.add(rig)
+        try:
+            joint_map(skeleton, SMPL22.name)
+        except SkeletonMapError as error:
+            self._warn(FormatError(str(error), path=item.path, reason="unmapped-skeleton"))
+
+    def _check_maps(self) -> None:
+        used = {layout_map for _, layout_map in self._rigs}
+        for text in self._options.skeleton_maps:
+            if text not in used:
+                family = parse_layout_map(text)
+                message = (
+                    f"fits no skeleton of the sources; it requires the joints {', '.join(sorted(family.requires))}"
+                )
+                self._warn(FormatError(message, path=f"skeleton map {family.name!r}", reason="unused-skeleton-map"))
+
+    def _warn(self, warning: FormatError) -> None:
+        self.warnings.append(warning)
+        self._on_warning(warning)
+
+    def _fail(self, problem: FormatError, item: SourceItem | None = None) -> None:
+        if item is not None:
+            self.failed_by_dataset[item.subset] += 1
+        self.problems.append(problem)
+        self._on_problem(problem)
+        if self._stops:
+            raise _Stopped
+
+
+def _warnings_of(item: SourceItem, row: Row) -> Iterator[FormatError]:
+    """Warnings about a stored motion by its row in the table of sequences.
+
+    `neutral-body`: no model of the subject's gender; `first-frame`: a jump after the first frame; `shortened`, or
+    `duration` for a whole file: the file's length differs from the index's.
+    """
+    substitute = substituted_body(row["operations"])
+    if substitute:
+        yield FormatError(substitute, path=item.path, reason="neutral-body")
+    if item.cut is None:
+        jump = row["first_teleport_seconds"]
+        if jump is not None and jump < (FIRST_FRAMES + 0.5) * row["seconds_between_frames"]:
+            # Converters put a T-pose before the motion.
+            message = f"jumps at {jump:.3g} s: does it begin with a reference pose? --skip-frames N leaves out the "
+            message += "first frames of every file, a column skip_frames of the annotation table those of one"
+            yield FormatError(message, path=item.path, reason="first-frame")
+        return
+    fps = Fraction(row["fps_numerator"], row["fps_denominator"])
+    seconds = row["duration_seconds"]
+    missing = missing_seconds(item.cut, item.path, row["num_frames"], fps, row["stated_fps"])
+    if missing > 0.0:
+        message = f"ends {missing:.3g} s before {item.sequence_id} does; {seconds:.3g} s of it are kept"
+        yield FormatError(message, path=item.path, reason="shortened")
+    elif unlike_stated_seconds(item.cut, row["num_frames"], fps):
+        message = f"lasts {seconds:.4g} s at {float(fps):g} fps, which is not what the index says of "
+        message += f"{item.sequence_id}; its captions' seconds won't fit: is the framerate wrong (--fps-rules)?"
+        yield FormatError(message, path=item.path, reason="duration")

@@ -1,0 +1,210 @@
+"""Calls computed by workers, in order: in this process, in local processes, or on a Ray cluster (extra `ray`)."""
+
+import os
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import Future
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from motionkit.core import __version__
+from motionkit.core.errors import MissingExtraError, MotionkitError, UsageError
+from motionkit.core.interrupts import defer_signals
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+
+Input = TypeVar("Input")
+Output = TypeVar("Output")
+
+LOCAL, RAY, RAY_ADDRESS = "local", "ray", "ray://"
+CALLS_IN_FLIGHT_PER_WORKER = 3
+
+
+class WorkerDied(Exception):
+    """A worker ended without an exception: killed, out of memory, or crashed in a library."""
+
+
+def usable_cores() -> int:
+    """Number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Running workers: their number, how one of them is given a call, and the exceptions that mean that it died."""
+
+    num_workers: int
+    submit: Callable[[Callable[[Any], Any], Any], Future[Any]]
+    deaths: tuple[type[BaseException], ...] = ()
+
+    def call(self, function: Callable[[Input], Output], value: Input) -> Output:
+        """What the function returns; raises what it raises, and `WorkerDied`."""
+        try:
+            output: Output = self.submit(function, value).result()
+        except self.deaths:
+            raise WorkerDied from None
+        return output
+
+    def map(
+        self, function: Callable[[Input], Output], values: Iterable[Input]
+    ) -> Generator[tuple[Input, Output | WorkerDied]]:
+        """Pairs of a value and its output, in the order of the values; few calls are in flight.
+
+        A call whose worker died is tried once more while no other is started: `WorkerDied` if that worker dies too.
+        """
+        in_flight: deque[tuple[Input, Future[Any]]] = deque()
+        for value in values:
+            in_flight.append((value, self.submit(function, value)))
+            if len(in_flight) >= self.num_workers * CALLS_IN_FLIGHT_PER_WORKER:
+                yield self._result(function, *in_flight.popleft())
+        while in_flight:
+            yield self._result(function, *in_flight.popleft())
+
+    def _result(
+        self, function: Callable[[Input], Output], value: Input, future: Future[Any]
+    ) -> tuple[Input, Output | WorkerDied]:
+        try:
+            return value, future.result()
+        except self.deaths:
+            try:
+                return value, self.call(function, value)
+            except WorkerDied as died:
+                return value, died
+
+
+def check_engine(name: str) -> None:
+    """Raises `UsageError` for anything but `local`, `ray` and `ray://HOST:PORT`."""
+    host, _, port = name.removeprefix(RAY_ADDRESS).rpartition(":")
+    if name not in (LOCAL, RAY) and not (name.startswith(RAY_ADDRESS) and host and port.isdecimal()):
+        raise UsageError(f"--engine {name}: expected local, ray (this machine, or RAY_ADDRESS) or ray://HOST:PORT")
+
+
+def start_workers(
+    engine: str, num_workers: int | None = None, preload: Sequence[str] = ()
+) -> AbstractContextManager[Workers]:
+    """The workers of an engine, for a `with` block: one in this process by default, or all of a Ray cluster.
+
+    Local processes import the modules of `preload` once for all. Raises `UsageError` for an unknown engine,
+    `MissingExtraError` without Ray, `MotionkitError` where Ray cannot be reached.
+    """
+    check_engine(engine)
+    if engine != LOCAL:
+        return _ray_workers(None if engine == RAY else engine, num_workers)
+    if num_workers is None or num_workers == 1:
+        return nullcontext(Workers(1, _submit_here))
+    return _processes(num_workers, preload)
+
+
+def _submit_here(function: Callable[[Any], Any], value: Any) -> Future[Any]:
+    future: Future[Any] = Future()
+    future.set_result(function(value))
+    return future
+
+
+@contextmanager
+def _processes(num_workers: int, preload: Sequence[str]) -> Iterator[Workers]:
+    """Local processes that end with this one, however it ends; a pool in which one died is replaced by another."""
+    from concurrent.futures.process import BrokenProcessPool, ProcessPoolExecutor
+    from multiprocessing import Pipe, get_all_start_methods, get_context
+
+    # Where it can be, workers are forked from a small server, not from this process, in which Arrow has threads.
+    context = get_context("forkserver" if "forkserver" in get_all_start_methods() else "spawn")
+    if context.get_start_method() == "forkserver":
+        context.set_forkserver_preload(["__main__", __name__, *preload])
+    watched, kept_open = Pipe(duplex=False)
+
+    def start_pool() -> ProcessPoolExecutor:
+        return ProcessPoolExecutor(num_workers, context, _end_with_parent, (watched,))
+
+    pool = start_pool()
+
+    def submit(function: Callable[[Any], Any], value: Any) -> Future[Any]:
+        nonlocal pool
+        # A worker that is just being started when this process gives up would look for semaphores that are gone.
+        with defer_signals():
+            try:
+                return pool.submit(function, value)
+            except BrokenProcessPool:
+                pool = start_pool()
+                return pool.submit(function, value)
+
+    try:
+        yield Workers(num_workers, submit, (BrokenProcessPool,))
+    finally:
+        with defer_signals():
+            kept_open.close()  # ends the workers: unfinished calls are not waited for
+            pool.shutdown(cancel_futures=True)
+            watched.close()
+
+
+def _end_with_parent(watched: "Connection") -> None:
+    import signal
+    import threading
+    from multiprocessing import connection, parent_process
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all processes of a terminal
+    parent = parent_process()
+    assert parent is not None
+
+    def watch() -> None:
+        connection.wait([parent.sentinel, watched])  # readable once the other end is closed, or its process is gone
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def _ray_workers(address: str | None, num_workers: int | None) -> Iterator[Workers]:
+    """Workers of the Ray at `address` or RAY_ADDRESS, else of one started here; a running connection is kept open.
+
+    They read files of their own machine's file system.
+    """
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # before Ray is imported: nothing is reported to anyone
+    try:
+        import ray as installed
+    except ImportError:
+        raise MissingExtraError("ray", "ray") from None
+    ray: Any = installed
+    exceptions = ray.exceptions
+    is_connected = ray.is_initialized()
+    if not is_connected:
+        options: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
+        if address is not None:
+            options["address"] = address
+        elif "RAY_ADDRESS" not in os.environ:
+            options |= {"num_cpus": num_workers or usable_cores(), "include_dashboard": False}
+        try:
+            ray.init(**options)
+        except (OSError, ValueError, RuntimeError) as error:
+            where = address or os.environ.get("RAY_ADDRESS", "on this machine")
+            reason = next(iter(str(error).splitlines()), type(error).__name__)
+            raise MotionkitError(f"Ray cannot be reached at {where} ({reason}): is it running there?") from None
+    # Ray's own repetition of a task whose worker died would hide which one it was.
+    remote = ray.remote(max_retries=0)(_call_of_version)
+    deaths = (
+        exceptions.WorkerCrashedError,
+        exceptions.OutOfMemoryError,
+        exceptions.NodeDiedError,
+        exceptions.ObjectLostError,
+    )
+    try:
+        number = num_workers or max(1, int(ray.cluster_resources().get("CPU", 1)))
+        yield Workers(number, lambda function, value: remote.remote(function, value, __version__).future(), deaths)
+    except exceptions.RayError as error:
+        cause = getattr(error, "cause", None)
+        if isinstance(cause, (MotionkitError, OSError)):
+            raise cause from None
+        reason = str(error).strip().splitlines()[-1]
+        message = f"a worker of Ray failed ({reason}): motionkit {__version__} must be installed where it runs"
+        raise MotionkitError(message) from None
+    finally:
+        if not is_connected:
+            ray.shutdown()
+
+
+def _call_of_version(function: Callable[[Any], Any], value: Any, version: str) -> Any:
+    if version != __version__:
+        raise MotionkitError(f"Ray's workers have motionkit {__version__}, this is {version}: install the same one")
+    return function(value)
