@@ -6,15 +6,11 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.features.quality import measure
-from motionkit.features.quality.steps import middle
 from tests.helpers.analytic import capture
 
 RATES = (Fraction(30), Fraction(60000, 1001), Fraction(120), Fraction(250))
@@ -150,9 +146,3 @@ def test_figures_are_finite_whatever_the_numbers(scale, num_frames):
 def test_the_result_travels_between_processes():
     quality = measure(capture(Fraction(60)))
     assert pickle.loads(pickle.dumps(quality)) == quality  # noqa: S301
-
-
-@given(values=arrays(np.float32, st.integers(1, 40), elements=st.floats(-100, 100, width=32)))
-def test_the_middle_is_the_median(values: np.ndarray) -> None:
-    assert middle(values) == np.median(values)
-    assert middle(values.astype(np.float64)) == np.median(values.astype(np.float64))
