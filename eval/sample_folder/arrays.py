@@ -16,8 +16,7 @@ import numpy as np
 from motionkit.core.errors import FormatError
 from motionkit.core.framerate import parse_fps
 from motionkit.core.plain_text import shown
-from motionkit.io import npy, npz_archive
-from motionkit.io.pickled_data import read_pickled_dict
+from motionkit.io import npy
 from motionkit.io.source import source_file
 
 JOINTS = frozenset({21, 22, 24, 52})
@@ -57,10 +56,13 @@ def read_stored(path: Path) -> list[StoredMotion]:
     """All motions of a .npy or .npz file. Raises `FormatError` for files without any; NaN is not checked."""
     if path.suffix.lower() == ".npz":
         return _of_dictionary(_archive(path), path)
-    data = source_file.read_bytes(path)
-    if (pickled := npy.object_content(data)) is not None:
-        return _of_dictionary(read_pickled_dict(path, pickled), path)
-    motions, batched = split_motions(npy.parse_npy(path, data, None), path)
+    found = npy.read_object(path, source_file.read_bytes(path))
+    if isinstance(found, dict):
+        return _of_dictionary(found, path)
+    if not isinstance(found, np.ndarray) or found.dtype.kind not in npy.NUMBERS:
+        message = "expected an array of numbers, or a dictionary of named arrays"
+        raise FormatError(message, path=path, reason="not-a-number")
+    motions, batched = split_motions(found, path)
     return [StoredMotion(numbers, index if batched else None) for index, numbers in enumerate(motions)]
 
 
@@ -101,15 +103,15 @@ def _motions(array: np.ndarray) -> list[np.ndarray] | None:
 
 def _archive(path: Path) -> dict[str, Any]:
     """The known members of an .npz file: arrays unchanged, texts as lists."""
-    archive = npz_archive.open_archive(path, source_file.read_bytes(path))
+    archive = npy.open_archive(path, source_file.read_bytes(path))
     found: dict[str, Any] = {}
     for key in archive.keys:
         if key in (*TEXT_KEYS, *ACTION_KEYS):
-            found[key] = list(npz_archive.read_strings(archive, key))
+            found[key] = list(archive.strings(key))
         elif key in (*MOTION_KEYS, "lengths"):
-            found[key] = npz_archive.read_plain(archive, key)
+            found[key] = archive.array(key)
         elif key in ("num_samples", "num_repetitions", "fps"):
-            found[key] = npz_archive.read_scalar(archive, key)
+            found[key] = archive.scalar(key)
     return found
 
 

@@ -20,9 +20,8 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io import npz_archive, up
+from motionkit.io import npy, up
 from motionkit.io.format import FileHead, Format
-from motionkit.io.npz_archive import NpzArchive
 from motionkit.io.retargeting import retarget
 from motionkit.io.scan.items import ReadOptions, SourceItem
 from motionkit.io.smpl_body import (
@@ -69,9 +68,9 @@ def read_amass(item: SourceItem, options: ReadOptions) -> Motion:
     """
     path = item.path
     data = source_file.read_bytes(path)
-    archive = npz_archive.open_archive(path, data)
+    archive = npy.open_archive(path, data)
     poses, layout = _read_poses(archive)
-    trans = npz_archive.read_numbers(archive, "trans", (len(poses), 3))
+    trans = archive.numbers("trans", (len(poses), 3))
     fps, stated_fps, operations = _framerate(archive, options)
     body = _body(archive, layout, options)
     rotations = kinematics.rotation_vector_to_quaternion(
@@ -102,7 +101,7 @@ def read_amass(item: SourceItem, options: ReadOptions) -> Motion:
     )
 
 
-def _body(archive: NpzArchive, layout: PoseLayout, options: ReadOptions) -> Body:
+def _body(archive: npy.Archive, layout: PoseLayout, options: ReadOptions) -> Body:
     if options.body_models is None:
         return mean_body(layout)
     gender, betas = _gender(archive), _betas(archive)
@@ -112,16 +111,16 @@ def _body(archive: NpzArchive, layout: PoseLayout, options: ReadOptions) -> Body
     return own_body(options.body_models, layout, LAYOUTS.get(_family(archive), SMPLH), gender, betas)
 
 
-def _gender(archive: NpzArchive) -> str:
+def _gender(archive: npy.Archive) -> str:
     # Older releases print bytes into a string: "b'male'".
     gender = _text(archive, "gender").removeprefix("b'").removesuffix("'")
     return gender if gender in GENDERS else ""
 
 
-def _betas(archive: NpzArchive) -> Float32[np.ndarray, "betas"]:
+def _betas(archive: npy.Archive) -> Float32[np.ndarray, "betas"]:
     if "betas" not in archive:
         return np.zeros(0, np.float32)
-    betas = npz_archive.read_numbers(archive, "betas", None)
+    betas = archive.numbers("betas", None)
     if betas.ndim not in (1, 2) or (betas.ndim == 2 and (betas != betas[0]).any()):
         message = f"betas of shape {betas.shape} that change, expected one body"
         raise FormatError(message, path=archive.path, reason="channel-count")
@@ -129,13 +128,13 @@ def _betas(archive: NpzArchive) -> Float32[np.ndarray, "betas"]:
     return first
 
 
-def _read_poses(archive: NpzArchive) -> tuple[Float32[np.ndarray, "frames values"], PoseLayout]:
+def _read_poses(archive: npy.Archive) -> tuple[Float32[np.ndarray, "frames values"], PoseLayout]:
     if "poses" in archive:
-        poses = npz_archive.read_numbers(archive, "poses", (None, None))
+        poses = archive.numbers("poses", (None, None))
     else:
-        first = npz_archive.read_numbers(archive, "root_orient", (None, 3))
+        first = archive.numbers("root_orient", (None, 3))
         parts = [(key, size) for key, size in POSE_PARTS[1:] if key in archive or key == "pose_body"]
-        others = [npz_archive.read_numbers(archive, key, (len(first), size)) for key, size in parts]
+        others = [archive.numbers(key, (len(first), size)) for key, size in parts]
         poses = np.concatenate((first, *others), axis=1)
     turned = np.abs(poses).max(axis=1)
     if turned.max() > MAX_RADIANS:
@@ -149,7 +148,7 @@ def _read_poses(archive: NpzArchive) -> tuple[Float32[np.ndarray, "frames values
     return poses, _layout(archive, poses.shape[1])
 
 
-def _layout(archive: NpzArchive, width: int) -> PoseLayout:
+def _layout(archive: npy.Archive, width: int) -> PoseLayout:
     stated = _family(archive)
     for layout in (*LAYOUTS.values(), BODY):
         if width == 3 * layout.num_joints and (layout is BODY or stated in ("", layout.family)):
@@ -163,9 +162,9 @@ def _layout(archive: NpzArchive, width: int) -> PoseLayout:
     )
 
 
-def _framerate(archive: NpzArchive, options: ReadOptions) -> tuple[Fraction, str, list[str]]:
+def _framerate(archive: npy.Archive, options: ReadOptions) -> tuple[Fraction, str, list[str]]:
     key = next((key for key in FRAMERATE_KEYS if key in archive), None)
-    value = None if key is None else npz_archive.read_scalar(archive, key)
+    value = None if key is None else archive.scalar(key)
     stated = "" if value is None else str(value)
     fps, operations = clock.fps_in_use(options.fps, lambda: _stated_fps(value, key, archive.path))
     return fps, stated, operations
@@ -185,13 +184,13 @@ def _stated_fps(value: str | int | float | None, key: str | None, path: Path) ->
         ) from None
 
 
-def _family(archive: NpzArchive) -> str:
+def _family(archive: npy.Archive) -> str:
     # The file's body model, without a variant's suffix ("smplx_locked_head").
     return _text(archive, "surface_model_type").split("_")[0]
 
 
-def _text(archive: NpzArchive, key: str) -> str:
-    value = npz_archive.read_scalar(archive, key) if key in archive else None
+def _text(archive: npy.Archive, key: str) -> str:
+    value = archive.scalar(key) if key in archive else None
     return value.strip().lower() if isinstance(value, str) else ""
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
-from motionkit.io import npy, npz_archive
+from motionkit.io import npy
 from motionkit.io.bvh.document import BvhDocument
 from motionkit.io.scan.items import ReadOptions, ScanResult, SourceItem
 from motionkit.io.source import source_file
@@ -38,7 +38,7 @@ class FileHead:
     @cached_property
     def array_names(self) -> frozenset[str]:
         """The names of an .npz file's arrays; empty without a valid zip directory."""
-        return npz_archive.peek_keys(self.path)
+        return npy.peek_keys(self.path)
 
     @cached_property
     def column_names(self) -> list[str]:

@@ -16,9 +16,8 @@ from motionkit.core.framerate import parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, Feet, Skeleton
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io import npz_archive
+from motionkit.io import npy
 from motionkit.io.format import FileHead, Format, of_path
-from motionkit.io.npz_archive import NpzArchive
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.source import clock, rigid, source_file
 
@@ -87,8 +86,8 @@ def read_kimodo(path: Path, options: ReadOptions | None = None) -> Motion:
     """
     options = options or ReadOptions()
     data = source_file.read_bytes(path)
-    archive = npz_archive.open_archive(path, data)
-    positions = npz_archive.read_numbers(archive, JOINTS, (None, None, 3))
+    archive = npy.open_archive(path, data)
+    positions = archive.numbers(JOINTS, (None, None, 3))
     skeleton = SKELETONS.get(positions.shape[1])
     if skeleton is None:
         known = ", ".join(f"{count} ({each.name})" for count, each in SKELETONS.items())
@@ -105,14 +104,14 @@ def read_kimodo(path: Path, options: ReadOptions | None = None) -> Motion:
     )
     if ROTATIONS not in archive:
         return made
-    matrices = npz_archive.read_numbers(archive, ROTATIONS, (*positions.shape[:2], 3, 3))
+    matrices = archive.numbers(ROTATIONS, (*positions.shape[:2], 3, 3))
     local = np.einsum("tjki,tjkl->tjil", matrices[:, skeleton.parents_or_self], matrices)
     local[:, 0] = matrices[:, 0]
     return rigid.with_rotations(made, local)
 
 
-def _framerate(archive: NpzArchive, options: ReadOptions) -> tuple[Fraction, str, list[str]]:
-    value = npz_archive.read_scalar(archive, "fps") if "fps" in archive else None
+def _framerate(archive: npy.Archive, options: ReadOptions) -> tuple[Fraction, str, list[str]]:
+    value = archive.scalar("fps") if "fps" in archive else None
     try:
         fps, who = (FPS, "Kimodo") if value is None else (parse_fps(value), "the file")
     except ValueError as error:

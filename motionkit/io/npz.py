@@ -22,10 +22,9 @@ from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import STANDARD_SKELETONS, Feet, Skeleton
 from motionkit.core.skeletons.families import parse_layout_map
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io import npz_archive
+from motionkit.io import npy
 from motionkit.io.format import FileHead, Format, of_path
 from motionkit.io.npy import checked_rotations
-from motionkit.io.npz_archive import NpzArchive
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.source import clock, source_file
 from motionkit.io.source.body_frame import in_metres
@@ -51,7 +50,7 @@ def skeleton_arrays(skeleton: Skeleton) -> dict[str, Any]:
     return arrays
 
 
-def read_skeleton(archive: NpzArchive, joint_positions: Float32[np.ndarray, "frames joints 3"]) -> Skeleton:
+def read_skeleton(archive: npy.Archive, joint_positions: Float32[np.ndarray, "frames joints 3"]) -> Skeleton:
     """The skeleton that the arrays describe; missing parts are taken from a standard layout or from frame 0.
 
     Without `joint_names`, 22 joints are SMPL's and 21 KIT's. Names and parents of a standard layout give that layout.
@@ -61,7 +60,7 @@ def read_skeleton(archive: NpzArchive, joint_positions: Float32[np.ndarray, "fra
     num_joints = joint_positions.shape[1]
     if "joint_names" not in archive:
         return unnamed_skeleton(num_joints, archive.path)
-    names = npz_archive.read_strings(archive, "joint_names")
+    names = archive.strings("joint_names")
     if len(names) != num_joints:
         message = f"{len(names)} joint_names for {num_joints} joints"
         raise FormatError(message, path=archive.path, reason="channel-count")
@@ -96,7 +95,7 @@ def bones_of_pose(pose: Float32[np.ndarray, "joints 3"], parents: tuple[int, ...
 
 
 def _described(
-    archive: NpzArchive, names: tuple[str, ...], joint_positions: Float32[np.ndarray, "frames joints 3"]
+    archive: npy.Archive, names: tuple[str, ...], joint_positions: Float32[np.ndarray, "frames joints 3"]
 ) -> Skeleton:
     num_joints = len(names)
     parents = (-1, *(0,) * (num_joints - 1))
@@ -104,11 +103,11 @@ def _described(
         parents = tuple(_indices(archive, "parents", (num_joints,), -1, num_joints).tolist())
     try:
         if "offsets" in archive:
-            offsets = npz_archive.read_numbers(archive, "offsets", (num_joints, 3))
+            offsets = archive.numbers("offsets", (num_joints, 3))
         else:
             offsets = bones_of_pose(joint_positions[0], parents)
-        layout_map = "".join(npz_archive.read_strings(archive, "layout_map")) if "layout_map" in archive else ""
-        name = npz_archive.read_strings(archive, "skeleton")[0] if "skeleton" in archive else archive.path.stem
+        layout_map = "".join(archive.strings("layout_map")) if "layout_map" in archive else ""
+        name = archive.strings("skeleton")[0] if "skeleton" in archive else archive.path.stem
         return Skeleton(
             name,
             names,
@@ -123,27 +122,27 @@ def _described(
         raise FormatError(str(error), path=archive.path, reason="bones") from None
 
 
-def _pairs(archive: NpzArchive, num_joints: int) -> tuple[tuple[int, int], ...]:
+def _pairs(archive: npy.Archive, num_joints: int) -> tuple[tuple[int, int], ...]:
     if "left_right_pairs" not in archive:
         return ()
     pairs = _indices(archive, "left_right_pairs", (None, 2), 0, num_joints).tolist()
     return tuple((left, right) for left, right in pairs)
 
 
-def _feet(archive: NpzArchive, num_joints: int) -> Feet | None:
+def _feet(archive: npy.Archive, num_joints: int) -> Feet | None:
     return Feet(*_indices(archive, "feet", (4,), 0, num_joints).tolist()) if "feet" in archive else None
 
 
-def _end_sites(archive: NpzArchive, num_joints: int) -> tuple[tuple[int, tuple[float, float, float]], ...]:
+def _end_sites(archive: npy.Archive, num_joints: int) -> tuple[tuple[int, tuple[float, float, float]], ...]:
     if "end_site_joints" not in archive:
         return ()
     joints = _indices(archive, "end_site_joints", (None,), 0, num_joints).tolist()
-    offsets = npz_archive.read_exact(archive, "end_site_offsets", (len(joints), 3)).tolist()
+    offsets = archive.exact("end_site_offsets", (len(joints), 3)).tolist()
     return tuple((joint, (x, y, z)) for joint, (x, y, z) in zip(joints, offsets, strict=True))
 
 
-def _indices(archive: NpzArchive, key: str, shape: tuple[int | None, ...], low: int, high: int) -> np.ndarray:
-    found = npz_archive.read_exact(archive, key, shape)
+def _indices(archive: npy.Archive, key: str, shape: tuple[int | None, ...], low: int, high: int) -> np.ndarray:
+    found = archive.exact(key, shape)
     if not ((found >= low) & (found < high) & (found == np.rint(found))).all():
         message = f"{key}: joints are numbered {low} … {high - 1}, these are not"
         raise FormatError(message, path=archive.path, reason="bones")
@@ -165,8 +164,8 @@ def read_npz(path: Path, options: ReadOptions | None = None) -> Motion:
     """
     options = options or ReadOptions()
     data = source_file.read_bytes(path)
-    archive = npz_archive.open_archive(path, data)
-    positions = npz_archive.read_numbers(archive, "joint_positions", (None, None, 3))
+    archive = npy.open_archive(path, data)
+    positions = archive.numbers("joint_positions", (None, None, 3))
     grid, stated_fps, operations = _clock(archive, len(positions), options)
     skeleton = read_skeleton(archive, positions)
     motion = Motion(
@@ -240,7 +239,7 @@ def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
         np.savez(file, allow_pickle=False, **arrays)
 
 
-def _clock(archive: NpzArchive, num_frames: int, options: ReadOptions) -> tuple[TimeGrid, str, list[str]]:
+def _clock(archive: npy.Archive, num_frames: int, options: ReadOptions) -> tuple[TimeGrid, str, list[str]]:
     try:
         stated, words = _stated_fps(archive)
     except FormatError:
@@ -249,7 +248,7 @@ def _clock(archive: NpzArchive, num_frames: int, options: ReadOptions) -> tuple[
         stated, words = None, ""
     seconds = None
     if "time_seconds" in archive:
-        seconds = npz_archive.read_exact(archive, "time_seconds", (num_frames,))
+        seconds = archive.exact("time_seconds", (num_frames,))
         if options.fps is None:
             grid = clock.grid_of_seconds(seconds, archive.path, stated)
             stated, words = grid.fps, words or f"time_seconds: {format_fps(grid.fps)}"
@@ -265,14 +264,14 @@ def _clock(archive: NpzArchive, num_frames: int, options: ReadOptions) -> tuple[
     return TimeGrid(fps, num_frames, start), said, clock.replaced_fps(fps, stated)
 
 
-def _stated_fps(archive: NpzArchive) -> tuple[Fraction | None, str]:
+def _stated_fps(archive: npy.Archive) -> tuple[Fraction | None, str]:
     try:
         if "fps_numerator" in archive and "fps_denominator" in archive:
-            pair = [npz_archive.read_exact(archive, f"fps_{part}", ()) for part in ("numerator", "denominator")]
+            pair = [archive.exact(f"fps_{part}", ()) for part in ("numerator", "denominator")]
             fps = parse_fps(Fraction(*(int(part) for part in pair)))
             return fps, f"fps: {format_fps(fps)}"
         if "fps" in archive:
-            value = npz_archive.read_scalar(archive, "fps")
+            value = archive.scalar("fps")
             if value is None:
                 raise ValueError("a Python object, which is not loaded")
             return parse_fps(value), f"fps: {value}"
@@ -281,14 +280,14 @@ def _stated_fps(archive: NpzArchive) -> tuple[Fraction | None, str]:
     return None, ""
 
 
-def _rotations(archive: NpzArchive, shape: tuple[int, ...]) -> Float32[np.ndarray, "frames joints 4"] | None:
+def _rotations(archive: npy.Archive, shape: tuple[int, ...]) -> Float32[np.ndarray, "frames joints 4"] | None:
     rotations = _optional(archive, "local_rotations", (*shape, 4))
     if rotations is not None:
         checked_rotations(rotations, archive.path, "local_rotations")
     return rotations
 
 
-def _captions(archive: NpzArchive) -> tuple[Caption, ...]:
+def _captions(archive: npy.Archive) -> tuple[Caption, ...]:
     texts = _texts(archive, "captions")
     tokens = _texts(archive, "caption_tokens") or ("",) * len(texts)
     if len(tokens) != len(texts):
@@ -296,7 +295,7 @@ def _captions(archive: NpzArchive) -> tuple[Caption, ...]:
         raise FormatError(message, path=archive.path, reason="channel-count")
     if "caption_seconds" not in archive:
         return tuple(Caption(text, tokens=words) for text, words in zip(texts, tokens, strict=True))
-    bounds = npz_archive.read_exact(archive, "caption_seconds", (len(texts), 2))
+    bounds = archive.exact("caption_seconds", (len(texts), 2))
     if not np.isfinite(bounds[:, 0]).all() or np.isinf(bounds[:, 1]).any():
         raise FormatError("caption_seconds: a start that is no number", path=archive.path, reason="text")
     return tuple(
@@ -305,15 +304,15 @@ def _captions(archive: NpzArchive) -> tuple[Caption, ...]:
     )
 
 
-def _optional(archive: NpzArchive, key: str, shape: tuple[int, ...]) -> Float32[np.ndarray, "..."] | None:
-    return npz_archive.read_numbers(archive, key, shape) if key in archive else None
+def _optional(archive: npy.Archive, key: str, shape: tuple[int, ...]) -> Float32[np.ndarray, "..."] | None:
+    return archive.numbers(key, shape) if key in archive else None
 
 
-def _texts(archive: NpzArchive, key: str) -> tuple[str, ...]:
-    return npz_archive.read_strings(archive, key) if key in archive else ()
+def _texts(archive: npy.Archive, key: str) -> tuple[str, ...]:
+    return archive.strings(key) if key in archive else ()
 
 
-def _text(archive: NpzArchive, key: str) -> str:
+def _text(archive: npy.Archive, key: str) -> str:
     return next(iter(_texts(archive, key)), "")
 
 

@@ -21,10 +21,9 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io import npy, npz_archive, up
+from motionkit.io import npy, up
 from motionkit.io.amass import FRAMERATE_KEYS, MAX_RADIANS
 from motionkit.io.format import FileHead, Format, of_path
-from motionkit.io.npz_archive import NpzArchive
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.smpl_body import BODY, SMPL, SMPLX, PoseLayout, mean_body, own_body
 from motionkit.io.source import clock, source_file
@@ -52,7 +51,7 @@ def read_smpl(path: Path, options: ReadOptions | None = None) -> Motion:
     """
     options = options or ReadOptions()
     data = source_file.read_bytes(path)
-    archive = npz_archive.open_archive(path, data)
+    archive = npy.open_archive(path, data)
     if WORLD in archive:
         rotations = _rotations(archive, WORLD)
     else:
@@ -85,15 +84,15 @@ def _whole(
     return np.concatenate((root, body), axis=1)
 
 
-def _values(archive: NpzArchive, key: str) -> Float32[np.ndarray, "..."]:
+def _values(archive: npy.Archive, key: str) -> Float32[np.ndarray, "..."]:
     """An array of numbers of any shape, but not a scalar."""
-    values = npz_archive.read_numbers(archive, key, None)
+    values = archive.numbers(key, None)
     if not values.shape:
         raise FormatError(f"{key}: a single number, expected an array", path=archive.path, reason="channel-count")
     return values
 
 
-def _rotations(archive: NpzArchive, key: str, num_joints: int | None = None) -> Float32[np.ndarray, "frames joints 4"]:
+def _rotations(archive: npy.Archive, key: str, num_joints: int | None = None) -> Float32[np.ndarray, "frames joints 4"]:
     """Rotations of a key as quaternions, from rotation vectors or matrices."""
     values = _values(archive, key)
     # For several joints, [1, joints, 3] is one frame, and [1, 3, 3] is a matrix.
@@ -133,7 +132,7 @@ def _of_vectors(
     return kinematics.rotation_vector_to_quaternion(vectors)
 
 
-def _translation(archive: NpzArchive, key: str, num_frames: int) -> Float32[np.ndarray, "frames 3"]:
+def _translation(archive: npy.Archive, key: str, num_frames: int) -> Float32[np.ndarray, "frames 3"]:
     values = _values(archive, key)
     if values.size != 3 * num_frames or values.shape[-1] != 3:
         message = f"{key}: array of shape {values.shape}, expected ({num_frames}, 3)"
@@ -141,9 +140,9 @@ def _translation(archive: NpzArchive, key: str, num_frames: int) -> Float32[np.n
     return values.reshape(num_frames, 3)
 
 
-def _framerate(archive: NpzArchive, options: ReadOptions) -> tuple[Fraction, str, list[str]]:
+def _framerate(archive: npy.Archive, options: ReadOptions) -> tuple[Fraction, str, list[str]]:
     key = next((key for key in RATES if key in archive), None)
-    value = None if key is None else npz_archive.read_scalar(archive, key)
+    value = None if key is None else archive.scalar(key)
 
     def stated() -> Fraction:
         try:

@@ -16,7 +16,7 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.io import npz_archive
+from motionkit.io import npy
 from motionkit.io.source import source_file
 
 FINGERS = tuple(f"{finger}{bone}" for finger in ("index", "middle", "pinky", "ring", "thumb") for bone in (1, 2, 3))
@@ -137,17 +137,17 @@ def find_body_model(folder: Path, layout: PoseLayout, gender: str) -> BodyModel:
 
 @lru_cache(maxsize=16)
 def load_body_model(path: Path, layout: PoseLayout, gender: str) -> BodyModel:
-    """Read a model file, once in each process; raises `FormatError` as `npz_archive` does, and `bones`."""
-    archive = npz_archive.open_archive(path, source_file.read_bytes(path))
-    template = npz_archive.read_numbers(archive, "v_template", (None, 3)).astype(np.float64)
-    regressor = npz_archive.read_numbers(archive, "J_regressor", (None, len(template))).astype(np.float64)
+    """Read a model file, once in each process; raises `FormatError` as `npy.Archive` does, and `bones`."""
+    archive = npy.open_archive(path, source_file.read_bytes(path))
+    template = archive.numbers("v_template", (None, 3)).astype(np.float64)
+    regressor = archive.numbers("J_regressor", (None, len(template))).astype(np.float64)
     if len(regressor) != layout.num_joints:
         raise FormatError(
             f"J_regressor has {len(regressor)} joints, expected the {layout.num_joints} of {layout.family}",
             path=path,
             reason="bones",
         )
-    directions = npz_archive.read_numbers(archive, "shapedirs", (len(template), 3, None))
+    directions = archive.numbers("shapedirs", (len(template), 3, None))
     if layout.family == "smplx":
         directions = directions[..., : SMPLX_BETAS if directions.shape[-1] >= SMPLX_DIRECTIONS else SMALL_SMPLX_BETAS]
     moved = np.tensordot(regressor, directions.astype(np.float64), axes=1)

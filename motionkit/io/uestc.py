@@ -19,9 +19,8 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io import npz_archive
+from motionkit.io import npy
 from motionkit.io.format import FileHead, Format, of_path
-from motionkit.io.npz_archive import NpzArchive
 from motionkit.io.scan.items import ReadOptions
 from motionkit.io.smpl_body import SMPL, Body, mean_body, own_body
 from motionkit.io.source import clock, source_file
@@ -94,13 +93,13 @@ def read_uestc(path: Path, options: ReadOptions | None = None) -> Motion:
         )
     name = _parse_name(path)
     data = source_file.read_bytes(path)
-    archive = npz_archive.open_archive(path, data)
-    pose = npz_archive.read_numbers(archive, "pose", (None, 3 * SMPL.num_joints))
+    archive = npy.open_archive(path, data)
+    pose = archive.numbers("pose", (None, 3 * SMPL.num_joints))
     body = _body(archive, len(pose), options)
     operations = list(body.operations)
     trans = np.zeros((len(pose), 3), np.float32)
     if "trans" in archive:
-        trans = npz_archive.read_numbers(archive, "trans", (len(pose), 3))
+        trans = archive.numbers("trans", (len(pose), 3))
     else:
         operations.append("no translation in the file: the pelvis stays in place")
     turn, turned = _to_front(name)
@@ -136,12 +135,12 @@ def _parse_name(path: Path) -> _Name:
     return _Name(ACTIONS[int(match["action"])], int(match["subject"]), int(match["view"]), match["side"] == FRONT_SIDE)
 
 
-def _body(archive: NpzArchive, num_frames: int, options: ReadOptions) -> Body:
+def _body(archive: npy.Archive, num_frames: int, options: ReadOptions) -> Body:
     if options.body_models is None:
         return mean_body(SMPL)
     betas = np.zeros(NUM_BETAS, np.float32)
     if "betas" in archive:
-        betas = npz_archive.read_numbers(archive, "betas", (num_frames, NUM_BETAS)).mean(axis=0)
+        betas = archive.numbers("betas", (num_frames, NUM_BETAS)).mean(axis=0)
     body = own_body(options.body_models, SMPL, SMPL, "neutral", betas)
     return replace(body, operations=(*body.operations, "betas: their mean over the sequence"))
 

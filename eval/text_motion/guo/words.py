@@ -15,7 +15,7 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Caption
 from motionkit.core.shapes import Float64
 from motionkit.io import npy
-from motionkit.io.pickled_data import PickleError, parse_pickle
+from motionkit.io.npy import PickleError, parse_pickle
 from motionkit.io.source import source_file
 
 PREFIX = "our_vab"

@@ -22,7 +22,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Bool, Float64
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import at_origin, facing_forward
-from motionkit.io import joints_npy, npy, npz_archive
+from motionkit.io import joints_npy, npy
 from motionkit.io.humanml3d import LAYOUTS
 from motionkit.io.scan import reading
 from motionkit.io.scan.items import ReadOptions, SourceItem
@@ -73,10 +73,10 @@ def _read_timed(item: SourceItem, options: ReadOptions) -> tuple[Motion, Float64
 
 
 def _ascending_seconds(path: Path, error: FormatError) -> Float64[np.ndarray, "frames"]:
-    archive = npz_archive.open_archive(path, source_file.read_bytes(path))
+    archive = npy.open_archive(path, source_file.read_bytes(path))
     if "time_seconds" not in archive:
         raise error
-    seconds = npz_archive.read_exact(archive, "time_seconds", (None,))
+    seconds = archive.exact("time_seconds", (None,))
     if len(seconds) < 2 or not np.isfinite(seconds).all():
         raise error
     late = np.diff(seconds) <= 0
@@ -123,9 +123,9 @@ def _read_filled(item: SourceItem, options: ReadOptions) -> ReadClip:
 
 
 def _copy_npz(path: Path, data: bytes, copy: Path) -> Bool[np.ndarray, "frames"]:
-    archive = npz_archive.open_archive(path, data)
+    archive = npy.open_archive(path, data)
     there = [name for name in FRAME_ARRAYS if name in archive]
-    filled, seen = filled_rows({name: npz_archive.read_plain(archive, name) for name in there}, path)
+    filled, seen = filled_rows({name: archive.array(name) for name in there}, path)
     with zipfile.ZipFile(copy, "w") as out:
         for info in archive.zipped.infolist():
             name = info.filename.removesuffix(".npy")

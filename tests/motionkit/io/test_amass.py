@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints, rest_positions
@@ -111,6 +112,39 @@ def test_poses_in_parts_are_those_of_one_array(tmp_path: Path) -> None:
     body_only = {key: parts[key] for key in ("root_orient", "pose_body")} | {"trans": fields["trans"]}
     write_amass(tmp_path / "body" / "a.npz", body_only | {"mocap_frame_rate": 60})
     assert np.array_equal(read_one(tmp_path / "body").joint_positions, whole.joint_positions)
+
+
+NAN, FAR = standing_poses(), np.zeros((4, 3))
+NAN[2, 30], FAR[3, 1] = np.nan, 1e12
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason", "message", "frame"),
+    [
+        ({"poses": None}, "missing-key", "root_orient", None),
+        ({"trans": None}, "missing-key", "trans", None),
+        ({"poses": np.zeros((4, 100))}, "channel-count", "poses of 100 numbers", None),
+        ({"poses": np.zeros((4, 165)), "surface_model_type": "smplh"}, "channel-count", "smplh", None),
+        ({"poses": np.zeros((4, 52, 3))}, "channel-count", "poses", None),
+        ({"poses": np.full((4, 156), 90.0)}, "radians", "degrees", 0),
+        ({"trans": np.zeros((3, 3))}, "channel-count", "trans", None),
+        ({"trans": FAR}, "range", "trans", 3),
+        ({"poses": NAN}, "nan", "poses", 2),
+        ({"poses": standing_poses().astype(object)}, "object-array", "poses", None),
+        ({"mocap_framerate": None}, "no-framerate", "--fps", None),
+        ({"mocap_framerate": np.array([120.0, 60.0])}, "channel-count", "mocap_framerate", None),
+        ({"mocap_framerate": np.array(120j)}, "not-a-number", "mocap_framerate", None),
+        ({"mocap_framerate": np.array([1, 2], dtype=object)}, "framerate", "mocap_framerate", None),
+        ({"mocap_framerate": np.array({"fps": 120}, dtype=object)}, "framerate", "mocap_framerate", None),
+    ],
+)
+def test_what_is_wrong_is_reported(
+    tmp_path: Path, changes: dict[str, object], reason: str, message: str, frame: int | None
+) -> None:
+    write_amass(tmp_path / "a_poses.npz", smplh_fields(**changes))
+    with pytest.raises(FormatError, match=message) as caught:
+        read_one(tmp_path)
+    assert (caught.value.reason, caught.value.frame) == (reason, frame)
 
 
 def test_shapes_beside_the_motions_are_left_out(tmp_path: Path) -> None:
