@@ -4,8 +4,9 @@ A variant is one training run. Tables share variants, so the paper's full model 
 paper's tables use its own layout of z, `global`; rows of our layout, `local`, are added where they apply.
 """
 
-from motionkit.training.ablations import Ablation, Ablations, Entry, Sweep, Variant, check_unchanged
+from motionkit.training.ablations import Ablation, Ablations, Entry, Variant
 from motionkit.training.run import RunFolder, copy_stage
+from motionkit.training.stage import StageContext
 from nerm.recipes import RECIPES, NermConfig
 from nerm.settings import LatentLayout
 from nerm.stages import CODEBOOK, DENOISER, FIELD
@@ -135,25 +136,22 @@ ABLATIONS: dict[str, Ablation] = {
 }
 
 
-CODEBOOK_SEED = 0
-
-
-def share_codebook(sweep: Sweep, run: RunFolder, config: NermConfig) -> None:
-    """Give a run the codebook of RUNS/PREFIX, trained first if it is missing.
+def share_codebook(common: StageContext, run: RunFolder, config: NermConfig) -> None:
+    """Give a run the codebook of the common run, trained first if it is missing.
 
     Variants differ in how the codes are used, not in the codes, so they share one codebook. A variant without codes
     gets none.
     """
+    from motionkit.store.manifest import read_manifest  # the list of ablations is read for --help
+
     if config.field.encoder.kind != "codebook":
         return
-    common = RunFolder(sweep.runs / sweep.prefix)
-    context = sweep.context(common, CODEBOOK_SEED, overwrite=False)
-    source, target = common.stage(CODEBOOK.name), run.stage(CODEBOOK.name)
+    source, target = common.run.stage(CODEBOOK.name), run.stage(CODEBOOK.name)
     with source.locked():
         if source.is_complete:
-            check_unchanged(context, CODEBOOK, config)
+            CODEBOOK.check_kept(common, config, read_manifest(common.store).fingerprint)
         else:
-            CODEBOOK.train(context, config)
+            CODEBOOK.train(common, config)
     if target.is_complete and target.model_path.read_bytes() == source.model_path.read_bytes():
         return
     with target.locked():

@@ -133,17 +133,15 @@ def _refuse_broken(request: "TableRequest") -> None:
 
 def _say_what_is_lacking(table: "Table", request: "TableRequest") -> None:
     """Print the command that trains all systems without a row, if any."""
-    from motionkit.training.systems import options_for
-
     run = request.evaluated.run
     lacking = [each.title for each in table.shown().values() if run is None or not each.complete_in(run)]
     if lacking:
-        kind, _, number = table.number.partition("figure")
-        options, _ = options_for(
-            f"figure:{number}" if number else f"table:{kind}", None if table.is_default else table.paper
-        )
+        number = table.number.removeprefix("figure")
+        target = f"{'table' if number == table.number else 'figure'}:{number}"
+        paper = "" if table.is_default else f" --paper {table.paper}"
         named = "" if run is None or run.name == "nano" else f" --run {shlex.quote(run.name)}"
-        stderr.print(f"no rows of {', '.join(lacking)}: motionkit train {options}{named} trains the missing ones")
+        command = f"motionkit train --for {target}{paper}{named}"
+        stderr.print(f"no rows of {', '.join(lacking)}: {command} trains the missing ones")
 
 
 def _build(request: "TableRequest", table: "Table | None") -> "Result":

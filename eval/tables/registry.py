@@ -134,7 +134,7 @@ class Table:
 
     `shown` gives the loaders of its rows, `reads` names the evaluators among a run's stages that it reads, and
     `settings` are its systems' training settings, as for `--set`: `motionkit train --for` uses these to find what is
-    missing (`motionkit.training.systems.ShowsSystems`).
+    missing (eval/tables/systems.py).
     """
 
     paper: str

@@ -1,37 +1,32 @@
 """`motionkit train`: train the stages of a model, or all systems of a table, from a store into a run folder."""
 
 import shlex
-from collections.abc import Callable, Iterable
+from collections.abc import Sequence
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from motionkit.cli.console import print_json, say_next
+from motionkit.cli.console import print_json, progress, say_next, stderr, stdout
 from motionkit.cli.options import StoreArgument, named_store, of_default, parse_duration
 from motionkit.cli.tracking import tensorboard_events
-from motionkit.cli.train_jobs import Job, train_all
 from motionkit.core.errors import UsageError
+from motionkit.core.progress import ignore, task
 from motionkit.core.settings import default_path
 from motionkit.store.sql import conjunction
-from motionkit.training.config import apply_overrides, flatten, parse_override, unknown_setting
-from motionkit.training.run import RunFolder, concerns
-from motionkit.training.stage import Stage, StageContext, choose_stages, registered_stages
-from motionkit.training.systems import (
-    Needed,
-    check_comparable,
-    is_kept,
-    options_for,
-    stages_for,
-    table_that_shows,
-)
+from motionkit.training.config import apply_overrides, flatten, parse_override, setting_text, unknown_setting
+from motionkit.training.run import RunFolder, check_comparable, concerns
+from motionkit.training.stage import Stage, StageContext, StagePlan, choose_stages, registered_stages
 
 
 def train(
     path: StoreArgument = None,
     stage: Annotated[str, typer.Option(help="One installed stage, or all of the model's in order.")] = "all",
-    wanted: Annotated[
+    target: Annotated[
         str | None, typer.Option("--for", metavar="table:N", help="Instead: what this table, or figure:N, lacks.")
     ] = None,
     paper: Annotated[str | None, typer.Option(help="Paper whose table --for means.")] = None,
@@ -52,6 +47,9 @@ def train(
             help="Train only on sequences for which this holds too: \"NOT list_contains(quality_flags, 'teleport')\".",
         ),
     ] = None,
+    show: Annotated[
+        bool, typer.Option("--show", help="Print the settings, each line as for --set, and train nothing.")
+    ] = False,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on where a run stopped; complete stages are kept. --for always does.")
     ] = False,
@@ -62,7 +60,7 @@ def train(
         Path | None,
         typer.Option(metavar="FOLDER", help="Curves for TensorBoard too, in FOLDER/RUN/STAGE (extra 'track')."),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the stages' summaries as JSON.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the stages' summaries, or settings, as JSON.")] = False,
 ) -> None:
     """Train a model's stages from a store into a run folder; Ctrl-C saves, --resume continues exactly.
 
@@ -70,125 +68,104 @@ def train(
     if resume and overwrite:
         raise UsageError("--resume and --overwrite exclude each other")
     store = named_store(path, store)
-    folder = RunFolder((runs or default_path("runs")) / (run or recipe))
-    going_on = resume or (wanted is not None and not overwrite)
     context = StageContext(
-        store or default_path("store"), folder, recipe, seed=seed, resume=going_on, overwrite=overwrite, device=device
+        store or default_path("store"),
+        RunFolder((runs or default_path("runs")) / (run or recipe)),
+        recipe,
+        seed=seed,
+        resume=resume or (target is not None and not overwrite),
+        overwrite=overwrite,
+        device=device,
     )
-    asked = Asked(stage, wanted, paper, tuple(overrides or ()), where, budget)
-    jobs = planned(asked, context)
-    with tensorboard_events(track and track / folder.path.name) as on_metrics:
-        summaries = train_all(jobs, replace(context, on_metrics=on_metrics), as_json, title=wanted)
+    request = TrainRequest(stage, target, paper, tuple(overrides or ()), where, budget)
+    plan = request.plan(context)
+    jobs = plan_jobs(request, plan, context)
+    if show:
+        _show_settings([job.config for job in jobs if job.config is not None], as_json)
+        return
+    check_inputs(request, jobs, context)
+    with tensorboard_events(track and track / context.run.path.name) as on_metrics:
+        summaries = train_all(jobs, replace(context, on_metrics=on_metrics), as_json, title=target)
     if summaries is None:
         return
     if as_json:
-        print_json({"run": str(folder.path), "stages": summaries})
-    elif stage == "all":
-        named = "" if folder.path.name == "nano" else f" --run {shlex.quote(folder.path.name)}"
-        shown = "--table 2" if wanted is None else options_for(wanted, paper)[1]
-        say_next(f"motionkit eval {shown}{of_default('--store', store)}{of_default('--runs', runs)}{named}")
+        print_json({"run": str(context.run.path), "stages": summaries})
+    elif plan.next_command:
+        name = context.run.path.name
+        named = "" if name == "nano" else f" --run {shlex.quote(name)}"
+        say_next(f"{plan.next_command}{of_default('--store', store)}{of_default('--runs', runs)}{named}")
 
 
 @dataclass(frozen=True)
-class Asked:
+class TrainRequest:
     """What to train: a stage, all stages, or a table's systems; with which settings, on which data, for how long."""
 
     stage: str
-    wanted: str | None
+    target: str | None
     paper: str | None
     overrides: tuple[str, ...]
     where: str | None
     budget: str | None
 
+    def plan(self, context: StageContext) -> StagePlan:
+        """The stages that `--stage` or `--for` selects; raises `UsageError`."""
+        if self.target is None:
+            next_command = "motionkit eval --table 2" if self.stage == "all" else ""
+            return StagePlan(choose_stages(self.stage, registered_stages()), {self.stage: 1.0}, (), next_command)
+        if self.stage != "all":
+            raise UsageError("--for trains what a table lacks, --stage one stage: give one of them")
+        kind = self.target.partition(":")[0]
+        plans = entry_points(group="motionkit.plans")
+        if kind not in plans.names:
+            raise UsageError(f"--for {self.target}: {' or '.join(f'{name}:NUMBER' for name in sorted(plans.names))}")
+        plan: StagePlan = plans[kind].load()(self.target, self.paper, context, self.overrides)
+        return plan
 
-def planned(asked: Asked, context: StageContext) -> list[Job]:
-    """The jobs, in order; raises errors that can be found without opening the store."""
-    from motionkit.store.manifest import read_manifest
-
-    if asked.wanted is not None:
-        settings = table_that_shows(asked.paper, asked.wanted).settings
-        asked = replace(asked, overrides=(*settings, *asked.overrides))
-    kept = is_kept(context.run) if asked.wanted is not None and not context.overwrite else _nothing_kept
-    needed = _needed(asked, context, kept)
-    configs = _configs(needed, asked, context.recipe, kept)
-    # Fail on a missing store before heavy imports.
-    fingerprint = read_manifest(context.store).fingerprint
-    if asked.where:
-        _check_condition(context.store, asked.where)
-    budgets = needed.budgets(_budget_seconds(asked))
-    for each in needed.stages:
-        if kept(each.name):
-            check_comparable(context.run.stage(each.name), fingerprint, budgets[each.name], configs)
-    return [
-        Job(each, configs.get(each.name), budgets[each.name], needed.parts.get(each.name, each.share))
-        for each in needed.stages
-    ]
-
-
-def _nothing_kept(name: str) -> bool:
-    return False
+    def budgets(self, plan: StagePlan) -> dict[str, float]:
+        """Seconds of processor time by stage, empty without a budget; raises `UsageError`."""
+        if self.budget is None:
+            return {}
+        if self.target is None and self.stage == "all":
+            raise UsageError("--budget is for the systems of a table (--for table:2), or for one --stage")
+        seconds = parse_duration(self.budget, "--budget")
+        return {name: seconds * share for name, share in plan.shares.items()}
 
 
-def _needed(asked: Asked, context: StageContext, kept: Callable[[str], bool]) -> Needed:
-    """The stages that `--stage` or `--for` selects."""
-    stages = registered_stages()
-    if asked.wanted is None:
-        return Needed(choose_stages(asked.stage, stages), {asked.stage: 1.0})
-    if asked.stage != "all":
-        raise UsageError("--for trains what a table lacks, --stage one stage: give one of them")
+@dataclass(frozen=True)
+class Job:
+    """A stage with its configuration, or None if it is complete and kept."""
 
-    def earlier_of(name: str) -> Iterable[str]:
-        if kept(name):
-            return tuple(context.run.stage(name).read_config().get("builds_on", {}))
-        return stages[name].builds_on(_configured(stages[name], context.recipe, list(asked.overrides)))
-
-    return stages_for(table_that_shows(asked.paper, asked.wanted), stages, earlier_of, kept)
+    stage: Stage[Any]
+    config: Any | None
+    budget_seconds: float | None = None
 
 
-def _configs(needed: Needed, asked: Asked, recipe: str, kept: Callable[[str], bool]) -> dict[str, Any]:
-    """The configurations of all stages that are not kept, by name.
+def plan_jobs(request: TrainRequest, plan: StagePlan, context: StageContext) -> list[Job]:
+    """The jobs of a plan, in order; with `--for`, complete stages are kept unless the context overwrites.
 
-    Overrides may be of kept stages too, so that the same command can be repeated.
+    Overrides may be of kept stages too, so that the same command can be repeated. Raises `UsageError`.
     """
-    stages = tuple(each for each in needed.stages if recipe in each.recipes or not kept(each.name))
-    configs = configure(stages, recipe, list(asked.overrides))
-    if asked.where:
-        configs = narrowed(stages, configs, asked.where)
-    return {each.name: config for each, config in zip(stages, configs, strict=True) if not kept(each.name)}
-
-
-def _budget_seconds(asked: Asked) -> float | None:
-    if asked.budget is None:
-        return None
-    if asked.wanted is None and asked.stage == "all":
-        raise UsageError("--budget is for the systems of a table (--for table:2), or for one --stage")
-    return parse_duration(asked.budget, "--budget")
-
-
-def _check_condition(store: Path, where: str) -> None:
-    # Check now: some stages select their sequences only after others have trained, or after minutes.
-    from motionkit.store import Store
-
-    if not Store.open(store).select(where).size:
-        raise UsageError(f"--where: {where!r} holds for no sequence of the store {store}")
+    keeps = request.target is not None and not context.overwrite
+    kept = [each.name for each in plan.stages if keeps and context.run.stage(each.name).is_complete]
+    stages = tuple(each for each in plan.stages if context.recipe in each.recipes or each.name not in kept)
+    configs = configure(stages, context.recipe, [*plan.settings, *request.overrides])
+    if request.where:
+        configs = narrowed(stages, configs, request.where)
+    config_of = {each.name: config for each, config in zip(stages, configs, strict=True) if each.name not in kept}
+    budgets = request.budgets(plan)
+    return [Job(each, config_of.get(each.name), budgets.get(each.name)) for each in plan.stages]
 
 
 def configure(stages: tuple[Stage[Any], ...], recipe: str, overrides: list[str]) -> list[Any]:
     """Each stage's configuration; an override applies to every stage with the setting, of which there must be one."""
-    configs = [_configured(stage, recipe, overrides) for stage in stages]
+    configs = [stage.configured(recipe, overrides) for stage in stages]
     for override in overrides:
         key, _ = parse_override(override)
         if not any(key in flatten(config) for config in configs):
             of = f" --stage {stages[0].name}" if len(stages) == 1 else ""
-            raise UsageError(f"{unknown_setting(key, configs)}; 'motionkit recipe {recipe}{of}' lists all")
+            shows = f"'motionkit train --recipe {recipe}{of} --show' lists all"
+            raise UsageError(f"{unknown_setting(key, configs)}; {shows}")
     return configs
-
-
-def _configured(stage: Stage[Any], recipe: str, overrides: list[str]) -> Any:
-    """A stage's configuration with the overrides of its settings."""
-    config = stage.recipe(recipe)
-    known = flatten(config)
-    return apply_overrides(config, [override for override in overrides if parse_override(override)[0] in known])
 
 
 def narrowed(stages: tuple[Stage[Any], ...], configs: list[Any], where: str) -> list[Any]:
@@ -202,12 +179,114 @@ def narrowed(stages: tuple[Stage[Any], ...], configs: list[Any], where: str) -> 
     ]
     if not any(
         concerns(stage.name, key, config)
-        for stage, config, found in zip(stages, configs, conditions, strict=True)
-        for key in found
+        for stage, config, of_config in zip(stages, configs, conditions, strict=True)
+        for key in of_config
     ):
         names = ", ".join(stage.name for stage in stages)
         raise UsageError(f"--where: {names} takes its sequences from another stage; train that one with --where")
     return [
-        apply_overrides(config, [f"{key}={conjunction(value, where)}" for key, value in found.items()])
-        for config, found in zip(configs, conditions, strict=True)
+        apply_overrides(config, [f"{key}={conjunction(value, where)}" for key, value in of_config.items()])
+        for config, of_config in zip(configs, conditions, strict=True)
     ]
+
+
+def _show_settings(configs: Sequence[Any], as_json: bool) -> None:
+    settings = {key: value for config in configs for key, value in flatten(config).items()}
+    if as_json:
+        print_json(settings)
+        return
+    for key, value in settings.items():
+        stdout.print(f"{key}={setting_text(value)}")
+
+
+def check_inputs(request: TrainRequest, jobs: Sequence[Job], context: StageContext) -> None:
+    """Raise errors that can be found before torch is imported: in the store, the condition, and kept stages."""
+    from motionkit.store.manifest import read_manifest
+
+    fingerprint = read_manifest(context.store).fingerprint
+    if request.where:
+        # Some stages select their sequences only after others have trained, or after minutes.
+        from motionkit.store import Store
+
+        if not Store.open(context.store).select(request.where).size:
+            raise UsageError(f"--where: {request.where!r} holds for no sequence of the store {context.store}")
+    to_train = [job.stage.name for job in jobs if job.config is not None]
+    for job in jobs:
+        if job.config is None:
+            check_comparable(context.run.stage(job.stage.name), fingerprint, job.budget_seconds, to_train)
+
+
+def train_all(
+    jobs: Sequence[Job], context: StageContext, as_json: bool, title: str | None = None
+) -> list[dict[str, Any]] | None:
+    """Train jobs in order; returns their summaries, on the first rank only. With a title, show one bar for all."""
+    from motionkit.store.manifest import read_manifest
+    from motionkit.training.budget import one_thread
+    from motionkit.training.precision import resolve_device
+    from motionkit.training.ranks import joined_ranks
+
+    fingerprint = read_manifest(context.store).fingerprint
+    is_timed = any(job.budget_seconds is not None for job in jobs) and resolve_device(context.device).type != "cuda"
+    summaries: list[dict[str, Any]] = []
+    with (
+        one_thread() if is_timed else nullcontext(),
+        joined_ranks() as ranks,
+        progress() as show,
+        ExitStack() as locks,
+        # Not of one stage, whose own bar says as much.
+        task(show if title else ignore, title or "", len(jobs)) as overall,
+    ):
+        context = replace(context, on_progress=show)
+
+        def prepare() -> None:
+            """Check all stages and lock them, so that a second call cannot replace what this one builds on."""
+            for job in jobs:
+                _check(job, context, fingerprint)
+            for job in jobs:
+                if job.config is not None:
+                    locks.enter_context(context.run.stage(job.stage.name).locked())
+
+        ranks.on_first(prepare)
+        for number, job in enumerate(jobs, start=1):
+            own = replace(context, budget_seconds=job.budget_seconds, shared=job.stage.shared)
+            # Check again, since a stage that it builds on may just have been trained.
+            ranks.on_first(partial(_check_kept, job, own, fingerprint))
+            place = f" ({number} of {len(jobs)})" if title else ""
+            train_stage(job, own, is_first=ranks.is_first, place=place)
+            overall.advance()
+            if job.stage.shared:
+                ranks.wait()  # the next stage reads what the first rank saves last
+            if ranks.is_first:
+                summaries.append({"stage": job.stage.name, **context.run.stage(job.stage.name).read_summary()})
+                if not as_json:
+                    _print_summary(summaries[-1])
+    return summaries if ranks.is_first else None
+
+
+def _check(job: Job, context: StageContext, store_fingerprint: str) -> None:
+    own = replace(context, budget_seconds=job.budget_seconds)
+    _check_kept(job, own, store_fingerprint)
+    if job.config is not None:
+        job.stage.check(own, job.config)
+
+
+def _check_kept(job: Job, context: StageContext, store_fingerprint: str) -> None:
+    if context.resume and job.config is not None:
+        job.stage.check_kept(context, job.config, store_fingerprint)
+
+
+def train_stage(job: Job, context: StageContext, *, is_first: bool, place: str = "") -> None:
+    """Train one job, with messages on the first rank only."""
+    stage, folder = job.stage, context.run.stage(job.stage.name)
+    complete = job.config is None or (context.resume and folder.is_complete)
+    if is_first:
+        doing = "complete already, kept" if complete else f"{stage.description} → {folder.path}"
+        stderr.print(f"{stage.name}{place}: {doing}")
+    if not complete and (stage.shared or is_first):
+        stage.train(context, job.config)
+
+
+def _print_summary(summary: dict[str, Any]) -> None:
+    figures = {name: f"{value:.4g}" if isinstance(value, float) else value for name, value in summary.items()}
+    name = figures.pop("stage")
+    stdout.print(f"{name}: {', '.join(f'{key} {value}' for key, value in figures.items())}")

@@ -7,7 +7,7 @@ last and marks the stage as complete.
 import importlib.metadata
 import platform
 import subprocess
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -338,6 +338,25 @@ def check_same(folder: StageFolder, origin: StageOrigin) -> None:
             f"{folder.path} was begun with other settings ({recipes}{', '.join(differing)}): use the same ones, or "
             f"{again}"
         )
+
+
+def check_comparable(
+    folder: StageFolder, store_fingerprint: str, budget_seconds: float | None, to_train: Container[str] = ()
+) -> None:
+    """Raise `RunError` if a complete stage was trained on another store, with another budget, or upon a stage that has
+    changed or will be trained (`to_train`)."""
+    begun, run = folder.read_config(), RunFolder(folder.path.parent)
+    command = f"motionkit train --stage {folder.path.name} --run {run.path.name} --overwrite"
+    again = f"train it again ({command}), or use another --run"
+    for name, sha256 in begun.get("builds_on", {}).items():
+        if name in to_train or run.fingerprints([name]).get(name, sha256) != sha256:
+            raise RunError(f"{folder.path} was trained upon another {name} than this run's: {again}")
+    if begun.get("store_fingerprint") != store_fingerprint:
+        raise RunError(f"{folder.path} was trained on another store, or on another state of it: {again}")
+    if budget_seconds is not None and begun.get("budget_seconds") != budget_seconds:
+        before = begun.get("budget_seconds")
+        budget = "without a budget" if before is None else f"with a budget of {before:g} s"
+        raise RunError(f"{folder.path} was trained {budget}, not with one of {budget_seconds:g} s: {again}")
 
 
 def concerns(stage: str, key: str, config: ConfigLike) -> bool:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Generic
 
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import OnProgress, ignore
-from motionkit.training.config import ConfigLike, ConfigT
+from motionkit.training.config import ConfigLike, ConfigT, apply_overrides, flatten, parse_override
 from motionkit.training.metrics_log import OnMetrics, ignore_metrics
 from motionkit.training.run import STAGE_NAME, RunFolder, StageFolder, StageOrigin, begin_stage, check_resumable
 
@@ -109,7 +109,7 @@ class Stage(Generic[ConfigT]):
     functions that make a configuration. Stages of one model may share a configuration whose parts are named after the
     stages: a change of another stage's part doesn't prevent `--resume`. Under torchrun every rank calls the `train` of
     a `shared` stage (`motionkit.training.ranks`); others are trained by the first rank alone. `share` is its share of
-    its system's time budget, relative to the system's other stages (`motionkit.training.systems`).
+    its system's time budget, relative to the system's other stages (`StagePlan`).
     """
 
     name: str
@@ -132,11 +132,32 @@ class Stage(Generic[ConfigT]):
         origin = context.origin(config, store_fingerprint, self.builds_on(config))
         check_resumable(context.run.stage(self.name), origin)
 
+    def configured(self, recipe: str, overrides: Sequence[str]) -> ConfigT:
+        """The configuration of a recipe, with those overrides (`a.b=c`) whose setting it has; raises `UsageError`."""
+        config = self.recipe(recipe)
+        known = flatten(config)
+        return apply_overrides(config, [each for each in overrides if parse_override(each)[0] in known])
+
     def recipe(self, name: str) -> ConfigT:
         """The configuration of a recipe; raises `UsageError` that lists the known ones."""
         if name not in self.recipes:
             raise UsageError(f"stage {self.name!r} has no recipe {name!r}; it has: {', '.join(self.recipes)}")
         return self.recipes[name]()
+
+
+@dataclass(frozen=True)
+class StagePlan:
+    """Stages to train for one purpose, in order: what `--stage` selects, or an entry point of `motionkit.plans`.
+
+    A function of that group is called with the value of `--for`, `--paper`, the `StageContext` and the overrides.
+    `shares` are the shares of a system's time budget by stage; they sum to 1 for each system, and evaluators have none.
+    `settings` are overrides that apply before the user's; `next_command` uses what was trained.
+    """
+
+    stages: tuple[Stage[Any], ...]
+    shares: Mapping[str, float]
+    settings: tuple[str, ...] = ()
+    next_command: str = ""
 
 
 def registered_stages() -> dict[str, Stage[Any]]:

@@ -9,6 +9,7 @@ import typer
 from typer.testing import CliRunner
 
 from eval.clip_fid.clips import PoseRange, Protocol
+from eval.commands.ablate import ablate
 from eval.report.render import to_markdown
 from eval.report.results import Block, Result, Row
 from eval.tables.nerm import figure8
@@ -16,7 +17,6 @@ from eval.tables.nerm.ablations import HIGHEST, LOWEST, TABLES
 from eval.tables.nerm.figure5 import build_figure5
 from eval.tables.nerm.figure8 import build_figure8
 from eval.tables.registry import TableRequest
-from motionkit.cli.ablate import ablate
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22

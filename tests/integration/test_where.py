@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-import motionkit.cli.train_jobs as train_command
+from motionkit.cli import train as train_command
 from motionkit.cli.train import narrowed
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Motion

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 import torch
 
+from eval.tables.ablation_runs import ablate_command, run_name
 from eval.tables.parts import reported_figures
 from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import SMPL22
 from motionkit.data.poses import WindowPoses
-from motionkit.training.ablations import Variant, run_name
+from motionkit.training.ablations import Variant
 from motionkit.training.config import apply_overrides, flatten, parse_override
 from motionkit.training.schedule import step_generator
 from nerm.ablations import ABLATIONS, GLOBAL, LOCAL, NERM
@@ -78,7 +79,7 @@ def test_every_time_encoding_trains_with_either_layout(encoding: str, layout: st
 def test_the_rows_are_those_of_the_paper_s_tables(table: str) -> None:
     figures = reported_figures("nerm", table)
     printed = {each.setting.partition(";")[2] or each.method for each in figures}
-    assert {entry.reported for entry in NERM.find(table).entries} - {""} == printed
+    assert {entry.reported for entry in NERM.tables[table].entries} - {""} == printed
 
 
 @pytest.mark.parametrize("variant", VARIANTS, ids=lambda variant: variant.name)
@@ -96,12 +97,12 @@ def test_names_of_variants_are_names_of_runs() -> None:
     assert len({variant.name for variant in VARIANTS}) == len(VARIANTS)
     assert run_name("nano", GLOBAL, 0) == "nano-global"
     assert run_name("nano", GLOBAL, 3) == "nano-global-seed3"
-    assert NERM.command_for("5", "short", GLOBAL) == "motionkit ablate 5 --run short --only global"
+    assert ablate_command(NERM, "5", "short", GLOBAL) == "motionkit ablate 5 --run short --only global"
 
 
 @pytest.mark.parametrize("table", ["5", "6", "7", "8", "9"])
 def test_the_full_model_of_the_paper_s_layout_is_in_every_table_of_the_paper(table: str) -> None:
-    assert GLOBAL in NERM.find(table).variants
+    assert GLOBAL in NERM.tables[table].variants
 
 
 def test_the_rows_of_a_table_are_different_trainings() -> None:
@@ -125,11 +126,6 @@ def test_overrides_are_shared_but_not_those_of_what_is_varied() -> None:
     assert config.field.where == config.codebook.where == "(split = 'train') AND (fps >= 60)"
     with pytest.raises(UsageError, match=r"field\.latents\.variational.*what 'global-non-variational' varies"):
         non_variational.configure(nano(), ["field.latents.variational=true"])
-
-
-def test_an_unknown_table_is_reported_with_the_known_ones() -> None:
-    with pytest.raises(UsageError, match=r"no ablation '4' of 'nerm'; there are: 5 \(time encoding\), 6"):
-        NERM.find("4")
 
 
 def test_frame_numbers_and_knots_exclude_each_other() -> None:

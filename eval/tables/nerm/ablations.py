@@ -14,6 +14,7 @@ from typing import Any
 from eval.clip_fid.score import CLIP_FID
 from eval.report.results import Block, Cell, Result, Row, measure
 from eval.sets.partial import PartialResult
+from eval.tables.ablation_runs import ablate_command, find_ablations, run_name
 from eval.tables.models import Trained
 from eval.tables.nerm.clip_fid_column import P1, P2
 from eval.tables.nerm.run_figures import HELD_OUT, MPJPE, MRE, SYNTHESIS, TRAINING, Yardstick, error_of, label
@@ -24,7 +25,7 @@ from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.progress import OnProgress, task
 from motionkit.edit.complete.encoders import EncoderLoader, encoder_loader
 from motionkit.generate.models import ModelLoader, model_loader
-from motionkit.training.ablations import Ablation, Entry, find_ablations, run_name
+from motionkit.training.ablations import Ablation, Entry
 from motionkit.training.loaders import Loader
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import recorded_settings
@@ -215,7 +216,7 @@ def _row(
     num_seeds = sum(RunFolder(run).stage(stage).is_complete for run in row.runs)
     if not num_seeds:
         what = "not trained" if loader is _encoder() else f"its {stage} is not trained"
-        command = NERM.command_for(ablation.table, request.evaluated.run.name, row.entry.variant)
+        command = ablate_command(NERM, ablation.table, request.evaluated.run.name, row.entry.variant)
         return Row(row.entry.label, "ours", {}, f"{what}: {command}")
     several = f"mean of {num_seeds} seeds" if num_seeds > 1 else ""
     return Row(row.entry.label, "ours", cells, several)

@@ -17,12 +17,13 @@ from eval.completion.protocol import VERSION, InterpolationProtocol, scale_label
 from eval.completion.takes import NoTakesError, data_sets_of
 from eval.metrics.metric import find_metric
 from eval.report.results import Block, Cell, Result, Row
+from eval.tables.ablation_runs import ablate_command, find_ablations, run_name
 from eval.tables.pahires.interpolation import caption, definition
 from eval.tables.pahires.measured import measure_all
 from eval.tables.parts import SOURCES, reported_figures
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import UsageError
-from motionkit.training.ablations import Ablation, Variant, find_ablations, run_name
+from motionkit.training.ablations import Ablation, Variant
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import recorded_settings
 
@@ -117,7 +118,7 @@ def _trained(ablation: Ablation, request: TableRequest) -> _Trained:
 
 def _command(ablation: Ablation, request: TableRequest, variant: Variant) -> str:
     assert request.evaluated.run is not None
-    return f"not trained ({PAHIRES.command_for(ablation.table, request.evaluated.run.name, variant)})"
+    return f"not trained ({ablate_command(PAHIRES, ablation.table, request.evaluated.run.name, variant)})"
 
 
 def _described_training(runs: Sequence[RunFolder]) -> str:

@@ -18,7 +18,7 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.store import StoreWriter
 from motionkit.store.manifest import read_manifest
 from motionkit.training.run import RunError
-from motionkit.training.stage import Stage, StageContext
+from motionkit.training.stage import Stage, StageContext, choose_stages, registered_stages
 
 MOTION = Motion(np.zeros((2, 22, 3), np.float32), SMPL22, TimeGrid(Fraction(30), 2), sequence_id="one")
 
@@ -119,7 +119,7 @@ def test_what_a_stage_builds_on_may_change_while_the_command_runs(folder: Path) 
     [
         (
             ["--set", "third.steps=1"],
-            "no setting is called 'third.steps', perhaps first.steps or second.steps; 'motionkit recipe nano' lists",
+            "no setting is called 'third.steps', perhaps first.steps or second.steps; 'motionkit train",
         ),
         (["--recipe", "huge"], "has no recipe 'huge'"),
         (["--stage", "third"], "no stage is called 'third'"),
@@ -129,6 +129,21 @@ def test_what_a_stage_builds_on_may_change_while_the_command_runs(folder: Path) 
 def test_what_makes_no_sense_is_refused_with_what_would(folder: Path, arguments: list[str], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         CliRunner().invoke(_app(), arguments, catch_exceptions=False)
+
+
+def test_the_settings_that_would_be_trained_are_shown(folder: Path) -> None:
+    assert _run("--show", "--set", "second.steps=9") == {"first.steps": 5, "second.steps": 9}
+    shown = CliRunner().invoke(_app(), ["--show", "--set", "second.steps=9"], catch_exceptions=False)
+    assert shown.stdout.splitlines() == ["first.steps=5", "second.steps=9"]
+    assert not (folder / "runs").exists()
+
+
+@pytest.mark.parametrize("stage", ["all", "evaluator"])
+def test_shown_settings_make_the_recipe_of_another(stage: str) -> None:
+    shown = CliRunner().invoke(_app(), ["--show", "--stage", stage], catch_exceptions=False)
+    stages = choose_stages(stage, registered_stages())
+    nano, paper = (train_module.configure(stages, recipe, []) for recipe in ("nano", "paper"))
+    assert train_module.configure(stages, "paper", shown.stdout.splitlines()) == nano != paper
 
 
 @pytest.mark.parametrize("option", ["--overwrite", "--resume"])

@@ -1,24 +1,17 @@
 """`motionkit ablate`: train the variants of an ablation table."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from eval.tables.ablation_runs import find_ablation, find_ablations, papers_with_ablations, run_name, train_variant
 from motionkit.cli.console import print_json, progress, stderr, stdout
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.settings import default_path
-from motionkit.training.ablations import (
-    Ablation,
-    Ablations,
-    Sweep,
-    Variant,
-    find_ablations,
-    papers_with_ablations,
-    run_name,
-)
+from motionkit.training.ablations import Ablation, Ablations, Variant
 from motionkit.training.run import RunFolder
+from motionkit.training.stage import StageContext
 
 
 def ablate(
@@ -41,7 +34,7 @@ def ablate(
     stage: Annotated[str, typer.Option(help="all that the table needs, or the first by its name.")] = "all",
     overrides: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="A setting of every variant (motionkit recipe lists them)."),
+        typer.Option("--set", metavar="KEY=VALUE", help="A setting of every variant (train --show lists them)."),
     ] = None,
     where: Annotated[
         str | None, typer.Option(metavar="SQL", help="Train only on sequences for which this holds too.")
@@ -56,7 +49,8 @@ def ablate(
     Example: motionkit ablate 5 --list
     """
     ablations = find_ablations(paper)
-    chosen = [ablations.find(table) for table in _named(tables or [], ablations)]
+    names = list(ablations.tables) if "all" in (tables or ()) else list(dict.fromkeys(tables or ()))
+    chosen = [find_ablation(ablations, name) for name in names]
     # Runs of models other than the default one have the paper in their names.
     named = recipe if ablations.is_default else f"{ablations.paper}-{recipe}"
     folder, prefix = runs or default_path("runs"), run or named
@@ -66,31 +60,49 @@ def ablate(
     if not chosen:
         known = ", ".join(ablations.tables)
         raise UsageError(f"name a table: {known}, or all (motionkit ablate --list says what they vary)")
-    jobs = _jobs(ablations, chosen, only, stage)
-    base = ablations.recipe(recipe)
-    configs = {variant.name: variant.configure(base, overrides or [], where) for variant, _ in jobs}
+    variants = _variants(ablations, chosen, only, stage)
+    if recipe not in ablations.recipes:
+        raise UsageError(f"there is no recipe {recipe!r}: {', '.join(ablations.recipes)}")
+    base = ablations.recipes[recipe]()
+    configs = {variant: variant.configure(base, overrides or [], where) for variant in variants}
 
     from motionkit.store.manifest import read_manifest
 
-    store_path = store or default_path("store")
-    read_manifest(store_path)  # fail on a missing store before heavy imports
-    sweep = Sweep(store_path, folder, prefix, recipe, seed=seed, overwrite=overwrite, device=device)
+    store = store or default_path("store")
+    read_manifest(store)  # fail on a missing store before heavy imports
+    trained = []
     with progress() as show:
-        trained = _train_all(ablations, replace(sweep, on_progress=show), jobs, configs, as_json)
+        common = StageContext(
+            store,
+            RunFolder(folder / prefix),
+            recipe,
+            seed=seed,
+            resume=not overwrite,
+            overwrite=overwrite,
+            device=device,
+            on_progress=show,
+        )
+        for number, (variant, stages) in enumerate(variants.items(), start=1):
+            stderr.print(f"{number} of {len(variants)}: {run_name(prefix, variant, seed)}")
+            try:
+                trained.append(train_variant(ablations, common, variant, configs[variant], stages))
+            except MotionkitError as error:
+                # The others are trained all the same.
+                stderr.print(f"motionkit: {variant.name}: {error}")
+                continue
+            if not as_json:
+                _print_outcome(trained[-1])
     if as_json:
         print_json({"runs": str(folder), "trained": trained})
-    if len(trained) < len(jobs):
-        raise MotionkitError(f"{len(jobs) - len(trained)} of {len(jobs)} variants failed; the same command tries again")
+    if len(trained) < len(variants):
+        failed = len(variants) - len(trained)
+        raise MotionkitError(f"{failed} of {len(variants)} variants failed; the same command tries again")
 
 
-def _named(tables: list[str], ablations: Ablations) -> list[str]:
-    return list(ablations.tables) if "all" in tables else list(dict.fromkeys(tables))
-
-
-def _jobs(
+def _variants(
     ablations: Ablations, chosen: list[Ablation], only: str | None, stage: str
-) -> list[tuple[Variant, tuple[str, ...]]]:
-    """Every variant of the tables once, with all required stages."""
+) -> dict[Variant, tuple[str, ...]]:
+    """Every variant of the tables once, with all stages that it needs."""
     first = next(iter(ablations.stages))
     if stage not in ("all", first):
         raise UsageError(f"--stage {stage}: all or {first}")
@@ -100,38 +112,18 @@ def _jobs(
             needed = ablation.stages if stage == "all" else (first,)
             stages[variant] = max(stages.get(variant, ()), needed, key=len)
     if only is None:
-        return list(stages.items())
-    names = [name.strip() for name in only.split(",")]
+        return stages
     known = {variant.name: variant for variant in stages}
+    names = [name.strip() for name in only.split(",")]
     for name in names:
         if name not in known:
             raise UsageError(f"--only {name}: no such variant in the tables named; there are: {', '.join(known)}")
-    return [(known[name], stages[known[name]]) for name in dict.fromkeys(names)]
+    return {known[name]: stages[known[name]] for name in names}
 
 
-def _train_all(
-    ablations: Ablations,
-    sweep: Sweep,
-    jobs: list[tuple[Variant, tuple[str, ...]]],
-    configs: dict[str, Any],
-    as_json: bool,
-) -> list[dict[str, Any]]:
-    """All jobs in order; one that fails is reported on stderr and does not stop the others."""
-    from motionkit.training.ablations import train_variant
-
-    trained = []
-    for number, (variant, stages) in enumerate(jobs, start=1):
-        stderr.print(f"{number} of {len(jobs)}: {run_name(sweep.prefix, variant, sweep.seed)}")
-        try:
-            outcome = train_variant(ablations, sweep, variant, configs[variant.name], stages)
-        except MotionkitError as error:
-            stderr.print(f"motionkit: {variant.name}: {error}")
-            continue
-        trained.append(outcome)
-        if not as_json:
-            losses = ", ".join(f"{name} loss {summary['loss']:.4g}" for name, summary in outcome["stages"].items())
-            stdout.print(f"{outcome['run']}: {losses}, {outcome['cpu_seconds']:.0f} CPU seconds")
-    return trained
+def _print_outcome(outcome: dict[str, Any]) -> None:
+    losses = ", ".join(f"{name} loss {summary['loss']:.4g}" for name, summary in outcome["stages"].items())
+    stdout.print(f"{outcome['run']}: {losses}, {outcome['cpu_seconds']:.0f} CPU seconds")
 
 
 def _list(chosen: list[Ablation], runs: Path, prefix: str, seed: int, as_json: bool) -> None:

@@ -3,7 +3,6 @@
 import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from itertools import count
 from pathlib import Path
 
 import pytest
@@ -11,9 +10,12 @@ import torch
 import typer
 from typer.testing import CliRunner
 
+from eval.report.results import Result
+from eval.tables import systems
+from eval.tables.registry import Table
+from eval.tables.systems import table_that_shows
 from motionkit.cli import train as train_module
 from motionkit.cli.options import parse_duration
-from motionkit.cli.train_jobs import TimeLeft
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.store import StoreWriter
 from motionkit.store.manifest import read_manifest
@@ -23,7 +25,6 @@ from motionkit.training.loaders import Loader
 from motionkit.training.loop import train_loop
 from motionkit.training.run import StageFolder
 from motionkit.training.stage import Stage, StageContext
-from motionkit.training.systems import stages_for, table_that_shows
 from motionkit.training.tensors import load_tensors, save_tensors
 
 SECONDS_A_STEP = 2.0
@@ -62,18 +63,18 @@ class Clock:
         return self.now
 
 
-@dataclass(frozen=True)
-class Table:
-    shown: Callable[[], Mapping[str, Loader[object]]]
-    reads: tuple[str, ...] = ("judge",)
-    settings: tuple[str, ...] = ()
-
-
 def loader(*stages: str) -> Loader[object]:
     return Loader(stages[-1].upper(), stages, load=lambda run: object())
 
 
-TABLE = Table(lambda: {"ours": loader("field", "denoiser"), "theirs": loader("vae", "latents"), "other": loader("gan")})
+SYSTEMS = {"ours": loader("field", "denoiser"), "theirs": loader("vae", "latents"), "other": loader("gan")}
+
+
+def build(request: object) -> Result:
+    raise NotImplementedError
+
+
+TABLE = Table("nerm", "2", "a table", build, shown=lambda: SYSTEMS, reads=("judge",))
 
 
 @dataclass
@@ -126,8 +127,9 @@ ORDER = ["codes", "field", "denoiser", "vae", "latents", "gan", "judge"]
 @pytest.fixture
 def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[World]:
     world = World()
-    monkeypatch.setattr(train_module, "registered_stages", world.stages)
-    monkeypatch.setattr(train_module, "table_that_shows", lambda paper, wanted: TABLE)
+    for module in (train_module, systems):
+        monkeypatch.setattr(module, "registered_stages", world.stages)
+    monkeypatch.setattr(systems, "table_that_shows", lambda paper, target: TABLE)
     monkeypatch.setattr(budget_module, "seconds_spent", lambda device: world.clock)
     with StoreWriter.create(tmp_path / "store"):
         pass
@@ -173,7 +175,7 @@ def test_what_is_complete_is_kept_and_the_rest_goes_on(world: World, monkeypatch
 
 
 def test_a_table_says_how_its_systems_are_trained(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(train_module, "table_that_shows", lambda paper, wanted: replace(TABLE, settings=("steps=4",)))
+    monkeypatch.setattr(systems, "table_that_shows", lambda paper, target: replace(TABLE, settings=("steps=4",)))
     assert {stage["steps"] for stage in run().values()} == {4}
     assert {stage["steps"] for stage in run("--run", "other", "--set", "steps=5").values()} == {5}
     assert table_that_shows(None, "table:3").settings == ("conditions.kind=action",)
@@ -209,7 +211,7 @@ def test_a_budget_that_was_measured_is_not_measured_again(world: World, monkeypa
     folder = StageFolder(Path("runs/nano/gan"))
     steps = folder.read_summary()["steps"]
     folder.summary_path.unlink()
-    monkeypatch.setattr("tests.motionkit.training.test_train_for.SECONDS_A_STEP", 7.0)
+    monkeypatch.setattr("tests.eval.tables.test_train_for.SECONDS_A_STEP", 7.0)
     assert run("--budget", "40m")["gan"]["steps"] == steps
     folder.summary_path.unlink()
     folder.budget_path.write_text('{"steps": "many"}')
@@ -319,20 +321,11 @@ def test_tables_are_known_by_what_they_show() -> None:
         assert told in str(found.value)
 
 
-def test_a_system_whose_stage_is_not_installed_is_reported() -> None:
-    stages = World().stages()
+def test_a_system_whose_stage_is_not_installed_is_reported(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    ghost = replace(TABLE, shown=lambda: {"ghost": loader("ghost")})
+    monkeypatch.setattr(systems, "table_that_shows", lambda paper, target: ghost)
     with pytest.raises(UsageError, match="no stage is called 'ghost'"):
-        stages_for(Table(lambda: {"ghost": loader("ghost")}), stages, lambda name: (), lambda name: False)
-
-
-def test_the_time_left_is_of_what_is_left() -> None:
-    clock = count(0.0, 100.0)
-    left = TimeLeft({"first": 1.0, "second": 3.0}, lambda: next(clock))
-    assert left.seconds("first", 0.5) is None  # where it went on from
-    # Half of the first after 200 s: half of 1 done, 3 to go.
-    assert left.seconds("first", 1.0) == pytest.approx(200 * 3 / 0.5)
-    assert left.seconds("second", 0.0) == pytest.approx(300 * 3 / 0.5)
-    assert left.seconds("second", 1.0) == 0.0
+        run()
 
 
 def test_durations_have_units() -> None:
