@@ -154,15 +154,11 @@ def _place(out: Path | None, sources: "Sequence[ViewSource]", film: str, overwri
 
 def _write_film(path: Path, takes: "list[Take]", speed: float) -> "Viewed":
     from motionkit.viz.film import num_pictures, write_film
-    from motionkit.viz.recording import write_recording
     from motionkit.viz.view.job import Viewed
 
-    if path.suffix.lower() == ".rrd":
-        write_recording(path, takes)
-    else:
-        exact = Fraction(speed).limit_denominator(1000)
-        with progress() as show, task(show, "draw", num_pictures(takes, exact, path.suffix)) as work:
-            write_film(path, takes, exact, work.advance)
+    exact = Fraction(speed).limit_denominator(1000)
+    with progress() as show, task(show, "draw", num_pictures(takes, exact, path.suffix.lower())) as work:
+        write_film(path, takes, exact, work.advance)
     return Viewed(path, path.stat().st_size, tuple(takes))
 
 

@@ -1,55 +1,55 @@
-"""Films of takes: mp4, gif, and a strip of poses as png, drawn with matplotlib.
+"""Films of motions (mp4, gif), strips of poses (png), and recordings for Rerun's viewer (rrd, https://rerun.io).
 
-Motions are not resampled: a picture shows each take's most recent frame on a common clock.
+Motions are not resampled: a picture shows each motion's most recent frame on a common clock.
 """
 
-import subprocess
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
+from subprocess import CalledProcessError
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
+from matplotlib.animation import FFMpegWriter
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.text import Text
 from PIL import Image
 
 from motionkit.core.errors import MissingExtraError, MotionkitError
 from motionkit.core.files import whole_file
 from motionkit.core.framerate import format_fps
-from motionkit.core.shapes import Float64, Int64, UInt8
-from motionkit.viz.player.takes import Drawing, Take, drawing_of
+from motionkit.core.shapes import Float64
+from motionkit.viz.player.takes import Take, drawing_of
 
 PANEL_PIXELS, DPI = 480, 100
 STRIP_POSES, STRIP_PIXELS = 8, 240
-# Blue is left and orange right, as on pages.
-COLOURS = {-1: "#2a6bd9", 0: "#444444", 1: "#e6611e"}
-GROUND = "#d8d8d8"
+# Blue is left and orange right, as on pages. Rerun's viewer is dark: other bones are light there.
+COLOURS, LIGHT = {-1: "#2a6bd9", 0: "#444444", 1: "#e6611e"}, (190, 190, 190)
 # The camera is in front of the body, to its left and slightly above.
 ASIDE_RADIANS, ABOVE_RADIANS = np.radians(35.0), np.radians(14.0)
+# Half the size of the ground, and the picture's extent relative to the poses'.
 GRID_METRES, AIR = 3, 1.15
-# Poses used to compute the view's extent.
-MOST_LOOKED_AT = 1000
+# The poses that the picture's extent is computed from.
+MOST_POSES = 1000
 # A gif's frames last whole hundredths of a second, and browsers show none shorter than two.
-GIF_FPS, GIF_TICKS = Fraction(50), 100
+GIF_FPS = Fraction(50)
 MOST_PICTURES = 20_000
-
-Picture = UInt8[np.ndarray, "height width 3"]
+# One thread and no dates: the same motion gives the same file.
+MP4_OPTIONS = ["-pix_fmt", "yuv420p", "-crf", "18", "-threads", "1", "-fflags", "+bitexact"]
 
 
 def film_fps(takes: Sequence[Take], speed: Fraction, suffix: str) -> Fraction:
-    """Pictures per second: one for every native frame of the fastest take, at `speed`; at most 50 for a gif."""
+    """Pictures per second: one for every native frame of the fastest motion, at `speed`; at most 50 for a gif."""
     fps = max(take.fps for take in takes) * speed
     return min(fps, GIF_FPS) if suffix == ".gif" else fps
 
 
 def num_pictures(takes: Sequence[Take], speed: Fraction, suffix: str) -> int:
-    """How many pictures a film has; a strip is one. Raises `MotionkitError` for too many."""
-    if suffix == ".png":
+    """How many pictures a file has; strips and recordings are one. Raises `MotionkitError` for too many."""
+    if suffix in (".png", ".rrd"):
         return 1
     longest = max(take.duration_seconds for take in takes)
     fps = float(film_fps(takes, speed, suffix))
@@ -65,186 +65,168 @@ def num_pictures(takes: Sequence[Take], speed: Fraction, suffix: str) -> int:
 def write_film(
     path: Path, takes: Sequence[Take], speed: Fraction = Fraction(1), on_picture: Callable[[], None] = lambda: None
 ) -> None:
-    """Write takes side by side as .mp4 or .gif, played at `speed`, or as a strip of poses (.png).
+    """Write motions side by side: .mp4 and .gif played at `speed`, .png a strip of poses, .rrd for Rerun's viewer.
 
-    Raises `MotionkitError` for too many pictures, and `MissingExtraError` for an mp4 where the extra `video` is not
-    installed.
+    `on_picture` is called after every picture. Raises `MotionkitError` for too many pictures, and `MissingExtraError`
+    for an mp4 without the extra `video`, an rrd without `rerun`.
     """
     suffix = path.suffix.lower()
+    count, fps = num_pictures(takes, speed, suffix), film_fps(takes, speed, suffix)
     path.parent.mkdir(parents=True, exist_ok=True)
-    if suffix == ".png":
-        with whole_file(path) as temporary:
-            Image.fromarray(_strip(takes)).save(temporary, "PNG")
-        return
-    fps, count = film_fps(takes, speed, suffix), num_pictures(takes, speed, suffix)
-    pictures = _counted(_pictures(takes, np.arange(count) * float(speed / fps)), on_picture)
     with whole_file(path) as temporary:
-        if suffix == ".gif":
-            _write_gif(temporary, pictures, fps, count)
-        else:
-            _write_mp4(temporary, pictures, fps, len(takes))
+        if suffix in (".png", ".rrd"):
+            (_write_strip if suffix == ".png" else _write_recording)(temporary, takes)
+            on_picture()
+            return
+        figure = Figure(figsize=(len(takes) * PANEL_PIXELS / DPI, PANEL_PIXELS / DPI), dpi=DPI)
+        scenes = [_Scene(figure, take, (1, len(takes)), place) for place, take in enumerate(takes)]
+
+        def each_picture() -> Iterator[None]:
+            for instant in np.arange(count) * float(speed / fps):
+                for scene in scenes:
+                    scene.draw(float(instant))
+                yield
+                on_picture()
+
+        (_write_gif if suffix == ".gif" else _write_mp4)(temporary, figure, each_picture(), fps, count)
 
 
-def _counted(pictures: Iterable[Picture], on_picture: Callable[[], None]) -> Iterator[Picture]:
-    for picture in pictures:
-        yield picture
-        on_picture()
+class _Scene:
+    """The axes of one motion, seen by a camera that follows the body and keeps every pose inside."""
 
-
-def _pictures(takes: Sequence[Take], seconds: Float64[np.ndarray, "pictures"]) -> Iterator[Picture]:
-    """All takes side by side at instants counted from their beginnings."""
-    sheet = Figure(figsize=(len(takes) * PANEL_PIXELS / DPI, PANEL_PIXELS / DPI), dpi=DPI)
-    panels = [_Panel.on(sheet, take, (len(takes), 1, place)) for place, take in enumerate(takes)]
-    frames = [_frames_at(take, seconds) for take in takes]
-    for number in range(len(seconds)):
-        for panel, own in zip(panels, frames, strict=True):
-            panel.show(int(own[number]))
-        yield _drawn(sheet)
-
-
-def _drawn(sheet: Figure) -> Picture:
-    canvas: Any = FigureCanvasAgg(sheet)
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
-
-
-def _strip(takes: Sequence[Take]) -> Picture:
-    """A row per take, with poses evenly spread over its duration."""
-    size = STRIP_PIXELS / DPI
-    sheet = Figure(figsize=(STRIP_POSES * size, len(takes) * size), dpi=DPI)
-    for row, take in enumerate(takes):
-        frames = np.unique(np.linspace(0, take.num_frames - 1, STRIP_POSES).round().astype(int))
-        for column, frame in enumerate(frames.tolist()):
-            place = (STRIP_POSES, len(takes), row * STRIP_POSES + column)
-            _Panel.on(sheet, take, place, named=column == 0).show(frame)
-    return _drawn(sheet)
-
-
-def _frames_at(take: Take, seconds: Float64[np.ndarray, "pictures"]) -> Int64[np.ndarray, "pictures"]:
-    own = take.frame_seconds() - take.frame_seconds()[0]
-    return np.clip(np.searchsorted(own, seconds + 1e-6, side="right") - 1, 0, take.num_frames - 1)
-
-
-@dataclass(frozen=True, eq=False)
-class _View:
-    """A camera: right and up directions of the picture, heights of the floor and of the picture's centre.
-
-    `half` is half of the view's extent in metres, which contains every pose: the camera follows the joints' mean.
-    """
-
-    right: Float64[np.ndarray, "3"]
-    up: Float64[np.ndarray, "3"]
-    floor: float
-    middle: float
-    half: float
-
-    @classmethod
-    def of(cls, take: Take, drawing: Drawing) -> "_View":
-        yaw = drawing.yaw + ASIDE_RADIANS
-        level, height = np.cos(ABOVE_RADIANS), np.sin(ABOVE_RADIANS)
-        camera = np.array([np.sin(yaw) * level, height, np.cos(yaw) * level])
-        right = np.cross([0.0, 1.0, 0.0], camera)
-        right /= np.linalg.norm(right)
-        places = take.joint_positions[:: max(1, take.num_frames // MOST_LOOKED_AT)].astype(np.float64)
-        places = places[np.isfinite(places).all(axis=(1, 2))]
-        lowest, highest = (float(places[..., 1].min()), float(places[..., 1].max())) if len(places) else (0.0, 1.0)
-        floor = 0.0 if abs(lowest) < (highest - lowest) / 7 else lowest
-        middle = (floor + highest) / 2
-        view = cls(right, np.cross(camera, right), floor, middle, 0.0)
-        reach = float(np.abs(view.flat(places - view.centre(places)[:, None])).max(initial=0.0))
-        return replace(view, half=AIR * max(reach, 0.05))
-
-    def centre(self, poses: Float64[np.ndarray, "*poses joints 3"]) -> Float64[np.ndarray, "*poses 3"]:
-        made = np.asarray(poses.mean(axis=-2))
-        made[..., 1] = self.middle
-        return made
-
-    def flat(self, places: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 2"]:
-        return np.stack((places @ self.right, places @ self.up), axis=-1)
-
-
-@dataclass(frozen=True, eq=False)
-class _Panel:
-    """One take's part of a sheet; `show` moves its lines to another frame."""
-
-    take: Take
-    view: _View
-    ends: Int64[np.ndarray, "bones 2"]
-    bones: LineCollection
-    ground: LineCollection
-    clock: Text
-
-    @classmethod
-    def on(cls, sheet: Figure, take: Take, place: tuple[int, int, int], named: bool = True) -> "_Panel":
-        columns, rows, number = place
-        row, column = divmod(number, columns)
-        axes = sheet.add_axes((column / columns, 1 - (row + 1) / rows, 1 / columns, 1 / rows))
+    def __init__(self, figure: Figure, take: Take, grid: tuple[int, int], place: int, titled: bool = True) -> None:
         drawing = drawing_of(take.skeleton, take.joint_positions)
-        view = _View.of(take, drawing)
-        axes.set(xlim=(-view.half, view.half), ylim=(-view.half, view.half))
+        yaw, level, above = drawing.yaw + ASIDE_RADIANS, np.cos(ABOVE_RADIANS), np.sin(ABOVE_RADIANS)
+        right = np.array([np.cos(yaw), 0.0, -np.sin(yaw)])
+        towards = np.array([np.sin(yaw) * level, above, np.cos(yaw) * level])
+        self._take, self._seconds = take, take.frame_seconds()
+        self._camera = np.stack((right, np.cross(towards, right)))
+        poses = take.joint_positions[:: max(1, take.num_frames // MOST_POSES)].astype(np.float64)
+        poses = poses[np.isfinite(poses).all(axis=(1, 2))]
+        lowest, highest = (float(poses[..., 1].min()), float(poses[..., 1].max())) if len(poses) else (0.0, 1.0)
+        self._floor = 0.0 if abs(lowest) < (highest - lowest) / 7 else lowest
+        self._middle = (self._floor + highest) / 2
+        reach = np.abs((poses - self._centre(poses)[:, None]) @ self._camera.T).max(initial=0.05) * AIR
+        rows, columns = grid
+        row, column = divmod(place, columns)
+        axes = figure.add_axes((column / columns, 1 - (row + 1) / rows, 1 / columns, 1 / rows))
+        axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
         axes.set_axis_off()
-        ground = LineCollection([], colors=GROUND, linewidths=0.8)
-        ends = np.array([(joint, parent) for joint, parent in enumerate(drawing.bones) if parent >= 0]).reshape(-1, 2)
-        colours = [COLOURS[drawing.sides[joint]] for joint in ends[:, 0].tolist()]
-        bones = LineCollection([], colors=colours, linewidths=2.5, capstyle="round")
-        for lines in (ground, bones):
+        bones = [(joint, parent) for joint, parent in enumerate(drawing.bones) if parent >= 0]
+        colours = [COLOURS[drawing.sides[joint]] for joint, _ in bones]
+        self._bones = np.array(bones, np.int64).reshape(-1, 2)
+        self._ground = LineCollection([], colors="#d8d8d8", linewidths=0.8)
+        self._body = LineCollection([], colors=colours, linewidths=2.5, capstyle="round")
+        for lines in (self._ground, self._body):
             axes.add_collection(lines)
-        if named:
+        self._clock = axes.text(0.03, 0.03, "", transform=axes.transAxes, fontsize=9, color="#666666")
+        if titled:
             title = f"{take.name}, {format_fps(take.fps)} fps"
             axes.text(0.03, 0.95, title, transform=axes.transAxes, fontsize=9, parse_math=False)
-        clock = axes.text(0.03, 0.03, "", transform=axes.transAxes, fontsize=9, color="#666666")
-        return cls(take, view, ends, bones, ground, clock)
 
-    def show(self, frame: int) -> None:
-        places = np.nan_to_num(self.take.joint_positions[frame]).astype(np.float64)
-        middle = self.view.centre(places)
-        flat = self.view.flat(places - middle)
-        self.bones.set_segments(list(flat[self.ends]))
-        self.ground.set_segments(list(self.view.flat(_grid(middle, self.view.floor) - middle)))
-        seconds = self.take.frame_seconds()[frame]
-        self.clock.set_text(f"{seconds:.3f} s, frame {self.take.first_frame + frame}")
+    def draw(self, instant: float) -> None:
+        """Show the most recent frame at an instant in seconds after the motion's beginning."""
+        seconds = self._seconds[0] + instant + 1e-6
+        frame = max(0, int(np.searchsorted(self._seconds, seconds, side="right")) - 1)
+        pose = np.nan_to_num(self._take.joint_positions[frame]).astype(np.float64)
+        centre = self._centre(pose)
+        self._body.set_segments(list((pose - centre)[self._bones] @ self._camera.T))
+        self._ground.set_segments(list((_ground_lines(centre, self._floor) - centre) @ self._camera.T))
+        self._clock.set_text(f"{self._seconds[frame]:.3f} s, frame {self._take.first_frame + frame}")
+
+    def _centre(self, poses: Float64[np.ndarray, "*poses joints 3"]) -> Float64[np.ndarray, "*poses 3"]:
+        """Where the camera looks: the mean of the joints, at one height."""
+        centre = np.asarray(poses.mean(axis=-2))
+        centre[..., 1] = self._middle
+        return centre
 
 
-def _grid(middle: Float64[np.ndarray, "3"], floor: float) -> Float64[np.ndarray, "lines 2 3"]:
+def _ground_lines(centre: Float64[np.ndarray, "3"], floor: float) -> Float64[np.ndarray, "lines 2 3"]:
     """Lines on the floor at whole metres around a place."""
     lines = []
-    steps = np.arange(-GRID_METRES, GRID_METRES + 1)
     for axis, other in ((0, 2), (2, 0)):
-        near, across = np.round(middle[axis]) + steps, np.round(middle[other]) + GRID_METRES * np.array([-1.0, 1.0])
-        ends = np.full((len(near), 2, 3), floor)
-        ends[:, :, axis] = near[:, None]
-        ends[:, :, other] = across
-        lines.append(ends)
-    return np.concatenate(lines)
+        for step in range(-GRID_METRES, GRID_METRES + 1):
+            ends = np.full((2, 3), floor)
+            ends[:, axis] = np.round(centre[axis]) + step
+            ends[:, other] = np.round(centre[other]) + np.array([-GRID_METRES, GRID_METRES])
+            lines.append(ends)
+    return np.stack(lines)
 
 
-def _write_gif(path: Path, pictures: Iterator[Picture], fps: Fraction, count: int) -> None:
+def _write_strip(path: Path, takes: Sequence[Take]) -> None:
+    """A row for each motion, with poses evenly spread over its duration."""
+    size = STRIP_PIXELS / DPI
+    figure = Figure(figsize=(STRIP_POSES * size, len(takes) * size), dpi=DPI)
+    for row, take in enumerate(takes):
+        seconds = take.frame_seconds() - take.frame_seconds()[0]
+        for column, frame in enumerate(np.unique(np.linspace(0, take.num_frames - 1, STRIP_POSES).round().astype(int))):
+            scene = _Scene(figure, take, (len(takes), STRIP_POSES), row * STRIP_POSES + column, titled=column == 0)
+            scene.draw(float(seconds[frame]))
+    figure.savefig(path, format="png", dpi=DPI)
+
+
+def _write_gif(path: Path, figure: Figure, pictures: Iterator[None], fps: Fraction, count: int) -> None:
     # Each picture ends at the whole hundredth nearest to its time, so that errors do not add up.
-    ends = [round(GIF_TICKS * Fraction(number) / fps) for number in range(count + 1)]
-    lasting = [10 * (after - before) for before, after in pairwise(ends)]
-    first = Image.fromarray(next(pictures)).quantize(64, dither=Image.Dither.NONE)
-    rest = (Image.fromarray(picture).quantize(palette=first, dither=Image.Dither.NONE) for picture in pictures)
-    first.save(path, "GIF", save_all=True, append_images=rest, duration=lasting, loop=0, optimize=False)
+    ends = [round(100 * number / fps) for number in range(count + 1)]
+    canvas: Any = FigureCanvasAgg(figure)
+
+    def drawn() -> Image.Image:
+        next(pictures)
+        canvas.draw()
+        return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+
+    first = drawn().quantize(64, dither=Image.Dither.NONE)
+    others = (drawn().quantize(palette=first, dither=Image.Dither.NONE) for _ in range(count - 1))
+    lasting = [10 * (stop - start) for start, stop in pairwise(ends)]
+    first.save(path, "GIF", save_all=True, append_images=others, duration=lasting, loop=0, optimize=False)
+    next(pictures, None)
 
 
-def _write_mp4(path: Path, pictures: Iterator[Picture], fps: Fraction, panels: int) -> None:
+def _write_mp4(path: Path, figure: Figure, pictures: Iterator[None], fps: Fraction, count: int) -> None:
     try:
         from imageio_ffmpeg import get_ffmpeg_exe
     except ImportError:
         raise MissingExtraError("imageio-ffmpeg", "video") from None
-    size, rate = f"{panels * PANEL_PIXELS}x{PANEL_PIXELS}", f"{fps.numerator}/{fps.denominator}"
-    given = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-framerate", rate, "-i", "-"]
-    # One thread and no dates: the same motion gives the same file.
-    made = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-threads", "1", "-fflags", "+bitexact"]
-    command = [get_ffmpeg_exe(), "-y", "-loglevel", "error", *given, *made, "-f", "mp4", str(path)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-        assert process.stdin is not None and process.stderr is not None
-        try:
-            for picture in pictures:
-                process.stdin.write(picture.tobytes())
-            process.stdin.close()
-        except BrokenPipeError:
-            pass
-        said = process.stderr.read().decode(errors="replace").strip()
-    if process.returncode:
-        raise MotionkitError(f"{path}: ffmpeg ended with {process.returncode}: {said}")
+    exact: Any = fps  # which ffmpeg reads as 30000/1001
+    try:
+        with mpl.rc_context({"animation.ffmpeg_path": get_ffmpeg_exe()}):
+            writer = FFMpegWriter(fps=exact, codec="libx264", extra_args=MP4_OPTIONS)
+            with writer.saving(figure, str(path), DPI):
+                for _ in pictures:
+                    writer.grab_frame()
+    except CalledProcessError as error:
+        raise MotionkitError(f"{path}: ffmpeg failed: {str(error.stderr).strip()}") from None
+
+
+def _write_recording(path: Path, takes: Sequence[Take]) -> None:
+    """A view for each motion: named joints and bones at their own seconds; frames with NaN are left out."""
+    try:
+        import rerun
+        from rerun.blueprint import Horizontal, Spatial3DView
+    except ImportError:
+        raise MissingExtraError("rerun-sdk", "rerun") from None
+    places = [rerun.new_entity_path([take.name]) for take in takes]
+    views = [Spatial3DView(origin=place, name=take.name) for place, take in zip(places, takes, strict=True)]
+    recording = rerun.RecordingStream("motionkit")
+    recording.save(path, default_blueprint=Horizontal(*views))
+    for place, take in zip(places, takes, strict=True):
+        drawing, names = drawing_of(take.skeleton, take.joint_positions), take.skeleton.joint_names
+        joints = [
+            rerun.AnnotationInfo(number, name, tuple(bytes.fromhex(COLOURS[side][1:])) if side else LIGHT)
+            for number, (name, side) in enumerate(zip(names, drawing.sides, strict=True))
+        ]
+        bones = [(joint, parent) for joint, parent in enumerate(drawing.bones) if parent >= 0]
+        body = rerun.ClassDescription(
+            info=rerun.AnnotationInfo(0, take.name, LIGHT), keypoint_annotations=joints, keypoint_connections=bones
+        )
+        look = rerun.Points3D.from_fields(
+            class_ids=[0], keypoint_ids=range(len(names)), radii=[0.012], show_labels=False
+        )
+        for each in (rerun.ViewCoordinates.RIGHT_HAND_Y_UP, rerun.AnnotationContext([body]), look):
+            rerun.log(place, each, static=True, recording=recording)
+        whole = np.isfinite(take.joint_positions).all(axis=(1, 2))
+        seconds = np.round(take.frame_seconds()[whole] * 1e9).astype("timedelta64[ns]")
+        poses = rerun.Points3D.columns(positions=take.joint_positions[whole].reshape(-1, 3))
+        clock, sizes = rerun.TimeColumn("time", duration=seconds), np.full(int(whole.sum()), len(names))
+        rerun.send_columns(place, [clock], poses.partition(sizes), recording=recording)
+    recording.disconnect()
