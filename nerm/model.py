@@ -12,8 +12,8 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 import torch
 
-from motionkit.core.checksums import sha256_of
 from motionkit.core.errors import UsageError
+from motionkit.core.files import sha256_of
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid, num_frames_within

@@ -1,5 +1,6 @@
 """The whole job on the embedded corpus by the commands' own functions: store, model, motions, table, picture."""
 
+import shutil
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,7 +16,7 @@ from motionkit.cli.generate import generate
 from motionkit.cli.ingest import ingest
 from motionkit.cli.train import train
 from motionkit.core.errors import UsageError
-from motionkit.core.files import remove_folder, require_no_link, temporary_name, write_whole
+from motionkit.core.files import is_temporary, write_whole
 from motionkit.core.motion import Motion
 from motionkit.demo_corpus import write_demo_corpus
 from motionkit.io.bvh.document import read_bvh
@@ -154,19 +155,17 @@ def draw_picture(folder: DemoFolder, real: list[Motion], generated: list[Motion]
 
 
 def _prepare(folder: DemoFolder) -> None:
-    """Delete an earlier demo and nothing else. Raises `LinkError` for links."""
+    """Delete an earlier demo and nothing else."""
     marker = folder.path / MARKER
-    there = set(folder.path.iterdir()) - {temporary_name(marker)} if folder.path.is_dir() else set()
+    there = folder.path.is_dir() and any(not is_temporary(entry) for entry in folder.path.iterdir())
     # Demos of earlier versions had no marker.
     if there and not marker.is_file() and not (folder.corpus / "LICENSE").is_file():
         raise UsageError(f"{folder.path} has other content than an earlier demo; choose another folder with --folder")
     parts = (folder.corpus, folder.store, folder.runs, folder.generated, folder.results)
-    for part in parts:
-        require_no_link(part, "delete the link, or name another folder with --folder")
     write_whole(marker, "motionkit demo made this folder, and deletes what is in it when it runs again.\n")
     for part in parts:
         if part.exists():
-            remove_folder(part)
+            shutil.rmtree(part)
 
 
 @contextmanager

@@ -12,8 +12,8 @@ from eval.sets.planted import detailed_fields, planted_fields
 from eval.sets.row_ids import RowId, Variant, check_sample_names
 from eval.sets.sets import SampleSet
 from eval.tables.registry import TableRequest
-from motionkit.core.checksums import sha256_of
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
+from motionkit.core.files import sha256_of
 from motionkit.core.progress import task, tracked
 from motionkit.data.reconstruction import ReconstructsWindows
 from motionkit.edit.complete.encoders import installed_encoders

@@ -15,7 +15,6 @@ from typing import Any
 from eval.report.results import Cell, Row, parse_cell
 from motionkit.core.checksums import read_json, write_json
 from motionkit.core.errors import DamagedFileError
-from motionkit.core.files import require_no_link
 from motionkit.core.progress import warn
 
 FOLDER = "parts"
@@ -55,9 +54,8 @@ def find_part(results: Path, name: str, terms: Mapping[str, Any]) -> Part | None
 
 
 def keep_part(results: Path, name: str, terms: Mapping[str, Any], part: Part) -> None:
-    """Write a part for `find_part`; raises `LinkError` if the folder of parts is a link."""
+    """Write a part for `find_part`."""
     path, key = _place(results, name, terms)
-    require_no_link(path.parent, "delete the link, or name another folder with --results")
     write_json(path, {"key": key, **asdict(part)})
 
 

@@ -18,7 +18,6 @@ from safetensors.numpy import load_file, save
 from eval.sets.sets import SampleSet
 from eval.text_motion.evaluator import TextMotionEvaluator
 from motionkit.core.errors import DamagedFileError
-from motionkit.core.files import require_no_link
 from motionkit.core.motion import Caption
 from motionkit.core.progress import warn
 from motionkit.core.shapes import Float32, Float64
@@ -112,5 +111,4 @@ def _is_whole(found: np.ndarray, num_rows: int) -> bool:
 
 
 def _write(path: Path, key: str, embeddings: Embeddings) -> None:
-    require_no_link(path.parent, "delete the link, or name another folder with --results")
     write_sealed_tensors(path, {TENSOR: np.ascontiguousarray(embeddings, dtype=np.float64)}, {"key": key}, save)

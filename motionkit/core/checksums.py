@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from motionkit.core.errors import DamagedFileError
-from motionkit.core.files import naming, read_regular, write_whole
+from motionkit.core.files import write_whole
 
 CHECKSUM = "checksum"
 # In the metadata of a safetensors file: the sha256 of the whole file with zeros in its place.
@@ -62,7 +62,7 @@ def read_json(path: Path, hint: str) -> dict[str, Any]:
     file cannot be read.
     """
     try:
-        document = json.loads(read_regular(path), parse_constant=_finite, parse_float=_finite)
+        document = json.loads(path.read_bytes(), parse_constant=_finite, parse_float=_finite)
         if not isinstance(document, dict):
             raise ValueError("it is not a JSON object")
         return unsealed(document)
@@ -75,12 +75,6 @@ def _finite(text: str) -> float:
     if not math.isfinite(value):
         raise ValueError(f"{text} is not a finite number")
     return value
-
-
-def sha256_of(path: Path) -> str:
-    """Hexadecimal sha256 of a file's content, read in pieces."""
-    with naming(path), path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def require_whole_tensors(path: Path, hint: str) -> re.Match[bytes]:

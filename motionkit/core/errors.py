@@ -63,10 +63,6 @@ class MotionkitWarning(UserWarning):
     """A warning about a result; the command line prints it as one line."""
 
 
-class LinkError(MotionkitError):
-    """A symbolic link where a file or folder of motionkit's own is expected."""
-
-
 class BusyError(MotionkitError):
     """A folder that another process is writing."""
 

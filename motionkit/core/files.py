@@ -1,22 +1,31 @@
-"""Atomic files and folders, locks between processes, deletion without following links."""
+"""Files and folders that appear whole, locks between processes, and records of a folder's sha256.
+
+A file is written beside its place, flushed to the disk and renamed, so a reader never finds half of it. A folder of
+several files may have a record of their sha256, which is checked when the folder is opened for use.
+"""
 
 import errno
+import hashlib
+import json
 import os
+import re
+import secrets
 import shutil
-import socket
-import stat
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
-from motionkit.core.errors import BusyError, LinkError, UsageError
+from motionkit.core.errors import BusyError, DamagedFileError, UsageError
 from motionkit.core.progress import warn
 
-# The lock file in a folder that one process writes at a time, and how much of it is read for messages.
+# The lock file in a folder that one process writes at a time.
 LOCK = ".lock"
-HOLDER_BYTES = 300
+# The record of a folder: one line a file, as `sha256sum` writes and checks them.
+RECORD = "SHA256SUMS"
+_RECORD_LINE = re.compile(r"([0-9a-f]{64})  (.+)")
+_TEMPORARY = re.compile(r"\..+\.[0-9a-f]{8}\.tmp(\.[^.]*)?")
 _NO_LOCKS = (errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOLCK)
-
 
 # The files and the folder by which a store is known.
 MANIFEST_FILE, SEQUENCES_FILE, SEGMENTS_FOLDER = "manifest.json", "sequences.parquet", "segments"
@@ -33,31 +42,50 @@ def is_store(path: Path) -> bool:
 def whole_file(path: Path) -> Iterator[Path]:
     """Yield a temporary file beside `path` that replaces it when the block ends without an error.
 
-    The content is flushed to the disk before the rename, and the folder after it. Permissions follow the umask. The
-    temporary file has a fixed name for each `path` and is locked: a second writer of the same path waits for the first,
-    and a killed writer's file is overwritten. Raises `OSError` that names `path`, also if the disk is full.
+    The temporary file has the suffix of `path`, for writers that choose the format by it. Raises `OSError` that names
+    `path`, also if the disk is full.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    if path.exists():
-        require_regular(path)
-    temporary = temporary_name(path)
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp{path.suffix}")
     with naming(path):
-        descriptor, _ = _open_locked(temporary)
         try:
-            os.ftruncate(descriptor, 0)
             yield temporary
             replace(temporary, path)
         finally:
-            # After the rename, a file of that name belongs to another writer.
-            if _is_at(descriptor, temporary):
-                temporary.unlink()
-            os.close(descriptor)
+            temporary.unlink(missing_ok=True)
+
+
+def is_temporary(path: Path) -> bool:
+    """Whether a file has the name of a temporary one of `whole_file`, which a killed process leaves."""
+    return _TEMPORARY.fullmatch(path.name) is not None
 
 
 def write_whole(path: Path, content: bytes | str) -> None:
-    """Write bytes, or text as UTF-8, atomically."""
+    """Write bytes, or text as UTF-8, as `whole_file` does."""
     with whole_file(path) as temporary:
         temporary.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
+
+
+def write_json(path: Path, document: Mapping[str, Any]) -> None:
+    """Write a JSON file as `whole_file` does; raises `ValueError` for NaN and infinity."""
+    write_whole(path, json.dumps(document, indent=2, allow_nan=False, ensure_ascii=False) + "\n")
+
+
+def read_json(path: Path, hint: str) -> dict[str, Any]:
+    """Read a JSON object; `hint` tells the user how to repair a damaged file.
+
+    Raises `DamagedFileError` for anything but a JSON object, and `OSError` if the file cannot be read.
+    """
+    try:
+        with naming(path):
+            document = json.loads(path.read_bytes())
+    except (ValueError, RecursionError) as error:
+        raise DamagedFileError(path, str(error), hint) from None
+    if not isinstance(document, dict):
+        raise DamagedFileError(path, "it is not a JSON object", hint)
+    return document
 
 
 def replace(source: Path, target: Path) -> None:
@@ -67,111 +95,21 @@ def replace(source: Path, target: Path) -> None:
     sync(target.parent)
 
 
+def sync(path: Path) -> None:
+    """Flush a file's content, or a folder's entries, to the disk."""
+    if os.name == "nt" and path.is_dir():
+        return  # Windows cannot open a folder
+    descriptor = os.open(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)
+    try:
+        with naming(path):
+            os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
 def create(path: Path) -> None:
     """Create an empty file; raises `FileExistsError` if anything is there, even a link."""
     os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
-
-
-def read_regular(path: Path) -> bytes:
-    """Content of a regular file; raises `OSError` for a pipe or a device, which might never end."""
-    require_regular(path)
-    with naming(path):
-        return path.read_bytes()
-
-
-def read_at_most(path: Path, num_bytes: int) -> bytes:
-    """Content of a file or a pipe of limited size; raises `OSError` for more."""
-    with naming(path), path.open("rb") as file:
-        content = file.read(num_bytes + 1)
-    if len(content) > num_bytes:
-        raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
-    return content
-
-
-def require_regular(path: Path) -> None:
-    """Raise `OSError` for a folder, a pipe or a device; links to files are allowed."""
-    if not stat.S_ISREG(path.stat().st_mode):
-        raise OSError(errno.EINVAL, "not a regular file", str(path))
-
-
-def temporary_name(path: Path) -> Path:
-    """The temporary path of `whole_file`; the suffix stays last, for writers that choose by it."""
-    return path.with_name(f".{path.name}.tmp{path.suffix}")
-
-
-def require_no_link(path: Path, instead: str) -> None:
-    """Raise `LinkError`, with advice, if `path` is a symbolic link."""
-    if path.is_symlink():
-        raise LinkError(
-            f"{path} is a symbolic link to {path.readlink()}, which is not followed, for what lies there may be "
-            f"somebody else's: {instead}"
-        )
-
-
-def free_bytes(path: Path) -> int:
-    """Free bytes on the disk of a path, or of its nearest existing parent."""
-    return shutil.disk_usage(existing(path)).free
-
-
-def existing(path: Path) -> Path:
-    """The path itself, or its nearest existing parent."""
-    there = path.absolute()
-    while not there.exists():
-        there = there.parent
-    return there
-
-
-def require_empty(folder: Path) -> None:
-    """Raise `UsageError` for a folder that is not empty, or a file."""
-    if folder.exists() and not folder.is_dir():
-        raise UsageError(f"{folder} is a file: name a new folder")
-    if folder.exists() and any(folder.iterdir()):
-        raise UsageError(f"{folder} is not empty: name a new folder")
-
-
-def remove_folder(path: Path) -> None:
-    """Delete a folder with its content, without following links; raises `LinkError` for a symbolic link."""
-    require_no_link(path, "delete the link, or what it points to, yourself")
-    shutil.rmtree(path)
-
-
-def remove_entry(path: Path) -> None:
-    """Delete a file, a folder with its content, or a symbolic link, but not the link's target."""
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
-
-
-def _open_locked(path: Path, busy: str | None = None) -> tuple[int, bool]:
-    """A descriptor of the file at `path`, which is created if needed, and whether its file system could lock it.
-
-    Waits for a lock that is held elsewhere, or raises `BusyError` with the text `busy`.
-    """
-    from filelock import lock_descriptor
-
-    while True:
-        descriptor, locked = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666), True
-        try:
-            if not lock_descriptor(descriptor, blocking=busy is None):
-                holder = os.read(descriptor, HOLDER_BYTES).decode("utf-8", "replace").strip()
-                raise BusyError(f"{busy} (held by {holder or 'an unknown process'})")
-        except BaseException as error:
-            if not isinstance(error, OSError) or error.errno not in _NO_LOCKS:
-                os.close(descriptor)
-                raise
-            locked = False
-        if _is_at(descriptor, path):
-            return descriptor, locked
-        os.close(descriptor)  # the previous holder has renamed or deleted the file
-
-
-def _is_at(descriptor: int, path: Path) -> bool:
-    """Whether `path` is the name of an open file."""
-    try:
-        return os.path.samestat(os.fstat(descriptor), path.lstat())
-    except FileNotFoundError:
-        return False
 
 
 @contextmanager
@@ -188,57 +126,105 @@ def naming(path: Path) -> Iterator[None]:
         raise OSError(error.errno, os.strerror(error.errno), str(path)) from None
 
 
-def sync(path: Path) -> None:
-    """Flush a file's content, or a folder's entries, to the disk."""
-    descriptor = os.open(path, os.O_RDONLY)
+def read_at_most(path: Path, num_bytes: int) -> bytes:
+    """Content of a file or a pipe of limited size; raises `OSError` for more."""
+    with naming(path), path.open("rb") as file:
+        content = file.read(num_bytes + 1)
+    if len(content) > num_bytes:
+        raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
+    return content
+
+
+def sha256_of(path: Path) -> str:
+    """Hexadecimal sha256 of a file's content, read in pieces."""
+    with naming(path), path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def write_record(folder: Path, names: Iterable[str]) -> None:
+    """Record the sha256 of these files of a folder in its SHA256SUMS; names are paths from the folder."""
+    write_whole(folder / RECORD, "".join(f"{sha256_of(folder / name)}  {name}\n" for name in sorted(names)))
+
+
+def read_record(folder: Path, hint: str) -> dict[str, str]:
+    """The recorded sha256 of a folder's files by their names; raises `DamagedFileError`, and `OSError` without any."""
+    path = folder / RECORD
     try:
         with naming(path):
-            os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+            lines = path.read_text(encoding="utf-8").splitlines()
+    except UnicodeDecodeError:
+        raise DamagedFileError(path, "it is not UTF-8", hint) from None
+    matches = [_RECORD_LINE.fullmatch(line) for line in lines]
+    if not all(matches):
+        raise DamagedFileError(path, f"line {matches.index(None) + 1} is not a sha256 and a name", hint)
+    return {match[2]: match[1] for match in matches if match}
+
+
+def verify_record(folder: Path, hint: str) -> dict[str, str]:
+    """Compare a folder's files with its record, and return the record; `hint` tells how to repair a damaged file.
+
+    Raises `DamagedFileError` for a file that is missing or has another content.
+    """
+    record = read_record(folder, hint)
+    for name, sha256 in record.items():
+        try:
+            is_same = sha256_of(folder / name) == sha256
+        except FileNotFoundError:
+            raise DamagedFileError(folder / name, "it is missing", hint) from None
+        if not is_same:
+            raise DamagedFileError(folder / name, f"its content is not what {RECORD} says", hint)
+    return record
+
+
+def require_empty(folder: Path) -> None:
+    """Raise `UsageError` for a folder that is not empty, or a file."""
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"{folder} is a file: name a new folder")
+    if folder.exists() and any(folder.iterdir()):
+        raise UsageError(f"{folder} is not empty: name a new folder")
+
+
+def remove_entry(path: Path) -> None:
+    """Delete a file, a folder with its content, or a symbolic link, but not the link's target."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 @contextmanager
 def whole_folder(path: Path) -> Iterator[Path]:
     """Yield an empty folder that becomes `path`, which must be absent or empty, when the block ends without an error.
 
-    It is `NAME.partial` beside `path`, with a lock that is released when the process dies: leftovers of a killed writer
-    are deleted by the next one. Raises `BusyError` if another process writes the same folder, `UsageError` if
-    `NAME.partial` was not made by motionkit, and `LinkError` for a link.
+    It lies in `NAME.partial` beside `path`, which is locked; what a killed process left there is deleted by the next
+    one. Raises `BusyError` if another process writes the same folder.
     """
     partial = path.with_name(f"{path.name}.partial")
-    require_no_link(partial, "delete the link")
-    if partial.exists() and not (partial / LOCK).exists() and any(partial.iterdir()):
-        raise UsageError(f"{partial} exists, and motionkit did not make it: delete it, or name another folder")
     with locked_folder(partial, busy=f"another process is writing {partial}: wait for it, or name another folder"):
         content = partial / path.name
+        remove_entry(content)
+        content.mkdir()
         try:
-            _remove_content(partial)
-            content.mkdir()
             with naming(path):
                 yield content
             content.rename(path)
             sync(path.parent)
         finally:
             # Also after Ctrl-C, since a partial folder would look complete.
-            _remove_content(partial)
-
-
-def _remove_content(partial: Path) -> None:
-    for entry in partial.iterdir():
-        if entry.name != LOCK:
-            remove_entry(entry)
+            remove_entry(content)
 
 
 @contextmanager
 def locked_folder(path: Path, *, busy: str) -> Iterator[None]:
     """Hold the lock of a folder during the block; the folder is created if needed, and deleted if it is then empty.
 
-    A lock that is held elsewhere raises `BusyError` with the text `busy` and the holder's process and host.
+    Temporary files that a killed process left in it are deleted. Raises `BusyError` with the text `busy` if another
+    process holds the lock.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.mkdir(exist_ok=True)
+    path.mkdir(parents=True, exist_ok=True)
     with exclusive_lock(path / LOCK, busy=busy):
+        for entry in filter(is_temporary, path.iterdir()):
+            entry.unlink(missing_ok=True)
         try:
             yield
         finally:
@@ -251,18 +237,22 @@ def locked_folder(path: Path, *, busy: str) -> Iterator[None]:
 def exclusive_lock(path: Path, *, busy: str | None) -> Iterator[None]:
     """Hold an exclusive lock on a file during the block; the file is created if needed, and stays.
 
-    With `busy`, a lock that is held elsewhere raises `BusyError` with that text and the holder's process and host;
-    otherwise wait for it. The system releases the lock of a process that ends, however it ends. On a file system
-    without locks, a warning takes the place of the lock. Raises `LinkError` for a symbolic link.
+    With `busy`, a lock that is held elsewhere raises `BusyError` with that text; otherwise wait for it. The system
+    releases the lock of a process that ends, however it ends. On a file system without locks, a warning takes the place
+    of the lock.
     """
-    require_no_link(path, "delete the link")
-    descriptor, locked = _open_locked(path, busy)
-    if not locked:
+    from filelock import FileLock, Timeout
+
+    lock = FileLock(path, timeout=-1 if busy is None else 0, fallback_to_soft=False)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise BusyError(busy) from None
+    except OSError as error:
+        if error.errno not in _NO_LOCKS:
+            raise
         warn(f"the file system of {path.parent} has no locks: let one process at a time write there")
     try:
-        with naming(path):
-            os.ftruncate(descriptor, 0)
-            os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
         yield
     finally:
-        os.close(descriptor)
+        lock.release()

@@ -19,7 +19,7 @@ import numpy as np
 
 from motionkit.core.checksums import read_json, write_json
 from motionkit.core.errors import UsageError
-from motionkit.core.files import LOCK, locked_folder, temporary_name, write_whole
+from motionkit.core.files import LOCK, is_temporary, locked_folder, write_whole
 from motionkit.core.framerate import format_fps
 from motionkit.edit.export.files import TABLE, captions_json
 from motionkit.fields.detail.detailed import detailed
@@ -178,7 +178,7 @@ def locked_output(path: Path, manifest: Mapping[str, Any], *, resume: bool, over
             else:
                 keeps = "--resume continues them, --overwrite replaces them, --out FOLDER keeps both"
                 raise UsageError(f"{path} holds generated motions: {keeps}")
-        elif any(entry.name not in (LOCK, temporary_name(path / MANIFEST).name) for entry in path.iterdir()):
+        elif any(entry.name != LOCK and not is_temporary(entry) for entry in path.iterdir()):
             raise UsageError(f"{path} is not empty: {ANOTHER}")
         write_json(path / MANIFEST, manifest)
         yield
@@ -209,7 +209,6 @@ def _delete_files(path: Path, manifest: Mapping[str, Any]) -> None:
         if ".." in PurePosixPath(name).parts or PurePosixPath(name).is_absolute():
             raise UsageError(f"{path / MANIFEST} names {name!r}, which lies outside of the folder: {ANOTHER}")
         (path / name).unlink(missing_ok=True)
-        temporary_name(path / name).unlink(missing_ok=True)
 
 
 def _short(value: Any) -> str:

@@ -17,8 +17,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from motionkit.core.checksums import read_json, sha256_of
+from motionkit.core.checksums import read_json
 from motionkit.core.errors import DamagedFileError, FormatError
+from motionkit.core.files import sha256_of
 from motionkit.core.framerate import format_fps, parse_fps
 from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.shapes import Float32

@@ -24,7 +24,7 @@ import numpy as np
 
 from motionkit.core.checksums import read_json, write_json
 from motionkit.core.errors import DamagedFileError, StoreError, UsageError
-from motionkit.core.files import exclusive_lock, require_no_link, require_regular, whole_file, whole_folder
+from motionkit.core.files import exclusive_lock, whole_file, whole_folder
 from motionkit.core.progress import tracked, warn
 from motionkit.core.settings import optional_path
 from motionkit.core.shapes import Float32, Int, Int32, Int64
@@ -76,7 +76,6 @@ class RowFile:
     @classmethod
     def open(cls, path: Path) -> "RowFile":
         """The rows of a .npy file; raises `DamagedFileError` for one that is not of `<f4` in C order, or is cut."""
-        require_regular(path)
         with path.open("rb") as file:
             try:
                 np.lib.format.read_magic(file)
@@ -236,7 +235,7 @@ def open_cache(store: Store, *, layout: str = "smpl22", where: str | None = None
     A damaged cache is rebuilt with a warning. Layouts: `smpl22`, `kit21`, and `native` for stores (or filters) with one
     number of joints. If two processes call it at once, one builds and the other waits. Raises `UsageError` for an
     unknown layout, bad SQL, or an empty or unsupported selection; `StoreError` if the disk is too small or not
-    writable; `LinkError` if the folder of caches is a symbolic link.
+    writable.
     """
     if layout != NATIVE and layout not in STANDARD_SKELETONS:
         raise UsageError(f"there is no layout {layout!r}: {', '.join(STANDARD_SKELETONS)} or {NATIVE}")
@@ -260,19 +259,9 @@ def open_cache(store: Store, *, layout: str = "smpl22", where: str | None = None
     return found or _load(path)
 
 
-def cache_root(store: Path, fingerprint: str) -> Path:
-    """The folder of a store's caches: `cache` in the store, or `fingerprint` in the folder that MOTIONKIT_CACHE names.
-
-    Raises `LinkError` where it is a symbolic link.
-    """
-    root = _root(store, fingerprint)
-    require_no_link(root, "delete the link, and name the folder for caches in MOTIONKIT_CACHE")
-    return root
-
-
 def cache_bytes(store: Path, fingerprint: str) -> int:
     """Bytes of all caches of a store, those of its earlier states in the store included."""
-    folders = _folders(_root(store, fingerprint))
+    folders = _folders(cache_root(store, fingerprint))
     return sum(path.lstat().st_size for folder in folders for path in folder.rglob("*"))
 
 
@@ -380,7 +369,6 @@ def _build(
 
 
 def _existing_cache(path: Path) -> PositionCache | None:
-    require_no_link(path, "delete the link")
     try:
         return _load(path) if path.is_dir() else None
     except DamagedFileError as error:
@@ -430,7 +418,8 @@ def _remove_stale(root: Path, fingerprint: str) -> None:
             shutil.rmtree(folder)
 
 
-def _root(store: Path, fingerprint: str) -> Path:
+def cache_root(store: Path, fingerprint: str) -> Path:
+    """The folder of a store's caches: `cache` in it, or `fingerprint` in the folder that MOTIONKIT_CACHE names."""
     elsewhere = optional_path("cache")
     return store / CACHE_FOLDER if elsewhere is None else elsewhere / fingerprint
 

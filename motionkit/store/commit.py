@@ -45,11 +45,10 @@ def changing(store: Path, *, must_exist: bool = False, must_not_exist: bool = Fa
 
     What a killed writer left is finished or removed first; what this one has written is removed where the block raises
     before its commit, and kept after it. Raises `BusyError` while another process writes; `StoreError` for a store that
-    is missing, present or not a store, and where the disk fails after the commit; `LinkError` where its folder of parts
-    is a symbolic link; `OSError` where it fails before the commit.
+    is missing, present or not a store, and where the disk fails after the commit; `OSError`
+    where it fails before the commit.
     """
     _check_target(store, must_exist=must_exist, must_not_exist=must_not_exist)
-    files.require_no_link(store / SEGMENTS_FOLDER, "move the parts into the store, or link the whole store")
     (store / SEGMENTS_FOLDER).mkdir(parents=True, exist_ok=True)
     busy = f"another process is writing to the store {store}: wait until it has ended"
     with exclusive_lock(store / LOCK_FILE, busy=busy):

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from motionkit.core import __version__, files
-from motionkit.core.checksums import read_json, sealed, sha256_of
+from motionkit.core.checksums import read_json, sealed
 from motionkit.core.errors import DamagedFileError, StoreError, describe
+from motionkit.core.files import sha256_of
 from motionkit.store.schema import (
     FORMAT_NAME,
     FORMAT_VERSION,
@@ -233,7 +234,7 @@ def read_committed(store: Path, name: str, entry: FileEntry) -> bytes | None:
         try:
             if path.stat().st_size != entry.num_bytes:
                 continue
-            content = files.read_regular(path)
+            content = path.read_bytes()
         except FileNotFoundError:
             continue
         if hashlib.sha256(content).hexdigest() == entry.sha256:

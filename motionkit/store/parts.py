@@ -14,9 +14,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from motionkit.core import files
-from motionkit.core.checksums import sha256_of
 from motionkit.core.errors import StoreError
-from motionkit.core.files import require_regular
+from motionkit.core.files import sha256_of
 from motionkit.core.shapes import Float32, Int64
 from motionkit.store import codec
 from motionkit.store.codec import RUN, array_of
@@ -174,7 +173,6 @@ class SegmentReader:
         path, entry = self._store / name, self._entries[name]
         if name in self._sound:
             return path
-        require_regular(path)
         intact = path.stat().st_size == entry.num_bytes
         if intact and entry.footer_sha256:
             intact = hashlib.sha256(read_footer(path)).hexdigest() == entry.footer_sha256

@@ -9,8 +9,8 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from motionkit.core.checksums import sha256_of
 from motionkit.core.errors import StoreError
+from motionkit.core.files import sha256_of
 from motionkit.core.skeleton import Skeleton
 from motionkit.store.manifest import FileEntry, Manifest, read_manifest
 from motionkit.store.parts import read_footer

@@ -13,15 +13,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from motionkit.core.checksums import (
-    read_json,
-    require_intact_tensors,
-    require_whole_tensors,
-    sha256_of,
-    write_json,
-)
+from motionkit.core.checksums import read_json, require_intact_tensors, require_whole_tensors, write_json
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
-from motionkit.core.files import LOCK, locked_folder, remove_entry, require_no_link, temporary_name, write_whole
+from motionkit.core.files import LOCK, is_temporary, locked_folder, remove_entry, sha256_of, write_whole
 from motionkit.core.plain_text import shown
 from motionkit.training.config import ConfigLike, flatten, to_plain
 from motionkit.training.metrics_log import HINT, MetricsLog
@@ -166,8 +160,7 @@ class StageFolder:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Hold the stage's lock during a training; raises `BusyError` while another process holds it, `LinkError`."""
-        require_no_link(self.path, "delete the link, or train into another --run")
+        """Hold the stage's lock during a training; raises `BusyError` while another process holds it."""
         with locked_folder(
             self.path, busy=f"another process is training {self.path}: wait until it has ended, or name another --run"
         ):
@@ -227,10 +220,9 @@ class StageOrigin:
 def begin_stage(folder: StageFolder, origin: StageOrigin, *, store: str, resume: bool, overwrite: bool) -> None:
     """Create a stage's folder and write its config.json, or check that an existing one can be resumed.
 
-    Raises `UsageError` if the folder exists and neither `resume` nor `overwrite` is set, `RunError` if the stage was
-    begun from other inputs, and `LinkError` if the folder is a link.
+    Raises `UsageError` if the folder exists and neither `resume` nor `overwrite` is set, and `RunError` if the
+    stage was begun from other inputs.
     """
-    require_no_link(folder.path, "delete the link, or train into another --run")
     if resume:
         check_resumable(folder, origin)
         if folder.config_path.is_file():
@@ -261,21 +253,20 @@ def _holds_something(folder: StageFolder) -> bool:
     """Whether a stage was begun there; not if it was killed before writing its config.json."""
     if not folder.path.exists():
         return False
-    return any(entry.name not in (LOCK, temporary_name(folder.config_path).name) for entry in folder.path.iterdir())
+    return any(entry.name != LOCK and not is_temporary(entry) for entry in folder.path.iterdir())
 
 
 def abandon_stage(folder: StageFolder) -> None:
-    """Delete a stage's files, so that it counts as not begun; raises `LinkError`."""
+    """Delete a stage's files, so that it counts as not begun."""
     clear_stage(folder)
     folder.config_path.unlink()
 
 
 def clear_stage(folder: StageFolder) -> None:
-    """Delete a stage's files except its lock and config.json, which the next training replaces; raises `LinkError`.
+    """Delete a stage's files except its lock and config.json, which the next training replaces.
 
     In this order a killed process leaves no folder that counts as complete, or that another training could resume.
     """
-    require_no_link(folder.path, "delete the link")
     first = [folder.summary_path, folder.checkpoint_path]
     for path in [*first, *sorted(folder.path.iterdir())]:
         if path not in (folder.config_path, folder.path / LOCK):
@@ -283,7 +274,7 @@ def clear_stage(folder: StageFolder) -> None:
 
 
 def copy_stage(source: StageFolder, target: StageFolder) -> None:
-    """Replace `target` by a copy of a complete stage without its checkpoint. Raises `LinkError`."""
+    """Replace `target` by a copy of a complete stage without its checkpoint."""
     if target.path.exists():
         clear_stage(target)
     # The last file marks it as complete.

@@ -15,7 +15,6 @@ import numpy as np
 from safetensors.numpy import load_file, save
 
 from motionkit.core.errors import DamagedFileError, UsageError
-from motionkit.core.files import require_no_link
 from motionkit.core.progress import warn
 from motionkit.core.shapes import Float32
 from motionkit.store.cache import writable
@@ -101,7 +100,6 @@ def _read(path: Path) -> dict[bytes, np.ndarray]:
 
 
 def _write(path: Path, known: dict[bytes, np.ndarray]) -> None:
-    require_no_link(path.parent, "delete the link, or use a copy of the store")
     keys = np.frombuffer(b"".join(known), dtype=np.uint8).reshape(-1, 32)
     arrays = {"text_sha256": keys.copy(), "embeddings": np.stack(list(known.values()))}
     with writable():

@@ -3,8 +3,8 @@
 import dataclasses
 import time
 
-from motionkit.core.checksums import sha256_of
 from motionkit.core.errors import MotionkitError, UsageError
+from motionkit.core.files import sha256_of
 from motionkit.training.loop import train_loop
 from motionkit.training.precision import float32_products, resolve_device, with_precision_of
 from motionkit.training.run import RunError

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from motionkit.core.checksums import sha256_of
 from motionkit.core.errors import MissingExtraError, MotionkitError
+from motionkit.core.files import sha256_of
 from motionkit.core.shapes import Float32
 from nerm.text.pretrained import batches, check_folder, folder_fingerprint, load, load_model, warn_of_cut_texts
 

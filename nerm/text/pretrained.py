@@ -13,8 +13,8 @@ from urllib.request import getproxies
 
 from safetensors import SafetensorError
 
-from motionkit.core.checksums import sha256_of
 from motionkit.core.errors import MotionkitError
+from motionkit.core.files import sha256_of
 from motionkit.core.plain_text import parse_json
 from motionkit.core.progress import warn
 

@@ -45,7 +45,6 @@ from eval.tables.nerm.copies import copies_block
 from eval.tables.parts import SOURCES, printed_rows, reported_figures
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import MotionkitError
-from motionkit.core.files import require_no_link
 from motionkit.core.progress import task
 from motionkit.generate.models import installed_models
 from motionkit.store import Store
@@ -213,9 +212,7 @@ def _scored(source: FeatureSource, column: Column, request: TableRequest) -> Par
         return PartialResult({}, (f"{label}, {source.name}: {error}",))
     features = comparison.features
     if isinstance(features, kinematic.KinematicDescriptor | kinematic1.KinematicDescriptor):
-        folder = request.results / "features"
-        require_no_link(folder, "delete the link, or name another folder with --results")
-        features.save(folder / f"kinematic-{features.fingerprint}.npz")
+        features.save(request.results / "features" / f"kinematic-{features.fingerprint}.npz")
     warnings = tuple(filter(None, (*_too_few(column, comparison), source.remark_at(column.fps))))
     scores = found.value
     return PartialResult(

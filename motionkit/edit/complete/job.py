@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from motionkit.core.errors import MotionkitError
-from motionkit.core.files import require_no_link, whole_file
+from motionkit.core.files import whole_file
 from motionkit.core.framerate import format_fps
 from motionkit.core.shapes import Bool
 from motionkit.core.timegrid import TimeGrid, num_frames_within
@@ -167,10 +167,7 @@ class OutputPath:
         self._taken: dict[Path, str] = {}
 
     def __call__(self, source: ClipSource, suffix: str, fps: str) -> Path:
-        """The file of a clip: `--out`, or in `--out`, or beside it with `made` before the suffix.
-
-        Raises `LinkError` if it would lie behind a link in a named folder.
-        """
+        """The file of a clip: `--out`, or in `--out`, or beside it with `made` before the suffix."""
         path = self._path(source, suffix, fps)
         other = self._taken.setdefault(path.absolute(), source.name)
         if other != source.name:
@@ -184,10 +181,6 @@ class OutputPath:
             # A motions.json states the framerate of all arrays beside it, so new ones need their own folder.
             beside = source.beside.parent
             folder = beside / derived_folder(fps, self._made) if suffix == ".npy" else beside
-            for each in (folder, *folder.parents):
-                if each == (named or beside):
-                    break
-                require_no_link(each, "name a folder with --out")
             return folder / (f"{stem}.npy" if suffix == ".npy" else f"{stem}.{self._made}{suffix}")
         if self._is_file:
             return self._out

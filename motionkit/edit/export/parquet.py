@@ -14,9 +14,9 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from motionkit.core.checksums import sha256_of, write_json
+from motionkit.core.checksums import write_json
 from motionkit.core.errors import UsageError
-from motionkit.core.files import naming
+from motionkit.core.files import naming, sha256_of
 from motionkit.core.framerate import format_fps
 from motionkit.core.motion import Motion
 from motionkit.edit.export.files import render

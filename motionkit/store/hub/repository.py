@@ -18,7 +18,6 @@ from typing import Any
 
 from motionkit.core import __version__
 from motionkit.core.errors import MissingExtraError, MotionkitError, UsageError
-from motionkit.core.files import free_bytes
 from motionkit.core.progress import OnProgress, ignore, task, tracked, warn
 
 PREFIX = "hf://"
@@ -111,7 +110,7 @@ def look_up(repository: Repository) -> Snapshot:
 def fetch(snapshot: Snapshot, names: Collection[str], on_progress: OnProgress = ignore) -> Path:
     """Fetch files of a snapshot into the cache; returns its folder, which may have other files too.
 
-    Raises `HubError` if the disk has no room for them, or the Hub cannot be reached.
+    Raises `HubError` if the Hub cannot be reached.
     """
     from huggingface_hub import constants, hf_hub_download, try_to_load_from_cache
 
@@ -127,12 +126,6 @@ def fetch(snapshot: Snapshot, names: Collection[str], on_progress: OnProgress = 
     missing = [
         name for name, path in paths.items() if not isinstance(try_to_load_from_cache(filename=path, **where), str)
     ]
-    cache = Path(constants.HF_HUB_CACHE)
-    wanted, free = sum(snapshot.sizes[name] for name in missing), free_bytes(cache)
-    if wanted > free:
-        raise HubError(
-            f"{repository} takes {wanted:,} bytes, the disk of {cache} has {free:,}: make room, or set HF_HOME"
-        )
 
     def download(name: str) -> str:
         return str(hf_hub_download(filename=paths[name], **where))

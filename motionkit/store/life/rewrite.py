@@ -9,8 +9,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from motionkit.core.checksums import sha256_of
 from motionkit.core.errors import StoreError, UsageError, describe
+from motionkit.core.files import sha256_of
 from motionkit.core.shapes import Int
 from motionkit.store.cache import remove_stale_caches
 from motionkit.store.codec import EncodedMotion

@@ -118,17 +118,6 @@ def test_what_goes_to_the_wrong_place_is_reported(hub: Hub, store: mk.Store) -> 
     assert "expected hf://datasets/OWNER/NAME" in str(run(pull, "hf://walks").exception)
 
 
-def test_a_disk_that_is_too_small_is_reported_before_anything_is_fetched(
-    hub: Hub, store: mk.Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    done(push, WALKS)
-    hub.served.clear()
-    monkeypatch.setattr("motionkit.store.hub.repository.free_bytes", lambda path: 100)
-    with pytest.raises(HubError, match="make room"):
-        mk.Store.open(WALKS)
-    assert hub.served == []
-
-
 def test_complete_stages_of_a_run_go_and_come_back(hub: Hub, tmp_path: Path) -> None:
     runs = RunFolder(tmp_path / "runs" / "walker")
     for name in ("field", "denoiser"):

@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from motionkit.core.errors import DamagedFileError, LinkError, StoreError, UsageError
+from motionkit.core.errors import DamagedFileError, StoreError, UsageError
 from motionkit.core.progress import Progress
 from motionkit.core.skeleton import KIT21, Skeleton
 from motionkit.core.skeletons.mapping import map_joints
@@ -238,23 +238,6 @@ def test_caches_in_another_folder(small_store, tmp_path, monkeypatch):
     store = Store.open(small_store)
     assert open_cache(store).path.parent == tmp_path / "scratch" / store.fingerprint
     assert not (small_store / "cache").exists()
-
-
-@pytest.mark.parametrize("place", ["cache", "inside"])
-def test_links_are_not_followed(small_store, tmp_path, make_motion, place):
-    outside = tmp_path / "outside"
-    outside.mkdir()
-    (outside / "letter.txt").write_text("dear")
-    if place == "cache":
-        (small_store / "cache").symlink_to(outside)
-    else:
-        built = open_cache(Store.open(small_store))
-        shutil.rmtree(built.path)
-        built.path.symlink_to(outside)
-    with pytest.raises(LinkError):
-        open_cache(Store.open(small_store))
-    change(small_store, make_motion)
-    assert [path.name for path in outside.iterdir()] == ["letter.txt"]
 
 
 def test_a_store_that_cannot_be_written(small_store, monkeypatch):

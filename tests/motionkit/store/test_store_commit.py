@@ -1,7 +1,6 @@
 """A writer that dies, at whatever moment, leaves a store that opens: the previous one or the new one."""
 
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -207,7 +206,7 @@ def test_a_failed_creation_can_be_tried_again(tmp_path, make_motion):
 
 def test_two_writers(small_store, make_motion):
     with StoreWriter.append(small_store) as writer:
-        with pytest.raises(BusyError, match=rf"another process is writing .*process {os.getpid()} on"):
+        with pytest.raises(BusyError, match="another process is writing"):
             StoreWriter.append(small_store).__enter__()
         writer.add(make_motion("first"))
     with StoreWriter.append(small_store) as writer:
@@ -268,15 +267,14 @@ HOLDER = textwrap.dedent(
 
 
 def test_the_lock_of_a_killed_writer_is_free(small_store, make_motion):
-    """And as long as it lives, every change is refused with its name."""
+    """And as long as it lives, every change is refused."""
     arguments = [sys.executable, "-c", HOLDER, str(small_store)]
     with subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True) as holder:
         assert holder.stdout is not None and holder.stdout.readline() == "holding\n"
         for change in (lambda: remove(small_store, ["take-3"]), lambda: append_two_parts(small_store, make_motion)):
-            with pytest.raises(BusyError, match=rf"another process is writing .*process {holder.pid} on"):
+            with pytest.raises(BusyError, match="another process is writing"):
                 change()
         holder.kill()
-    assert (small_store / LOCK_FILE).read_text().startswith(f"process {holder.pid} on")
     assert remove(small_store, ["take-3"]) == ("take-3",)
 
 
@@ -308,7 +306,7 @@ def test_a_table_that_gets_its_name_while_it_is_looked_for_is_found(small_store,
     content = table.read_bytes()
     pending.write_bytes(content)
     table.write_bytes(content[:-1] + b"0")  # the table of the commit before
-    read = files.read_regular
+    read = Path.read_bytes
 
     def read_slowly(path: Path) -> bytes:
         found = read(path)
@@ -316,7 +314,7 @@ def test_a_table_that_gets_its_name_while_it_is_looked_for_is_found(small_store,
             pending.replace(table)
         return found
 
-    monkeypatch.setattr(files, "read_regular", read_slowly)
+    monkeypatch.setattr(Path, "read_bytes", read_slowly)
     assert all("a caption lasts" in fault for fault in faults(small_store))
 
 

@@ -1,15 +1,13 @@
-"""Symbolic links in a store: nothing is written or deleted through them, and reading never waits for a pipe."""
+"""Symbolic links in a store: nothing is written or deleted through them."""
 
-import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from motionkit.core.errors import LinkError, MotionkitError
+from motionkit.core.errors import MotionkitError
 from motionkit.store import Store, StoreWriter
-from motionkit.store.cache import open_cache
 from motionkit.store.life.rewrite import compact, merge, remove
 from motionkit.store.life.splits import split
 from motionkit.store.reports.summary import summarise
@@ -49,21 +47,6 @@ def content_of(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
-@pytest.mark.parametrize("change", CHANGES)
-def test_parts_behind_a_link_are_not_touched(small_store, other, make_motion, change):
-    """`remove` used to delete them, and `validate` to say that all was well."""
-    before = content_of(other)
-    shutil.rmtree(small_store / "segments")
-    (small_store / "segments").symlink_to(other / "segments")
-    own = content_of(small_store)
-    with pytest.raises(LinkError, match=r"store/segments is a symbolic link to .*other/segments"):
-        CHANGES[change](small_store, make_motion)
-    assert content_of(other) == before
-    assert content_of(small_store) == own
-    assert next(faults(small_store)).startswith("segments: it is a symbolic link to '")
-    assert len(list(Store.open(small_store).read_many(range(6)))) == 6
-
-
 @pytest.mark.parametrize(
     "name",
     [
@@ -96,15 +79,6 @@ def test_a_pending_table_that_is_a_link_is_not_taken_for_the_committed_one(small
     assert (small_store.parent / "table").read_bytes() == before["sequences.parquet"]
 
 
-def test_a_lock_that_is_a_link_is_refused(small_store, tmp_path, make_motion):
-    (tmp_path / "letter.txt").write_text("dear")
-    (small_store / ".writer.lock").unlink()
-    (small_store / ".writer.lock").symlink_to(tmp_path / "letter.txt")
-    with pytest.raises(LinkError, match=r"\.writer\.lock is a symbolic link .*: delete the link"):
-        append(small_store, make_motion)
-    assert (tmp_path / "letter.txt").read_text() == "dear"
-
-
 @pytest.mark.parametrize("change", CHANGES)
 def test_a_store_may_be_reached_through_a_link(small_store, other, make_motion, change):
     link = small_store.parent / "link"
@@ -123,38 +97,6 @@ def test_files_of_a_users_own_among_the_parts_stay(small_store, make_motion):
     compact(small_store)
     left = {path.name for path in (small_store / "segments").iterdir()}
     assert left >= own
-
-
-@pytest.mark.parametrize("name", ["manifest.json", "sequences.parquet", "skeletons.parquet", PART])
-@pytest.mark.parametrize("kind", ["pipe", "zeros", "folder"])
-def test_what_never_ends_is_not_read(small_store, make_motion, name, kind):
-    """A pipe would wait for ever, /dev/zero fill the memory."""
-    append(small_store, make_motion)
-    (small_store / name).unlink()
-    if kind == "pipe":
-        os.mkfifo(small_store / name)
-    elif kind == "zeros":
-        (small_store / name).symlink_to("/dev/zero")
-    else:
-        (small_store / name).mkdir()
-    uses: list[Callable[[], object]] = [
-        lambda: Store.open(small_store).read(0),
-        lambda: Store.open(small_store).query("FROM segments"),
-        lambda: summarise(Store.open(small_store)),
-        lambda: compact(small_store),
-        lambda: merge(small_store.parent / "out", [small_store]),
-        lambda: open_cache(Store.open(small_store)),
-    ]
-    if name != PART:
-        uses.append(lambda: StoreWriter.append(small_store).__enter__())
-    if name == "manifest.json":
-        uses.append(lambda: list(faults(small_store)))
-    else:
-        assert any(fault.startswith(f"{name}: ") for fault in faults(small_store))
-    for use in uses:
-        with pytest.raises((MotionkitError, OSError)) as caught:
-            use()
-        assert "\n" not in str(caught.value)
 
 
 def test_the_size_of_a_cache_behind_a_link_is_not_counted(small_store):

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from motionkit.core.checksums import sha256_of
 from motionkit.core.errors import StoreError
+from motionkit.core.files import sha256_of
 from motionkit.core.motion import Motion
 from motionkit.store import Store, StoreWriter, codec, parts
 from motionkit.store.codec import encode

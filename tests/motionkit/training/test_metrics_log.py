@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from motionkit.core.errors import DamagedFileError, LinkError
+from motionkit.core.errors import DamagedFileError
 from motionkit.training.metrics_log import NOTHING_LOGGED, MetricsLog
 from motionkit.training.run import StageFolder
 
@@ -71,17 +71,6 @@ def test_readers_of_a_complete_stage_notice_another_byte_in_its_log(tmp_path: Pa
         folder.read_metrics()
     with pytest.raises(DamagedFileError, match=r"metrics\.jsonl"):
         folder.read_summary()
-
-
-def test_a_link_is_not_written_through(tmp_path: Path) -> None:
-    foreign, log = tmp_path / "foreign", MetricsLog(tmp_path / "metrics.jsonl")
-    foreign.write_text("mine")
-    log.path.symlink_to(foreign)
-    with pytest.raises(LinkError):
-        log.append({"step": 1.0})
-    with pytest.raises(LinkError):
-        log.cut(NOTHING_LOGGED)
-    assert foreign.read_text() == "mine"
 
 
 @pytest.mark.parametrize("extent", ["all", {}, {"bytes": "9" * 5000}, [1], {"bytes": -1, "sha256": ""}])

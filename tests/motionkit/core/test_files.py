@@ -1,0 +1,338 @@
+"""Files, folders, locks and records: whole or absent, one writer at a time, damage noticed."""
+
+import errno
+import multiprocessing
+import os
+import re
+import signal
+import stat
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from motionkit.core.errors import BusyError, DamagedFileError
+from motionkit.core.files import (
+    LOCK,
+    exclusive_lock,
+    is_temporary,
+    locked_folder,
+    naming,
+    read_at_most,
+    read_json,
+    remove_entry,
+    replace,
+    sha256_of,
+    verify_record,
+    whole_file,
+    whole_folder,
+    write_json,
+    write_record,
+    write_whole,
+)
+from tests.helpers.killing import killed_before
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(entry.name for entry in folder.iterdir())
+
+
+def test_a_file_appears_with_its_whole_content(tmp_path: Path) -> None:
+    path = tmp_path / "a" / "walk.npz"
+    with whole_file(path) as temporary:
+        temporary.write_bytes(b"half")
+        assert not path.exists()
+        assert temporary.suffix == ".npz" and is_temporary(temporary)
+    assert path.read_bytes() == b"half"
+    assert names(path.parent) == ["walk.npz"]
+    assert not is_temporary(path)
+
+
+def test_an_error_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "walk.npz"
+    path.write_bytes(b"old")
+    with pytest.raises(RuntimeError), whole_file(path) as temporary:
+        temporary.write_bytes(b"new")
+        raise RuntimeError
+    assert path.read_bytes() == b"old"
+    assert names(tmp_path) == ["walk.npz"]
+
+
+def test_permissions_follow_the_umask(tmp_path: Path) -> None:
+    before = os.umask(0o027)
+    try:
+        write_whole(tmp_path / "weights", "x")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "weights").stat().st_mode) == 0o640
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (OSError(errno.ENOSPC, "Error writing bytes. Detail: [errno 28]"), r"\[Errno 28\] No space left.*walk\.json"),
+        (OSError("corrupt"), r"walk\.json cannot be written whole, perhaps the disk is full \(corrupt\)"),
+    ],
+)
+def test_an_error_of_the_disk_names_the_file(tmp_path: Path, error: OSError, message: str) -> None:
+    with pytest.raises(OSError, match=message), whole_file(tmp_path / "walk.json"):
+        raise error
+
+
+@pytest.mark.skipif(not Path("/proc/self/mem").exists(), reason="needs a file that opens and cannot be read")
+@pytest.mark.parametrize("read", [partial(read_at_most, num_bytes=10), sha256_of, partial(read_json, hint="")])
+def test_an_error_of_reading_names_the_file(tmp_path: Path, read: Callable[[Path], object]) -> None:
+    (tmp_path / "broken").symlink_to("/proc/self/mem")
+    with pytest.raises(OSError) as caught:
+        read(tmp_path / "broken")
+    assert caught.value.filename == str(tmp_path / "broken")
+
+
+def test_an_error_that_names_a_file_keeps_its_name(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="absent"), naming(tmp_path / "walk.json"):
+        (tmp_path / "absent").read_bytes()
+
+
+def write_slowly(path: Path, content: str, seconds: float) -> None:
+    with whole_file(path) as temporary:
+        temporary.write_text(content)
+        time.sleep(seconds)
+
+
+def test_writers_of_the_same_path_do_not_meet(tmp_path: Path) -> None:
+    path = tmp_path / "walk.json"
+    context = multiprocessing.get_context("fork")
+    writers = [context.Process(target=write_slowly, args=(path, str(number) * 1000, 0.05)) for number in range(4)]
+    for writer in writers:
+        writer.start()
+    for writer in writers:
+        writer.join()
+    assert [writer.exitcode for writer in writers] == [0] * 4
+    assert path.read_text() in [str(number) * 1000 for number in range(4)]
+    assert names(tmp_path) == ["walk.json"]
+
+
+def test_a_link_at_the_path_is_replaced_and_not_written_through(tmp_path: Path) -> None:
+    (tmp_path / "letter").write_text("dear")
+    for write in (partial(write_whole, content="x"), lambda path: replace(tmp_path / "new", path)):
+        (tmp_path / "new").write_text("x")
+        (tmp_path / "walk.json").unlink(missing_ok=True)
+        (tmp_path / "walk.json").symlink_to(tmp_path / "letter")
+        write(tmp_path / "walk.json")
+        assert (tmp_path / "letter").read_text() == "dear"
+        assert (tmp_path / "walk.json").read_text() == "x"
+        assert not (tmp_path / "walk.json").is_symlink()
+
+
+def test_a_device_is_not_replaced(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(OSError, match="not a regular file"):
+        write_whole(tmp_path / "pipe", "x")
+
+
+def test_a_folder_is_removed_but_no_link_is_followed(tmp_path: Path) -> None:
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "kept" / "file").touch()
+    (tmp_path / "folder").mkdir()
+    for link in (tmp_path / "folder" / "inner", tmp_path / "link"):
+        link.symlink_to(tmp_path / "kept")
+    remove_entry(tmp_path / "folder")
+    remove_entry(tmp_path / "link")
+    remove_entry(tmp_path / "absent")
+    assert names(tmp_path) == ["kept"]
+    assert (tmp_path / "kept" / "file").exists()
+
+
+def test_json_comes_back(tmp_path: Path) -> None:
+    document = {"b": [1, 0.1, None, True, "é"], "a": {"c": {}}}
+    write_json(tmp_path / "a.json", document)
+    assert list(read_json(tmp_path / "a.json", "")) == ["b", "a"]
+    assert read_json(tmp_path / "a.json", "") == document
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        write_json(tmp_path / "a.json", {"a": float("nan")})
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"[]", b"{", b'{"a": "\xff"}', b"[" * 100_000, b'{"a": ' + b"1" * 5000 + b"}"]
+)
+def test_what_is_no_json_object_is_damage(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "a.json").write_bytes(content)
+    with pytest.raises(DamagedFileError, match=r"a\.json is damaged .*: restore it"):
+        read_json(tmp_path / "a.json", "restore it")
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (b"abc", "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"),
+        (b"a" * 1_000_000, "cdc76e5c9914fb9281a1c7e284d73e67f1809a48a497200e046d39ccc7112cd0"),
+    ],
+)
+def test_sha256_of_examples_of_fips_180(tmp_path: Path, content: bytes, expected: str) -> None:
+    (tmp_path / "file").write_bytes(content)
+    assert sha256_of(tmp_path / "file") == expected
+
+
+@pytest.fixture
+def recorded(tmp_path: Path) -> Path:
+    """A folder of two files with its record."""
+    (tmp_path / "inner").mkdir()
+    (tmp_path / "a b.json").write_text("{}")
+    (tmp_path / "inner" / "é").write_bytes(b"\0")
+    write_record(tmp_path, ["inner/é", "a b.json"])
+    return tmp_path
+
+
+def test_a_record_is_what_sha256sum_reads(recorded: Path) -> None:
+    assert verify_record(recorded, "") == {name: sha256_of(recorded / name) for name in ("a b.json", "inner/é")}
+    check = subprocess.run(["sha256sum", "--check", "--strict", "SHA256SUMS"], cwd=recorded, capture_output=True)
+    assert check.returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "fault"),
+    [
+        ("inner/é", b"\1", r"é is damaged \(its content is not what SHA256SUMS says\): repair it"),
+        ("a b.json", None, r"a b\.json is damaged \(it is missing\): repair it"),
+        ("SHA256SUMS", b"\xff", r"SHA256SUMS is damaged \(it is not UTF-8\)"),
+        ("SHA256SUMS", b"0" * 64 + b"  a b.json\nabc  e\n", r"SHA256SUMS is damaged \(line 2 is not a sha256"),
+    ],
+)
+def test_a_folder_that_is_not_as_recorded_is_damaged(
+    recorded: Path, name: str, content: bytes | None, fault: str
+) -> None:
+    if content is None:
+        (recorded / name).unlink()
+    else:
+        (recorded / name).write_bytes(content)
+    with pytest.raises(DamagedFileError, match=fault):
+        verify_record(recorded, "repair it")
+
+
+def test_a_folder_without_a_record_is_an_error_of_the_system(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="SHA256SUMS"):
+        verify_record(tmp_path, "")
+
+
+def test_a_folder_appears_with_all_that_is_in_it(tmp_path: Path) -> None:
+    with whole_folder(tmp_path / "new" / "out") as folder:
+        (folder / "a").write_text("a")
+        assert names(tmp_path / "new") == ["out.partial"]
+    assert names(tmp_path / "new") == ["out"]
+    assert names(tmp_path / "new" / "out") == ["a"]
+
+
+def test_an_error_leaves_no_folder(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt), whole_folder(tmp_path / "out") as folder:
+        (folder / "a").write_text("a")
+        raise KeyboardInterrupt
+    assert not names(tmp_path)
+
+
+def test_what_somebody_else_has_in_the_partial_folder_stays(tmp_path: Path) -> None:
+    (tmp_path / "out.partial").mkdir()
+    (tmp_path / "out.partial" / "mine").touch()
+    with whole_folder(tmp_path / "out"):
+        pass
+    assert names(tmp_path / "out.partial") == ["mine"]
+
+
+def test_killed_before_any_step_the_folder_is_there_or_the_next_writer_makes_it(tmp_path: Path) -> None:
+    def write(path: Path) -> None:
+        with whole_folder(path) as folder:
+            (folder / "a").write_text("a")
+
+    killed = 0
+    for step in range(20):
+        path = tmp_path / str(step) / "out"
+        path.parent.mkdir()
+        if not killed_before(step, path.parent, lambda path=path: write(path)):
+            break
+        killed += 1
+        if not path.exists():
+            write(path)
+        assert names(path) == ["a"]
+        assert set(names(path.parent)) <= {"out", "out.partial"}
+    assert killed >= 7  # the folder, its lock, the content's folder, the file, the rename, the lock's end, the folder's
+
+
+def hold(path: Path, ready: Path) -> None:
+    with locked_folder(path, busy="busy"):
+        ready.touch()
+        time.sleep(60)
+
+
+def test_a_lock_refuses_others_until_its_holder_ends_however_it_ends(tmp_path: Path) -> None:
+    path, ready = tmp_path / "run" / "field", tmp_path / "ready"
+    holder = multiprocessing.get_context("fork").Process(target=hold, args=(path, ready))
+    holder.start()
+    while not ready.exists():
+        time.sleep(0.01)
+    with pytest.raises(BusyError, match="wait for it"), locked_folder(path, busy="wait for it"):
+        pass
+    assert holder.pid is not None
+    (path / ".weights.0123abcd.tmp.npz").touch()
+    os.kill(holder.pid, signal.SIGKILL)
+    holder.join()
+    with locked_folder(path, busy="wait for it"):
+        assert names(path) == [LOCK]  # and not the temporary file of the killed process
+    assert not path.exists()
+
+
+WITHOUT_LOCKS = """
+import sys, warnings
+from dataclasses import replace
+from pathlib import Path
+{hide}
+import numpy as np
+import motionkit as mk
+with warnings.catch_warnings(record=True) as caught:
+    warnings.simplefilter("always")
+    motion = mk.Motion.from_joints(np.random.default_rng(0).normal(size=(20, 22, 3)), 20)
+    with mk.StoreWriter.create(Path(sys.argv[1])) as writer:
+        writer.add(replace(motion, sequence_id="walk"))
+print(mk.Store.open(sys.argv[1]).num_sequences, *{{str(each.message) for each in caught}}, sep="; ")
+"""
+
+
+@pytest.mark.parametrize(
+    ("hide", "message"),
+    [
+        ("sys.modules['fcntl'] = None", "only soft file lock is available"),
+        (
+            "import errno, fcntl\ndef refuse(*_): raise OSError(errno.ENOLCK, 'No locks')\nfcntl.flock = refuse",
+            "has no locks: let one process at a time write there",
+        ),
+    ],
+    ids=["no fcntl", "no flock"],
+)
+def test_a_store_is_written_without_locks(tmp_path: Path, hide: str, message: str) -> None:
+    script = WITHOUT_LOCKS.format(hide=hide)
+    done = subprocess.run([sys.executable, "-c", script, str(tmp_path / "store")], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert re.fullmatch(rf"1; .*{message}.*\n", done.stdout)
+
+
+def test_without_a_text_a_lock_is_waited_for(tmp_path: Path) -> None:
+    ready = tmp_path / "ready"
+    script = (
+        "import sys, time; from pathlib import Path; from motionkit.core.files import exclusive_lock\n"
+        f"with exclusive_lock(Path({str(tmp_path / 'lock')!r}), busy='busy'):\n"
+        f"    Path({str(ready)!r}).touch(); time.sleep(0.3)"
+    )
+    with subprocess.Popen([sys.executable, "-c", script]):
+        while not ready.exists():
+            time.sleep(0.01)
+        with exclusive_lock(tmp_path / "lock", busy=None):
+            pass
+
+
+def test_too_large_a_file_is_not_read(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(b"abc")
+    assert read_at_most(tmp_path / "a", 3) == b"abc"
+    with pytest.raises(OSError, match="too large"):
+        read_at_most(tmp_path / "a", 2)
