@@ -44,14 +44,11 @@ from eval.sets.sets import SampleSet
 from eval.tables.models import require_models
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
-from motionkit.fields.detail.detailed import detailed
-from motionkit.fields.detail.model import Detail
-from motionkit.fields.detail.slow_motion import FEET, GRID_FPS, SlowMotion
+from motionkit.fields.detail import FEET, GRID_FPS, Detail, SlowMotion, detailed, fit_detail
 from motionkit.fields.interpolation import interpolate
 from motionkit.fields.motion_field import to_motion
 from motionkit.fields.resample import resample_positions
 from motionkit.store.reader import Store
-from motionkit.training.detail.fit import fit_detail
 from tests.helpers.analytic import analytic_motion
 
 CUTOFF_HZ, SMOOTH_HZ = 10.0, 6.0

@@ -10,8 +10,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import STANDARD_SKELETONS
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.contact.planted import planted, planted_frames
-from motionkit.fields.detail.detailed import detailed
-from motionkit.fields.detail.model import Detail
+from motionkit.fields.detail import Detail, detailed
 from motionkit.fields.motion_field import MotionField, Observation
 
 VARIANT_NOTES = {

@@ -19,7 +19,7 @@ from motionkit.data.reconstruction import ReconstructsWindows
 from motionkit.edit.complete.encoders import installed_encoders
 from motionkit.fields.motion_field import MotionEncoder, MotionField
 from motionkit.generate.models import GenerativeModel, installed_models, is_unconditional
-from motionkit.training.detail.stage import has_detail, load_detail
+from motionkit.training.detail import has_detail, load_detail
 from motionkit.training.loaders import Loader
 from motionkit.training.run import RunError, RunFolder
 

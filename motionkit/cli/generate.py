@@ -122,7 +122,7 @@ def generate(
 
     from motionkit.generate.job import Job, locked_output
     from motionkit.generate.models import SamplingOptions, load_model, model_of
-    from motionkit.training.detail.stage import load_detail
+    from motionkit.training.detail import load_detail
 
     place = (runs or default_path("runs")) / run
     loaded = load_model(model or model_of(place), place)

@@ -6,18 +6,22 @@ evaluators use both ways.
 """
 
 from fractions import Fraction
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from motionkit.core.framerate import Framerate, parse_fps
 from motionkit.core.kinematics import continuous_quaternions
 from motionkit.core.motion import Motion
-from motionkit.core.shapes import Float, Float64
+from motionkit.core.shapes import Float, Float64, Int64
 from motionkit.core.timegrid import TimeGrid, num_frames_within
 from motionkit.fields.completion import upsample
 from motionkit.fields.interpolation import Method, interpolator_of
 from motionkit.fields.joints import Joints
 from motionkit.fields.motion_field import Poses
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 STOPBAND_DECIBEL = 80.0
 PASSBAND = 0.8
@@ -92,8 +96,6 @@ def _resample(
     values: Float[np.ndarray, "frames *rest"], fps_from: Fraction, fps_to: Fraction
 ) -> Float64[np.ndarray, "new_frames *rest"]:
     """Band-limited resampling along the first axis, in float64."""
-    from scipy.sparse import csr_array
-
     flat = values.reshape(len(values), -1).astype(np.float64)
     num_rows = num_frames_within(float((len(values) - 1) / fps_from), fps_to)
     if len(values) == 1:
@@ -102,20 +104,36 @@ def _resample(
     reach, cutoff = kernel_shape(ratio)
     margin = reach + 1
     padded = np.pad(flat, ((margin, margin), (0, 0)), mode="reflect", reflect_type="odd")
-    taps = np.arange(-reach, reach + 1)
     result = np.empty((num_rows, flat.shape[1]))
     for start in range(0, num_rows, _ROWS_AT_ONCE):
         rows = np.arange(start, min(start + _ROWS_AT_ONCE, num_rows))
-        # k·p/q in integers, so that long takes don't accumulate rounding errors.
+        # k·p/q in integers, so that long motions don't accumulate rounding errors.
         whole, remainder = np.divmod(rows * ratio.numerator, ratio.denominator)
-        phases, phase_of_row = np.unique(remainder, return_inverse=True)
-        weights = kernel(phases[:, None] / ratio.denominator - taps, reach, cutoff)
-        weights /= weights.sum(axis=1, keepdims=True)
-        columns = whole[:, None] + taps + margin
-        pointers = np.arange(len(rows) + 1) * len(taps)
-        matrix = csr_array((weights[phase_of_row].ravel(), columns.ravel(), pointers), shape=(len(rows), len(padded)))
-        result[rows] = matrix @ padded
+        result[rows] = kernel_matrix(whole + margin, remainder / ratio.denominator, len(padded), reach, cutoff) @ padded
     return result.reshape(num_rows, *values.shape[1:])
+
+
+def kernel_matrix(
+    sample: Int64[np.ndarray, "times"],
+    fraction: Float64[np.ndarray, "times"],
+    num_samples: int,
+    reach: int,
+    cutoff: float,
+) -> "csr_array":
+    """The sparse matrix [times, num_samples] that evaluates samples `fraction` of a sample after sample `sample`.
+
+    Reach and cut-off are those of `kernel_shape`. All samples within reach have to exist; the weights of a row add up
+    to 1.
+    """
+    from scipy.sparse import csr_array
+
+    taps = np.arange(-reach, reach + 1)
+    phases, phase_of_row = np.unique(fraction, return_inverse=True)
+    weights = kernel(phases[:, None] - taps, reach, cutoff)
+    weights /= weights.sum(axis=1, keepdims=True)
+    columns = sample[:, None] + taps
+    pointers = np.arange(len(sample) + 1) * len(taps)
+    return csr_array((weights[phase_of_row].ravel(), columns.ravel(), pointers), shape=(len(sample), num_samples))
 
 
 def kernel_shape(ratio: Fraction) -> tuple[int, float]:

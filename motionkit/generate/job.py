@@ -22,8 +22,7 @@ from motionkit.core.errors import UsageError
 from motionkit.core.files import LOCK, is_temporary, locked_folder, write_whole
 from motionkit.core.framerate import format_fps
 from motionkit.edit.export.files import TABLE, captions_json
-from motionkit.fields.detail.detailed import detailed
-from motionkit.fields.detail.model import Detail
+from motionkit.fields.detail import Detail, detailed
 from motionkit.fields.motion_field import MotionField
 from motionkit.generate.long_motions import captions_of, check_script, generate_scripts, is_joined
 from motionkit.generate.models import GenerativeModel, SamplingOptions

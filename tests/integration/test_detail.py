@@ -15,7 +15,7 @@ from motionkit.core.errors import DamagedFileError, UsageError
 from motionkit.fields.resample import resample_positions
 from motionkit.generate.models import GenerationRequest
 from motionkit.store.writer import StoreWriter
-from motionkit.training.detail.stage import has_detail, load_detail
+from motionkit.training.detail import has_detail, load_detail
 from motionkit.training.run import RunError
 from tests.helpers.analytic import capture
 from tests.helpers.scripted_model import PosesAt, ScriptedModel
@@ -89,7 +89,7 @@ def test_bvh_is_for_people(project: Path) -> None:
 
 
 def test_slow_captures_teach_no_detail(project: Path) -> None:
-    with pytest.raises(UsageError, match="captures of 120 fps or more, and none of the 1 takes"):
+    with pytest.raises(UsageError, match="captures of 120 fps or more, and none of the 1 sequences"):
         train(project, "--set", "where=split = 'test'")
 
 

@@ -14,7 +14,7 @@ import pytest
 
 from eval.tmr.settings import TmrConfig
 from motionkit.training.config import apply_overrides
-from motionkit.training.detail.stage import DetailConfig, load_detail
+from motionkit.training.detail import DetailConfig, load_detail
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext, registered_stages
 from tests.helpers.analytic import write_analytic_store

@@ -10,15 +10,15 @@ from motionkit.core.errors import UsageError
 from motionkit.core.kinematics import forward_kinematics
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import KIT21, SMPL22
-from motionkit.fields.detail import detailed as module
-from motionkit.fields.detail.detailed import DetailedField, detailed
-from motionkit.fields.detail.model import Detail
-from motionkit.fields.detail.slow_motion import (
+from motionkit.fields.detail import (
     BAND_REACH,
-    MARGIN,
     NUM_BANDS,
+    Detail,
+    DetailedField,
     band_motion,
     band_power,
+    detailed,
+    fit_detail,
     slow_motion,
     to_body,
     to_world,
@@ -27,7 +27,6 @@ from motionkit.fields.detail.slow_motion import (
 from motionkit.fields.interpolation import interpolate
 from motionkit.fields.motion_field import to_motion
 from motionkit.fields.resample import resample_positions
-from motionkit.training.detail.fit import fit_detail
 from tests.helpers.analytic import capture
 
 NATIVE = Fraction(120)
@@ -62,7 +61,7 @@ def field_of(motion: Motion, detail: Detail, number: int = 0) -> DetailedField:
 
 
 def test_detail_is_as_strong_as_captures_are_in_such_moments(learnt: Detail, smooth: Motion) -> None:
-    steps = field_of(smooth, learnt).displacements.at(0, smooth.num_frames).reshape(-1, 22, 3)
+    steps = field_of(smooth, learnt).displacements.compute().reshape(-1, 22, 3)
     speed = np.linalg.norm(np.gradient(smooth.joint_positions[:, FOOT], 1 / 120, axis=0), axis=-1)
     fast, still = (np.sqrt(np.square(steps[mask, FOOT]).sum(-1).mean()) for mask in (speed > 0.8, speed < 0.1))
     # What lies above 10 Hz of white noise at 120 fps is five sixths of its power.
@@ -83,7 +82,7 @@ def test_bands_are_all_that_lies_above_the_lowest_edge() -> None:
 
 
 def test_the_state_is_the_same_wherever_the_body_stands_and_faces(smooth: Motion) -> None:
-    positions = with_ends(smooth.joint_positions, MARGIN, MARGIN)
+    positions = with_ends(smooth.joint_positions)
     turn = np.array([[0.6, 0.0, 0.8], [0.0, 1.0, 0.0], [-0.8, 0.0, 0.6]])
     here, there = slow_motion(positions), slow_motion(positions @ turn.T + [3.0, 0.4, -2.0])
     np.testing.assert_allclose(here.features, there.features, atol=1e-6)
@@ -119,22 +118,20 @@ def test_what_20_fps_hold_is_left_alone(learnt: Detail, smooth: Motion) -> None:
     np.testing.assert_array_equal(to_motion(field, Fraction(20)).joint_positions, plain)
 
 
-def test_any_instants_in_any_order_whatever_the_blocks(
-    learnt: Detail, smooth: Motion, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_any_instants_in_any_order(learnt: Detail, smooth: Motion) -> None:
     rng = np.random.default_rng(1)
     times = np.sort(rng.uniform(0, smooth.timegrid.seconds()[-1], 300))
     order = rng.permutation(len(times))
     whole = field_of(smooth, learnt).query(times).joint_positions
     np.testing.assert_array_equal(field_of(smooth, learnt).query(times[order]).joint_positions, whole[order])
-    monkeypatch.setattr(module, "BLOCK", 211)
-    np.testing.assert_allclose(field_of(smooth, learnt).query(times).joint_positions, whole, atol=2e-6)
+
+
+def test_noise_is_a_function_of_the_seed_and_the_instant(learnt: Detail) -> None:
+    np.testing.assert_allclose(learnt.noise((3, 0), 500)[:, :200], learnt.noise((3, 0), 200), atol=1e-9)
 
 
 def test_a_motion_number_is_a_motion(learnt: Detail, smooth: Motion) -> None:
-    first, again, second = (
-        field_of(smooth, learnt, number).displacements.at(0, smooth.num_frames) for number in (0, 0, 1)
-    )
+    first, again, second = (field_of(smooth, learnt, number).displacements.compute() for number in (0, 0, 1))
     np.testing.assert_array_equal(first, again)
     assert abs(np.corrcoef(first[:, 31], second[:, 31])[0, 1]) < 0.2
 
@@ -163,9 +160,9 @@ def test_bones_keep_their_length(learnt: Detail, rotations: bool) -> None:
 
 def test_what_a_capture_has_already_is_not_added_again(learnt: Detail, smooth: Motion) -> None:
     real = shaken(smooth, 5)
-    steps = [field_of(each, learnt).displacements.at(0, each.num_frames) for each in (smooth, real)]
+    steps = [field_of(each, learnt).displacements.compute() for each in (smooth, real)]
     assert np.square(steps[1]).mean() < 0.35 * np.square(steps[0]).mean()
-    power = band_power(with_ends(real.joint_positions, MARGIN, MARGIN))
+    power = band_power(with_ends(real.joint_positions))
     assert power.shape == (real.num_frames, NUM_BANDS, 22)
 
 
@@ -182,5 +179,5 @@ def test_numbers_that_are_no_detail(learnt: Detail) -> None:
         replace(learnt, mixing=learnt.mixing[:2])
     with pytest.raises(ValueError, match="not finite"):
         replace(learnt, centre=learnt.centre * np.nan)
-    with pytest.raises(ValueError, match="one take"):
+    with pytest.raises(ValueError, match="one capture"):
         fit_detail([])

@@ -19,9 +19,9 @@ from motionkit.core.errors import UsageError
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
+from motionkit.fields.detail import fit_detail
 from motionkit.generate.models import GenerationRequest
 from motionkit.store.writer import StoreWriter
-from motionkit.training.detail.fit import fit_detail
 from tests.helpers.analytic import capture
 from tests.helpers.scripted_model import PosesAt, ScriptedModel, install_models, trained_run
 from tests.helpers.table_request import table_request

@@ -1,7 +1,7 @@
 """The stage `detail` of `motionkit train`, and a run's detail; nothing heavy is imported before it is used."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +14,7 @@ from motionkit.training.run import RunFolder
 from motionkit.training.stage import Stage, StageContext
 
 if TYPE_CHECKING:
-    from motionkit.fields.detail.model import Detail
+    from motionkit.fields.detail import Detail
     from motionkit.store.cache import PositionCache
 
 NAME = "detail"
@@ -22,9 +22,9 @@ NAME = "detail"
 
 @dataclass(frozen=True)
 class DetailConfig:
-    """Training takes of detail: those of 120 fps or more, a random selection of up to some minutes.
+    """Training sequences of detail: those of 120 fps or more, a random selection of up to some minutes.
 
-    `where` (SQL) selects the takes.
+    `where` (SQL) selects the sequences.
     """
 
     where: str = "split NOT IN ('val', 'test')"
@@ -34,46 +34,36 @@ class DetailConfig:
 def train_detail(context: StageContext, config: DetailConfig) -> None:
     """Learn detail; write RUN/detail/model.safetensors, which `load_detail` reads.
 
-    Raises `UsageError` for a store without training takes of 120 fps.
+    Raises `UsageError` for a store without training sequences of 120 fps.
     """
     import torch
 
-    from motionkit.fields.detail.slow_motion import GRID_FPS
-    from motionkit.training.detail.fit import fit_detail
+    from motionkit.fields.detail import GRID_FPS, fit_detail
+    from motionkit.fields.resample import resample_positions
     from motionkit.training.tensors import save_tensors
 
-    store = context.open_store()
-    takes = _takes(context, config)
-    folder = context.begin(NAME, config, store_fingerprint=store.fingerprint)
-    with task(context.on_progress, NAME, 2 * len(takes)) as work:
-        detail = fit_detail(takes, work.advance)
-    tensors = {name: torch.from_numpy(np.ascontiguousarray(values)) for name, values in detail.arrays().items()}
-    save_tensors(folder.model_path, tensors, {"store_fingerprint": store.fingerprint})
-    folder.finish({"takes": len(takes), "minutes": sum(len(take) for take in takes) / GRID_FPS / 60})
-
-
-def _takes(context: StageContext, config: DetailConfig) -> list[np.ndarray]:
-    """Random takes at 120 fps."""
-    from fractions import Fraction
-
-    from motionkit.fields.detail.slow_motion import GRID_FPS
-    from motionkit.fields.resample import resample_positions
-
-    cache, fast = _fast_takes(context, config)
-    takes, frames = [], 0.0
+    cache, fast = _fast_sequences(context, config)
+    captures: list[np.ndarray] = []
+    frames = 0
     for index in np.random.default_rng(context.seed).permutation(fast).tolist():
         if frames >= config.minutes * 60 * GRID_FPS:
             break
-        take = resample_positions(cache.sequence_positions(index), cache.exact_fps(index), Fraction(GRID_FPS))
-        if len(take) > 1:
-            takes.append(take)
-            frames += len(take)
-    return takes
+        capture = resample_positions(cache.sequence_positions(index), cache.exact_fps(index), Fraction(GRID_FPS))
+        if len(capture) > 1:
+            captures.append(capture)
+            frames += len(capture)
+    store = context.open_store()
+    folder = context.begin(NAME, config, store_fingerprint=store.fingerprint)
+    with task(context.on_progress, NAME, 2 * len(captures)) as work:
+        detail = fit_detail(captures, work.advance)
+    tensors = {name: torch.from_numpy(np.ascontiguousarray(values)) for name, values in detail.arrays().items()}
+    save_tensors(folder.model_path, tensors, {"store_fingerprint": store.fingerprint})
+    folder.finish({"takes": len(captures), "minutes": frames / GRID_FPS / 60})
 
 
-def _fast_takes(context: StageContext, config: DetailConfig) -> "tuple[PositionCache, list[int]]":
-    """The training takes, and a mask of those with 120 fps or more; raises `UsageError` if none has."""
-    from motionkit.fields.detail.slow_motion import GRID_FPS
+def _fast_sequences(context: StageContext, config: DetailConfig) -> "tuple[PositionCache, list[int]]":
+    """The training sequences, and the indices of those with 120 fps or more; raises `UsageError` if none has."""
+    from motionkit.fields.detail import GRID_FPS
     from motionkit.store.cache import open_cache
 
     cache = open_cache(context.open_store(), layout=SMPL22.name, where=config.where or None)
@@ -82,14 +72,14 @@ def _fast_takes(context: StageContext, config: DetailConfig) -> "tuple[PositionC
     if not fast:
         raise UsageError(
             f"{context.store}: detail is learnt from captures of {GRID_FPS} fps or more, and none of the "
-            f"{cache.num_sequences} takes for training is as fast"
+            f"{cache.num_sequences} sequences for training is as fast"
         )
     return cache, fast
 
 
 def _check(context: StageContext, config: DetailConfig) -> None:
-    """Raise early what would stop the training: no take that is fast enough."""
-    _fast_takes(context, config)
+    """Raise early what would stop the training: no sequence that is fast enough."""
+    _fast_sequences(context, config)
 
 
 def has_detail(run: Path) -> bool:
@@ -99,16 +89,15 @@ def has_detail(run: Path) -> bool:
 
 def load_detail(run: Path) -> "Detail":
     """Load a run's detail; raises `RunError`, with the command that trains it, if it has none."""
-    from motionkit.fields.detail.model import Detail
+    from motionkit.fields.detail import Detail
     from motionkit.training.tensors import load_tensors, rebuilding
 
     stage = RunFolder(run).stage(NAME)
     stage.read_summary()
     path = stage.model_path
     tensors, _ = load_tensors(path)
-    arrays: Mapping[str, np.ndarray] = {name: tensor.numpy() for name, tensor in tensors.items()}
     with rebuilding(path, NAME, tensors):
-        return Detail(**arrays)
+        return Detail(**{name: tensor.numpy() for name, tensor in tensors.items()})
 
 
 STAGE = Stage(
