@@ -18,7 +18,7 @@ from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.generate.constraints import Constraint
-from motionkit.generate.request import Prompt, read_csv, read_text
+from motionkit.generate.request import Prompt, read_csv
 from motionkit.store.named_motions.reading import read
 
 COLUMNS = ("seconds", "x", "z", "heading_degrees")
@@ -27,52 +27,42 @@ _JOINT = re.compile(r"(?P<joint>[^@=]+)@(?P<start>[\d.]+)(-(?P<end>[\d.]+))?=(?P
 
 @dataclass(frozen=True, eq=False)
 class PathTable:
-    """The points of a path with their line numbers: (x, z) in metres, seconds, heading (radians); None if not given."""
+    """The points of a path: (x, z) in metres, seconds, heading (radians); None if not given."""
 
     name: str
     places: Float64[np.ndarray, "points 2"]
     seconds: Float64[np.ndarray, "points"] | None
     heading: Float64[np.ndarray, "points"] | None
-    lines: tuple[int, ...]
 
     def constraint(self, duration_seconds: float | None) -> Constraint:
         """The path constraint for a motion's duration; raises `UsageError` if that is unknown but needed."""
-        if self.seconds is not None:
-            late = np.flatnonzero(self.seconds > (np.inf if duration_seconds is None else duration_seconds + 1e-9))
-            if len(late):
-                beyond = f"{self.seconds[late[0]]:g} s lies outside the motion's 0 … {duration_seconds:g} s"
-                raise UsageError(f"{self.name}, line {self.lines[late[0]]}: {beyond}")
-            return Constraint.path(self.places, self.seconds, self.heading, self.name)
-        if duration_seconds is None:
-            raise UsageError(
-                f"{self.name}: without a column 'seconds' the path is walked evenly, which needs --seconds"
-            )
-        steps = np.linalg.norm(np.diff(self.places, axis=0), axis=1)
-        seconds = np.concatenate(([0.0], steps.cumsum())) * (duration_seconds / steps.sum())
+        seconds = self.seconds
+        if seconds is None:
+            if duration_seconds is None:
+                raise UsageError(
+                    f"{self.name}: without a column 'seconds' the path is walked evenly, which needs --seconds"
+                )
+            steps = np.linalg.norm(np.diff(self.places, axis=0), axis=1)
+            if not steps.all():
+                raise UsageError(f"{self.name}: the same point twice; a path that rests says so by its seconds")
+            seconds = np.concatenate(([0.0], steps.cumsum())) * (duration_seconds / steps.sum())
+        elif duration_seconds is not None and seconds[-1] > duration_seconds + 1e-9:
+            raise UsageError(f"{self.name}: {seconds[-1]:g} s lies outside the motion's 0 … {duration_seconds:g} s")
         return Constraint.path(self.places, seconds, self.heading, self.name)
 
 
 def read_path(path: Path) -> PathTable:
-    """Read a CSV of a path; raises `UsageError` with file and line for an invalid one."""
-
-    def check(names: Sequence[str]) -> None:
-        if not {"x", "z"} <= set(names) <= set(COLUMNS):
+    """Read a CSV of a path; raises `UsageError` with file and line for a row that is not of numbers."""
+    rows = []
+    for line, cells in read_csv(path):
+        if not {"x", "z"} <= cells.keys() <= set(COLUMNS):
             raise UsageError(f"{path}, line 1: expected the columns x and z, perhaps {COLUMNS[0]} and {COLUMNS[3]}")
-
-    rows: list[dict[str, float]] = []
-    lines: list[int] = []
-    for line, cells in read_csv(read_text(path), path, check):
-        place = f"{path}, line {line}"
-        row = {name: _number(cell, f"{place}: {name}") for name, cell in cells.items()}
-        _check_step(rows[-1] if rows else None, row, place)
-        rows.append(row)
-        lines.append(line)
+        rows.append([_number(cell, f"{path}, line {line}: {name}") for name, cell in cells.items()])
     if len(rows) < 2:
         raise UsageError(f"{path}: a path has two points or more, not {len(rows)}")
-    column = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    column = dict(zip(cells, np.array(rows).T, strict=True))
     heading = np.radians(column[COLUMNS[3]]) if COLUMNS[3] in column else None
-    places = np.stack((column["x"], column["z"]), axis=1)
-    return PathTable(path.name, places, column.get("seconds"), heading, tuple(lines))
+    return PathTable(path.name, np.stack((column["x"], column["z"]), axis=1), column.get("seconds"), heading)
 
 
 def path_and_seconds(path: Path | None, seconds: float | None) -> tuple[PathTable | None, float | None]:
@@ -103,12 +93,17 @@ def parse_constraints(
     """
     if (joints or placed) and not poses:
         raise UsageError("--pose-joints and --pose-placed are about the poses of --pose: give one")
+    lengths = [prompt.request.duration_seconds for prompt in prompts]
+    length = lengths[0] if len(set(lengths)) == 1 else None
+    if is_joined:
+        length = None if None in lengths else sum(each or 0.0 for each in lengths)
     names = joints.split(",") if joints else SMPL22.joint_names
-    lengths = [prompt.request.duration_seconds or np.nan for prompt in prompts]
-    length = sum(lengths) if is_joined else lengths[0] if len(set(lengths)) == 1 else np.nan
-    of_path = [] if path is None else [path.constraint(None if np.isnan(length) else length)]
-    of_poses = [parse_pose(each, names, placed=placed) for each in poses or ()]
-    return (*of_path, *of_poses, *map(parse_joint, places or ()))
+    of_path = [] if path is None else [path.constraint(length)]
+    return (
+        *of_path,
+        *(parse_pose(each, names, placed=placed) for each in poses or ()),
+        *map(parse_joint, places or ()),
+    )
 
 
 def _number(cell: str, place: str) -> float:
@@ -121,24 +116,13 @@ def _number(cell: str, place: str) -> float:
     return value
 
 
-def _check_step(before: dict[str, float] | None, row: dict[str, float], place: str) -> None:
-    """Raise `UsageError` for a point that does not come after the one `before`."""
-    seconds = row.get("seconds")
-    if seconds is not None and seconds < 0:
-        raise UsageError(f"{place}: {seconds:g} s lies before the motion, which begins at 0")
-    if before is None:
-        return
-    if seconds is not None and seconds <= before["seconds"]:
-        raise UsageError(f"{place}: {seconds:g} s does not come after the {before['seconds']:g} s before it")
-    if seconds is None and (row["x"], row["z"]) == (before["x"], before["z"]):
-        raise UsageError(f"{place}: the same point twice; a path that rests says so by its seconds")
-
-
 def parse_pose(given: str, joints: Sequence[str] = SMPL22.joint_names, *, placed: bool = False) -> Constraint:
     """Parse the pose of `SECONDS=FILE` or `SECONDS=FILE@INSTANT`, in the 22-joint layout.
 
     Raises `UsageError` for another form, a file of several frames without an instant, and an instant outside it.
     """
+    from scipy.interpolate import interp1d
+
     stated, separator, name = given.partition("=")
     if not separator or not name or not _is_number(stated):
         raise UsageError(f"--pose takes SECONDS=FILE or SECONDS=FILE@INSTANT (2.0=clip.bvh@1.5), not {given!r}")
@@ -159,24 +143,20 @@ def parse_pose(given: str, joints: Sequence[str] = SMPL22.joint_names, *, placed
         raise UsageError(f"{path}: {instant:g} s lies outside its {times[0]:g} … {times[-1]:g} s")
     pose = positions[0]
     if instant is not None and len(times) > 1:
-        after = int(np.clip(np.searchsorted(times, instant), 1, len(times) - 1))
-        share = np.clip((instant - times[after - 1]) / (times[after] - times[after - 1]), 0.0, 1.0)
-        pose = positions[after - 1] + share * (positions[after] - positions[after - 1])
+        pose = interp1d(times, positions, axis=0)(np.clip(instant, times[0], times[-1]))
     return Constraint.pose(pose, seconds, joints=joints, placed=placed, name=f"{name} at {seconds:g} s")
 
 
 def parse_joint(given: str) -> Constraint:
     """Parse the joint of `NAME@SECONDS=x,y,z` or `NAME@FROM-TO=x,y,z`; raises `UsageError` for another form."""
-    found = _JOINT.fullmatch(given)
-    numbers = found["place"].split(",") if found else []
-    stated = [found["start"], found["end"] or found["start"]] if found else []
-    if found is None or len(numbers) != 3 or not all(map(_is_number, (*numbers, *stated))):
+    match = _JOINT.fullmatch(given)
+    numbers = [match["start"], match["end"] or match["start"], *match["place"].split(",")] if match else []
+    if match is None or len(numbers) != 5 or not all(map(_is_number, numbers)):
         raise UsageError(f"--joint takes NAME@FROM-TO=x,y,z (left_foot@1.0-1.4=0.2,0.05,1), not {given!r}")
-    start, end = map(float, stated)
+    start, end, x, y, z = map(float, numbers)
     if end < start:
         raise UsageError(f"--joint {given}: {end:g} s lies before {start:g} s")
-    x, y, z = map(float, numbers)
-    return Constraint.joint(found["joint"], (x, y, z), start, end, name=given)
+    return Constraint.joint(match["joint"], (x, y, z), start, end, name=given)
 
 
 def _is_number(text: str) -> bool:

@@ -1,10 +1,10 @@
 """A trained generative model for Python: texts or actions in, motions out."""
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, TypedDict, Unpack, overload
+from typing import TypedDict, Unpack, overload
 
 from motionkit.core.errors import UsageError
 from motionkit.core.framerate import Framerate, format_fps, parse_fps
@@ -106,13 +106,12 @@ class MotionModel:
         """
         rate = self.max_training_fps if fps is None else parse_fps(fps)
         warn_above_training(self.model, rate)
-        scripts = self._scripts(text, action, seconds, n)
-        fields = self.draw(scripts, seed, sampling or SamplingOptions())
+        drawn = self._drawn(text, action, seconds, n, seed, sampling, plant)
         motions = [
-            sample_field(plant_generated(field, script) if plant else field, motion_name(number, script), script, rate)
+            sample_field(field, motion_name(number, script), script, rate)
             .motion()
             .logged(f"generate motion {number} of seed {seed} at {format_fps(rate)} fps ({self.name}, {self.run})")
-            for number, (script, field) in enumerate(zip(scripts, fields, strict=True))
+            for number, (script, field) in enumerate(drawn)
         ]
         return motions[0] if n is None and not isinstance(text, list | tuple) else motions
 
@@ -133,44 +132,40 @@ class MotionModel:
         >>> field.query(np.array([0.5, 1.25])).joint_positions.shape
         (2, 22, 3)
         """
-        scripts = self._scripts(text, action, seconds, n)
-        fields = self.draw(scripts, seed, sampling or SamplingOptions())
-        return list(map(plant_generated, fields, scripts)) if plant else fields
+        return [field for _, field in self._drawn(text, action, seconds, n, seed, sampling, plant)]
 
-    def draw(self, scripts: Sequence[Script], seed: int, sampling: SamplingOptions) -> list[MotionField]:
-        """The motions of scripts, each a sequence of requests; all are checked before the first is generated."""
-        for script in dict.fromkeys(scripts):
-            check_script(self.model, script, sampling, OVERLAP_SECONDS)
-        return [field for _, field in generate_scripts(self.model, scripts, seed=seed, sampling=sampling)]
-
-    def _scripts(
-        self, text: str | Several | None, action: str | None, seconds: int | float | None, n: int | None
-    ) -> list[Script]:
-        """The scripts of a call, n each; raises `UsageError` for what is no text, an empty one, and for n below 1."""
-        texts = _texts(text)
-        if (text is not None and not all(each.strip() for each in texts)) or (
-            action is not None and not action.strip()
-        ):
+    def _drawn(
+        self,
+        text: str | Several | None,
+        action: str | None,
+        seconds: int | float | None,
+        n: int | None,
+        seed: int,
+        sampling: SamplingOptions | None,
+        plant: bool,
+    ) -> list[tuple[Script, MotionField]]:
+        """The scripts of a call with their motions; all are checked before the first is generated."""
+        texts = [text or ""] if text is None or isinstance(text, str) else text
+        if not isinstance(texts, list | tuple) or not all(isinstance(each, str) for each in texts):
+            raise UsageError(f"expected a text, or a list of texts, not {shown(text)}")
+        given = [*(() if text is None else texts), *(() if action is None else (action,))]
+        if not all(each.strip() for each in given):
             raise UsageError("a text or action is empty; give neither for unconditional motion")
         if not texts or (n is not None and n < 1):
             raise UsageError("nothing to generate: give at least one text, and n of 1 or more")
-        length = None if seconds is None else float(seconds)
-        return [
-            (GenerationRequest(length, each, action or "", self.constraints),) for each in texts for _ in range(n or 1)
-        ]
+        length, options = None if seconds is None else float(seconds), sampling or SamplingOptions()
+        requests = [GenerationRequest(length, each, action or "", self.constraints) for each in texts]
+        scripts: list[Script] = [(request,) for request in requests for _ in range(n or 1)]
+        for script in dict.fromkeys(scripts):
+            check_script(self.model, script, options, OVERLAP_SECONDS)
+        fields = [field for _, field in generate_scripts(self.model, scripts, seed=seed, sampling=options)]
+        return list(zip(scripts, map(plant_generated, fields, scripts) if plant else fields, strict=True))
 
     def __repr__(self) -> str:
         return (
             f"MotionModel({self.name!r}, {str(self.run)!r}, {self.skeleton.num_joints} joints, up to "
             f"{self.max_duration_seconds:g} s at once, trained at up to {format_fps(self.max_training_fps)} fps)"
         )
-
-
-def _texts(text: object) -> list[str]:
-    texts = [""] if text is None else [text] if isinstance(text, str) else text
-    if not isinstance(texts, list | tuple) or not all(isinstance(each, str) for each in texts):
-        raise UsageError(f"expected a text, or a list of texts, not {shown(text)}")
-    return list(texts)
 
 
 def load_model(run: str | Path, name: str | None = None) -> MotionModel:
@@ -209,24 +204,12 @@ def generate(
 
 
 def generate(
-    text: str | Several | None = None,
-    *,
-    run: str | Path = "nano",
-    action: str | None = None,
-    fps: Framerate | None = None,
-    seconds: int | float | None = None,
-    n: int | None = None,
-    seed: int = 0,
-    sampling: SamplingOptions | None = None,
-    plant: bool = True,
+    text: str | Several | None = None, *, run: str | Path = "nano", n: int | None = None, **options: Unpack[Options]
 ) -> Motion | list[Motion]:
-    """Motions of the model of a run: `load_model(run).generate(…)`, for a single call.
+    """Motions of the model of a run: `load_model(run).generate(…)`, which explains the options, for a single call.
 
     >>> mk.generate("a person walks", run="runs/nano", fps="30000/1001", seconds=1).fps
     Fraction(30000, 1001)
     """
-    model: Any = load_model(run)  # whose overloads are those above
-    made: Motion | list[Motion] = model.generate(
-        text, action=action, fps=fps, seconds=seconds, n=n, seed=seed, sampling=sampling, plant=plant
-    )
-    return made
+    generate_motions: Callable[..., Motion | list[Motion]] = load_model(run).generate  # without its overloads
+    return generate_motions(text, n=n, **options)

@@ -11,7 +11,7 @@ Empty lines are skipped. A line has a text or an action; without `seconds` its l
 
 import csv
 import io
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -116,16 +116,19 @@ def read_prompts(path: Path, seconds: float | None = None) -> list[Prompt]:
     Raises `UsageError` with file and line for unreadable content, an unknown column, a line without a text or action
     or with both, seconds that are not positive, and a file without prompts.
     """
-    readers = {".txt": _text_rows, ".csv": _csv_rows, ".jsonl": _json_rows}
-    if path.suffix.lower() not in readers:
+    suffix = path.suffix.lower()
+    if suffix not in (".txt", ".csv", ".jsonl"):
         raise UsageError(f"{path}: prompts are a .txt (a text a line), a .csv or a .jsonl (text, action, seconds)")
-    prompts = []
-    for line, row in readers[path.suffix.lower()](read_text(path), path):
-        where = f"{path}, line {line}"
-        prompts.append(Prompt(_request(row, seconds, where), where))
-    if not prompts:
+    if suffix == ".csv":
+        rows = list(read_csv(path))
+    else:
+        lines = [(number, line.strip()) for number, line in enumerate(read_text(path).splitlines(), start=1)]
+        parse = _parse_object if suffix == ".jsonl" else lambda line, where: {"text": line}
+        rows = [(number, parse(line, f"{path}, line {number}")) for number, line in lines if line]
+    if not rows:
         raise UsageError(f"{path}: holds no prompts")
-    return prompts
+    wheres = [f"{path}, line {number}" for number, _ in rows]
+    return [Prompt(_request(row, seconds, where), where) for (_, row), where in zip(rows, wheres, strict=True)]
 
 
 def read_text(path: Path) -> str:
@@ -138,14 +141,13 @@ def read_text(path: Path) -> str:
         raise UsageError(f"{path}: not UTF-8 text ({error.reason} at byte {error.start})") from None
 
 
-def read_csv(text: str, path: Path, check: Callable[[Sequence[str]], None]) -> Iterator[tuple[int, dict[str, str]]]:
-    """The rows of a CSV with their line numbers, after `check` of the columns' names; absent cells are empty.
+def read_csv(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
+    """The rows of a CSV with their line numbers; absent cells are empty.
 
     Raises `UsageError` with file and line for anything but a table, and for rows longer than the header.
     """
-    reader = csv.DictReader(io.StringIO(text, newline=""), restkey="", restval="", strict=True)
+    reader = csv.DictReader(io.StringIO(read_text(path), newline=""), restkey="", restval="", strict=True)
     try:
-        check(reader.fieldnames or ())
         for row in reader:
             if "" in row:
                 raise UsageError(f"{path}, line {reader.line_num}: more fields than the header names")
@@ -154,59 +156,29 @@ def read_csv(text: str, path: Path, check: Callable[[Sequence[str]], None]) -> I
         raise UsageError(f"{path}, line {reader.line_num}: not a CSV table ({error})") from None
 
 
-def _text_rows(text: str, path: Path) -> Iterator[tuple[int, Mapping[str, Any]]]:
-    for number, line in enumerate(text.splitlines(), start=1):
-        if line.strip():
-            yield number, {"text": line.strip()}
-
-
-def _csv_rows(text: str, path: Path) -> Iterator[tuple[int, Mapping[str, Any]]]:
-    def check(names: Sequence[str]) -> None:
-        _check_columns(names, f"{path}, line 1")
-        if not {"text", "action"} & set(names):
-            raise UsageError(f"{path}, line 1: the header names neither 'text' nor 'action'")
-
-    for line, row in read_csv(text, path, check):
-        yield line, {name: cell.strip() for name, cell in row.items()}
-
-
-def _json_rows(text: str, path: Path) -> Iterator[tuple[int, Mapping[str, Any]]]:
-    for number, line in enumerate(text.splitlines(), start=1):
-        if not line.strip():
-            continue
-        where = f"{path}, line {number}"
-        try:
-            row = parse_json(line)
-        except ValueError as error:
-            raise UsageError(f"{where}: not JSON ({error})") from None
-        if not isinstance(row, dict):
-            raise UsageError(f"{where}: expected an object with {', '.join(COLUMNS)}, not {type(row).__name__}")
-        _check_columns(row, where)
-        yield number, row
-
-
-def _check_columns(names: Any, where: str) -> None:
-    unknown = [name for name in names if name not in COLUMNS]
-    if unknown:
-        raise UsageError(f"{where}: unknown column {shown(unknown[0])}, expected {', '.join(COLUMNS)}")
+def _parse_object(line: str, where: str) -> dict[str, Any]:
+    try:
+        row = parse_json(line)
+    except ValueError as error:
+        raise UsageError(f"{where}: not JSON ({error})") from None
+    if not isinstance(row, dict):
+        raise UsageError(f"{where}: expected an object with {', '.join(COLUMNS)}, not {type(row).__name__}")
+    return row
 
 
 def _request(row: Mapping[str, Any], default_seconds: float | None, where: str) -> GenerationRequest:
-    text, action = (row.get(name) or "" for name in ("text", "action"))
+    unknown = [name for name in row if name not in COLUMNS]
+    if unknown:
+        raise UsageError(f"{where}: unknown column {shown(unknown[0])}, expected {', '.join(COLUMNS)}")
+    text, action, seconds = (row.get(name) or "" for name in COLUMNS)
     if not isinstance(text, str) or not isinstance(action, str):
         raise UsageError(f"{where}: text and action are strings")
     if bool(text.strip()) == bool(action.strip()):
         raise UsageError(f"{where}: give a text or an action, {'not both' if text.strip() else 'there is neither'}")
-    return GenerationRequest(_seconds(row.get("seconds"), default_seconds, where), text.strip(), action.strip())
-
-
-def _seconds(value: Any, default: float | None, where: str) -> float | None:
-    if value is None or value == "":
-        return default
     try:
-        seconds = float(value)
+        length = default_seconds if seconds in ("", None) else float(seconds)
     except (TypeError, ValueError):
-        seconds = 0.0
-    if isinstance(value, bool) or not 0.0 < seconds < float("inf"):
-        raise UsageError(f"{where}: seconds is a positive number, not {shown(value)}")
-    return seconds
+        length = 0.0
+    if isinstance(seconds, bool) or not (length is None or 0.0 < length < float("inf")):
+        raise UsageError(f"{where}: seconds is a positive number, not {shown(seconds)}")
+    return GenerationRequest(length, text.strip(), action.strip())

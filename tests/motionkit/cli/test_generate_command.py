@@ -150,7 +150,7 @@ def test_a_path_of_a_long_motion_is_given_to_each_piece_by_its_clock(run_command
             ("--path", "points.csv"),
             r"points\.csv: the model 'Drift' follows no constraints: it cannot be held to a path",
         ),
-        (("--path", "points.csv", "--seconds", "1"), r"points\.csv, line 3: 2 s lies outside the motion's 0 … 1 s"),
+        (("--path", "points.csv", "--seconds", "1"), r"points\.csv: 2 s lies outside the motion's 0 … 1 s"),
         (("--path", "bad.csv"), r"bad\.csv, line 2: x is a number, not 'a'"),
         (("--joint", "elbow@1=0,0,0", "--seconds", "2"), "no joint is called 'elbow'"),
         (("--joint", "head@3=0,0,0", "--seconds", "2"), "'Drift' follows no constraints"),

@@ -125,22 +125,17 @@ def test_points_alone_are_walked_evenly(tmp_path: Path) -> None:
         ("x,z\n0,0\n1,nan\n", "line 3: z is a number"),
         ("x,z\n0,0\n1\n", "line 3: z is a number"),
         ("x,z\n0,0,7\n1,1\n", "line 2: more fields"),
-        ("seconds,x,z\n0,0,0\n2,1,1\n1,2,2\n", "line 4: 1 s does not come after the 2 s"),
-        ("seconds,x,z\n-1,0,0\n2,1,1\n", "line 2: -1 s lies before the motion"),
-        ("x,z\n0,0\n0,0\n", "line 3: the same point twice"),
+        ("seconds,x,z\n0,0,0\n2,1,1\n1,2,2\n", r"points\.csv: a path has two points or more, at seconds that ascend"),
+        ("seconds,x,z\n-1,0,0\n2,1,1\n", r"points\.csv: instants are seconds from 0 on"),
+        ("x,z\n0,0\n0,0\n", r"points\.csv: the same point twice"),
+        ("seconds,x,z\n0,0,0\n3,0,3\n7.5,0,6\n", r"points\.csv: 7\.5 s lies outside the motion's 0 … 6 s"),
         ("x,z\n0,0\n", "two points or more, not 1"),
         ('x,z\n"0,0\n', "not a CSV table"),
     ],
 )
-def test_a_table_that_is_no_path_is_reported_with_its_line(tmp_path: Path, text: str, message: str) -> None:
+def test_a_table_that_is_no_path_is_reported(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(mk.UsageError, match=message):
-        read_path(table(tmp_path, text))
-
-
-def test_a_point_after_the_motion_is_reported_with_its_line(tmp_path: Path) -> None:
-    points = read_path(table(tmp_path, "seconds,x,z\n0,0,0\n3,0,3\n7.5,0,6\n"))
-    with pytest.raises(mk.UsageError, match=r"points\.csv, line 4: 7\.5 s lies outside the motion's 0 … 6 s"):
-        points.constraint(6.0)
+        read_path(table(tmp_path, text)).constraint(6.0)
     with pytest.raises(mk.UsageError, match=r"nowhere\.csv: No such file"):
         read_path(tmp_path / "nowhere.csv")
 

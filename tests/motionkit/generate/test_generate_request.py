@@ -29,8 +29,8 @@ def test_tables_and_objects_say_the_same(tmp_path):
     [
         ("p.xlsx", "a walk", r"prompts are a \.txt"),
         ("p.txt", " \n", "holds no prompts"),
-        ("p.csv", "words\na walk\n", "line 1: unknown column 'words'"),
-        ("p.csv", "seconds\n2\n", "names neither 'text' nor 'action'"),
+        ("p.csv", "words\na walk\n", "line 2: unknown column 'words'"),
+        ("p.csv", "seconds\n2\n", "line 2: give a text or an action, there is neither"),
         ("p.csv", "text,seconds\na walk, slowly,2\n", "line 2: more fields than the header names"),
         ("p.csv", "text,action\na walk,walk\n", "line 2: give a text or an action, not both"),
         ("p.csv", "text,seconds\na walk,-1\n", "line 2: seconds is a positive number, not '-1'"),
