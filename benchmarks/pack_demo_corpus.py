@@ -24,7 +24,7 @@ from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.demo_corpus import FOLDER, METRES_PER_STEP, RADIANS_PER_STEP, read_demo_corpus
 from motionkit.io.asfamc import read_asfamc
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import ReadOptions
 
 SCHEMA = pa.schema(
     [

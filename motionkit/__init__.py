@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from motionkit.generate.constraints import Constraint
     from motionkit.generate.models import SamplingOptions
     from motionkit.generate.motion import MotionModel, generate, load_model
-    from motionkit.io.catalogue import write
+    from motionkit.io.registry import write
     from motionkit.store.named_motions.reading import read, read_all
     from motionkit.store.reader import Store
     from motionkit.store.writer import StoreWriter
@@ -86,11 +86,11 @@ give_names(
         "read_all": "motionkit.store.named_motions.reading",
         "resample": "motionkit.fields.resample",
         "view": "motionkit.viz.view.motions",
-        "write": "motionkit.io.catalogue",
+        "write": "motionkit.io.registry",
     },
 )
 provide(
     resample="motionkit.fields.resample:resample",
-    save="motionkit.io.catalogue:write",
+    save="motionkit.io.registry:write",
     notebook_view="motionkit.viz.view.motions:notebook_view",
 )

@@ -43,8 +43,8 @@ def test_imports_run_one_way() -> None:
     ("module", "line", "contract"),
     [
         ("motionkit/core/motion.py", "import motionkit.fields.resample", "data flows one way in motionkit"),
-        ("motionkit/fields/motion_field.py", "import motionkit.io.catalogue", "data flows one way in motionkit"),
-        ("motionkit/io/catalogue.py", "import motionkit.store.reader", "data flows one way in motionkit"),
+        ("motionkit/fields/motion_field.py", "import motionkit.io.registry", "data flows one way in motionkit"),
+        ("motionkit/io/registry.py", "import motionkit.store.reader", "data flows one way in motionkit"),
         ("motionkit/store/reader.py", "import motionkit.training.loop", "data flows one way in motionkit"),
         ("motionkit/training/loop.py", "import motionkit.generate.job", "data flows one way in motionkit"),
         ("motionkit/generate/request.py", "import motionkit.cli.app", "data flows one way in motionkit"),

@@ -15,7 +15,7 @@ from rich.table import Table
 
 from benchmarks.command import arguments_parser, best_cpu_seconds, print_table_and_json
 from motionkit.io.amass import read_amass
-from motionkit.io.scan.items import ReadOptions, SourceItem
+from motionkit.io.registry import ReadOptions, SourceItem
 from motionkit.io.smpl_body import LAYOUTS
 
 NUM_VERTICES = {"smplh": 6890, "smplx": 10475}

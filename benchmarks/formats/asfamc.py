@@ -16,7 +16,7 @@ from rich.table import Table
 
 from benchmarks.command import arguments_parser, best_cpu_seconds, print_table_and_json
 from motionkit.io.asfamc import parse_amc, read_asfamc
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import ReadOptions
 
 
 def plain(data: bytes) -> list[dict[str, list[float]]]:

@@ -19,12 +19,11 @@ import numpy as np
 from rich.table import Table
 
 from benchmarks.command import arguments_parser, print_table_and_json
-from motionkit.io.indexes.entries import Entry
-from motionkit.io.indexes.search import read_index
-from motionkit.io.scan.cuts import StepCut
-from motionkit.io.scan.items import IndexOptions, ReadOptions, SourceItem
-from motionkit.io.scan.reading import read
-from motionkit.io.scan.scanner import scan
+from motionkit.io.cuts import StepCut
+from motionkit.io.indexes import Entry, read_index
+from motionkit.io.reading import read
+from motionkit.io.registry import IndexOptions, ReadOptions, SourceItem
+from motionkit.io.scan import scan
 
 FPS = 120
 RENAMED = {

@@ -26,9 +26,9 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.features.quality import measure
 from motionkit.fields.interpolation import interpolate
 from motionkit.fields.motion_field import to_motion
-from motionkit.io.scan.items import ReadOptions
-from motionkit.io.scan.reading import read
-from motionkit.io.scan.scanner import scan
+from motionkit.io.reading import read
+from motionkit.io.registry import ReadOptions
+from motionkit.io.scan import scan
 
 # Captured → stated fps: factors 2, 3, 4, 5, 6, then others, pulldown from film last.
 PAIRS = (

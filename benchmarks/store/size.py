@@ -19,9 +19,9 @@ from rich.table import Table
 
 from benchmarks.command import arguments_parser, print_json
 from motionkit.cli.console import stdout
-from motionkit.io.scan.items import ReadOptions
-from motionkit.io.scan.reading import read
-from motionkit.io.scan.scanner import scan
+from motionkit.io.reading import read
+from motionkit.io.registry import ReadOptions
+from motionkit.io.scan import scan
 from motionkit.store.schema import FLOAT_LIST, ROW_GROUP_SEGMENTS, SEGMENT_FRAMES
 
 # One segment of one column, channels by frames.

@@ -20,7 +20,7 @@ from motionkit.core.files import is_temporary, write_whole
 from motionkit.core.motion import Motion
 from motionkit.demo_corpus import write_demo_corpus
 from motionkit.io.bvh.document import read_bvh
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import ReadOptions
 from motionkit.store.reader import Store
 from motionkit.training.config import flatten
 from motionkit.training.stage import registered_stages

@@ -8,11 +8,10 @@ from pathlib import Path, PurePosixPath
 from eval.sample_folder.folder import SampleFolderError
 from eval.sample_folder.manifest import MANIFEST, Manifest, read_manifest
 from motionkit.core.errors import FormatError
-from motionkit.io.scan import annotations
-from motionkit.io.scan.annotations import Annotation
-from motionkit.io.scan.folders import walk
-from motionkit.io.scan.items import SourceItem
-from motionkit.io.scan.scanner import claiming, scan
+from motionkit.io import annotations
+from motionkit.io.annotations import Annotation
+from motionkit.io.registry import SourceItem, recognise_folder
+from motionkit.io.scan import scan, walk
 
 ARRAY_SUFFIXES = (".npy", ".npz")
 STATISTICS_NAMES = frozenset({"mean", "std"})
@@ -105,7 +104,7 @@ class _FileFilter:
 
 
 def _is_claimed(folder: Path) -> bool:
-    return claiming(folder) is not None
+    return recognise_folder(folder) is not None
 
 
 def _rows(

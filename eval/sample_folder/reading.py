@@ -24,10 +24,10 @@ from motionkit.core.skeletons.mapping import map_joints
 from motionkit.core.timegrid import TimeGrid
 from motionkit.features.statistics import Statistics
 from motionkit.io import joints_npy, texts
+from motionkit.io.annotations import Annotation
 from motionkit.io.npy import MAX_NUMBER
-from motionkit.io.scan.annotations import Annotation
-from motionkit.io.scan.items import ReadOptions, SourceItem
-from motionkit.io.scan.reading import read
+from motionkit.io.reading import read
+from motionkit.io.registry import ReadOptions, SourceItem
 
 MOST_SIDECAR_BYTES = 1 << 16
 LOOKED_AT_FILES = 64
@@ -155,9 +155,9 @@ class _Reader:
         # A folder format names a sequence by its key, not by its file.
         place = item.key or self.listing.place(item.path)
         parts = self._parts(item.path)
-        positions = map_joints(motion, SMPL22.name)[: row.num_frames or parts.num_frames]
+        positions = map_joints(motion, SMPL22.name)[: row.get("num_frames") or parts.num_frames]
         caption = motion.captions[0].text if motion.captions else ""
-        group = row.group or parts.group
+        group = row.get("group") or parts.group
         text = SampleText(place, caption or parts.caption, motion.action or parts.action, group)
         kit_joints = None
         if self.options.keep_published and motion.skeleton.joint_names == KIT21.joint_names:
@@ -167,17 +167,17 @@ class _Reader:
     def _of_array(self, path: Path, stored: StoredMotion) -> Read:
         row = self.listing.rows.get(path, Annotation())
         parts = self._parts(path)
-        numbers = self._trimmed(stored.numbers[: row.num_frames or parts.num_frames], path)
+        numbers = self._trimmed(stored.numbers[: row.get("num_frames") or parts.num_frames], path)
         _check_finite(numbers, path, stored.index)
         place = self.listing.place(path) + ("" if stored.index is None else f"/{stored.index:04d}")
-        caption = row.captions[0].text if row.captions else stored.caption
+        caption = row["captions"][0].text if "captions" in row else stored.caption
         if not caption and stored.index is None:
             caption = _sidecar(path)
         text = SampleText(
             place,
             caption or parts.caption,
-            row.action or stored.action or parts.action,
-            row.group or stored.group or parts.group,
+            row.get("action") or stored.action or parts.action,
+            row.get("group") or stored.group or parts.group,
         )
         fps = self._fps(path, stored, row)
         vectors = self._restored(numbers) if stored.is_vectors else None
@@ -218,7 +218,7 @@ class _Reader:
 
     def _fps(self, path: Path, stored: StoredMotion, row: Annotation) -> Fraction:
         beside = self._beside(path.parent).fps
-        fps = self.listing.manifest.fps or row.fps or stored.fps or beside or self.options.fps
+        fps = self.listing.manifest.fps or row.get("fps") or stored.fps or beside or self.options.fps
         if fps is None and stored.is_vectors:
             fps = JOINTS_BY_WIDTH[stored.numbers.shape[1]].fps
         if fps is None:

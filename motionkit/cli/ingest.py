@@ -110,7 +110,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print the summary as JSON.
 
 
 if TYPE_CHECKING:
-    from motionkit.io.scan.items import IndexOptions
+    from motionkit.io.registry import IndexOptions
     from motionkit.store.ingest import DatasetCount, IngestReport
 
 # Suffixes of ignored files, and faults of one reason.
@@ -146,7 +146,7 @@ def ingest(
     is refused. The result does not depend on the engine or the number of workers.
 
     Example: motionkit ingest takes"""
-    from motionkit.io.scan.framerate_rules import read_rules
+    from motionkit.io.framerate_rules import read_rules
     from motionkit.store.ingest import ingest as ingest_sources
 
     options = replace(
@@ -211,7 +211,7 @@ def _index_options(
     captions: Path | None,
     skip_frames: int,
 ) -> "IndexOptions | None":
-    from motionkit.io.scan.items import IndexOptions
+    from motionkit.io.registry import IndexOptions
 
     if not index:
         given = {"--texts": texts, "--splits": splits, "--mirrored": mirrored, "--compat": compat}

@@ -14,7 +14,7 @@ from motionkit.core.errors import FormatError, UsageError
 from motionkit.core.framerate import parse_fps
 
 if TYPE_CHECKING:
-    from motionkit.io.scan.items import ReadOptions
+    from motionkit.io.registry import ReadOptions
 
 
 class UpAxis(StrEnum):
@@ -79,7 +79,7 @@ def read_options(
 ) -> "ReadOptions":
     """The options of readers; raises `UsageError` for a unit that is not a positive length."""
     from motionkit.core.skeletons.families import read_skeleton_map
-    from motionkit.io.scan.items import ReadOptions
+    from motionkit.io.registry import ReadOptions
 
     if unit_metres is not None and not 0 < unit_metres < float("inf"):
         raise UsageError(f"--unit-metres must be a positive number, not {unit_metres}")

@@ -66,7 +66,7 @@ def plant(
     from motionkit.edit.complete.job import OutputPath
     from motionkit.edit.export.files import output_suffix
     from motionkit.edit.plant.job import Job
-    from motionkit.io.scan.derived import PLANTED
+    from motionkit.io.scan import PLANTED
     from motionkit.store.named_motions.reading import find_stored
 
     place = store or default_path("store")

@@ -143,7 +143,7 @@ class Job:
             self._write_table(folder)
 
     def _write_table(self, folder: Path) -> None:
-        """Write motions.csv, a row per complete motion, as `motionkit.io.scan.annotations` reads it."""
+        """Write motions.csv, a row per complete motion, as `motionkit.io.annotations` reads it."""
         text = io.StringIO(newline="")
         table = csv.writer(text, lineterminator="\n")
         table.writerow(("file", "captions", "action", "fps"))

@@ -25,9 +25,8 @@ from motionkit.fields.motion_field import MotionField, at_fps
 from motionkit.generate.constraints import Followed, followed
 from motionkit.generate.long_motions import Script, captions_of, constraints_of
 from motionkit.io import joints_npy, npz
-from motionkit.io.catalogue import writers
-from motionkit.io.format import Format
 from motionkit.io.humanml3d import JOINTS_FOLDER, TEXTS_FOLDER, VECTORS_FOLDER
+from motionkit.io.registry import Format, writers
 from motionkit.io.texts import format_texts
 
 SLUG_LENGTH = 40

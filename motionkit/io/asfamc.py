@@ -19,8 +19,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32, Float64
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io.asf import ROTATIONS, AsfSkeleton, read_asf
-from motionkit.io.format import Format, of_path
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import Format, ReadOptions, of_path
 from motionkit.io.source import source_file
 from motionkit.io.source.number_table import (
     INLINE_BYTES,

@@ -18,8 +18,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io.bvh import channels
 from motionkit.io.c3d_container import C3dFile, parse_c3d
-from motionkit.io.format import Format, of_path
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import Format, ReadOptions, of_path
 from motionkit.io.source import clock, source_file
 from motionkit.io.source.markers import UNITS, Markers, checked_metres, marker_skeleton, some, without_gaps
 from motionkit.io.up import AXES, log_lines, to_y_up

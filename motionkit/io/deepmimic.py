@@ -28,8 +28,7 @@ from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import Feet, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import npy
-from motionkit.io.format import FileHead, Format, of_path
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
 from motionkit.io.source import clock, source_file
 from motionkit.io.source.body_frame import in_metres
 

@@ -21,7 +21,7 @@ from motionkit.core.shapes import Float32, UInt16
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, rest_positions
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io.format import Format
+from motionkit.io.registry import Format
 from motionkit.io.source.joint_channels import JointChannels, joint_channels
 
 Side = Literal["left", "right", "middle"]

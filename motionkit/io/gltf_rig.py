@@ -19,7 +19,7 @@ from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import MAX_JOINTS, Skeleton
 from motionkit.core.skeletons.families import with_layout_map
 from motionkit.io.gltf import BINARY_CHUNK, JSON_CHUNK, MAGIC, GlbBuffer
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import ReadOptions
 
 LARGEST_BYTES = 1 << 30
 REASON = "gltf"

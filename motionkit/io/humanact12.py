@@ -12,8 +12,7 @@ from pathlib import Path
 
 from motionkit.core.motion import Motion
 from motionkit.io import joints_npy
-from motionkit.io.format import FileHead, Format, of_path
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
 from motionkit.io.source import clock
 
 FPS = Fraction(20)

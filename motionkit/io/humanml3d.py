@@ -21,8 +21,7 @@ from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import joints_npy, npy, texts
-from motionkit.io.format import Format
-from motionkit.io.scan.items import ReadOptions, ScanResult, SourceItem
+from motionkit.io.registry import Format, ReadOptions, ScanResult, SourceItem
 from motionkit.io.source import clock, source_file
 from motionkit.io.texts import SPLITS, read_splits
 

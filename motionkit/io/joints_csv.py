@@ -20,10 +20,9 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io.format import FileHead, Format, of_path
 from motionkit.io.npy import MAX_NUMBER
 from motionkit.io.npz import bones_of_pose
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
 from motionkit.io.source import clock, source_file
 from motionkit.io.source.body_frame import in_metres
 

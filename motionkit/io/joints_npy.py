@@ -19,8 +19,7 @@ from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS, Skeleton
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import npy
-from motionkit.io.format import FileHead, Format, of_path
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
 from motionkit.io.source import clock, source_file
 from motionkit.io.up import upright
 

@@ -25,10 +25,9 @@ from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import Feet, Skeleton
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io.format import Format
 from motionkit.io.npy import checked_numbers, checked_rotations
 from motionkit.io.npz import checked_layout_map, unnamed_skeleton
-from motionkit.io.scan.items import ReadOptions, ScanResult, SourceItem
+from motionkit.io.registry import Format, ReadOptions, ScanResult, SourceItem
 from motionkit.io.source import clock
 from motionkit.io.source.body_frame import in_metres
 

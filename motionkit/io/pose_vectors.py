@@ -23,9 +23,8 @@ from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import humanml3d, joints_npy, npy
-from motionkit.io.format import FileHead, Format, of_path
 from motionkit.io.humanml3d import LAYOUTS
-from motionkit.io.scan.items import ReadOptions, SourceItem
+from motionkit.io.registry import FileHead, Format, ReadOptions, SourceItem, of_path
 from motionkit.io.source import body_frame, clock, rigid, source_file
 from motionkit.io.up import upright
 

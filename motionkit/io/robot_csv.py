@@ -20,7 +20,7 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.fields.contact.detection import find_contacts, ground_of
 from motionkit.fields.contact.legs import legs_of
-from motionkit.io.format import Format
+from motionkit.io.registry import Format
 from motionkit.io.retargeting import retarget
 from motionkit.io.smpl_body import mean_shape_skeleton, rests_as_smpl
 

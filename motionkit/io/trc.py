@@ -17,8 +17,7 @@ from motionkit.core.shapes import Float64
 from motionkit.core.skeletons.families import with_layout_map
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io.bvh import channels
-from motionkit.io.format import Format, of_path
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import Format, ReadOptions, of_path
 from motionkit.io.source import clock, number_table, source_file
 from motionkit.io.source.markers import UNITS, Markers, checked_metres, marker_skeleton, without_gaps
 from motionkit.io.up import upright

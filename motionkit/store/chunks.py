@@ -9,8 +9,8 @@ from pathlib import Path
 
 from motionkit.core.errors import FormatError, StoreError
 from motionkit.core.skeleton import Skeleton
-from motionkit.io.scan.items import ReadOptions, SourceItem
-from motionkit.io.scan.reading import read
+from motionkit.io.reading import read
+from motionkit.io.registry import ReadOptions, SourceItem
 from motionkit.store.codec import EncodedMotion, RefusedMotion, Row, encode
 from motionkit.store.commit import unique_pending_part
 from motionkit.store.parts import PartWriter, PendingPart

@@ -16,9 +16,9 @@ from motionkit.core.progress import OnProgress, Task, ignore, task
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.families import parse_layout_map
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map
-from motionkit.io.scan.cuts import missing_seconds, unlike_stated_seconds
-from motionkit.io.scan.items import ReadOptions, ScanResult, SourceItem
-from motionkit.io.scan.scanner import scan
+from motionkit.io.cuts import missing_seconds, unlike_stated_seconds
+from motionkit.io.registry import ReadOptions, ScanResult, SourceItem
+from motionkit.io.scan import scan
 from motionkit.io.smpl_body import substituted_body
 from motionkit.store.chunks import (
     NumberedItem,

@@ -28,9 +28,7 @@ def test_the_last_line_counts_what_was_ignored(motionkit, arrays, tmp_path):
     outcome = motionkit("ingest", arrays, "--store", tmp_path / "store")
     assert outcome.code == 0 and outcome.stdout.startswith("stored 1 sequence")
     (line,) = [line for line in outcome.stdout.splitlines() if line.startswith("ignored")]
-    counts, _, hint = line.partition("; ingest an array alone")
-    assert counts == f"ignored: 9 (6 .npz, 3 .npy; the first: {arrays}/unknown-0.npy)"
-    assert hint == " to see what it holds"
+    assert line == f"ignored: 9 (6 .npz, 3 .npy; the first: {arrays}/unknown-0.npy)"
     summary = json.loads(motionkit("ingest", arrays, "--store", tmp_path / "store", "--json").stdout)
     assert summary["ignored"] == {".npz": 6, ".npy": 3}
     assert sorted(summary["ignored_paths"]) == sorted(map(str, arrays.glob("unknown*")))

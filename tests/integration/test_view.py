@@ -20,9 +20,9 @@ from motionkit.io.bvh.document import read_bvh
 from motionkit.io.bvh.writing import write_bvh
 from motionkit.io.humanml3d import Entry, write_humanml3d
 from motionkit.io.npz import motion_arrays, write_npz
-from motionkit.io.scan.items import ReadOptions
-from motionkit.io.scan.reading import read
-from motionkit.io.scan.scanner import scan
+from motionkit.io.reading import read
+from motionkit.io.registry import ReadOptions
+from motionkit.io.scan import scan
 from motionkit.store import StoreWriter
 from tests.helpers.analytic import analytic_motion
 from tests.helpers.every_format import SOURCES

@@ -9,9 +9,10 @@ import pytest
 
 from motionkit.demo_corpus import FOLDER, read_demo_corpus, write_demo_corpus
 from motionkit.features.quality import measure
+from motionkit.io import reading
 from motionkit.io.asfamc import read_asfamc
-from motionkit.io.scan import reading, scanner
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import ReadOptions
+from motionkit.io.scan import scan
 from tests.helpers.repository import REPOSITORY
 
 RATES = {Fraction(rate) for rate in (20, 30, 60, 120)}
@@ -36,7 +37,7 @@ def test_nothing_is_odd_about_any_motion() -> None:
 
 def test_what_is_written_is_read_by_the_scan(tmp_path: Path) -> None:
     written = write_demo_corpus(tmp_path / "corpus", every=10)
-    found = scanner.scan([tmp_path / "corpus"])
+    found = scan([tmp_path / "corpus"])
     assert found.problems == () and found.warnings == ()
     read = {item.path.stem: reading.read(item) for item in found.items}
     assert len(read) == len(written) == 12

@@ -64,8 +64,8 @@ def texts(folder: str) -> None:
 
 def motions(folder: str) -> None:
     """What an ingest would store of a folder of motions."""
-    from motionkit.io.scan.reading import read
-    from motionkit.io.scan.scanner import scan
+    from motionkit.io.reading import read
+    from motionkit.io.scan import scan
 
     found = scan([Path(folder)])
     for problem in found.problems:

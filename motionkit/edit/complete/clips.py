@@ -19,11 +19,9 @@ from motionkit.fields.rig import on_bones
 from motionkit.io import pose_vectors
 from motionkit.io.bvh.document import BvhDocument
 from motionkit.io.bvh.writing import ChannelLines, check_writable
-from motionkit.io.catalogue import writer_of
-from motionkit.io.format import FileHead
 from motionkit.io.npz import write_npz
-from motionkit.io.scan.items import ReadOptions, SourceItem
-from motionkit.io.scan.reading import read_document
+from motionkit.io.reading import read_document
+from motionkit.io.registry import FileHead, ReadOptions, SourceItem, writer_of
 from motionkit.store.named_motions.holes import ReadClip, read_with_holes, write_vectors
 from motionkit.store.named_motions.reading import FoundMotion, Readers, find_motions
 

@@ -20,7 +20,7 @@ from motionkit.fields.anchoring import anchored
 from motionkit.fields.completion import Completion, begin_observed, begin_uneven
 from motionkit.fields.contact.planted import planted
 from motionkit.fields.motion_field import MotionEncoder
-from motionkit.io.scan.derived import COMPLETED, derived_folder
+from motionkit.io.scan import COMPLETED, derived_folder
 from motionkit.viz.player.page import write_page
 from motionkit.viz.player.takes import Take, packed_bytes, take_of
 

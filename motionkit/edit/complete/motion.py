@@ -17,7 +17,7 @@ from motionkit.edit.complete.encoders import choose_encoder
 from motionkit.edit.complete.job import begin_clip
 from motionkit.edit.complete.request import CompletionRequest, FrameRange, Reach, parse_extend, parse_keep
 from motionkit.fields.rig import on_bones
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import ReadOptions
 from motionkit.store.named_motions.reading import existing_path
 
 Kept = str | Sequence[tuple[int, int | None]] | Bool[np.ndarray, "frames"]

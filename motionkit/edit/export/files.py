@@ -14,11 +14,10 @@ from motionkit.core.plain_text import markdown_text, spreadsheet_text
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import SkeletonMapError, map_joints
 from motionkit.edit.export.selection import Outcome, Selection, flat_names, nested_names
-from motionkit.io.catalogue import writer_of
-from motionkit.io.format import Format
+from motionkit.io.registry import Format, writer_of
 
 TABLE = "motions.csv"
-# As motionkit.io.scan.annotations reads them; sequence_id, the id in the store, is informative.
+# As motionkit.io.annotations reads them; sequence_id, the id in the store, is informative.
 COLUMNS = (
     *("file", "sequence_id", "captions", "action", "style", "subject", "split"),
     *("fps", "stated_fps", "licence", "source", "subset"),

@@ -13,9 +13,9 @@ from motionkit.edit.export.files import export_files
 from motionkit.edit.export.parquet import export_parquet
 from motionkit.edit.export.pose_folder import export_humanml3d, export_kit
 from motionkit.edit.export.selection import Outcome, Selection
-from motionkit.io.catalogue import writers
 from motionkit.io.character import Character, character_format
 from motionkit.io.humanml3d import HUMANML3D, KIT
+from motionkit.io.registry import writers
 
 
 @dataclass(frozen=True)

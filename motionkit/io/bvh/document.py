@@ -30,7 +30,7 @@ from motionkit.io.bvh import channels
 from motionkit.io.bvh.channels import ChannelPose
 from motionkit.io.bvh.frame_lines import FrameLines, checked_seen, find_frame_lines, read_tables
 from motionkit.io.bvh.text import BvhHierarchy, BvhText, read_head, stated_fps
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import ReadOptions
 from motionkit.io.source import body_frame, clock
 from motionkit.io.source.source_file import FileParts, check_size
 from motionkit.io.up import from_y_up, infer_up, log_lines, sampled_frames, skeleton_to_y_up, to_y_up, turn_of

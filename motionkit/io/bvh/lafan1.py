@@ -16,8 +16,7 @@ from motionkit.core import kinematics
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.io.bvh.document import BvhDocument, read_bvh, read_document
-from motionkit.io.format import FileHead, Format, of_path
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
 
 THEMES = (
     *("aiming", "dance", "fallAndGetUp", "fight", "fightAndSports", "ground", "jumps", "multipleActions", "obstacles"),

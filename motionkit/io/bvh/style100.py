@@ -19,8 +19,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.plain_text import shown
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io.bvh.document import T_POSE_DROPPED, BvhDocument, read_bvh, read_document
-from motionkit.io.format import FileHead, Format, of_path
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
 from motionkit.io.source import source_file
 
 CUTS_FILE = "Frame_Cuts.csv"

@@ -14,7 +14,7 @@ from motionkit.core.skeleton import Skeleton
 from motionkit.fields.motion_field import Poses
 from motionkit.io.bvh import channels
 from motionkit.io.bvh.document import BvhDocument, read_bvh, read_document
-from motionkit.io.format import Format, of_path
+from motionkit.io.registry import Format, of_path
 from motionkit.io.source import number_table
 from motionkit.io.source.joint_channels import joint_channels
 

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Provenance
-from motionkit.io.scan.folders import dangling
 
 MAX_BYTES = 4 << 30
 HEADER_BYTES = 1 << 20
@@ -56,6 +55,17 @@ def check_size(num_frames: int, num_joints: int, path: Path) -> None:
             path=path,
             reason="too-large",
         )
+
+
+def dangling(link: Path) -> FormatError | None:
+    """The error of a link that leads nowhere; None for anything else."""
+    try:
+        if link.is_symlink():
+            link.stat()
+        return None
+    except OSError as error:
+        message = f"is a link to {link.readlink()}, which leads nowhere ({error.strerror or error}): fix the link or "
+        return FormatError(message + "remove it", path=link, reason="dangling-link")
 
 
 def unreadable(path: Path, error: OSError) -> FormatError:

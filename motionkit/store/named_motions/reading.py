@@ -15,11 +15,11 @@ from motionkit.core.motion import Motion
 from motionkit.core.progress import warn
 from motionkit.core.skeletons.families import read_skeleton_map
 from motionkit.io import joints_npy, npy
+from motionkit.io import reading as one_sequence
 from motionkit.io.humanml3d import JOINTS_FOLDER, LAYOUTS, VECTORS_FOLDER
-from motionkit.io.scan import reading as one_sequence
-from motionkit.io.scan.folders import dangling
-from motionkit.io.scan.items import ReadOptions, SourceItem
-from motionkit.io.scan.scanner import scan, with_tables_above
+from motionkit.io.registry import ReadOptions, SourceItem
+from motionkit.io.scan import scan
+from motionkit.io.source.source_file import dangling
 from motionkit.io.up import GIVEN_AXES
 from motionkit.store import Store
 
@@ -98,7 +98,6 @@ def _of_pose_folder(path: Path) -> SourceItem | None:
 
 def _of_item(item: SourceItem, named: Path, read: Callable[[SourceItem], ReadT]) -> FoundMotion[ReadT]:
     path = named if named.is_file() else named / item.path.relative_to(item.root)
-    item = with_tables_above(item) if named.is_file() else item
     is_alone = item.key in ("", path.stem)
     key, stem = ("", path.stem) if is_alone else (f" ({item.key})", f"{path.stem}-{item.key}")
     return FoundMotion(f"{path}{key}", f"{path.name}{key}", path.with_name(stem), partial(read, item))

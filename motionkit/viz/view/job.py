@@ -11,8 +11,8 @@ import numpy as np
 from motionkit.core.errors import FormatError, MotionkitError, UsageError, describe
 from motionkit.core.framerate import format_fps
 from motionkit.core.plain_text import printable
-from motionkit.io.scan.items import ReadOptions, SourceItem
-from motionkit.io.scan.reading import read_document
+from motionkit.io.reading import read_document
+from motionkit.io.registry import ReadOptions, SourceItem
 from motionkit.store.named_motions.holes import ReadClip, read_with_holes
 from motionkit.store.named_motions.reading import FoundMotion, Readers, find_motions, find_stored
 from motionkit.viz.player.page import check_places, write_page

@@ -7,7 +7,7 @@ from pathlib import Path
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.motion import Motion
 from motionkit.core.progress import warn
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import ReadOptions
 from motionkit.store.named_motions.holes import ReadClip
 from motionkit.store.named_motions.reading import FoundMotion, existing_path
 from motionkit.viz.player.page import page_of

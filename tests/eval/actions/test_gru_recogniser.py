@@ -28,7 +28,7 @@ from motionkit.core.errors import MotionkitError
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.fields.resample import resample_positions
 from motionkit.io.asfamc import read_asfamc
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import ReadOptions
 from motionkit.training.tensors import CheckpointError
 
 CAPTURES = Path(os.environ.get("MOTIONKIT_CAPTURES", Path.home() / ".cache/motionkit/captures"))

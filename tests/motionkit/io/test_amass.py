@@ -9,9 +9,9 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints, rest_positions
-from motionkit.io.scan.items import ReadOptions
-from motionkit.io.scan.reading import read
-from motionkit.io.scan.scanner import scan
+from motionkit.io.reading import read
+from motionkit.io.registry import ReadOptions
+from motionkit.io.scan import scan
 from motionkit.io.smpl_body import mean_shape_skeleton
 from tests.helpers.amass_samples import WIDTHS, smplh_fields, stageii_fields, standing_poses, write_amass
 

@@ -9,7 +9,7 @@ from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
 from motionkit.io.asfamc import parse_amc, read_asfamc
 from motionkit.io.bvh.document import read_bvh
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import ReadOptions
 from tests.helpers.format_samples import amc_text, write_asfamc
 
 AT_120 = ReadOptions(fps=Fraction(120))

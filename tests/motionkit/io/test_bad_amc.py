@@ -6,7 +6,7 @@ import pytest
 from motionkit.core.errors import FormatError
 from motionkit.io.asf import read_asf
 from motionkit.io.asfamc import parse_amc, read_asfamc
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import ReadOptions
 from tests.helpers.format_samples import ASF, amc_text, write_asfamc
 
 AT_120 = ReadOptions(fps=Fraction(120))

@@ -18,9 +18,9 @@ from motionkit.core.skeletons.families import read_skeleton_map
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.io.c3d import read_c3d
 from motionkit.io.c3d_container import parse_c3d
-from motionkit.io.scan.items import ReadOptions
-from motionkit.io.scan.reading import read
-from motionkit.io.scan.scanner import scan
+from motionkit.io.reading import read
+from motionkit.io.registry import ReadOptions
+from motionkit.io.scan import scan
 
 LABELS = ("LASI", "RASI", "SACR")
 

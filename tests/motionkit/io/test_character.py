@@ -17,7 +17,7 @@ from motionkit.fields.motion_field import to_motion
 from motionkit.io.bvh.writing import write_bvh
 from motionkit.io.character import read_character
 from motionkit.io.gltf import GlbBuffer
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import ReadOptions
 from motionkit.io.smpl_body import mean_shape_skeleton
 from tests.helpers.analytic import analytic_motion
 from tests.motionkit.io.test_retargeting import directions

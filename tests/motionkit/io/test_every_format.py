@@ -20,10 +20,9 @@ from hypothesis import strategies as st
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.features.quality import measure
-from motionkit.io.catalogue import readers
-from motionkit.io.scan.items import ReadOptions
-from motionkit.io.scan.reading import read
-from motionkit.io.scan.scanner import scan
+from motionkit.io.reading import read
+from motionkit.io.registry import ReadOptions, readers
+from motionkit.io.scan import scan
 from tests.helpers.damage import damaged, damaged_archive
 from tests.helpers.every_format import SOURCES
 

@@ -8,9 +8,9 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Caption
 from motionkit.io import humanml3d
 from motionkit.io.humanml3d import Entry, recover_positions, write_humanml3d
-from motionkit.io.scan.items import ReadOptions
-from motionkit.io.scan.reading import read
-from motionkit.io.scan.scanner import scan
+from motionkit.io.reading import read
+from motionkit.io.registry import ReadOptions
+from motionkit.io.scan import scan
 from motionkit.io.texts import format_texts, read_texts
 
 

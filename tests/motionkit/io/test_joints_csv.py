@@ -10,11 +10,10 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io.format import FileHead
 from motionkit.io.joints_csv import accepts, read_joints_csv, write_joints_csv
-from motionkit.io.scan.items import ReadOptions
-from motionkit.io.scan.reading import read
-from motionkit.io.scan.scanner import scan
+from motionkit.io.reading import read
+from motionkit.io.registry import FileHead, ReadOptions
+from motionkit.io.scan import scan
 
 HEAD = "time_seconds,Hips_x,Hips_y,Hips_z,Head_x,Head_y,Head_z\n"
 ROWS = "".join(f"{frame / 60},{frame},0.9,0,{frame},1.6,0.25\n" for frame in range(4))

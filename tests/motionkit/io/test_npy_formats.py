@@ -11,9 +11,9 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io.humanact12 import read_humanact12
 from motionkit.io.joints_npy import read_joints_npy, write_joints_npy
-from motionkit.io.scan.items import ReadOptions
-from motionkit.io.scan.reading import read
-from motionkit.io.scan.scanner import scan
+from motionkit.io.reading import read
+from motionkit.io.registry import ReadOptions
+from motionkit.io.scan import scan
 
 
 def standing(num_frames: int = 5, num_joints: int = 22) -> np.ndarray:

@@ -13,9 +13,9 @@ from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.skeleton import KIT21, SMPL22, Feet, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import npz
-from motionkit.io.scan.items import ReadOptions
-from motionkit.io.scan.reading import read
-from motionkit.io.scan.scanner import scan
+from motionkit.io.reading import read
+from motionkit.io.registry import ReadOptions
+from motionkit.io.scan import scan
 
 WORDS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=12)
 SECONDS = st.floats(0, 1e4, allow_nan=False)

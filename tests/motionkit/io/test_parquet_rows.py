@@ -14,9 +14,9 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import parquet
-from motionkit.io.scan.items import ReadOptions
-from motionkit.io.scan.reading import read
-from motionkit.io.scan.scanner import scan
+from motionkit.io.reading import read
+from motionkit.io.registry import ReadOptions
+from motionkit.io.scan import scan
 
 LEAST = {"sequence_id": "a", "joint_positions": np.arange(132, dtype=np.float32), "num_joints": 22, "fps": 59.94}
 

@@ -9,8 +9,7 @@ from motionkit.core import kinematics
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io.catalogue import recognise
-from motionkit.io.format import FileHead
+from motionkit.io.registry import FileHead, recognise
 from motionkit.io.robot_csv import write_robot_csv
 from motionkit.io.smpl_body import mean_shape_skeleton
 

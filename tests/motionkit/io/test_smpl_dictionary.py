@@ -5,9 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from motionkit.core.errors import FormatError
-from motionkit.io.scan.items import ReadOptions
-from motionkit.io.scan.reading import read
-from motionkit.io.scan.scanner import scan
+from motionkit.io.reading import read
+from motionkit.io.registry import ReadOptions
+from motionkit.io.scan import scan
 from motionkit.io.smpl import read_motion_x, read_smpl
 from tests.helpers.amass_samples import smplh_fields, write_amass
 

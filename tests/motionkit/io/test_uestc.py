@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 from motionkit.core.errors import FormatError
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints
-from motionkit.io.scan.items import ReadOptions
-from motionkit.io.scan.reading import read
-from motionkit.io.scan.scanner import scan
+from motionkit.io.reading import read
+from motionkit.io.registry import ReadOptions
+from motionkit.io.scan import scan
 from motionkit.io.smpl_body import SMPL
 from motionkit.io.uestc import ACTIONS, TRAIN_SUBJECTS, read_uestc
 from tests.helpers.repository import REPOSITORY

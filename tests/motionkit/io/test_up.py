@@ -14,8 +14,8 @@ from motionkit.core.motion import Motion
 from motionkit.core.timegrid import TimeGrid
 from motionkit.features.quality import measure
 from motionkit.io.amass import write_amass
-from motionkit.io.scan.reading import read, read_document
-from motionkit.io.scan.scanner import scan
+from motionkit.io.reading import read, read_document
+from motionkit.io.scan import scan
 from motionkit.io.smpl_body import mean_shape_skeleton
 
 FPS = Fraction(30)

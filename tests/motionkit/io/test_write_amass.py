@@ -12,7 +12,7 @@ import motionkit as mk
 from motionkit.core.skeletons.mapping import rest_positions
 from motionkit.fields.motion_field import to_motion
 from motionkit.io.amass import write_amass as write
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import ReadOptions
 from motionkit.io.smpl_body import LAYOUTS, mean_shape_skeleton
 from tests.helpers.amass_samples import stageii_fields, standing_poses, write_amass
 from tests.helpers.analytic import analytic_motion

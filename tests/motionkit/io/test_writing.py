@@ -9,7 +9,7 @@ import pytest
 import motionkit as mk
 from motionkit.fields.motion_field import to_motion
 from motionkit.io import gltf
-from motionkit.io.catalogue import writers
+from motionkit.io.registry import writers
 from tests.helpers.analytic import analytic_motion
 
 

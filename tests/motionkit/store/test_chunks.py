@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from motionkit.core.errors import FormatError, StoreError
-from motionkit.io.scan.items import ReadOptions, SourceItem
+from motionkit.io.registry import ReadOptions, SourceItem
 from motionkit.store import Store, chunks
 from motionkit.store.chunks import NumberedItem, ReadSequence, chunks_of, read_chunk
 from motionkit.store.ingest import ingest

@@ -12,12 +12,11 @@ from motionkit.core.errors import FormatError, MotionkitError
 from motionkit.core.skeletons.families import read_skeleton_map
 from motionkit.features.quality import measure
 from motionkit.generate.request import read_prompts
-from motionkit.io.catalogue import readers
-from motionkit.io.indexes.search import read_index
-from motionkit.io.scan.framerate_rules import read_rules
-from motionkit.io.scan.items import IndexOptions, ReadOptions
-from motionkit.io.scan.reading import read
-from motionkit.io.scan.scanner import scan
+from motionkit.io.framerate_rules import read_rules
+from motionkit.io.indexes import read_index
+from motionkit.io.reading import read
+from motionkit.io.registry import IndexOptions, ReadOptions, readers
+from motionkit.io.scan import scan
 from motionkit.io.smpl_body import LAYOUTS
 from motionkit.viz.player.page import check_places
 from motionkit.viz.player.takes import take_of

@@ -15,9 +15,9 @@ from motionkit.core.skeletons.families import (
 )
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, map_joints, rest_positions
 from motionkit.io.npz import read_npz, write_npz
-from motionkit.io.scan.items import ReadOptions
-from motionkit.io.scan.reading import read
-from motionkit.io.scan.scanner import scan
+from motionkit.io.reading import read
+from motionkit.io.registry import ReadOptions
+from motionkit.io.scan import scan
 from tests.helpers.format_samples import bvh_text
 from tests.motionkit.core.skeletons.test_guessing import RIGS, body
 

@@ -8,9 +8,9 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, map_joints, rest_positions
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io.scan.items import ReadOptions
-from motionkit.io.scan.reading import read
-from motionkit.io.scan.scanner import scan
+from motionkit.io.reading import read
+from motionkit.io.registry import ReadOptions
+from motionkit.io.scan import scan
 
 
 def test_an_unknown_skeleton_names_what_is_missing() -> None:

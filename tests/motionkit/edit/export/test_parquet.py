@@ -16,7 +16,7 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.edit.export import parquet as export_parquet
 from motionkit.io import parquet as parquet_schema
-from motionkit.io.scan.scanner import scan
+from motionkit.io.scan import scan
 from motionkit.store import Store, StoreWriter
 
 

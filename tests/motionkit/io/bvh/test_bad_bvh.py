@@ -6,7 +6,7 @@ import pytest
 
 from motionkit.core.errors import FormatError
 from motionkit.io.bvh.document import read_bvh
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import ReadOptions
 from tests.helpers.format_samples import NUM_BVH_CHANNELS, bvh_hierarchy, bvh_text
 
 TEXT = bvh_text()

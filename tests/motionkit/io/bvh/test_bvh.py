@@ -12,7 +12,7 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io.bvh.document import read_bvh
 from motionkit.io.bvh.writing import write_bvh
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import ReadOptions
 from tests.helpers.format_samples import bvh_text
 
 

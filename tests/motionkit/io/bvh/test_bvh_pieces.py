@@ -12,8 +12,8 @@ import pytest
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.io.bvh.document import read_bvh
-from motionkit.io.scan.reading import read
-from motionkit.io.scan.scanner import scan
+from motionkit.io.reading import read
+from motionkit.io.scan import scan
 from tests.helpers.every_format import bodies
 from tests.helpers.format_samples import NUM_BVH_CHANNELS, bvh_text
 from tests.helpers.repository import REPOSITORY
@@ -177,8 +177,8 @@ def test_the_lines_of_the_page_cut_a_take(tmp_path: Path, monkeypatch: pytest.Mo
 PEAK = """
 import sys, tracemalloc
 from pathlib import Path
-from motionkit.io.scan.scanner import scan
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.scan import scan
+from motionkit.io.registry import ReadOptions
 from motionkit.store.chunks import NumberedItem, read_chunk
 
 for number, path in enumerate(map(Path, sys.argv[1:])):

@@ -16,8 +16,8 @@ from motionkit.io.bvh.lafan1 import (
     benchmark_windows,
     read_lafan1,
 )
-from motionkit.io.scan.reading import read
-from motionkit.io.scan.scanner import scan
+from motionkit.io.reading import read
+from motionkit.io.scan import scan
 from tests.helpers.format_samples import bvh_text, lafan1_text
 from tests.motionkit.core.skeletons.test_skeleton_mapping import check_body
 

@@ -11,8 +11,8 @@ from motionkit.edit.complete.clips import Clip, find_clips
 from motionkit.edit.complete.encoders import choose_encoder
 from motionkit.edit.complete.job import Job, OutputPath
 from motionkit.edit.complete.request import CompletionRequest
-from motionkit.io.scan.framerate_rules import parse_rules
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.framerate_rules import parse_rules
+from motionkit.io.registry import ReadOptions
 from motionkit.store import Store
 from motionkit.store.ingest import ingest
 from motionkit.viz.view.job import find_sources

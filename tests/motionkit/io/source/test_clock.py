@@ -9,7 +9,7 @@ import pytest
 from motionkit.core.errors import FormatError
 from motionkit.io.bvh.document import read_bvh
 from motionkit.io.npz import read_npz
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import ReadOptions
 from motionkit.io.source.clock import fps_in_use, replaced_fps
 
 WALK = """HIERARCHY

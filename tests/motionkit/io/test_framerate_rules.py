@@ -6,16 +6,16 @@ import pytest
 
 from motionkit.core.errors import FormatError, UsageError
 from motionkit.core.motion import Motion
-from motionkit.io.scan.framerate_rules import (
+from motionkit.io.framerate_rules import (
     FramerateRule,
     matching_rules,
     parse_rules,
     read_rules,
     shipped_rules,
 )
-from motionkit.io.scan.items import ReadOptions, SourceItem
-from motionkit.io.scan.reading import read
-from motionkit.io.scan.scanner import scan
+from motionkit.io.reading import read
+from motionkit.io.registry import ReadOptions, SourceItem
+from motionkit.io.scan import scan
 from tests.helpers.amass_samples import smplh_fields, stageii_fields, write_amass
 from tests.helpers.format_samples import bvh_text, write_asfamc
 

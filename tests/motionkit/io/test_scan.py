@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from motionkit.core.errors import FormatError, UsageError
-from motionkit.io.scan.items import ReadOptions
-from motionkit.io.scan.reading import read
-from motionkit.io.scan.scanner import scan
+from motionkit.io.reading import read
+from motionkit.io.registry import ReadOptions
+from motionkit.io.scan import scan
 from tests.helpers.format_samples import bvh_text, write_asfamc
 
 

@@ -15,7 +15,7 @@ from motionkit.core.framerate import parse_fps
 from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io.scan.cuts import (
+from motionkit.io.cuts import (
     Cut,
     PublishedCut,
     StepCut,

@@ -2,7 +2,7 @@
 
 import pytest
 
-from motionkit.io.indexes.entries import dataset_of, file_key
+from motionkit.io.indexes import dataset_of, file_key
 
 
 @pytest.mark.parametrize(

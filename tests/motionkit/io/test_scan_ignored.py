@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from motionkit.io.scan.items import ReadOptions
-from motionkit.io.scan.scanner import scan
+from motionkit.io.registry import ReadOptions
+from motionkit.io.scan import scan
 from tests.helpers.amass_samples import smplh_fields, write_amass
 from tests.helpers.every_format import SOURCES, bodies
 from tests.helpers.format_samples import bvh_text, write_asfamc

@@ -7,7 +7,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from motionkit.core.errors import FormatError
-from motionkit.io.indexes.search import read_index
+from motionkit.io.indexes import read_index
 
 HEADER = b"source_path,start_frame,end_frame,new_name\n"
 MANY = settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])

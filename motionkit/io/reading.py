@@ -13,10 +13,9 @@ from motionkit.core.mirror import mirror
 from motionkit.core.motion import Caption, Motion, captions_within
 from motionkit.core.skeletons.families import with_layout_map
 from motionkit.core.timegrid import TimeGrid
+from motionkit.io import cuts, framerate_rules
 from motionkit.io.bvh.document import BvhDocument
-from motionkit.io.catalogue import readers
-from motionkit.io.scan import cuts, framerate_rules
-from motionkit.io.scan.items import ReadOptions, SourceItem
+from motionkit.io.registry import ReadOptions, SourceItem, reader_of
 from motionkit.io.source.body_frame import check_unit
 from motionkit.io.source.source_file import check_size
 from motionkit.io.up import log_lines, turned
@@ -47,12 +46,13 @@ def read_document(item: SourceItem, options: ReadOptions | None = None) -> BvhDo
 
     Its skeleton, frames and clock are those of `read`. Raises `FormatError`.
     """
-    options, document = _with_clock(item, options), readers()[item.format].document
+    options, document = _with_clock(item, options), reader_of(item.format).document
     if document is None:
         return None
     found = _on_clock(item, options, lambda wanted: document(item.path, wanted))
     check_unit(found.skeleton, found.poses(np.arange(1)).joint_positions, options.unit_metres, item.path)
-    return _annotated(_without_first(replace(found, captions=item.captions), item, options), item, options)
+    made: BvhDocument = _without_first(replace(found, captions=item.captions), item, options)
+    return _annotated(made, item, options)
 
 
 def _without_first(motion: Read, item: SourceItem, options: ReadOptions) -> Read:
@@ -111,10 +111,10 @@ def _annotated(made: Read, item: SourceItem, options: ReadOptions) -> Read:
 
 
 def _read_file(item: SourceItem, options: ReadOptions) -> Motion:
-    read_with = readers()[item.format].read
+    read_with = reader_of(item.format).read
     assert read_with is not None
     motion = _on_clock(item, options, lambda wanted: read_with(item, wanted))
-    if not options.up or readers()[item.format].turns_up:
+    if not options.up or reader_of(item.format).turns_up:
         return motion
     motion = turned(motion, options.up)
     for line in log_lines(options.up, options.up):

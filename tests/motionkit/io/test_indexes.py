@@ -11,9 +11,8 @@ import pytest
 
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Caption
-from motionkit.io.indexes.entries import Index, stem
-from motionkit.io.indexes.search import read_index
-from motionkit.io.scan.cuts import StepCut, TimeCut
+from motionkit.io.cuts import StepCut, TimeCut
+from motionkit.io.indexes import Index, read_index, stem
 
 HEADER = "source_path,start_frame,end_frame,new_name\n"
 

@@ -11,9 +11,9 @@ from motionkit.edit.export.run import export, export_kinds
 from motionkit.edit.export.selection import Selection
 from motionkit.features import humanml3d
 from motionkit.io.amass import read_amass
-from motionkit.io.scan.items import IndexOptions, ReadOptions, SourceItem
-from motionkit.io.scan.reading import read
-from motionkit.io.scan.scanner import scan
+from motionkit.io.reading import read
+from motionkit.io.registry import IndexOptions, ReadOptions, SourceItem
+from motionkit.io.scan import scan
 from motionkit.io.smpl_body import LAYOUTS, find_body_model
 from motionkit.store import Store
 from motionkit.store.ingest import ingest

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from motionkit.core.errors import FormatError, MotionkitError
 from motionkit.core.skeletons.families import read_skeleton_map
-from motionkit.io.scan.framerate_rules import read_rules
-from motionkit.io.scan.items import ReadOptions
-from motionkit.io.scan.reading import read
-from motionkit.io.scan.scanner import scan
+from motionkit.io.framerate_rules import read_rules
+from motionkit.io.reading import read
+from motionkit.io.registry import ReadOptions
+from motionkit.io.scan import scan
 from motionkit.io.source.source_file import read_bytes
 from motionkit.store.ingest import ingest
 from tests.helpers.damage import damaged

@@ -1,0 +1,525 @@
+"""Indexes: files that list the segments of motion files that form a corpus, with names and captions.
+
+Three kinds are read:
+
+- HumanML3D's index.csv: source_path, start_frame, end_frame, new_name; 14,616 rows. `motionkit.io.cuts` explains how
+  frames are counted. Rows of humanact12 have the end −1 and take the whole file. Source:
+  https://github.com/EricGuo5513/HumanML3D (index.csv, raw_pose_processing.ipynb).
+- TMR's annotations: JSON, sequence name → path into AMASS, duration, captions with their seconds. KIT-ML in this form
+  has 5,766 sequences, half of them mirrored ones (names with an M, paths that begin with M/). Source:
+  https://github.com/Mathux/AMASS-Annotation-Unifier (README), https://github.com/Mathux/TMR (datasets/annotations).
+- BABEL's labels: train.json, val.json, test.json and their extra_ forms, sequence → file of AMASS, labels in seconds. A
+  sequence has labels of the whole (`seq_ann`, extra: `seq_anns`) and of segments (`frame_ann`, extra: `frame_anns`);
+  either may be null, and test.json has none. Each label has `raw_label` (the annotator's words), `proc_label`,
+  `act_cat` (categories), and, for segments, `start_t` and `end_t`. Source: https://github.com/abhinanda-punnakkal/BABEL.
+
+The files of an index are found by name alone, whatever the spelling, without opening them: in a folder of all of AMASS
+only the files of the index are read.
+"""
+
+import csv
+import json
+import re
+import tomllib
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any, TypeVar
+
+from motionkit.core.errors import FormatError, UsageError
+from motionkit.core.motion import Caption
+from motionkit.core.plain_text import parse_json
+from motionkit.io.cuts import Cut, PublishedCut, StepCut, TimeCut
+from motionkit.io.registry import IndexOptions, ScanResult, SourceItem
+from motionkit.io.scan import walk
+from motionkit.io.source import source_file
+from motionkit.io.texts import SPLITS, read_splits, read_texts
+
+Key = tuple[str, ...]
+# The motion that a file holds, or None for a file of no known format.
+ItemOf = Callable[[Path, Path], SourceItem | None]
+Row = TypeVar("Row")
+
+# SMPL+H files are called NAME_poses, SMPL-X files NAME_stageii. HumanML3D and BABEL count in frames of the former.
+ENDINGS = ("_poses", "_stageii")
+MIRROR = "M"
+HUMANML3D_COLUMNS = ("source_path", "start_frame", "end_frame", "new_name")
+HUMANACT12 = "humanact12"
+WHOLE_FILE = -1
+# Cells beyond the last column.
+EXTRA = "\0"
+# A day at 20 fps: no capture has more frames.
+MAX_FRAME = 24 * 3600 * 20
+MAX_NAME, MAX_PATH, MAX_SECONDS = 120, 4096, 1e6
+# TMR's durations are rounded to a millisecond, or to about ten digits.
+SAME_SECONDS = 2e-3
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A dataset of AMASS: its folder's name in the first release, and how HumanML3D read its files.
+
+    `trim_frames` are dropped before frames are counted; `seen_fps` is the framerate that its code read where a file may
+    state another, by the subject's folder, under "" for all others.
+    """
+
+    name: str
+    trim_frames: int = 0
+    seen_fps: Mapping[str, float] = field(default_factory=dict)
+
+    def seen_fps_of(self, parts: Sequence[str]) -> float | None:
+        """The framerate that HumanML3D's code read for a file, by its path; None if only the file states it."""
+        return next((self.seen_fps[part] for part in (*parts, "") if part in self.seen_fps), None)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A sequence of an index: the file, the segment of it, and its annotations.
+
+    `parts` is the file's path as the index spells it. `cut` None takes the whole file; `place` is the entry's location
+    in the index, for messages, and `line` its line if there are lines.
+    """
+
+    name: str
+    parts: tuple[str, ...]
+    cut: Cut | None = None
+    captions: tuple[Caption, ...] = ()
+    action: str = ""
+    split: str = ""
+    mirrored: bool = False
+    place: str = ""
+    line: int | None = None
+
+    @property
+    def key(self) -> Key:
+        """The file's normalised path (`file_key`)."""
+        return file_key(self.parts)
+
+    @property
+    def dataset(self) -> str:
+        """Name of the file's dataset; the first folder's name if the dataset is unknown."""
+        found = dataset_of(self.parts)
+        return found[0].name if found else (self.parts[0] if len(self.parts) > 1 else "")
+
+
+@dataclass(frozen=True)
+class Index:
+    """An index: its name, a prefix of its sequences' ids; its entries; and the rows that could not be used.
+
+    `in_published_frames`: its segments are `StepCut`s, and each has a mirrored copy without a row.
+    """
+
+    name: str
+    path: Path
+    entries: tuple[Entry, ...]
+    problems: tuple[FormatError, ...] = ()
+    in_published_frames: bool = False
+
+
+class _BadEntry(ValueError):
+    def __init__(self, message: str, reason: str = "index-entry") -> None:
+        super().__init__(message)
+        self.reason = reason
+
+
+# The spelling of files
+
+
+def dataset_of(parts: Sequence[str]) -> tuple[Dataset, int] | None:
+    """The dataset named by a path's folders, and that folder's position; the last of several, since some are nested."""
+    known = _known_datasets()
+    for position in range(len(parts) - 2, -1, -1):
+        found = known.get(_plain(parts[position]))
+        if found is not None:
+            return found, position
+    return None
+
+
+def file_key(parts: Sequence[str]) -> Key:
+    """A file's path normalised across spellings: the dataset's name, the folders below it, the file.
+
+    Case, runs of blanks and underscores, `_poses` and `_stageii`, and the file's suffix are ignored; without a known
+    dataset the whole path is used.
+    """
+    found = dataset_of(parts)
+    first = 0 if found is None else found[1] + 1
+    head = () if found is None else (found[0].name,)
+    return (*head, *(_spelling(part) for part in parts[first:-1]), _spelling(stem(parts[-1])))
+
+
+def stem(name: str) -> str:
+    """A file's name without its suffix and AMASS' endings."""
+    plain = name.rpartition(".")[0] or name
+    for ending in ENDINGS:
+        plain = plain.removesuffix(ending)
+    return plain
+
+
+@cache
+def _known_datasets() -> Mapping[str, Dataset]:
+    table = tomllib.loads(resources.files(__package__).joinpath("amass_datasets.toml").read_text(encoding="utf-8"))
+    known: dict[str, Dataset] = {}
+    for entry in table["dataset"]:
+        dataset = Dataset(entry["name"], entry.get("trim_frames", 0), entry.get("seen_fps", {}))
+        known |= {_plain(name): dataset for name in (entry["name"], *entry.get("also", ()))}
+    return known
+
+
+@cache
+def _plain(name: str) -> str:
+    return re.sub(r"[\W_]", "", name.casefold())
+
+
+def _spelling(part: str) -> str:
+    return re.sub(r"[\s_]+", "_", part.strip()).casefold()
+
+
+# Reading an index
+
+
+def read_index(path: Path) -> Index:
+    """Read an index of any kind: HumanML3D's index.csv, TMR's annotations, BABEL's labels.
+
+    Bad entries become its `problems`. Raises `FormatError` (`index`, `encoding`, `empty`, `unreadable`) for any other
+    file.
+    """
+    data = source_file.read_bytes(path)
+    text = source_file.decode(data, path)
+    header = text.lstrip().partition("\n")[0]
+    if "source_path" in header and "new_name" in header:
+        return _read_humanml3d(text, path)
+    if text.lstrip().startswith("{"):
+        entries = _read_json(text, path)
+        first = next(iter(entries.values()), None)
+        if isinstance(first, dict) and {"path", "annotations"} <= first.keys():
+            return _index(
+                _name_of_tmr(path), path, ((name, None, name, entry) for name, entry in entries.items()), _tmr
+            )
+        if isinstance(first, dict) and "feat_p" in first:
+            named = re.search(r"train|val|test", path.stem)
+            split = named[0] if named else ""
+            rows = ((name, None, name, (entry, split)) for name, entry in entries.items())
+            return _index("babel", path, rows, _babel)
+    raise FormatError(
+        f"looks like {source_file.describe_content(data)}, expected an index: HumanML3D's index.csv (columns "
+        f"{', '.join(HUMANML3D_COLUMNS)}), TMR's annotations (path, annotations) or BABEL's labels (feat_p)",
+        path=path,
+        reason="index",
+    )
+
+
+def _index(
+    name: str,
+    path: Path,
+    rows: Iterable[tuple[str, int | None, str, Row]],
+    entry_of: Callable[[str, Row], Entry],
+    *,
+    in_published_frames: bool = False,
+) -> Index:
+    """The index built from rows, each with its place, line and name; bad ones and repeated names become problems."""
+    kept: dict[str, Entry] = {}
+    problems: list[FormatError] = []
+    repeated: list[FormatError] = []
+    for place, line, named, row in rows:
+        try:
+            entry = replace(entry_of(_sequence_name(named), row), place=place, line=line)
+        except _BadEntry as bad:
+            prefix = "" if line is not None else f"{place[:MAX_NAME]!r}: "
+            problems.append(FormatError(f"{prefix}{bad}", path=path, reason=bad.reason, line=line))
+            continue
+        first = kept.setdefault(entry.name, entry)
+        if first is not entry:
+            message = f"{entry.name!r} is named twice, first in {first.place}"
+            repeated.append(FormatError(message, path=path, reason="duplicate-id", line=line))
+    return Index(name, path, tuple(kept.values()), (*problems, *repeated), in_published_frames)
+
+
+def _source_parts(value: object) -> tuple[str, ...]:
+    """The parts of a path in an index, which may not leave the source's folder.
+
+    `.` and HumanML3D's leading `pose_data` are dropped.
+    """
+    text = value if isinstance(value, str) else ""
+    parts = tuple(part for part in text.split("/") if part not in ("", "."))
+    outside = text.startswith("/") or ".." in parts or "\\" in text or re.match(r"[A-Za-z]:", text) is not None
+    if not parts or outside or len(text) > MAX_PATH or not text.isprintable():
+        message = f"the path {str(value)[:80]!r} is empty or could leave the source's folder; expected folders and a "
+        raise _BadEntry(message + "file, separated by /", "path")
+    return parts[1:] if parts[0] == "pose_data" and len(parts) > 1 else parts
+
+
+def _sequence_name(name: str) -> str:
+    # A part of the sequence's id and its text file's name.
+    if name in ("", ".", "..") or len(name) > MAX_NAME or not name.isprintable() or "/" in name or "\\" in name:
+        raise _BadEntry(f"the name {name[:80]!r}; expected a plain file name such as 000000", "path")
+    return name
+
+
+def _seconds(value: object, what: str) -> float:
+    number = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else -1.0
+    if not 0.0 <= number < MAX_SECONDS:
+        raise _BadEntry(f"{what} is {str(value)[:40]}, expected seconds from 0 on")
+    return number
+
+
+def _read_humanml3d(text: str, path: Path) -> Index:
+    reader = csv.DictReader(text.splitlines(keepends=True), restkey=EXTRA, strict=True)
+
+    def rows() -> Iterator[tuple[str, int, str, Mapping[str, str | None]]]:
+        for row in reader:
+            yield f"line {reader.line_num}", reader.line_num, (row["new_name"] or "").strip().removesuffix(".npy"), row
+
+    try:
+        columns = [name.strip() for name in reader.fieldnames or ()]
+        absent = ", ".join(name for name in HUMANML3D_COLUMNS if name not in columns)
+        if absent:
+            message = f"no column {absent}; expected {','.join(HUMANML3D_COLUMNS)}, separated by commas"
+            raise FormatError(message, path=path, reason="index", line=1)
+        reader.fieldnames = columns
+        return _index("humanml3d", path, rows(), _humanml3d, in_published_frames=True)
+    except csv.Error as error:
+        raise FormatError(f"not a CSV table ({error})", path=path, reason="index", line=reader.line_num) from None
+
+
+def _humanml3d(name: str, row: Mapping[str, str | None]) -> Entry:
+    if row.get(EXTRA):
+        raise _BadEntry("more cells than columns; a path with a comma needs quotes")
+    parts = _source_parts(row["source_path"])
+    start, end = (_frame(row, column) for column in ("start_frame", "end_frame"))
+    found = dataset_of(parts)
+    dataset = found[0] if found else Dataset("")
+    whole = dataset.name == HUMANACT12 and (start, end) == (0, WHOLE_FILE)
+    if not whole and not 0 <= start < end:
+        message = f"frames [{start}, {end}); expected 0 <= start_frame < end_frame (0 and -1 for {HUMANACT12})"
+        raise _BadEntry(message)
+    return Entry(name, parts, StepCut(start, None if whole else end, dataset.trim_frames, dataset.seen_fps_of(parts)))
+
+
+def _frame(row: Mapping[str, str | None], column: str) -> int:
+    cell = (row[column] or "").strip()
+    # Pandas writes integers as floats if another row of the column is empty.
+    if re.fullmatch(r"-?\d{1,8}(\.0)?", cell, re.ASCII) and -1 <= int(float(cell)) <= MAX_FRAME:
+        return int(float(cell))
+    raise _BadEntry(f"{column} is {cell[:40]!r}, expected a whole number of frames")
+
+
+def _read_json(text: str, path: Path) -> Mapping[str, Any]:
+    try:
+        value: Mapping[str, Any] = parse_json(text, object_pairs_hook=_once_each)
+    except json.JSONDecodeError as error:
+        raise FormatError(f"not JSON ({error.msg})", path=path, reason="index", line=error.lineno) from None
+    except ValueError as error:
+        raise FormatError(f"not JSON that can be read ({error})", path=path, reason="index") from None
+    return value
+
+
+def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    # JSON allows duplicate names, of which Python would silently keep the last.
+    value = dict(pairs)
+    if len(value) != len(pairs):
+        (twice, _), *_ = Counter(name for name, _ in pairs).most_common(1)
+        raise ValueError(f"{twice[:40]!r} is there twice")
+    return value
+
+
+def _name_of_tmr(path: Path) -> str:
+    # `kitml` for kitml.json, kitml-annotations.json and kitml/annotations.json.
+    name = path.stem.removesuffix("annotations").rstrip("-_.") or path.resolve().parent.name
+    return name.casefold() or "annotations"
+
+
+def _tmr(name: str, value: Any) -> Entry:
+    """A sequence spans all of its captions, or the whole file if they cover the stated duration."""
+    if not isinstance(value, dict) or not isinstance(value.get("annotations"), list):
+        raise _BadEntry("no path and annotations")
+    parts = _source_parts(value.get("path"))
+    mirrored = parts[0] == MIRROR and len(parts) > 1
+    parts = parts[1:] if mirrored else parts
+    captions: list[Caption] = []
+    for each in value["annotations"]:
+        if not isinstance(each, dict) or not isinstance(each.get("text"), str):
+            raise _BadEntry("an annotation without text")
+        first, last = sorted(_seconds(each.get(which), which) for which in ("start", "end"))
+        captions.append(Caption(each["text"], first, last))
+    start = min((caption.start_seconds for caption in captions), default=0.0)
+    end = max((caption.end_seconds or 0.0 for caption in captions), default=None)
+    duration = _seconds(value["duration"], "duration") if "duration" in value else None
+    if end is not None and duration is not None and end >= duration - SAME_SECONDS:
+        end = None
+    return Entry(
+        name=name,
+        parts=(*parts[:-1], f"{parts[-1]}.npz"),  # paths in these files have no suffix, but names may contain a point
+        cut=TimeCut(start, end, duration),
+        captions=tuple(_from_start(caption, start, end) for caption in captions),
+        mirrored=mirrored,
+    )
+
+
+def _from_start(caption: Caption, start: float, end: float | None) -> Caption:
+    # Seconds of the file → seconds of the sequence; the end is None for a caption that reaches the end.
+    stop = caption.end_seconds or 0.0
+    to_end = end is None or stop >= end - SAME_SECONDS
+    return Caption(caption.text, caption.start_seconds - start, None if to_end else stop - start)
+
+
+def _babel(name: str, row: tuple[Any, str]) -> Entry:
+    """Captions are the raw labels; the action is the category of the whole sequence if there is exactly one."""
+    value, split = row
+    if not isinstance(value, dict):
+        raise _BadEntry("no feat_p and labels")
+    of_whole = list(_labels(value, "seq_ann"))
+    captions = [Caption(text) for label in of_whole if (text := _text(label))]
+    for label in _labels(value, "frame_ann"):
+        start, end = sorted(_seconds(label.get(which), which) for which in ("start_t", "end_t"))
+        if _text(label):
+            captions.append(Caption(_text(label), start, end))
+    listed = [label["act_cat"] for label in of_whole if isinstance(label.get("act_cat"), list)]
+    categories = {each for several in listed for each in several if isinstance(each, str)}
+    return Entry(
+        name=name,
+        parts=_source_parts(value.get("feat_p")),
+        cut=TimeCut(file_seconds=_seconds(value["dur"], "dur") if "dur" in value else None),
+        captions=tuple(dict.fromkeys(captions)),
+        action=next(iter(categories)) if len(categories) == 1 else "",
+        split=split,
+    )
+
+
+def _labels(value: dict[str, Any], which: str) -> Iterator[dict[str, Any]]:
+    several = value.get(f"{which}s")
+    for annotation in several if isinstance(several, list) else [value.get(which)]:
+        labels = annotation.get("labels") if isinstance(annotation, dict) else annotation
+        if labels is None:
+            continue
+        if not isinstance(labels, list) or not all(isinstance(label, dict) for label in labels):
+            raise _BadEntry(f"{which} without labels")
+        yield from labels
+
+
+def _text(label: dict[str, Any]) -> str:
+    text = label.get("raw_label") or label.get("proc_label")
+    return text.strip() if isinstance(text, str) else ""
+
+
+# Finding the files of an index
+
+
+def scan_indexes(sources: Sequence[Path], options: IndexOptions, item_of: ItemOf) -> ScanResult:
+    """The sequences of all indexes whose files are below the sources; the others are problems (`missing-file`).
+
+    Sequences of one file are consecutive, in the order in which the indexes first name the file. Raises `UsageError`
+    for sources that are not folders and options that exclude each other, `FormatError` for an unreadable index.
+    """
+    indexes = [_chosen(read_index(path), options) for path in options.paths]
+    warnings: list[FormatError] = []
+    files = _find_files(sources, {entry.key for index in indexes for entry in index.entries}, warnings.append)
+    items_by_file: dict[Path, list[SourceItem]] = {}
+    problems: list[FormatError] = []
+    missing: Counter[str] = Counter()
+    refused: Counter[str] = Counter()
+    below = ", ".join(map(str, sources))
+    for index in indexes:
+        splits, of_splits = _splits(index, options)
+        warnings += of_splits
+        problems += index.problems
+        has_captions = options.texts is not None or any(entry.captions for entry in index.entries)
+        found: dict[Key, SourceItem | None] = {}
+        for entry in index.entries:
+            if entry.key not in found:
+                places = (item_of(path, root) for path, root in files.get(entry.key, ()))
+                found[entry.key] = next((item for item in places if item is not None), None)
+            file = found[entry.key]
+            if file is None:
+                message = (
+                    f"{entry.name}: there is no {'/'.join(entry.parts)} below {below}, in no spelling that is known"
+                )
+                problems.append(FormatError(message, path=index.path, reason="missing-file", line=entry.line))
+                missing[entry.dataset] += 1
+                continue
+            try:
+                item = _item(index, entry, file, splits, options.texts)
+            except FormatError as problem:
+                problems.append(problem)
+                refused[entry.dataset] += 1
+                continue
+            items_by_file.setdefault(item.path, []).append(item)
+            if has_captions and not item.captions:
+                message = f"{item.sequence_id} has no caption; kept without one"
+                warnings.append(FormatError(message, path=item.path, reason="no-caption"))
+    items = tuple(item for of_file in items_by_file.values() for item in of_file)
+    return ScanResult(items, tuple(problems), tuple(warnings), missing, refused)
+
+
+def _chosen(index: Index, options: IndexOptions) -> Index:
+    """The index after applying the options: with or without mirrored sequences, and in which frames."""
+    if options.published and not index.in_published_frames:
+        raise UsageError(f"only HumanML3D's index.csv has frames at 20 fps to reproduce, {index.path} has none")
+    entries = list(index.entries)
+    if not options.mirrored:
+        entries = [entry for entry in entries if not entry.mirrored]
+    elif index.in_published_frames:
+        copies = [replace(entry, name=MIRROR + entry.name, mirrored=True) for entry in entries]
+        entries = [each for pair in zip(entries, copies, strict=True) for each in pair]
+    elif not any(entry.mirrored for entry in entries):
+        raise UsageError(f"{index.path} has no mirrored sequences, and captions that would not fit their mirror images")
+    if options.published:
+        entries = [replace(entry, cut=PublishedCut(entry.cut)) for entry in entries if isinstance(entry.cut, StepCut)]
+    name = f"{index.name}-20fps" if options.published else index.name
+    return replace(index, name=name, entries=tuple(entries))
+
+
+def _find_files(
+    sources: Sequence[Path], keys: set[Key], on_problem: Callable[[FormatError], None]
+) -> dict[Key, list[tuple[Path, Path]]]:
+    """Files below the sources by their `file_key`, best first, each with its source."""
+    found: dict[Key, list[tuple[Path, Path]]] = {}
+    for source in sources:
+        if not source.is_dir():
+            raise UsageError(f"{source} is not a folder; an index names files below a folder")
+        root = source.resolve()
+        for path in (path for _, files in walk(root, lambda folder: False, on_problem) for path in files):
+            # The source may itself be a dataset's folder.
+            parts = path.relative_to(root).parts
+            named = (root.name, *parts)
+            key = file_key(named if dataset_of(named) else parts)
+            if key in keys:
+                found.setdefault(key, []).append((path, root))
+    for places in found.values():
+        places.sort(key=lambda place: [place[0].stem.endswith(ending) for ending in ENDINGS], reverse=True)
+    return found
+
+
+def _item(index: Index, entry: Entry, file: SourceItem, splits: Mapping[str, str], texts: Path | None) -> SourceItem:
+    path = texts / f"{entry.name}.txt" if texts else None
+    return replace(
+        file,
+        sequence_id=f"{index.name}/{entry.name}",
+        captions=read_texts(path) if path is not None and path.is_file() else entry.captions,
+        action=entry.action or file.action,
+        split=splits.get(entry.name, entry.split),
+        source=index.name,
+        subset=entry.dataset,
+        cut=entry.cut,
+        mirrored=entry.mirrored,
+    )
+
+
+def _splits(index: Index, options: IndexOptions) -> tuple[Mapping[str, str], list[FormatError]]:
+    """The splits of sequences by name, from files beside the index or above the texts if no folder is given."""
+    if options.texts is not None and not options.texts.is_dir():
+        raise UsageError(f"{options.texts} is not a folder of texts such as 000000.txt")
+    folder = options.splits
+    if folder is None:
+        beside = [index.path.parent, *([options.texts.resolve().parent] if options.texts else [])]
+        folder = next((each for each in beside if (each / "train.txt").is_file()), None)
+    elif not any((folder / f"{split}.txt").is_file() for split in SPLITS):
+        raise UsageError(f"{folder} has none of {', '.join(f'{split}.txt' for split in SPLITS)}")
+    if folder is None:
+        return {}, []
+    names = dict.fromkeys(entry.name for entry in index.entries)
+    # Half of HumanML3D's split is mirrored; these are missing only if mirrored sequences were requested.
+    copies = {} if options.mirrored else dict.fromkeys(MIRROR + name for name in names)
+    return read_splits(folder, names | copies, index.path.name)

@@ -1,1 +1,0 @@
-"""Indexes: files that list the segments of motion files that form a corpus, with names and captions."""

@@ -1,1 +1,0 @@
-"""From a folder to sequences: finding them, cutting files into them, and reading them."""
