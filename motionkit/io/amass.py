@@ -21,9 +21,8 @@ from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import npy, up
-from motionkit.io.format import FileHead, Format
+from motionkit.io.registry import FileHead, Format, ReadOptions, SourceItem
 from motionkit.io.retargeting import retarget
-from motionkit.io.scan.items import ReadOptions, SourceItem
 from motionkit.io.smpl_body import (
     BODY,
     LAYOUTS,

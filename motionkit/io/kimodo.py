@@ -17,8 +17,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, Feet, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import npy
-from motionkit.io.format import FileHead, Format, of_path
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
 from motionkit.io.source import clock, rigid, source_file
 
 Bones = tuple[tuple[str, str], ...]

@@ -23,9 +23,8 @@ from motionkit.core.skeleton import STANDARD_SKELETONS, Feet, Skeleton
 from motionkit.core.skeletons.families import parse_layout_map
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import npy
-from motionkit.io.format import FileHead, Format, of_path
 from motionkit.io.npy import checked_rotations
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
 from motionkit.io.source import clock, source_file
 from motionkit.io.source.body_frame import in_metres
 

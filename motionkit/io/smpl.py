@@ -23,8 +23,7 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import npy, up
 from motionkit.io.amass import FRAMERATE_KEYS, MAX_RADIANS
-from motionkit.io.format import FileHead, Format, of_path
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
 from motionkit.io.smpl_body import BODY, SMPL, SMPLX, PoseLayout, mean_body, own_body
 from motionkit.io.source import clock, source_file
 from motionkit.io.source.rigid import MAX_MATRIX_ERROR

@@ -20,8 +20,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import npy
-from motionkit.io.format import FileHead, Format, of_path
-from motionkit.io.scan.items import ReadOptions
+from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
 from motionkit.io.smpl_body import SMPL, Body, mean_body, own_body
 from motionkit.io.source import clock, source_file
 from motionkit.io.up import log_lines, turn_of

@@ -22,10 +22,9 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Bool, Float64
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import at_origin, facing_forward
-from motionkit.io import joints_npy, npy
+from motionkit.io import joints_npy, npy, reading
 from motionkit.io.humanml3d import LAYOUTS
-from motionkit.io.scan import reading
-from motionkit.io.scan.items import ReadOptions, SourceItem
+from motionkit.io.registry import ReadOptions, SourceItem
 from motionkit.io.source import source_file
 
 FRAME_ARRAYS = ("joint_positions", "local_rotations", "root_translation")
