@@ -14,7 +14,6 @@ from motionkit.cli.console import print_json, print_text, progress, say_next, st
 from motionkit.cli.options import Up, of_default, parse_rate, read_options
 from motionkit.core.errors import FormatError, MotionkitError, UsageError
 from motionkit.core.plain_text import printable
-from motionkit.core.progress import OnProgress
 from motionkit.core.settings import default_path, optional_path
 
 
@@ -158,7 +157,7 @@ def ingest(
         skip_derived=True,
     )
     print_fault = _fault_printer()
-    with progress() as show, _fetched(sources, show) as paths:
+    with progress() as show, _fetched(sources) as paths:
         report = ingest_sources(
             *(paths, store or default_path("store")),
             options=options,
@@ -175,15 +174,18 @@ def ingest(
 
 
 @contextmanager
-def _fetched(sources: Sequence[str], show: OnProgress) -> Iterator[list[Path]]:
+def _fetched(sources: Sequence[str]) -> Iterator[list[Path]]:
     """Local paths unchanged; a repository as a temporary folder of its files, with its name."""
-    from motionkit.store.hub.repository import as_folder, is_address, look_up, parse_address
-
     with ExitStack() as stack:
-        yield [
-            stack.enter_context(as_folder(look_up(parse_address(each)), show)) if is_address(each) else Path(each)
-            for each in sources
-        ]
+        folders = []
+        for source in sources:
+            if source.startswith("hf://"):
+                from motionkit.store.hub import as_folder, parse_address
+
+                folders.append(stack.enter_context(as_folder(parse_address(source))))
+            else:
+                folders.append(Path(source))
+        yield folders
 
 
 def _check_success(report: "IngestReport", on_error: OnError) -> None:

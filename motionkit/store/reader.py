@@ -18,8 +18,6 @@ from motionkit.core.progress import OnProgress, ignore
 from motionkit.core.shapes import Int, Int64
 from motionkit.store import codec
 from motionkit.store.codec import EncodedMotion
-from motionkit.store.fetched import fetch_store
-from motionkit.store.hub.repository import is_address, parse_address
 from motionkit.store.manifest import Manifest, read_committed, read_manifest
 from motionkit.store.parts import SegmentReader, check_still_there
 from motionkit.store.schema import (
@@ -135,11 +133,13 @@ class Store:
     def open(cls, path: Path | str, *, on_progress: OnProgress = ignore) -> "Store":
         """Open a store, also one of the Hub (`hf://datasets/OWNER/NAME`), which is fetched into the Hub's cache.
 
-        `on_progress` is called while it is fetched, and while caches are built from it. Raises `StoreError` where there
+        `on_progress` is called while caches are built from it. Raises `StoreError` where there
         is none, or it is damaged or of another format version; `HubError` where the Hub cannot be asked.
         """
-        if is_address(path):
-            path = fetch_store(parse_address(str(path)), on_progress)
+        if str(path).startswith("hf://"):
+            from motionkit.store.hub import fetch_store, parse_address  # deferred: few stores are of the Hub
+
+            path = fetch_store(parse_address(str(path)))
         path = Path(path)
         for _ in range(OPEN_ATTEMPTS):
             manifest = read_manifest(path)

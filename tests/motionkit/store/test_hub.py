@@ -14,12 +14,10 @@ from typer.testing import CliRunner, Result
 
 import motionkit as mk
 from motionkit.cli.export import export
+from motionkit.cli.hub import pull, push
 from motionkit.cli.ingest import ingest
-from motionkit.cli.pull import pull
-from motionkit.cli.push import push
-from motionkit.core.checksums import write_json
 from motionkit.core.errors import DamagedFileError, MotionkitWarning, StoreError
-from motionkit.store.hub.repository import HubError
+from motionkit.store.hub import HubError
 from motionkit.store.life.rewrite import compact, remove
 from motionkit.store.manifest import read_manifest
 from motionkit.training.run import RunFolder
@@ -58,6 +56,21 @@ def store(tmp_path: Path) -> mk.Store:
     return mk.Store.open(tmp_path / "store")
 
 
+@pytest.fixture
+def run_folder(tmp_path: Path) -> RunFolder:
+    """The run `walker`, one of whose two stages is complete."""
+    run = RunFolder(tmp_path / "runs" / "walker")
+    for name in ("field", "denoiser"):
+        stage = run.stage(name)
+        stage.path.mkdir(parents=True)
+        stage.config_path.write_text('{"recipe": "nano", "seed": 0, "store_fingerprint": "ab"}')
+        stage.append_metrics({"step": 1.0, "loss": 0.5})
+        save_tensors(stage.model_path, {"weight": torch.ones(3)}, {})
+        (stage.path / "checkpoint.safetensors").write_bytes(b"large")
+    run.stage("field").finish({"loss": 0.5})
+    return run
+
+
 def run(command: object, *arguments: object) -> Result:
     app = typer.Typer()
     app.command()(command)  # type: ignore[type-var]
@@ -71,12 +84,17 @@ def done(command: object, *arguments: object) -> str:
 
 
 def test_a_store_goes_and_comes_back(hub: Hub, store: mk.Store) -> None:
-    assert "would push 5 files" in done(push, WALKS, "--dry-run")
+    assert "would push 4 files" in done(push, WALKS, "--dry-run")
     assert not hub.commits
+    (store.path / "notes.txt").write_text("mine")
     done(push, WALKS)
     assert hub.private == {"datasets/me/walks": True}
-    head = yaml.safe_load(hub.files("datasets/me/walks")["README.md"].decode().split("---\n")[1])
+    files = hub.files("datasets/me/walks")
+    assert set(files) == {"README.md", "manifest.json", *store.manifest.files}
+    card = files["README.md"].decode()
+    head = yaml.safe_load(card.split("---\n")[1])
     assert (head["license"], head["license_name"]) == ("other", "not stated")
+    assert "| 3 | 0.00 | 30, 60 | not stated |" in card
     done(pull, WALKS, "--store", "copy")
     assert mk.Store.open("copy").fingerprint == store.fingerprint
     there = mk.Store.open(WALKS)
@@ -85,8 +103,8 @@ def test_a_store_goes_and_comes_back(hub: Hub, store: mk.Store) -> None:
     remove(store.path, ["lab/0"])
     compact(store.path)
     done(push, WALKS)
-    files = hub.files("datasets/me/walks")
-    assert [name for name in files if name.startswith("segments/")] == list(read_manifest(store.path).parts)
+    pushed = [name for name in hub.files("datasets/me/walks") if name.endswith(".parquet")]
+    assert set(pushed) == set(read_manifest(store.path).files)
     assert list(mk.Store.open(WALKS)) == ["lab/1", "lab/2"]
     assert "copy is not empty" in str(run(pull, WALKS, "--store", "copy").exception)
 
@@ -94,95 +112,97 @@ def test_a_store_goes_and_comes_back(hub: Hub, store: mk.Store) -> None:
 def test_a_store_that_is_damaged_or_not_whole_is_not_pulled(hub: Hub, store: mk.Store) -> None:
     done(push, WALKS)
     whole = hub.files("datasets/me/walks")
-    [part] = store.manifest.parts
+    part = next(name for name in store.manifest.files if name.startswith("segments/"))
     hub.add("datasets/me/walks", {**whole, part: whole[part][:-200] + bytes(100) + whole[part][-100:]})
     failed = run(pull, WALKS, "--store", "copy").exception
     assert isinstance(failed, StoreError) and "sha256" in str(failed)
-    hub.add("datasets/me/walks", {name: content for name, content in whole.items() if name != part})
-    hub.served.clear()
-    with pytest.raises(StoreError, match=r"no whole store.*is missing"):
-        mk.Store.open(WALKS)
-    assert hub.served == []
+    for files in (
+        {name: content for name, content in whole.items() if name != part},
+        {**whole, part: whole[part][:-1]},
+    ):
+        hub.add("datasets/me/walks", files)
+        with pytest.raises(StoreError, match="incomplete upload; ask its owner to push again"):
+            mk.Store.open(WALKS)
     assert [path.name for path in Path().iterdir() if path.name.startswith("copy")] == []
     hub.add("datasets/me/walks", {"loader.py": b"raise SystemExit"})
     with pytest.raises(HubError, match=f"motionkit ingest {WALKS}"):
         mk.Store.open(WALKS)
+    assert "loader.py" not in hub.served
 
 
 def test_what_goes_to_the_wrong_place_is_reported(hub: Hub, store: mk.Store) -> None:
     done(push, WALKS, "--public")
     assert hub.private == {"datasets/me/walks": False}
-    assert "--public says" in str(run(push, WALKS).exception)
-    assert "not there, or is private" in str(run(pull, "hf://datasets/me/other", "--store", "new").exception)
-    assert "name one with --run" in str(run(push, "hf://me/walker").exception)
-    assert "expected hf://datasets/OWNER/NAME" in str(run(pull, "hf://walks").exception)
+    for command, arguments, message in (
+        (push, (WALKS,), "--public allows"),
+        (push, (f"{WALKS}/part",), "push to a whole repository"),
+        (push, ("hf://me/walker",), "name one with --run"),
+        (push, ("hf://me/walker", "--run", "a", "--store", "store"), "a store goes to hf://datasets"),
+        (pull, ("hf://datasets/me/other", "--store", "new"), "not there, or is private"),
+        (pull, ("hf://walks",), "expected hf://datasets/OWNER/NAME"),
+        (pull, (WALKS, "--run", "a"), "is a store"),
+    ):
+        assert message in str(run(command, *arguments).exception)
 
 
-def test_complete_stages_of_a_run_go_and_come_back(hub: Hub, tmp_path: Path) -> None:
-    runs = RunFolder(tmp_path / "runs" / "walker")
-    for name in ("field", "denoiser"):
-        stage = runs.stage(name)
-        stage.path.mkdir(parents=True)
-        stage.config_path.write_text('{"recipe": "nano", "seed": 0, "store_fingerprint": "ab"}')
-        stage.append_metrics({"step": 1.0, "loss": 0.5})
-        save_tensors(stage.model_path, {"weight": torch.ones(3)}, {})
-        (stage.path / "checkpoint.safetensors").write_bytes(b"large")
-    runs.stage("field").finish({"loss": 0.5})
+def test_a_gated_repository_says_so(hub: Hub, monkeypatch: pytest.MonkeyPatch) -> None:
+    from huggingface_hub.errors import GatedRepoError
+
+    class Gated(GatedRepoError):
+        def __init__(self) -> None:
+            Exception.__init__(self)
+
+    def refuse(*_: object, **__: object) -> None:
+        raise Gated
+
+    monkeypatch.setattr("huggingface_hub.snapshot_download", refuse)
+    with pytest.raises(HubError, match="walks is gated; request access on its page"):
+        mk.Store.open(WALKS)
+
+
+def test_complete_stages_of_a_run_go_and_come_back(hub: Hub, run_folder: RunFolder) -> None:
     done(push, "hf://me/walker", "--run", "walker")
     files = hub.files("models/me/walker")
     names = ("config.json", "metrics.jsonl", "model.safetensors", "summary.json")
     assert sorted(files) == ["README.md", *(f"field/{name}" for name in names)]
-    assert "| field | nano | 0 |" in files["README.md"].decode()
+    assert "with the stages field;" in files["README.md"].decode()
 
-    hub.add("models/me/walker", {**files, "field/pytorch_model.bin": b"", "train.py": b""})
+    # Names that are no stage's, and other files, are left where they are.
+    others = {f"{other}/{name}": b"{}" for other in ("-rf", "a/b", ".git") for name in ("config.json", "summary.json")}
+    hub.add("models/me/walker", {**files, **others, "field/pytorch_model.bin": b"", "train.py": b""})
     done(pull, "hf://me/walker", "--run", "theirs")
-    pulled = tmp_path / "runs" / "theirs"
-    assert sorted(path.name for path in pulled.rglob("*") if path.is_file()) == list(names)
+    pulled = run_folder.path.with_name("theirs")
+    assert sorted(str(path.relative_to(pulled)) for path in pulled.rglob("*.*")) == [f"field/{name}" for name in names]
     assert RunFolder(pulled).stage("field").read_summary() == {"loss": 0.5}
 
     weights = files["field/model.safetensors"]
-    for damaged in (weights[:-1] + bytes([weights[-1] ^ 1]), b"", weights[:2], weights[:100]):
+    for damaged in (weights[:-1] + bytes([weights[-1] ^ 1]), b""):
         hub.add("models/me/walker", {**files, "field/model.safetensors": damaged})
         assert isinstance(run(pull, "hf://me/walker", "--run", "damaged").exception, DamagedFileError)
-        assert not (tmp_path / "runs" / "damaged").exists()
-        runs.stage("field").model_path.write_bytes(damaged)
+        assert not run_folder.path.with_name("damaged").exists()
+        run_folder.stage("field").model_path.write_bytes(damaged)
         assert isinstance(run(push, "hf://me/walker", "--run", "walker").exception, DamagedFileError)
 
 
-def test_a_name_that_is_no_stage_costs_its_own_files(hub: Hub, tmp_path: Path) -> None:
-    stage = RunFolder(tmp_path / "runs" / "walker").stage("field")
-    write_json(stage.config_path, {"recipe": "nano", "seed": 0, "store_fingerprint": "ab"})
-    save_tensors(stage.model_path, {"weight": torch.ones(3)}, {})
-    stage.finish({"loss": 0.5})
-    done(push, "hf://me/walker", "--run", "walker")
-    files = hub.files("models/me/walker")
-    others = {f"{other}/{name}": b"{}" for other in ("-rf", "a/b", ".git") for name in ("config.json", "summary.json")}
-    hub.add("models/me/walker", {**files, **others})
-    done(pull, "hf://me/walker", "--run", "theirs")
-    assert [path.name for path in (tmp_path / "runs" / "theirs").iterdir()] == ["field"]
-
-
 def test_names_that_no_file_can_have_cost_their_own_file(hub: Hub) -> None:
-    names = ["good.bvh", "half\ud800.bvh", f"{'x' * 300}.bvh", "both", "both/walk.bvh"]
+    names = ["good.bvh", "half\ud800.bvh", f"{'x' * 300}.bvh", "../outside.bvh", "[a]*.bvh"]
     hub.add("datasets/me/takes", {name: bvh_text().encode() for name in names})
     with pytest.warns(MotionkitWarning, match="left out"):
-        told = done(ingest, "hf://datasets/me/takes", "--workers", "1")
-    assert "stored 2 sequences" in told
+        output = done(ingest, "hf://datasets/me/takes", "--workers", "1")
+    assert "stored 2 sequences" in output
 
 
 def test_captures_of_a_repository_are_ingested_under_its_name(hub: Hub, tmp_path: Path) -> None:
     table = b"file,caption\nwalk.bvh,a person walks\n"
     files = {"walk.bvh": bvh_text(8).encode(), "captions.csv": table, ".gitattributes": b""}
     hub.add("datasets/me/takes", {**files, "more/run.bvh": bvh_text(9).encode()})
-    told = done(ingest, "hf://datasets/me/takes", "--workers", "1")
-    assert "ignored" not in told
+    assert "ignored" not in done(ingest, "hf://datasets/me/takes", "--workers", "1")
     held = mk.Store.open("store")
     assert set(held) == {"takes/walk", "takes/more/run"}
     assert [caption.text for caption in held["takes/walk"].captions] == ["a person walks"]
     assert held["takes/walk"].provenance.source_path == "walk.bvh"
     done(ingest, "hf://datasets/me/takes/more", "--workers", "1", "--store", "part")
     assert list(mk.Store.open("part")) == ["more/run"]
-    assert "goes to hf://datasets" in str(run(push, "hf://me/a", "--store", "part").exception)
 
 
 def test_the_how_to_runs(hub: Hub, store: mk.Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

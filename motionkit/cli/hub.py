@@ -1,0 +1,174 @@
+"""`motionkit push` and `motionkit pull`: a store or a run onto the Hugging Face Hub, and from there."""
+
+import re
+from pathlib import Path
+from shutil import copytree
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from motionkit.cli.console import print_json, progress, stdout
+from motionkit.core.errors import StoreError, UsageError
+from motionkit.core.files import require_empty, whole_folder
+from motionkit.core.progress import task
+from motionkit.core.settings import default_path
+
+if TYPE_CHECKING:
+    from huggingface_hub import HfUri
+
+    from motionkit.training.run import StageFolder
+
+STORE_TEXT = (
+    "{:,} sequences, {:.2f} h: a store of motionkit, whose tables are Parquet; `motionkit.Store.open({!r})` reads it. "
+    "Every sequence keeps the licence of its source (column `licence`), which says what it may be used for."
+)
+RUN_TEXT = (
+    "A run of motionkit with the stages {}; weights are safetensors, config.json has each stage's settings and "
+    "summary.json its figures. What it may be used for depends on the licences of the motions that it was trained "
+    "from; this card does not know them."
+)
+
+
+def push(
+    address: Annotated[
+        str,
+        typer.Argument(help="hf://datasets/OWNER/NAME for a store, hf://OWNER/NAME for a run.", show_default=False),
+    ],
+    store: Annotated[Path | None, typer.Option(help="Store to push.", show_default="./store")] = None,
+    run: Annotated[str | None, typer.Option(help="Run to push: its complete stages, without checkpoints.")] = None,
+    runs: Annotated[Path | None, typer.Option(help="Folder of all runs.", show_default="./runs")] = None,
+    public: Annotated[bool, typer.Option("--public", help="Let everybody have it; else it is private.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be pushed; the Hub is not asked.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print what was pushed as JSON.")] = False,
+) -> None:
+    """Validate a store, or a run, and push it with a card to a repository of the Hugging Face Hub.
+
+    The files are a single commit; the repository is created if needed. Log in first ('hf auth login'). A run's
+    config.json contains its store's path, and the platform it was trained on. Needs the extra 'hub'.
+
+    Example: motionkit push hf://datasets/me/walks --dry-run
+    """
+    from motionkit.store import hub
+
+    repository = hub.parse_address(address)
+    if repository.path_in_repo:
+        raise UsageError(f"{address}: push to a whole repository, without /{repository.path_in_repo}")
+    licences: list[str] = []
+    if repository.type == "dataset":
+        if run is not None:
+            raise UsageError(f"a run goes to hf://{repository.id}: hf://datasets/ is for stores")
+        folder, patterns = store or default_path("store"), hub.STORE_FILES
+        _require_intact(folder, f"'motionkit validate --store {folder}' says more")
+        card, licences = _store_card(folder, repository)
+    else:
+        if store is not None or run is None:
+            raise UsageError(f"{address} is for a run: name one with --run; a store goes to hf://datasets/OWNER/NAME")
+        folder = (runs or default_path("runs")) / run
+        stages = _complete_stages(folder)
+        if not stages:
+            raise UsageError(f"{folder} has no complete stage: motionkit train --run {run}")
+        patterns = tuple(f"{stage.path.name}/{path.name}" for stage in stages for path in stage.result_paths)
+        text = RUN_TEXT.format(", ".join(stage.path.name for stage in stages))
+        card = hub.card_of(text, f"motionkit pull {repository.to_uri()}")
+    url = "" if dry_run else hub.push(repository, folder, patterns, card, public=public)
+    files = sorted(path for pattern in patterns for path in folder.glob(pattern))
+    size = sum(path.stat().st_size for path in files)
+    if as_json:
+        names = [str(path.relative_to(folder)) for path in files]
+        pushed = {"files": names, "bytes": size, "licences": licences, "dry_run": dry_run, "commit": url}
+        print_json({"repository": repository.to_uri(), **pushed})
+        return
+    for name in licences:
+        stdout.print(f"  licence: {name}")
+    done = f"{'would push' if dry_run else 'pushed'} {len(files):,} files, {size / 1e6:,.1f} MB, to {address}"
+    stdout.print(f"{done} ({url})" if url else done)
+
+
+def _require_intact(store: Path, hint: str) -> None:
+    """Raise `StoreError` for a store that is not as its manifest says."""
+    from motionkit.store.manifest import read_manifest
+    from motionkit.store.validate import faults
+
+    with progress() as show, task(show, "check", len(read_manifest(store).files)) as work:
+        fault = next(faults(store, lambda _: work.advance()), None)
+    if fault:
+        raise StoreError(f"{store} is damaged ({fault}): {hint}")
+
+
+def _store_card(path: Path, repository: "HfUri") -> tuple[str, list[str]]:
+    """The card of a store, and its licences."""
+    from motionkit.store.hub import card_of
+    from motionkit.store.reader import Store
+    from motionkit.store.reports.summary import summarise
+
+    summary, address = summarise(Store.open(path)), repository.to_uri()
+    table = [("source", "sequences", "hours", "framerates", "licences")]
+    for each in summary.sources:
+        names = ", ".join(name or "not stated" for name in each.licences)
+        row = (each.source, f"{each.num_sequences:,}", f"{each.hours:.2f}", ", ".join(each.framerates), names)
+        table.append(row)
+    licences = sorted({name or "not stated" for each in summary.sources for name in each.licences})
+    text = STORE_TEXT.format(summary.num_sequences, summary.hours, address)
+    return card_of(text, f"motionkit pull {address} --store store", licences, table), licences
+
+
+def _complete_stages(run: Path) -> "list[StageFolder]":
+    """The complete stages of a run after verifying them, by name; raises `DamagedFileError`."""
+    from motionkit.training.run import RunFolder, weights_sha256
+
+    stages = [RunFolder(run).stage(path.parent.name) for path in sorted(run.glob("*/summary.json"))]
+    weights_sha256(run)
+    for stage in stages:
+        stage.check()
+    return stages
+
+
+def pull(
+    address: Annotated[
+        str,
+        typer.Argument(
+            help="hf://datasets/OWNER/NAME for a store, hf://OWNER/NAME for a run; or with @REVISION.",
+            show_default=False,
+        ),
+    ],
+    store: Annotated[Path | None, typer.Option(help="New folder for the store.", show_default="./store")] = None,
+    run: Annotated[str | None, typer.Option(help="Name of the run here; the repository's by default.")] = None,
+    runs: Annotated[Path | None, typer.Option(help="Folder of all runs.", show_default="./runs")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print what was pulled as JSON.")] = False,
+) -> None:
+    """Pull a store, or a run, from a repository of the Hugging Face Hub into a new folder.
+
+    The folder appears once it is complete and its checksums match. An interrupted download continues when the command
+    is repeated: files are kept in the Hub's cache ('hf cache' lists and frees it). Needs the extra 'hub'.
+
+    Example: motionkit pull hf://datasets/me/walks --store walks
+    """
+    from motionkit.store import hub
+    from motionkit.training.run import STAGE_NAME, StageFolder
+
+    repository = hub.parse_address(address)
+    if repository.type == "dataset":
+        if run is not None:
+            raise UsageError(f"{address} is a store: --run is for runs, hf://OWNER/NAME")
+        folder = store or default_path("store")
+        require_empty(folder)
+        source = hub.fetch_store(repository)
+        with whole_folder(folder.absolute()) as partial:
+            copytree(source, partial, dirs_exist_ok=True)
+            _require_intact(partial, f"delete {source} and pull again")
+    else:
+        if store is not None:
+            raise UsageError(f"{address} is a run: --store is for stores, hf://datasets/OWNER/NAME")
+        folder = (runs or default_path("runs")) / (run or repository.id.partition("/")[2])
+        require_empty(folder)
+        with whole_folder(folder.absolute()) as partial:
+            names = [path.name for path in StageFolder(partial).result_paths]
+            for summary in hub.fetch(repository, [f"*/{name}" for name in names]).glob("*/summary.json"):
+                if re.fullmatch(STAGE_NAME, summary.parent.name):
+                    copytree(summary.parent, partial / summary.parent.name)
+            if not _complete_stages(partial):
+                raise hub.HubError(f"{address} holds no run (no STAGE/summary.json)")
+    if as_json:
+        print_json({"repository": repository.to_uri(), "folder": str(folder)})
+    else:
+        stdout.print(f"pulled {address} to {folder}")

@@ -1,0 +1,171 @@
+"""Stores, runs and captures on the Hugging Face Hub; nothing else talks to it.
+
+Files are fetched into the Hub's own cache, where interrupted downloads are resumed. Tokens, the cache, the Hub's
+address and progress bars are those of `huggingface_hub` (`hf auth login`, HF_HOME, HF_ENDPOINT). No code of a
+repository is run.
+"""
+
+import json
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from glob import escape
+from pathlib import Path, PurePosixPath
+from shutil import copytree
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+from motionkit.core import __version__
+from motionkit.core.errors import MissingExtraError, MotionkitError, StoreError, UsageError
+from motionkit.core.files import MANIFEST_FILE, SEGMENTS_FOLDER, SEQUENCES_FILE
+from motionkit.core.plain_text import markdown_text
+from motionkit.core.progress import warn
+from motionkit.store.manifest import read_manifest
+
+if TYPE_CHECKING:
+    from huggingface_hub import HfUri
+
+# Patterns of a store's files.
+STORE_FILES = (MANIFEST_FILE, SEQUENCES_FILE, "skeletons.parquet", f"{SEGMENTS_FOLDER}/part-*.parquet")
+LONGEST_NAME_BYTES = 255
+
+
+class HubError(MotionkitError):
+    """A repository that cannot be reached, or lacks the requested content."""
+
+
+def parse_address(address: str) -> "HfUri":
+    """A repository by its address `hf://datasets/OWNER/NAME[@REVISION][/FOLDER]`; without `datasets/` one of models.
+
+    Raises `UsageError` for anything else, `MissingExtraError` without the extra `hub`.
+    """
+    try:
+        from huggingface_hub import parse_hf_uri
+        from huggingface_hub.errors import HfUriError
+    except ImportError:
+        raise MissingExtraError("huggingface_hub", "hub") from None
+    try:
+        repository = parse_hf_uri(address)
+    except HfUriError as error:
+        raise UsageError(f"{address}: expected hf://datasets/OWNER/NAME or hf://OWNER/NAME ({error})") from None
+    if repository.type not in ("dataset", "model"):
+        raise UsageError(f"{address}: expected a repository of data sets or models, not a {repository.type}")
+    return repository
+
+
+def fetch(repository: "HfUri", patterns: Sequence[str], ignored: Sequence[str] = ()) -> Path:
+    """Download the files of the repository's folder that match `patterns`; returns the folder in the Hub's cache.
+
+    `ignored` are patterns of files that are left out. Raises `HubError`.
+    """
+    from huggingface_hub import snapshot_download
+
+    inside = f"{escape(repository.path_in_repo)}/" if repository.path_in_repo else ""
+    with _reporting(repository):
+        snapshot = snapshot_download(
+            repository.id,
+            repo_type=repository.type,
+            revision=repository.revision,
+            allow_patterns=[inside + each for each in patterns],
+            ignore_patterns=list(ignored),
+        )
+    return Path(snapshot, repository.path_in_repo)
+
+
+def fetch_store(repository: "HfUri") -> Path:
+    """Download a store; returns its folder in the Hub's cache. Checksums are compared when its files are read.
+
+    Raises `HubError`, and `StoreError` for an upload that is not complete.
+    """
+    folder, address = fetch(repository, STORE_FILES), repository.to_uri()
+    if not (folder / MANIFEST_FILE).is_file():
+        raise HubError(
+            f"{address} holds no store (no {MANIFEST_FILE}); captures and exported Parquet come in with "
+            f"'motionkit ingest {address}'"
+        )
+    for name, entry in read_manifest(folder).files.items():
+        size = (folder / name).stat().st_size if (folder / name).is_file() else 0
+        if size != entry.num_bytes:
+            fault = f"{name} has {size:,} of {entry.num_bytes:,} bytes"
+            raise StoreError(f"{address}: {fault}: incomplete upload; ask its owner to push again")
+    return folder
+
+
+@contextmanager
+def as_folder(repository: "HfUri") -> Iterator[Path]:
+    """A temporary folder of all files of a repository, with the name of the repository or of the folder in it.
+
+    A file whose name this machine cannot store is left out with a warning.
+    """
+    from huggingface_hub import HfApi
+
+    with _reporting(repository):
+        names = HfApi().list_repo_files(repository.id, repo_type=repository.type, revision=repository.revision)
+    hostile = [name for name in names if not _can_be_stored(name)]
+    for name in hostile:
+        warn(f"{repository.to_uri()}: {name!a} is left out: it cannot be the name of a file")
+    source = fetch(repository, ["*"], [".*", "*/.*", *map(escape, hostile)])
+    with TemporaryDirectory(prefix="motionkit-") as place:
+        folder = Path(place, PurePosixPath(repository.path_in_repo or repository.id).name)
+        copytree(source, folder, copy_function=os.symlink)
+        yield folder
+
+
+def _can_be_stored(name: str) -> bool:
+    parts = name.split("/")
+    try:
+        is_short = all(0 < len(part.encode()) <= LONGEST_NAME_BYTES for part in parts)
+    except UnicodeEncodeError:  # half a character
+        return False
+    return is_short and "\0" not in name and os.pardir not in parts
+
+
+def push(repository: "HfUri", folder: Path, patterns: Sequence[str], card: str, *, public: bool) -> str:
+    """Commit the card (README.md), then the files of a folder that match `patterns`; returns the commit's address.
+
+    Other files of the repository that match are deleted by the same commit. A missing repository is created, private
+    unless `public`. Raises `HubError`, also if it is public without `public`.
+    """
+    from huggingface_hub import HfApi
+
+    api = HfApi(library_name="motionkit", library_version=__version__)
+    where: dict[str, Any] = {"repo_id": repository.id, "repo_type": repository.type}
+    chosen = {"allow_patterns": list(patterns), "delete_patterns": list(patterns)}
+    with _reporting(repository):
+        api.create_repo(**where, private=not public, exist_ok=True)
+        if not public and not api.repo_info(**where).private:
+            raise HubError(f"{repository.to_uri()} is public: --public allows everybody to download what is pushed")
+        where |= {"revision": repository.revision, "commit_message": "motionkit push"}
+        api.upload_file(path_or_fileobj=card.encode(), path_in_repo="README.md", **where)
+        commit = api.upload_folder(folder_path=folder, **chosen, **where)
+    return str(commit.commit_url)
+
+
+def card_of(text: str, pull: str, licences: Sequence[str] = (), table: Sequence[Sequence[str]] = ()) -> str:
+    """A README.md for the Hub: a text, the command that pulls the repository, a table with titles in row 0."""
+    head = ["---", "library_name: motionkit", "tags: [human-motion, motion-capture]"]
+    if licences:
+        head += ["license: other", f"license_name: {json.dumps('; '.join(licences))}"]
+    rows = [f"| {' | '.join(map(markdown_text, row))} |" for row in table]
+    rows[1:1] = [f"|{'---|' * len(row)}" for row in table[:1]]
+    return "\n".join((*head, "---", "# Human motion at native framerates", "", text, "", f"    {pull}", "", *rows, ""))
+
+
+@contextmanager
+def _reporting(repository: "HfUri") -> Iterator[None]:
+    """Convert huggingface_hub's exceptions to `HubError`."""
+    from huggingface_hub import errors
+
+    address = repository.to_uri()
+    try:
+        yield
+    except errors.GatedRepoError:
+        raise HubError(f"{address} is gated; request access on its page") from None
+    except errors.RepositoryNotFoundError:
+        raise HubError(
+            f"{address} is not there, or is private and not yours: check the name (of data sets it begins with "
+            "hf://datasets/), and 'hf auth whoami'"
+        ) from None
+    except (errors.HTTPError, errors.LocalEntryNotFoundError, ValueError) as error:  # type: ignore[attr-defined]
+        reason = next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
+        raise HubError(f"{address}: {reason}; 'hf auth login' logs in") from None

@@ -1,1 +1,0 @@
-"""The Hugging Face Hub: listing, fetching and committing files of repositories, independent of their content."""
