@@ -5,7 +5,7 @@ root, body, jaw, eyes, hands. Source: https://github.com/nghorbani/amass and htt
 """
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -109,27 +109,30 @@ class BodyModel:
 def find_body_model(folder: Path, layout: PoseLayout, gender: str) -> BodyModel:
     """The model of a family for a gender, or the neutral one if the folder has no other.
 
-    Raises `FormatError` (`no-body-model`) if there is none, naming the accepted files.
+    Files have the names as published for SMPL, MANO (SMPL-H) and SMPL-X, with or without the family's folder. Raises
+    `FormatError` (`no-body-model`) if there is none, naming the accepted files.
     """
-    genders = dict.fromkeys((gender, "neutral")) if gender else ("neutral",)
-    for wanted in genders:
-        for path in _candidates(folder, layout.family, wanted):
-            if path.is_file():
-                return load_body_model(path, layout, wanted)
-    pickled = [path for wanted in genders for path in _candidates(folder, layout.family, wanted, ".pkl")]
-    found = next((path for path in pickled if path.is_file()), None)
-    if found:
-        raise FormatError(
-            "is a Python pickle, which can run code when it is loaded; take the .npz that the model's site offers, or "
-            "convert it as docs/formats.md shows",
-            path=found,
-            reason="no-body-model",
-        )
-    names = ", ".join(
-        path.relative_to(folder).as_posix() for path in _candidates(folder, layout.family, gender or "neutral")
-    )
+    family = layout.family
+    candidates = [
+        (each, parent / name)
+        for each in dict.fromkeys((gender or "neutral", "neutral"))
+        for parent in (folder / family, folder)
+        for name in (f"{family.upper()}_{each.upper()}.npz", f"{each}/model.npz")
+    ]
+    for each, path in candidates:
+        if path.is_file():
+            return load_body_model(path, layout, each)
+    for _, path in candidates:
+        if path.with_suffix(".pkl").is_file():
+            raise FormatError(
+                "is a Python pickle, which can run code when it is loaded; take the .npz that the model's site offers, "
+                "or convert it as docs/formats.md shows",
+                path=path.with_suffix(".pkl"),
+                reason="no-body-model",
+            )
+    names = ", ".join(path.relative_to(folder).as_posix() for _, path in candidates[:4])
     raise FormatError(
-        f"no {layout.family} model for gender {gender or 'unknown'!r}, nor a neutral one; expected one of {names}",
+        f"no {family} model for gender {gender or 'unknown'!r}, nor a neutral one; expected one of {names}",
         path=folder,
         reason="no-body-model",
     )
@@ -152,13 +155,6 @@ def load_body_model(path: Path, layout: PoseLayout, gender: str) -> BodyModel:
         directions = directions[..., : SMPLX_BETAS if directions.shape[-1] >= SMPLX_DIRECTIONS else SMALL_SMPLX_BETAS]
     moved = np.tensordot(regressor, directions.astype(np.float64), axes=1)
     return BodyModel(layout.family, gender, regressor @ template, moved)
-
-
-def _candidates(folder: Path, family: str, gender: str, suffix: str = ".npz") -> Iterator[Path]:
-    # File names as published for SMPL, MANO (SMPL-H) and SMPL-X, with or without the family's folder.
-    for parent in (folder / family, folder):
-        yield parent / f"{family.upper()}_{gender.upper()}{suffix}"
-        yield parent / gender / f"model{suffix}"
 
 
 # Rest offsets in metres relative to the parent (pelvis: relative to the model's origin), y up, facing +z, left at +x,
@@ -219,37 +215,26 @@ def rests_as_smpl(motion: Motion) -> bool:
 SUBSTITUTE = re.compile(r"joints: (?P<family>\w+) neutral \(the file's gender: (?P<gender>male|female)\)")
 
 
-@dataclass(frozen=True)
-class Body:
-    """A skeleton and the log lines of its origin."""
+def posed_skeleton(
+    models: Path | None, layout: PoseLayout, family: PoseLayout, gender: str, betas: Float[np.ndarray, "betas"]
+) -> tuple[Skeleton, list[str]]:
+    """The joints at rest of a layout's poses, and the log lines that name their origin.
 
-    skeleton: Skeleton
-    operations: tuple[str, ...]
-
-
-def mean_body(layout: PoseLayout) -> Body:
-    """The 22 joints of SMPL's mean shape; the layout's other joints are dropped, and the log says so."""
-    operations = ["joints: SMPL's mean shape, no body model given"]
-    left_out = layout.num_joints - BODY.num_joints
-    if left_out:
-        operations.append(f"rotations of {left_out} joints left out (hands, face): they need a body model")
-    return Body(mean_shape_skeleton(), tuple(operations))
-
-
-def own_body(
-    models: Path, layout: PoseLayout, family: PoseLayout, gender: str, betas: Float[np.ndarray, "betas"]
-) -> Body:
-    """The joints of a layout from a model in the user's folder, for these betas.
-
-    `BODY`, the body joints alone, belongs to no family; any other layout is its own. `gender` is empty if unknown.
+    `models` is the user's folder of body models. Without one they are the 22 joints of SMPL's mean shape, and the
+    layout's other joints are dropped. `family` is the model of `BODY`, which has none. `gender` is empty if unknown.
     Raises `FormatError` (`no-body-model`).
     """
+    if models is None:
+        lines = ["joints: SMPL's mean shape, no body model given"]
+        if left_out := layout.num_joints - BODY.num_joints:
+            lines.append(f"rotations of {left_out} joints left out (hands, face): they need a body model")
+        return mean_shape_skeleton(), lines
     model = find_body_model(models, family if layout is BODY else layout, gender)
     rest = model.rest_joints(betas)[: layout.num_joints]
     used = min(len(betas), model.shape_directions.shape[-1])
     fallback = "" if model.gender == gender else f" (the file's gender: {gender or 'unknown'})"
     line = f"joints: {model.family} {model.gender}{fallback}, {used} betas"
-    return Body(layout.skeleton(f"{model.family}-{model.gender}", rest), (line,))
+    return layout.skeleton(f"{model.family}-{model.gender}", rest), [line]
 
 
 def substituted_body(operations: Iterable[str]) -> str:

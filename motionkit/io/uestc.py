@@ -8,7 +8,6 @@ database (names, 30 Hz, sides and views).
 """
 
 import re
-from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -17,11 +16,10 @@ import numpy as np
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
-from motionkit.core.shapes import Float32
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import npy
 from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
-from motionkit.io.smpl_body import SMPL, Body, mean_body, own_body
+from motionkit.io.smpl_body import SMPL, posed_skeleton
 from motionkit.io.source import clock, source_file
 from motionkit.io.up import log_lines, turn_of
 
@@ -53,21 +51,6 @@ ACTIONS = (
 FROM_CAMERA = turn_of("-y")
 
 
-@dataclass(frozen=True)
-class _Name:
-    action: str
-    subject: int
-    view: int
-    front: bool
-
-    @property
-    def split(self) -> str:
-        # The moving camera's view belongs to neither set.
-        if (self.view == MOVING_VIEW and not self.front) or not 1 <= self.subject <= NUM_SUBJECTS:
-            return ""
-        return "train" if self.subject in TRAIN_SUBJECTS else "test"
-
-
 def accepts(head: FileHead) -> bool:
     """Whether a file is, by its name, a converted sequence or the pickle, which is refused with instructions."""
     path = head.path
@@ -90,73 +73,58 @@ def read_uestc(path: Path, options: ReadOptions | None = None) -> Motion:
             path=path,
             reason="pickle",
         )
-    name = _parse_name(path)
+    name = NAME.fullmatch(path.stem)
+    if name is None or int(name["action"]) >= len(ACTIONS):
+        raise FormatError(
+            "expected a name such as a1_d2_p003_c2_color with an action from 0 to 39", path=path, reason="name"
+        )
+    subject, view, is_front = int(name["subject"]), int(name["view"]), name["side"] == FRONT_SIDE
     data = source_file.read_bytes(path)
     archive = npy.open_archive(path, data)
     pose = archive.numbers("pose", (None, 3 * SMPL.num_joints))
-    body = _body(archive, len(pose), options)
-    operations = list(body.operations)
-    trans = np.zeros((len(pose), 3), np.float32)
+    num_frames = len(pose)
+    betas = np.zeros(NUM_BETAS, np.float32)
+    if options.body_models is not None and "betas" in archive:
+        betas = archive.numbers("betas", (num_frames, NUM_BETAS)).mean(axis=0)
+    skeleton, operations = posed_skeleton(options.body_models, SMPL, SMPL, "neutral", betas)
+    if options.body_models is not None:
+        operations.append("betas: their mean over the sequence")
+    trans = np.zeros((num_frames, 3), np.float32)
     if "trans" in archive:
-        trans = archive.numbers("trans", (len(pose), 3))
+        trans = archive.numbers("trans", (num_frames, 3))
     else:
         operations.append("no translation in the file: the pelvis stays in place")
-    turn, turned = _to_front(name)
-    operations += turned
-    rotations = kinematics.rotation_vector_to_quaternion(
-        pose[:, : 3 * body.skeleton.num_joints].reshape(len(pose), -1, 3)
-    )
+    # Side cameras are at multiples of 45 degrees; views of the front and the moving camera are not turned.
+    turn = FROM_CAMERA
+    if not is_front and view != MOVING_VIEW:
+        half = -view * np.pi / 8
+        turn = kinematics.quaternion_multiply(turn, np.array([np.cos(half), 0.0, np.sin(half), 0.0], np.float32))
+        operations.append(f"turned by {-45 * view}° about the camera's y to the front view")
+    operations += log_lines("-y")
+    if not is_front and view == MOVING_VIEW:
+        operations.append("the camera moves in this view: the heading is relative to it")
+    rotations = kinematics.rotation_vector_to_quaternion(pose[:, : 3 * skeleton.num_joints].reshape(num_frames, -1, 3))
     rotations[:, 0] = kinematics.quaternion_multiply(turn, rotations[:, 0])
     root = kinematics.quaternion_rotate(turn, trans)
     fps = options.fps or FPS
     operations += clock.replaced_fps(fps, FPS, who="the data set")
+    # The moving camera's view belongs to neither set.
+    split = "train" if subject in TRAIN_SUBJECTS else "test"
+    if (view == MOVING_VIEW and not is_front) or not 1 <= subject <= NUM_SUBJECTS:
+        split = ""
     return Motion(
-        joint_positions=kinematics.forward_kinematics(rotations, root, body.skeleton),
-        skeleton=body.skeleton,
-        timegrid=TimeGrid(fps, len(pose)),
+        joint_positions=kinematics.forward_kinematics(rotations, root, skeleton),
+        skeleton=skeleton,
+        timegrid=TimeGrid(fps, num_frames),
         local_rotations=rotations,
         root_translation=root,
-        action=name.action,
-        split=name.split,
+        action=ACTIONS[int(name["action"])],
+        split=split,
         sequence_id=path.stem,
         provenance=source_file.provenance(
-            path, data, "uestc", operations, subject=f"p{name.subject:03}", stated_fps=str(FPS)
+            path, data, "uestc", operations, subject=f"p{subject:03}", stated_fps=str(FPS)
         ),
     )
-
-
-def _parse_name(path: Path) -> _Name:
-    match = NAME.fullmatch(path.stem)
-    if match is None or int(match["action"]) >= len(ACTIONS):
-        raise FormatError(
-            "expected a name such as a1_d2_p003_c2_color with an action from 0 to 39", path=path, reason="name"
-        )
-    return _Name(ACTIONS[int(match["action"])], int(match["subject"]), int(match["view"]), match["side"] == FRONT_SIDE)
-
-
-def _body(archive: npy.Archive, num_frames: int, options: ReadOptions) -> Body:
-    if options.body_models is None:
-        return mean_body(SMPL)
-    betas = np.zeros(NUM_BETAS, np.float32)
-    if "betas" in archive:
-        betas = archive.numbers("betas", (num_frames, NUM_BETAS)).mean(axis=0)
-    body = own_body(options.body_models, SMPL, SMPL, "neutral", betas)
-    return replace(body, operations=(*body.operations, "betas: their mean over the sequence"))
-
-
-def _to_front(name: _Name) -> tuple[Float32[np.ndarray, "4"], list[str]]:
-    # Side cameras are at multiples of 45 degrees; views of the front and the moving camera are not rotated.
-    (upright,) = log_lines("-y")
-    if name.front:
-        return FROM_CAMERA, [upright]
-    if name.view == MOVING_VIEW:
-        return FROM_CAMERA, [upright, "the camera moves in this view: the heading is relative to it"]
-    half = -name.view * np.pi / 8
-    back = np.array([np.cos(half), 0.0, np.sin(half), 0.0], np.float32)
-    return kinematics.quaternion_multiply(FROM_CAMERA, back), [
-        f"turned by {-45 * name.view}° about the camera's y to the front view",
-        upright,
-    ]
 
 
 FORMAT = Format(
