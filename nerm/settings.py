@@ -5,7 +5,7 @@ from fractions import Fraction
 from typing import Literal
 
 from motionkit.core.framerate import parse_fps
-from motionkit.data.pose_vectors import PoseVectorsName
+from motionkit.features.convention import PoseVectorsName
 from motionkit.training.config import Precision, Schedule, require_positive
 from motionkit.training.diffusion.settings import DiffusionConfig
 

@@ -9,7 +9,7 @@ from peers.attention import RelativeEncoder, longest_gap
 from peers.layers import gathered, neighbours
 from peers.settings import TsFormerNetworkConfig
 
-# A row begins with the root's position (motionkit.features.rotation_rows).
+# A row begins with the root's position (motionkit.features.rotations).
 ROOT_NUMBERS = 3
 _ROUNDING_FRAMES = 1e-3
 

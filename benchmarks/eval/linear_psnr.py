@@ -18,7 +18,7 @@ from eval.completion.protocol import INTEGER_SCALES, InterpolationProtocol, scal
 from eval.completion.scores import ClipFrames, measure_scale
 from eval.completion.takes import DataSet, NoTakesError, TrueClips, data_sets_of, open_clips
 from eval.report.results import provenance
-from motionkit.features.rotation_rows import two_columns
+from motionkit.features.rotations import two_columns
 from motionkit.store.reader import Store
 
 PROTOCOL = InterpolationProtocol()
@@ -72,7 +72,7 @@ def measured(store: Store, data_set: DataSet, split: str) -> dict[str, dict[str,
     test, train = (open_clips(store, data_set, name, None, length, length) for name in (split, "train"))
     scale = measure_scale(train)
     vectors = test.vectors(slice(None))
-    canonical = ClipFrames.of(vectors).enter(vectors).astype(np.float64)[..., scale.varies]
+    canonical = ClipFrames.of(vectors).to_window(vectors).astype(np.float64)[..., scale.varies]
     found = {"22 joints, by inverse kinematics": decibels(canonical, scale.std)}
     training = own_rotations(store, train, MOST_TRAINING_TAKES)
     if len(training):

@@ -24,9 +24,9 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from benchmarks.command import arguments_parser, best_cpu_seconds, print_json
-from motionkit.data.pose_vectors.convention import VectorScaling
 from motionkit.data.windows import Windows
 from motionkit.generate.models import GenerationRequest
+from motionkit.training.pose_vectors import VectorScaling
 from nerm.conditions import ConditionLayout
 from nerm.denoiser.latent_space import LatentSpace
 from nerm.denoiser.network import Denoiser

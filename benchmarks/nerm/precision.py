@@ -14,7 +14,7 @@ from pathlib import Path
 import torch
 
 from benchmarks.command import arguments_parser, print_json
-from motionkit.core.skeleton import SMPL22
+from motionkit.data.corpus import FrameValues
 from motionkit.data.poses import WindowPoses
 from motionkit.store.cache import open_cache
 from motionkit.store.reader import Store
@@ -53,7 +53,7 @@ def main() -> None:
         recipe.field, [f"schedule.batch_size={arguments.batch or recipe.field.schedule.batch_size}"]
     )
     source = open_cache(Store.open(arguments.store), layout="smpl22", where=config.where or None)
-    poses = WindowPoses(source, training_windows(source, config), SMPL22.left_right_pairs)
+    poses = WindowPoses(training_windows(source, config), FrameValues.of_positions(source))
     codes = torch.randn(recipe.codebook.network.num_codes, recipe.codebook.network.code_dimension)
     figures = {
         f"{precision}{', compiled' if compiled else ''}": seconds_a_step(

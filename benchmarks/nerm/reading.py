@@ -16,11 +16,12 @@ import numpy as np
 import torch
 
 from benchmarks.command import arguments_parser, print_json
-from motionkit.core.skeleton import SMPL22
+from motionkit.data.corpus import FrameValues
 from motionkit.data.poses import WindowPoses
 from motionkit.data.windows import PositionSource, Windows
 from motionkit.store import Store
 from motionkit.store.cache import PositionCache, open_cache
+from motionkit.training.pose_vectors import uniform_of
 from nerm.field.training import training_windows
 from nerm.recipes import nano
 
@@ -56,11 +57,11 @@ def milliseconds(poses: WindowPoses, windows: Windows, batch: tuple[int, int, bo
     """CPU milliseconds of a batch, including `after`; the first three are not counted."""
     size, num_poses, contiguous = batch
     generator = torch.Generator().manual_seed(0)
-    rows = torch.randint(len(windows), (size,), generator=generator)
+    rows = torch.randint(len(windows), (size,), generator=generator).numpy()
     for number in range(repeats + 3):
         if number == 3:
             started = time.process_time()
-        poses.draw(rows, num_poses, generator, contiguous=contiguous)
+        poses.draw(rows, num_poses, uniform_of(generator), contiguous=contiguous)
         after()
     return 1000.0 * (time.process_time() - started) / repeats
 
@@ -93,7 +94,7 @@ def main() -> None:
         for way, (source, after) in ways.items():
             mapped.give_back()
             before = resident_file_mb()
-            poses = WindowPoses(source, windows, SMPL22.left_right_pairs)
+            poses = WindowPoses(windows, FrameValues.of_positions(source))
             cost = milliseconds(poses, windows, batch, arguments.repeats, after)
             rows.append({"batch": name, "read from": way, "ms": cost, "resident_mb": resident_file_mb() - before})
     if arguments.json:

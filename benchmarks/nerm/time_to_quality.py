@@ -21,10 +21,10 @@ import torch
 from benchmarks.command import arguments_parser
 from eval.metrics.reconstruction import mpjpe_root_aligned
 from eval.report.results import provenance
-from motionkit.core.skeleton import SMPL22
+from motionkit.data.corpus import FrameValues
 from motionkit.data.poses import WindowPoses
 from motionkit.data.reconstruction import comparable, reconstructions, separate_windows
-from motionkit.store.cache import open_cache
+from motionkit.store.cache import PositionCache, open_cache
 from motionkit.store.reader import Store
 from motionkit.training.config import apply_overrides
 from motionkit.training.schedule import step_generator
@@ -69,10 +69,14 @@ def curve(store: Store, config: FieldConfig, budget_seconds: float) -> list[Poin
     chosen = np.sort(np.random.default_rng(0).permutation(fast if len(fast) else rows)[:MOST_WINDOWS])
     spent, started = 0.0, time.process_time()
     training = FieldTraining(
-        WindowPoses(source, windows, SMPL22.left_right_pairs), config, codebook=None, seed=0, device=torch.device("cpu")
+        WindowPoses(windows, FrameValues.of_positions(source)),
+        config,
+        codebook=None,
+        seed=0,
+        device=torch.device("cpu"),
     )
     spent += time.process_time() - started
-    points = [Point(spent, 0, _error_mm(training, chosen, store))]
+    points = [Point(spent, 0, _error_mm(training, source, chosen, store))]
     step, next_at = 0, FIRST_SECONDS
     while spent < budget_seconds and step < training.steps:
         started = time.process_time()
@@ -80,13 +84,13 @@ def curve(store: Store, config: FieldConfig, budget_seconds: float) -> list[Poin
         spent, step = spent + time.process_time() - started, step + 1
         if spent >= next_at or step == training.steps:
             next_at = max(next_at, spent) * GROWTH
-            points.append(Point(spent, step, _error_mm(training, chosen, store)))
+            points.append(Point(spent, step, _error_mm(training, source, chosen, store)))
     if points[-1].steps != step:
-        points.append(Point(spent, step, _error_mm(training, chosen, store)))
+        points.append(Point(spent, step, _error_mm(training, source, chosen, store)))
     return points
 
 
-def _error_mm(training: FieldTraining, chosen: np.ndarray, store: Store) -> float:
+def _error_mm(training: FieldTraining, source: PositionCache, chosen: np.ndarray, store: Store) -> float:
     trained = TrainedField(
         network=training.network.eval(),
         scaling=training.scaling,
@@ -102,7 +106,7 @@ def _error_mm(training: FieldTraining, chosen: np.ndarray, store: Store) -> floa
         trained.as_motion_field(latent, float(seconds))
         for latent, seconds in zip(latents, windows.duration_seconds, strict=True)
     ]
-    found = reconstructions(training.poses.source, windows, fields, FPS)
+    found = reconstructions(source, windows, fields, FPS)
     errors = [(window.seconds, mpjpe_root_aligned(window.found, window.truth)) for window in found]
     training.network.train()
     return 1000.0 * sum(seconds * error for seconds, error in errors) / sum(seconds for seconds, _ in errors)

@@ -22,7 +22,7 @@ from motionkit.edit.complete.encoders import (
     runs_with,
     trained_encoder_names,
 )
-from motionkit.features.rotation_rows import two_columns
+from motionkit.features.rotations import two_columns
 from motionkit.fields.interpolation import INTERPOLATORS, CurveKind, curve
 from motionkit.fields.joints import Joints
 from motionkit.fields.motion_field import MotionEncoder, Observation, Poses, check_observed_alike, check_times

@@ -14,7 +14,7 @@ from eval.metrics.metric import MeanStream, all_metrics
 from motionkit.core.errors import MotionkitError
 from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22
-from motionkit.features.rotation_rows import rows_of_poses, two_columns
+from motionkit.features.rotations import rows_of_poses, two_columns
 from motionkit.fields.completion import query_many
 from motionkit.fields.motion_field import Poses
 
@@ -119,7 +119,7 @@ def _answered(
     turned = np.stack([poses.local_rotations for poses in made if poses.local_rotations is not None])
     vectors = np.concatenate((positions[:, :, 0], two_columns(turned)), axis=-1)
     own = ClipFrames.of(truth.vectors)
-    predicted, target = (task.scale.unit_range(own.enter(rows)) for rows in (vectors, truth.vectors))
+    predicted, target = (task.scale.unit_range(own.to_window(rows)) for rows in (vectors, truth.vectors))
     return _Answered(float(truth.fps), predicted, target, positions, truth.joint_positions, turned, rotations)
 
 

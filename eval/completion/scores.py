@@ -14,7 +14,7 @@ from eval.metrics.signal import to_unit_range
 from motionkit.core.moments import stream
 from motionkit.core.shapes import Bool, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22
-from motionkit.features import rotation_rows
+from motionkit.features import rotations
 
 
 @dataclass(frozen=True)
@@ -128,13 +128,13 @@ class ClipFrames:
     @classmethod
     def of(cls, vectors: Float32[np.ndarray, "clips frames numbers"]) -> "ClipFrames":
         """By the first frame, which is given in every table."""
-        return cls(rotation_rows.heading(vectors[:, 0], SMPL22), vectors[:, 0, (0, 2)].astype(np.float64))
+        return cls(rotations.heading(vectors[:, 0], SMPL22), vectors[:, 0, (0, 2)].astype(np.float64))
 
-    def enter(
+    def to_window(
         self, vectors: Float32[np.ndarray, "clips frames numbers"]
     ) -> Float32[np.ndarray, "clips frames numbers"]:
         """World → each clip's own frame."""
-        return rotation_rows.turned(vectors, self.yaw, self.origin)
+        return rotations.to_window(vectors, self.yaw, self.origin)
 
 
 def measure_scale(clips: TrueClips) -> PoseScale:
@@ -157,7 +157,7 @@ def measure_scale(clips: TrueClips) -> PoseScale:
 
 def _rows(clips: TrueClips, part: slice) -> Float32[np.ndarray, "rows numbers"]:
     vectors = clips.vectors(part)
-    own = ClipFrames.of(vectors).enter(vectors)
+    own = ClipFrames.of(vectors).to_window(vectors)
     return own.reshape(-1, own.shape[-1])
 
 

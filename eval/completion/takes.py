@@ -80,7 +80,7 @@ def data_sets_of(store: "Store", fps: Sequence[Fraction] | None = None) -> list[
 class TrueClips:
     """B clips of equal length at the table's framerate.
 
-    Positions are the capture's in the 22-joint layout; rotations are the takes' rows (`rotation_rows`).
+    Positions are the capture's in the 22-joint layout; rotations are the takes' rows (`features.rotations`).
     """
 
     fps: Fraction

@@ -13,7 +13,7 @@ from motionkit.core import kinematics
 from motionkit.core.moments import Moments, stream
 from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.features import rotation_rows
+from motionkit.features.rotations import heading, to_window
 from motionkit.io.bvh import lafan1
 from motionkit.store.sql import conjunction
 
@@ -168,7 +168,7 @@ def data_set_windows(store: "Store", data_set: DataSet, split: str, where: str |
     turned = []
     for first in range(0, test.num_clips, CLIPS_AT_ONCE):
         vectors = test.vectors(slice(first, first + CLIPS_AT_ONCE))[:, :-1]
-        turned.append(rotation_rows.turned(vectors, *_benchmark_frame(vectors)))
+        turned.append(to_window(vectors, *_benchmark_frame(vectors)))
     rows = np.concatenate(turned)
     matrices = kinematics.closest_rotations(rows[..., 3:])
     rotations = kinematics.matrix_to_quaternion(matrices).astype(np.float32)
@@ -188,9 +188,9 @@ def _benchmark_frame(
     vectors: Float32[np.ndarray, "windows frames numbers"],
 ) -> tuple[Float64[np.ndarray, "windows"], Float64[np.ndarray, "windows 2"]]:
     """Yaw and origin of the benchmark's frame: centred in x and z, frame 9 facing +x."""
-    heading = rotation_rows.heading(vectors[:, lafan1.NUM_PAST_FRAMES - 1], SMPL22)
+    yaw = heading(vectors[:, lafan1.NUM_PAST_FRAMES - 1], SMPL22)
     origin = vectors[..., (0, 2)].astype(np.float64).mean(axis=1)
-    return heading - np.pi / 2, origin
+    return yaw - np.pi / 2, origin
 
 
 def _turned_positions(

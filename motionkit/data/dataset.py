@@ -1,29 +1,27 @@
-"""Clips of a store as a map-style torch `Dataset`, for your own training loop."""
+"""Clips of a store as a map-style data set for torch's `DataLoader`, for your own training loop."""
 
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-from torch.utils.data import Dataset
 
 from motionkit.core.errors import UsageError
 from motionkit.store.cache import open_cache
 from motionkit.store.reader import Store
 
 
-class ClipDataset(Dataset[dict[str, Any]]):
+class ClipDataset:
     """Clips of `num_frames` frames of a store's sequences, each at its sequence's own framerate, `stride` frames apart.
 
     `store` is a `Store`, or the path of one.
     An item holds `joint_positions` [num_frames, J, 3] (float32, metres) of the `layout`, `fps`, `start_seconds` of its
-    first frame in its sequence, and `sequence_index`, its index in the store; `DataLoader` batches them. Frames come
-    from the store's training cache, a memory map that workers share. `where` is a SQL condition over the table of
-    sequences. Raises `UsageError` if no sequence is long enough, and what `open_cache` raises.
+    first frame in its sequence, and `sequence_index`, its index in the store; `DataLoader` makes tensors of them, in
+    batches. Frames come from the store's training cache, a memory map that workers share. `where` is a SQL condition
+    over the table of sequences. Raises `UsageError` if no sequence is long enough, and what `open_cache` raises.
 
     >>> clips = mk.ClipDataset("store", num_frames=32, where="fps = 60")
     >>> clips[0]["joint_positions"].shape, clips[0]["fps"]
-    (torch.Size([32, 22, 3]), 60.0)
+    ((32, 22, 3), 60.0)
     """
 
     def __init__(
@@ -57,7 +55,7 @@ class ClipDataset(Dataset[dict[str, Any]]):
         """Several items at once, as `DataLoader` fetches them."""
         cache, sequence, start = self._cache, self._sequence[indices], self._start[indices]
         fps = cache.fps_numerator[sequence] / cache.fps_denominator[sequence]
-        clips = torch.from_numpy(cache.gather_clips(sequence, start, self.num_frames))
+        clips = cache.gather_clips(sequence, start, self.num_frames)
         columns = zip(clips, fps.tolist(), (start / fps).tolist(), cache.sequence_index[sequence].tolist(), strict=True)
         names = ("joint_positions", "fps", "start_seconds", "sequence_index")
         return [dict(zip(names, values, strict=True)) for values in columns]

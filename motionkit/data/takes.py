@@ -10,7 +10,7 @@ import numpy as np
 from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.features.rotation_rows import num_features, rotation_rows, rows_of_poses
+from motionkit.features.rotations import num_features, rotation_rows, rows_of_poses
 from motionkit.fields.motion_field import Poses
 from motionkit.store.cache import PositionCache, RowFile, open_cache
 from motionkit.store.reader import Store

@@ -1,4 +1,4 @@
-"""Windows of a corpus: stretches of at most l_max seconds of one sequence, one latent each.
+"""Windows of a corpus: at most l_max seconds of one sequence each.
 
 A window's frame k is k / fps after its first, at the coordinate t = −1 + 2·(k / fps) / l_max (NeRM §3.1). Positions
 are read lazily from the cache's file, so memory doesn't grow with the corpus; mirroring is done then too.
@@ -11,18 +11,17 @@ from functools import cached_property, lru_cache
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-import torch
 
 from motionkit.core.errors import UsageError
 from motionkit.core.mirror import mirror_positions
 from motionkit.core.shapes import Bool, Float32, Float64, Int, Int64
 from motionkit.features import field
-from motionkit.store.cache import RowFile
+from motionkit.store.cache import PositionCache, RowFile
 
 
 @runtime_checkable
 class PositionSource(Protocol):
-    """The interface of `motionkit.store.cache.PositionCache` that clips use."""
+    """The interface of `motionkit.store.cache.PositionCache` that windows are cut from."""
 
     @property
     def positions(self) -> Float32[np.ndarray, "total_frames joints 3"]:
@@ -55,19 +54,9 @@ class PositionSource(Protocol):
         ...
 
 
-@runtime_checkable
-class ReadsRows(Protocol):
-    """A source whose frames are read one by one, so that training memory doesn't grow with the frames it has seen."""
-
-    @property
-    def rows(self) -> RowFile:
-        """The rows of `positions`."""
-        ...
-
-
-def read_positions(source: PositionSource, row: Int64[np.ndarray, "*rows"]) -> Float32[np.ndarray, "*rows joints 3"]:
-    """Copies of a source's frames by their rows."""
-    return source.rows[row] if isinstance(source, ReadsRows) else np.asarray(source.positions[row])
+def rows_of(source: PositionSource) -> RowFile | Float32[np.ndarray, "total_frames joints 3"]:
+    """A source's frames by their row numbers; of a cache they are read one by one, so that no pages stay in memory."""
+    return source.rows if isinstance(source, PositionCache) else source.positions
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +144,7 @@ def cut_windows(
     nth = np.arange(len(sequence)) - np.repeat(np.cumsum(count) - count, count)
     start = np.minimum(nth * step[sequence], spare[sequence])
     start_row = source.start_row[sequence].astype(np.int64) + start
-    first_pose = read_positions(source, start_row)
+    first_pose = rows_of(source)[start_row]
     mirrored = np.zeros(len(sequence), dtype=np.bool_)
     if mirror_pairs is not None:
         first_pose = np.concatenate((first_pose, mirror_positions(first_pose, mirror_pairs)))
@@ -182,7 +171,7 @@ def rows_by_duration(windows: Windows, seconds_per_visit: float) -> Int64[np.nda
     return np.repeat(np.arange(len(windows)), visits)
 
 
-def shuffled_batches(count: int, batch: int, step: int, seed: int) -> Int64[torch.Tensor, "batch"]:
+def shuffled_batches(count: int, batch: int, step: int, seed: int) -> Int64[np.ndarray, "batch"]:
     """The rows of batch number `step` in epochs over `count` rows, reshuffled each time.
 
     A function of (seed, step) alone, so that resumed training sees the same batches.
@@ -192,14 +181,14 @@ def shuffled_batches(count: int, batch: int, step: int, seed: int) -> Int64[torc
         _permutation(count, seed, epoch)[max(0, first - epoch * count) : last - epoch * count]
         for epoch in range(first // count, (last - 1) // count + 1)
     ]
-    return torch.cat(rows)
+    return np.concatenate(rows)
 
 
 # Two, since a batch may begin in one epoch and end in the next.
 @lru_cache(maxsize=2)
-def _permutation(count: int, seed: int, epoch: int) -> Int64[torch.Tensor, "rows"]:
+def _permutation(count: int, seed: int, epoch: int) -> Int64[np.ndarray, "rows"]:
     order = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(epoch,))).permutation(count)
-    return torch.from_numpy(order.astype(np.int64))
+    return order.astype(np.int64)
 
 
 def chunks(count: int, size: int) -> Iterator[Int64[np.ndarray, "rows"]]:

@@ -5,10 +5,15 @@ the same axes. A window's frame has its origin under the root at the window's fi
 needs integration, so the path cannot drift; the inverse is one addition.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from motionkit.core.shapes import Float, Float32
+from motionkit.core.mirror import mirror_positions
+from motionkit.core.shapes import Float, Float32, Float64
+from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.features.layout import FacingJoints, facing_direction, layout_of
+from motionkit.fields.motion_field import Poses
 
 CONVENTION = "field"
 
@@ -90,3 +95,61 @@ def decode(vectors: Float[np.ndarray, "*poses numbers"]) -> Float32[np.ndarray, 
     local = vectors.astype(np.float32).reshape(*vectors.shape[:-1], -1, 3)
     local[..., 1:, :] += local[..., :1, :]
     return local
+
+
+@dataclass(frozen=True)
+class FieldVectors:
+    """`field` as a convention to learn (`motionkit.features.convention.PoseVectors`); values are world positions."""
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The 22-joint layout."""
+        return SMPL22
+
+    @property
+    def num_features(self) -> int:
+        """66."""
+        return num_features(SMPL22.num_joints)
+
+    @property
+    def groups(self) -> tuple[tuple[int, ...], ...]:
+        """The root's x and z, then everything else."""
+        return (0, 2), tuple(number for number in range(self.num_features) if number not in (0, 2))
+
+    def mirror(self, values: Float32[np.ndarray, "*frames joints 3"]) -> Float32[np.ndarray, "*frames joints 3"]:
+        """x negated, left and right joints exchanged."""
+        return mirror_positions(values, SMPL22.left_right_pairs)
+
+    def between(
+        self,
+        before: Float32[np.ndarray, "windows poses joints 3"],
+        after: Float32[np.ndarray, "windows poses joints 3"],
+        weight: Float32[np.ndarray, "windows poses"],
+    ) -> Float32[np.ndarray, "windows poses joints 3"]:
+        """On straight lines."""
+        return np.asarray(before + weight[..., None, None] * (after - before))
+
+    def encode(
+        self,
+        values: Float32[np.ndarray, "windows poses joints 3"],
+        yaw: Float32[np.ndarray, "windows"],
+        origin: Float32[np.ndarray, "windows 2"],
+    ) -> Float32[np.ndarray, "windows poses features"]:
+        """Root path in the window's frame, joints relative to the root."""
+        return encode(values, yaw, origin)
+
+    def instants(self, seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times"]:
+        """`seconds` themselves: nothing is integrated."""
+        return seconds
+
+    def decode(
+        self,
+        vectors: Float32[np.ndarray, "times features"],
+        instants: Float64[np.ndarray, "times"],
+        seconds: Float64[np.ndarray, "times"],
+    ) -> Poses:
+        """Adds the root to the other joints."""
+        return Poses(decode(vectors))
+
+
+FIELD_VECTORS = FieldVectors()

@@ -7,15 +7,19 @@ clip is rotated. Derivatives are those of the cubic spline through all frames: f
 central differences err by several percent at 20 fps. At framerate F, the yaw rate is 2·F times the published.
 """
 
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 
 import numpy as np
 
 from motionkit.core.shapes import Float, Float32, Float64, Int
+from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
+from motionkit.features import field
 from motionkit.features.bones import bone_tree, rotations_6d
 from motionkit.features.layout import SMPL22_LAYOUT, PoseLayout, VectorLayout, pose_layout, smooth, to_z_half_angle
+from motionkit.fields.motion_field import Poses
 
 
 def turn(
@@ -63,6 +67,7 @@ CONVENTION = "native"
 SMOOTHING_SECONDS = 1.0
 # √0.002 m per frame at 20 fps, the published threshold, on a body with the legs of the published skeleton.
 CONTACT_SPEED = 0.894
+SECONDS_BETWEEN_STEPS = 1 / 120
 _FRAMES_AT_ONCE = 256
 
 
@@ -221,3 +226,65 @@ def _turned_back(
     cosine, sine = np.cos(angle), np.sin(angle)
     x, z = horizontal[..., 0], horizontal[..., 1]
     return np.stack((cosine * x - sine * z, sine * x + cosine * z), axis=-1)
+
+
+@dataclass(frozen=True)
+class NativeVectors:
+    """`native` as a convention to learn (`motionkit.features.convention.PoseVectors`).
+
+    Values are the vectors themselves: they mean the same in every window's frame.
+    """
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The 22-joint layout."""
+        return SMPL22
+
+    @property
+    def num_features(self) -> int:
+        """263."""
+        return SMPL22_LAYOUT.vector.size
+
+    @property
+    def groups(self) -> tuple[tuple[int, ...], ...]:
+        """The root's three velocities, then the other blocks inside which HumanML3D averages its deviations."""
+        yaw_rate, velocity, *others = (tuple(range(block.start, block.stop)) for block in SMPL22_LAYOUT.vector.blocks)
+        return yaw_rate + velocity, *others
+
+    def mirror(self, values: Float32[np.ndarray, "*frames features"]) -> Float32[np.ndarray, "*frames features"]:
+        """The vectors of the mirrored motion."""
+        return mirrored(values, SMPL22.name)
+
+    def between(
+        self,
+        before: Float32[np.ndarray, "windows poses features"],
+        after: Float32[np.ndarray, "windows poses features"],
+        weight: Float32[np.ndarray, "windows poses"],
+    ) -> Float32[np.ndarray, "windows poses features"]:
+        """Linear, number by number."""
+        return np.asarray(before + weight[..., None] * (after - before))
+
+    def encode(
+        self,
+        values: Float32[np.ndarray, "windows poses features"],
+        yaw: Float32[np.ndarray, "windows"],
+        origin: Float32[np.ndarray, "windows 2"],
+    ) -> Float32[np.ndarray, "windows poses features"]:
+        """Unchanged: they are vectors already."""
+        return values
+
+    def instants(self, seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "instants"]:
+        """All from the window's start, no more than 1/120 s apart: the path is integrated over them."""
+        end = float(seconds.max(initial=0.0))
+        return np.union1d(np.arange(0.0, end, SECONDS_BETWEEN_STEPS), seconds)
+
+    def decode(
+        self,
+        vectors: Float32[np.ndarray, "instants features"],
+        instants: Float64[np.ndarray, "instants"],
+        seconds: Float64[np.ndarray, "times"],
+    ) -> Poses:
+        """Heading and path integrated over the time stamps; then into the frame in which the first pose faces Z+."""
+        world = positions_at(vectors, SMPL22.name, instants)
+        yaw, origin = field.window_frame(world[:1])
+        return Poses(field.to_window(world[None], yaw, origin)[0, np.searchsorted(instants, seconds)])

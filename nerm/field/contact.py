@@ -86,7 +86,7 @@ class ContactTraining:
             self.head = contact_head(network, self.config).to(self.device)
         rate = self.config.contacts.learning_rate
         self.optimizer = torch.optim.AdamW(self.head.parameters(), lr=rate, weight_decay=0.0)
-        self.visits = torch.from_numpy(rows_by_duration(windows, self.config.clips.seconds_per_visit))
+        self.visits = rows_by_duration(windows, self.config.clips.seconds_per_visit)
 
     def run(self, on_progress: OnProgress) -> float:
         """Run all steps; return the mean loss of the last fifth, in nats per output."""
@@ -101,8 +101,8 @@ class ContactTraining:
         """One step; returns the loss."""
         generator = step_generator(self.seed, "contacts", step)
         set_rate(self.optimizer, settings.learning_rate * 0.5 * (1.0 + np.cos(np.pi * step / settings.steps)))
-        windows = self.visits[shuffled_batches(len(self.visits), settings.batch_size, step, self.seed)]
-        chosen, poses = windows.numpy(), self.config.clips.num_poses
+        chosen = self.visits[shuffled_batches(len(self.visits), settings.batch_size, step, self.seed)]
+        windows, poses = torch.from_numpy(chosen), self.config.clips.num_poses
         uniform = torch.rand(len(chosen), poses, generator=generator, dtype=torch.float64).numpy()
         frame = np.floor(uniform * self.windows.num_frames[chosen][:, None]).astype(np.int64)
         fps = torch.from_numpy(self.windows.fps[chosen]).to(self.device)

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import torch
 
 from motionkit.core.shapes import Float, Float32, Float64
-from motionkit.data.poses import PoseBatch
+from motionkit.training.pose_vectors import PoseTensors
 from nerm.field.network import EncodedCoordinates
 from nerm.field.trained import TrainedField
 
@@ -20,7 +20,7 @@ PROBES = 8
 SMALLEST_EFFECT = 0.05
 
 
-def starting_latents(trained: TrainedField, batch: PoseBatch) -> Float32[torch.Tensor, "batch latent"]:
+def starting_latents(trained: TrainedField, batch: PoseTensors) -> Float32[torch.Tensor, "batch latent"]:
     """The initial z: the linear fit that initialises training too (local layout), or the prior's mean."""
     model = trained.linear_model
     if model is None:
@@ -29,7 +29,7 @@ def starting_latents(trained: TrainedField, batch: PoseBatch) -> Float32[torch.T
 
 
 def encode_by_optimisation(
-    trained: TrainedField, batch: PoseBatch, *, evaluations: int = EVALUATIONS
+    trained: TrainedField, batch: PoseTensors, *, evaluations: int = EVALUATIONS
 ) -> Float32[torch.Tensor, "batch latent"]:
     """The z of each clip of a batch: argmin ‖f_θ(t, z, s) − x‖² + λ_KL·½‖z‖²/d, independent of the other clips.
 

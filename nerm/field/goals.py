@@ -15,11 +15,11 @@ from torch import Tensor
 from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import SkeletonMapError
-from motionkit.data.pose_vectors.joints import joints_of
 from motionkit.features.layout import SMPL22_LAYOUT
 from motionkit.fields.contact.detection import find_contacts, ground_of
 from motionkit.fields.contact.legs import Legs, legs_of
 from motionkit.generate.constraints import Constraint
+from motionkit.training.pose_vectors import joints_of
 from nerm.field.network import EncodedCoordinates
 from nerm.field.trained import TrainedField
 

@@ -13,13 +13,15 @@ import torch
 from motionkit.core.shapes import Float32, Float64, Int, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import normalise_seconds
-from motionkit.data.poses import FrameVectors, PoseBatch, WindowPoses
+from motionkit.data.corpus import FrameValues, open_frames
+from motionkit.data.poses import WindowPoses
 from motionkit.data.reconstruction import ModelWindows
-from motionkit.data.windows import PositionSource, Windows, cut_windows
+from motionkit.data.windows import Windows, cut_windows
 from motionkit.features import field
 from motionkit.fields.assembly import AssembledField, Piece, assemble, even_starts
 from motionkit.fields.motion_field import MotionField, Observation
 from motionkit.store.reader import Store
+from motionkit.training.pose_vectors import PoseTensors
 from motionkit.training.run import RunFolder
 from nerm.field.encoding import encode_by_optimisation
 from nerm.field.trained import TrainedField, load_field
@@ -50,7 +52,7 @@ class NermEncoder:
     def training_windows(self, store: Store) -> ModelWindows:
         """The training windows, decoded from their posterior means."""
         trained = self.trained
-        source, _ = trained.vectors.open(store, trained.config.where or None)
+        source, _ = open_frames(trained.vectors, store, trained.config.where or None)
 
         def fields(rows: Int64[np.ndarray, "chosen"]) -> list[MotionField]:
             return self._fields(trained.windows.select(rows), trained.posterior_mean[torch.from_numpy(rows)])
@@ -63,7 +65,7 @@ class NermEncoder:
         Raises `UsageError` if there are none.
         """
         trained = self.trained
-        source, frames = trained.vectors.open(store, where)
+        source, frames = open_frames(trained.vectors, store, where)
         windows = cut_windows(
             source,
             max_duration_seconds=trained.max_duration_seconds,
@@ -72,7 +74,7 @@ class NermEncoder:
 
         def fields(rows: Int64[np.ndarray, "chosen"]) -> list[MotionField]:
             chosen = windows.select(rows)
-            return self._fields(chosen, encode_windows(trained, source, chosen, frames))
+            return self._fields(chosen, encode_windows(trained, chosen, frames))
 
         return ModelWindows(source, windows, fields, "encoded by optimisation")
 
@@ -111,7 +113,7 @@ class NermEncoder:
         yaw, origin = field.window_frame(positions[:, 0])
         seconds = observation.times_seconds[rows] - starts[:, None]
         fps = 1.0 / np.median(np.diff(observation.times_seconds)) if len(observation) > 1 else 30.0
-        batch = PoseBatch(
+        batch = PoseTensors(
             window=torch.arange(len(starts)),
             coordinates=torch.from_numpy(normalise_seconds(seconds, self.trained.max_duration_seconds)),
             fps=torch.full((len(starts),), float(fps), dtype=torch.float64),
@@ -146,20 +148,20 @@ class NermEncoder:
 
 def encode_windows(
     trained: TrainedField,
-    source: PositionSource,
     windows: Windows,
-    frames: FrameVectors | None = None,
+    frames: FrameValues,
     *,
     num_poses: int = POSES_TO_ENCODE_FROM,
 ) -> Float32[torch.Tensor, "windows latent"]:
     """The latents of windows that were not in training, by optimisation on `num_poses` native poses of each.
 
-    `source` and `frames` come from opening the field's pose vectors (without `frames`: positions).
+    `frames` come from opening the field's pose vectors.
     """
-    poses = WindowPoses(source, windows, SMPL22.left_right_pairs, frames=frames)
+    poses = WindowPoses(windows, frames)
     parts = [
         encode_by_optimisation(
-            trained, poses.evenly(np.arange(start, min(start + WINDOWS_AT_ONCE, len(windows))), num_poses)
+            trained,
+            PoseTensors.of(poses.evenly(np.arange(start, min(start + WINDOWS_AT_ONCE, len(windows))), num_poses)),
         )
         for start in range(0, len(windows), WINDOWS_AT_ONCE)
     ]

@@ -13,13 +13,13 @@ import torch
 from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import normalise_seconds
-from motionkit.data.pose_vectors.convention import PoseVectors, VectorScaling, described, restored
-from motionkit.data.pose_vectors.field import FIELD_VECTORS
-from motionkit.data.pose_vectors.joints import has_joints
 from motionkit.data.windows import Windows
+from motionkit.features.convention import PoseVectors
+from motionkit.features.field import FIELD_VECTORS
 from motionkit.fields.contact.planted import GRID_FPS
 from motionkit.fields.motion_field import Poses, check_times
 from motionkit.training.config import from_plain, to_plain
+from motionkit.training.pose_vectors import VectorScaling, has_joints, vector_tensors, vectors_of
 from motionkit.training.precision import resolve_device
 from motionkit.training.run import RunFolder, StageFolder
 from motionkit.training.tensors import CheckpointError, load_tensors, prefixed, rebuilding, save_tensors, unprefixed
@@ -267,7 +267,7 @@ def save_field(folder: StageFolder, trained: TrainedField) -> None:
         prefixed("network", trained.network.state_dict())
         | prefixed("scaling", {"mean": trained.scaling.mean, "scale": trained.scaling.scale})
         | prefixed("posterior", {"mean": trained.posterior_mean, "log_variance": trained.posterior_log_variance})
-        | described(trained.vectors)
+        | vector_tensors(trained.vectors)
         | prefixed("windows", {name: torch.from_numpy(array) for name, array in trained.windows.arrays().items()})
     )
     if trained.contacts is not None:
@@ -323,6 +323,6 @@ def _rebuild(tensors: Mapping[str, torch.Tensor], description: Mapping[str, Any]
         posterior_log_variance=tensors["posterior.log_variance"],
         windows=Windows(config.windows.max_duration_seconds, **arrays),
         store_fingerprint=str(description["store_fingerprint"]),
-        vectors=restored(config.pose_vectors, tensors),
+        vectors=vectors_of(config.pose_vectors, tensors),
         contacts=contacts,
     )

@@ -10,10 +10,9 @@ import torch
 from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22
-from motionkit.data.pose_vectors.convention import PoseVectors, VectorScaling, measure_scaling
-from motionkit.data.pose_vectors.field import FIELD_VECTORS
-from motionkit.data.poses import PoseBatch, WindowPoses
+from motionkit.data.poses import WindowPoses
 from motionkit.data.windows import PositionSource, Windows, cut_windows, rows_by_duration, shuffled_batches
+from motionkit.training.pose_vectors import PoseTensors, VectorScaling, measure_scaling, uniform_of
 from motionkit.training.precision import autocast, compile_each
 from motionkit.training.ranks import ALONE, DealtRows, Ranks
 from motionkit.training.schedule import scale_rates, seeded_initialisation, step_generator
@@ -62,13 +61,11 @@ class FieldTraining:
         codebook: Float[torch.Tensor, "codes dimension"] | None,
         seed: int,
         device: torch.device,
-        vectors: PoseVectors = FIELD_VECTORS,
         ranks: Ranks = ALONE,
     ) -> None:
         self.poses, self.config, self.seed, self.device = poses, config, seed, device
         self.scaling = measure_scaling(
             poses,
-            vectors,
             grouped=config.loss.scaling == "group",
             root_weight=config.loss.root_weight,
             centred_path=config.latents.has_path,
@@ -87,7 +84,7 @@ class FieldTraining:
             self.network.start_linear_path(self.components.mean, self.components.inverse())
         if config.compile:
             compile_each(self.network.layers)
-        self.visits = torch.from_numpy(rows_by_duration(poses.windows, config.clips.seconds_per_visit))
+        self.visits = rows_by_duration(poses.windows, config.clips.seconds_per_visit)
         self.steps = config.schedule.num_steps(len(self.visits))
         self.optimizer = torch.optim.AdamW(self._parameter_groups(), weight_decay=config.optimizer.weight_decay)
         self.mean = RowAdam(means.to(device), weight_decay=config.optimizer.weight_decay)
@@ -112,7 +109,8 @@ class FieldTraining:
     def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
         """One step on θ and on the latents of the batch."""
         config = self.config
-        windows = self.visits[shuffled_batches(len(self.visits), config.schedule.batch_size, step, self.seed)]
+        visits = shuffled_batches(len(self.visits), config.schedule.batch_size, step, self.seed)
+        windows = torch.from_numpy(self.visits[visits])
         mine = self.own.mine(windows)
         batch = self._draw(step, windows, mine, generator)
         distinct, which = torch.unique(windows[mine], return_inverse=True)
@@ -141,20 +139,20 @@ class FieldTraining:
         windows: Int64[torch.Tensor, "batch"],
         mine: Int64[torch.Tensor, "mine"],
         generator: torch.Generator,
-    ) -> PoseBatch:
+    ) -> PoseTensors:
         """The clips of a step: at one fixed framerate during warm-up, then at all native ones (or at `fixed_fps`)."""
         clips = self.config.clips
         warming_up = step < clips.warmup_fraction * self.steps and clips.fixed_fps is None
         batch = self.poses.draw(
-            windows,
+            windows.numpy(),
             clips.num_poses,
-            generator,
+            uniform_of(generator),
             contiguous=clips.contiguous,
             fps=Fraction(clips.warmup_fps) if warming_up else None,
             lowest_fps=clips.lowest_fps,
-            part=mine,
+            rows=mine.numpy(),
         )
-        return batch.to(self.device)
+        return PoseTensors.of(batch).to(self.device)
 
     def _update(
         self, step: int, rows: Int64[torch.Tensor, "rows"], mean: torch.Tensor, log_variance: torch.Tensor

@@ -10,9 +10,9 @@ import numpy as np
 import torch
 
 from motionkit.core.shapes import Float, Float32, Float64, Int64
-from motionkit.data.pose_vectors.convention import ROOT_PATH, VectorScaling
-from motionkit.data.poses import PoseBatch, WindowPoses
+from motionkit.data.poses import WindowPoses
 from motionkit.data.windows import chunks
+from motionkit.training.pose_vectors import ROOT_PATH, PoseTensors, VectorScaling
 from nerm.latents.knots import measured_heading, relative_to, ridge_knots
 from nerm.latents.local import LocalLatents
 
@@ -47,7 +47,7 @@ class LinearModel:
     components: PoseComponents
     ridge: float
 
-    def fit(self, batch: PoseBatch) -> Float32[torch.Tensor, "batch latent"]:
+    def fit(self, batch: PoseTensors) -> Float32[torch.Tensor, "batch latent"]:
         """Latents of windows from poses in order of time; the last pose is held beyond a window's end."""
         batch, counts = held(batch)
         path_knots, relative = _without_path(batch, counts, self.banks, self.scaling, self.ridge)
@@ -65,7 +65,7 @@ def measure_components(poses: WindowPoses, banks: LocalLatents, scaling: VectorS
     size = len(scaling.mean)
     count, total, outer = 0, torch.zeros(size).double(), torch.zeros(size, size).double()
     for rows in chunks(len(poses.windows), WINDOWS_AT_ONCE):
-        batch = poses.evenly(rows, TIMES_PER_WINDOW)
+        batch = PoseTensors.of(poses.evenly(rows, TIMES_PER_WINDOW))
         counts = torch.ones_like(batch.coordinates)
         vectors = _without_path(batch, counts, banks, scaling, ridge)[1].double().flatten(0, 1)
         count += len(vectors)
@@ -82,11 +82,14 @@ def fit_windows(
 ) -> Float32[torch.Tensor, "chosen latent"]:
     """Fit the latents of these windows."""
     return torch.cat(
-        [model.fit(poses.evenly(windows[rows], TIMES_PER_WINDOW)) for rows in chunks(len(windows), WINDOWS_AT_ONCE)]
+        [
+            model.fit(PoseTensors.of(poses.evenly(windows[rows], TIMES_PER_WINDOW)))
+            for rows in chunks(len(windows), WINDOWS_AT_ONCE)
+        ]
     )
 
 
-def held(batch: PoseBatch) -> tuple[PoseBatch, Float64[torch.Tensor, "batch times"]]:
+def held(batch: PoseTensors) -> tuple[PoseTensors, Float64[torch.Tensor, "batch times"]]:
     """Hold each window's last pose from its end to t = 1; returns the batch and the weight of each instant.
 
     Knots beyond a window's end then describe a body that stands still instead of being undetermined.
@@ -95,11 +98,11 @@ def held(batch: PoseBatch) -> tuple[PoseBatch, Float64[torch.Tensor, "batch time
     last = batch.vectors[:, -1:].expand(-1, HELD_TIMES, -1)
     counts = torch.cat((torch.ones_like(batch.coordinates), (grid > batch.coordinates[:, -1:]).double()), dim=1)
     coordinates = torch.cat((batch.coordinates, grid), dim=1)
-    return PoseBatch(batch.window, coordinates, batch.fps, torch.cat((batch.vectors, last), dim=1)), counts
+    return PoseTensors(batch.window, coordinates, batch.fps, torch.cat((batch.vectors, last), dim=1)), counts
 
 
 def _without_path(
-    batch: PoseBatch,
+    batch: PoseTensors,
     counts: Float64[torch.Tensor, "batch times"],
     banks: LocalLatents,
     scaling: VectorScaling,

@@ -7,9 +7,9 @@ import torch
 
 from motionkit.core.progress import warn
 from motionkit.core.shapes import Float32
-from motionkit.core.skeleton import SMPL22
-from motionkit.data.pose_vectors.convention import PoseVectors, training_vectors
-from motionkit.data.poses import FrameVectors, WindowPoses
+from motionkit.data.corpus import FrameValues, open_frames, training_vectors
+from motionkit.data.poses import WindowPoses
+from motionkit.features.convention import PoseVectors
 from motionkit.store.cache import PositionCache
 from motionkit.store.reader import Store
 from motionkit.training.loop import train_loop
@@ -41,12 +41,11 @@ def train_field(context: StageContext, config: NermConfig) -> None:
     for remark in remarks(source, windows, settings) if ranks.is_first else []:
         warn(remark)
     training = FieldTraining(
-        WindowPoses(source, windows, SMPL22.left_right_pairs, settings.clips.fixed_framerate, frames),
+        WindowPoses(windows, frames, settings.clips.fixed_framerate),
         settings,
         codebook=codes,
         seed=context.seed,
         device=device,
-        vectors=vectors,
         ranks=ranks,
     )
     with float32_products(settings.precision):
@@ -101,10 +100,10 @@ def check_field(context: StageContext, config: NermConfig) -> None:
     training_windows(source, config.field)
 
 
-def _corpus(store: Store, settings: FieldConfig) -> tuple[PoseVectors, PositionCache, FrameVectors]:
+def _corpus(store: Store, settings: FieldConfig) -> tuple[PoseVectors, PositionCache, FrameValues]:
     where = settings.where or None
     vectors = training_vectors(settings.pose_vectors, store, where)
-    return vectors, *vectors.open(store, where)
+    return vectors, *open_frames(vectors, store, where)
 
 
 def _codes(context: StageContext, settings: FieldConfig) -> Float32[torch.Tensor, "codes dimension"] | None:

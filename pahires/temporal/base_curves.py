@@ -12,7 +12,7 @@ import torch
 
 from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.core.skeleton import Skeleton
-from motionkit.features import rotation_rows
+from motionkit.features import rotations
 from motionkit.fields.interpolation import inner_rates
 from pahires.temporal.network import ObservedWindow
 from pahires.temporal.settings import Base
@@ -37,15 +37,19 @@ class WindowFrames:
     def of(cls, observed: Float32[np.ndarray, "batch frames numbers"], skeleton: Skeleton) -> "WindowFrames":
         """The coordinate frames of windows from their observed world rows."""
         middle = observed[:, (observed.shape[1] - 1) // 2]
-        return cls(rotation_rows.heading(middle, skeleton), middle[:, (0, 2)].astype(np.float64))
+        return cls(rotations.heading(middle, skeleton), middle[:, (0, 2)].astype(np.float64))
 
-    def enter(self, rows: Float32[np.ndarray, "batch frames numbers"]) -> Float32[np.ndarray, "batch frames numbers"]:
+    def to_window(
+        self, rows: Float32[np.ndarray, "batch frames numbers"]
+    ) -> Float32[np.ndarray, "batch frames numbers"]:
         """World → window."""
-        return rotation_rows.turned(rows, self.yaw, self.origin)
+        return rotations.to_window(rows, self.yaw, self.origin)
 
-    def leave(self, rows: Float32[np.ndarray, "batch frames numbers"]) -> Float32[np.ndarray, "batch frames numbers"]:
+    def to_world(
+        self, rows: Float32[np.ndarray, "batch frames numbers"]
+    ) -> Float32[np.ndarray, "batch frames numbers"]:
         """Window → world."""
-        return rotation_rows.turned_back(rows, self.yaw, self.origin)
+        return rotations.to_world(rows, self.yaw, self.origin)
 
 
 @dataclass(frozen=True, eq=False)

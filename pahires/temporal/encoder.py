@@ -14,7 +14,7 @@ import torch
 
 from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.features.rotation_rows import PoseRows, num_features, poses_of, rows_of_poses
+from motionkit.features.rotations import PoseRows, num_features, poses_of, rows_of_poses
 from motionkit.fields.joints import with_rotations
 from motionkit.fields.motion_field import (
     Observation,
@@ -138,12 +138,12 @@ class NetworkEncoder:
         device = scaling.mean.device
         start = observed_seconds[:, :1]
         asked = ObservedWindow(
-            frames=scaling.apply(torch.from_numpy(placed.enter(rows)).to(device)),
+            frames=scaling.apply(torch.from_numpy(placed.to_window(rows)).to(device)),
             times_seconds=torch.from_numpy((observed_seconds - start).astype(np.float32)).to(device),
             queries_seconds=torch.from_numpy((asked_seconds - start).astype(np.float32)).to(device),
             query_spacing_seconds=torch.full((len(rows),), trained.spacing_seconds, device=device),
         )
-        return placed.leave(scaling.invert(trained.predictor.smooth(asked)).cpu().numpy())
+        return placed.to_world(scaling.invert(trained.predictor.smooth(asked)).cpu().numpy())
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ import torch
 from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Bool, Float32, Float64, Int64
 from motionkit.data.takes import Takes
-from motionkit.features import rotation_rows
+from motionkit.features import rotations
 from pahires.temporal.base_curves import Scaling, WindowFrames, measure_scaling
 from pahires.temporal.network import ObservedWindow
 from pahires.temporal.settings import TaskSettings, TemporalSettings
@@ -162,7 +162,7 @@ class WindowSampler:
         rows = self.takes.read(take, native, stride, frames)
         if self.settings.mirrored:
             flip: Bool[np.ndarray, batch] = rng.random(batch) < 0.5
-            rows[flip] = rotation_rows.mirrored(rows[flip], self.takes.skeleton)
+            rows[flip] = rotations.mirrored(rows[flip], self.takes.skeleton)
         count = layout.observed.shape[1]
         return RawWindows(rows[:, :count], rows[:, count:], layout, self.takes.seconds_between(take, stride))
 
@@ -172,7 +172,7 @@ class WindowSampler:
         for _ in range(DRAWS_TO_MEASURE):
             raw = self.draw(rng, self.task(rng), WINDOWS_PER_DRAW)
             frames = WindowFrames.of(raw.observed, self.takes.skeleton)
-            found.append(frames.enter(np.concatenate((raw.observed[:, ::4], raw.targets[:, ::4]), axis=1)))
+            found.append(frames.to_window(np.concatenate((raw.observed[:, ::4], raw.targets[:, ::4]), axis=1)))
         return measure_scaling(np.concatenate([rows.reshape(-1, rows.shape[-1]) for rows in found]))
 
     def batch(self, rng: np.random.Generator, scaling: Scaling) -> TrainingBatch:
@@ -185,12 +185,12 @@ class WindowSampler:
         frames = WindowFrames.of(raw.observed, self.takes.skeleton)
         step = raw.seconds_between
         window = ObservedWindow(
-            frames=scaling.apply(torch.from_numpy(frames.enter(raw.observed))),
+            frames=scaling.apply(torch.from_numpy(frames.to_window(raw.observed))),
             times_seconds=torch.from_numpy((raw.layout.observed * step[:, None]).astype(np.float32)),
             queries_seconds=torch.from_numpy((raw.layout.asked * step[:, None]).astype(np.float32)),
             query_spacing_seconds=torch.from_numpy(step.astype(np.float32)),
         )
-        return TrainingBatch(window, scaling.apply(torch.from_numpy(frames.enter(raw.targets))), task)
+        return TrainingBatch(window, scaling.apply(torch.from_numpy(frames.to_window(raw.targets))), task)
 
     def _places(
         self, rng: np.random.Generator, span: Int64[np.ndarray, "batch"]

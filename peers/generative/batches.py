@@ -9,8 +9,9 @@ from torch import Tensor, nn
 
 from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Bool, Float, Float32, Int64
-from motionkit.data.pose_vectors.convention import PoseVectors, VectorScaling
+from motionkit.features.convention import PoseVectors
 from motionkit.features.layout import vector_layout
+from motionkit.training.pose_vectors import VectorScaling
 
 NO_ACTION = -1
 

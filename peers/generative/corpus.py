@@ -10,16 +10,13 @@ from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Float32, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.data.captions import actions_of_windows, captions_of_windows
-from motionkit.data.pose_vectors.convention import (
-    PoseVectors,
-    VectorScaling,
-    measure_scaling,
-    training_vectors,
-)
+from motionkit.data.corpus import open_frames, training_vectors
 from motionkit.data.poses import WindowPoses
 from motionkit.data.windows import Windows, cut_windows
+from motionkit.features.convention import PoseVectors
 from motionkit.store.cache import cache_root
 from motionkit.store.reader import Store
+from motionkit.training.pose_vectors import VectorScaling, measure_scaling
 from motionkit.training.text import TextEncoder, embed_texts, load_text_encoder
 from peers.generative.batches import NO_ACTION, Conditions, ConditionSizes, MotionBatch, frames_within
 from peers.generative.settings import ConditionsConfig, MotionsConfig, PeerConfig
@@ -64,7 +61,8 @@ class MotionCorpus:
         start = np.floor(chance[1].numpy() * (available - lengths + 1)).astype(np.int64)
         frames, made = self._seen_frames(lengths, generator)
         ticks = np.minimum(start[:, None] + frames.numpy(), self.last_tick[rows.numpy()][:, None])
-        vectors = self.scaling.apply(self.poses.at_rate(rows.numpy(), ticks, self.config.framerate).vectors)
+        drawn = self.poses.at_rate(rows.numpy(), ticks, self.config.framerate)
+        vectors = self.scaling.apply(torch.from_numpy(drawn.vectors))
         seen = frames_within(made, vectors.shape[1])
         return MotionBatch(vectors * seen[..., None], made, self._conditions(rows, chance[2:], drop), rows, frames)
 
@@ -95,7 +93,7 @@ def open_corpus(store: Store, config: PeerConfig, encoder: TextEncoder | None) -
     """Windows of the chosen sequences; raises `UsageError` if there are none, or none with the configured condition."""
     motions, conditions = config.motions, config.conditions
     vectors = training_vectors(motions.pose_vectors, store, motions.where or None)
-    source, frames = vectors.open(store, motions.where or None)
+    source, frames = open_frames(vectors, store, motions.where or None)
     windows = cut_windows(
         source,
         max_duration_seconds=motions.max_duration_seconds,
@@ -103,7 +101,7 @@ def open_corpus(store: Store, config: PeerConfig, encoder: TextEncoder | None) -
         min_duration_seconds=motions.min_seconds,
         mirror_pairs=SMPL22.left_right_pairs if motions.mirrored else None,
     )
-    poses = WindowPoses(source, windows, SMPL22.left_right_pairs, motions.framerate, frames)
+    poses = WindowPoses(windows, frames, motions.framerate)
     sequences = store.columns("captions", "action")
     captions = captions_of_windows(windows, sequences) if encoder is not None else [()] * len(windows)
     actions = actions_of_windows(windows, sequences) if conditions.kind == "action" else [""] * len(windows)
@@ -119,7 +117,7 @@ def open_corpus(store: Store, config: PeerConfig, encoder: TextEncoder | None) -
     return MotionCorpus(
         config=motions,
         vectors=vectors,
-        scaling=measure_scaling(poses, vectors, grouped=True),
+        scaling=measure_scaling(poses, grouped=True),
         poses=poses,
         last_tick=ticks,
         text=text,

@@ -10,10 +10,10 @@ import torch
 from torch import Tensor, nn
 
 from motionkit.core.shapes import Float, Float64
-from motionkit.data.pose_vectors.convention import VectorScaling, described, restored
 from motionkit.training.config import Schedule, from_plain, to_plain
 from motionkit.training.diffusion.settings import DiffusionConfig
 from motionkit.training.loop import train_loop
+from motionkit.training.pose_vectors import VectorScaling, vector_tensors, vectors_of
 from motionkit.training.precision import autocast, float32_products, resolve_device, with_precision_of
 from motionkit.training.run import RunError, RunFolder
 from motionkit.training.schedule import WeightAverage, dropout_from, seeded_initialisation, set_rate
@@ -167,7 +167,7 @@ def train_stage(peer: GenerativePeer, stage: PeerStage, context: StageContext, c
         "scaling.scale": corpus.scaling.scale,
         "durations": torch.from_numpy(corpus.windows.duration_seconds),
         "nothing": corpus.text[0],
-        **described(corpus.vectors),
+        **vector_tensors(corpus.vectors),
     }
     description = {
         "format": FORMAT,
@@ -229,7 +229,7 @@ def load_stage(run: RunFolder, peer: GenerativePeer, name: str, device: torch.de
     earlier = {each: load_stage(run, peer, each, where).network for each in stage.builds_on}
     with rebuilding(folder.model_path, name, tensors), seeded_initialisation(0, name):
         config = from_plain(stage.config_type, description["config"])
-        vectors = restored(config.motions.pose_vectors, tensors)
+        vectors = vectors_of(config.motions.pose_vectors, tensors)
         scaling = VectorScaling(tensors["scaling.mean"], tensors["scaling.scale"])
         space = PoseSpace(vectors, scaling, config.motions.framerate).to(where)
         actions = tuple(map(str, description["actions"]))

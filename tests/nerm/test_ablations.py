@@ -10,7 +10,7 @@ import torch
 from eval.tables.ablation_runs import ablate_command, run_name
 from eval.tables.parts import reported_figures
 from motionkit.core.errors import UsageError
-from motionkit.core.skeleton import SMPL22
+from motionkit.data.corpus import FrameValues
 from motionkit.data.poses import WindowPoses
 from motionkit.training.ablations import Variant
 from motionkit.training.config import apply_overrides, flatten, parse_override
@@ -49,7 +49,7 @@ def _settings(recipe: str, *changes: str) -> FieldConfig:
 def _training(config: FieldConfig, source: MemorySource | None = None) -> FieldTraining:
     source = source or analytic_source()
     windows = training_windows(source, config)
-    poses = WindowPoses(source, windows, SMPL22.left_right_pairs, config.clips.fixed_framerate)
+    poses = WindowPoses(windows, FrameValues.of_positions(source), config.clips.fixed_framerate)
     return FieldTraining(poses, config, codebook=CODES, seed=3, device=torch.device("cpu"))
 
 

@@ -9,12 +9,12 @@ import pytest
 import torch
 
 from motionkit.core.skeleton import SMPL22
-from motionkit.data.pose_vectors.joints import joints_of
-from motionkit.data.pose_vectors.rotations import RotationVectors, smpl_rig
+from motionkit.features.rotations import RotationVectors, smpl_rig
 from motionkit.fields.contact.legs import legs_of
 from motionkit.fields.motion_field import to_motion
 from motionkit.generate.constraints import Constraint
 from motionkit.training.diffusion.process import sample_ddim
+from motionkit.training.pose_vectors import joints_of
 from nerm.denoiser.constrained import Search
 from nerm.field.goals import ConstraintCost, FootSliding
 from tests.helpers.analytic import analytic_motion

@@ -9,6 +9,7 @@ from jaxtyping import Float32
 
 from motionkit.core.progress import ignore
 from motionkit.core.skeleton import SMPL22
+from motionkit.data.corpus import FrameValues
 from motionkit.data.poses import WindowPoses
 from motionkit.data.windows import cut_windows
 from motionkit.fields.assembly import Piece, assemble
@@ -62,7 +63,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> TrainedField:
     np.save(path, swinging_left())
     source = analytic_source()
     windows = cut_windows(source, max_duration_seconds=4.0)
-    poses = WindowPoses(source, windows, SMPL22.left_right_pairs)
+    poses = WindowPoses(windows, FrameValues.of_positions(source))
     field = FieldTraining(poses, CONFIG, codebook=None, seed=0, device=torch.device("cpu"))
     mean, log_variance = field.posteriors()
     network = field.network.eval().requires_grad_(False)
@@ -94,7 +95,7 @@ def test_a_mirrored_window_has_them_on_the_other_side(tmp_path: Path) -> None:
     np.save(tmp_path / "rows.npy", swinging_left())
     source = analytic_source()
     windows = cut_windows(source, max_duration_seconds=4.0, mirror_pairs=SMPL22.left_right_pairs)
-    poses = WindowPoses(source, windows, SMPL22.left_right_pairs)
+    poses = WindowPoses(windows, FrameValues.of_positions(source))
     field = FieldTraining(poses, CONFIG, codebook=None, seed=0, device=torch.device("cpu"))
     rows = RowFile.open(tmp_path / "rows.npy")
     training = ContactTraining(field.network, field.posteriors()[0], windows, rows, lambda z, _: z, seed=0)

@@ -7,10 +7,12 @@ import pytest
 import torch
 
 from motionkit.core.skeleton import SMPL22
-from motionkit.data.poses import PoseBatch, WindowPoses
+from motionkit.data.corpus import FrameValues
+from motionkit.data.poses import WindowPoses
 from motionkit.data.windows import cut_windows
 from motionkit.features import field as field_vectors
 from motionkit.training.config import apply_overrides
+from motionkit.training.pose_vectors import PoseTensors
 from motionkit.training.run import StageFolder
 from motionkit.training.schedule import step_generator
 from motionkit.training.tensors import CheckpointError, save_tensors
@@ -57,7 +59,7 @@ SMALL = apply_overrides(
 def _poses(config: FieldConfig = SMALL) -> WindowPoses:
     source = analytic_source()
     windows = cut_windows(source, max_duration_seconds=config.windows.max_duration_seconds)
-    return WindowPoses(source, windows, SMPL22.left_right_pairs)
+    return WindowPoses(windows, FrameValues.of_positions(source))
 
 
 def _training(config: FieldConfig = SMALL) -> FieldTraining:
@@ -119,18 +121,18 @@ def test_a_small_field_learns_analytic_motions_to_millimetres_at_every_framerate
 
 
 def test_encoding_by_optimisation_finds_a_training_window_again(trained: TrainedField) -> None:
-    batch = _poses().evenly(np.arange(4), 61)
+    batch = PoseTensors.of(_poses().evenly(np.arange(4), 61))
     latents = encode_by_optimisation(trained, batch)
     assert max(_error_mm(trained, latents[window], window, 120) for window in range(4)) < 5.0
 
 
 def test_a_latent_does_not_depend_on_the_windows_beside_it(trained: TrainedField) -> None:
-    batch = _poses().evenly(np.arange(4), 61)
+    batch = PoseTensors.of(_poses().evenly(np.arange(4), 61))
     # One is far from anything that was trained.
     batch = replace(batch, vectors=batch.vectors * torch.tensor([1.0, 1.0, 1.5, 1.0])[:, None, None])
     among, times = encode_by_optimisation(trained, batch), np.linspace(0.0, 4.0, 61)
     for row in (0, 1, 3):
-        alone = encode_by_optimisation(trained, PoseBatch(*(each[row : row + 1] for each in vars(batch).values())))
+        alone = encode_by_optimisation(trained, PoseTensors(*(each[row : row + 1] for each in vars(batch).values())))
         # A search amplifies rounding, which differs between sizes of a batch.
         torch.testing.assert_close(alone[0], among[row], atol=0.05, rtol=0.0)
         poses = (trained.decode(latents, times, FPS[4])[0] for latents in (alone, among[row : row + 1]))
@@ -159,7 +161,7 @@ def test_each_row_is_minimised_by_itself() -> None:
 
 
 def test_the_search_improves_on_its_start(trained: TrainedField) -> None:
-    batch = _poses().evenly(np.arange(4), 61)
+    batch = PoseTensors.of(_poses().evenly(np.arange(4), 61))
     found = [
         starting_latents(trained, batch),
         *(encode_by_optimisation(trained, batch, evaluations=n) for n in (4, 30)),
@@ -169,7 +171,7 @@ def test_the_search_improves_on_its_start(trained: TrainedField) -> None:
 
 
 def test_numbers_are_searched_in_units_of_their_effect(trained: TrainedField) -> None:
-    batch = _poses().evenly(np.arange(4), 61)
+    batch = PoseTensors.of(_poses().evenly(np.arange(4), 61))
     encoded = trained.network.encode_coordinates(batch.coordinates, batch.fps)
     start = starting_latents(trained, batch)
     effect = effect_of_numbers(trained, start, encoded, batch.fps)
@@ -326,7 +328,7 @@ def test_a_transformer_decoder_has_the_rate_of_attention() -> None:
 
 def test_a_linear_path_begins_as_the_ridge_fit() -> None:
     training = _training(apply_overrides(SMALL, ["decoder.linear_path=true"]))
-    batch = training.poses.evenly(np.arange(4), 50)
+    batch = PoseTensors.of(training.poses.evenly(np.arange(4), 50))
     with torch.no_grad():
         vectors = training.network(training.mean.table, batch.coordinates, batch.fps)
     assert float((vectors - training.scaling.apply(batch.vectors)).square().mean()) < 0.1

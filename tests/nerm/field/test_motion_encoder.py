@@ -11,6 +11,7 @@ import torch
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import KIT21, SMPL22
 from motionkit.core.timegrid import TimeGrid
+from motionkit.data.corpus import FrameValues
 from motionkit.data.poses import WindowPoses
 from motionkit.data.windows import cut_windows
 from motionkit.fields.completion import complete, observed_errors
@@ -31,7 +32,7 @@ def trained() -> TrainedField:
     """Trained on overlapping windows of one long motion, so that windows anywhere in it are known ground."""
     source = analytic_source(rates=(60,), seconds=SECONDS)
     windows = cut_windows(source, max_duration_seconds=SMALL.windows.max_duration_seconds, stride_seconds=0.5)
-    poses = WindowPoses(source, windows, SMPL22.left_right_pairs)
+    poses = WindowPoses(windows, FrameValues.of_positions(source))
     training = FieldTraining(poses, SMALL, codebook=None, seed=3, device=torch.device("cpu"))
     for step in range(training.steps):
         training.step(step, step_generator(3, "field", step))

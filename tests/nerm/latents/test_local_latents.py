@@ -5,11 +5,11 @@ import pytest
 import torch
 
 from motionkit.core.errors import UsageError
-from motionkit.core.skeleton import SMPL22
-from motionkit.data.pose_vectors.convention import measure_scaling
+from motionkit.data.corpus import FrameValues
 from motionkit.data.poses import WindowPoses
 from motionkit.data.windows import cut_windows
 from motionkit.training.config import apply_overrides
+from motionkit.training.pose_vectors import PoseTensors, measure_scaling
 from nerm.latents.knots import measured_heading, path_speed, placed, relative_to, turned
 from nerm.latents.linear_fit import LinearModel, held
 from nerm.latents.local import LocalLatents, local_latents
@@ -48,7 +48,7 @@ def _scaling(poses, config):
 
 
 def _poses(source: MemorySource, seconds: float = 4.0) -> WindowPoses:
-    return WindowPoses(source, cut_windows(source, max_duration_seconds=seconds), SMPL22.left_right_pairs)
+    return WindowPoses(cut_windows(source, max_duration_seconds=seconds), FrameValues.of_positions(source))
 
 
 def _circling(seconds: float = 4.0, fps: int = 60) -> MemorySource:
@@ -86,7 +86,7 @@ def test_somebody_who_walks_ahead_feels_forward_speed() -> None:
 
 
 def test_heading_goes_on_beyond_a_full_turn() -> None:
-    vectors = _poses(_circling()).evenly(np.array([0]), 100).vectors
+    vectors = PoseTensors.of(_poses(_circling()).evenly(np.array([0]), 100)).vectors
     heading = measured_heading(vectors)[0]
     expected = torch.linspace(0, 2 * np.pi * 1.3, 100, dtype=torch.float64)
     # The analytic body sways, so that the line through hips and shoulders turns a little too.
@@ -129,7 +129,7 @@ def test_what_is_described_is_what_is_read() -> None:
 
 
 def _reconstructed(model: LinearModel, poses: WindowPoses, latents: torch.Tensor) -> torch.Tensor:
-    batch = poses.evenly(np.arange(len(latents)), 90)
+    batch = PoseTensors.of(poses.evenly(np.arange(len(latents)), 90))
     weights = model.banks.weights(batch.coordinates.reshape(-1))
     reading = model.banks.read(latents, weights, torch.arange(batch.coordinates.numel()).view(len(latents), -1))
     components = reading.seen[..., : model.banks.num_components]
@@ -147,7 +147,7 @@ def test_the_linear_model_with_a_path_describes_somebody_who_walks_in_circles() 
     for config in (BANKED, apply_overrides(BANKED, ["latents.path_knots=0", f"latents.dimension={16 * 6 + 8 * 5}"])):
         model = linear_model(poses, _scaling(poses, config), config)
         assert model is not None
-        errors.append(float(_reconstructed(model, poses, model.fit(poses.evenly(np.array([0]), 128)))))
+        errors.append(float(_reconstructed(model, poses, model.fit(PoseTensors.of(poses.evenly(np.array([0]), 128))))))
     with_path, without = errors
     # Lengths of 66 numbers, in metres: 4 cm over 22 joints.
     assert with_path < 0.4
@@ -161,7 +161,7 @@ def test_what_a_short_window_does_not_reach_holds_its_last_pose() -> None:
     poses = _poses(source)
     model = linear_model(poses, _scaling(poses, BANKED), BANKED)
     assert model is not None
-    batch = poses.evenly(np.arange(4), 60)
+    batch = PoseTensors.of(poses.evenly(np.arange(4), 60))
     extended, counts = held(batch)
     assert counts[:, :60].eq(1).all()
     assert counts[:, 60:].sum(dim=1).tolist() == [64.0] * 4

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motionkit.core.skeleton import SMPL22
-from motionkit.features.rotation_rows import poses_of, rows_of_poses
+from motionkit.features.rotations import poses_of, rows_of_poses
 from motionkit.fields.interpolation import curve, rotation_curve
 from motionkit.fields.motion_field import Poses
 from pahires.temporal.base_curves import Scaling, interpolated, located, seconds_beyond

@@ -13,7 +13,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import KIT21, SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.data.takes import open_takes
-from motionkit.features.rotation_rows import rows_of_poses
+from motionkit.features.rotations import rows_of_poses
 from motionkit.fields.completion import observed_errors
 from motionkit.fields.motion_field import (
     BatchEncoder,

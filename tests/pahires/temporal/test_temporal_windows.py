@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from motionkit.core.errors import UsageError
 from motionkit.data.takes import Takes, open_takes
-from motionkit.features.rotation_rows import rotation_rows
+from motionkit.features.rotations import rotation_rows
 from motionkit.store.reader import Store
 from motionkit.training.config import apply_overrides
 from pahires.temporal.base_curves import WindowFrames, measure_scaling
@@ -133,13 +133,13 @@ def test_windows_longer_than_every_take_are_refused(store: Store) -> None:
 def test_a_window_does_not_depend_on_where_it_happened() -> None:
     rng = np.random.default_rng(5)
     from motionkit.core.skeleton import SMPL22
-    from motionkit.features import rotation_rows as rows
+    from motionkit.features import rotations as rows
 
     q = rng.normal(size=(3, 7, 22, 4))
     columns = rows.two_columns(q / np.linalg.norm(q, axis=-1, keepdims=True))
     here = np.concatenate((rng.normal(size=(3, 7, 3)), columns), axis=-1).astype(np.float32)
     there = rows.turned_back(here, np.array([1.0, -2.0, 3.0]), rng.normal(size=(3, 2)))
-    inside = [WindowFrames.of(each, SMPL22).enter(each) for each in (here, there)]
+    inside = [WindowFrames.of(each, SMPL22).to_window(each) for each in (here, there)]
     np.testing.assert_allclose(inside[0], inside[1], atol=1e-5)
 
 

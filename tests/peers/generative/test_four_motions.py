@@ -11,11 +11,11 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from motionkit.data.pose_vectors.convention import VectorScaling
-from motionkit.data.pose_vectors.field import FIELD_VECTORS
-from motionkit.data.pose_vectors.native import NativeVectors
 from motionkit.features import field, native
+from motionkit.features.field import FIELD_VECTORS
+from motionkit.features.native import NativeVectors
 from motionkit.training.diffusion.settings import DiffusionConfig
+from motionkit.training.pose_vectors import VectorScaling
 from motionkit.training.schedule import dropout_from, step_generator
 from peers.generative.batches import NO_ACTION, Conditions, ConditionSizes, MotionBatch, PoseSpace, SampleBatch
 from peers.generative.networks.nemf import Nemf

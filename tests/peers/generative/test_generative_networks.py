@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from motionkit.data.pose_vectors.convention import VectorScaling
-from motionkit.data.pose_vectors.native import NativeVectors
 from motionkit.features import native
+from motionkit.features.native import NativeVectors
 from motionkit.training.diffusion.settings import DiffusionConfig, Prediction
+from motionkit.training.pose_vectors import VectorScaling
 from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, SampleBatch
 from peers.generative.networks.layers import diffusion_loss, diffusion_sample, noised, reparameterized
 from peers.generative.networks.mdm import Mdm

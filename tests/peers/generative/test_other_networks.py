@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from motionkit.core.errors import UsageError
-from motionkit.data.pose_vectors.field import FIELD_VECTORS
 from motionkit.features import field
+from motionkit.features.field import FIELD_VECTORS
 from peers.generative.batches import NO_ACTION, ConditionSizes, MotionBatch, PoseSpace
 from peers.generative.networks.actor import Actor
 from peers.generative.networks.camdm import Camdm

@@ -2,13 +2,13 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from motionkit.core.errors import UsageError
 from motionkit.core.mirror import mirror_positions
 from motionkit.core.skeleton import SMPL22
+from motionkit.data.corpus import FrameValues
 from motionkit.data.poses import WindowPoses
 from motionkit.data.windows import PositionSource, cut_windows, rows_by_duration, shuffled_batches
 from motionkit.features import field
@@ -79,7 +79,7 @@ def test_windows_cover_their_sequences_and_never_leave_them(
 
 def test_a_window_of_l_max_spans_the_whole_domain(source: MemorySource) -> None:
     windows = cut_windows(source, max_duration_seconds=10.0)
-    poses = WindowPoses(source, windows, PAIRS)
+    poses = WindowPoses(windows, FrameValues.of_positions(source))
     long = int(np.argmax(windows.num_frames))
     assert windows.num_frames[long] == 1201
     batch = poses.at_frames(np.array([long]), np.array([[0, 600, 1200]]))
@@ -88,49 +88,47 @@ def test_a_window_of_l_max_spans_the_whole_domain(source: MemorySource) -> None:
 
 
 def test_coordinates_are_the_frames_seconds_in_the_window(source: MemorySource) -> None:
-    poses = WindowPoses(source, cut_windows(source, max_duration_seconds=10.0), PAIRS)
+    poses = WindowPoses(cut_windows(source, max_duration_seconds=10.0), FrameValues.of_positions(source))
     frames = np.arange(30, 46)
     batch = poses.at_frames(np.array([0]), frames[None])
-    np.testing.assert_allclose(batch.coordinates[0].numpy(), frames / 120 / 5.0 - 1.0, atol=1e-12)
+    np.testing.assert_allclose(batch.coordinates[0], frames / 120 / 5.0 - 1.0, atol=1e-12)
 
 
 def test_vectors_are_those_of_the_window_s_frame(source: MemorySource) -> None:
     windows = cut_windows(source, max_duration_seconds=4.0, stride_seconds=1.0, mirror_pairs=PAIRS)
-    poses = WindowPoses(source, windows, PAIRS)
+    poses = WindowPoses(windows, FrameValues.of_positions(source))
     rows = np.arange(len(windows))
-    first = field.decode(poses.at_frames(rows, np.zeros((len(rows), 1), dtype=np.int64)).vectors.numpy())[:, 0]
+    first = field.decode(poses.at_frames(rows, np.zeros((len(rows), 1), dtype=np.int64)).vectors)[:, 0]
     np.testing.assert_allclose(first[:, 0, (0, 2)], 0.0, atol=1e-5)
     np.testing.assert_allclose(field.heading(first), 0.0, atol=1e-5)
     row = 3
     start = windows.start_row[row]
     world = source.positions[start : start + 5][None]
     expected = field.encode(world, windows.yaw[row : row + 1], windows.origin[row : row + 1])
-    np.testing.assert_array_equal(poses.at_frames(np.array([row]), np.arange(5)[None]).vectors.numpy(), expected)
+    np.testing.assert_array_equal(poses.at_frames(np.array([row]), np.arange(5)[None]).vectors, expected)
 
 
 def test_mirrored_windows_follow_their_originals(source: MemorySource) -> None:
     windows = cut_windows(source, max_duration_seconds=4.0, mirror_pairs=PAIRS)
     half = len(windows) // 2
     assert windows.mirrored.tolist() == [False] * half + [True] * half
-    poses = WindowPoses(source, windows, PAIRS)
-    frames = np.array([[0, 7]])
-    original = poses.positions(np.array([1]), frames)
-    mirrored = poses.positions(np.array([1 + half]), frames)
+    row = windows.start_row[[1, 1 + half], None] + np.array([0, 7])
+    original, mirrored = FrameValues.of_positions(source).gather(row, windows.mirrored[[1, 1 + half]])
     np.testing.assert_array_equal(mirror_positions(mirrored, PAIRS), original)
-    assert mirrored[0, 0, 1, 0] == -original[0, 0, 2, 0]
+    assert mirrored[0, 1, 0] == -original[0, 2, 0]
 
 
 def test_a_fixed_rate_hits_native_frames_where_it_can_and_interpolates_elsewhere(source: MemorySource) -> None:
-    poses = WindowPoses(source, cut_windows(source, max_duration_seconds=10.0), PAIRS)
+    poses = WindowPoses(cut_windows(source, max_duration_seconds=10.0), FrameValues.of_positions(source))
     fast = poses.at_rate(np.array([0]), np.arange(5)[None], Fraction(20))
     native = poses.at_frames(np.array([0]), 6 * np.arange(5)[None])
-    torch.testing.assert_close(fast.vectors, native.vectors)
-    torch.testing.assert_close(fast.coordinates, native.coordinates)
+    np.testing.assert_allclose(fast.vectors, native.vectors, rtol=1e-6)
+    np.testing.assert_allclose(fast.coordinates, native.coordinates)
     assert fast.fps.tolist() == [20.0]
     thirty = int(np.flatnonzero(poses.windows.fps == 30)[0])
     between = poses.at_rate(np.array([thirty]), np.array([[1]]), Fraction(20)).vectors
     neighbours = poses.at_frames(np.array([thirty]), np.array([[1, 2]])).vectors
-    torch.testing.assert_close(between, neighbours.mean(1, keepdim=True))
+    np.testing.assert_allclose(between, neighbours.mean(axis=1, keepdims=True), atol=1e-6)
 
 
 @pytest.mark.parametrize("contiguous", [True, False])
@@ -139,40 +137,40 @@ def test_draws_stay_inside_and_depend_on_the_generator_alone(
     source: MemorySource, contiguous: bool, fps: Fraction | None
 ) -> None:
     windows = cut_windows(source, max_duration_seconds=10.0)
-    poses = WindowPoses(source, windows, PAIRS)
-    rows = torch.arange(len(windows)).repeat(20)
+    poses = WindowPoses(windows, FrameValues.of_positions(source))
+    rows = np.tile(np.arange(len(windows)), 20)
 
-    def draw() -> torch.Tensor:
-        return poses.draw(rows, 16, torch.Generator().manual_seed(1), contiguous=contiguous, fps=fps).coordinates
+    def draw() -> np.ndarray:
+        uniform = np.random.default_rng(1).random
+        return poses.draw(rows, 16, lambda *shape: uniform(shape), contiguous=contiguous, fps=fps).coordinates
 
     coordinates = draw()
-    assert torch.equal(coordinates, draw())
+    np.testing.assert_array_equal(coordinates, draw())
     seconds = (coordinates + 1) * 5
-    assert (seconds <= torch.from_numpy(windows.duration_seconds)[rows][:, None] + 1e-6).all()
-    steps = torch.diff(seconds, dim=1)
-    rate = torch.from_numpy(windows.fps)[rows][:, None] if fps is None else torch.tensor(float(fps))
+    assert (seconds <= windows.duration_seconds[rows][:, None] + 1e-6).all()
+    steps = np.diff(seconds, axis=1)
     if contiguous:
-        torch.testing.assert_close(steps, (1.0 / rate).expand_as(steps).double())
+        rate = windows.fps[rows][:, None] if fps is None else float(fps)
+        np.testing.assert_allclose(steps, np.broadcast_to(1.0 / rate, steps.shape), atol=1e-9)
     else:
         assert (steps < 0).any()
 
 
 def test_random_framerates_are_whole_fractions_of_the_native_one(source: MemorySource) -> None:
     windows = cut_windows(source, max_duration_seconds=10.0)
-    poses = WindowPoses(source, windows, PAIRS)
-    rows = torch.zeros(200, dtype=torch.int64)
-    batch = poses.draw(rows, 3, torch.Generator().manual_seed(2), contiguous=False, lowest_fps=20.0)
+    poses = WindowPoses(windows, FrameValues.of_positions(source))
+    uniform = np.random.default_rng(2).random
+    batch = poses.draw(np.zeros(200, np.int64), 3, lambda *shape: uniform(shape), contiguous=False, lowest_fps=20.0)
     assert set(batch.fps.tolist()) == {120.0, 60.0, 40.0, 30.0, 24.0, 20.0}
     ticks = (batch.coordinates + 1) * 5 * batch.fps[:, None]
-    torch.testing.assert_close(ticks, ticks.round(), atol=1e-6, rtol=0)
+    np.testing.assert_allclose(ticks, ticks.round(), atol=1e-6)
 
 
 def test_a_clip_longer_than_its_window_repeats_the_last_pose() -> None:
     source = make_source([20], [Fraction(30)])
-    poses = WindowPoses(source, cut_windows(source, max_duration_seconds=10.0), PAIRS)
-    rows = torch.zeros(1, dtype=torch.int64)
-    batch = poses.draw(rows, 32, torch.Generator().manual_seed(0), contiguous=True)
-    assert torch.equal(batch.vectors[0, 19:], batch.vectors[0, 19:20].expand(13, -1))
+    poses = WindowPoses(cut_windows(source, max_duration_seconds=10.0), FrameValues.of_positions(source))
+    batch = poses.draw(np.zeros(1, np.int64), 32, lambda *shape: np.zeros(shape), contiguous=True)
+    np.testing.assert_array_equal(batch.vectors[0, 19:], np.tile(batch.vectors[0, 19], (13, 1)))
 
 
 def test_windows_are_visited_by_their_duration(source: MemorySource) -> None:
@@ -185,7 +183,7 @@ def test_windows_are_visited_by_their_duration(source: MemorySource) -> None:
 @given(count=st.integers(1, 50), batch=st.integers(1, 70), seed=st.integers(0, 5))
 def test_batches_go_through_all_rows_before_any_comes_back(count: int, batch: int, seed: int) -> None:
     num_batches = -(-3 * count // batch)
-    stream = torch.cat([shuffled_batches(count, batch, step, seed) for step in range(num_batches)])[: 3 * count]
+    stream = np.concatenate([shuffled_batches(count, batch, step, seed) for step in range(num_batches)])[: 3 * count]
     for epoch in stream.reshape(3, count):
         assert sorted(epoch.tolist()) == list(range(count))
 

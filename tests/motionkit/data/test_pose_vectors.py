@@ -11,14 +11,16 @@ from motionkit.core import kinematics
 from motionkit.core.errors import UsageError
 from motionkit.core.mirror import mirror_positions
 from motionkit.core.skeleton import SMPL22
-from motionkit.data.pose_vectors.convention import PoseVectors, training_vectors
-from motionkit.data.pose_vectors.native import NativeVectors
-from motionkit.data.pose_vectors.rotations import RotationVectors, smpl_rig, training_rig, with_rotations
+from motionkit.data.corpus import open_frames, training_rig, training_vectors, with_rotations
 from motionkit.data.poses import WindowPoses
 from motionkit.data.reconstruction import window_truth
 from motionkit.data.windows import cut_windows
 from motionkit.features import field, native
+from motionkit.features.field import FIELD_VECTORS
+from motionkit.features.native import NativeVectors
+from motionkit.features.rotations import RotationVectors, smpl_rig
 from motionkit.fields.motion_field import to_motion
+from motionkit.store.cache import PositionCache
 from motionkit.store.reader import Store
 from motionkit.store.writer import StoreWriter
 from motionkit.training.config import apply_overrides
@@ -49,26 +51,24 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     return Store.open(path)
 
 
-def _opened(store: Store, name: str, *, mirrored: bool = False) -> tuple[PoseVectors, WindowPoses]:
-    vectors = training_vectors(name, store, None)  # type: ignore[arg-type]
-    cache, frames = vectors.open(store, None)
-    pairs = SMPL22.left_right_pairs
-    windows = cut_windows(cache, max_duration_seconds=4.0, mirror_pairs=pairs if mirrored else None)
-    return vectors, WindowPoses(cache, windows, pairs, frames=frames)
+def _opened(store: Store, name: str, *, mirrored: bool = False) -> tuple[PositionCache, WindowPoses]:
+    cache, frames = open_frames(training_vectors(name, store, None), store, None)  # type: ignore[arg-type]
+    pairs = SMPL22.left_right_pairs if mirrored else None
+    return cache, WindowPoses(cut_windows(cache, max_duration_seconds=4.0, mirror_pairs=pairs), frames)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_what_is_encoded_comes_back_in_the_window_s_frame(store: Store, name: str) -> None:
-    vectors, poses = _opened(store, name, mirrored=True)
-    windows = poses.windows
+    cache, poses = _opened(store, name, mirrored=True)
+    windows, vectors = poses.windows, poses.frames.vectors
     assert len(windows) == 2 * (3 if name == "rotations" else 4)
     for row in range(len(windows)):
         count = int(windows.num_frames[row])
         batch = poses.at_frames(np.array([row]), np.arange(count)[None])
         assert batch.vectors.shape == (1, count, vectors.num_features)
         seconds = np.arange(count) / windows.fps[row]
-        decoded = vectors.decode(batch.vectors[0].numpy(), seconds, seconds)
-        truth = window_truth(poses.source, windows, row, windows.exact_fps(row))
+        decoded = vectors.decode(batch.vectors[0], seconds, seconds)
+        truth = window_truth(cache, windows, row, windows.exact_fps(row))
         apart = np.linalg.norm(decoded.joint_positions - truth, axis=-1)
         # A body that is not symmetric has no mirror image on its own bones.
         allowed = 14.0 if name == "rotations" and windows.mirrored[row] else TOLERANCE_MM[name]
@@ -77,13 +77,14 @@ def test_what_is_encoded_comes_back_in_the_window_s_frame(store: Store, name: st
 
 @pytest.mark.parametrize("name", NAMES)
 def test_between_frames_poses_lie_between(store: Store, name: str) -> None:
-    vectors, poses = _opened(store, name)
-    row = np.array([0])
+    cache, poses = _opened(store, name)
+    vectors, row = poses.frames.vectors, np.array([0])
     ticks = np.arange(0, 170)[None]
     batch = poses.at_rate(row, ticks, Fraction(45))
     seconds = ticks[0] / 45
-    decoded = vectors.decode(batch.vectors[0].numpy(), seconds, seconds).joint_positions
-    native_frames = poses.positions(row, np.arange(int(poses.windows.num_frames[0]))[None])
+    decoded = vectors.decode(batch.vectors[0], seconds, seconds).joint_positions
+    start, count = int(poses.windows.start_row[0]), int(poses.windows.num_frames[0])
+    native_frames = cache.positions[None, start : start + count]
     world = np.stack(
         [
             [np.interp(seconds, np.arange(native_frames.shape[1]) / 60, native_frames[0, :, j, c]) for c in range(3)]
@@ -133,11 +134,12 @@ class TestNative:
 
 class TestRotations:
     def test_decoded_poses_have_the_rotations_that_were_captured(self, store: Store) -> None:
-        vectors, poses = _opened(store, "rotations")
+        _, poses = _opened(store, "rotations")
+        vectors = poses.frames.vectors
         motion = store.read("m0")
         batch = poses.at_frames(np.array([0]), np.arange(50)[None])
         seconds = np.arange(50) / 60
-        decoded = vectors.decode(batch.vectors[0].numpy(), seconds, seconds)
+        decoded = vectors.decode(batch.vectors[0], seconds, seconds)
         assert decoded.local_rotations is not None
         assert motion.local_rotations is not None
         dot = np.abs(np.sum(decoded.local_rotations[:, 1:] * motion.local_rotations[:50, 1:], axis=-1))
@@ -184,15 +186,15 @@ class TestRotations:
 @pytest.mark.parametrize("name", NAMES)
 def test_a_rank_without_a_window_in_the_batch_has_nothing_to_encode(store: Store, name: str) -> None:
     vectors = training_vectors(name, store, None)
-    _, frames = vectors.open(store, None)
+    _, frames = open_frames(vectors, store, None)
     nothing = frames.gather(np.zeros((0, 8), np.int64), np.zeros(0, np.bool_))
-    between = frames.between(nothing, nothing, np.zeros((0, 8), np.float32))
-    encoded = frames.encode(between, np.zeros(0, np.float32), np.zeros((0, 2), np.float32))
+    between = vectors.between(nothing, nothing, np.zeros((0, 8), np.float32))
+    encoded = vectors.encode(between, np.zeros(0, np.float32), np.zeros((0, 2), np.float32))
     assert encoded.shape == (0, 8, vectors.num_features)
 
 
 def test_rows_of_a_cache_are_computed_once(store: Store) -> None:
-    cache, _ = training_vectors("field", store, None).open(store, None)
+    cache, _ = open_frames(FIELD_VECTORS, store, None)
     made = cache.derived_rows("sums", 1, lambda: (cache.sequence_positions(n).sum((1, 2))[:, None] for n in range(4)))
 
     def not_again() -> None:
@@ -231,7 +233,7 @@ def test_a_field_of_each_convention_trains_saves_and_decodes(store: Store, name:
     config = apply_overrides(nano(), [*TINY, f"field.pose_vectors={name}"])
     train_field(StageContext(store.path, RunFolder(tmp_path / "run"), "nano", device="cpu"), config)
     trained = load_field(tmp_path / "run")
-    cache, frames = trained.vectors.open(store, None)
+    cache, frames = open_frames(trained.vectors, store, None)
     windows = trained.windows
     times = np.linspace(0.0, 3.5, 36)
     truth = window_truth(cache, windows, 0, Fraction(60))[np.round(times * 60).astype(int)]
@@ -245,6 +247,6 @@ def test_a_field_of_each_convention_trains_saves_and_decodes(store: Store, name:
     poses = motion_field.at_fps(Fraction(60)).query(times[[20, 3]])
     assert (poses.local_rotations is not None) == (name == "rotations")
     np.testing.assert_allclose(poses.joint_positions[:, :22], found[0, [20, 3]], atol=2e-3)
-    latents = encode_windows(trained, cache, windows.select(np.array([0])), frames)
+    latents = encode_windows(trained, windows.select(np.array([0])), frames)
     again = trained.decode(latents, times, Fraction(60))[0]
     assert np.linalg.norm(again - truth, axis=-1).mean() < 0.6 * standing

@@ -13,7 +13,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, rest_positions
 from motionkit.core.timegrid import TimeGrid
-from motionkit.features import rotation_rows
+from motionkit.features import rotations
 from motionkit.features.field import heading as heading_of_positions
 from motionkit.fields.motion_field import Poses
 from tests.helpers.nerm_corpus import analytic_positions
@@ -32,13 +32,13 @@ def moving(num_frames: int = 30) -> Motion:
 @given(seed=st.integers(0, 2**31))
 def test_columns_and_rotations_are_inverse(seed: int) -> None:
     q = random_rotations(seed, 5, 22)
-    matrices = kinematics.closest_rotations(rotation_rows.two_columns(q))
+    matrices = kinematics.closest_rotations(rotations.two_columns(q))
     np.testing.assert_allclose(matrices, kinematics.quaternion_to_matrix(q), atol=1e-12)
 
 
 @given(seed=st.integers(0, 2**31), scale=st.floats(1e-3, 1e3))
 def test_columns_of_any_length_give_the_same_rotation(seed: int, scale: float) -> None:
-    columns = rotation_rows.two_columns(random_rotations(seed, 3, 4)).reshape(3, 4, 2, 3)
+    columns = rotations.two_columns(random_rotations(seed, 3, 4)).reshape(3, 4, 2, 3)
     stretched = columns * np.array([scale, 1 / scale])[:, None]
     stretched[..., 1, :] += 0.3 * stretched[..., 0, :] / scale  # leaning towards the first changes nothing either
     found = kinematics.closest_rotations(stretched.reshape(3, 24))
@@ -54,7 +54,7 @@ def test_columns_without_direction_still_give_rotations(columns: np.ndarray) -> 
 
 def test_positions_without_rotations_come_back_exactly() -> None:
     motion = moving()
-    found = rotation_rows.rotation_rows(motion)
+    found = rotations.rotation_rows(motion)
     assert found.vectors.shape == (30, 135) and found.skeleton == SMPL22
     np.testing.assert_allclose(found.poses().joint_positions, motion.joint_positions, atol=2e-6)
 
@@ -64,7 +64,7 @@ def test_true_rotations_are_kept() -> None:
     root = np.random.default_rng(2).normal(size=(8, 3)).astype(np.float32)
     positions = kinematics.forward_kinematics(q, root, SMPL22)
     motion = Motion(positions, SMPL22, TimeGrid(Fraction(30), 8), local_rotations=q, root_translation=root)
-    poses = rotation_rows.rotation_rows(motion).poses()
+    poses = rotations.rotation_rows(motion).poses()
     assert poses.local_rotations is not None
     np.testing.assert_allclose(np.abs(np.sum(poses.local_rotations * q, axis=-1)), 1.0, atol=1e-5)
     np.testing.assert_allclose(poses.joint_positions, positions, atol=5e-6)
@@ -73,33 +73,33 @@ def test_true_rotations_are_kept() -> None:
 def test_other_skeletons_keep_their_joints_or_are_mapped() -> None:
     grid = TimeGrid(Fraction(30), 2)
     still = np.repeat(rest_positions(KIT21)[None], 2, axis=0)
-    assert rotation_rows.rows_of_poses(Poses(still), KIT21).vectors.shape == (2, 3 + 6 * 21)
+    assert rotations.rows_of_poses(Poses(still), KIT21).vectors.shape == (2, 3 + 6 * 21)
     unknown = Skeleton("two", ("a", "b"), (-1, 0), np.zeros((2, 3), np.float32))
     with pytest.raises(SkeletonMapError):
-        rotation_rows.rotation_rows(Motion(still[:, :2], unknown, grid))
+        rotations.rotation_rows(Motion(still[:, :2], unknown, grid))
 
 
 @given(seed=st.integers(0, 2**31))
 def test_world_and_window_are_inverse_and_turn_the_heading(seed: int) -> None:
     rng = np.random.default_rng(seed)
     vectors = np.concatenate(
-        (rng.normal(size=(2, 7, 3)), rotation_rows.two_columns(random_rotations(seed, 2, 7, 22))), axis=-1
+        (rng.normal(size=(2, 7, 3)), rotations.two_columns(random_rotations(seed, 2, 7, 22))), axis=-1
     )
     vectors = vectors.astype(np.float32)
     yaw, origin = rng.uniform(-3, 3, 2), rng.normal(size=(2, 2))
-    inside = rotation_rows.turned(vectors, yaw, origin)
-    np.testing.assert_allclose(rotation_rows.turned_back(inside, yaw, origin), vectors, atol=2e-6)
-    change = rotation_rows.heading(inside) - (rotation_rows.heading(vectors) - yaw[:, None])
+    inside = rotations.to_window(vectors, yaw, origin)
+    np.testing.assert_allclose(rotations.to_world(inside, yaw, origin), vectors, atol=2e-6)
+    change = rotations.heading(inside) - (rotations.heading(vectors) - yaw[:, None])
     np.testing.assert_allclose(np.cos(change), 1.0, atol=1e-5)
     # Heights and the joints below the root do not change.
     np.testing.assert_array_equal(inside[..., [1, *range(9, 135)]], vectors[..., [1, *range(9, 135)]])
 
 
 def test_turned_rows_are_turned_poses() -> None:
-    found = rotation_rows.rotation_rows(moving())
+    found = rotations.rotation_rows(moving())
     yaw, origin = np.array([0.7]), np.array([[1.0, -2.0]])
-    inside = rotation_rows.poses_of(
-        rotation_rows.turned(found.vectors[None], yaw, origin)[0], found.bones, SMPL22
+    inside = rotations.poses_of(
+        rotations.to_window(found.vectors[None], yaw, origin)[0], found.bones, SMPL22
     ).joint_positions
     from motionkit.features.field import to_window
 
@@ -108,7 +108,7 @@ def test_turned_rows_are_turned_poses() -> None:
 
 def test_heading_is_that_of_the_hips() -> None:
     motion = moving()
-    turned = rotation_rows.heading(rotation_rows.rotation_rows(motion).vectors)
+    turned = rotations.heading(rotations.rotation_rows(motion).vectors)
     np.testing.assert_allclose(turned, heading_of_positions(motion.joint_positions), atol=0.1)
 
 
@@ -117,7 +117,7 @@ def test_mirrored_rows_are_the_mirrored_motion() -> None:
     root = np.random.default_rng(4).normal(size=(6, 3)).astype(np.float32)
     positions = kinematics.forward_kinematics(q, root, SMPL22)
     motion = Motion(positions, SMPL22, TimeGrid(Fraction(30), 6), local_rotations=q, root_translation=root)
-    expected = rotation_rows.rotation_rows(mirror(motion)).vectors
-    vectors = rotation_rows.rotation_rows(motion).vectors
-    np.testing.assert_allclose(rotation_rows.mirrored(vectors), expected, atol=1e-6)
-    np.testing.assert_array_equal(rotation_rows.mirrored(rotation_rows.mirrored(vectors)), vectors)
+    expected = rotations.rotation_rows(mirror(motion)).vectors
+    vectors = rotations.rotation_rows(motion).vectors
+    np.testing.assert_allclose(rotations.mirrored(vectors), expected, atol=1e-6)
+    np.testing.assert_array_equal(rotations.mirrored(rotations.mirrored(vectors)), vectors)

@@ -1,0 +1,70 @@
+"""The interface of pose vector conventions that models learn: `field`, `native` and `rotations`.
+
+A convention is a frozen value with a size, the way from what is kept of each frame of a corpus (its `values`) to
+vectors in a window's frame, and the way from vectors to poses. `motionkit.data.poses` gathers values of a store.
+"""
+
+from typing import Literal, Protocol, runtime_checkable
+
+import numpy as np
+
+from motionkit.core.shapes import Float32, Float64
+from motionkit.core.skeleton import Skeleton
+from motionkit.fields.motion_field import Poses
+
+PoseVectorsName = Literal["field", "native", "rotations"]
+
+
+@runtime_checkable
+class PoseVectors(Protocol):
+    """A convention of pose vectors for a skeleton. `values` are arrays with what is kept of one frame in each row."""
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The skeleton of decoded poses; its first 22 joints are the 22-joint layout's."""
+        ...
+
+    @property
+    def num_features(self) -> int:
+        """Numbers per pose."""
+        ...
+
+    @property
+    def groups(self) -> tuple[tuple[int, ...], ...]:
+        """Groups of numbers that may share a scale; each number is in one group, the path in the first."""
+        ...
+
+    def mirror(self, values: Float32[np.ndarray, "*frames_and_row"]) -> Float32[np.ndarray, "*frames_and_row"]:
+        """The values of the mirrored motion."""
+        ...
+
+    def between(
+        self,
+        before: Float32[np.ndarray, "windows poses *row"],
+        after: Float32[np.ndarray, "windows poses *row"],
+        weight: Float32[np.ndarray, "windows poses"],
+    ) -> Float32[np.ndarray, "windows poses *row"]:
+        """Interpolate between the values of two frames."""
+        ...
+
+    def encode(
+        self,
+        values: Float32[np.ndarray, "windows poses *row"],
+        yaw: Float32[np.ndarray, "windows"],
+        origin: Float32[np.ndarray, "windows 2"],
+    ) -> Float32[np.ndarray, "windows poses features"]:
+        """Pose vectors in the frames of windows: yaw in radians, origin (x, z) in metres."""
+        ...
+
+    def instants(self, seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "instants"]:
+        """The ascending instants at which decoding needs vectors: `seconds`, or more than those."""
+        ...
+
+    def decode(
+        self,
+        vectors: Float32[np.ndarray, "instants features"],
+        instants: Float64[np.ndarray, "instants"],
+        seconds: Float64[np.ndarray, "times"],
+    ) -> Poses:
+        """Poses at `seconds` in the window's frame, from vectors at `instants(seconds)`."""
+        ...
