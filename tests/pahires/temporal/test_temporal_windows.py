@@ -138,7 +138,7 @@ def test_a_window_does_not_depend_on_where_it_happened() -> None:
     q = rng.normal(size=(3, 7, 22, 4))
     columns = rows.two_columns(q / np.linalg.norm(q, axis=-1, keepdims=True))
     here = np.concatenate((rng.normal(size=(3, 7, 3)), columns), axis=-1).astype(np.float32)
-    there = rows.turned_back(here, np.array([1.0, -2.0, 3.0]), rng.normal(size=(3, 2)))
+    there = rows.to_world(here, np.array([1.0, -2.0, 3.0]), rng.normal(size=(3, 2)))
     inside = [WindowFrames.of(each, SMPL22).to_window(each) for each in (here, there)]
     np.testing.assert_allclose(inside[0], inside[1], atol=1e-5)
 
