@@ -140,7 +140,10 @@ class _Beside:
         if folder != self._top:
             self.of(folder.parent)
             licence, above = self._of_folder[folder.parent]
-        tables, problems = tables_in(folder, None if self._given is None else self._given.path)
+        tables: list[AnnotationTable] = []
+        problems: list[FormatError] = []
+        if next(folder.glob("*.csv"), None) is not None:
+            tables, problems = tables_in(folder, None if self._given is None else self._given.path)
         if folder.is_relative_to(self._root):
             licence = find_licence(folder) or licence
             self.tables += tables
@@ -185,7 +188,8 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
             elif options.skip_derived and is_folder and is_derived(path if folder != root else Path(path.name)):
                 derived.append(path)
             else:
-                items += (annotated(each, tables) for each in _items_of_file(kind, head, root, licence))
+                of_file = _items_of_file(kind, head, root, licence)
+                items += (annotated(each, tables) for each in of_file) if tables else of_file
     problems += beside.problems
     if is_folder and items:  # of a single file, other rows are not expected
         problems += _without_motion(beside.tables, {item.path for item in items})

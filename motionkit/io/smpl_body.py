@@ -4,8 +4,7 @@ Names are those of the `smplx` package's joint lists without its suffix for eyes
 root, body, jaw, eyes, hands. Source: https://github.com/nghorbani/amass and https://github.com/vchoutas/smplx.
 """
 
-import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -211,10 +210,6 @@ def rests_as_smpl(motion: Motion) -> bool:
     return bool((np.sum(bones * usual, axis=-1) / sizes > _SAME_REST_COSINE).all())
 
 
-# The log line of a neutral body in place of the subject's gender.
-SUBSTITUTE = re.compile(r"joints: (?P<family>\w+) neutral \(the file's gender: (?P<gender>male|female)\)")
-
-
 def posed_skeleton(
     models: Path | None, layout: PoseLayout, family: PoseLayout, gender: str, betas: Float[np.ndarray, "betas"]
 ) -> tuple[Skeleton, list[str]]:
@@ -235,18 +230,3 @@ def posed_skeleton(
     fallback = "" if model.gender == gender else f" (the file's gender: {gender or 'unknown'})"
     line = f"joints: {model.family} {model.gender}{fallback}, {used} betas"
     return layout.skeleton(f"{model.family}-{model.gender}", rest), [line]
-
-
-def substituted_body(operations: Iterable[str]) -> str:
-    """A message if a motion's log says that a neutral body replaces a male or female one; else empty.
-
-    Betas belong to one gender's shape space: the neutral model gives another body for them.
-    """
-    found = next(filter(None, map(SUBSTITUTE.match, operations)), None)
-    if found is None:
-        return ""
-    family, gender = found["family"], found["gender"]
-    return (
-        f"has the neutral {family} body under a {gender} subject's betas, so bone lengths are not the subject's: put "
-        f"{family.upper()}_{gender.upper()}.npz into the folder of --body-models and ingest again with --overwrite"
-    )

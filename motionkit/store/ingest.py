@@ -1,5 +1,6 @@
 """Sources → store: scan, read and write in chunks, commit; unreadable files are reported and counted."""
 
+import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
@@ -10,16 +11,18 @@ from itertools import count, islice
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from motionkit.core.errors import FormatError, MotionkitError, StoreError
 from motionkit.core.files import is_store
 from motionkit.core.progress import OnProgress, Task, ignore, task
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.families import parse_layout_map
-from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map
+from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, rest_positions
 from motionkit.io.cuts import missing_seconds, unlike_stated_seconds
 from motionkit.io.registry import ReadOptions, ScanResult, SourceItem
 from motionkit.io.scan import scan
-from motionkit.io.smpl_body import substituted_body
+from motionkit.io.source.body_frame import standing_metres
 from motionkit.store.chunks import (
     NumberedItem,
     ReadChunk,
@@ -31,13 +34,18 @@ from motionkit.store.chunks import (
 )
 from motionkit.store.codec import RefusedMotion, Row
 from motionkit.store.manifest import read_manifest
-from motionkit.store.reports.summary import BodySizes
 from motionkit.store.workers import LOCAL, WorkerDied, Workers, check_engine, start_workers, usable_cores
 from motionkit.store.writer import StoreWriter
 
 OnError = Literal["skip", "stop"]
 # Before its second frame a jump may be seen one frame late.
 FIRST_FRAMES = 2
+# Grown people differ by a third, a child from a grown man by less than 2; an inch is 2.54 cm, CMU's unit 2.2 inches.
+UNLIKE_FACTOR = 2.0
+# From ankle to head: nobody is so small or tall.
+SMALLEST_METRES, LARGEST_METRES = 0.5, 2.1
+# The log line of a neutral body in place of the subject's gender.
+SUBSTITUTE = re.compile(r"joints: (?P<family>\w+) neutral \(the file's gender: (?P<gender>male|female)\)")
 
 
 @dataclass(frozen=True)
@@ -184,6 +192,7 @@ class _Ingest:
         self._on_problem = on_problem
         self._on_warning = on_warning
         self._rigs: set[tuple[tuple[str, ...], str]] = set()
+        self._body_sizes: dict[tuple[str, ...], tuple[float, str]] = {}
         self.problems: list[FormatError] = []
         self.warnings: list[FormatError] = []
         self.failed_by_dataset: Counter[str] = Counter()
@@ -204,7 +213,8 @@ class _Ingest:
         if engine == LOCAL:
             num_workers = num_workers or sum(1 for _ in islice(chunks_of(items), usable_cores()))
         with self._writer, start_workers(engine, num_workers, preload=["motionkit.store.chunks"]) as workers:
-            self._sizes = BodySizes(self._writer.skeletons)
+            for skeleton in self._writer.skeletons:
+                body_size_warning(skeleton, self._body_sizes)
             read = partial(read_chunk, store=self._writer.path.absolute(), options=self._options)
             with closing(workers.map(read, self._numbered_chunks(items))) as results:
                 for chunk, result in results:
@@ -266,7 +276,7 @@ class _Ingest:
         except RefusedMotion as refused:
             self._fail(FormatError(str(refused), path=item.path, reason=refused.reason), item)
             return
-        size = self._sizes.warning_of(read.skeleton) if is_new_skeleton else ""
+        size = body_size_warning(read.skeleton, self._body_sizes) if is_new_skeleton else ""
         if size:
             self._warn(FormatError(size, path=item.path, reason="body-size"))
         for warning in _warnings_of(item, read.row):
@@ -314,9 +324,13 @@ def _warnings_of(item: SourceItem, row: Row) -> Iterator[FormatError]:
     `neutral-body`: no model of the subject's gender; `first-frame`: a jump after the first frame; `shortened`, or
     `duration` for a whole file: the file's length differs from the index's.
     """
-    substitute = substituted_body(row["operations"])
-    if substitute:
-        yield FormatError(substitute, path=item.path, reason="neutral-body")
+    substitute = next(filter(None, map(SUBSTITUTE.match, row["operations"])), None)
+    if substitute is not None:
+        # Betas belong to one gender's shape space: the neutral model gives another body for them.
+        family, gender = substitute["family"], substitute["gender"]
+        message = f"has the neutral {family} body under a {gender} subject's betas, so bone lengths are not the "
+        message += f"subject's: put {family.upper()}_{gender.upper()}.npz into the folder of --body-models and ingest "
+        yield FormatError(f"{message}again with --overwrite", path=item.path, reason="neutral-body")
     if item.cut is None:
         jump = row["first_teleport_seconds"]
         if jump is not None and jump < (FIRST_FRAMES + 0.5) * row["seconds_between_frames"]:
@@ -335,3 +349,28 @@ def _warnings_of(item: SourceItem, row: Row) -> Iterator[FormatError]:
         message = f"lasts {seconds:.4g} s at {float(fps):g} fps, which is not what the index says of "
         message += f"{item.sequence_id}; its captions' seconds won't fit: is the framerate wrong (--fps-rules)?"
         yield FormatError(message, path=item.path, reason="duration")
+
+
+def body_size_warning(skeleton: Skeleton, first_sizes: dict[tuple[str, ...], tuple[float, str]]) -> str:
+    """A warning where a skeleton is of another size than the first with its joints, or nobody's; else empty.
+
+    `first_sizes` holds, by joint names, the total bone length in metres and the name of the first skeleton.
+    """
+    size = float(np.linalg.norm(skeleton.offsets[1:], axis=-1).sum())
+    if size == 0.0:  # markers
+        return ""
+    first, name = first_sizes.setdefault(skeleton.joint_names, (size, skeleton.name))
+    factor = max(size / first, first / size)
+    if factor >= UNLIKE_FACTOR:
+        return (
+            f"its body is {factor:.3g} times {'as large' if size > first else 'smaller'} as that of skeleton {name!r}, "
+            "which has the same joints: was the unit of one of them taken for another? The log says which it was; "
+            "--unit-metres sets it"
+        )
+    try:
+        metres = standing_metres(skeleton, rest_positions(skeleton)[None])
+    except SkeletonMapError:
+        return ""
+    if SMALLEST_METRES < metres < LARGEST_METRES:
+        return ""
+    return f"its body is {metres:.3g} m from ankle to head: is that its unit? The log says which; --unit-metres sets it"

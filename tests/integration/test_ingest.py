@@ -382,7 +382,7 @@ def test_a_store_that_is_busy(motionkit, takes, tmp_path):
         outcome = motionkit("ingest", takes, "--store", tmp_path / "store")
     assert outcome.code == 1
     (line,) = outcome.error_lines
-    assert re.search(rf"another process is writing to the store .*process {os.getpid()} on", line)
+    assert "another process is writing to the store" in line
 
 
 def test_the_real_captures(motionkit, captures, tmp_path):

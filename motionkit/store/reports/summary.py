@@ -1,7 +1,7 @@
 """Summary of a store: sources, framerates, splits, captions, sizes, skeletons and their layouts."""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
@@ -14,8 +14,7 @@ import pyarrow.parquet as pq
 from motionkit.core.errors import StoreError
 from motionkit.core.framerate import format_fps
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, rest_positions
-from motionkit.io.source.body_frame import standing_metres
+from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map
 from motionkit.store.cache import cache_bytes
 from motionkit.store.reader import Store
 from motionkit.store.schema import (
@@ -42,10 +41,6 @@ COUNTED_COLUMNS = (
     "quality_flags",
     "captions",
 )
-# Grown people differ by a third, a child from a grown man by less than 2; an inch is 2.54 cm, CMU's unit 2.2 inches.
-UNLIKE_FACTOR = 2.0
-# From ankle to head: nobody is so small or tall.
-SMALLEST_METRES, LARGEST_METRES = 0.5, 2.1
 DURATION_EDGES = (1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
 
 
@@ -247,41 +242,4 @@ def _rig(members: list[Skeleton], num_sequences: int) -> Rig:
         missing=missing,
         unmapped=unmapped,
         made_up=made_up,
-    )
-
-
-class BodySizes:
-    """Remembers the total bone length of the first skeleton of each set of joints."""
-
-    def __init__(self, known: Iterable[Skeleton]) -> None:
-        self._first: dict[tuple[str, ...], tuple[float, str]] = {}
-        for skeleton in known:
-            self.warning_of(skeleton)
-
-    def warning_of(self, skeleton: Skeleton) -> str:
-        """A warning where a skeleton is of another size than the first with its joints, or nobody's; else empty."""
-        size = float(np.linalg.norm(skeleton.offsets[1:], axis=-1).sum())
-        if size == 0.0:  # markers
-            return ""
-        first, name = self._first.setdefault(skeleton.joint_names, (size, skeleton.name))
-        factor = max(size / first, first / size)
-        if factor < UNLIKE_FACTOR:
-            return _of_nobody(skeleton)
-        return (
-            f"its body is {factor:.3g} times {'as large' if size > first else 'smaller'} as that of skeleton {name!r}, "
-            "which has the same joints: was the unit of one of them taken for another? The log says which it was; "
-            "--unit-metres sets it"
-        )
-
-
-def _of_nobody(skeleton: Skeleton) -> str:
-    try:
-        metres = standing_metres(skeleton, rest_positions(skeleton)[None])
-    except SkeletonMapError:
-        return ""
-    if SMALLEST_METRES < metres < LARGEST_METRES:
-        return ""
-    return (
-        f"its body is {metres:.3g} m from ankle to head: is that its unit? The log says which one was taken; "
-        "--unit-metres sets it"
     )
