@@ -20,17 +20,18 @@ if TYPE_CHECKING:
     from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
     from motionkit.core.timegrid import TimeGrid
     from motionkit.data.dataset import ClipDataset
-    from motionkit.edit.complete.motion import complete
-    from motionkit.edit.plant.motion import plant
+    from motionkit.edit.complete import complete
+    from motionkit.edit.convert import convert
+    from motionkit.edit.plant import plant
     from motionkit.fields.resample import resample
     from motionkit.generate.constraints import Constraint
     from motionkit.generate.models import SamplingOptions
     from motionkit.generate.motion import MotionModel, generate, load_model
+    from motionkit.io.files import read, read_all
     from motionkit.io.registry import write
-    from motionkit.store.named_motions.reading import read, read_all
     from motionkit.store.reader import Store
     from motionkit.store.writer import StoreWriter
-    from motionkit.viz.view.motions import view
+    from motionkit.viz.view import view
 
 __all__ = [
     "KIT21",
@@ -50,6 +51,7 @@ __all__ = [
     "UsageError",
     "__version__",
     "complete",
+    "convert",
     "generate",
     "load_model",
     "plant",
@@ -78,19 +80,20 @@ give_names(
         "StoreWriter": "motionkit.store.writer",
         "TimeGrid": "motionkit.core.timegrid",
         "UsageError": "motionkit.core.errors",
-        "complete": "motionkit.edit.complete.motion",
+        "complete": "motionkit.edit.complete",
+        "convert": "motionkit.edit.convert",
         "generate": "motionkit.generate.motion",
         "load_model": "motionkit.generate.motion",
-        "plant": "motionkit.edit.plant.motion",
-        "read": "motionkit.store.named_motions.reading",
-        "read_all": "motionkit.store.named_motions.reading",
+        "plant": "motionkit.edit.plant",
+        "read": "motionkit.io.files",
+        "read_all": "motionkit.io.files",
         "resample": "motionkit.fields.resample",
-        "view": "motionkit.viz.view.motions",
+        "view": "motionkit.viz.view",
         "write": "motionkit.io.registry",
     },
 )
 provide(
     resample="motionkit.fields.resample:resample",
     save="motionkit.io.registry:write",
-    notebook_view="motionkit.viz.view.motions:notebook_view",
+    notebook_view="motionkit.viz.view:notebook_view",
 )

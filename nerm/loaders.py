@@ -3,7 +3,7 @@
 Heavy imports are deferred until one is loaded.
 """
 
-from motionkit.edit.complete.encoders import EncoderLoader
+from motionkit.edit.encoders import EncoderLoader
 from motionkit.generate.models import ModelLoader
 from motionkit.training.stage import lazily
 

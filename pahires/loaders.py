@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from motionkit.edit.complete.encoders import EncoderLoader
+from motionkit.edit.encoders import EncoderLoader
 from motionkit.fields.motion_field import MotionEncoder
 from pahires.recipes import PaHiResConfig
 from pahires.stage import STAGE, make_network

@@ -13,7 +13,7 @@ from functools import cached_property, partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from motionkit.edit.complete.encoders import Task
+from motionkit.edit.encoders import Task
 from motionkit.training.config import Schedule
 from pahires.temporal.settings import (
     AnswerSettings,

@@ -19,7 +19,7 @@ from eval.clip_fid.features import Comparison, kinematic1_source, kinematic_sour
 from eval.sets.real import RealMotion, real_motion, training_motion
 from eval.sets.sets import Ragged
 from motionkit.core.motion import Motion
-from motionkit.edit.plant.report import Change, measure_change
+from motionkit.edit.plant import Change, measure_change
 from motionkit.fields.contact.planted import planted_frames
 from motionkit.fields.motion_field import Observation
 from motionkit.store import Store

@@ -22,7 +22,7 @@ from benchmarks.command import arguments_parser, print_json
 from eval.metrics.physical import ground_height, slide_speed
 from eval.sets.real import RealMotion, real_motion
 from motionkit.core.motion import Motion
-from motionkit.edit.plant.report import measure_change
+from motionkit.edit.plant import measure_change
 from motionkit.fields.contact.planted import PlantedField
 from motionkit.fields.motion_field import to_motion
 from motionkit.generate.models import GenerationRequest, SamplingOptions

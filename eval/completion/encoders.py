@@ -14,7 +14,7 @@ from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.core.kinematics import closest_rotations, matrix_to_quaternion
 from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import Skeleton
-from motionkit.edit.complete.encoders import (
+from motionkit.edit.encoders import (
     EncoderLoader,
     Task,
     encoder_loader,

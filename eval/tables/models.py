@@ -16,7 +16,7 @@ from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.core.files import sha256_of
 from motionkit.core.progress import task, tracked
 from motionkit.data.reconstruction import ReconstructsWindows
-from motionkit.edit.complete.encoders import installed_encoders
+from motionkit.edit.encoders import installed_encoders
 from motionkit.fields.motion_field import MotionEncoder, MotionField
 from motionkit.generate.models import GenerativeModel, installed_models, is_unconditional
 from motionkit.training.detail import has_detail, load_detail

@@ -163,8 +163,8 @@ def _show_file(path: Path, up: str, skeletons: bool, init: Path | None, as_json:
 def _first_motion(path: Path, up: str) -> "tuple[Motion, bool]":
     """The first motion of a file or folder, and whether something says its framerate."""
     from motionkit.core.errors import FormatError
+    from motionkit.io.files import read_all
     from motionkit.io.reading import NO_FRAMERATE
-    from motionkit.store.named_motions.reading import read_all
 
     try:
         return next(read_all(path, up=up or None)), True

@@ -31,6 +31,37 @@ Up = Annotated[
 ]
 
 
+class MotionFormat(StrEnum):
+    """Formats of the files that a motion is written to, other than its own."""
+
+    BVH = "bvh"
+    CSV = "csv"
+    GLB = "glb"
+    NPZ = "npz"
+
+
+# Options of the commands that edit motions of files and stores.
+Clips = Annotated[
+    list[str] | None, typer.Argument(help="Files, folders, or ids of stored sequences.", show_default=False)
+]
+WhereOption = Annotated[
+    str | None, typer.Option(metavar="SQL", help="Stored sequences that satisfy this condition: \"action = 'walk'\".")
+]
+FormatChoice = Annotated[
+    MotionFormat | None,
+    typer.Option("--format", help="Format of the files.", show_default="--out's, or the clip's own"),
+]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")]
+SourceFps = Annotated[
+    str | None, typer.Option(help="Framerate of clips whose files state none or a wrong one (.amc, .npy).")
+]
+SkeletonMaps = Annotated[
+    list[Path] | None, typer.Option(help="TOML that maps a rig to the 22 joints (docs/formats.md).")
+]
+StorePath = Annotated[Path | None, typer.Option(help="Store of sequence ids.", show_default="./store")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")]
+
+
 StoreArgument = Annotated[
     Path | None, typer.Argument(metavar="STORE", help="The store, as with --store.", show_default=False)
 ]
@@ -76,6 +107,7 @@ def read_options(
     unit_metres: float | None = None,
     captions: Path | None = None,
     up: UpAxis | None = None,
+    skip_derived: bool = False,
 ) -> "ReadOptions":
     """The options of readers; raises `UsageError` for a unit that is not a positive length."""
     from motionkit.core.skeletons.families import read_skeleton_map
@@ -91,4 +123,5 @@ def read_options(
         up="" if up is None else up.value,
         captions=captions,
         skeleton_maps=maps,
+        skip_derived=skip_derived,
     )

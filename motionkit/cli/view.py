@@ -1,6 +1,5 @@
 """`motionkit view`: show motions as moving skeletons in a page."""
 
-from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -8,85 +7,65 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from motionkit.cli.console import print_json, progress, stderr, stdout
-from motionkit.cli.options import Up, parse_rate, read_options
+from motionkit.cli.options import AsJson, Clips, SkeletonMaps, StorePath, Up, WhereOption, parse_rate, read_options
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.progress import task
 from motionkit.core.settings import default_path
-from motionkit.viz.view import MOST_MOTIONS
+from motionkit.viz import MOST_MOTIONS
 
 if TYPE_CHECKING:
     from motionkit.viz.player.takes import Take
-    from motionkit.viz.view.job import Viewed, ViewSource
+    from motionkit.viz.view import Viewed
 
-Clips = Annotated[
-    list[str] | None, typer.Argument(help="Files, folders, or ids of stored sequences.", show_default=False)
-]
-StorePath = Annotated[Path | None, typer.Option(help="Store of sequence ids.", show_default="./store")]
-Where = Annotated[
-    str | None, typer.Option(metavar="SQL", help="Stored sequences that satisfy this condition: \"action = 'walk'\".")
-]
-Limit = Annotated[
-    int, typer.Option(min=1, max=MOST_MOTIONS, help="Maximum number of motions in the page; the first are shown.")
-]
-FromSeconds = Annotated[
-    float | None, typer.Option("--from", metavar="SECONDS", help="Start at this time.", show_default=False)
-]
-ToSeconds = Annotated[
-    float | None, typer.Option("--to", metavar="SECONDS", help="Stop before this time.", show_default=False)
-]
-GivenFps = Annotated[
-    str | None, typer.Option(help="Framerate of files that state none or a wrong one (.amc, .npy).", show_default=False)
-]
-UnitMetres = Annotated[
-    float | None,
-    typer.Option(help="Length of one file unit in metres: 0.01 for centimetres.", show_default=False),
-]
-FormatName = Annotated[
-    str,
-    typer.Option(
-        help="mp4, gif, png (a strip of poses) or rrd instead of a page; else the input format, as in ingest."
-    ),
-]
-Speed = Annotated[
-    float | None, typer.Option(help="Playback speed of an mp4 or a gif: 0.25 is four times slower.", show_default="1")
-]
-SkeletonMaps = Annotated[
-    list[Path] | None, typer.Option(help="TOML that maps a rig to the 22 joints (docs/formats.md).")
-]
-PathFile = Annotated[
-    Path | None, typer.Option("--path", help="Draw this path on the floor: a CSV as for `motionkit generate --path`.")
-]
-PoseFiles = Annotated[
-    list[str] | None, typer.Option("--pose", metavar="S=FILE[@S]", help="Draw this pose too; may be repeated.")
-]
-PosePlaced = Annotated[
-    bool, typer.Option("--pose-placed", help="Draw poses at the position in their files, not where the motion is.")
-]
-OutPlace = Annotated[Path | None, typer.Option(help="File to write.", show_default="NAME.view.html here")]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")]
-OpenPage = Annotated[bool, typer.Option("--open", help="Open the page in the browser.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")]
+FILMS = ("mp4", "gif", "png", "rrd")
 
 
 def view(
     clips: Clips = None,
     store: StorePath = None,
-    where: Where = None,
-    limit: Limit = 6,
-    from_seconds: FromSeconds = None,
-    to_seconds: ToSeconds = None,
-    fps: GivenFps = None,
-    unit_metres: UnitMetres = None,
+    where: WhereOption = None,
+    limit: Annotated[
+        int, typer.Option(min=1, max=MOST_MOTIONS, help="Maximum number of motions in the page; the first are shown.")
+    ] = 6,
+    from_seconds: Annotated[
+        float | None, typer.Option("--from", metavar="SECONDS", help="Start at this time.", show_default=False)
+    ] = None,
+    to_seconds: Annotated[
+        float | None, typer.Option("--to", metavar="SECONDS", help="Stop before this time.", show_default=False)
+    ] = None,
+    fps: Annotated[
+        str | None,
+        typer.Option(help="Framerate of files that state none or a wrong one (.amc, .npy).", show_default=False),
+    ] = None,
+    unit_metres: Annotated[
+        float | None,
+        typer.Option(help="Length of one file unit in metres: 0.01 for centimetres.", show_default=False),
+    ] = None,
     up: Up = None,
-    format: FormatName = "auto",
+    format: Annotated[
+        str,
+        typer.Option(
+            help="mp4, gif, png (a strip of poses) or rrd instead of a page; else the input format, as in ingest."
+        ),
+    ] = "auto",
     skeleton_map: SkeletonMaps = None,
-    path: PathFile = None,
-    pose: PoseFiles = None,
-    pose_placed: PosePlaced = False,
-    out: OutPlace = None,
-    speed: Speed = None,
-    overwrite: Overwrite = False,
-    open_page: OpenPage = False,
+    path: Annotated[
+        Path | None,
+        typer.Option("--path", help="Draw this path on the floor: a CSV as for `motionkit generate --path`."),
+    ] = None,
+    pose: Annotated[
+        list[str] | None, typer.Option("--pose", metavar="S=FILE[@S]", help="Draw this pose too; may be repeated.")
+    ] = None,
+    pose_placed: Annotated[
+        bool, typer.Option("--pose-placed", help="Draw poses at the position in their files, not where the motion is.")
+    ] = False,
+    out: Annotated[Path | None, typer.Option(help="File to write.", show_default="NAME.view.html here")] = None,
+    speed: Annotated[
+        float | None,
+        typer.Option(help="Playback speed of an mp4 or a gif: 0.25 is four times slower.", show_default="1"),
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")] = False,
+    open_page: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Show motions in one page with moving skeletons, each at its native framerate, on one clock in seconds.
@@ -94,30 +73,30 @@ def view(
     The page is one self-contained file; --format mp4, gif, png or rrd makes films, strips, Rerun's files.
 
     Example: motionkit view takes/walk.bvh takes/jump.bvh"""
-    from motionkit.viz.view.constraints import constraint_drawing
-    from motionkit.viz.view.job import Stretch, find_sources, read_takes, stored_where, write_view
+    from motionkit.edit.motions import find_motions
+    from motionkit.viz.view import PAGE_SUFFIX, Interval, constraint_drawing, page_path, read_takes, write_view
 
-    stretch = Stretch(from_seconds, to_seconds)
-    film, read_as = _film_asked(format, out, speed)
+    interval = Interval(from_seconds, to_seconds)
+    film, read_as = _film_suffix(format, out, speed)
     options = read_options(parse_rate(fps), skeleton_map, read_as, unit_metres, up=up)
-    place = store or default_path("store")
-    stored = [] if where is None else stored_where(place, where)
-    if not clips and not stored:
+    if not clips and where is None:
         raise UsageError("name motions to look at: files, folders, a store, its ids, or --where")
-    named, problems = find_sources(clips or (), options, place)
-    sources = [*named, *stored]
+    sources, problems = find_motions(clips or (), options, store or default_path("store"), where)
     if len(sources) > limit:
         stderr.print(f"motionkit: the first {limit} of {len(sources):,} motions are shown: --limit shows more")
         sources = sources[:limit]
-    failures = [(str(problem.path), str(problem)) for problem in problems]
-    page = _place(out, sources, film, overwrite)
+    page = page_path(out, sources, film or PAGE_SUFFIX) if sources else Path()
+    if sources and page.exists() and not overwrite:
+        raise MotionkitError(f"{page} exists: --overwrite replaces it, --out writes elsewhere")
     drawn = constraint_drawing(path, pose or (), pose_placed)
     with progress() as show, task(show, "read", len(sources)) as work:
-        takes, failed = read_takes(sources, stretch, work.advance, drawn)
-    failures += failed
+        takes, failed = read_takes(sources, interval, work.advance, drawn)
+    failures = [*((str(problem.path), str(problem)) for problem in problems), *failed]
     for name, message in failures:
         stderr.print(f"motionkit: {message if name in message else f'{name}: {message}'}")
-    viewed = (_write_film(page, takes, speed or 1.0) if film else write_view(page, takes, stretch)) if takes else None
+    viewed = None
+    if takes:
+        viewed = _write_film(page, takes, speed or 1.0) if film else write_view(page, takes, interval)
     if as_json:
         plain = {"page": None, "bytes": 0, "motions": []} if viewed is None else viewed.plain()
         print_json({**plain, "failed": [{"clip": name, "message": message} for name, message in failures]})
@@ -129,32 +108,22 @@ def view(
         raise typer.Exit(1)
 
 
-def _film_asked(format: str, out: Path | None, speed: float | None) -> tuple[str, str]:
-    """The suffix of the requested film or strip (empty: a page), and the input format."""
-    films = ("mp4", "gif", "png", "rrd")
-    named = format if format in films else "" if out is None else out.suffix.lower()[1:]
-    film = f".{named}" if named in films else ""
-    if format in films and out is not None and not out.is_dir() and out.suffix.lower() != film:
+def _film_suffix(format: str, out: Path | None, speed: float | None) -> tuple[str, str]:
+    """The suffix of the film or strip to write (empty: a page), and the input format."""
+    named = format if format in FILMS else "" if out is None else out.suffix.lower()[1:]
+    film = f".{named}" if named in FILMS else ""
+    if format in FILMS and out is not None and not out.is_dir() and out.suffix.lower() != film:
         raise UsageError(
             f"--out {out} is no {format} file by its name: call it {out.with_suffix(film)}, or leave --format"
         )
     if speed is not None and not (film in (".mp4", ".gif") and 0 < speed < float("inf")):
         raise UsageError("--speed is a positive number and goes with --format mp4 or gif; a page has its own speed")
-    return film, "auto" if format in films else format
-
-
-def _place(out: Path | None, sources: "Sequence[ViewSource]", film: str, overwrite: bool) -> Path:
-    from motionkit.viz.view.job import SUFFIX, page_path
-
-    page = page_path(out, sources, film or SUFFIX) if sources else Path()
-    if sources and page.exists() and not overwrite:
-        raise MotionkitError(f"{page} exists: --overwrite replaces it, --out writes elsewhere")
-    return page
+    return film, "auto" if format in FILMS else format
 
 
 def _write_film(path: Path, takes: "list[Take]", speed: float) -> "Viewed":
     from motionkit.viz.film import num_pictures, write_film
-    from motionkit.viz.view.job import Viewed
+    from motionkit.viz.view import Viewed
 
     exact = Fraction(speed).limit_denominator(1000)
     with progress() as show, task(show, "draw", num_pictures(takes, exact, path.suffix.lower())) as work:

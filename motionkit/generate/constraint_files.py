@@ -19,7 +19,7 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.generate.constraints import Constraint
 from motionkit.generate.request import Prompt, read_csv
-from motionkit.store.named_motions.reading import read
+from motionkit.io.files import read
 
 COLUMNS = ("seconds", "x", "z", "heading_degrees")
 _JOINT = re.compile(r"(?P<joint>[^@=]+)@(?P<start>[\d.]+)(-(?P<end>[\d.]+))?=(?P<place>.+)")

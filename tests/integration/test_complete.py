@@ -15,7 +15,7 @@ import pytest
 
 from motionkit.core.errors import MotionkitError
 from motionkit.core.motion import Caption, Motion
-from motionkit.edit.complete import job
+from motionkit.edit import complete as complete_module
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import process
 from motionkit.fields.completion import complete
@@ -382,7 +382,7 @@ def test_a_clip_is_replaced_by_its_completion(motionkit: Run, walk: Path, monkey
 
 
 def test_a_failed_comparison_leaves_nothing(motionkit: Run, walk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(job, "write_comparison", Mock(side_effect=MotionkitError("no page")))
+    monkeypatch.setattr(complete_module, "write_comparison", Mock(side_effect=MotionkitError("no page")))
     outcome = motionkit("complete", walk, "--fps", "60", "--model", "slerp", "--compare", "hold")
     assert outcome.code == 1 and "no page" in outcome.stderr and outcome.stdout == ""
     assert [path.name for path in walk.parent.iterdir()] == ["walk.bvh"]

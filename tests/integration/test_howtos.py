@@ -79,6 +79,16 @@ def test_evaluate(run, tmp_path):
     assert mk.read(tmp_path / "mine" / "0001.npz").fps == 60
 
 
+def test_convert(run, tmp_path):
+    (walk, character) = read_demo_corpus(["07_01", "49_13"])
+    mk.write(walk, tmp_path / "walk.bvh")
+    mk.write(walk, tmp_path / "takes" / "walk.npz")
+    mk.write(character, tmp_path / "character.glb")
+    run("convert")
+    assert mk.read(tmp_path / "walk60.bvh").fps == 60 and (tmp_path / "hero.glb").exists()
+    assert mk.read(tmp_path / "bvh" / "walk.bvh").num_frames == walk.num_frames
+
+
 def test_engines(run, tmp_path):
     write_store(tmp_path / "store")
     run("engines")

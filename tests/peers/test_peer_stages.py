@@ -12,7 +12,7 @@ from motionkit.core.errors import UsageError
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
-from motionkit.edit.complete.encoders import encoder_loader
+from motionkit.edit.encoders import encoder_loader
 from motionkit.fields.completion import inbetween, upsample
 from motionkit.fields.motion_field import Observation
 from motionkit.training.config import apply_overrides, flatten

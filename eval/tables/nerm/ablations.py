@@ -23,7 +23,7 @@ from eval.tables.parts import SOURCES, Part, Reported, printed_rows, reported_fi
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.progress import OnProgress, task
-from motionkit.edit.complete.encoders import EncoderLoader, encoder_loader
+from motionkit.edit.encoders import EncoderLoader, encoder_loader
 from motionkit.generate.models import ModelLoader, model_loader
 from motionkit.training.ablations import Ablation, Entry
 from motionkit.training.loaders import Loader

@@ -25,7 +25,7 @@ from motionkit.data.reconstruction import (
     separate_windows,
 )
 from motionkit.data.windows import PositionSource, Windows
-from motionkit.edit.complete.encoders import installed_encoders
+from motionkit.edit.encoders import installed_encoders
 from motionkit.fields.motion_field import MotionField
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from eval.report.results import Result
 from eval.tables.pahires.inbetweening import definition
 from eval.tables.pahires.window_rows import WindowTable, measure_table
 from eval.tables.registry import Table, TableRequest
-from motionkit.edit.complete.encoders import installed_encoders
+from motionkit.edit.encoders import installed_encoders
 
 SLERP = next(row for row in INTERPOLATION if row.name == "SLERP")
 ROWS = (

@@ -9,7 +9,7 @@ from eval.report.results import Block, Cell, Result, Row
 from eval.tables.pahires.window_rows import WindowTable, measure_table
 from eval.tables.parts import SOURCES, Reported, reported_figures
 from eval.tables.registry import Table, TableRequest
-from motionkit.edit.complete.encoders import installed_encoders
+from motionkit.edit.encoders import installed_encoders
 from motionkit.io.bvh import lafan1
 
 _NAMES = {"hold": "zero velocity", "SLERP": "interpolation (SLERP)"}

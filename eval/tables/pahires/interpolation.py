@@ -15,7 +15,7 @@ from eval.report.results import Block, Result
 from eval.tables.pahires.measured import Measured, measure_all
 from eval.tables.parts import SOURCES, Reported, printed_rows, reported_figures
 from eval.tables.registry import Table, TableRequest
-from motionkit.edit.complete.encoders import installed_encoders
+from motionkit.edit.encoders import installed_encoders
 
 METRICS = {
     "psnr": "PSNR (dB)",

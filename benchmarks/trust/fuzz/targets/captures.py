@@ -10,6 +10,7 @@ import numpy as np
 from benchmarks.trust.fuzz.target import Make, Target, named
 from motionkit.core.errors import FormatError, MotionkitError
 from motionkit.core.skeletons.families import read_skeleton_map
+from motionkit.edit.motions import find_motions
 from motionkit.features.quality import measure
 from motionkit.generate.request import read_prompts
 from motionkit.io.framerate_rules import read_rules
@@ -20,7 +21,6 @@ from motionkit.io.scan import scan
 from motionkit.io.smpl_body import LAYOUTS
 from motionkit.viz.player.page import check_places
 from motionkit.viz.player.takes import take_of
-from motionkit.viz.view.job import find_sources
 from tests.helpers.amass_samples import smplh_fields, stageii_fields, write_amass
 from tests.helpers.every_format import SOURCES, bodies, write_arrays, write_text
 from tests.helpers.format_samples import bvh_text, write_asfamc
@@ -74,11 +74,11 @@ def _explained(problem: MotionkitError, folder: Path) -> MotionkitError:
 
 def view_folder(folder: Path) -> None:
     """Read the motions of a folder as `motionkit view` and `complete` do, holes included."""
-    sources, problems = find_sources([str(folder)], ReadOptions(fps=Fraction(30)), folder / "no-store")
+    sources, problems = find_motions([str(folder)], ReadOptions(fps=Fraction(30)), folder / "no-store")
     for source in sources:
-        clip = source.read()
-        if clip.seen.all():
-            check_places(take_of(clip.motion, source.short))
+        loaded = source.load()
+        if loaded.valid.all():
+            check_places(take_of(loaded.motion, source.short_name))
     if problems:
         raise problems[0]
 

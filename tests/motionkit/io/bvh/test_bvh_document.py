@@ -8,11 +8,11 @@ import pytest
 from pymotion.io.bvh import BVH
 
 from motionkit.core.errors import FormatError
-from motionkit.edit.complete.clips import clip_of_document, write_document
-from motionkit.fields.completion import begin_observed
 from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.motion_field import Observation
 from motionkit.io.bvh.document import BvhDocument, read_bvh, read_document
+from motionkit.io.bvh.writing import check_writable
+from tests.helpers.completed_bvh import write_completed
 from tests.helpers.format_samples import NUM_BVH_CHANNELS, bvh_hierarchy, bvh_text
 from tests.helpers.whole_documents import lines_of, poses_of, table_of
 
@@ -39,9 +39,7 @@ def written(path: Path, text: str) -> Path:
 def completed(document: BvhDocument, path: Path, **asked: object) -> BvhDocument:
     observed = document.seen & np.asarray(asked.pop("observed", True))
     fps = asked.pop("fps", document.timegrid.fps)
-    observation = clip_of_document(document).observe(observed)
-    made = begin_observed(observation, np.flatnonzero(observed), document.timegrid, CUBIC, fps, **asked)
-    write_document(document, made, path, lambda frames: None)
+    write_completed(document, observed, CUBIC, fps, path, **asked)
     return read_document(path)
 
 
@@ -168,4 +166,4 @@ Frame Time: 0.04
     for row in ("0 0 0 0 0 0 0", "1 0 0 30 0 0 10", "2 0 0 60 0 0 20"):
         twice = twice.replace(f"{row}\n", f"{row} 0\n")
     with pytest.raises(FormatError, match="lid"):
-        clip_of_document(read_document(written(tmp_path / "twice.bvh", twice)))
+        check_writable(read_document(written(tmp_path / "twice.bvh", twice)))

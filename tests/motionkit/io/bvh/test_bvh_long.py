@@ -9,13 +9,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from motionkit.core.errors import FormatError
-from motionkit.edit.complete.clips import clip_of_document, write_document
 from motionkit.fields.anchoring import Anchored
-from motionkit.fields.completion import begin_observed
 from motionkit.fields.interpolation import INTERPOLATORS, Settling
 from motionkit.fields.motion_field import MotionEncoder
 from motionkit.fields.transfer import Transferred
 from motionkit.io.bvh.document import BvhDocument, read_bvh, read_document
+from tests.helpers.completed_bvh import write_completed
 from tests.helpers.damage import damaged
 from tests.helpers.format_samples import NUM_BVH_CHANNELS, bvh_text
 from tests.helpers.whole_documents import lines_of, poses_of, table_of
@@ -45,10 +44,7 @@ def in_small_blocks(patched: pytest.MonkeyPatch, frames: int, num_bytes: int) ->
 
 def completed(document: BvhDocument, encoder: MotionEncoder, observed: np.ndarray, path: Path, **reach: float) -> None:
     """The document's frames that are observed, completed at 59.94 fps."""
-    observation = clip_of_document(document).observe(observed)
-    fps = Fraction(60000, 1001)
-    made = begin_observed(observation, np.flatnonzero(observed), document.timegrid, encoder, fps, **reach)
-    write_document(document, made, path, lambda frames: None)
+    write_completed(document, observed, encoder, Fraction(60000, 1001), path, **reach)
 
 
 def with_gaps(path: Path) -> tuple[BvhDocument, np.ndarray]:

@@ -7,15 +7,13 @@ import numpy as np
 import pytest
 
 from motionkit.core.motion import Motion
-from motionkit.edit.complete.clips import Clip, find_clips
-from motionkit.edit.complete.encoders import choose_encoder
-from motionkit.edit.complete.job import Job, OutputPath
-from motionkit.edit.complete.request import CompletionRequest
+from motionkit.edit.complete import CompletionRequest, complete_file
+from motionkit.edit.encoders import choose_encoder
+from motionkit.edit.motions import LoadedMotion, OutputPaths, find_motions
 from motionkit.io.framerate_rules import parse_rules
 from motionkit.io.registry import ReadOptions
 from motionkit.store import Store
 from motionkit.store.ingest import ingest
-from motionkit.viz.view.job import find_sources
 from tests.helpers.format_samples import lafan1_text
 from tests.motionkit.io.bvh.test_bvh_pieces import TAKES, carried
 
@@ -56,57 +54,49 @@ def ingested(path: Path, folder: Path) -> Motion:
     return Store.open(folder / "store").read(0)
 
 
-def clip_of(path: Path) -> Clip:
-    (source,), problems = find_clips([str(path)], OPTIONS, path.parent / "none")
+def loaded_from(path: Path) -> LoadedMotion:
+    (source,), problems = find_motions([str(path)], OPTIONS, path.parent / "none")
     assert not problems
-    return source.read()
-
-
-def viewed(path: Path) -> Motion:
-    (source,), problems = find_sources([str(path)], OPTIONS, path.parent / "none")
-    assert not problems
-    read = source.read()
-    assert read.seen.all() and read.uneven_seconds is None
-    return read.motion
+    return source.load()
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_ingest_complete_and_view_see_one_motion(tmp_path: Path, kind: str) -> None:
     (tmp_path / "in").mkdir()
     path = KINDS[kind](tmp_path / "in")
-    stored, clip, shown = ingested(path, tmp_path), clip_of(path), viewed(path)
-    assert stored.timegrid == clip.timegrid == shown.timegrid
-    assert stored.skeleton.fingerprint == clip.skeleton.fingerprint == shown.skeleton.fingerprint
-    poses = clip.poses(np.arange(shown.num_frames))
-    np.testing.assert_array_equal(shown.joint_positions, poses.joint_positions)
+    stored, loaded = ingested(path, tmp_path), loaded_from(path)
+    motion = loaded.motion
+    assert loaded.valid.all() and loaded.uneven_seconds is None
+    assert stored.timegrid == motion.timegrid
+    assert stored.skeleton.fingerprint == motion.skeleton.fingerprint
+    np.testing.assert_array_equal(loaded.poses.joint_positions, motion.joint_positions)
     # A store rounds rotations in the last digit and makes positions of them again.
-    np.testing.assert_allclose(stored.joint_positions, shown.joint_positions, atol=1e-6)
-    assert (stored.local_rotations is None) == (shown.local_rotations is None)
+    np.testing.assert_allclose(stored.joint_positions, motion.joint_positions, atol=1e-6)
+    assert (stored.local_rotations is None) == (motion.local_rotations is None)
     if stored.local_rotations is not None:
-        np.testing.assert_allclose(stored.local_rotations, shown.local_rotations, atol=1e-6)
+        np.testing.assert_allclose(stored.local_rotations, motion.local_rotations, atol=1e-6)
     for name in ("provenance", "action", "style", "split", "captions"):
-        assert getattr(stored, name) == getattr(shown, name) == getattr(clip.label(shown), name)
+        assert getattr(stored, name) == getattr(motion, name)
 
 
 def test_the_clock_and_the_frames_are_those_of_rules_and_tables(tmp_path: Path) -> None:
-    assert clip_of(KINDS["a rule for its clock"](tmp_path)).timegrid.fps == 24
-    assert clip_of(KINDS["100style"](tmp_path)).timegrid.num_frames == 30
-    assert "(LeftLeg, LeftFoot" in str(viewed(KINDS["bones that rest elsewhere"](tmp_path)).provenance.operations)
+    assert loaded_from(KINDS["a rule for its clock"](tmp_path)).motion.fps == 24
+    assert loaded_from(KINDS["100style"](tmp_path)).motion.num_frames == 30
+    elsewhere = loaded_from(KINDS["bones that rest elsewhere"](tmp_path)).motion
+    assert "(LeftLeg, LeftFoot" in str(elsewhere.provenance.operations)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_is_completed_and_read_again(tmp_path: Path, kind: str) -> None:
     """Given frames stay where they are, new ones lie between them."""
-    path = KINDS[kind](tmp_path)
-    (source,), _ = find_clips([str(path)], OPTIONS, tmp_path / "none")
-    before = source.read()
-    out, request = tmp_path / "out.bvh", CompletionRequest(fps=2 * before.timegrid.fps)
-    job = Job(request, choose_encoder("slerp", None, tmp_path))
-    job.complete(source, OutputPath(out, 1, ()), lambda frames: None)
-    after = clip_of(out)
-    frames, made = np.arange(before.timegrid.num_frames), np.arange(after.timegrid.num_frames)
-    assert len(made) == 2 * len(frames) - 1
-    old, new = before.poses(frames).joint_positions, after.poses(made).joint_positions
+    path, out = KINDS[kind](tmp_path), tmp_path / "out.bvh"
+    (source,), _ = find_motions([str(path)], OPTIONS, tmp_path / "none")
+    before = source.load()
+    request = CompletionRequest(fps=2 * before.motion.fps)
+    slerp = choose_encoder("slerp", None, tmp_path)
+    complete_file(source, request, slerp, (), OutputPaths("completed", [str(path)], 1, out=out))
+    old, new = before.motion.joint_positions, loaded_from(out).motion.joint_positions
+    assert len(new) == 2 * len(old) - 1
     np.testing.assert_allclose(new[::2], old, atol=1e-5)
     # Slerp between its neighbours turns each bone by no more than they are apart.
     apart = np.linalg.norm(np.diff(old, axis=0), axis=-1).max()

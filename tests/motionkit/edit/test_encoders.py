@@ -9,8 +9,8 @@ import pytest
 
 from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import SMPL22
-from motionkit.edit.complete import encoders
-from motionkit.edit.complete.encoders import (
+from motionkit.edit import encoders
+from motionkit.edit.encoders import (
     choose_encoder,
     encoder_loader,
     installed_encoders,
@@ -30,7 +30,7 @@ def load(run):
 '''
 
 PREFERRED = """
-from motionkit.edit.complete.encoders import EncoderLoader
+from motionkit.edit.encoders import EncoderLoader
 from motionkit.fields.interpolation import INTERPOLATORS
 
 OWN = EncoderLoader("Own", ("halves",), lambda run: INTERPOLATORS["linear"], preferred=True)

@@ -103,7 +103,7 @@ def test_lost_frames_of_a_file_are_made(motion: mk.Motion) -> None:
         ({"keep": np.zeros(60, bool)}, "is empty"),
         ({"keep": []}, "is empty"),
         ({"keep": [(5, 2)]}, "holds no frame"),
-        ({"extend": -1.0}, "neither seconds"),
+        ({"extend": -1.0}, "seconds from 0 on"),
         ({"extend": 100.0}, "at most 60 s"),
         ({"fps": 60, "model": "guess"}, "no encoder is called 'guess'"),
         ({"fps": 60, "model": "pahires"}, "no run in runs has a stage 'pahires'"),

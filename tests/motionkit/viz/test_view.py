@@ -14,7 +14,7 @@ import pytest
 
 import motionkit as mk
 from motionkit.fields.motion_field import to_motion
-from motionkit.viz.view.motions import MOST_BYTES
+from motionkit.viz.view import MOST_NOTEBOOK_BYTES
 from tests.helpers.analytic import analytic_motion
 from tests.helpers.packed import unpack
 
@@ -112,7 +112,7 @@ def test_texts_of_strangers_stay_inside(motion: mk.Motion) -> None:
 def test_a_long_motion_is_shown_in_part(motion: mk.Motion) -> None:
     long = mk.Motion.from_joints(np.tile(motion.joint_positions, (400, 1, 1)), 60)
     shown = long._repr_html_()
-    assert 0.8 * MOST_BYTES < len(shown) < 1.1 * MOST_BYTES
+    assert 0.8 * MOST_NOTEBOOK_BYTES < len(shown) < 1.1 * MOST_NOTEBOOK_BYTES
     page = inside(shown)
     (take,) = takes_of(page)
     assert 5_000 < take["numFrames"] < long.num_frames

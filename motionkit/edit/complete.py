@@ -1,0 +1,376 @@
+"""Completing a motion: more frames between its own, gaps filled, ends extended (docs/complete.md)."""
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from motionkit.core.errors import MotionkitError, UsageError
+from motionkit.core.files import whole_file
+from motionkit.core.framerate import Framerate, format_fps, parse_fps
+from motionkit.core.motion import Motion
+from motionkit.core.progress import warn
+from motionkit.core.settings import default_path
+from motionkit.core.shapes import Bool
+from motionkit.edit.encoders import ChosenEncoder, choose_encoder
+from motionkit.edit.motions import (
+    EditedMotion,
+    LoadedMotion,
+    MotionSource,
+    OutputPaths,
+    WrittenMotion,
+    load_motion,
+    write_edited,
+)
+from motionkit.fields.anchoring import anchored
+from motionkit.fields.completion import begin_observed, begin_uneven
+from motionkit.fields.contact.planted import planted
+from motionkit.fields.rig import on_bones
+from motionkit.viz.comparison import Version, write_comparison
+from motionkit.viz.player.takes import take_of
+
+# More than a minute of extrapolation is probably a typo.
+LONGEST_REACH_SECONDS = 60.0
+# Extrapolation at constant velocity is implausible beyond this.
+LONGEST_PLAUSIBLE_SECONDS = 0.5
+
+# Frames [start, stop); None is the end.
+FrameRange = tuple[int, int | None]
+Frames = Bool[np.ndarray, "frames"]
+Seconds = int | float
+_RANGE = re.compile(r"(?P<start>\d*)(?P<colon>:?)(?P<stop>\d*)")
+
+
+def complete(
+    motion: Motion | str | Path,
+    *,
+    fps: Framerate | None = None,
+    keep: str | Sequence[FrameRange] | Frames | None = None,
+    extend: str | Seconds | tuple[Seconds, Seconds] | None = None,
+    plant: bool = False,
+    model: str | None = None,
+    run: str | Path | None = None,
+) -> Motion:
+    """A motion with more frames, gaps filled, ends continued; given frames and bone lengths are kept.
+
+    - `motion`: a motion, or a file; frames of a file that hold nan are filled like gaps
+    - `fps`: the new framerate, not below its own (`resample` filters it down)
+    - `keep`: the frames to keep, all others are replaced: `[(0, 10), (40, None)]`, half-open and counted from 0, or
+      "0:10,40:", or a mask of one bool for each frame
+    - `extend`: seconds to add after it; or a pair, before and after; or "0,15f" in frames
+    - `plant`: whether to remove foot sliding from the new frames (`motionkit.plant` is for a whole motion)
+    - `model`: an interpolator (`spline`, `slerp`, `hold` …) or the name of a trained encoder; by default the
+      preferred encoder (PA-HiRes) if ./runs holds a trained one, else `spline`
+    - `run`: the run of a trained encoder, by default the one trained last
+
+    Warns if a request exceeds the range of a trained encoder's training. Raises `MotionkitError` for a request that
+    this motion does not allow, `UsageError` for an invalid one.
+
+    >>> motion = mk.read("walk.bvh")
+    >>> mk.complete(motion, fps=120, model="spline").num_frames
+    479
+    >>> mk.complete(motion, keep=[(0, 30), (60, None)], extend=0.5, model="slerp").duration_seconds
+    4.5
+    """
+    loaded = load_motion(motion)
+    if isinstance(extend, str) or extend is None:
+        before, after = parse_extend(extend or "0")
+    else:
+        before, after = (Reach(float(each)) for each in (extend if isinstance(extend, tuple) else (0.0, extend)))
+    if isinstance(keep, str):
+        keep = parse_keep(keep)
+    request = CompletionRequest(None if fps is None else parse_fps(fps), keep, before, after, plant)
+    chosen = choose_encoder(model, None if run is None else str(run), default_path("runs"))
+    completed = request.of(loaded).completed_by(chosen)
+    for warning in completed.warnings:
+        warn(warning)
+    return completed.edited.motion
+
+
+@dataclass(frozen=True)
+class Reach:
+    """Extrapolation beyond an end: seconds, or frames of the motion's own framerate.
+
+    Raises `UsageError` for a number that is negative or not finite.
+    """
+
+    amount: float
+    in_frames: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.amount < math.inf:
+            raise UsageError(f"extend {self.amount:g}: expected seconds from 0 on, or a number of frames")
+
+    def seconds(self, fps: Fraction) -> float:
+        """The extrapolation in seconds at a motion's framerate."""
+        return float(self.amount / fps) if self.in_frames else self.amount
+
+
+@dataclass(frozen=True, eq=False)
+class CompletionRequest:
+    """What to complete: `fps` None is the motion's own, `keep` None keeps every valid frame.
+
+    `plant` removes foot sliding from new frames. Raises `UsageError` where there is nothing to do, and for ranges that
+    are empty or overlap.
+    """
+
+    fps: Fraction | None = None
+    keep: Sequence[FrameRange] | Frames | None = None
+    before: Reach = Reach(0.0)
+    after: Reach = Reach(0.0)
+    plant: bool = False
+
+    def __post_init__(self) -> None:
+        if self.fps is None and self.keep is None and not (self.before.amount or self.after.amount or self.plant):
+            raise UsageError(
+                "nothing to complete: give fps (120), the frames to keep (0:10,40:50), or the seconds to extend it by "
+                "(0.5,1)"
+            )
+        if self.keep is not None and not isinstance(self.keep, np.ndarray):
+            check_ranges(self.keep)
+
+    def of(self, loaded: LoadedMotion) -> "MotionCompletion":
+        """The request for one motion; raises `MotionkitError` for a lower framerate, and frames that it does not have.
+
+        Raises `UsageError` for a mask that has not one bool for each frame, or no true one.
+        """
+        grid = loaded.motion.timegrid
+        fps = grid.fps if self.fps is None else self.fps
+        if loaded.uneven_seconds is not None and self.fps is None:
+            raise MotionkitError(
+                f"its frames are uneven in time, about {float(fps):.4g} a second: give the fps of the result"
+            )
+        if fps < grid.fps:
+            raise MotionkitError(
+                f"{format_fps(fps)} fps is less than its {format_fps(grid.fps)}: frames would be dropped, not made; "
+                f"filter it down instead: motionkit convert --fps {format_fps(fps)}, in Python "
+                f"motion.resample({format_fps(fps)})"
+            )
+        observed = loaded.valid & kept_frames(self.keep, grid.num_frames)
+        if not observed.any():
+            raise MotionkitError("none of the frames to keep is valid: their numbers are nan")
+        before, after = self.before.seconds(grid.fps), self.after.seconds(grid.fps)
+        if grid.num_frames == 1 and not (before or after):
+            raise MotionkitError("it has a single frame, so there is nothing between frames; it can only be extended")
+        if max(before, after) > LONGEST_REACH_SECONDS:
+            raise MotionkitError(
+                f"it can be extended by at most {LONGEST_REACH_SECONDS:g} s, not {max(before, after):g} s"
+            )
+        return MotionCompletion(loaded, fps, observed, before, after, self.plant)
+
+
+@dataclass(frozen=True, eq=False)
+class CompletedMotion:
+    """A completed motion, the name of the encoder that completed it, and warnings."""
+
+    edited: EditedMotion
+    encoder: str
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class MotionCompletion:
+    """A request for one motion: the framerate, a mask of the frames to keep, seconds beyond both ends."""
+
+    loaded: LoadedMotion
+    fps: Fraction
+    observed: Frames
+    before_seconds: float
+    after_seconds: float
+    plant: bool
+
+    @property
+    def longest_gap_seconds(self) -> float:
+        """The longest time between two frames to keep."""
+        return float(np.diff(self.loaded.seconds[self.observed]).max(initial=0.0))
+
+    def completed_by(self, chosen: ChosenEncoder) -> CompletedMotion:
+        """The motion, completed by an encoder; raises `MotionkitError` if the encoder fails."""
+        loaded, motion = self.loaded, self.loaded.motion
+        encoder, warning = chosen.for_skeleton(motion.skeleton)
+        observation, known = loaded.observation(self.observed), np.flatnonzero(self.observed)
+        reach = {"before_seconds": self.before_seconds, "after_seconds": self.after_seconds}
+        try:
+            if loaded.uneven_seconds is None:
+                completion = begin_observed(observation, known, motion.timegrid, encoder, self.fps, **reach)
+            else:
+                span = (float(loaded.seconds[0]), float(loaded.seconds[-1]))
+                completion = begin_uneven(observation, known, span, encoder, self.fps, **reach)
+        except ValueError as error:
+            raise MotionkitError(f"{chosen.name} cannot complete it: {error}") from None
+        field = completion.field
+        if self.plant:
+            field = anchored(planted(field), observation)
+        if observation.poses.local_rotations is not None:
+            field = on_bones(field, observation)
+        completion = replace(completion, field=field)
+        made, grid = completion.motion(0, completion.grid.num_frames), completion.grid
+        line = (
+            f"complete {motion.num_frames} frames at {motion.fps} fps -> {grid.num_frames} at {grid.fps}, "
+            f"{grid.num_frames - len(completion.given_rows)} made"
+        )
+        edited = EditedMotion(
+            made.annotated_like(motion).logged(line),
+            self.observed,
+            completion.given_rows,
+            known[completion.given_poses],
+        )
+        warnings = [warning] if warning else self._warnings(chosen)
+        if not loaded.valid.all():
+            warnings.append(f"{int((~loaded.valid).sum()):,} frames hold nan and were filled like gaps")
+        return CompletedMotion(edited, encoder.name if warning else chosen.name, tuple(warnings))
+
+    def _warnings(self, chosen: ChosenEncoder) -> list[str]:
+        found = []
+        gap, longest = self.longest_gap_seconds, chosen.longest_gap_seconds
+        if longest is not None and gap > longest + 1e-6:
+            found.append(
+                f"a gap of {gap:.2f} s is longer than the {longest:.2f} s that {chosen.name} has learnt to close"
+            )
+        reach, trained = max(self.before_seconds, self.after_seconds), chosen.reach_seconds
+        if chosen.supports_continuation and reach > LONGEST_PLAUSIBLE_SECONDS:
+            found.append(
+                f"{chosen.name} goes on at constant velocity for {reach:g} s; beyond {LONGEST_PLAUSIBLE_SECONDS:g} s "
+                "that is unrealistic (the model spline comes to rest)"
+            )
+        if trained is not None and reach > trained + 1e-6:
+            found.append(f"{reach:g} s beyond an end is farther than the {trained:.2f} s that {chosen.name} has learnt")
+        if int(self.observed.sum()) == 1:
+            found.append("one frame is known, so the body stands still in it")
+        return found
+
+
+def complete_file(
+    source: MotionSource,
+    request: CompletionRequest,
+    chosen: ChosenEncoder,
+    compared: Sequence[ChosenEncoder],
+    paths: OutputPaths,
+) -> WrittenMotion:
+    """Read, complete and write one motion, with a page that compares encoders if there are any to compare with.
+
+    Raises `MotionkitError` or `OSError` without leaving files behind.
+    """
+    loaded = source.load()
+    completion = request.of(loaded)
+    path = paths.path(source, loaded, completion.fps)
+    page = path.with_suffix(".html") if compared else None
+    if page is not None:
+        paths.check_free(page)
+    completed = completion.completed_by(chosen)
+    edited = completed.edited
+    with whole_file(path) as temporary:
+        write_edited(edited, loaded, temporary)
+        if page is not None:
+            _write_page(page, source.name, completion, [completed, *map(completion.completed_by, compared)])
+    warnings = [*completed.warnings, *filter(None, [loaded.note])]
+    num_completed, num_given = edited.motion.num_frames, len(edited.given_rows)
+    details = {
+        "encoder": completed.encoder,
+        "fps": format_fps(loaded.motion.fps),
+        "completed_fps": format_fps(completion.fps),
+        "num_frames": loaded.motion.num_frames,
+        "num_completed_frames": num_completed,
+        "num_given_frames": num_given,
+        "num_made_frames": num_completed - num_given,
+        "longest_gap_seconds": completion.longest_gap_seconds,
+        "warnings": warnings,
+    }
+    return WrittenMotion(
+        source.name, path, page, details, [f"warning: {source.name}: {warning}" for warning in warnings]
+    )
+
+
+def _write_page(path: Path, title: str, completion: MotionCompletion, versions: Sequence[CompletedMotion]) -> None:
+    """Write a page of a motion and its completions by name, each at its own framerate."""
+    loaded, observed = completion.loaded, completion.observed
+    source = replace(
+        take_of(loaded.motion, "the clip"),
+        uneven_seconds=loaded.uneven_seconds,
+        start_seconds=float(loaded.seconds[0]),
+        seen=None if observed.all() else observed,
+        unseen="left out",
+    )
+    given = [np.isin(np.arange(each.edited.motion.num_frames), each.edited.given_rows) for each in versions]
+    made = [Version(each.encoder, each.edited.motion, mask) for each, mask in zip(versions, given, strict=True)]
+    note = "Dark are frames that were given, orange are those that were made."
+    write_comparison(path, title, source, made, others="made", note=note)
+
+
+def check_ranges(ranges: Sequence[FrameRange]) -> None:
+    """Raise `UsageError` for no range, and for ranges that are empty or overlap."""
+    if not ranges:
+        raise UsageError("keep is empty: keep at least one frame")
+    for start, stop in ranges:
+        if stop is not None and stop <= start:
+            raise UsageError(f"keep: {_shown(start, stop)} holds no frame; it ends before its second number")
+    for first, second in pairwise(sorted(ranges, key=lambda each: each[0])):
+        if first[1] is None or first[1] > second[0]:
+            raise UsageError(f"keep: {_shown(*first)} and {_shown(*second)} overlap")
+
+
+def kept_frames(keep: Sequence[FrameRange] | Frames | None, num_frames: int) -> Frames:
+    """A mask of the frames to keep; raises `MotionkitError` for a range outside the motion, `UsageError` for a mask."""
+    if isinstance(keep, np.ndarray):
+        if keep.dtype != np.bool_ or keep.shape != (num_frames,):
+            raise UsageError(f"keep is a mask of {len(keep):,} frames, the motion has {num_frames:,}")
+        if not keep.any():
+            raise UsageError("keep is empty: keep at least one frame")
+        return keep
+    kept = np.full(num_frames, keep is None)
+    for start, stop in keep or ():
+        end = num_frames if stop is None else stop
+        if not 0 <= start < end <= num_frames:
+            raise MotionkitError(
+                f"keep {_shown(start, stop)} does not lie inside its {num_frames} frames, 0:{num_frames}"
+            )
+        kept[start:end] = True
+    return kept
+
+
+def _shown(start: int, stop: int | None) -> str:
+    return f"{start}:{'' if stop is None else stop}"
+
+
+def parse_keep(text: str) -> tuple[FrameRange, ...]:
+    """Parse ranges of frames such as `0:10,40:50`, half-open and counted from 0; also `:10`, `40:` and a single `7`.
+
+    Raises `UsageError` for anything else.
+    """
+    found: list[FrameRange] = []
+    for part in text.split(","):
+        match = _RANGE.fullmatch(part.strip())
+        if match is None or not (match["start"] or match["colon"]) or len(part) > 40:
+            raise UsageError(f"keep: {part.strip()[:40]!r} is not a range of frames such as 0:10, 40: or 7")
+        start = int(match["start"] or 0)
+        stop = (int(match["stop"]) if match["stop"] else None) if match["colon"] else start + 1
+        found.append((start, stop))
+    check_ranges(found)
+    return tuple(found)
+
+
+def parse_extend(text: str) -> tuple[Reach, Reach]:
+    """Parse the extrapolation before and after, `0.5,1`; a single number is after. Seconds, or frames: `0,15f`.
+
+    Raises `UsageError`.
+    """
+    parts = [_parse_reach(part.strip(), text) for part in text.split(",")]
+    if len(parts) > 2:
+        raise UsageError(f"extend {text}: expected BEFORE,AFTER, not {len(parts)} numbers")
+    return (Reach(0.0), parts[0]) if len(parts) == 1 else (parts[0], parts[1])
+
+
+def _parse_reach(part: str, text: str) -> Reach:
+    number = part.removesuffix("f")
+    try:
+        amount = float(number)
+    except ValueError:
+        amount = math.nan
+    if not 0 <= amount < math.inf or (part != number and amount % 1):
+        raise UsageError(f"extend {text}: {part!r} is neither seconds (0.5) nor a whole number of frames (15f)")
+    return Reach(amount, part != number)

@@ -1,0 +1,109 @@
+"""Converting a motion: another format, framerate or rig (docs/howto/convert.md)."""
+
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from motionkit.core.errors import MotionkitError, UsageError
+from motionkit.core.files import whole_file
+from motionkit.core.framerate import Framerate, format_fps, parse_fps
+from motionkit.core.motion import Motion
+from motionkit.edit.motions import (
+    EditedMotion,
+    LoadedMotion,
+    MotionSource,
+    OutputPaths,
+    WrittenMotion,
+    load_motion,
+    write_edited,
+)
+from motionkit.fields.resample import resample
+from motionkit.io.character import Character, read_character
+from motionkit.io.files import read_options
+from motionkit.io.registry import ReadOptions
+from motionkit.io.up import GIVEN_AXES, log_lines, turned
+
+
+def convert(
+    motion: Motion | str | Path,
+    *,
+    fps: Framerate | None = None,
+    rig: str | Path | None = None,
+    up: str | None = None,
+) -> Motion:
+    """A motion at another framerate, on another rig; `save` writes it in the format of a file's suffix.
+
+    - `motion`: a motion, or a file
+    - `fps`: the new framerate; below its own it is filtered, above it interpolated (`motionkit.resample`)
+    - `rig`: a character's .bvh or .glb, onto whose bones the motion is retargeted
+    - `up`: the axis "x", "y" or "z" that points up in the file, or in the motion's own positions; the result is y up
+
+    Raises `MotionkitError` for frames that hold nan or are uneven in time, and for a motion that cannot be mapped to
+    the rig, `UsageError` for an invalid request.
+
+    >>> mk.convert("walk.bvh", fps=30).save("walk.npz")
+    >>> mk.read("walk.npz").num_frames
+    120
+    """
+    if isinstance(motion, Motion):
+        if up is not None and up not in GIVEN_AXES:
+            raise UsageError(f"up is {up!r}, expected the axis x, y or z that points up")
+        loaded = LoadedMotion.of(_turned(motion, up or "y"))
+    else:
+        loaded = load_motion(motion, read_options(up=up))
+    character = None if rig is None else read_character(Path(rig), ReadOptions())
+    return converted_motion(loaded, None if fps is None else parse_fps(fps), character)
+
+
+def _turned(motion: Motion, up: str) -> Motion:
+    motion = turned(motion, up)
+    for line in log_lines(up):
+        motion = motion.logged(line)
+    return motion
+
+
+def converted_motion(loaded: LoadedMotion, fps: Fraction | None, character: Character | None) -> Motion:
+    """The motion at a framerate, on a character's rig; None keeps its own. Raises `MotionkitError`."""
+    motion, num_lost = loaded.motion, int((~loaded.valid).sum())
+    if num_lost:
+        raise MotionkitError(f"{num_lost:,} of its {len(loaded.valid):,} frames hold nan: complete it first")
+    if loaded.uneven_seconds is not None:
+        raise MotionkitError("its frames are uneven in time: complete it first, with --fps")
+    if fps is not None:
+        motion = resample(motion, fps)
+    return motion if character is None else character.perform(motion)
+
+
+def convert_file(
+    source: MotionSource, fps: Fraction | None, character: Character | None, paths: OutputPaths
+) -> WrittenMotion:
+    """Read, convert and write one motion; on a character's rig into a file like the character's own.
+
+    A BVH file that stays one keeps its hierarchy and channels. Raises `MotionkitError` or `OSError` without leaving
+    files behind.
+    """
+    loaded = source.load()
+    if character is not None:
+        loaded = replace(loaded, suffix=character.suffix, document=None, is_pose_vectors=False, note="")
+    path = paths.path(source, loaded, fps or loaded.motion.fps)
+    motion = converted_motion(loaded, fps, character)
+    if motion.local_rotations is None:
+        loaded = replace(loaded, document=None)
+    given = np.arange(motion.num_frames if motion is loaded.motion else 0)
+    with whole_file(path) as temporary:
+        if character is not None and path.suffix.lower() == character.suffix:
+            character.write(motion, temporary)
+        else:
+            write_edited(EditedMotion(motion, loaded.valid, given, given), loaded, temporary)
+    details = {
+        "fps": format_fps(loaded.motion.fps),
+        "converted_fps": format_fps(motion.fps),
+        "num_frames": loaded.motion.num_frames,
+        "num_converted_frames": motion.num_frames,
+        "num_joints": motion.skeleton.num_joints,
+        "note": loaded.note if path.suffix.lower() == loaded.suffix else "",
+    }
+    remarks = [f"warning: {source.name}: {details['note']}"] if details["note"] else []
+    return WrittenMotion(source.name, path, None, details, remarks)

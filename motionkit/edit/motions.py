@@ -1,0 +1,304 @@
+"""Motions of files, folders, ids and stores, to be edited or looked at; and edited motions written to files."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import cache, cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from motionkit.core.checksums import write_json
+from motionkit.core.errors import FormatError, MotionkitError, StoreError, UsageError
+from motionkit.core.files import is_store
+from motionkit.core.framerate import format_fps
+from motionkit.core.motion import Motion
+from motionkit.core.shapes import Bool, Float64, Int
+from motionkit.core.skeleton import STANDARD_SKELETONS
+from motionkit.features import humanml3d
+from motionkit.features.humanml3d import at_origin, facing_forward
+from motionkit.fields.motion_field import Observation, Poses
+from motionkit.io import joints_npy, pose_vectors
+from motionkit.io.bvh.document import BvhDocument
+from motionkit.io.bvh.writing import ChannelLines, check_writable
+from motionkit.io.files import existing_path, sequences_at
+from motionkit.io.humanml3d import LAYOUTS
+from motionkit.io.missing_frames import read_with_missing
+from motionkit.io.reading import read_document
+from motionkit.io.registry import FileHead, ReadOptions, SourceItem, writer_of
+from motionkit.io.scan import derived_folder
+from motionkit.store import Store
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedMotion:
+    """A motion as it was read: a mask of its valid frames, and their times where these are not on its grid.
+
+    Invalid frames repeat a valid one. A BVH file has its `document`, to be written with its own lines and channels.
+    `suffix` is that of results that are written as the motion was; `note` says why that is another format. An array of
+    pose vectors is written as one again (`is_pose_vectors`).
+    """
+
+    motion: Motion
+    valid: Bool[np.ndarray, "frames"]
+    uneven_seconds: Float64[np.ndarray, "frames"] | None = None
+    document: BvhDocument | None = None
+    suffix: str = ".npz"
+    note: str = ""
+    is_pose_vectors: bool = False
+
+    @staticmethod
+    def of(motion: Motion) -> "LoadedMotion":
+        """A motion in memory, all of whose frames are valid."""
+        return LoadedMotion(motion, np.ones(motion.num_frames, bool))
+
+    @property
+    def seconds(self) -> Float64[np.ndarray, "frames"]:
+        """Times of the frames."""
+        return self.motion.timegrid.seconds() if self.uneven_seconds is None else self.uneven_seconds
+
+    @cached_property
+    def poses(self) -> Poses:
+        """All poses; those of a BVH file have rotations even if its bones move, which a `Motion` leaves out."""
+        if self.document is not None and self.motion.local_rotations is None:
+            return self.document.poses(np.arange(self.motion.num_frames))
+        return Poses.of(self.motion)
+
+    def observation(self, observed: Bool[np.ndarray, "frames"]) -> Observation:
+        """The poses of the `observed` frames at their times."""
+        rows = slice(None) if observed.all() else np.flatnonzero(observed)
+        return Observation(self.seconds[rows], self.poses.rows(rows), self.motion.skeleton)
+
+
+@dataclass(frozen=True)
+class MotionSource:
+    """A motion that is read by `load`: its `name` for messages, and its `short_name` without the folder.
+
+    Results are written next to `beside`: its path without suffix, with the key for a file of several motions.
+    """
+
+    name: str
+    short_name: str
+    beside: Path
+    load: Callable[[], LoadedMotion]
+
+    @staticmethod
+    def of(motion: Motion) -> "MotionSource":
+        """A motion in memory, called by its id."""
+        name = motion.sequence_id or "motion"
+        return MotionSource(name, name, _file_name(name), lambda: LoadedMotion.of(motion))
+
+
+def find_motions(
+    names: Sequence[str], options: ReadOptions, store: Path, where: str | None = None
+) -> tuple[list[MotionSource], list[FormatError]]:
+    """The motions of files, folders, stores and ids of `store`, and of `store` those that satisfy the SQL `where`.
+
+    The second list has the problems of files that cannot be read. Raises `UsageError` for a name that is none of these,
+    and for a condition that no sequence satisfies.
+    """
+    found: list[MotionSource] = []
+    problems: list[FormatError] = []
+    opened = cache(lambda: Store.open(store))
+    for name in names:
+        path = Path(name)
+        if is_store(path):
+            found += _stored(Store.open(path), None)
+        elif path.exists():
+            items, faults = sequences_at(path, options)
+            found += [_of_item(item, shown, options) for shown, item in items]
+            problems += faults
+        else:
+            found.append(_stored_named(name, store, opened))
+    if where is not None:
+        found += _stored(opened(), where)
+    return found, problems
+
+
+def load_motion(motion: Motion | str | Path, options: ReadOptions | None = None) -> LoadedMotion:
+    """A motion in memory or of a file; raises what reading it raises, and `UsageError` for a file of several."""
+    if isinstance(motion, Motion):
+        return LoadedMotion.of(motion)
+    path = existing_path(motion)
+    found, problems = find_motions([str(path)], options or ReadOptions(), path)
+    if not found:
+        raise problems[0]
+    if len(found) > 1:
+        raise UsageError(f"{path} holds {len(found):,} motions: take them one by one, read_all(path) gives them")
+    return found[0].load()
+
+
+def _of_item(item: SourceItem, path: Path, options: ReadOptions) -> MotionSource:
+    is_alone = item.key in ("", path.stem)
+    key, stem = ("", path.stem) if is_alone else (f" ({item.key})", f"{path.stem}-{item.key}")
+    return MotionSource(f"{path}{key}", f"{path.name}{key}", path.with_name(stem), partial(_load_item, item, options))
+
+
+def _load_item(item: SourceItem, options: ReadOptions) -> LoadedMotion:
+    document = read_document(item, options)
+    if document is not None:
+        return LoadedMotion(document.motion(), document.seen, document=document, suffix=".bvh")
+    motion, valid, uneven_seconds = read_with_missing(item, options)
+    suffix, note = item.path.suffix.lower(), ""
+    if suffix == ".npy" and pose_vectors.accepts(FileHead(item.path)):
+        return LoadedMotion(motion, valid, uneven_seconds, suffix=suffix, is_pose_vectors=True)
+    is_writable = item.format == "npz" or (suffix == ".npy" and motion.skeleton in STANDARD_SKELETONS.values())
+    if not is_writable:
+        suffix = ".npz" if motion.local_rotations is None else ".bvh"
+        note = f"{item.format} cannot be written: its result is a {suffix[1:]} file"
+    return LoadedMotion(motion, valid, uneven_seconds, suffix=suffix, note=note)
+
+
+def _stored(store: Store, where: str | None) -> list[MotionSource]:
+    rows = store.rows_of(store.select_some(where))
+    ids: list[str] = store.sequences_table["sequence_id"].take(rows).to_pylist()
+    return [_of_store(sequence_id, store) for sequence_id in ids]
+
+
+def _stored_named(sequence_id: str, path: Path, opened: Callable[[], Store]) -> MotionSource:
+    nowhere = f"there is no file or folder {sequence_id}"
+    if not path.exists():
+        raise UsageError(f"{nowhere}, and no store at {path} that could hold a sequence of that id")
+    try:
+        opened().index_of(sequence_id)
+    except StoreError as error:
+        raise UsageError(f"{nowhere}, and {error}") from None
+    return _of_store(sequence_id, opened())
+
+
+def _of_store(sequence_id: str, store: Store) -> MotionSource:
+    return MotionSource(
+        sequence_id, sequence_id, _file_name(sequence_id), lambda: LoadedMotion.of(store.read(sequence_id))
+    )
+
+
+def _file_name(sequence_id: str) -> Path:
+    return Path(sequence_id.replace("/", "_").lstrip(".") or "motion")
+
+
+@dataclass(frozen=True, eq=False)
+class EditedMotion:
+    """A motion made of a loaded one, of whose frames `observed` masks those that it was made of.
+
+    Frame `given_rows[i]` is frame `given_frames[i]` of the loaded motion, unchanged; both ascend.
+    """
+
+    motion: Motion
+    observed: Bool[np.ndarray, "frames"]
+    given_rows: Int[np.ndarray, "given"]
+    given_frames: Int[np.ndarray, "given"]
+
+
+@dataclass(frozen=True)
+class WrittenMotion:
+    """A file that was written, its page if there is one, and what to tell: `details` as JSON, `remarks` as lines."""
+
+    source: str
+    path: Path
+    page: Path | None = None
+    details: Mapping[str, Any] = field(default_factory=dict)
+    remarks: Sequence[str] = ()
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON."""
+        page = None if self.page is None else str(self.page)
+        return {"clip": self.source, "file": str(self.path), **self.details, "page": page}
+
+
+def write_edited(edited: EditedMotion, loaded: LoadedMotion, path: Path) -> None:
+    """Write an edited motion in the format of the path's suffix; BVH files and pose vectors as they came.
+
+    In a BVH file with a document, given frames keep their lines, and others have its channels. Raises `FormatError` for
+    a document whose angles are not unique, and what the writer raises.
+    """
+    document = loaded.document
+    if document is not None and path.suffix.lower() == ".bvh":
+        check_writable(document)
+        lines = ChannelLines(document, np.flatnonzero(edited.observed), loaded.seconds[edited.observed])
+        motion = edited.motion
+        written = lines.lines(motion.timegrid.seconds(), Poses.of(motion), edited.given_rows, edited.given_frames)
+        path.write_bytes(document.heading(motion.num_frames, motion.fps) + b"\n".join((*written, b"")))
+    elif loaded.is_pose_vectors and path.suffix.lower() == ".npy":
+        _write_pose_vectors(edited.motion, path)
+    else:
+        writer_of(path.suffix.lower())(edited.motion, path)
+
+
+def _write_pose_vectors(motion: Motion, path: Path) -> None:
+    """Write T − 1 rows of 263 or 251 numbers for T poses, and the framerate to `motions.json` beside them.
+
+    Rates in the vectors are per frame, so they are those of the motion's framerate. Positions are where the first frame
+    is above the origin and faces Z+, as the convention has it; nothing is scaled. Raises `MotionkitError` for one pose,
+    and for a folder whose `motions.json` says another framerate.
+    """
+    layout = next(each for each in LAYOUTS.values() if each.skeleton == motion.skeleton)
+    if motion.num_frames < 2:
+        raise MotionkitError("pose vectors need at least two poses")
+    name = layout.skeleton.name
+    positions = facing_forward(at_origin(motion.joint_positions / np.float32(layout.unit_metres)), name)
+    manifest = path.parent / joints_npy.MANIFEST
+    if joints_npy.read_manifest(manifest).fps not in (None, motion.fps):
+        raise MotionkitError(f"{manifest} says another framerate than {motion.fps}: one folder holds one, use --out")
+    np.save(path, humanml3d.vectors(positions, name), allow_pickle=False)
+    write_json(manifest, {"fps": format_fps(motion.fps), "layout": name, "vectors": humanml3d.CONVENTION})
+
+
+class OutputPaths:
+    """The files of results: `--out`, or in `--out`, or beside each source as `NAME.EDIT.EXT`; no two are the same.
+
+    `edit` says what was done (`completed`), `names` are those that the user gave. Raises `UsageError` for a suffix that
+    no format writes, for a format that is not that of the file, and for one file where several motions are written.
+    """
+
+    def __init__(
+        self,
+        edit: str,
+        names: Sequence[str],
+        num_motions: int,
+        *,
+        out: Path | None = None,
+        file_format: str | None = None,
+        overwrite: bool = False,
+    ) -> None:
+        self._edit, self._out, self._overwrite = edit, out, overwrite
+        self._folders = [Path(name) for name in names if Path(name).is_dir()]
+        self._suffix = None if file_format is None else f".{file_format}"
+        self._is_file = out is not None and bool(out.suffix) and not out.is_dir()
+        self._source_of: dict[Path, str] = {}
+        if out is not None and self._is_file:
+            if num_motions > 1 or self._folders or not names:
+                raise UsageError(f"{out} is one file: for several motions name a folder, without a suffix")
+            if self._suffix not in (None, out.suffix.lower()):
+                raise UsageError(f"--format {file_format} and --out {out} are two formats: give one of them")
+            self._suffix = out.suffix.lower()
+        if self._suffix is not None:
+            writer_of(self._suffix)
+
+    def path(self, source: MotionSource, loaded: LoadedMotion, fps: Fraction) -> Path:
+        """The file of a result at a framerate.
+
+        Raises `MotionkitError` for a file that exists, unless it may be overwritten, and for that of another source.
+        """
+        path = self._path(source, self._suffix or loaded.suffix, format_fps(fps))
+        other = self._source_of.setdefault(path.absolute(), source.name)
+        if other != source.name:
+            raise MotionkitError(f"its result would be {path}, as that of {other}: name them one by one with --out")
+        self.check_free(path)
+        return path
+
+    def check_free(self, path: Path) -> None:
+        """Raise `MotionkitError` for a file that exists, unless it may be overwritten."""
+        if path.exists() and not self._overwrite:
+            raise MotionkitError(f"{path} exists: --overwrite replaces it, --out writes elsewhere")
+
+    def _path(self, source: MotionSource, suffix: str, fps: str) -> Path:
+        stem = source.beside.name
+        folder = next((folder for folder in self._folders if source.beside.is_relative_to(folder)), None)
+        if self._out is not None:
+            below = source.beside.relative_to(folder).parent if folder else Path()
+            return self._out if self._is_file else self._out / below / f"{stem}{suffix}"
+        if suffix != ".npy":
+            return source.beside.with_name(f"{stem}.{self._edit}{suffix}")
+        # A motions.json states the framerate of all arrays beside it, so new ones need their own folder.
+        return source.beside.with_name(derived_folder(fps, self._edit)) / f"{stem}.npy"

@@ -1,0 +1,204 @@
+"""Planting a motion: its feet stop sliding, and the change is measured (docs/plant.md)."""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from motionkit.core.errors import MotionkitError
+from motionkit.core.files import whole_file
+from motionkit.core.framerate import format_fps
+from motionkit.core.motion import Motion
+from motionkit.core.shapes import Bool, Float64
+from motionkit.core.timegrid import TimeGrid
+from motionkit.edit.motions import (
+    EditedMotion,
+    LoadedMotion,
+    MotionSource,
+    OutputPaths,
+    WrittenMotion,
+    load_motion,
+    write_edited,
+)
+from motionkit.fields.contact.correction import Correction
+from motionkit.fields.contact.correction import Path as BodyPath
+from motionkit.fields.contact.detection import runs
+from motionkit.fields.contact.planted import PlantedField, planted, planted_frames
+from motionkit.fields.interpolation import INTERPOLATORS
+from motionkit.viz.comparison import Version, write_comparison
+from motionkit.viz.player.takes import take_of
+
+MOVED_METRES = 2e-5
+# Smaller changes are not worth a word.
+SMALL_METRES = 0.001
+
+
+def plant(motion: Motion | str | Path, *, path: BodyPath = "near") -> Motion:
+    """Remove foot sliding: the body is moved and the legs are bent; bones keep their length.
+
+    - `motion`: a motion, or a file; its legs are recognised by joint names (docs/formats.md)
+    - `path`: "near" the body's original path; or "free", determined by its feet, for generated motion
+
+    Real feet roll, pivot and creep: contacts that are not faster than that are unchanged (docs/plant.md). Raises
+    `MotionkitError` for frames that hold nan and for a skeleton with unknown legs.
+
+    >>> motion = mk.read("walk.bvh")
+    >>> mk.plant(motion).num_frames
+    240
+    """
+    edited, _ = planted_motion(load_motion(motion), path)
+    return edited.motion
+
+
+@dataclass(frozen=True)
+class Change:
+    """Changes of a motion in m, m/s and s; speeds are None for feet without contact.
+
+    `sliding` is the mean horizontal speed of feet in contact, weighted towards the steadier of ankle and toe.
+    `below_ground` is the maximum depth of a foot joint below its floor. `largest_level_shift` and
+    `largest_height_shift` are how far the correction moves a foot along the ground, and up or down to it;
+    `has_fixed_bones` is whether positions without rotations were projected onto bones of constant length.
+    `largest_pose_change` is relative to the first joint, so that it ignores a displacement of the whole body.
+    """
+
+    num_contacts: int
+    contact_seconds: float
+    sliding_before: float | None
+    sliding_after: float | None
+    below_ground_before: float
+    below_ground_after: float
+    largest_level_shift: float
+    largest_height_shift: float
+    has_fixed_bones: bool
+    largest_change: float
+    largest_pose_change: float
+    mean_change: float
+    moved_share: float
+
+    def __str__(self) -> str:
+        if self.sliding_before is None or self.sliding_after is None:
+            described = "no foot is on the ground"
+        elif self.largest_level_shift < SMALL_METRES:
+            described = f"feet slide no more than captures do ({100 * self.sliding_before:.1f} cm/s): left alone"
+        else:
+            described = (
+                f"{self.num_contacts:,} contacts slid at {100 * self.sliding_before:.1f} cm/s, now "
+                f"{100 * self.sliding_after:.1f}"
+            )
+        if self.largest_height_shift >= SMALL_METRES:
+            described += f"; feet were up to {1000 * self.largest_height_shift:.0f} mm above or below the ground"
+        if self.has_fixed_bones:
+            described += "; bones changed their length"
+        if self.largest_change >= SMALL_METRES:
+            described += f"; joints moved by up to {1000 * self.largest_change:.0f} mm"
+        return described
+
+
+def planted_motion(loaded: LoadedMotion, path: BodyPath) -> tuple[EditedMotion, Change]:
+    """The motion with planted feet, and the change; frames that nothing moves are unchanged. Raises `MotionkitError`.
+
+    Frames that are uneven in time are resampled to their mean framerate.
+    """
+    motion, valid = loaded.motion, loaded.valid
+    if not valid.all():
+        raise MotionkitError(f"{int((~valid).sum()):,} of its {len(valid):,} frames hold nan: complete it first")
+    observation, grid = loaded.observation(valid), motion.timegrid
+    unmoved = np.zeros(0, np.int64)
+    if loaded.uneven_seconds is None:
+        field = planted_frames(observation, grid, path)
+        change, moved = measure_change(field, grid.seconds())
+        poses, unmoved = loaded.poses, np.flatnonzero(~moved)
+        if moved.any():
+            poses = poses.joined(())
+            poses.put(moved, field.query(grid.seconds()[moved]))
+    else:
+        field = planted(INTERPOLATORS["slerp"].encode(observation), path)
+        change, _ = measure_change(field, loaded.seconds)
+        grid = TimeGrid(grid.fps, grid.num_frames, float(loaded.seconds[0]))
+        poses = field.query(np.minimum(grid.seconds(), field.end_seconds))
+    line = (
+        f"plant {change.num_contacts} contacts, the body's path {path}: joints moved by up to "
+        f"{1000 * change.largest_change:.1f} mm"
+    )
+    made = poses.at(grid, motion.skeleton).annotated_like(motion).logged(line)
+    return EditedMotion(made, valid, unmoved, unmoved), change
+
+
+def plant_file(source: MotionSource, path_of_body: BodyPath, with_page: bool, paths: OutputPaths) -> WrittenMotion:
+    """Read, plant and write one motion, with a page of both if wanted.
+
+    Raises `MotionkitError` or `OSError` without leaving files behind.
+    """
+    loaded = source.load()
+    path = paths.path(source, loaded, loaded.motion.fps)
+    page = path.with_suffix(".html") if with_page else None
+    if page is not None:
+        paths.check_free(page)
+    edited, change = planted_motion(loaded, path_of_body)
+    with whole_file(path) as temporary:
+        write_edited(edited, loaded, temporary)
+        if page is not None:
+            stayed = np.zeros(edited.motion.num_frames, bool)
+            stayed[edited.given_rows] = True
+            version = Version("planted", edited.motion, stayed)
+            note = "Dark are frames that stayed, orange are those that moved."
+            write_comparison(page, source.name, take_of(loaded.motion, "before"), [version], others="moved", note=note)
+    details = {
+        "fps": format_fps(loaded.motion.fps),
+        "num_frames": loaded.motion.num_frames,
+        **asdict(change),
+        "note": loaded.note,
+    }
+    remarks = [f"warning: {source.name}: {loaded.note}"] if loaded.note else []
+    return WrittenMotion(source.name, path, page, details, [*remarks, f"{source.name}: {change}"])
+
+
+def measure_change(
+    field: PlantedField, times: Float64[np.ndarray, "frames"]
+) -> tuple[Change, Bool[np.ndarray, "frames"]]:
+    """Measure what planting changes at these ascending times, and which frames it moves."""
+    before, after = field.field.query(times).joint_positions, field.query(times).joint_positions
+    step = after - before
+    distance = np.linalg.norm(step, axis=-1)
+    depth = [
+        float((field.correction.ground.floor - field.legs.foot_paths(positions)[..., 1]).max(initial=0.0))
+        for positions in (before, after)
+    ]
+    contacts, seconds, speeds = _contacts(field.correction)
+    level_shift, height_shift = _shifts(field.correction)
+    moved = distance.max(axis=1) > MOVED_METRES
+    change = Change(
+        num_contacts=contacts,
+        contact_seconds=seconds,
+        sliding_before=speeds[0],
+        sliding_after=speeds[1],
+        below_ground_before=depth[0],
+        below_ground_after=depth[1],
+        largest_level_shift=level_shift,
+        largest_height_shift=height_shift,
+        has_fixed_bones=field.bones is not None,
+        largest_change=float(distance.max()),
+        largest_pose_change=float(np.linalg.norm(step - step[:, :1], axis=-1).max()),
+        mean_change=float(distance.mean()),
+        moved_share=float(moved.mean()),
+    )
+    return change, moved
+
+
+def _contacts(correction: Correction) -> tuple[int, float, tuple[float | None, float | None]]:
+    """Number and seconds of a foot's contacts, and its speed there without and with the correction."""
+    if not correction.is_possible or not correction.contacts.down.any():
+        return 0, 0.0, (None, None)
+    down, velocity = np.asarray(correction.contacts.down.any(axis=-1)), correction.contacts.velocity
+    moves = np.gradient(correction.offsets[:, :1] + correction.offsets[:, 1:], axis=0) * correction.fps
+    before, after = (float(np.hypot(each[..., 0], each[..., 2])[down].mean()) for each in (velocity, velocity + moves))
+    count = sum(len(runs(down[:, foot])[0]) for foot in range(2))
+    return count, int(down.sum()) / correction.fps, (before, after)
+
+
+def _shifts(correction: Correction) -> tuple[float, float]:
+    """The largest offset of a foot along the ground, and up or down."""
+    if not correction.is_possible:
+        return 0.0, 0.0
+    feet = correction.offsets[:, :1] + correction.offsets[:, 1:]
+    return float(np.hypot(feet[..., 0], feet[..., 2]).max()), float(np.abs(feet[..., 1]).max())

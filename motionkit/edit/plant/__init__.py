@@ -1,1 +1,0 @@
-"""Removal of foot sliding: `motionkit plant` for clips, and `motionkit.edit.plant` for a motion."""

@@ -1,0 +1,244 @@
+"""Pages of moving motions: of files, of motions in memory, and in notebooks (docs/view.md)."""
+
+import html
+import webbrowser
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from motionkit.core.errors import MotionkitError, UsageError, describe
+from motionkit.core.framerate import format_fps
+from motionkit.core.motion import Motion
+from motionkit.core.plain_text import printable
+from motionkit.core.progress import warn
+from motionkit.core.shapes import Float64
+from motionkit.core.skeleton import SMPL22
+from motionkit.edit.motions import LoadedMotion, MotionSource, find_motions
+from motionkit.features.field import heading, to_world
+from motionkit.features.layout import SMPL22_LAYOUT
+from motionkit.generate.constraint_files import PathTable, parse_pose, read_path
+from motionkit.generate.constraints import Constraint
+from motionkit.io.files import existing_path
+from motionkit.io.registry import ReadOptions
+from motionkit.viz import MOST_MOTIONS
+from motionkit.viz.player.page import check_places, page_of, write_page
+from motionkit.viz.player.takes import Line, Take, packed_bytes, take_of
+
+PAGE_SUFFIX = ".view.html"
+# Names combined from many files may exceed the system's limit, which is in bytes.
+LONGEST_STEM_BYTES = 160
+# A notebook keeps every output that it shows: a minute of 22 joints at 60 fps is about 0.7 MB.
+MOST_NOTEBOOK_BYTES, NOTEBOOK_HEIGHT = 2_000_000, 560
+
+
+def view(*motions: Motion | str | Path, path: str | Path | None = None, open: bool = False) -> Path:
+    """Write a page on which motions move side by side, each at its native framerate, and return its path.
+
+    `motions` are motions, files, or folders of files. The page is one file that loads nothing from elsewhere: open it
+    in any browser, or `open` it in the one of this machine. It is written to `path` (a file, or a folder), by default
+    to NAME.view.html in the current folder; an existing page is replaced. What cannot be shown is left out with a
+    warning. Raises `UsageError` for no motion and for more than 24, `MotionkitError` where none can be shown.
+
+    >>> motion = mk.read("walk.bvh")
+    >>> mk.view(motion, motion.resample(24), path="compared.html").name
+    'compared.html'
+    """
+    sources: list[MotionSource] = []
+    problems: list[str] = []
+    for motion in motions:
+        if isinstance(motion, Motion):
+            sources.append(MotionSource.of(motion))
+            continue
+        named = existing_path(motion)
+        found, failed = find_motions([str(named)], ReadOptions(), named)
+        sources += found
+        problems += map(str, failed)
+    if len(sources) > MOST_MOTIONS or not motions:
+        raise UsageError(f"a page shows 1 to {MOST_MOTIONS} motions, not {len(sources):,}")
+    takes, failures = read_takes(sources, Interval(), lambda: None)
+    problems += [message if name in message else f"{name}: {message}" for name, message in failures]
+    if not takes:
+        raise MotionkitError("; ".join(problems))
+    for problem in problems:
+        warn(problem)
+    written = write_view(page_path(None if path is None else Path(path), sources), takes, Interval()).path
+    if open:
+        webbrowser.open(written.absolute().as_uri())
+    return written
+
+
+def notebook_view(motion: Motion) -> str:
+    """HTML with the moving skeleton, of the beginning for a long motion; the reason if nothing can be drawn."""
+    num_frames = max(1, min(motion.num_frames, MOST_NOTEBOOK_BYTES // packed_bytes(1, motion.skeleton.num_joints)))
+    take = take_of(motion, motion.sequence_id or "motion").frames(0, num_frames)
+    note = f"Shown: the first {take.duration_seconds:.4g} of {motion.duration_seconds:.4g} s."
+    try:
+        page = page_of(take.name, [take], note=note if num_frames < motion.num_frames else "")
+    except MotionkitError as error:
+        return f"<pre>{html.escape(f'{motion!r}: {error}')}</pre>"
+    # Scripts run in an origin of their own, from which they reach nothing of the notebook.
+    inside = page.replace("&", "&amp;").replace('"', "&quot;")
+    return (
+        f'<iframe title="{html.escape(take.name)}" srcdoc="{inside}" sandbox="allow-scripts" '
+        f'style="width: 100%; height: {NOTEBOOK_HEIGHT}px; border: 0"></iframe>'
+    )
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A half-open interval in seconds of a motion's own time; None is its beginning or its end.
+
+    Raises `UsageError` for an empty one.
+    """
+
+    from_seconds: float | None = None
+    to_seconds: float | None = None
+
+    def __post_init__(self) -> None:
+        begin, end = self.from_seconds, self.to_seconds
+        if any(each is not None and not np.isfinite(each) for each in (begin, end)):
+            raise UsageError("--from and --to are seconds")
+        if begin is not None and end is not None and begin >= end:
+            raise UsageError(f"--from {begin:g} --to {end:g} holds nothing: it ends before it begins")
+
+    def of(self, take: Take) -> Take:
+        """The frames inside; raises `MotionkitError` if there are none."""
+        begin = -np.inf if self.from_seconds is None else self.from_seconds
+        end = np.inf if self.to_seconds is None else self.to_seconds
+        seconds = take.frame_seconds()
+        first, stop = np.searchsorted(seconds, (begin - 1e-6, end - 1e-6)).tolist()
+        if first >= stop:
+            described = ["its beginning" if self.from_seconds is None else f"{begin:g} s"]
+            described += ["its end" if self.to_seconds is None else f"{end:g} s"]
+            raise MotionkitError(
+                f"it has no frame from {' to '.join(described)}: its frames are at {seconds[0]:g} to "
+                f"{seconds[-1]:.6g} s"
+            )
+        return take.frames(first, stop)
+
+    def __str__(self) -> str:
+        parts = [
+            "" if self.from_seconds is None else f" from {self.from_seconds:g} s",
+            "" if self.to_seconds is None else f" to {self.to_seconds:g} s",
+        ]
+        return f"Shown{''.join(parts)}." if any(parts) else ""
+
+
+@dataclass(frozen=True)
+class Viewed:
+    """A written page or film: its file, its size in bytes, its takes."""
+
+    path: Path
+    num_bytes: int
+    takes: tuple[Take, ...]
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "page": str(self.path),
+            "bytes": self.num_bytes,
+            "motions": [
+                {
+                    "name": take.name,
+                    "fps": format_fps(take.fps),
+                    "first_frame": take.first_frame,
+                    "num_frames": take.num_frames,
+                    "start_seconds": take.start_seconds,
+                    "duration_seconds": take.duration_seconds,
+                    "num_joints": take.skeleton.num_joints,
+                }
+                for take in self.takes
+            ],
+        }
+
+
+def read_takes(
+    sources: Sequence[MotionSource],
+    interval: Interval,
+    advance: Callable[[], None],
+    drawn: Callable[[Take], Take] = lambda take: take,
+) -> tuple[list[Take], list[tuple[str, str]]]:
+    """The takes of sources, and name and message of each that cannot be shown.
+
+    `drawn` may add drawings to a whole take.
+    """
+    takes: list[Take] = []
+    failures: list[tuple[str, str]] = []
+    # File names without folders, if these are unique.
+    are_unique = len({source.short_name for source in sources}) == len(sources)
+    for source in sources:
+        try:
+            take = interval.of(drawn(_take(source.load(), source.short_name if are_unique else source.name)))
+            check_places(take)
+        except (MotionkitError, OSError) as error:
+            failures.append((source.name, describe(error)))
+        else:
+            takes.append(take)
+        advance()
+    return takes, failures
+
+
+def _take(loaded: LoadedMotion, name: str) -> Take:
+    return replace(
+        take_of(loaded.motion, name),
+        uneven_seconds=loaded.uneven_seconds,
+        start_seconds=float(loaded.seconds[0]),
+        seen=None if loaded.valid.all() else loaded.valid,
+    )
+
+
+def page_path(out: Path | None, sources: Sequence[MotionSource], suffix: str = PAGE_SUFFIX) -> Path:
+    """The page's or the film's file: `out`, a name in it if it is a folder, or NAME.view.html (NAME.mp4) here."""
+    first = sources[0].beside.name
+    stem = first if len(sources) == 1 else f"{first}-and-{len(sources) - 1}-more"
+    short = printable(stem).encode(errors="replace")[:LONGEST_STEM_BYTES].decode(errors="ignore")
+    name = f"{short or 'motion'}{suffix}"
+    if out is None:
+        return Path(name)
+    return out / name if out.is_dir() else out
+
+
+def write_view(path: Path, takes: Sequence[Take], interval: Interval) -> Viewed:
+    """Write the page of takes; raises `MotionkitError`."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    title = takes[0].name if len(takes) == 1 else f"{len(takes)} motions"
+    return Viewed(path, write_page(path, title, takes, note=str(interval)), tuple(takes))
+
+
+def constraint_drawing(path: Path | None, poses: Sequence[str], placed: bool) -> Callable[[Take], Take]:
+    """`with_constraints` for options of `motionkit generate`: a path's file, and poses; raises what reading raises."""
+    table, parsed = None if path is None else read_path(path), [parse_pose(each, placed=placed) for each in poses]
+    return lambda take: with_constraints(take, table, parsed)
+
+
+def with_constraints(take: Take, path: PathTable | None, poses: Sequence[Constraint]) -> Take:
+    """Add lines to a take: the path, on the floor, and the bones of poses.
+
+    A pose without a position is drawn where the motion is at its time. Raises `UsageError` for a path point beyond the
+    motion's end, and for such a pose if the motion does not have the 22 joints.
+    """
+    lines: list[Line] = []
+    if path is not None:
+        lines.append(path.constraint(take.duration_seconds).positions[:, 0])
+    for pose in poses:
+        placed = _placed(take, pose)
+        bones = [placed[[parent, joint]] for joint, parent in enumerate(SMPL22.parents) if parent >= 0]
+        lines += [bone for bone in bones if np.isfinite(bone).all()]
+    return replace(take, lines=tuple(lines))
+
+
+def _placed(take: Take, pose: Constraint) -> Float64[np.ndarray, "22 3"]:
+    """All 22 joints of a pose in the take's world; unconstrained ones are NaN."""
+    joints = np.full((SMPL22.num_joints, 3), np.nan)
+    joints[pose.joint_indices] = pose.positions[0]
+    if pose.frame == "world":
+        return joints
+    if take.skeleton.joint_names != SMPL22.joint_names:
+        raise UsageError(f"{take.name}: a pose is shown with motions of the 22 joints of {SMPL22.name}")
+    frame = int(np.abs(take.frame_seconds() - pose.seconds[0]).argmin())
+    here = take.joint_positions[[frame]].astype(np.float64)
+    yaw, place = heading(here, SMPL22_LAYOUT.facing), here[:, 0, [0, 2]]
+    return np.asarray(to_world(joints[None, None], yaw, place)[0, 0], np.float64)
