@@ -109,7 +109,7 @@ def planted_motion(loaded: LoadedMotion, path: BodyPath) -> tuple[EditedMotion, 
         change, moved = measure_change(field, grid.seconds())
         poses, unmoved = loaded.poses, np.flatnonzero(~moved)
         if moved.any():
-            poses = poses.joined(())
+            poses = poses.copy()
             poses.put(moved, field.query(grid.seconds()[moved]))
     else:
         field = planted(INTERPOLATORS["slerp"].encode(observation), path)
