@@ -54,6 +54,7 @@ def push(
     if repository.path_in_repo:
         raise UsageError(f"{address}: push to a whole repository, without /{repository.path_in_repo}")
     licences: list[str] = []
+    patterns: tuple[str, ...]
     if repository.type == "dataset":
         if run is not None:
             raise UsageError(f"a run goes to hf://{repository.id}: hf://datasets/ is for stores")

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+import motionkit
 from motionkit.core.framerate import Framerate, parse_fps
-from motionkit.core.public_names import provided
 from motionkit.core.shapes import Float, Float32
 from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
 from motionkit.core.timegrid import SAME_SECONDS, TimeGrid
@@ -177,20 +177,18 @@ class Motion:
         >>> mk.read("walk.bvh").resample(23.976).fps
         Fraction(24000, 1001)
         """
-        made: Motion = provided("resample")(self, fps)
-        return made
+        return motionkit.resample(self, fps)
 
     def save(self, path: str | Path) -> None:
         """Write the motion to a file in the format of its suffix, as `motionkit.write` does.
 
         >>> mk.read("walk.bvh").save("walk.glb")
         """
-        provided("save")(self, path)
+        motionkit.write(self, path)
 
     def _repr_html_(self) -> str:
         """The moving skeleton, for notebooks."""
-        page: str = provided("notebook_view")(self)
-        return page
+        return motionkit.notebook_view(self)
 
     def annotated_like(self, source: "Motion") -> "Motion":
         """The same frames with the captions, labels, id and provenance of another motion."""

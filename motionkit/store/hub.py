@@ -130,14 +130,14 @@ def push(repository: "HfUri", folder: Path, patterns: Sequence[str], card: str, 
 
     api = HfApi(library_name="motionkit", library_version=__version__)
     where: dict[str, Any] = {"repo_id": repository.id, "repo_type": repository.type}
-    chosen = {"allow_patterns": list(patterns), "delete_patterns": list(patterns)}
+    chosen = list(patterns)
     with _reporting(repository):
         api.create_repo(**where, private=not public, exist_ok=True)
         if not public and not api.repo_info(**where).private:
             raise HubError(f"{repository.to_uri()} is public: --public allows everybody to download what is pushed")
         where |= {"revision": repository.revision, "commit_message": "motionkit push"}
         api.upload_file(path_or_fileobj=card.encode(), path_in_repo="README.md", **where)
-        commit = api.upload_folder(folder_path=folder, **chosen, **where)
+        commit = api.upload_folder(folder_path=folder, allow_patterns=chosen, delete_patterns=chosen, **where)
     return str(commit.commit_url)
 
 

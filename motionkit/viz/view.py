@@ -71,7 +71,13 @@ def view(*motions: Motion | str | Path, path: str | Path | None = None, open: bo
 
 
 def notebook_view(motion: Motion) -> str:
-    """HTML with the moving skeleton, of the beginning for a long motion; the reason if nothing can be drawn."""
+    """HTML with the moving skeleton, of the beginning for a long motion; the reason if nothing can be drawn.
+
+    Notebooks call it for a motion that a cell ends with.
+
+    >>> mk.notebook_view(mk.read("walk.bvh"))[:7]
+    '<iframe'
+    """
     num_frames = max(1, min(motion.num_frames, MOST_NOTEBOOK_BYTES // packed_bytes(1, motion.skeleton.num_joints)))
     take = take_of(motion, motion.sequence_id or "motion").frames(0, num_frames)
     note = f"Shown: the first {take.duration_seconds:.4g} of {motion.duration_seconds:.4g} s."

@@ -210,7 +210,7 @@ def test_the_how_to_runs(hub: Hub, store: mk.Store, tmp_path: Path, monkeypatch:
     monkeypatch.setattr(datasets.config, "HF_DATASETS_OFFLINE", True)
     monkeypatch.setattr(datasets.config, "HF_DATASETS_CACHE", tmp_path / "datasets")
     commands = {"push": push, "pull": pull, "export": export}
-    names = run_page(PAGE, lambda words: done(commands[words[0]], *words[1:]))
+    names = run_page(PAGE, lambda words: print(done(commands[words[0]], *words[1:])))
     assert list(names["store"]) == list(store)
     last = store["lab/2"]
     np.testing.assert_array_equal(names["joints"], last.joint_positions)

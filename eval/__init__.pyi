@@ -1,0 +1,16 @@
+from .clip_fid.motions import clip_fid as clip_fid
+from .torch_metrics.clips import ClipFID as ClipFID
+from .torch_metrics.means import L2P as L2P
+from .torch_metrics.means import L2Q as L2Q
+from .torch_metrics.means import MPJPE as MPJPE
+from .torch_metrics.means import NPSS as NPSS
+from .torch_metrics.means import AccelerationError as AccelerationError
+from .torch_metrics.means import Accuracy as Accuracy
+from .torch_metrics.means import DeclaredMean as DeclaredMean
+from .torch_metrics.means import JerkError as JerkError
+from .torch_metrics.means import MotionMean as MotionMean
+from .torch_metrics.means import SkatingSpeed as SkatingSpeed
+from .torch_metrics.sets import FID as FID
+from .torch_metrics.sets import Diversity as Diversity
+from .torch_metrics.sets import MultiModality as MultiModality
+from .torch_metrics.sets import RPrecision as RPrecision
