@@ -1,4 +1,4 @@
-"""Cutting files into sequences: stretches in seconds, and stretches in HumanML3D's frames.
+"""Cutting sequences out of files: segments in seconds, and segments in HumanML3D's frames.
 
 HumanML3D counts in frames of its own. From a file that states `fps` it keeps every `step`-th frame, step =
 int(fps / 20), calls the result 20 fps, trims the start for some datasets, and then takes frames [start, end). Since the
@@ -41,55 +41,69 @@ class StepCut:
     """Frames [start_frame, end_frame) of every step-th frame of a file, after dropping `trim_frames` of them.
 
     All native frames in between are kept: [(trim + start)·step, (trim + end)·step); `end_frame` None is the file's end.
-    `seen_fps` is the framerate that HumanML3D's code read, if other files of the take may state another one.
+    If `published`, only every step-th of them is, and they are called 20 fps, as HumanML3D does. `seen_fps` is the
+    framerate that HumanML3D's code read, if other releases of the file may state another one.
     """
 
     start_frame: int
     end_frame: int | None
     trim_frames: int = 0
     seen_fps: float | None = None
+    published: bool = False
 
 
-@dataclass(frozen=True)
-class PublishedCut:
-    """The frames that HumanML3D published: every step-th of a stretch, treated as 20 fps."""
-
-    stretch: StepCut
-
-
-Cut = TimeCut | StepCut | PublishedCut
+Cut = TimeCut | StepCut
 
 
 def crop(motion: Motion, cut: Cut, path: Path) -> Motion:
-    """The stretch as a motion whose clock starts at 0; it is shorter if the file ends early.
+    """The segment as a motion whose clock starts at 0; it is shorter if the file ends early.
 
-    Captions are relative to the stretch; those of a `StepCut` are converted from seconds of 20 frames to true seconds.
-    Raises `FormatError`: `beyond-end` if the file ends before the stretch starts, `step` for a framerate below 20.
+    Captions are relative to the segment; those of a `StepCut` are converted from seconds of 20 frames to true seconds,
+    unless it is `published`. Raises `FormatError`: `beyond-end` if the file ends before the segment starts, `step` for
+    a framerate below 20.
     """
-    match cut:
-        case TimeCut():
-            return _crop_seconds(motion, cut, path)
-        case StepCut():
-            step = _step(motion, cut, path)
-            return _with_true_seconds(_crop_frames(motion, cut, step, path), step)
-        case PublishedCut(stretch):
-            step = _step(motion, stretch, path)
-            return _called_20_fps(_crop_frames(motion, stretch, step, path), step)
+    if isinstance(cut, TimeCut):
+        if cut.is_whole:
+            return motion
+        start = _first_frame_at(cut.start_seconds, motion.fps)
+        stop = motion.num_frames if cut.end_seconds is None else _first_frame_at(cut.end_seconds, motion.fps)
+        end = "the end" if cut.end_seconds is None else f"{cut.end_seconds:g} s"
+        return _frames(motion, start, stop, f"{cut.start_seconds:g} s to {end}", path)
+    stated = motion.provenance.stated_fps
+    step = published_step(cut, path, motion.fps, stated)
+    if step < 1:
+        rate = _seen_rate(cut, path, motion.fps, stated)
+        message = f"{rate:g} frames a second; an index in HumanML3D's frames needs at least {PUBLISHED_FPS}"
+        raise FormatError(message, path=path, reason="step")
+    if (cut.start_frame, cut.end_frame, cut.trim_frames) != (0, None, 0):
+        start = (cut.trim_frames + cut.start_frame) * step
+        stop = motion.num_frames if cut.end_frame is None else (cut.trim_frames + cut.end_frame) * step
+        trim = f" after a trim of {cut.trim_frames}" if cut.trim_frames else ""
+        segment = f"[{cut.start_frame}, {cut.end_frame or ''}) of one frame in {step}{trim}"
+        motion = _frames(motion, start, stop, segment, path)
+    return _as_published(motion, step) if cut.published else _with_true_seconds(motion, step)
 
 
 def missing_seconds(cut: Cut, path: Path, num_frames: int, fps: Fraction, stated_fps: str) -> float:
     """How much shorter a cropped motion is than its cut, in seconds; 0 within the rounding to frames."""
-    match cut:
-        case TimeCut(start, end, _):
-            missing = 0.0 if end is None else end - start - float(num_frames / fps)
-            return missing if missing > 1.5 / float(fps) else 0.0
-        case StepCut(start_frame, end_frame):
-            # The last published frame represents `step` native ones, of which the file needs only the first.
-            step = published_step(cut, path, fps, stated_fps)
-            found = math.ceil(num_frames / step)
-            return 0.0 if end_frame is None else float((end_frame - start_frame - found) * step / fps)
-        case PublishedCut(StepCut(start_frame, end_frame)):
-            return 0.0 if end_frame is None else (end_frame - start_frame - num_frames) / PUBLISHED_FPS
+    if isinstance(cut, TimeCut):
+        missing = 0.0 if cut.end_seconds is None else cut.end_seconds - cut.start_seconds - float(num_frames / fps)
+        return missing if missing > 1.5 / float(fps) else 0.0
+    if cut.end_frame is None:
+        return 0.0
+    expected = cut.end_frame - cut.start_frame
+    if cut.published:
+        return (expected - num_frames) / PUBLISHED_FPS
+    # The last published frame represents `step` native ones, of which the file needs only the first.
+    step = published_step(cut, path, fps, stated_fps)
+    return float((expected - math.ceil(num_frames / step)) * step / fps)
+
+
+def unlike_stated_seconds(cut: Cut, num_frames: int, fps: Fraction) -> bool:
+    """Whether a whole file's duration differs notably from its index's: a sign of a wrong framerate."""
+    if not isinstance(cut, TimeCut) or not cut.is_whole or cut.file_seconds is None:
+        return False
+    return abs(float(num_frames / fps) - cut.file_seconds) > max(UNLIKE_SECONDS, UNLIKE_SHARE * cut.file_seconds)
 
 
 def published_step(cut: StepCut, path: Path, fps: Fraction, stated_fps: str) -> int:
@@ -97,7 +111,7 @@ def published_step(cut: StepCut, path: Path, fps: Fraction, stated_fps: str) -> 
 
     Its code read SMPL+H files (NAME_poses), so these state that framerate themselves: a correction to `fps` changes a
     frame's time, not which frames were published. For other files the index may give it. SMPL-X files (NAME_stageii)
-    state 120 for nearly all takes; `framerate_rules` corrects them to the SMPL+H files' framerates.
+    state 120 for nearly all sequences; `framerate_rules` corrects them to the SMPL+H files' framerates.
     """
     return int(_seen_rate(cut, path, fps, stated_fps) / PUBLISHED_FPS)
 
@@ -108,13 +122,6 @@ def _seen_rate(cut: StepCut, path: Path, fps: Fraction, stated_fps: str) -> floa
         return cut.seen_fps
     corrected = abs(stated - float(fps)) > SNAP_TOLERANCE * float(fps)
     return float(fps) if corrected and path.stem.endswith("_stageii") else stated
-
-
-def unlike_stated_seconds(cut: Cut, num_frames: int, fps: Fraction) -> bool:
-    """Whether a whole file's duration differs notably from its index's: a sign of a wrong framerate."""
-    if not isinstance(cut, TimeCut) or not cut.is_whole or cut.file_seconds is None:
-        return False
-    return abs(float(num_frames / fps) - cut.file_seconds) > max(UNLIKE_SECONDS, UNLIKE_SHARE * cut.file_seconds)
 
 
 def stated_rate(stated_fps: str, fps: Fraction) -> float:
@@ -132,36 +139,22 @@ def stated_rate(stated_fps: str, fps: Fraction) -> float:
     return rate if math.isfinite(rate) and rate > 0 else float(fps)
 
 
-def _crop_seconds(motion: Motion, cut: TimeCut, path: Path) -> Motion:
-    if cut.is_whole:
-        return motion
-    start = _first_frame_at(cut.start_seconds, motion.fps)
-    stop = motion.num_frames if cut.end_seconds is None else _first_frame_at(cut.end_seconds, motion.fps)
-    end = "the end" if cut.end_seconds is None else f"{cut.end_seconds:g} s"
-    return _stretch(motion, start, stop, f"{cut.start_seconds:g} s to {end}", path)
+def _first_frame_at(seconds: float, fps: Fraction) -> int:
+    # Half-open intervals: the first frame that is not earlier.
+    return max(0, math.ceil((seconds - SAME_SECONDS) * float(fps)))
 
 
-def _step(motion: Motion, cut: StepCut, path: Path) -> int:
-    stated = motion.provenance.stated_fps
-    step = published_step(cut, path, motion.fps, stated)
-    if step < 1:
-        raise FormatError(
-            f"{_seen_rate(cut, path, motion.fps, stated):g} frames a second; an index in HumanML3D's frames needs at "
-            f"least {PUBLISHED_FPS}",
-            path=path,
-            reason="step",
+def _frames(motion: Motion, start: int, stop: int, segment: str, path: Path) -> Motion:
+    end = min(stop, motion.num_frames)
+    if start >= end:
+        message = (
+            f"the index names {segment} as {motion.sequence_id!r}, that is frames [{start}, {stop}), but the file "
         )
-    return step
-
-
-def _crop_frames(motion: Motion, cut: StepCut, step: int, path: Path) -> Motion:
-    if (cut.start_frame, cut.end_frame, cut.trim_frames) == (0, None, 0):
-        return motion
-    start = (cut.trim_frames + cut.start_frame) * step
-    stop = motion.num_frames if cut.end_frame is None else (cut.trim_frames + cut.end_frame) * step
-    trim = f" after a trim of {cut.trim_frames}" if cut.trim_frames else ""
-    asked = f"[{cut.start_frame}, {cut.end_frame or ''}) of one frame in {step}{trim}"
-    return _stretch(motion, start, stop, asked, path)
+        message += f"has {motion.num_frames}; is it of another release?"
+        raise FormatError(message, path=path, reason="beyond-end")
+    first, last = (float(frame / motion.fps) for frame in (start, end))
+    line = f"frames [{start}, {end}) of {motion.num_frames}, {first:.6g} s to {last:.6g} s of the file ({segment})"
+    return replace(motion.frames(start, end), timegrid=TimeGrid(motion.fps, end - start)).logged(line)
 
 
 def _with_true_seconds(motion: Motion, step: int) -> Motion:
@@ -181,22 +174,7 @@ def _with_true_seconds(motion: Motion, step: int) -> Motion:
     return replace(motion, captions=captions).logged(line)
 
 
-def _stretch(motion: Motion, start: int, stop: int, asked: str, path: Path) -> Motion:
-    if start >= min(stop, motion.num_frames):
-        raise FormatError(
-            f"the index asks for {asked} as {motion.sequence_id!r}, that is frames [{start}, {stop}), but the file has "
-            f"{motion.num_frames}; is it of another release?",
-            path=path,
-            reason="beyond-end",
-        )
-    found = min(stop, motion.num_frames)
-    cropped = motion.frames(start, found)
-    first, last = (float(frame / motion.fps) for frame in (start, found))
-    line = f"frames [{start}, {found}) of {motion.num_frames}, {first:.6g} s to {last:.6g} s of the file ({asked})"
-    return replace(cropped, timegrid=TimeGrid(motion.fps, found - start)).logged(line)
-
-
-def _called_20_fps(motion: Motion, step: int) -> Motion:
+def _as_published(motion: Motion, step: int) -> Motion:
     rotations, root = motion.local_rotations, motion.root_translation
     positions = motion.joint_positions[::step]
     thinned = replace(
@@ -208,8 +186,3 @@ def _called_20_fps(motion: Motion, step: int) -> Motion:
     )
     true_fps = float(motion.fps / step)
     return thinned.logged(f"one frame in {step}, at {true_fps:g} fps, called {PUBLISHED_FPS} fps as HumanML3D does")
-
-
-def _first_frame_at(seconds: float, fps: Fraction) -> int:
-    # Half-open intervals: the first frame that is not earlier.
-    return max(0, math.ceil((seconds - SAME_SECONDS) * float(fps)))

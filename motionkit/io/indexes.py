@@ -32,7 +32,7 @@ from typing import Any, TypeVar
 from motionkit.core.errors import FormatError, UsageError
 from motionkit.core.motion import Caption
 from motionkit.core.plain_text import parse_json
-from motionkit.io.cuts import Cut, PublishedCut, StepCut, TimeCut
+from motionkit.io.cuts import Cut, StepCut, TimeCut
 from motionkit.io.registry import IndexOptions, ScanResult, SourceItem
 from motionkit.io.scan import walk
 from motionkit.io.source import source_file
@@ -308,20 +308,11 @@ def _frame(row: Mapping[str, str | None], column: str) -> int:
 
 def _read_json(text: str, path: Path) -> Mapping[str, Any]:
     try:
-        value: Mapping[str, Any] = parse_json(text, object_pairs_hook=_once_each)
+        value: Mapping[str, Any] = parse_json(text)
     except json.JSONDecodeError as error:
         raise FormatError(f"not JSON ({error.msg})", path=path, reason="index", line=error.lineno) from None
     except ValueError as error:
         raise FormatError(f"not JSON that can be read ({error})", path=path, reason="index") from None
-    return value
-
-
-def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    # JSON allows duplicate names, of which Python would silently keep the last.
-    value = dict(pairs)
-    if len(value) != len(pairs):
-        (twice, _), *_ = Counter(name for name, _ in pairs).most_common(1)
-        raise ValueError(f"{twice[:40]!r} is there twice")
     return value
 
 
@@ -466,7 +457,8 @@ def _chosen(index: Index, options: IndexOptions) -> Index:
     elif not any(entry.mirrored for entry in entries):
         raise UsageError(f"{index.path} has no mirrored sequences, and captions that would not fit their mirror images")
     if options.published:
-        entries = [replace(entry, cut=PublishedCut(entry.cut)) for entry in entries if isinstance(entry.cut, StepCut)]
+        cuts = [(entry, entry.cut) for entry in entries if isinstance(entry.cut, StepCut)]
+        entries = [replace(entry, cut=replace(cut, published=True)) for entry, cut in cuts]
     name = f"{index.name}-20fps" if options.published else index.name
     return replace(index, name=name, entries=tuple(entries))
 

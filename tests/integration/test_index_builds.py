@@ -138,7 +138,7 @@ def test_what_is_missing_is_counted_by_dataset(motionkit, amass, humanml3d, tmp_
     }
     assert told["failed"] == {"missing-file": 2, "path": 1, "not-what-it-says": 1, "beyond-end": 1}
     assert f"{humanml3d}/index.csv, line 4: 000002: there is no CMU/01/01_01_poses.npy below {amass}" in outcome.stderr
-    asked = "the index asks for [200, 240) of one frame in 5 as 'humanml3d/000007', that is frames [1000, 1200)"
+    asked = "the index names [200, 240) of one frame in 5 as 'humanml3d/000007', that is frames [1000, 1200)"
     assert asked in outcome.stderr
     again = motionkit(*arguments)
     assert "already there: 5" in again.stdout

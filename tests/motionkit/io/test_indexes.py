@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Caption
 from motionkit.io.cuts import StepCut, TimeCut
-from motionkit.io.indexes import Index, read_index, stem
+from motionkit.io.indexes import Index, dataset_of, file_key, read_index, stem
 
 HEADER = "source_path,start_frame,end_frame,new_name\n"
 
@@ -34,12 +36,6 @@ def read(tmp_path: Path, text: str | bytes, name: str = "index.csv") -> Index:
     path = tmp_path / name
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return read_index(path)
-
-
-def refused(tmp_path: Path, text: str | bytes, name: str = "index.csv") -> FormatError:
-    with pytest.raises(FormatError) as caught:
-        read(tmp_path, text, name)
-    return caught.value
 
 
 def test_humanml3d(published):
@@ -104,23 +100,6 @@ def test_kit(annotations):
     assert all(isinstance(entry.cut, TimeCut) and entry.cut.is_whole for entry in index.entries)
 
 
-def test_durations_of_kit_are_those_of_real_takes_of_the_cmu_database(annotations, captures):
-    stated = {
-        stem(entry.parts[-1]): entry.cut.file_seconds
-        for entry in read_index(annotations / "kitml-annotations.json").entries
-        if entry.dataset == "CMU" and isinstance(entry.cut, TimeCut) and entry.cut.file_seconds is not None
-    }
-    differences = {}
-    with (captures / "cmu/takes.csv").open(newline="") as file:
-        for take in csv.DictReader(file):
-            if take["take"] in stated:
-                seconds = (int(take["num_frames"]) + int(take["native_frame_offset"])) / 120
-                differences[take["take"]] = seconds - stated[take["take"]]
-    assert len(differences) > 30
-    # Again 08_08 is ten frames shorter in our copy.
-    assert [take for take, difference in differences.items() if abs(difference) > 0.02] == ["08_08"]
-
-
 def test_what_a_spreadsheet_does_to_an_index(tmp_path):
     text = "\ufeff" + HEADER.replace("\n", "\r\n") + './pose_data/KIT/3/"a".npy,1.0,2.0,000000.npy\r\n'
     index = read(tmp_path, text.replace('"a"', "a"))
@@ -133,27 +112,18 @@ def test_what_a_spreadsheet_does_to_an_index(tmp_path):
     ("row", "reason", "message"),
     [
         ("../../etc/passwd,0,5,a.npy", "path", "could leave"),
-        ("KIT/../../x.npy,0,5,a.npy", "path", "could leave"),
         ("/etc/passwd,0,5,a.npy", "path", "could leave"),
-        ("C:/KIT/x.npy,0,5,a.npy", "path", "could leave"),
         ("KIT\\3\\x.npy,0,5,a.npy", "path", "could leave"),
         ("KIT/\0x.npy,0,5,a.npy", "path", "could leave"),
         (",0,5,a.npy", "path", "empty"),
-        ("./,0,5,a.npy", "path", "empty"),
         ("KIT/x.npy,0,5,../a.npy", "path", "plain file name"),
-        ("KIT/x.npy,0,5,..", "path", "plain file name"),
-        ("KIT/x.npy,0,5,", "path", "plain file name"),
         ("KIT/x.npy,0,5,a/b.npy", "path", "plain file name"),
         ("KIT/x.npy,-1,5,a.npy", "index-entry", "[-1, 5)"),
-        ("KIT/x.npy,0,-1,a.npy", "index-entry", "[0, -1)"),
         ("KIT/x.npy,5,5,a.npy", "index-entry", "[5, 5)"),
-        ("KIT/x.npy,-7,5,a.npy", "index-entry", "start_frame is '-7'"),
         ("KIT/x.npy,0,nan,a.npy", "index-entry", "end_frame is 'nan'"),
-        ("KIT/x.npy,0,1e3,a.npy", "index-entry", "end_frame is '1e3'"),
         ("KIT/x.npy,0,99999999,a.npy", "index-entry", "end_frame is '99999999'"),
         ("KIT/x.npy,0", "path", "plain file name"),
         ("KIT/x.npy,0,,a.npy", "index-entry", "end_frame is ''"),
-        ('KIT/x.npy,"0,0","5,0",a.npy', "index-entry", "start_frame is '0,0'"),
         ("KIT/x, y.npy,0,5,a.npy", "index-entry", "more cells than columns"),
     ],
 )
@@ -182,7 +152,6 @@ def test_a_name_that_is_given_twice(tmp_path):
         (b"", "empty", "empty"),
         (HEADER.encode() + b'"KIT/x.npy,0,5,a.npy\n', "index", "not a CSV table"),
         (b"{}", "index", "expected an index"),
-        (b'{"a": {"feat_p": "CMU/x.npz"}, "a": {"feat_p": "CMU/y.npz"}}', "index", "'a' is there twice"),
         (b"[1, 2]", "index", "expected an index"),
         (b'{"a": 5}', "index", "expected an index"),
         (b'{"a": {"path": "x", "annotations": []}, ', "index", "not JSON"),
@@ -190,9 +159,9 @@ def test_a_name_that_is_given_twice(tmp_path):
     ],
 )
 def test_files_that_are_no_index(tmp_path, text, reason, message):
-    problem = refused(tmp_path, text)
-    assert problem.reason == reason
-    assert message in str(problem)
+    with pytest.raises(FormatError) as caught:
+        read(tmp_path, text)
+    assert caught.value.reason == reason and message in str(caught.value)
 
 
 def tmr(**changes: object) -> dict[str, object]:
@@ -257,24 +226,147 @@ def test_babel(tmp_path):
             "frame_ann": None,
         },
         "7": {"babel_sid": 7, "feat_p": "CMU/CMU/01/01_02_poses.npz", "dur": 2.0},
+        # The extra_ files have several annotators.
+        "8": {
+            "feat_p": "CMU/CMU/01/01_01_poses.npz",
+            "seq_anns": [{"labels": [label("jump", ["jump"])]}, {"labels": [label("jump", ["jump"])]}],
+            "frame_anns": None,
+        },
     }
     index = read(tmp_path, json.dumps(value), "val.json")
-    first, second, third = index.entries
+    first, second, third, extra = index.entries
     assert (index.name, first.name, first.dataset, first.split) == ("babel", "5", "MPI_HDM05", "val")
     assert first.captions == (Caption("Walking about"), Caption("turn", 1.0, 2.5))
     assert (first.action, first.cut) == ("walk", TimeCut(file_seconds=5.4))
     assert (second.action, len(second.captions)) == ("", 2)
     assert (third.action, third.captions) == ("", ())
+    assert (extra.action, extra.captions) == ("jump", (Caption("jump"),))
 
 
-def test_babel_with_several_annotators(tmp_path):
-    value = {
-        "8": {
-            "feat_p": "CMU/CMU/01/01_01_poses.npz",
-            "seq_anns": [{"labels": [label("jump", ["jump"])]}, {"labels": [label("jump", ["jump"])]}],
-            "frame_anns": None,
-        }
-    }
-    index = read(tmp_path, json.dumps(value), "extra_train.json")
-    assert (index.entries[0].action, index.entries[0].split) == ("jump", "train")
-    assert index.entries[0].captions == (Caption("jump"),)
+@pytest.mark.parametrize(
+    ("index", "file"),
+    [
+        ("KIT/3/kick_high_left02_poses.npy", "KIT/3/kick_high_left02_poses.npz"),
+        ("KIT/3/kick_high_left02_poses.npy", "smplh/KIT/KIT/3/kick_high_left02_poses.npz"),
+        ("KIT/3/kick_high_left02_poses.npy", "KIT/3/kick_high_left02_stageii.npz"),
+        ("CMU/01/01_01_poses.npy", "cmu/01/01_01.amc"),
+        ("BioMotionLab_NTroje/rub110/0001_treadmill_fast_poses.npy", "BMLrub/rub110/0001_treadmill_fast_stageii.npz"),
+        ("BMLrub/BioMotionLab_NTroje/rub110/0030_rom_poses.npz", "BMLrub/rub110/0030_rom_stageii.npz"),
+        ("ACCAD/F1_c3d/C19 -  run to hop to walk_poses.npy", "ACCAD/F1_c3d/C19_-__run_to_hop_to_walk_stageii.npz"),
+        ("DFaust_67/50022/50022_punching_poses.npy", "DFaust/50022/50022_punching_stageii.npz"),
+        ("MPI_HDM05/mm/HDM_mm_08-01_01_120_poses.npy", "HDM05/mm/HDM_mm_08-01_01_120_stageii.npz"),
+        ("MPIHDM05/MPI_HDM05/dg/HDM_dg_03-05_01_120_poses.npz", "MPI_HDM05/dg/HDM_dg_03-05_01_120_poses.npz"),
+        ("MPI_Limits/03099/op3_poses.npy", "PosePrior/03099/op3_stageii.npz"),
+        ("MPI_mosh/50020/ankles_poses.npy", "MoSh/50020/ankles_stageii.npz"),
+        ("SSM_synced/20161014_50033/ATUSquat_sync_poses.npy", "SSM/20161014_50033/ATUSquat_sync_stageii.npz"),
+        ("Transitions_mocap/mazen_c3d/crawl_stand_poses.npy", "Transitions/mazen_c3d/crawl_stand_stageii.npz"),
+        ("TCD_handMocap/ExperimentDatabase/a_poses.npy", "TCDHands/ExperimentDatabase/a_stageii.npz"),
+        (
+            "Eyes_Japan_Dataset/yamaoka/tennis-15-first service-yamaoka_poses.npy",
+            "EyesJapanDataset/yamaoka/tennis-15-first_service-yamaoka_stageii.npz",
+        ),
+        ("humanact12/humanact12/P11G01R02F1812T1847A0402.npy", "humanact12/P11G01R02F1812T1847A0402.npy"),
+    ],
+)
+def test_spellings_of_one_file(index, file):
+    assert file_key(index.split("/")) == file_key(file.split("/"))
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("KIT/3/kick01_poses.npz", "KIT/4/kick01_poses.npz"),
+        ("KIT/3/kick01_poses.npz", "EKUT/3/kick01_poses.npz"),
+        ("KIT/3/kick01_poses.npz", "KIT/3/kick0_1_poses.npz"),
+        ("mine/3/kick01.npz", "3/kick01.npz"),
+        ("KIT/3/kick_1.5_poses.npz", "KIT/3/kick_1.npz"),
+    ],
+)
+def test_files_that_differ(one, other):
+    assert file_key(one.split("/")) != file_key(other.split("/"))
+
+
+def test_trims_are_those_of_the_published_code():
+    trims = {"Eyes_Japan_Dataset": 60, "MPI_HDM05": 60, "TotalCapture": 20, "MPI_Limits": 20, "Transitions_mocap": 10}
+    for name in (*trims, "KIT", "CMU", "BMLmovi", "HumanEva"):
+        found = dataset_of((name, "a", "b.npz"))
+        assert found is not None
+        assert found[0].trim_frames == trims.get(name, 0)
+
+
+@pytest.mark.parametrize(
+    ("file", "fps"),
+    [
+        ("SSM_synced/20160330_03333/walking_poses.npy", 59.9999885),
+        ("SSM_synced/20161014_50033/dance_sync_poses.npy", 120.0),
+        ("TotalCapture/s3/walking2_poses.npy", 60.0),
+        ("humanact12/humanact12/P11G01R02F1812T1847A0402.npy", 20.0),
+        ("CMU/36/36_15_poses.npy", None),
+    ],
+)
+def test_what_the_published_code_saw_where_files_may_say_otherwise(file, fps):
+    parts = file.split("/")
+    found = dataset_of(parts)
+    assert found is not None and found[0].seen_fps_of(parts) == fps
+
+
+def test_a_file_is_no_dataset():
+    assert dataset_of(("a", "CMU")) is None
+    assert dataset_of(("CMU",)) is None
+
+
+FUZZ = settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+cells = st.one_of(
+    st.text(max_size=12),
+    st.integers(-(10**12), 10**12).map(str),
+    st.sampled_from(["KIT/3/a_poses.npy", "../x.npy", "0", "-1", "1.0", "nan", '"', "a,b", "\r", "\0", "humanact12/a"]),
+)  # fmt: skip
+scalars = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(),
+    st.floats(),
+    st.text(max_size=8),
+    st.sampled_from(["KIT/3/a", "../a", "M/a"]),
+)
+KEYS = (
+    "path", "duration", "annotations", "text", "start", "end", "feat_p", "seq_ann", "seq_anns", "frame_ann",
+    "frame_anns", "labels", "raw_label", "act_cat", "start_t", "end_t",
+)  # fmt: skip
+values = st.recursive(
+    scalars, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(KEYS), inner), max_leaves=8
+)
+sequences = st.dictionaries(st.sampled_from(KEYS), values)
+
+
+def try_reading(path: Path) -> None:
+    try:
+        index = read_index(path)
+    except FormatError as problem:
+        assert problem.path == path
+        return
+    for entry in index.entries:
+        assert ".." not in entry.parts
+        assert not Path(*entry.parts).is_absolute()
+        assert Path(entry.name).name == entry.name
+    assert all(problem.path == path for problem in index.problems)
+    assert len({entry.name for entry in index.entries}) == len(index.entries)
+
+
+@FUZZ
+@given(rows=st.lists(st.lists(cells, max_size=6), max_size=5))
+def test_tables(tmp_path, rows):
+    path = tmp_path / "index.csv"
+    path.write_bytes(HEADER.encode() + "\n".join(",".join(row) for row in rows).encode("utf-8", "surrogatepass"))
+    try_reading(path)
+
+
+@settings(FUZZ, max_examples=50)
+@given(value=st.dictionaries(st.text(max_size=6), sequences | values, min_size=1), first=st.sampled_from(KEYS))
+def test_json(tmp_path, value, first):
+    path = tmp_path / "index.json"
+    # A first value that is recognised, so that the others are looked at.
+    known = {"path": "KIT/3/a", "annotations": []} if first != "feat_p" else {"feat_p": "KIT/KIT/3/a.npz"}
+    path.write_text(json.dumps({"known": known, **value}))
+    try_reading(path)
