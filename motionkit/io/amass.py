@@ -67,7 +67,7 @@ def read_amass(item: SourceItem, options: ReadOptions) -> Motion:
     path = item.path
     data = source_file.read_bytes(path)
     archive = npy.open_archive(path, data)
-    family = archive.text("surface_model_type").lower().split("_")[0]  # without a variant: "smplx_locked_head"
+    family = archive.text("surface_model_type").strip().lower().split("_")[0]  # without a variant: "smplx_locked_head"
     poses, layout = _read_poses(archive, family)
     trans = archive.numbers("trans", (len(poses), 3))
     fps, stated_fps, operations = framerate_of(archive, FRAMERATE_KEYS, options, "--fps-rules or --fps gives it")
@@ -150,7 +150,7 @@ def _skeleton(
     if options.body_models is None:
         return posed_skeleton(None, layout, family, "", np.zeros(0))
     # Older releases print bytes into a string: "b'male'".
-    gender = archive.text("gender").lower().removeprefix("b'").removesuffix("'")
+    gender = archive.text("gender").strip().lower().removeprefix("b'").removesuffix("'")
     betas = archive.numbers("betas", None) if "betas" in archive else np.zeros(0, np.float32)
     if betas.ndim not in (1, 2) or (betas.ndim == 2 and (betas != betas[0]).any()):
         message = f"betas of shape {betas.shape} that change, expected one body"

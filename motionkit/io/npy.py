@@ -157,14 +157,14 @@ class Archive:
         return self.array(key, shape).astype(np.float64)
 
     def strings(self, key: str) -> tuple[str, ...]:
-        """An array of strings; a single string gives one element."""
-        found = self.array(key, None, STRINGS).ravel().tolist()
+        """An array of strings; a single string gives one element, a missing array none."""
+        found = self.array(key, None, STRINGS).ravel().tolist() if key in self else []
         return tuple(value.decode("utf-8", "replace") if isinstance(value, bytes) else value for value in found)
 
     def text(self, key: str) -> str:
-        """One string without blanks around it, also if it was saved as a Python object; empty without one."""
+        """One string, also if it was saved as a Python object; empty without one."""
         value = self.scalar(key) if key in self else None
-        return value.strip() if isinstance(value, str) else ""
+        return value if isinstance(value, str) else ""
 
     def scalar(self, key: str) -> str | int | float | None:
         """One number or one string, also if it was saved as a Python object; None for any other object."""

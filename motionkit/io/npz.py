@@ -23,7 +23,6 @@ from motionkit.core.skeleton import STANDARD_SKELETONS, Feet, Skeleton
 from motionkit.core.skeletons.families import parse_layout_map
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import npy
-from motionkit.io.npy import checked_rotations
 from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
 from motionkit.io.source import clock, source_file
 from motionkit.io.source.body_frame import in_metres
@@ -50,23 +49,50 @@ def skeleton_arrays(skeleton: Skeleton) -> dict[str, Any]:
 
 
 def read_skeleton(archive: npy.Archive, joint_positions: Float32[np.ndarray, "frames joints 3"]) -> Skeleton:
-    """The skeleton that the arrays describe; missing parts are taken from a standard layout or from frame 0.
+    """The skeleton that the arrays describe; what is missing is taken from a standard layout or from frame 0.
 
-    Without `joint_names`, 22 joints are SMPL's and 21 KIT's. Names and parents of a standard layout give that layout.
-    Without `offsets` the rest pose is that of frame 0; without `parents` all joints are children of the first. Raises
-    `FormatError` (`channel-count`, `bones`).
+    Without `joint_names`, 22 joints are SMPL's and 21 KIT's. Names of a standard layout without `offsets` give that
+    layout. Without `offsets` the rest pose is that of frame 0; without `parents` all joints are children of the first.
+    Raises `FormatError` (`channel-count`, `bones`).
     """
-    num_joints = joint_positions.shape[1]
+    path, num_joints = archive.path, joint_positions.shape[1]
     if "joint_names" not in archive:
-        return unnamed_skeleton(num_joints, archive.path)
+        return unnamed_skeleton(num_joints, path)
     names = archive.strings("joint_names")
     if len(names) != num_joints:
         message = f"{len(names)} joint_names for {num_joints} joints"
-        raise FormatError(message, path=archive.path, reason="channel-count")
+        raise FormatError(message, path=path, reason="channel-count")
     for skeleton in STANDARD_SKELETONS.values():
         if names == skeleton.joint_names and "offsets" not in archive:
             return skeleton
-    return _described(archive, names, joint_positions)
+
+    def joints(key: str, shape: npy.Shape, lowest: int = 0) -> list[Any]:
+        found = archive.exact(key, shape)
+        if not ((found >= lowest) & (found < num_joints) & (found == np.rint(found))).all():
+            raise ValueError(f"{key}: joints are numbered {lowest} … {num_joints - 1}, these are not")
+        return found.astype(np.int64).tolist()
+
+    try:
+        parents = (-1, *(0,) * (num_joints - 1))
+        if "parents" in archive:
+            parents = tuple(joints("parents", (num_joints,), -1))
+        pairs = joints("left_right_pairs", (None, 2)) if "left_right_pairs" in archive else []
+        tips = joints("end_site_joints", (None,)) if "end_site_joints" in archive else []
+        tip_offsets = archive.exact("end_site_offsets", (len(tips), 3)).tolist() if tips else []
+        return Skeleton(
+            archive.text("skeleton") if "skeleton" in archive else path.stem,
+            names,
+            parents,
+            archive.numbers("offsets", (num_joints, 3))
+            if "offsets" in archive
+            else bones_of_pose(joint_positions[0], parents),
+            left_right_pairs=tuple((left, right) for left, right in pairs),
+            feet=Feet(*joints("feet", (4,))) if "feet" in archive else None,
+            end_sites=tuple((joint, (x, y, z)) for joint, (x, y, z) in zip(tips, tip_offsets, strict=True)),
+            layout_map=checked_layout_map("".join(archive.strings("layout_map")), path),
+        )
+    except ValueError as error:
+        raise FormatError(str(error), path=path, reason="bones") from None
 
 
 def unnamed_skeleton(num_joints: int, path: Path) -> Skeleton:
@@ -93,61 +119,6 @@ def bones_of_pose(pose: Float32[np.ndarray, "joints 3"], parents: tuple[int, ...
     return np.asarray(pose - pose[np.maximum(parents, 0)], np.float32)
 
 
-def _described(
-    archive: npy.Archive, names: tuple[str, ...], joint_positions: Float32[np.ndarray, "frames joints 3"]
-) -> Skeleton:
-    num_joints = len(names)
-    parents = (-1, *(0,) * (num_joints - 1))
-    if "parents" in archive:
-        parents = tuple(_indices(archive, "parents", (num_joints,), -1, num_joints).tolist())
-    try:
-        if "offsets" in archive:
-            offsets = archive.numbers("offsets", (num_joints, 3))
-        else:
-            offsets = bones_of_pose(joint_positions[0], parents)
-        layout_map = "".join(archive.strings("layout_map")) if "layout_map" in archive else ""
-        name = archive.strings("skeleton")[0] if "skeleton" in archive else archive.path.stem
-        return Skeleton(
-            name,
-            names,
-            parents,
-            offsets,
-            left_right_pairs=_pairs(archive, num_joints),
-            feet=_feet(archive, num_joints),
-            end_sites=_end_sites(archive, num_joints),
-            layout_map=checked_layout_map(layout_map, archive.path),
-        )
-    except (ValueError, IndexError) as error:
-        raise FormatError(str(error), path=archive.path, reason="bones") from None
-
-
-def _pairs(archive: npy.Archive, num_joints: int) -> tuple[tuple[int, int], ...]:
-    if "left_right_pairs" not in archive:
-        return ()
-    pairs = _indices(archive, "left_right_pairs", (None, 2), 0, num_joints).tolist()
-    return tuple((left, right) for left, right in pairs)
-
-
-def _feet(archive: npy.Archive, num_joints: int) -> Feet | None:
-    return Feet(*_indices(archive, "feet", (4,), 0, num_joints).tolist()) if "feet" in archive else None
-
-
-def _end_sites(archive: npy.Archive, num_joints: int) -> tuple[tuple[int, tuple[float, float, float]], ...]:
-    if "end_site_joints" not in archive:
-        return ()
-    joints = _indices(archive, "end_site_joints", (None,), 0, num_joints).tolist()
-    offsets = archive.exact("end_site_offsets", (len(joints), 3)).tolist()
-    return tuple((joint, (x, y, z)) for joint, (x, y, z) in zip(joints, offsets, strict=True))
-
-
-def _indices(archive: npy.Archive, key: str, shape: tuple[int | None, ...], low: int, high: int) -> np.ndarray:
-    found = archive.exact(key, shape)
-    if not ((found >= low) & (found < high) & (found == np.rint(found))).all():
-        message = f"{key}: joints are numbered {low} … {high - 1}, these are not"
-        raise FormatError(message, path=archive.path, reason="bones")
-    return found.astype(np.int64)
-
-
 PROVENANCE = ("source", "subset", "licence", "subject")
 
 
@@ -165,26 +136,32 @@ def read_npz(path: Path, options: ReadOptions | None = None) -> Motion:
     data = source_file.read_bytes(path)
     archive = npy.open_archive(path, data)
     positions = archive.numbers("joint_positions", (None, None, 3))
-    grid, stated_fps, operations = _clock(archive, len(positions), options)
-    skeleton = read_skeleton(archive, positions)
+    num_frames, num_joints, _ = positions.shape
+    grid, stated_fps, operations = _clock(archive, num_frames, options)
+    rotations = root = None
+    if "local_rotations" in archive:
+        rotations = archive.numbers("local_rotations", (num_frames, num_joints, 4))
+        npy.checked_rotations(rotations, path, "local_rotations")
+    if "root_translation" in archive:
+        root = archive.numbers("root_translation", (num_frames, 3))
     motion = Motion(
         joint_positions=positions,
-        skeleton=skeleton,
+        skeleton=read_skeleton(archive, positions),
         timegrid=grid,
-        local_rotations=_rotations(archive, positions.shape[:2]),
-        root_translation=_optional(archive, "root_translation", (len(positions), 3)),
+        local_rotations=rotations,
+        root_translation=root,
         captions=_captions(archive),
-        action=_text(archive, "action"),
-        style=_text(archive, "style"),
-        split=_text(archive, "split"),
-        sequence_id=_text(archive, "sequence_id") or path.stem,
+        action=archive.text("action"),
+        style=archive.text("style"),
+        split=archive.text("split"),
+        sequence_id=archive.text("sequence_id") or path.stem,
         provenance=Provenance(
-            **{name: _text(archive, name) for name in PROVENANCE},
+            **{name: archive.text(name) for name in PROVENANCE},
             source_path=path.name,
             source_sha256=source_file.sha256(data),
             source_format="npz",
             stated_fps=stated_fps,
-            operations=(*_texts(archive, "operations"), *operations),
+            operations=(*archive.strings("operations"), *operations),
         ),
     )
     return in_metres(motion, options.unit_metres)
@@ -239,18 +216,20 @@ def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
 
 
 def _clock(archive: npy.Archive, num_frames: int, options: ReadOptions) -> tuple[TimeGrid, str, list[str]]:
+    """The grid in use, the framerate as the source stated it, and the log's lines."""
     try:
         stated, words = _stated_fps(archive)
     except FormatError:
         if options.fps is None:
             raise
         stated, words = None, ""
-    seconds = None
+    start = 0.0
     if "time_seconds" in archive:
         seconds = archive.exact("time_seconds", (num_frames,))
+        start = float(seconds[0]) if np.isfinite(seconds[0]) else 0.0
         if options.fps is None:
-            grid = clock.grid_of_seconds(seconds, archive.path, stated)
-            stated, words = grid.fps, words or f"time_seconds: {format_fps(grid.fps)}"
+            stated = clock.grid_of_seconds(seconds, archive.path, stated).fps
+            words = words or f"time_seconds: {format_fps(stated)}"
     fps = options.fps or stated
     if fps is None:
         raise FormatError(
@@ -258,16 +237,15 @@ def _clock(archive: npy.Archive, num_frames: int, options: ReadOptions) -> tuple
             path=archive.path,
             reason="no-framerate",
         )
-    start = float(seconds[0]) if seconds is not None and np.isfinite(seconds[0]) else 0.0
-    said = _text(archive, "stated_fps") if "stated_fps" in archive else words
+    said = archive.text("stated_fps") if "stated_fps" in archive else words
     return TimeGrid(fps, num_frames, start), said, clock.replaced_fps(fps, stated)
 
 
 def _stated_fps(archive: npy.Archive) -> tuple[Fraction | None, str]:
     try:
         if "fps_numerator" in archive and "fps_denominator" in archive:
-            pair = [archive.exact(f"fps_{part}", ()) for part in ("numerator", "denominator")]
-            fps = parse_fps(Fraction(*(int(part) for part in pair)))
+            pair = [int(archive.exact(key, ())) for key in ("fps_numerator", "fps_denominator")]
+            fps = parse_fps(Fraction(*pair))
             return fps, f"fps: {format_fps(fps)}"
         if "fps" in archive:
             value = archive.scalar("fps")
@@ -279,40 +257,21 @@ def _stated_fps(archive: npy.Archive) -> tuple[Fraction | None, str]:
     return None, ""
 
 
-def _rotations(archive: npy.Archive, shape: tuple[int, ...]) -> Float32[np.ndarray, "frames joints 4"] | None:
-    rotations = _optional(archive, "local_rotations", (*shape, 4))
-    if rotations is not None:
-        checked_rotations(rotations, archive.path, "local_rotations")
-    return rotations
-
-
 def _captions(archive: npy.Archive) -> tuple[Caption, ...]:
-    texts = _texts(archive, "captions")
-    tokens = _texts(archive, "caption_tokens") or ("",) * len(texts)
+    texts = archive.strings("captions")
+    tokens = archive.strings("caption_tokens") or ("",) * len(texts)
     if len(tokens) != len(texts):
         message = f"{len(tokens)} caption_tokens for {len(texts)} captions"
         raise FormatError(message, path=archive.path, reason="channel-count")
-    if "caption_seconds" not in archive:
-        return tuple(Caption(text, tokens=words) for text, words in zip(texts, tokens, strict=True))
-    bounds = archive.exact("caption_seconds", (len(texts), 2))
+    bounds = np.tile([0.0, np.nan], (len(texts), 1))
+    if "caption_seconds" in archive:
+        bounds = archive.exact("caption_seconds", (len(texts), 2))
     if not np.isfinite(bounds[:, 0]).all() or np.isinf(bounds[:, 1]).any():
         raise FormatError("caption_seconds: a start that is no number", path=archive.path, reason="text")
     return tuple(
         Caption(text, start, None if np.isnan(end) else end, words)
         for text, (start, end), words in zip(texts, bounds.tolist(), tokens, strict=True)
     )
-
-
-def _optional(archive: npy.Archive, key: str, shape: tuple[int, ...]) -> Float32[np.ndarray, "..."] | None:
-    return archive.numbers(key, shape) if key in archive else None
-
-
-def _texts(archive: npy.Archive, key: str) -> tuple[str, ...]:
-    return archive.strings(key) if key in archive else ()
-
-
-def _text(archive: npy.Archive, key: str) -> str:
-    return next(iter(_texts(archive, key)), "")
 
 
 FORMAT = Format(
