@@ -14,7 +14,7 @@ from motionkit.fields.contact.planted import planted_frames
 from motionkit.fields.motion_field import Observation, Poses
 from motionkit.io.bvh.document import BvhDocument, read_document
 from motionkit.io.bvh.writing import ChannelLines, check_writable
-from motionkit.io.gltf_rig import read_rig
+from motionkit.io.gltf import read_rig
 from motionkit.io.registry import Format, ReadOptions
 from motionkit.io.retargeting import retarget, standing_skeleton, stands
 

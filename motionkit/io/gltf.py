@@ -1,131 +1,56 @@
-"""glTF 2.0 binary (.glb): a skinned skeleton with one animation at the motion's own frames, for viewers and engines.
+"""glTF 2.0 binary (.glb): motions as a skinned skeleton with one animation, and motions onto a character's rig.
 
 Nodes are joints, metres, y up. Rotations (and the root's translation) have a key at every frame; octahedra make the
 bones visible. `asset.extras` holds what glTF has no field for: the exact framerate, captions, licence.
-Source: Khronos, glTF 2.0 specification, §3.7.3 (skins) and §3.11 (animations).
+Source: Khronos, glTF 2.0 specification, §3.5 (nodes), §3.7 (meshes and skins), §3.11 (animations), §4.4 (GLB).
 """
 
 import json
 import struct
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
+from motionkit.core import kinematics
+from motionkit.core.errors import FormatError
+from motionkit.core.files import read_at_most
 from motionkit.core.framerate import format_fps
-from motionkit.core.kinematics import continuous_quaternions
 from motionkit.core.motion import Motion
-from motionkit.core.shapes import Float32, UInt16
-from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, rest_positions
-from motionkit.core.timegrid import TimeGrid
-from motionkit.io.registry import Format
-from motionkit.io.source.joint_channels import JointChannels, joint_channels
-
-Side = Literal["left", "right", "middle"]
-
-# A bone is thickest at a sixth of its length, with the thickness of Blender's bones.
-WAIST, THICKNESS = 1 / 6, 0.1
-JOINT_RADIUS_METRES = 0.015
-SHORTEST_METRES = 1e-3
-# Vertices: start, four around the waist, tip. Faces are counter-clockwise seen from outside.
-FACES = np.array([(0, 2, 1), (0, 3, 2), (0, 4, 3), (0, 1, 4), (5, 1, 2), (5, 2, 3), (5, 3, 4), (5, 4, 1)])
-
-
-@dataclass(frozen=True, eq=False)
-class BoneMesh:
-    """Triangles of one side of the body in the rest pose, three vertices each, every vertex bound to one joint."""
-
-    side: Side
-    positions: Float32[np.ndarray, "vertices 3"]
-    normals: Float32[np.ndarray, "vertices 3"]
-    joints: UInt16[np.ndarray, "vertices"]
-
-
-@dataclass(frozen=True, eq=False)
-class _Octahedron:
-    corners: Float32[np.ndarray, "6 3"]
-    joints: tuple[int, ...]
-    side: Side
-
-
-def bone_meshes(skeleton: Skeleton) -> list[BoneMesh]:
-    """One mesh for each side of the body that has joints; metres.
-
-    A bone's tip is bound to its end joint, its other vertices to its start joint, so that tips stay at their joints if
-    bones change length.
-    """
-    rest = rest_positions(skeleton)
-    sides = _sides(skeleton)
-    solids = [_ball(place, joint, sides[joint]) for joint, place in enumerate(rest)]
-    bones = [(parent, joint, rest[joint]) for joint, parent in enumerate(skeleton.parents) if parent >= 0]
-    bones += [(joint, joint, rest[joint] + np.array(tip, np.float32)) for joint, tip in skeleton.end_sites]
-    for start, end, tip in bones:
-        if np.linalg.norm(tip - rest[start]) > SHORTEST_METRES:
-            solids.append(_bone(rest[start], tip, (start, end), sides[end]))
-    names: tuple[Side, ...] = ("left", "right", "middle")
-    by_side = {side: [solid for solid in solids if solid.side == side] for side in names}
-    return [_mesh(side, chosen) for side, chosen in by_side.items() if chosen]
-
-
-def _sides(skeleton: Skeleton) -> list[Side]:
-    """The side of each joint by the skeleton's pairs, else by its map to the 22 joints; children inherit it."""
-    sides: list[Side] = ["middle"] * skeleton.num_joints
-    for left, right in skeleton.left_right_pairs or _mapped_pairs(skeleton):
-        sides[left], sides[right] = "left", "right"
-    for joint, parent in enumerate(skeleton.parents):
-        if parent >= 0 and sides[joint] == "middle":
-            sides[joint] = sides[parent]
-    return sides
-
-
-def _mapped_pairs(skeleton: Skeleton) -> list[tuple[int, int]]:
-    try:
-        chief = joint_map(skeleton, SMPL22.name).weights.argmax(axis=1).tolist()
-    except SkeletonMapError:
-        return []
-    return [(chief[left], chief[right]) for left, right in SMPL22.left_right_pairs if chief[left] != chief[right]]
-
-
-def _ball(place: Float32[np.ndarray, "3"], joint: int, side: Side) -> _Octahedron:
-    up = np.array([0, JOINT_RADIUS_METRES, 0], np.float32)
-    return _Octahedron(_corners(place - up, place + up, 0.5, JOINT_RADIUS_METRES), (joint,) * 6, side)
-
-
-def _bone(
-    start: Float32[np.ndarray, "3"], tip: Float32[np.ndarray, "3"], joints: tuple[int, int], side: Side
-) -> _Octahedron:
-    radius = THICKNESS * float(np.linalg.norm(tip - start))
-    return _Octahedron(_corners(start, tip, WAIST, radius), (*(joints[0],) * 5, joints[1]), side)
-
-
-def _corners(
-    start: Float32[np.ndarray, "3"], tip: Float32[np.ndarray, "3"], waist: float, radius: float
-) -> Float32[np.ndarray, "6 3"]:
-    along = (tip - start) / np.linalg.norm(tip - start)
-    # Any axis that is not nearly parallel.
-    first = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
-    first /= np.linalg.norm(first)
-    second = np.cross(along, first)
-    ring = start + waist * (tip - start) + radius * np.stack((first, second, -first, -second))
-    return np.concatenate((start[None], ring, tip[None])).astype(np.float32)
-
-
-def _mesh(side: Side, solids: list[_Octahedron]) -> BoneMesh:
-    triangles = np.concatenate([solid.corners[FACES] for solid in solids])
-    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    normals = across / np.linalg.norm(across, axis=-1, keepdims=True)
-    joints = np.concatenate([np.array(solid.joints, np.uint16)[FACES] for solid in solids])
-    return BoneMesh(side, triangles.reshape(-1, 3), np.repeat(normals, 3, axis=0).astype(np.float32), joints.ravel())
-
+from motionkit.core.plain_text import parse_json
+from motionkit.core.shapes import Float32, Float64
+from motionkit.core.skeleton import MAX_JOINTS, SMPL22, Skeleton
+from motionkit.core.skeletons.families import with_layout_map
+from motionkit.core.skeletons.mapping import SkeletonMapError, rest_positions
+from motionkit.fields.transfer import counterpart_joints
+from motionkit.io.registry import Format, ReadOptions
+from motionkit.io.source.joint_channels import joint_channels
 
 MAGIC, VERSION = 0x46546C67, 2
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
-COMPONENT_TYPES = {"float32": 5126, "uint16": 5123}
+COMPONENT_TYPES = {"float32": 5126, "uint16": 5123, "uint32": 5125}
 WIDTHS = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
-VERTICES = 34962
+VERTICES, INDICES = 34962, 34963
+LARGEST_BYTES = 1 << 30
+# A bone is thickest at a sixth of its length, with the thickness of Blender's bones.
+WAIST, THICKNESS = 1 / 6, 0.1
+JOINT_RADIUS_METRES, SHORTEST_METRES = 0.015, 1e-3
+# Corners of an octahedron: start, four around the waist, tip. Faces are counter-clockwise seen from outside.
+FACES = np.array([(0, 2, 1), (0, 3, 2), (0, 4, 3), (0, 1, 4), (5, 1, 2), (5, 2, 3), (5, 3, 4), (5, 4, 1)])
+# By side: -1 left, 0 neither, 1 right.
+COLOURS = {
+    -1: ("left", (0.16, 0.42, 0.85, 1.0)),
+    1: ("right", (0.90, 0.38, 0.12, 1.0)),
+    0: ("middle", (0.55, 0.55, 0.58, 1.0)),
+}
+# (x, y, z, w)
+IDENTITY = np.array([0.0, 0.0, 0.0, 1.0], np.float32)
+
+Channels = list[tuple[int, str, Float32[np.ndarray, "_ _"]]]
+"""Animated values: the node, "translation" or "rotation" (x, y, z, w), a key at every frame."""
 
 
 class GlbBuffer:
@@ -141,16 +66,15 @@ class GlbBuffer:
         self._views = list(views)
         self._accessors = list(accessors)
 
-    def add(self, array: np.ndarray, *, bounds: bool = False, vertices: bool = False) -> int:
-        """Append float32 or uint16 values, one element per row; returns the accessor's index.
+    def add(self, array: np.ndarray, *, bounds: bool = False, target: int | None = None) -> int:
+        """Append float32, uint16 or uint32 values, one element per row; returns the accessor's index.
 
-        `bounds` adds minimum and maximum (required for positions and key times), `vertices` marks vertex data. Raises
-        `KeyError` for another type or width.
+        `bounds` adds minimum and maximum (required for positions and key times), `target` says what a mesh uses it for.
         """
         rows = np.ascontiguousarray(array.reshape(len(array), -1))
         view: dict[str, Any] = {"buffer": 0, "byteOffset": len(self._content), "byteLength": rows.nbytes}
-        if vertices:
-            view["target"] = VERTICES
+        if target is not None:
+            view["target"] = target
         accessor: dict[str, Any] = {
             "bufferView": len(self._views),
             "componentType": COMPONENT_TYPES[rows.dtype.name],
@@ -164,6 +88,19 @@ class GlbBuffer:
         self._views.append(view)
         self._accessors.append(accessor)
         return len(self._accessors) - 1
+
+    def animation(self, motion: Motion, channels: Channels) -> dict[str, Any]:
+        """An animation with the first frame at 0 s, interpolated linearly (rotations by SLERP)."""
+        seconds = np.arange(motion.num_frames) / float(motion.fps)
+        keys = self.add(seconds.astype(np.float32), bounds=True)
+        return {
+            "name": motion.sequence_id or "motion",
+            "samplers": [{"input": keys, "output": self.add(values)} for _, _, values in channels],
+            "channels": [
+                {"sampler": number, "target": {"node": node, "path": path}}
+                for number, (node, path, _) in enumerate(channels)
+            ],
+        }
 
     def write(self, path: Path, document: dict[str, Any]) -> None:
         """Write the .glb: `document` completed by the buffer, its views and accessors."""
@@ -182,85 +119,112 @@ class GlbBuffer:
             file.write(struct.pack("<II", len(self._content), BINARY_CHUNK) + self._content)
 
 
-COLOURS = {"left": (0.16, 0.42, 0.85, 1.0), "right": (0.90, 0.38, 0.12, 1.0), "middle": (0.55, 0.55, 0.58, 1.0)}
-# (x, y, z, w)
-IDENTITY = np.array([0.0, 0.0, 0.0, 1.0], np.float32)
-
-
 def write_gltf(motion: Motion, path: Path) -> None:
-    """Write one motion as .glb; the first frame is at 0 s, keys are interpolated linearly (rotations by SLERP).
+    """Write one motion as .glb, the first frame at 0 s.
 
     A motion without rotations gets them by inverse kinematics, and translations if rigid bones would miss its positions
     (`joint_channels`). Key times are float32, as glTF requires: exact to a thousandth of a frame for the first 16,000
     frames, and to half a frame for 8 million.
     """
-    channels = joint_channels(motion)
-    buffer = GlbBuffer()
-    num_joints = channels.skeleton.num_joints
-    meshes = bone_meshes(channels.skeleton)
+    joints = joint_channels(motion)
+    skeleton, buffer = joints.skeleton, GlbBuffer()
+    rotations = kinematics.continuous_quaternions(joints.rotations.astype(np.float64))
+    rotations /= np.linalg.norm(rotations, axis=-1, keepdims=True)
+    turns = rotations[..., [1, 2, 3, 0]].astype(np.float32)
+    channels: Channels = [(joint, "translation", places) for joint, places in joints.translations.items()]
+    channels += [
+        (joint, "rotation", turns[:, joint])
+        for joint in range(skeleton.num_joints)
+        if not (turns[:, joint] == IDENTITY).all()
+    ]
+    nodes: list[dict[str, Any]] = []
+    for joint, name in enumerate(skeleton.joint_names):
+        children = {"children": list(skeleton.children(joint))} if skeleton.children(joint) else {}
+        nodes.append({"name": name, "translation": skeleton.offsets[joint].tolist(), **children})
+    # Rest rotations are identities, so an inverse bind matrix is a translation to the origin; in column-major order.
+    inverse = np.tile(np.eye(4, dtype=np.float32), (skeleton.num_joints, 1, 1))
+    inverse[:, 3, :3] = -rest_positions(skeleton)
+    primitives, materials = _body(skeleton, buffer)
     document = {
         "asset": {"version": "2.0", "generator": "motionkit", "extras": _extras(motion)},
         "scene": 0,
-        "scenes": [{"nodes": [0, num_joints]}],
-        "nodes": [*_nodes(channels.skeleton), {"name": "body", "mesh": 0, "skin": 0}],
-        "meshes": [{"name": "body", "primitives": [_primitive(mesh, i, buffer) for i, mesh in enumerate(meshes)]}],
-        "materials": [_material(mesh) for mesh in meshes],
-        "skins": [_skin(channels.skeleton, buffer)],
-        "animations": [_animation(motion, channels, buffer)],
+        "scenes": [{"nodes": [0, skeleton.num_joints]}],
+        "nodes": [*nodes, {"name": "body", "mesh": 0, "skin": 0}],
+        "meshes": [{"name": "body", "primitives": primitives}],
+        "materials": materials,
+        "skins": [{"joints": list(range(len(nodes))), "skeleton": 0, "inverseBindMatrices": buffer.add(inverse)}],
+        "animations": [buffer.animation(motion, channels)],
     }
     buffer.write(path, document)
 
 
-def _nodes(skeleton: Skeleton) -> list[dict[str, Any]]:
-    nodes: list[dict[str, Any]] = []
-    for joint, name in enumerate(skeleton.joint_names):
-        node: dict[str, Any] = {"name": name, "translation": skeleton.offsets[joint].tolist()}
-        if children := skeleton.children(joint):
-            node["children"] = list(children)
-        nodes.append(node)
-    return nodes
+def joint_sides(skeleton: Skeleton) -> tuple[int, ...]:
+    """The side of each joint, -1 left, 0 neither, 1 right, by its pairs and its map to the 22; children inherit it."""
+    sides = [0] * skeleton.num_joints
+    for left, right in skeleton.left_right_pairs:
+        sides[left], sides[right] = -1, 1
+    try:
+        counterparts = counterpart_joints(skeleton)
+    except SkeletonMapError:
+        counterparts = {}
+    for joint, source in counterparts.items():
+        side = SMPL22.joint_names[joint].partition("_")[0]
+        sides[source] = sides[source] or {"left": -1, "right": 1}.get(side, 0)
+    for joint, parent in enumerate(skeleton.parents):
+        if parent >= 0:
+            sides[joint] = sides[joint] or sides[parent]
+    return tuple(sides)
 
 
-def _skin(skeleton: Skeleton, buffer: GlbBuffer) -> dict[str, Any]:
-    # Rest rotations are identities, so an inverse bind matrix is a translation to the origin; in column-major order.
-    inverse = np.tile(np.eye(4, dtype=np.float32), (skeleton.num_joints, 1, 1))
-    inverse[:, 3, :3] = -rest_positions(skeleton)
-    return {"joints": list(range(skeleton.num_joints)), "skeleton": 0, "inverseBindMatrices": buffer.add(inverse)}
+def _body(skeleton: Skeleton, buffer: GlbBuffer) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """A mesh of the rest pose: primitives and materials, one for each side that has joints; viewers compute normals.
 
-
-def _primitive(mesh: BoneMesh, material: int, buffer: GlbBuffer) -> dict[str, Any]:
-    joints = np.zeros((len(mesh.joints), 4), np.uint16)
-    joints[:, 0] = mesh.joints
-    weights = np.zeros((len(mesh.joints), 4), np.float32)
+    A joint is a small octahedron, a bone a long one. A bone's tip is bound to its end joint, its other corners to its
+    start joint, so that tips stay at their joints if bones change length.
+    """
+    rest, sides = rest_positions(skeleton).astype(np.float64), joint_sides(skeleton)
+    up = np.array([0.0, JOINT_RADIUS_METRES, 0.0])
+    corners = [_octahedron(place - up, place + up, 0.5, JOINT_RADIUS_METRES) for place in rest]
+    bound = [(joint,) * 6 for joint in range(skeleton.num_joints)]
+    bones = [(parent, joint, rest[joint]) for joint, parent in enumerate(skeleton.parents) if parent >= 0]
+    bones += [(joint, joint, rest[joint] + np.array(tip)) for joint, tip in skeleton.end_sites]
+    for start, end, tip in bones:
+        length = float(np.linalg.norm(tip - rest[start]))
+        if length > SHORTEST_METRES:
+            corners.append(_octahedron(rest[start], tip, WAIST, THICKNESS * length))
+            bound.append((*(start,) * 5, end))
+    joints = np.zeros((6 * len(corners), 4), np.uint16)
+    joints[:, 0] = np.ravel(bound)
+    weights = np.zeros((len(joints), 4), np.float32)
     weights[:, 0] = 1.0
     attributes = {
-        "POSITION": buffer.add(mesh.positions, bounds=True, vertices=True),
-        "NORMAL": buffer.add(mesh.normals, vertices=True),
-        "JOINTS_0": buffer.add(joints, vertices=True),
-        "WEIGHTS_0": buffer.add(weights, vertices=True),
+        "POSITION": buffer.add(np.concatenate(corners).astype(np.float32), bounds=True, target=VERTICES),
+        "JOINTS_0": buffer.add(joints, target=VERTICES),
+        "WEIGHTS_0": buffer.add(weights, target=VERTICES),
     }
-    return {"attributes": attributes, "material": material}
+    primitives: list[dict[str, Any]] = []
+    materials: list[dict[str, Any]] = []
+    for side, (name, colour) in COLOURS.items():
+        solids = [number for number, ends in enumerate(bound) if sides[ends[-1]] == side]
+        if solids:
+            faces = (6 * np.array(solids)[:, None, None] + FACES).astype(np.uint32)
+            indices = buffer.add(faces.ravel(), target=INDICES)
+            primitives.append({"attributes": attributes, "indices": indices, "material": len(materials)})
+            surface = {"baseColorFactor": colour, "metallicFactor": 0.0, "roughnessFactor": 0.8}
+            materials.append({"name": name, "pbrMetallicRoughness": surface})
+    return primitives, materials
 
 
-def _material(mesh: BoneMesh) -> dict[str, Any]:
-    surface = {"baseColorFactor": COLOURS[mesh.side], "metallicFactor": 0.0, "roughnessFactor": 0.8}
-    return {"name": mesh.side, "pbrMetallicRoughness": surface}
-
-
-def _animation(motion: Motion, channels: JointChannels, buffer: GlbBuffer) -> dict[str, Any]:
-    seconds = TimeGrid(motion.fps, motion.num_frames).seconds().astype(np.float32)
-    keys = buffer.add(seconds, bounds=True)
-    rotations = continuous_quaternions(channels.rotations.astype(np.float64))
-    rotations /= np.linalg.norm(rotations, axis=-1, keepdims=True)
-    turned = rotations[..., [1, 2, 3, 0]].astype(np.float32)
-    moved = [joint for joint in range(channels.skeleton.num_joints) if not (turned[:, joint] == IDENTITY).all()]
-    values = [(joint, "translation", place) for joint, place in channels.translations.items()]
-    values += [(joint, "rotation", turned[:, joint]) for joint in moved]
-    samplers = [{"input": keys, "output": buffer.add(value), "interpolation": "LINEAR"} for _, _, value in values]
-    targets = [
-        {"sampler": number, "target": {"node": joint, "path": kind}} for number, (joint, kind, _) in enumerate(values)
-    ]
-    return {"name": motion.sequence_id or "motion", "samplers": samplers, "channels": targets}
+def _octahedron(
+    start: Float64[np.ndarray, "3"], tip: Float64[np.ndarray, "3"], waist: float, radius: float
+) -> Float64[np.ndarray, "6 3"]:
+    along = (tip - start) / np.linalg.norm(tip - start)
+    # Any axis that is not nearly parallel.
+    first = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
+    first /= np.linalg.norm(first)
+    second = np.cross(along, first)
+    ring = start + waist * (tip - start) + radius * np.stack((first, second, -first, -second))
+    return np.concatenate((start[None], ring, tip[None]))
 
 
 def _extras(motion: Motion) -> dict[str, Any]:
@@ -281,8 +245,153 @@ def _extras(motion: Motion) -> dict[str, Any]:
     return {name: value for name, value in said.items() if value not in ("", [], None)}
 
 
-FORMAT = Format(
-    name="gltf",
-    suffixes=(".glb",),
-    write=write_gltf,
-)
+@dataclass(frozen=True, eq=False)
+class GltfRig:
+    """A character's .glb: unchanged `document` and `binary`, the node of each joint, the joints' rotations at rest.
+
+    `carrier` (4 × 4) is the transform of the root's parent nodes; `above` of a joint is the rotation of the nodes
+    between it and its parent joint.
+    """
+
+    document: dict[str, Any]
+    binary: bytes
+    skeleton: Skeleton
+    nodes: tuple[int, ...]
+    rest: Float64[np.ndarray, "joints 4"]
+    above: Float64[np.ndarray, "joints 4"]
+    carrier: Float64[np.ndarray, "4 4"]
+
+    def write(self, motion: Motion, path: Path) -> None:
+        """The same file with this motion of its skeleton in place of its animations, the first frame at 0 s."""
+        assert motion.local_rotations is not None and motion.root_translation is not None
+        back = kinematics.quaternion_conjugate(self.above)
+        turns = kinematics.quaternion_multiply(back[None], motion.local_rotations.astype(np.float64))
+        turns = kinematics.continuous_quaternions(turns)[..., [1, 2, 3, 0]].astype(np.float32)
+        places = motion.root_translation.astype(np.float64) - self.carrier[:3, 3]
+        places = (places @ np.linalg.inv(self.carrier[:3, :3]).T).astype(np.float32)
+        channels: Channels = [(self.nodes[0], "translation", places)]
+        channels += [(node, "rotation", turns[:, joint]) for joint, node in enumerate(self.nodes)]
+        buffer = GlbBuffer(self.binary, self.document.get("bufferViews", []), self.document.get("accessors", []))
+        nodes = [
+            _without_matrix(node) if number in self.nodes else node
+            for number, node in enumerate(self.document["nodes"])
+        ]
+        buffer.write(path, {**self.document, "nodes": nodes, "animations": [buffer.animation(motion, channels)]})
+
+
+def read_rig(path: Path, options: ReadOptions) -> GltfRig:
+    """The rig of a .glb; raises `FormatError` (`gltf`) for any other file, or one without a skin with a single root."""
+    try:
+        document, binary = _read_chunks(read_at_most(path, LARGEST_BYTES))
+        return _rig(document, binary, path, options)
+    except (KeyError, IndexError, TypeError, AttributeError, ValueError, struct.error) as error:
+        raise FormatError(f"no .glb with a skinned skeleton ({error!r})", path=path, reason="gltf") from None
+
+
+def _read_chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
+    magic, version, _, size, kind = struct.unpack_from("<5I", data)
+    if magic != MAGIC or version != VERSION or kind != JSON_CHUNK:
+        raise ValueError("not glTF 2.0, binary")
+    document: dict[str, Any] = parse_json(data[20 : 20 + size].decode())
+    start = 20 + size
+    if start >= len(data):
+        return document, b""
+    size, kind = struct.unpack_from("<2I", data, start)
+    if kind != BINARY_CHUNK:
+        raise ValueError("its second chunk is no binary one")
+    return document, data[start + 8 : start + 8 + size]
+
+
+def _rig(document: dict[str, Any], binary: bytes, path: Path, options: ReadOptions) -> GltfRig:
+    nodes: list[dict[str, Any]] = document["nodes"]
+    joints = {joint for skin in document["skins"] for joint in skin["joints"]}
+    if not 1 <= len(joints) <= MAX_JOINTS or not all(0 <= joint < len(nodes) for joint in joints):
+        raise ValueError(f"{len(joints)} joints")
+    parent_of = {child: number for number, node in enumerate(nodes) for child in node.get("children", ())}
+    # Of each joint the nodes above it, the nearest first.
+    chains = {joint: _nodes_above(joint, parent_of) for joint in joints}
+    order = sorted(joints, key=lambda joint: (len(chains[joint]), joint))
+    number_of = {joint: number for number, joint in enumerate(order)}
+    parents = [next((number_of[node] for node in chains[joint] if node in joints), -1) for joint in order]
+    if parents.count(-1) != 1:
+        raise ValueError(f"{parents.count(-1)} roots, expected 1")
+    matrices = [_matrix(node) for node in nodes]
+
+    def product(chain: Sequence[int]) -> Float64[np.ndarray, "4 4"]:
+        """The transform of nodes that are given from the innermost outwards."""
+        found = np.eye(4)
+        for node in chain:
+            found = matrices[node] @ found
+        return found
+
+    world = [product((joint, *chains[joint])) for joint in order]
+    turns = kinematics.matrix_to_quaternion(np.array([_rotation(matrix) for matrix in world]))
+    places = np.array([matrix[:3, 3] for matrix in world])
+    # Relative to the parent joint, across any nodes in between.
+    rest, offsets, above = turns.copy(), places.copy(), []
+    for number, parent in enumerate(parents):
+        chain = chains[order[number]]
+        between = chain if parent < 0 else chain[: chain.index(order[parent])]
+        above.append(_rotation(product(between)))
+        if parent >= 0:
+            back = kinematics.quaternion_conjugate(turns[parent])
+            rest[number] = kinematics.quaternion_multiply(back, turns[number])
+            offsets[number] = kinematics.quaternion_rotate(back, places[number] - places[parent])
+    names = [str(nodes[joint].get("name", f"node {joint}")) for joint in order]
+    repeated = {name for name, count in Counter(names).items() if count > 1}
+    names = [f"{name}#{number}" if name in repeated else name for number, name in enumerate(names)]
+    skeleton = Skeleton(path.stem, tuple(names), tuple(parents), offsets.astype(np.float32))
+    return GltfRig(
+        document,
+        binary,
+        with_layout_map(skeleton, options.skeleton_maps),
+        tuple(order),
+        rest,
+        kinematics.matrix_to_quaternion(np.array(above)),
+        product(chains[order[0]]),
+    )
+
+
+def _nodes_above(node: int, parent_of: dict[int, int]) -> list[int]:
+    chain: list[int] = []
+    while node in parent_of:
+        node = parent_of[node]
+        chain.append(node)
+        if len(chain) > MAX_JOINTS:
+            raise ValueError("nodes that are their own parents")
+    return chain
+
+
+def _matrix(node: dict[str, Any]) -> Float64[np.ndarray, "4 4"]:
+    if "matrix" in node:
+        return np.array(node["matrix"], np.float64).reshape(4, 4).T
+    x, y, z, w = (float(each) for each in node.get("rotation", (0, 0, 0, 1)))
+    matrix = np.eye(4)
+    matrix[:3, :3] = kinematics.quaternion_to_matrix(np.array([w, x, y, z])) * np.array(node.get("scale", (1, 1, 1)))
+    matrix[:3, 3] = node.get("translation", (0, 0, 0))
+    return matrix
+
+
+def _without_matrix(node: dict[str, Any]) -> dict[str, Any]:
+    """A node with translation, rotation and scale in place of a matrix, as animated nodes require (§3.5.3)."""
+    if "matrix" not in node:
+        return node
+    matrix = _matrix(node)
+    w, *xyz = kinematics.matrix_to_quaternion(_rotation(matrix)[None])[0].tolist()
+    return {
+        **{key: value for key, value in node.items() if key != "matrix"},
+        "translation": matrix[:3, 3].tolist(),
+        "rotation": [*xyz, w],
+        "scale": np.linalg.norm(matrix[:3, :3], axis=0).tolist(),
+    }
+
+
+def _rotation(matrix: Float64[np.ndarray, "4 4"]) -> Float64[np.ndarray, "3 3"]:
+    """The rotation of a matrix, without its scale."""
+    u, sizes, vt = np.linalg.svd(matrix[:3, :3])
+    if sizes[-1] < 1e-9 * sizes[0] or np.linalg.det(u @ vt) < 0:
+        raise ValueError("a node that flattens or mirrors")
+    return np.asarray(u @ vt)
+
+
+FORMAT = Format(name="gltf", suffixes=(".glb",), write=write_gltf)

@@ -70,7 +70,8 @@ def read_skeleton(archive: npy.Archive, joint_positions: Float32[np.ndarray, "fr
         found = archive.exact(key, shape)
         if not ((found >= lowest) & (found < num_joints) & (found == np.rint(found))).all():
             raise ValueError(f"{key}: joints are numbered {lowest} … {num_joints - 1}, these are not")
-        return found.astype(np.int64).tolist()
+        numbers: list[Any] = found.astype(np.int64).tolist()
+        return numbers
 
     try:
         parents = (-1, *(0,) * (num_joints - 1))

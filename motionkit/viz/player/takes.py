@@ -15,6 +15,7 @@ from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.transfer import counterpart_joints
+from motionkit.io.gltf import joint_sides
 
 Colours = Literal["sides", "given", "plain"]
 Line = Float64[np.ndarray, "_ 3"]
@@ -108,7 +109,6 @@ TRAVELLING_FROM_ROOT_METRES, TRAVELLING_METRES = 0.1, 0.5
 ENDS = (("left_foot", "left_ankle"), ("right_foot", "right_ankle"), ("left_wrist",), ("right_wrist",))
 # Where no table knows a skeleton, the ends of its limbs are traced, of a few.
 MOST_ENDS = 8
-_SIDES = {"left": -1, "right": 1}
 
 
 @dataclass(frozen=True)
@@ -133,10 +133,9 @@ def drawing_of(skeleton: Skeleton, positions: Float32[np.ndarray, "frames joints
     except SkeletonMapError:
         own = {}
     bones = _bones(skeleton, positions)
-    sides = _sides(skeleton, own)
     ends = [next(own[name] for name in names if name in own) for names in ENDS if own.keys() & set(names)]
     ends = ends or _leaves(bones)[:MOST_ENDS]
-    return Drawing(bones, sides, own.get("head", -1), tuple(dict.fromkeys(ends)), _yaw(own, positions))
+    return Drawing(bones, joint_sides(skeleton), own.get("head", -1), tuple(dict.fromkeys(ends)), _yaw(own, positions))
 
 
 def _bones(skeleton: Skeleton, positions: Float32[np.ndarray, "frames joints 3"]) -> tuple[int, ...]:
@@ -148,19 +147,6 @@ def _bones(skeleton: Skeleton, positions: Float32[np.ndarray, "frames joints 3"]
     # Markers have the first of them for their parent, and no rest pose.
     loose = not skeleton.offsets.any() and skeleton.num_joints > 1 and all(parent <= 0 for parent in parents)
     return tuple([-1] * len(bones) if loose else bones)
-
-
-def _sides(skeleton: Skeleton, own: dict[str, int]) -> tuple[int, ...]:
-    """The side of joints that are paired or have a counterpart on a side, and of their descendants."""
-    sides = [0] * skeleton.num_joints
-    for left, right in skeleton.left_right_pairs:
-        sides[left], sides[right] = -1, 1
-    for name, joint in own.items():
-        sides[joint] = sides[joint] or _SIDES.get(name.partition("_")[0], 0)
-    for joint, parent in enumerate(skeleton.parents):
-        if parent >= 0:
-            sides[joint] = sides[joint] or sides[parent]
-    return tuple(sides)
 
 
 def _leaves(bones: tuple[int, ...]) -> list[int]:

@@ -11,12 +11,12 @@ from motionkit.core.kinematics import forward_kinematics
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io.gltf import bone_meshes, write_gltf
+from motionkit.io.gltf import write_gltf
 
 pygltflib = pytest.importorskip("pygltflib")
 
 NUM_COMPONENTS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-DTYPES = {5126: "<f4", 5123: "<u2"}
+DTYPES = {5126: "<f4", 5123: "<u2", 5125: "<u4"}
 STATIC = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0)}
 
 
@@ -75,13 +75,13 @@ class Played:
         matrices = np.stack([world[joint] @ inverse[i] for i, joint in enumerate(skin.joints)])
         places, bound = [], []
         for primitive in self.file.meshes[0].primitives:
-            attributes = primitive.attributes
+            attributes, used = primitive.attributes, self.read(primitive.indices).ravel()
             rest = np.c_[self.read(attributes.POSITION), np.ones(self.file.accessors[attributes.POSITION].count)]
             joints, weights = self.read(attributes.JOINTS_0), self.read(attributes.WEIGHTS_0)
             np.testing.assert_array_equal(weights.sum(axis=1), 1)
             moved = np.einsum("vk,vkij,vj->vi", weights, matrices[joints], rest)
-            places.append(moved[:, :3])
-            bound.append(joints[:, 0])
+            places.append(moved[used, :3])
+            bound.append(joints[used, 0])
         return np.concatenate(places), np.concatenate(bound)
 
 
@@ -169,10 +169,9 @@ def test_the_file_is_as_the_specification_wants_it(played):
             np.testing.assert_array_equal(values.max(axis=0), np.float32(accessor.max))
     for primitive in document.meshes[0].primitives:
         assert document.accessors[primitive.attributes.POSITION].min
-        assert document.accessors[primitive.attributes.POSITION].count % 3 == 0
+        assert document.accessors[primitive.indices].count % 3 == 0
+        assert file.read(primitive.indices).max() < document.accessors[primitive.attributes.POSITION].count
         assert file.read(primitive.attributes.JOINTS_0).max() < motion.skeleton.num_joints
-        normals = file.read(primitive.attributes.NORMAL)
-        np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
     assert document.accessors[document.animations[0].samplers[0].input].min == [0.0]
     np.testing.assert_allclose(file.seconds[:, 0], np.arange(motion.num_frames) / float(motion.fps), rtol=1e-6)
     for (_, path), values in file.channels.items():
@@ -208,12 +207,18 @@ def test_what_gltf_has_no_place_for_is_in_extras(tmp_path):
 
 
 @pytest.mark.parametrize("pairs", [SMPL22.left_right_pairs, ()])
-def test_triangles_face_outwards_and_have_sides(pairs):
-    meshes = bone_meshes(replace(SMPL22, left_right_pairs=pairs))
-    assert [mesh.side for mesh in meshes] == ["left", "right", "middle"]
-    for mesh in meshes:
-        solids = mesh.positions.reshape(-1, 24, 3)
-        centres = solids.mean(axis=1, keepdims=True)
-        assert (np.sum((solids - centres) * mesh.normals.reshape(-1, 24, 3), axis=-1) > 0).all()
-        x = mesh.positions[:, 0].mean()
-        assert {"left": x > 0.05, "right": x < -0.05, "middle": abs(x) < 0.01}[mesh.side]
+def test_triangles_face_outwards_and_have_sides(tmp_path, pairs):
+    motion = turning(replace(SMPL22, left_right_pairs=pairs))
+    write_gltf(motion, tmp_path / "a.glb")
+    file = Played(tmp_path / "a.glb")
+    names = []
+    for primitive in file.file.meshes[0].primitives:
+        corners = file.read(primitive.attributes.POSITION).astype(float)
+        triangles = corners[file.read(primitive.indices).reshape(-1, 8, 3)]
+        centres = triangles.mean(axis=(1, 2), keepdims=True)
+        normals = np.cross(triangles[..., 1, :] - triangles[..., 0, :], triangles[..., 2, :] - triangles[..., 0, :])
+        assert (np.sum((triangles - centres) * normals[..., None, :], axis=-1) > 0).all()
+        names.append(file.file.materials[primitive.material].name)
+        x = triangles[..., 0].mean()
+        assert {"left": x > 0.05, "right": x < -0.05, "middle": abs(x) < 0.01}[names[-1]]
+    assert sorted(names) == ["left", "middle", "right"]
