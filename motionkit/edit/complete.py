@@ -28,7 +28,7 @@ from motionkit.edit.motions import (
     write_edited,
 )
 from motionkit.fields.anchoring import anchored
-from motionkit.fields.completion import begin_observed, begin_uneven
+from motionkit.fields.completion import begin_completion
 from motionkit.fields.contact.planted import planted
 from motionkit.fields.rig import on_bones
 from motionkit.viz.comparison import Version, write_comparison
@@ -193,14 +193,11 @@ class MotionCompletion:
         """The motion, completed by an encoder; raises `MotionkitError` if the encoder fails."""
         loaded, motion = self.loaded, self.loaded.motion
         encoder, warning = chosen.for_skeleton(motion.skeleton)
-        observation, known = loaded.observation(self.observed), np.flatnonzero(self.observed)
+        observation = loaded.observation(self.observed)
+        span = (float(loaded.seconds[0]), float(loaded.seconds[-1]))
         reach = {"before_seconds": self.before_seconds, "after_seconds": self.after_seconds}
         try:
-            if loaded.uneven_seconds is None:
-                completion = begin_observed(observation, known, motion.timegrid, encoder, self.fps, **reach)
-            else:
-                span = (float(loaded.seconds[0]), float(loaded.seconds[-1]))
-                completion = begin_uneven(observation, known, span, encoder, self.fps, **reach)
+            completion = begin_completion(observation, span, encoder, self.fps, **reach)
         except ValueError as error:
             raise MotionkitError(f"{chosen.name} cannot complete it: {error}") from None
         field = completion.field
@@ -209,7 +206,7 @@ class MotionCompletion:
         if observation.poses.local_rotations is not None:
             field = on_bones(field, observation)
         completion = replace(completion, field=field)
-        made, grid = completion.motion(0, completion.grid.num_frames), completion.grid
+        made, grid = completion.motion(), completion.grid
         line = (
             f"complete {motion.num_frames} frames at {motion.fps} fps -> {grid.num_frames} at {grid.fps}, "
             f"{grid.num_frames - len(completion.given_rows)} made"
@@ -218,7 +215,7 @@ class MotionCompletion:
             made.annotated_like(motion).logged(line),
             self.observed,
             completion.given_rows,
-            known[completion.given_poses],
+            np.flatnonzero(self.observed)[completion.given_poses],
         )
         warnings = [warning] if warning else self._warnings(chosen)
         if not loaded.valid.all():

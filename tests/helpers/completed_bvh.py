@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from motionkit.edit.motions import EditedMotion, LoadedMotion, write_edited
-from motionkit.fields.completion import begin_observed
+from motionkit.fields.completion import begin_completion
 from motionkit.fields.motion_field import MotionEncoder
 from motionkit.fields.rig import on_bones
 from motionkit.io.bvh.document import BvhDocument
@@ -23,8 +23,8 @@ def write_completed(
 ) -> None:
     """Complete the observed frames of a document at a framerate, and write the result."""
     loaded = LoadedMotion(document.motion(), document.seen, document=document, suffix=".bvh")
-    observation, known = loaded.observation(observed), np.flatnonzero(observed)
-    made = begin_observed(observation, known, document.timegrid, encoder, fps, **reach)
+    observation, seconds = loaded.observation(observed), document.timegrid.seconds()
+    made = begin_completion(observation, (seconds[0], seconds[-1]), encoder, fps, **reach)
     made = replace(made, field=on_bones(made.field, observation))
-    motion = made.motion(0, made.grid.num_frames)
-    write_edited(EditedMotion(motion, observed, made.given_rows, known[made.given_poses]), loaded, path)
+    given = np.flatnonzero(observed)[made.given_poses]
+    write_edited(EditedMotion(made.motion(), observed, made.given_rows, given), loaded, path)

@@ -13,7 +13,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.edit.encoders import encoder_loader
-from motionkit.fields.completion import inbetween, upsample
+from motionkit.fields.completion import complete, upsample
 from motionkit.fields.motion_field import Observation
 from motionkit.training.config import apply_overrides, flatten
 from motionkit.training.run import RunFolder
@@ -86,7 +86,7 @@ def test_a_trained_grid_peer_upsamples_and_refuses_gaps(run: RunFolder, name: st
     with pytest.raises(
         ValueError, match=r"evenly spaced frames, but the gaps .* from 0\.0333 to 0\.1333 s: use frames of one"
     ):
-        inbetween(motion, observed, encoder)
+        complete(motion, encoder, observed=observed)
     # Every 1.2-th real frame: gaps of one and of two frames.
     kept = np.floor(np.arange(38) * 1.2 + 1e-9).astype(int)
     field = encoder.encode(Observation.of(motion).rows(kept))
@@ -98,7 +98,7 @@ def test_a_trained_inbetweener_fills_a_gap_at_any_framerate(run: RunFolder, name
     encoder, motion = encoder_loader(name).load(run.path), capture()
     observed = np.ones(46, bool)
     observed[20:28] = False
-    made = inbetween(motion, observed, encoder)
+    made = complete(motion, encoder, observed=observed)
     np.testing.assert_array_equal(made.joint_positions[observed], motion.joint_positions[observed])
     field = encoder.encode(Observation.of(motion, observed))
     finer = field.query(20 / 30 + np.arange(17) / 60.0).joint_positions

@@ -8,9 +8,10 @@ import pytest
 
 from motionkit.core.skeleton import KIT21
 from motionkit.fields.anchoring import Anchored, anchored
-from motionkit.fields.completion import complete, observed_errors
+from motionkit.fields.completion import complete
 from motionkit.fields.interpolation import INTERPOLATORS, InterpolatedField, Method
 from motionkit.fields.motion_field import MotionEncoder, Observation
+from tests.helpers.observed_errors import observed_errors
 from tests.helpers.turning_body import random_motion
 
 

@@ -8,16 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motionkit.core.skeleton import KIT21
 from motionkit.core.timegrid import TimeGrid
-from motionkit.fields.completion import (
-    complete,
-    extrapolate,
-    inbetween,
-    observed_errors,
-    reconstruct,
-    upsample,
-)
+from motionkit.fields.completion import complete, upsample
 from motionkit.fields.interpolation import INTERPOLATORS, Method, interpolate
 from motionkit.fields.motion_field import Observation, to_motion
 from tests.helpers.turning_body import random_motion
@@ -68,54 +60,38 @@ def test_a_gap_is_filled_and_the_rest_is_left(method: Method) -> None:
     motion = random_motion(4, num_frames=40)
     observed = np.ones(40, dtype=np.bool_)
     observed[10:25] = False
-    filled = inbetween(motion, observed, INTERPOLATORS[method])
+    filled = complete(motion, INTERPOLATORS[method], observed=observed)
     assert np.array_equal(filled.joint_positions[observed], motion.joint_positions[observed])
     assert not np.allclose(filled.joint_positions[~observed], motion.joint_positions[~observed], atol=1e-2)
     expected = INTERPOLATORS[method].encode(Observation.of(motion, observed)).query(motion.timegrid.seconds())
     assert np.allclose(filled.joint_positions, expected.joint_positions, atol=1e-6)
-    assert filled.provenance.operations == (f"in-between 15 of 40 frames ({method})",)
     # What was to be filled is not read.
     spoilt = motion.joint_positions.copy()
     spoilt[~observed] += 9.0
-    again = inbetween(replace(motion, joint_positions=spoilt), observed, INTERPOLATORS[method])
+    again = complete(replace(motion, joint_positions=spoilt), INTERPOLATORS[method], observed=observed)
     assert np.array_equal(again.joint_positions, filled.joint_positions)
 
 
 def test_a_gap_at_an_end_is_extrapolated() -> None:
     motion = random_motion(5, num_frames=10)
     observed = np.arange(10) >= 4
-    held = inbetween(motion, observed, INTERPOLATORS["hold"])
+    held = complete(motion, INTERPOLATORS["hold"], observed=observed)
     assert np.array_equal(held.joint_positions[:4], np.repeat(motion.joint_positions[4:5], 4, axis=0))
     with pytest.raises(ValueError, match="nothing is observed"):
-        inbetween(motion, np.zeros(10, dtype=np.bool_))
+        complete(motion, INTERPOLATORS["slerp"], observed=np.zeros(10, dtype=np.bool_))
 
 
 def test_extrapolation_adds_whole_frames() -> None:
     motion = random_motion(6, num_frames=10)
-    longer = extrapolate(motion, before_seconds=0.05, after_seconds=0.1, encoder=INTERPOLATORS["linear"])
+    longer = complete(motion, INTERPOLATORS["linear"], before_seconds=0.05, after_seconds=0.1)
     assert longer.timegrid == TimeGrid(Fraction(30), 14, 1.25 - 1 / 30)
     assert np.array_equal(longer.joint_positions[1:11], motion.joint_positions)
     step = motion.joint_positions[-1] - motion.joint_positions[-2]
     assert np.allclose(longer.joint_positions[-1], motion.joint_positions[-1] + 3 * step, atol=1e-5)
     step = motion.joint_positions[1] - motion.joint_positions[0]
     assert np.allclose(longer.joint_positions[0], motion.joint_positions[0] - step, atol=1e-5)
-    still = extrapolate(motion, after_seconds=1.0, encoder=INTERPOLATORS["hold"])
+    still = complete(motion, INTERPOLATORS["hold"], after_seconds=1.0)
     assert still.num_frames == 40 and np.array_equal(still.joint_positions[-1], motion.joint_positions[-1])
     for seconds in (-1.0, np.nan, np.inf):
         with pytest.raises(ValueError, match=f"0 or more, not {seconds:g}"):
-            extrapolate(motion, before_seconds=seconds)
-
-
-def test_reconstruction_puts_nothing_back() -> None:
-    motion = random_motion(7)
-    made = reconstruct(motion, INTERPOLATORS["cubic"], Fraction(90))
-    assert made.num_frames == 58 and made.provenance.operations == ("reconstruct (cubic)",)
-    assert np.allclose(made.joint_positions[::3], motion.joint_positions, atol=1e-6)
-    field = interpolate(motion)
-    with pytest.raises(ValueError, match="their joints must be the same"):
-        observed_errors(field, Observation.of(random_motion(7, skeleton=KIT21)))
-    assert observed_errors(field, Observation.of(motion)).max() < 1e-6
-    every_other = Observation.of(motion, np.arange(20) % 2 == 0)
-    coarse = INTERPOLATORS["hold"].encode(every_other, after_seconds=1 / 30)
-    assert np.array_equal(observed_errors(coarse, Observation.of(motion)) > 0.0, (np.arange(20) % 2 == 1)[:, None]
-                          & np.ones(22, dtype=np.bool_))  # fmt: skip
+            complete(motion, INTERPOLATORS["hold"], before_seconds=seconds)

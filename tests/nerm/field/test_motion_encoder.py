@@ -14,7 +14,7 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.data.corpus import FrameValues
 from motionkit.data.poses import WindowPoses
 from motionkit.data.windows import cut_windows
-from motionkit.fields.completion import complete, observed_errors
+from motionkit.fields.completion import complete
 from motionkit.fields.motion_field import MotionEncoder, Observation, Poses, joint_velocities, to_motion
 from motionkit.training.run import RunError
 from motionkit.training.schedule import step_generator
@@ -22,6 +22,7 @@ from nerm.field.motion_encoder import NermEncoder, load
 from nerm.field.trained import TrainedField
 from nerm.field.training import FieldTraining
 from tests.helpers.nerm_corpus import analytic_positions, analytic_source
+from tests.helpers.observed_errors import observed_errors
 from tests.nerm.field.test_field_training import SMALL
 
 SECONDS = 11.0

@@ -14,7 +14,6 @@ from motionkit.core.skeleton import KIT21, SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.data.takes import open_takes
 from motionkit.features.rotations import rows_of_poses
-from motionkit.fields.completion import observed_errors
 from motionkit.fields.motion_field import (
     BatchEncoder,
     MotionEncoder,
@@ -33,6 +32,7 @@ from pahires.temporal.encoder import NetworkEncoder
 from pahires.temporal.training import TemporalTraining, TrainedNetwork
 from pahires.temporal.windows import WindowSampler
 from tests.helpers.nerm_corpus import analytic_positions
+from tests.helpers.observed_errors import observed_errors
 from tests.helpers.small_network import SmallConfig, SmallNetwork, load, train, write_store
 
 CPU = torch.device("cpu")
