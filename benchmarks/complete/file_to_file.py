@@ -4,7 +4,7 @@
 
 The clip is an analytic motion of the 22 joints at 30 fps, as BVH. Each figure is of a process of its own: wall seconds,
 CPU seconds (user and system), peak resident memory. The baseline is a process that reads the clip's numbers and writes
-as many as the result has, in pieces, with the same parser and writer; the difference is the cost of completion.
+as many as the result has, with the same parser and writer; the difference is the cost of completion.
 """
 
 import resource
@@ -23,16 +23,11 @@ FLOOR = """
 import sys
 from pathlib import Path
 from motionkit.io.source import number_table
-from motionkit.io.bvh.text import split_text
-from motionkit.io.source.source_file import PART_BYTES, FileParts
+from motionkit.io.bvh import split_text
 path, repeats = Path(sys.argv[1]), int(sys.argv[2])
-file = FileParts.of(path)
-head = split_text(file.read(0, PART_BYTES), path)
-part = number_table.TablePart(first_line=1, first_row=0, num_rows=sys.maxsize, is_end=False)
-with open(sys.argv[3], "wb") as out:
-    for _, block in file.line_blocks(head.body_start, file.end_of_text(), number_table.BLOCK_BYTES):
-        rows = number_table.find_rows(block, head.hierarchy.num_channels, path, part)
-        out.write(number_table.format_table(rows.table.repeat(repeats, axis=0)))
+head, body = split_text(path.read_bytes(), path)
+table = number_table.read_table(body, head.num_frames, head.hierarchy.num_channels, path, head.body_line)
+Path(sys.argv[3]).write_bytes(number_table.format_table(table.repeat(repeats, axis=0)))
 """
 COMPLETE = "from motionkit.cli.app import main; main()"
 
@@ -40,7 +35,7 @@ COMPLETE = "from motionkit.cli.app import main; main()"
 def write_clip(path: Path, minutes: float) -> None:
     """A BVH file at 30 fps: a minute's motion, repeated forwards and backwards."""
     from motionkit.fields.motion_field import to_motion
-    from motionkit.io.bvh.writing import write_bvh
+    from motionkit.io.bvh_writing import write_bvh
     from tests.helpers.analytic import analytic_motion
 
     field = analytic_motion("walk", PIECE_SECONDS)

@@ -25,7 +25,7 @@ from motionkit.fields.completion import complete
 from motionkit.fields.interpolation import INTERPOLATORS, Settling
 from motionkit.fields.motion_field import MotionEncoder
 from motionkit.fields.resample import downsample
-from motionkit.io.bvh.document import read_bvh
+from motionkit.io.bvh import read_bvh
 
 BETWEEN = ("hold", "linear", "slerp", "rotation-catmull-rom", "squad", "rotation-cubic")
 GAPS, REACHES = (2, 4, 8, 15, 30), (3, 8, 15, 30)

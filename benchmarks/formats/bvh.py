@@ -1,11 +1,12 @@
-"""BVH file → joint positions: motionkit, upc-pymotion, and pyarrow's CSV reader on the numbers alone, in one process.
+"""BVH file → joint positions: motionkit, upc-pymotion, numpy with scipy, and pyarrow's CSV reader, in one process.
 
     python -m benchmarks.formats.bvh FILE_OR_FOLDER… [--files 20] [--repeats 3]
 
-CPU seconds of one thread. In a repeat each of the three reads all files, as a corpus is read; it begins with no header
+CPU seconds of one thread. In a repeat each of the four reads all files, as a corpus is read; it begins with no header
 remembered, so that the first file of a corpus pays for the header that the others share. The best repeat of each file
-counts. A table goes to stderr, JSON to stdout. `pyarrow` parses the same motion block as a table of float64 columns,
-which is the floor under any reader that goes through Arrow; it computes no rotation and no position.
+counts. A table goes to stderr, JSON to stdout. `numpy_scipy` is what somebody writes in twenty-five lines: `np.loadtxt`
+on the numbers, `Rotation.from_euler`, and a loop over the joints. `pyarrow_csv` parses the same motion block as a table
+of float64 columns: the floor under any reader that goes through Arrow. It computes no rotation and no position.
 """
 
 import os
@@ -26,9 +27,9 @@ import pymotion.ops.skeleton as peer_skeleton
 from pyarrow import csv
 from pymotion.io.bvh import BVH
 from rich.table import Table
+from scipy.spatial.transform import Rotation
 
-from motionkit.io.bvh import text
-from motionkit.io.bvh.document import read_bvh
+from motionkit.io.bvh import cached_hierarchy, read_bvh
 
 pa.set_cpu_count(1)
 
@@ -43,6 +44,43 @@ def peer(path: Path) -> np.ndarray:
     rotations, places, parents, offsets, _, _ = file.get_data()
     positions: np.ndarray = peer_skeleton.fk(rotations, places[:, 0], offsets, parents)[0]
     return positions
+
+
+def numpy_scipy(path: Path) -> np.ndarray:
+    """Positions in file units; the unit, the up axis and moving bones are not found, and no fault is explained."""
+    lines = path.read_text(encoding="utf-8-sig").splitlines()
+    start = next(number for number, line in enumerate(lines) if line.strip().startswith("Frame Time"))
+    joints: list[tuple[int, list[float], list[str]]] = []  # parent, offset, channels
+    open_joints: list[int] = []
+    for line in lines[:start]:
+        match line.split():
+            case ["ROOT" | "JOINT", *_]:
+                joints.append((open_joints[-1] if open_joints else -1, [], []))
+                open_joints.append(len(joints) - 1)
+            case ["End", *_]:
+                open_joints.append(-1)
+            case ["OFFSET", *numbers] if open_joints[-1] >= 0:
+                joints[open_joints[-1]][1].extend(map(float, numbers))
+            case ["CHANNELS", _, *names]:
+                joints[open_joints[-1]][2].extend(names)
+            case ["}"]:
+                open_joints.pop()
+    table = np.loadtxt(lines[start + 1 :], ndmin=2)
+    world: list[tuple[np.ndarray, Rotation]] = []
+    column = 0
+    for parent, offset, names in joints:
+        values = dict(zip(names, table[:, column : column + len(names)].T, strict=True))
+        column += len(names)
+        place = np.stack(
+            [values.get(f"{axis}position", np.full(len(table), offset[i])) for i, axis in enumerate("XYZ")]
+        )
+        turns = [name for name in names if name.endswith("rotation")]
+        angles = np.stack([values[name] for name in turns], axis=-1)
+        rotation = Rotation.from_euler("".join(name[0] for name in turns), angles, degrees=True)
+        if parent >= 0:
+            place, rotation = (world[parent][0] + world[parent][1].apply(place.T)).T, world[parent][1] * rotation
+        world.append((place.T, rotation))
+    return np.stack([place for place, _ in world], axis=1)
 
 
 def motion_block(path: Path) -> bytes:
@@ -66,16 +104,17 @@ def cpu_seconds(work: Callable[[Any], object], argument: object) -> float:
 
 
 def measure(files: list[Path], repeats: int) -> dict[str, Any]:
-    seconds = dict.fromkeys(("motionkit", "pymotion", "pyarrow_csv"), 0.0)
+    seconds = dict.fromkeys(("motionkit", "pymotion", "numpy_scipy", "pyarrow_csv"), 0.0)
     frames = num_bytes = 0
     blocks = [motion_block(path) for path in files]
-    ours(files[0]), peer(files[0]), arrow(blocks[0])
+    ours(files[0]), peer(files[0]), numpy_scipy(files[0]), arrow(blocks[0])
     best = [dict.fromkeys(seconds, float("inf")) for _ in files]
     for _ in range(repeats):
-        text.parsed.cache_clear()
+        cached_hierarchy.cache_clear()
         for name, work, arguments in (
             ("motionkit", ours, files),
             ("pymotion", peer, files),
+            ("numpy_scipy", numpy_scipy, files),
             ("pyarrow_csv", arrow, blocks),
         ):
             for argument, quickest in zip(arguments, best, strict=True):
@@ -93,6 +132,7 @@ def measure(files: list[Path], repeats: int) -> dict[str, Any]:
         "megabytes_per_second": {name: round(num_bytes / 1e6 / value, 1) for name, value in seconds.items()},
         "frames_per_second": {name: round(frames / value) for name, value in seconds.items()},
         "times_pymotion": round(seconds["pymotion"] / seconds["motionkit"], 1),
+        "times_numpy_scipy": round(seconds["numpy_scipy"] / seconds["motionkit"], 1),
     }
 
 
@@ -108,11 +148,12 @@ def main() -> None:
         picked = [files[index] for index in np.linspace(0, len(files) - 1, min(arguments.files, len(files)), dtype=int)]
         results[source.name] = measure(picked, arguments.repeats)
     report = {"benchmark": "bvh", "machine": platform.processor() or platform.machine(), "sources": results}
-    table = Table("source", "files", "MB", "motionkit MB/s", "pymotion MB/s", "pyarrow CSV MB/s", "× pymotion")
+    rates = ("motionkit MB/s", "pymotion MB/s", "numpy and scipy MB/s", "pyarrow CSV MB/s")
+    table = Table("source", "files", "MB", *rates, "× pymotion", "× numpy and scipy")
     for name, result in results.items():
         rate = result["megabytes_per_second"]
-        columns = (result["files"], result["megabytes"], rate["motionkit"], rate["pymotion"], rate["pyarrow_csv"])
-        table.add_row(name, *map(str, columns), str(result["times_pymotion"]))
+        columns = (result["files"], result["megabytes"], *rate.values())
+        table.add_row(name, *map(str, columns), str(result["times_pymotion"]), str(result["times_numpy_scipy"]))
     print_table_and_json(table, report)
 
 

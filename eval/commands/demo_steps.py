@@ -19,7 +19,7 @@ from motionkit.core.errors import UsageError
 from motionkit.core.files import is_temporary, write_whole
 from motionkit.core.motion import Motion
 from motionkit.demo_corpus import write_demo_corpus
-from motionkit.io.bvh.document import read_bvh
+from motionkit.io.bvh import read_bvh
 from motionkit.io.registry import ReadOptions
 from motionkit.store.reader import Store
 from motionkit.training.config import flatten

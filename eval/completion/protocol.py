@@ -11,7 +11,7 @@ from fractions import Fraction
 import numpy as np
 
 from motionkit.core.shapes import Bool, Int64
-from motionkit.io.bvh.lafan1 import NUM_PAST_FRAMES
+from motionkit.io.lafan1 import NUM_PAST_FRAMES
 
 INBETWEENING_VERSION = "inbetweening/1"
 EXTRAPOLATION_VERSION = "extrapolation/1"

@@ -14,7 +14,7 @@ from motionkit.core.moments import Moments, stream
 from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.features.rotations import heading, to_window
-from motionkit.io.bvh import lafan1
+from motionkit.io import lafan1
 from motionkit.store.sql import conjunction
 
 if TYPE_CHECKING:

@@ -20,8 +20,8 @@ from motionkit.features import humanml3d
 from motionkit.features.humanml3d import at_origin, facing_forward
 from motionkit.fields.motion_field import Observation, Poses
 from motionkit.io import joints_npy, pose_vectors
-from motionkit.io.bvh.document import BvhDocument
-from motionkit.io.bvh.writing import ChannelLines, check_writable
+from motionkit.io.bvh import BvhDocument
+from motionkit.io.bvh_writing import KnownFrames, rewrite_bvh
 from motionkit.io.files import existing_path, sequences_at
 from motionkit.io.humanml3d import LAYOUTS
 from motionkit.io.missing_frames import read_with_missing
@@ -62,7 +62,7 @@ class LoadedMotion:
     def poses(self) -> Poses:
         """All poses; those of a BVH file have rotations even if its bones move, which a `Motion` leaves out."""
         if self.document is not None and self.motion.local_rotations is None:
-            return self.document.poses(np.arange(self.motion.num_frames))
+            return self.document.poses
         return Poses.of(self.motion)
 
     def observation(self, observed: Bool[np.ndarray, "frames"]) -> Observation:
@@ -138,7 +138,7 @@ def _of_item(item: SourceItem, path: Path, options: ReadOptions) -> MotionSource
 def _load_item(item: SourceItem, options: ReadOptions) -> LoadedMotion:
     document = read_document(item, options)
     if document is not None:
-        return LoadedMotion(document.motion(), document.seen, document=document, suffix=".bvh")
+        return LoadedMotion(document.motion, document.valid, document=document, suffix=".bvh")
     motion, valid, uneven_seconds = read_with_missing(item, options)
     suffix, note = item.path.suffix.lower(), ""
     if suffix == ".npy" and pose_vectors.accepts(FileHead(item.path)):
@@ -214,11 +214,9 @@ def write_edited(edited: EditedMotion, loaded: LoadedMotion, path: Path) -> None
     """
     document = loaded.document
     if document is not None and path.suffix.lower() == ".bvh":
-        check_writable(document)
-        lines = ChannelLines(document, np.flatnonzero(edited.observed), loaded.seconds[edited.observed])
-        motion = edited.motion
-        written = lines.lines(motion.timegrid.seconds(), Poses.of(motion), edited.given_rows, edited.given_frames)
-        path.write_bytes(document.heading(motion.num_frames, motion.fps) + b"\n".join((*written, b"")))
+        observed = np.flatnonzero(edited.observed)
+        known = KnownFrames(observed, loaded.seconds[observed], edited.given_rows, edited.given_frames)
+        rewrite_bvh(document, path, edited.motion, known)
     elif loaded.is_pose_vectors and path.suffix.lower() == ".npy":
         _write_pose_vectors(edited.motion, path)
     else:

@@ -16,7 +16,7 @@ from motionkit.core.errors import FormatError
 from motionkit.core.framerate import parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io.bvh import channels
+from motionkit.io.bvh import unique_names
 from motionkit.io.c3d_container import C3dFile, parse_c3d
 from motionkit.io.registry import Format, ReadOptions, of_path
 from motionkit.io.source import clock, source_file
@@ -88,7 +88,7 @@ def _labelled(file: C3dFile, path: Path) -> Markers:
         operations.append(f"no positions, left out: {some(modelled)}")
     if not kept:
         raise FormatError("no point is a labelled marker", path=path, reason="no-markers")
-    names, renamed = channels.unique_names(_without_subject([labels[point] for point in kept]))
+    names, renamed = unique_names(_without_subject([labels[point] for point in kept]))
     points = file.points[:, kept]
     positions = points[..., :3].copy()
     if np.isinf(positions).any():

@@ -11,14 +11,12 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.contact.planted import planted_frames
-from motionkit.fields.motion_field import Observation, Poses
-from motionkit.io.bvh.document import BvhDocument, read_document
-from motionkit.io.bvh.writing import ChannelLines, check_writable
+from motionkit.fields.motion_field import Observation
+from motionkit.io.bvh import BvhDocument, read_document
+from motionkit.io.bvh_writing import KnownFrames, check_writable, rewrite_bvh
 from motionkit.io.gltf import read_rig
 from motionkit.io.registry import Format, ReadOptions
 from motionkit.io.retargeting import retarget, standing_skeleton, stands
-
-FRAMES_AT_ONCE = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +47,7 @@ def read_character(path: Path, options: ReadOptions) -> Character:
     if path.suffix.lower() == ".bvh":
         document = read_document(path, options)
         check_writable(document)
-        return Character(document.skeleton, _standing_pose(document), ".bvh", _bvh_writer(document))
+        return Character(document.motion.skeleton, _standing_pose(document), ".bvh", _bvh_writer(document))
     if path.suffix.lower() == ".glb":
         rig = read_rig(path, options)
         _check_stands(standing_skeleton(rig.skeleton, rig.rest), path)
@@ -68,12 +66,10 @@ def character_format(character: Character, plant: bool) -> Format:
 
 def _standing_pose(document: BvhDocument) -> Float64[np.ndarray, "joints 4"] | None:
     """None if the rest pose stands; else the first frame's rotations, if that pose does."""
-    if stands(document.skeleton):
+    if stands(document.motion.skeleton):
         return None
-    first = document.poses(np.zeros(1, np.int64)).local_rotations
-    assert first is not None
-    rest = np.asarray(first[0], np.float64)
-    _check_stands(standing_skeleton(document.skeleton, rest), document.lines.file.path)
+    rest = np.asarray(document.local_rotations[0], np.float64)
+    _check_stands(standing_skeleton(document.motion.skeleton, rest), document.path)
     return rest
 
 
@@ -87,13 +83,8 @@ def _check_stands(skeleton: Skeleton, path: Path) -> None:
 
 def _bvh_writer(document: BvhDocument) -> Callable[[Motion, Path], None]:
     def write(motion: Motion, path: Path) -> None:
-        lines = ChannelLines(document, np.zeros(1, np.int64), np.zeros(1))
-        seconds, poses, nothing = np.arange(motion.num_frames) / float(motion.fps), Poses.of(motion), np.zeros(0, int)
-        with path.open("wb") as file:
-            file.write(document.heading(motion.num_frames, motion.fps))
-            for start in range(0, motion.num_frames, FRAMES_AT_ONCE):
-                some = slice(start, start + FRAMES_AT_ONCE)
-                written = lines.lines(seconds[some], poses.rows(some), nothing, nothing)
-                file.write(b"\n".join((*written, b"")))
+        first_frame, none = np.zeros(1, np.int64), np.zeros(0, np.int64)
+        known = KnownFrames(first_frame, np.array([motion.timegrid.start_seconds]), none, none)
+        rewrite_bvh(document, path, motion, known)
 
     return write

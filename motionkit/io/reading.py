@@ -6,15 +6,13 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TypeVar
 
-import numpy as np
-
 from motionkit.core.errors import FormatError
 from motionkit.core.mirror import mirror
 from motionkit.core.motion import Caption, Motion, captions_within
 from motionkit.core.skeletons.families import with_layout_map
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import cuts, framerate_rules
-from motionkit.io.bvh.document import BvhDocument
+from motionkit.io.bvh import BvhDocument
 from motionkit.io.registry import ReadOptions, SourceItem, reader_of
 from motionkit.io.source.body_frame import check_unit
 from motionkit.io.source.source_file import check_size
@@ -44,33 +42,41 @@ def read(item: SourceItem, options: ReadOptions | None = None) -> Motion:
 def read_document(item: SourceItem, options: ReadOptions | None = None) -> BvhDocument | None:
     """The document of a whole file with its annotations, None if its format has none.
 
-    Its skeleton, frames and clock are those of `read`. Raises `FormatError`.
+    Its motion is that of `read`. Raises `FormatError`.
     """
     options, document = _with_clock(item, options), reader_of(item.format).document
     if document is None:
         return None
     found = _on_clock(item, options, lambda wanted: document(item.path, wanted))
-    check_unit(found.skeleton, found.poses(np.arange(1)).joint_positions, options.unit_metres, item.path)
-    made: BvhDocument = _without_first(replace(found, captions=item.captions), item, options)
-    return _annotated(made, item, options)
+    check_unit(found.motion.skeleton, found.motion.joint_positions[:1], options.unit_metres, item.path)
+    found = _changed(found, lambda motion: replace(motion, captions=item.captions))
+    return _annotated(_without_first(found, item, options), item, options)
 
 
-def _without_first(motion: Read, item: SourceItem, options: ReadOptions) -> Read:
+def _changed(made: Read, change: Callable[[Motion], Motion]) -> Read:
+    """A changed motion, or a document with its motion changed."""
+    return change(made) if isinstance(made, Motion) else replace(made, motion=change(made.motion))
+
+
+def _without_first(made: Read, item: SourceItem, options: ReadOptions) -> Read:
     """The motion without its first frames, its clock starting at 0; raises `FormatError` if no frame is left.
 
     Captions, whose seconds count from the file's first frame, move with it; those of the left-out frames are dropped.
     """
     num_frames = options.skip_frames if item.skip_frames is None else item.skip_frames
+    motion = made if isinstance(made, Motion) else made.motion
     if num_frames == 0:
-        return motion
+        return made
     if num_frames >= motion.num_frames:
         message = f"{motion.num_frames} frames, of which the first {num_frames} are to be left out"
         raise FormatError(message, path=item.path, reason="skip-frames")
-    kept = motion.frames(num_frames, motion.num_frames)
-    captions = captions_within(motion.captions, kept.timegrid)
     line = f"the first {num_frames} of {motion.num_frames} frames left out (skip_frames)"
-    timegrid = TimeGrid(motion.fps, kept.num_frames)
-    return replace(kept, timegrid=timegrid, captions=_earlier(captions, float(num_frames / motion.fps))).logged(line)
+
+    def from_zero(kept: Motion) -> Motion:
+        captions = _earlier(captions_within(kept.captions, kept.timegrid), float(num_frames / kept.fps))
+        return replace(kept, timegrid=TimeGrid(kept.fps, kept.num_frames), captions=captions).logged(line)
+
+    return _changed(made.frames(num_frames, motion.num_frames), from_zero)
 
 
 def _earlier(captions: tuple[Caption, ...], seconds: float) -> tuple[Caption, ...]:
@@ -90,6 +96,10 @@ def _with_clock(item: SourceItem, options: ReadOptions | None) -> ReadOptions:
 
 
 def _annotated(made: Read, item: SourceItem, options: ReadOptions) -> Read:
+    return _changed(made, lambda motion: _annotated_motion(motion, item, options))
+
+
+def _annotated_motion(made: Motion, item: SourceItem, options: ReadOptions) -> Motion:
     provenance = replace(
         made.provenance,
         source=item.source,
@@ -133,11 +143,16 @@ def _on_clock(item: SourceItem, options: ReadOptions, read: Callable[[ReadOption
         rule = next((rule for rule in rules if rule.stated is None), None)
         if rule is None or problem.reason not in NO_FRAMERATE:
             raise
-        return read(replace(options, fps=rule.fps)).logged(f"framerate by rule ({rule.where})")
-    fps, lines = framerate_rules.corrected_fps(made.fps, rules)
+        line = f"framerate by rule ({rule.where})"
+        return _changed(read(replace(options, fps=rule.fps)), lambda motion: motion.logged(line))
+    return _changed(made, lambda motion: _corrected(motion, rules))
+
+
+def _corrected(motion: Motion, rules: tuple[framerate_rules.FramerateRule, ...]) -> Motion:
+    fps, lines = framerate_rules.corrected_fps(motion.fps, rules)
     for line in lines:
-        made = replace(made, timegrid=replace(made.timegrid, fps=fps)).logged(line)
-    return made
+        motion = replace(motion, timegrid=replace(motion.timegrid, fps=fps)).logged(line)
+    return motion
 
 
 def _read_stretch(item: SourceItem, options: ReadOptions) -> Motion:

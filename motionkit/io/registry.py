@@ -210,9 +210,9 @@ class _BuiltIn:
 _POSE_FOLDERS = ("new_joints", "new_joint_vecs")
 # The first that accepts a file reads it.
 _BUILT_IN = (
-    _BuiltIn("lafan1", "bvh.lafan1", suffixes=(".bvh",)),
-    _BuiltIn("100style", "bvh.style100", suffixes=(".bvh",)),
-    _BuiltIn("bvh", "bvh.writing", suffixes=(".bvh",), writes=True),
+    _BuiltIn("lafan1", "lafan1", suffixes=(".bvh",)),
+    _BuiltIn("100style", "style100", suffixes=(".bvh",)),
+    _BuiltIn("bvh", "bvh_writing", suffixes=(".bvh",), writes=True),
     _BuiltIn("asfamc", "asfamc", suffixes=(".amc",)),
     _BuiltIn("c3d", "c3d", suffixes=(".c3d",)),
     _BuiltIn("trc", "trc", suffixes=(".trc",)),

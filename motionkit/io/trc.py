@@ -16,7 +16,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float64
 from motionkit.core.skeletons.families import with_layout_map
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io.bvh import channels
+from motionkit.io.bvh import unique_names
 from motionkit.io.registry import Format, ReadOptions, of_path
 from motionkit.io.source import clock, number_table, source_file
 from motionkit.io.source.markers import UNITS, Markers, checked_metres, marker_skeleton, without_gaps
@@ -44,7 +44,7 @@ def read_trc(path: Path, options: ReadOptions | None = None) -> Motion:
     fps, log = clock.fps_in_use(options.fps, lambda: _stated_fps(rate, table[:, 1], path), words=rate[:20])
     points = table[:, 2:].reshape(len(table), len(names), 3)
     points[~points.any(axis=-1) | np.isnan(points).any(axis=-1)] = np.nan
-    unique, renamed = channels.unique_names(names)
+    unique, renamed = unique_names(names)
     markers = without_gaps(Markers(unique, points, renamed), fps, path)
     unit, why = _unit(stated.get("Units", ""), options, path)
     positions = checked_metres(markers, markers.positions * unit, path)

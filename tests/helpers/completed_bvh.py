@@ -10,7 +10,7 @@ from motionkit.edit.motions import EditedMotion, LoadedMotion, write_edited
 from motionkit.fields.completion import begin_completion
 from motionkit.fields.motion_field import MotionEncoder
 from motionkit.fields.rig import on_bones
-from motionkit.io.bvh.document import BvhDocument
+from motionkit.io.bvh import BvhDocument
 
 
 def write_completed(
@@ -22,8 +22,8 @@ def write_completed(
     **reach: float,
 ) -> None:
     """Complete the observed frames of a document at a framerate, and write the result."""
-    loaded = LoadedMotion(document.motion(), document.seen, document=document, suffix=".bvh")
-    observation, seconds = loaded.observation(observed), document.timegrid.seconds()
+    loaded = LoadedMotion(document.motion, document.valid, document=document, suffix=".bvh")
+    observation, seconds = loaded.observation(observed), document.motion.timegrid.seconds()
     made = begin_completion(observation, (seconds[0], seconds[-1]), encoder, fps, **reach)
     made = replace(made, field=on_bones(made.field, observation))
     given = np.flatnonzero(observed)[made.given_poses]

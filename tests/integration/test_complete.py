@@ -21,9 +21,8 @@ from motionkit.features.humanml3d import process
 from motionkit.fields.completion import complete
 from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.motion_field import Observation, to_motion
-from motionkit.io.bvh import frame_lines
-from motionkit.io.bvh.document import read_bvh, read_document
-from motionkit.io.bvh.writing import write_bvh
+from motionkit.io.bvh import read_bvh, read_document
+from motionkit.io.bvh_writing import write_bvh
 from motionkit.io.humanml3d import Entry, write_humanml3d
 from motionkit.io.joints_npy import read_joints_npy
 from motionkit.io.npz import motion_arrays, read_npz, write_npz
@@ -35,7 +34,6 @@ from tests.helpers.format_samples import NUM_BVH_CHANNELS, bvh_text
 from tests.helpers.outcome import Outcome
 from tests.helpers.packed import unpack
 from tests.helpers.repository import REPOSITORY
-from tests.helpers.whole_documents import lines_of, poses_of
 
 Run = Callable[..., Outcome]
 PAGE = REPOSITORY / "docs" / "complete.md"
@@ -62,8 +60,8 @@ def test_bvh_at_four_times_the_framerate(motionkit: Run, walk: Path) -> None:
     assert outcome.stdout.split() == [str(made)]
     assert "rotation-cubic" in outcome.stderr and "train --stage pahires" in outcome.stderr
     before, after = read_document(walk), read_document(made)
-    assert lines_of(after)[::4] == lines_of(before) and after.timegrid.fps == 120
-    assert len(lines_of(after)) == 4 * (len(lines_of(before)) - 1) + 1
+    assert after.lines[::4] == before.lines and after.motion.fps == 120
+    assert len(after.lines) == 4 * (len(before.lines) - 1) + 1
     again = motionkit("complete", walk, "--fps", "120")
     assert again.code == 1 and "--overwrite" in again.stderr and again.stdout == ""
     assert motionkit("complete", walk, "--fps", "90", "--overwrite").code == 0
@@ -77,18 +75,18 @@ def test_models_of_joint_positions_are_written_with_the_file_s_bones(
     outcome = motionkit("complete", walk, "--fps", "60", "--extend", "0.1,0.1", "--model", model, "--compare", "slerp")
     assert outcome.code == 0
     before, after = read_document(walk), read_document(walk.with_name("walk.completed.bvh"))
-    assert lines_of(after)[6:-6:2] == lines_of(before)
-    made = poses_of(after).joint_positions
+    assert after.lines[6:-6:2] == before.lines
+    made = after.poses.joint_positions
     expected = complete(
-        *(before.motion(), INTERPOLATORS[model]), fps=Fraction(60), before_seconds=0.1, after_seconds=0.1
+        *(before.motion, INTERPOLATORS[model]), fps=Fraction(60), before_seconds=0.1, after_seconds=0.1
     ).joint_positions
-    lengths, shortened = (bone_lengths(positions, before.skeleton) for positions in (made, expected))
+    lengths, shortened = (bone_lengths(positions, before.motion.skeleton) for positions in (made, expected))
     np.testing.assert_allclose(lengths, np.broadcast_to(lengths[6], lengths.shape), atol=1e-5)
     # As near as bones of that length come.
     distance = np.linalg.norm(made - expected, axis=-1)[6:-6]
     assert distance.max() < 2 * np.abs(shortened - lengths)[6:-6].max() < 0.02 and distance.mean() < 1e-3
     # No joint jumps between a frame that was given and one that was made.
-    assert np.abs(np.diff(made, 2, axis=0)).max() < 2 * np.abs(np.diff(poses_of(before).joint_positions, axis=0)).max()
+    assert np.abs(np.diff(made, 2, axis=0)).max() < 2 * np.abs(np.diff(before.poses.joint_positions, axis=0)).max()
 
 
 @pytest.mark.parametrize(
@@ -101,13 +99,13 @@ def test_models_of_joint_positions_are_written_with_the_file_s_bones(
 )
 def test_models_of_joint_positions_on_every_rig(motionkit: Run, captures: Path, tmp_path: Path, name: str) -> None:
     before = read_document(captures / name)
-    fps = 2 * before.timegrid.fps
+    fps = 2 * before.motion.fps
     out = tmp_path / "made.bvh"
     assert motionkit("complete", captures / name, "--fps", fps, "--model", "linear", "--out", out).code == 0
-    made = poses_of(read_document(out)).joint_positions[:400]
-    field = INTERPOLATORS["linear"].encode(Observation.of(before.motion()))
+    made = read_document(out).poses.joint_positions[:400]
+    field = INTERPOLATORS["linear"].encode(Observation.of(before.motion))
     expected = field.query(np.arange(len(made)) / float(fps)).joint_positions
-    shortened = bone_lengths(expected, before.skeleton) - bone_lengths(made, before.skeleton)
+    shortened = bone_lengths(expected, before.motion.skeleton) - bone_lengths(made, before.motion.skeleton)
     distance = np.linalg.norm(made - expected, axis=-1)
     assert distance.max() < 2 * np.abs(shortened).max() and distance.mean() < 1e-3
 
@@ -275,10 +273,10 @@ def test_trained_encoders_complete_own_skeletons(motionkit: Run, tmp_path: Path,
     gap, reach = clip["warnings"]
     assert "0.30 s is longer than the 0.20 s" in gap and "0.2 s beyond" in reach
     before, after = read_document(walk), read_document(Path(clip["file"]))
-    assert lines_of(after)[:8] == lines_of(before)[:8] and lines_of(after)[16:20] == lines_of(before)[16:]
+    assert after.lines[:8] == before.lines[:8] and after.lines[16:20] == before.lines[16:]
     # It stands still where it knows nothing, led from one given frame to the other: no interpolator does that.
     plain = read_bvh(Path(motionkit("complete", walk, *asked[:6], "--overwrite").stdout.strip()))
-    assert np.abs(plain.joint_positions[8:16] - poses_of(after).joint_positions[8:16]).max() > 0.01
+    assert np.abs(plain.joint_positions[8:16] - after.poses.joint_positions[8:16]).max() > 0.01
     dog = tmp_path / "dog.bvh"
     dog.write_text(re.sub(r"\b(Left|Right|Hips|Spine|Neck|Head)", r"dog\1", walk.read_text("utf-8")), "utf-8")
     outcome = motionkit("complete", dog, *asked)
@@ -353,16 +351,13 @@ def test_a_folder_that_cannot_be_written(motionkit: Run, walk: Path, tmp_path: P
     assert outcome.code == 2 and "no file or folder" in outcome.stderr
 
 
-def test_a_clip_is_replaced_by_its_completion(motionkit: Run, walk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # Of so few frames none would be read twice.
-    monkeypatch.setattr(frame_lines, "FRAMES_AT_ONCE", 8)
-    monkeypatch.setattr(frame_lines, "BLOCKS_KEPT", 2)
-    given = lines_of(read_document(walk))
+def test_a_clip_is_replaced_by_its_completion(motionkit: Run, walk: Path) -> None:
+    given = read_document(walk).lines
     arguments = ("--fps", "60", "--model", "slerp", "--compare", "hold", "--out", walk, "--overwrite")
     outcome = motionkit("complete", walk, *arguments)
     assert outcome.code == 0, outcome.stderr
     assert outcome.stdout.split() == [str(walk), str(walk.with_name("walk.html"))]
-    assert lines_of(read_document(walk))[::2] == given
+    assert read_document(walk).lines[::2] == given
 
 
 def test_a_failed_comparison_leaves_nothing(motionkit: Run, walk: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,7 +10,7 @@ from eval.tables.pahires.window_rows import WindowTable, measure_table
 from eval.tables.parts import SOURCES, Reported, reported_figures
 from eval.tables.registry import Table, TableRequest
 from motionkit.edit.encoders import installed_encoders
-from motionkit.io.bvh import lafan1
+from motionkit.io import lafan1
 
 _NAMES = {"hold": "zero velocity", "SLERP": "interpolation (SLERP)"}
 _NOTES = {"hold": "the last given pose", "SLERP": "the benchmark's own interpolation: local great arcs, root on a line"}

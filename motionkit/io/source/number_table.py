@@ -22,6 +22,7 @@ INLINE_BYTES = 12
 LENGTH_BYTES = 4
 VIEW_BYTES = LENGTH_BYTES + INLINE_BYTES
 NEWLINE, SPACE = 10, 32
+LONGEST_LINE_BYTES = 16 << 20
 
 
 @dataclass(frozen=True)
@@ -100,41 +101,34 @@ def to_numbers(words: Words) -> Float64[np.ndarray, "words"] | None:
     return values if (np.abs(values) < LARGEST_VALUE).all() else None
 
 
-@dataclass(frozen=True, eq=False)
-class RowsFound:
-    """The rows of a text, and the byte offset of each one's line."""
+def read_table(
+    text: bytes, num_rows: int, num_columns: int, path: Path, first_line: int
+) -> Float64[np.ndarray, "rows columns"]:
+    """The numbers of a text with one line for each row; empty lines are skipped.
 
-    table: Float64[np.ndarray, "rows columns"]
-    starts: Int64[np.ndarray, "rows"]
-
-
-@dataclass(frozen=True)
-class TablePart:
-    """The location of a block of whole lines: its first line in the file, its first row of the declared `num_rows`.
-
-    `is_end`: it is the last block of the text.
+    `first_line` is the number of its first line in the file. Raises `FormatError` (`truncated`, `channel-count`,
+    `frame-count`, `not-a-number`, `nan`, `range`) naming the line and the frame.
     """
-
-    first_line: int
-    first_row: int
-    num_rows: int
-    is_end: bool
-
-
-def find_rows(text: bytes, num_columns: int, path: Path, part: TablePart) -> RowsFound:
-    """The rows of one block of a table; empty lines are skipped.
-
-    Raises `FormatError` (`truncated`, `channel-count`, `frame-count`, `not-a-number`, `nan`, `range`) naming the line
-    and the frame. The caller checks for missing rows at the end (`too_few_rows`).
-    """
-    found = _rows_of_block(text, num_columns)
-    if found is not None and part.first_row + len(found.table) <= part.num_rows:
-        return found
-    lines = text.splitlines(keepends=True)
-    starts = np.cumsum([0, *map(len, lines)])[:-1]
-    there = np.array([bool(line.strip()) for line in lines], bool)
-    table = _parse_lines(text, num_columns, path, part)
-    return RowsFound(table, starts[there])
+    # A number takes at least a digit and a separator.
+    most_rows = len(text) // (2 * num_columns) + 1
+    table = np.empty((min(num_rows, most_rows), num_columns))
+    row, line, read_bytes = 0, first_line, 0
+    for block in blocks(text):
+        if len(block) > LONGEST_LINE_BYTES:
+            message = f"a line of more than {LONGEST_LINE_BYTES >> 20} MiB, expected lines of numbers"
+            raise FormatError(message, path=path, reason="range", line=line)
+        read_bytes += len(block)
+        rows = _rows_of_block(block, num_columns)
+        if rows is None or row + len(rows) > num_rows:
+            last_line = line + block.count(b"\n") if read_bytes == len(text) else None
+            rows = _rows_of_lines(block, num_columns, path, (line, last_line), (row, num_rows))
+        table[row : row + len(rows)] = rows
+        row += len(rows)
+        line += block.count(b"\n")
+    if row < num_rows:
+        message = f"the file ends after {row} frames, expected {num_rows}"
+        raise FormatError(message, path=path, reason="truncated", line=line, frame=row)
+    return table
 
 
 def format_table(table: Float64[np.ndarray, "rows columns"]) -> bytes:
@@ -157,7 +151,7 @@ def blocks(text: bytes) -> Iterator[bytes]:
         start = stop
 
 
-def _rows_of_block(block: bytes, num_columns: int) -> "RowsFound | None":
+def _rows_of_block(block: bytes, num_columns: int) -> Float64[np.ndarray, "rows columns"] | None:
     words = find_words(block)
     rows, rest = divmod(len(words.starts), num_columns)
     opens_row = np.zeros(num_columns, bool)
@@ -167,34 +161,30 @@ def _rows_of_block(block: bytes, num_columns: int) -> "RowsFound | None":
     numbers = to_numbers(words)
     if numbers is None:
         return None
-    return RowsFound(numbers.reshape(rows, num_columns), words.starts[::num_columns] - LENGTH_BYTES)
+    return numbers.reshape(rows, num_columns)
 
 
-def too_few_rows(found: int, num_rows: int, path: Path, last_line: int) -> FormatError:
-    """The error (`truncated`) of a table that ends too soon."""
-    message = f"the file ends after {found} frames, expected {num_rows}"
-    return FormatError(message, path=path, reason="truncated", line=last_line, frame=found)
-
-
-def _parse_lines(text: bytes, num_columns: int, path: Path, part: TablePart) -> Float64[np.ndarray, "rows columns"]:
-    rows: list[list[float]] = []
-    lines = text.rstrip().splitlines()
-    last_line = part.first_line + len(lines) - 1 if part.is_end else None
-    for line_number, line in enumerate(lines, start=part.first_line):
+def _rows_of_lines(
+    block: bytes, num_columns: int, path: Path, lines: tuple[int, int | None], rows: tuple[int, int]
+) -> Float64[np.ndarray, "rows columns"]:
+    """`lines` are the block's first line, and the last one of the file if it is here; `rows` its first row and all."""
+    (first_line, last_line), (first_row, num_rows) = lines, rows
+    numbers: list[list[float]] = []
+    for line_number, line in enumerate(block.rstrip().split(b"\n"), start=first_line):
         words = line.split()
         if not words:
             continue
-        frame = part.first_row + len(rows)
-        if frame == part.num_rows:
+        frame = first_row + len(numbers)
+        if frame == num_rows:
             raise FormatError(
-                f"a line of numbers after the {part.num_rows} declared frames; expected the end of the file",
+                f"a line of numbers after the {num_rows} declared frames; expected the end of the file",
                 path=path,
                 reason="frame-count",
                 line=line_number,
             )
         if len(words) < num_columns and line_number == last_line:
             raise FormatError(
-                f"the file ends after {len(words)} of {num_columns} numbers, expected {part.num_rows} whole frames",
+                f"the file ends after {len(words)} of {num_columns} numbers, expected {num_rows} whole frames",
                 path=path,
                 reason="truncated",
                 line=line_number,
@@ -208,8 +198,8 @@ def _parse_lines(text: bytes, num_columns: int, path: Path, part: TablePart) -> 
                 line=line_number,
                 frame=frame,
             )
-        rows.append([parse_number(word, path, line_number, frame) for word in words])
-    return np.array(rows, dtype=np.float64).reshape(len(rows), num_columns)
+        numbers.append([parse_number(word, path, line_number, frame) for word in words])
+    return np.array(numbers, dtype=np.float64).reshape(len(numbers), num_columns)
 
 
 def parse_number(word: bytes | str, path: Path, line: int, frame: int | None = None) -> float:

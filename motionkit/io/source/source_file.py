@@ -4,8 +4,7 @@ import hashlib
 import os
 import re
 import stat
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
 from pathlib import Path
 
 from motionkit.core.errors import FormatError
@@ -15,7 +14,7 @@ MAX_BYTES = 4 << 30
 HEADER_BYTES = 1 << 20
 CONTENT = re.compile(rb"[^ \t\r\n\0]")
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")
-# 9.7 hours at 120 fps; and frames × joints, at most 60 bytes of memory each: 4 GB.
+# 9.7 hours at 120 fps; and frames × joints, about 80 bytes of memory each: 5 GB.
 MAX_FRAMES = 1 << 22
 MAX_POSES = 1 << 26
 
@@ -146,98 +145,3 @@ def describe_content(data: bytes) -> str:
     if b":bonedata" in head or b":root" in head:
         return "an ASF skeleton"
     return "binary data" if b"\0" in head else "some other text"
-
-
-PART_BYTES = 1 << 16
-LONGEST_LINE = 16 << 20
-
-
-@dataclass(frozen=True)
-class FileParts:
-    """Parts of a file, which must not change after it is opened.
-
-    Line ends that are a single carriage return, as on old Macintoshes, are read as newlines.
-    """
-
-    path: Path
-    size: int
-    changed_ns: int
-    old_line_ends: bool = False
-    content: bytes | None = None
-
-    @classmethod
-    def of(cls, path: Path, *, held_bytes: int = 0) -> "FileParts":
-        """Open a file; one of at most `held_bytes` is read at once into `content`.
-
-        Raises `FormatError` (`unreadable`, `empty`).
-        """
-        status = check_file(path)
-        parts = cls(path, status.st_size, status.st_mtime_ns)
-        if parts.size <= held_bytes:
-            parts = replace(parts, content=parts.read(0, parts.size))
-        if not any(map(CONTENT.search, parts._all())):
-            raise FormatError("the file is empty", path=path, reason="empty")
-        return parts if any(b"\n" in part for part in parts._all()) else replace(parts, old_line_ends=True)
-
-    def read(self, start: int, stop: int) -> bytes:
-        """Bytes [start, stop); raises `FormatError` (`unreadable`, or `changed` since it was opened)."""
-        data = self._from_disk(start, stop) if self.content is None else self.content[start:stop]
-        return data.replace(b"\r", b"\n") if self.old_line_ends else data
-
-    def _from_disk(self, start: int, stop: int) -> bytes:
-        self._check_same()
-        try:
-            with self.path.open("rb") as file:
-                file.seek(start)
-                return file.read(stop - start)
-        except OSError as error:
-            raise unreadable(self.path, error) from None
-
-    def _check_same(self) -> None:
-        status = check_file(self.path)
-        if (status.st_size, status.st_mtime_ns) != (self.size, self.changed_ns):
-            raise FormatError("it was changed while it was read: call again", path=self.path, reason="changed")
-
-    def line_blocks(self, start: int, stop: int, block_bytes: int) -> Iterator[tuple[int, bytes]]:
-        """Blocks of whole lines of [start, stop), about `block_bytes` long, each with the offset of its first byte.
-
-        Raises `FormatError` (`range`) for a line of more than 16 MiB.
-        """
-        rest = b""
-        while start < stop:
-            end = min(stop, start + len(rest) + block_bytes)
-            data = rest + self.read(start + len(rest), end)
-            whole = len(data) if end == stop else data.rfind(b"\n") + 1
-            if whole:
-                yield start, data[:whole]
-            elif len(data) > LONGEST_LINE:
-                message = (
-                    f"a line of more than {LONGEST_LINE >> 20} MiB begins at byte {start}; expected lines of numbers"
-                )
-                raise FormatError(message, path=self.path, reason="range")
-            start, rest = start + whole, data[whole:]
-
-    def end_of_text(self) -> int:
-        """The byte offset at which the last line that is not blank ends."""
-        stop = self.size
-        while stop:
-            part = self.read(max(0, stop - PART_BYTES), stop)
-            if kept := len(part.rstrip()):
-                return stop - len(part) + kept
-            stop -= len(part)
-        return 0
-
-    def sha256(self) -> str:
-        """SHA-256 of the file's bytes in hex; raises `FormatError` as `read` does."""
-        if self.content is not None:
-            return sha256(self.content)
-        self._check_same()
-        try:
-            with self.path.open("rb") as file:
-                return hashlib.file_digest(file, "sha256").hexdigest()
-        except OSError as error:
-            raise unreadable(self.path, error) from None
-
-    def _all(self) -> Iterator[bytes]:
-        for start in range(0, self.size, PART_BYTES):
-            yield self.read(start, min(self.size, start + PART_BYTES))

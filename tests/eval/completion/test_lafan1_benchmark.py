@@ -17,7 +17,7 @@ from motionkit.core import kinematics
 from motionkit.core.motion import Motion, Provenance
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io.bvh.lafan1 import read_lafan1
+from motionkit.io.lafan1 import read_lafan1
 from motionkit.store.reader import Store
 from motionkit.store.writer import StoreWriter
 from tests.helpers.format_samples import lafan1_text

@@ -14,7 +14,7 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.features.humanml3d import positions
 from motionkit.generate.models import GenerationRequest
 from motionkit.generate.output import motion_name
-from motionkit.io.bvh.document import read_bvh
+from motionkit.io.bvh import read_bvh
 from motionkit.io.npz import read_npz
 from motionkit.store import Store
 from tests.helpers.drift_model import GoesOn, rows_of

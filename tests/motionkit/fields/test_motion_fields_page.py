@@ -10,7 +10,7 @@ import pytest
 
 from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.motion_field import joint_velocities, to_motion
-from motionkit.io.bvh.writing import write_bvh
+from motionkit.io.bvh_writing import write_bvh
 from tests.helpers.analytic import analytic_motion
 from tests.helpers.repository import REPOSITORY
 

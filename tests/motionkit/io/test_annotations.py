@@ -88,8 +88,10 @@ def test_captions_move_with_the_first_frame(tmp_path: Path, document: bool) -> N
     cell = json.dumps(said).replace('"', '""')
     (tmp_path / "table.csv").write_text(f'file,skip_frames,captions\nwalk.bvh,30,"{cell}"\n')
     (item,) = scan([tmp_path]).items
-    found = read_document(item) if document else read(item)
-    assert found is not None and (found.num_frames, found.timegrid.start_seconds) == (60, 0.0)
+    opened = read_document(item) if document else None
+    assert (opened is not None) == document
+    found = read(item) if opened is None else opened.motion
+    assert (found.num_frames, found.timegrid.start_seconds) == (60, 0.0)
     times = [(caption.text, caption.start_seconds, caption.end_seconds) for caption in found.captions]
     assert times == [
         ("all of it", 0.0, None),

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
 from motionkit.io.asfamc import parse_amc, read_asfamc
-from motionkit.io.bvh.document import read_bvh
+from motionkit.io.bvh import read_bvh
 from motionkit.io.registry import ReadOptions
 from tests.helpers.format_samples import amc_text, write_asfamc
 

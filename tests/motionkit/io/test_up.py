@@ -157,10 +157,10 @@ def test_a_document_has_the_poses_of_the_motion(tmp_path: Path) -> None:
     (item,) = scan([path]).items
     document, motion = read_document(item), read(item)
     assert document is not None
-    poses = document.poses(np.arange(document.num_frames))
+    poses = document.poses
     np.testing.assert_array_equal(poses.joint_positions, motion.joint_positions)
     np.testing.assert_array_equal(poses.local_rotations, motion.local_rotations)
-    assert document.skeleton == motion.skeleton
+    assert document.motion.skeleton == motion.skeleton
 
 
 @pytest.mark.parametrize("write", [bvh, amass, joints, npz])

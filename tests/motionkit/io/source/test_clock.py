@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from motionkit.core.errors import FormatError
-from motionkit.io.bvh.document import read_bvh
+from motionkit.io.bvh import read_bvh
 from motionkit.io.npz import read_npz
 from motionkit.io.registry import ReadOptions
 from motionkit.io.source.clock import fps_in_use, replaced_fps

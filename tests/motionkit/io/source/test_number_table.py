@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motionkit.io.source import number_table
-from motionkit.io.source.number_table import TablePart, find_rows, find_words, format_table, to_numbers
+from motionkit.io.source.number_table import find_words, format_table, read_table, to_numbers
 
 NUMBERS = st.one_of(
     st.floats(-1e8, 1e8).map(repr),
@@ -18,7 +18,7 @@ LINE_ENDS = st.sampled_from(["\n", " \n", "\r\n", "\n\n", "\n ", " \n\t"])
 
 def table_of(text: bytes, num_rows: int, num_columns: int) -> np.ndarray:
     """The numbers of a text that is all of a table."""
-    return find_rows(text, num_columns, Path("t"), TablePart(1, 0, num_rows, is_end=True)).table
+    return read_table(text, num_rows, num_columns, Path("t"), 1)
 
 
 @given(st.data(), st.integers(1, 6), st.integers(1, 5))

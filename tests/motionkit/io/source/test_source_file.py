@@ -6,17 +6,16 @@ from pathlib import Path
 import pytest
 
 from motionkit.core.errors import FormatError
-from motionkit.io.source.source_file import FileParts, read_bytes
+from motionkit.io.source.source_file import read_bytes
 
 
 @pytest.mark.parametrize("content", [b"", b" \t\r\n\0" * 70_000])
 def test_a_file_of_blanks_is_empty(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "a.bvh"
     path.write_bytes(content)
-    for read in (read_bytes, FileParts.of):
-        with pytest.raises(FormatError) as caught:
-            read(path)
-        assert caught.value.reason == "empty"
+    with pytest.raises(FormatError) as caught:
+        read_bytes(path)
+    assert caught.value.reason == "empty"
 
 
 def test_reading_takes_the_memory_of_the_file(tmp_path: Path) -> None:

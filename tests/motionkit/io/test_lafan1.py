@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from motionkit.core.motion import Motion
-from motionkit.io.bvh.lafan1 import (
+from motionkit.io.lafan1 import (
     TEST_STEP_FRAMES,
     TEST_WINDOW_FRAMES,
     TRAIN_STEP_FRAMES,

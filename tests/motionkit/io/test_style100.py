@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from motionkit.core.errors import FormatError
-from motionkit.io.bvh.style100 import read_100style
 from motionkit.io.reading import read
 from motionkit.io.scan import scan
+from motionkit.io.style100 import read_100style
 from tests.helpers.format_samples import NUM_BVH_CHANNELS, bvh_text
 
 HEADER = "STYLE_NAME,BR_START,BR_STOP,FW_START,FW_STOP,TR2_START,TR2_STOP"

@@ -1,13 +1,61 @@
+"""BVH files as they are, good and bad: bodies, framerates, what is recovered, and what is refused with which reason."""
+
+import re
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
+from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
-from motionkit.io.bvh.document import read_bvh
+from motionkit.io.bvh import read_bvh, read_document
+from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions
+from motionkit.io.scan import scan
+from tests.helpers.damage import damaged
+from tests.helpers.every_format import bodies
 from tests.helpers.format_samples import NUM_BVH_CHANNELS, bvh_hierarchy, bvh_text
+from tests.helpers.repository import REPOSITORY
+
+
+def test_positions_rotations_and_framerate(tmp_path: Path) -> None:
+    path = tmp_path / "walk.bvh"
+    path.write_text(bvh_text())
+    motion = read_bvh(path)
+    assert motion.fps == Fraction(30) and motion.num_frames == 4
+    assert motion.provenance.stated_fps == "Frame Time: 0.0333333"
+    hand, elbow = motion.skeleton.index("LeftHand"), motion.skeleton.index("LeftForeArm")
+    assert np.allclose(motion.joint_positions[3, 0], (0, 0.95, 0.06))
+    assert np.allclose(motion.joint_positions[0, hand], (0.72, 1.42, 0.0), atol=1e-6)
+    bend = np.radians(30)
+    forearm = motion.joint_positions[3, hand] - motion.joint_positions[3, elbow]
+    assert np.allclose(forearm, (0.26 * np.cos(bend), 0.26 * np.sin(bend), 0.0), atol=1e-6)
+    assert motion.local_rotations is not None and motion.root_translation is not None
+    again = kinematics.forward_kinematics(motion.local_rotations, motion.root_translation, motion.skeleton)
+    assert np.allclose(again, motion.joint_positions, atol=1e-6)
+
+
+@pytest.mark.parametrize("pattern", ["cmu/bvh/*.bvh", "cmu/bvh-converted/*.bvh", "mixed-bvh/*/*.bvh"])
+def test_every_real_file_is_a_metre_sized_upright_body(captures: Path, pattern: str) -> None:
+    for path in sorted(captures.glob(pattern)):
+        motion = read_bvh(path)
+        heads = motion.joint_positions[:, motion.skeleton.joint_names.index(_head(motion.skeleton.joint_names)), 1]
+        assert 0.9 < np.median(heads) < 2.2, path.name
+
+
+def _head(names: tuple[str, ...]) -> str:
+    return next(name for name in names if name.lower().endswith("head"))
+
+
+def test_the_t_pose_of_the_cmu_conversions_is_dropped_and_no_other_frame(captures: Path) -> None:
+    for folder, dropped in (("bvh", True), ("bvh-converted", False)):
+        for path in sorted((captures / "cmu" / folder).glob("*.bvh")):
+            operations = " ".join(read_bvh(path).provenance.operations)
+            assert ("T-pose" in operations) == dropped, path.name
+
 
 TEXT = bvh_text()
 LINES = TEXT.splitlines()
@@ -83,12 +131,6 @@ def test_bad_files_are_explained_in_one_line(tmp_path: Path, name: str) -> None:
     if line is not None:
         assert error.line == line, error
     assert error.frame == frame, error
-
-
-def test_a_missing_file_is_explained(tmp_path: Path) -> None:
-    with pytest.raises(FormatError) as caught:
-        read_bvh(tmp_path / "gone.bvh")
-    assert caught.value.reason == "unreadable"
 
 
 @pytest.mark.parametrize(
@@ -170,3 +212,134 @@ def test_position_channels_of_zeros_leave_the_offset(tmp_path: Path) -> None:
     one, other = (read_bvh(tmp_path / name) for name in ("zeros.bvh", "plain.bvh"))
     assert np.array_equal(one.joint_positions, other.joint_positions)
     assert np.array_equal(one.skeleton.offsets, other.skeleton.offsets)
+
+
+def rows(num_frames: int) -> np.ndarray:
+    table = np.random.default_rng(3).normal(0, 30, (num_frames, NUM_BVH_CHANNELS)).round(3)
+    table[:, 1] = 95
+    return table
+
+
+def t_pose_first(num_frames: int) -> str:
+    table = rows(num_frames)
+    table[0, 3:] = 0
+    table[1, :3] = table[0, :3]
+    return bvh_text(table.tolist())
+
+
+def with_places(text: str, table: np.ndarray) -> str:
+    """The same joints, each with position channels: the knees' places change, the others rest."""
+    head, body = text.split("MOTION")
+    head = head.replace("CHANNELS 3 ", "CHANNELS 6 Xposition Yposition Zposition ")
+    offsets = [list(map(float, found)) for found in re.findall(r"OFFSET (\S+) (\S+) (\S+)\n\s*CHANNELS", head)]
+    stretch = 1 + 0.1 * np.sin(np.arange(len(table)))
+    columns = [table[:, :6]]
+    for joint, offset in enumerate(offsets[1:]):
+        moves = stretch if offset == [0, -42, 0] else np.ones_like(stretch)
+        columns += [moves[:, None] * offset, table[:, 6 + 3 * joint : 9 + 3 * joint]]
+    lines = [" ".join(f"{value:g}" for value in row) for row in np.concatenate(columns, axis=1)]
+    return f"{head}MOTION" + "\n".join([*body.splitlines()[:3], *lines]) + "\n"
+
+
+def along_z(text: str) -> str:
+    return re.sub(r"OFFSET (\S+) (\S+) (\S+)", r"OFFSET \1 \3 \2", text)
+
+
+def carried(text: str) -> str:
+    """A root that only carries the hips."""
+    hips, rest = text.split("MOTION")
+    frames = [f"1 2 3 0 10 20 {line}" for line in rest.splitlines()[3:]]
+    channels = "CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation"
+    root = f"HIERARCHY\nROOT Carrier\n{{\nOFFSET 0 0 0\n{channels}\n"
+    inner = hips.replace("HIERARCHY\nROOT", "JOINT")
+    return f"{root}{inner}}}\nMOTION" + "\n".join([*rest.splitlines()[:3], *frames]) + "\n"
+
+
+TAKES = {
+    "plain": bvh_text(rows(50).tolist()),
+    "a T-pose first": t_pose_first(50),
+    "one frame": bvh_text(rows(1).tolist()),
+    "blank lines": bvh_text(rows(50).tolist()).replace("\n", "\n\n"),
+    "old line ends": bvh_text(rows(50).tolist()).replace("\n", "\r"),
+    "bones that change": with_places(bvh_text(), rows(50)).replace("Frames: 4", "Frames: 50"),
+    "along z": along_z(bvh_text(rows(50).tolist())),
+    "a root that carries another": carried(bvh_text(rows(50).tolist())),
+}
+
+
+def test_the_takes_are_what_they_are_called(tmp_path: Path) -> None:
+    operations = {}
+    for name, text in TAKES.items():
+        (tmp_path / "take.bvh").write_text(text)
+        operations[name] = " ".join(read_bvh(tmp_path / "take.bvh").provenance.operations)
+    assert "frame 0 dropped" in operations["a T-pose first"] and "turned from z up" in operations["along z"]
+    assert "(LeftLeg, LeftFoot, RightLeg, RightFoot)" in operations["bones that change"]
+    assert "folded into 'Hips'" in operations["a root that carries another"]
+
+
+@pytest.mark.parametrize("ending", ["\n", "\r\n", "\r", " \n\n"])
+def test_line_ends_of_all_kinds(tmp_path: Path, ending: str) -> None:
+    table = rows(9)
+    (tmp_path / "a.bvh").write_bytes((bvh_text(table.tolist()).rstrip("\n") + "\n\n").replace("\n", ending).encode())
+    document = read_document(tmp_path / "a.bvh")
+    np.testing.assert_allclose(document.table, table, rtol=1e-5)
+    assert document.lines == [line.encode() for line in bvh_text(table.tolist()).splitlines()[-9:]]
+
+
+@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_damaged_files_are_read_or_explained(tmp_path: Path, data: st.DataObject) -> None:
+    path = tmp_path / "a.bvh"
+    path.write_bytes(data.draw(damaged(bvh_text(rows(6).tolist()).encode())))
+    try:
+        document = read_document(path)
+    except FormatError as error:
+        assert "\n" not in str(error)
+        with pytest.raises(FormatError):
+            read_bvh(path)
+        return
+    assert len(document.lines) == len(document.table) == len(document.valid) == document.motion.num_frames
+    assert np.isfinite(document.poses.joint_positions).all()
+
+
+def test_a_text_without_lines_or_without_frames_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "take.bvh"
+    path.write_text(bvh_text()[:-1] + " 0" * 10_000)
+    monkeypatch.setattr("motionkit.io.source.number_table.LONGEST_LINE_BYTES", 5000)
+    with pytest.raises(FormatError, match="a line of more than") as caught:
+        read_bvh(path)
+    assert caught.value.reason == "range"
+    path.write_text("HIERARCHY\n" + "\n" * 20_000)
+    monkeypatch.setattr("motionkit.io.bvh.LARGEST_HEAD_BYTES", 1000)
+    with pytest.raises(FormatError, match="expected a hierarchy and MOTION") as caught:
+        read_bvh(path)
+    assert caught.value.reason == "too-large"
+
+
+def test_a_longer_take_than_a_store_holds_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "take.bvh"
+    path.write_text(bvh_text(rows(50).tolist())[:-1] + "x\n")  # refused before the bad number is read
+    for name, limit in (("MAX_FRAMES", 49), ("MAX_POSES", 49 * 16)):
+        with monkeypatch.context() as patched:
+            patched.setattr(f"motionkit.io.source.source_file.{name}", limit)
+            with pytest.raises(FormatError, match="50 frames of 16 joints, expected at most 49 frames") as caught:
+                read_bvh(path)
+        assert caught.value.reason == "too-large"
+    np.savez(tmp_path / "take.npz", joint_positions=bodies(8, 22), fps=30)
+    monkeypatch.setattr("motionkit.io.source.source_file.MAX_FRAMES", 7)
+    (item,) = scan([tmp_path / "take.npz"]).items
+    with pytest.raises(FormatError, match="8 frames of 22 joints") as caught:
+        read(item)
+    assert caught.value.reason == "too-large"
+
+
+def test_the_lines_of_the_page_cut_a_take(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("long.bvh").write_text(bvh_text(rows(50).tolist()))
+    whole = read_bvh(Path("long.bvh"))
+    page = (REPOSITORY / "docs" / "formats.md").read_text(encoding="utf-8")
+    code = page.partition("### Long takes")[2].partition("```python\n")[2].partition("```")[0]
+    exec(code.replace("1_000_000", "20"), {})
+    parts = [read_bvh(path) for path in sorted(Path().glob("long-*.bvh"))]
+    assert [part.num_frames for part in parts] == [20, 20, 10]
+    assert np.array_equal(np.concatenate([part.joint_positions for part in parts]), whole.joint_positions)

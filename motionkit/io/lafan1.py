@@ -8,14 +8,13 @@ https://github.com/orangeduck/lafan1-resolved, which is read the same way.
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
 from motionkit.core import kinematics
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32, Float64, Int64
-from motionkit.io.bvh.document import BvhDocument, read_bvh, read_document
+from motionkit.io.bvh import BvhDocument, read_bvh, read_document
 from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
 
 THEMES = (
@@ -29,8 +28,6 @@ TEST_SUBJECTS = ("subject5",)
 TRAIN_WINDOW_FRAMES, TRAIN_STEP_FRAMES = 50, 20
 TEST_WINDOW_FRAMES, TEST_STEP_FRAMES = 65, 40
 NUM_PAST_FRAMES = 10
-
-Read = TypeVar("Read", Motion, BvhDocument)
 
 
 @dataclass(frozen=True)
@@ -61,26 +58,23 @@ def read_lafan1(path: Path, options: ReadOptions | None = None) -> Motion:
 
 
 def read_lafan1_document(path: Path, options: ReadOptions | None = None) -> BvhDocument:
-    """The same, with frames read on demand; raises `FormatError` as `read_document` does."""
-    return _labelled(read_document(path, options), path)
+    """The same with the file's text; raises `FormatError` as `read_document` does."""
+    document = read_document(path, options)
+    return replace(document, motion=_labelled(document.motion, path))
 
 
-def _labelled(take: Read, path: Path) -> Read:
-    offsets = take.skeleton.offsets.copy()
+def _labelled(motion: Motion, path: Path) -> Motion:
+    offsets = motion.skeleton.offsets.copy()
     offsets[0] = 0.0
     name = NAME.fullmatch(path.stem)
     subject = name["subject"].lower() if name else ""
     return replace(
-        take,
-        skeleton=replace(take.skeleton, name="lafan1", offsets=offsets),
+        motion,
+        skeleton=replace(motion.skeleton, name="lafan1", offsets=offsets),
         action=name["theme"] if name else "",
-        split=_split(subject),
-        provenance=replace(take.provenance, source_format="lafan1", subject=subject),
+        split="test" if subject in TEST_SUBJECTS else "train" if subject in TRAIN_SUBJECTS else "",
+        provenance=replace(motion.provenance, source_format="lafan1", subject=subject),
     )
-
-
-def _split(subject: str) -> str:
-    return "test" if subject in TEST_SUBJECTS else "train" if subject in TRAIN_SUBJECTS else ""
 
 
 def benchmark_windows(motion: Motion, *, window_frames: int, step_frames: int) -> BenchmarkWindows:

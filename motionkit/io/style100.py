@@ -12,13 +12,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TypeVar
 
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.plain_text import shown
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io.bvh.document import T_POSE_DROPPED, BvhDocument, read_bvh, read_document
+from motionkit.io.bvh import T_POSE_DROPPED, BvhDocument, read_bvh, read_document
 from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
 from motionkit.io.source import source_file
 
@@ -39,7 +38,6 @@ ACTIONS = {
 NAME = re.compile(rf"(?P<style>[A-Za-z0-9]+)_(?P<kind>{'|'.join(ACTIONS)})", re.IGNORECASE)
 ABSENT = ("", "n/a", "nan", "none")
 
-Read = TypeVar("Read", Motion, BvhDocument)
 Cuts = Mapping[tuple[str, str], tuple[int, int]]
 
 
@@ -59,15 +57,21 @@ def read_100style(path: Path, options: ReadOptions | None = None) -> Motion:
     Times count from the first frame kept. Raises `FormatError` as `read_bvh` does, and with the reason `frame-cuts`
     if the table has no cut for the take, or one outside it.
     """
-    return _kept(read_bvh(path, options), path)
+    motion = read_bvh(path, options)
+    start, stop, line = _kept_frames(motion, path)
+    return _labelled(motion.frames(start, stop), path, line)
 
 
 def read_100style_document(path: Path, options: ReadOptions | None = None) -> BvhDocument:
-    """The same, with frames read on demand; raises `FormatError` as `read_document` does."""
-    return _kept(read_document(path, options), path)
+    """The same with the file's text; raises `FormatError` as `read_document` does."""
+    document = read_document(path, options)
+    start, stop, line = _kept_frames(document.motion, path)
+    kept = document.frames(start, stop)
+    return replace(kept, motion=_labelled(kept.motion, path, line))
 
 
-def _kept(take: Read, path: Path) -> Read:
+def _kept_frames(motion: Motion, path: Path) -> tuple[int, int, str]:
+    """The frames [start, stop) of the motion that the table keeps, and a line for the operation log."""
     name, table = NAME.fullmatch(path.stem), find_cuts(path)
     if name is None or table is None:
         raise FormatError(
@@ -75,28 +79,27 @@ def _kept(take: Read, path: Path) -> Read:
             path=path,
             reason="frame-cuts",
         )
-    dropped = int(T_POSE_DROPPED in take.provenance.operations)
-    total = take.num_frames + dropped
+    dropped = int(T_POSE_DROPPED in motion.provenance.operations)
+    total = motion.num_frames + dropped
     start, stop = _cut(table, name["style"], name["kind"].upper(), path)
     if not dropped <= start < stop <= total:
         raise FormatError(
-            f"{table.name} keeps frames [{start}, {stop}) of {total}; expected a stretch that lies inside",
+            f"{table.name} keeps frames [{start}, {stop}) of {total}; expected frames that the file has",
             path=path,
             reason="frame-cuts",
         )
-    kept = take.frames(start - dropped, stop - dropped)
-    operation = f"frames [{start}, {stop}) of {total} kept, as {table.name} says"
+    return start - dropped, stop - dropped, f"frames [{start}, {stop}) of {total} kept, as {table.name} says"
+
+
+def _labelled(kept: Motion, path: Path, line: str) -> Motion:
+    style, _, kind = path.stem.rpartition("_")
     return replace(
         kept,
-        timegrid=TimeGrid(take.fps, kept.num_frames),
-        action=ACTIONS[name["kind"].upper()],
-        style=name["style"],
-        provenance=replace(
-            take.provenance,
-            source_format="100style",
-            operations=(*take.provenance.operations, operation),
-        ),
-    )
+        timegrid=TimeGrid(kept.fps, kept.num_frames),
+        action=ACTIONS[kind.upper()],
+        style=style,
+        provenance=replace(kept.provenance, source_format="100style"),
+    ).logged(line)
 
 
 def _cut(table: Path, style: str, kind: str, path: Path) -> tuple[int, int]:

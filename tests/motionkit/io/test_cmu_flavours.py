@@ -9,7 +9,7 @@ import pytest
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import joint_map, map_joints
-from motionkit.io.bvh.document import T_POSE_DROPPED, read_bvh
+from motionkit.io.bvh import T_POSE_DROPPED, read_bvh
 from motionkit.io.registry import ReadOptions
 from tests.motionkit.core.skeletons.test_skeleton_mapping import check_body
 

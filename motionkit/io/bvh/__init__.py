@@ -1,1 +1,0 @@
-"""BVH: hierarchy, channels and motion, and the data sets published as BVH."""

@@ -1,0 +1,389 @@
+"""BVH files written: from motions, and again with their own text and lines; by ingest, complete and view alike."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymotion.io.bvh import BVH
+from scipy.spatial.transform import Rotation
+
+from motionkit.core import kinematics
+from motionkit.core.errors import FormatError
+from motionkit.core.kinematics import euler_to_quaternion
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import TimeGrid
+from motionkit.edit.complete import CompletionRequest, complete_file
+from motionkit.edit.encoders import choose_encoder
+from motionkit.edit.motions import LoadedMotion, OutputPaths, find_motions
+from motionkit.fields.interpolation import INTERPOLATORS
+from motionkit.fields.motion_field import Observation
+from motionkit.io.bvh import BvhDocument, read_bvh, read_document
+from motionkit.io.bvh_writing import anchored_angles, check_writable, write_bvh
+from motionkit.io.framerate_rules import parse_rules
+from motionkit.io.registry import ReadOptions
+from motionkit.store import Store
+from motionkit.store.ingest import ingest
+from tests.helpers.completed_bvh import write_completed
+from tests.helpers.format_samples import NUM_BVH_CHANNELS, bvh_hierarchy, bvh_text, lafan1_text
+from tests.motionkit.io.test_bvh import TAKES, carried
+
+
+def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+    (tmp_path / "in.bvh").write_text(bvh_text(frame_time=".0083333"))
+    motion = read_bvh(tmp_path / "in.bvh")
+    write_bvh(motion, tmp_path / "out.bvh")
+    again = read_bvh(tmp_path / "out.bvh")
+    assert again.fps == motion.fps == 120
+    assert again.skeleton.joint_names == motion.skeleton.joint_names
+    for (joint, tip), (joint_again, tip_again) in zip(motion.skeleton.end_sites, again.skeleton.end_sites, strict=True):
+        assert joint == joint_again and tip == pytest.approx(tip_again)
+    assert np.allclose(again.joint_positions, motion.joint_positions, atol=1e-5)
+    assert again.local_rotations is not None and motion.local_rotations is not None
+    assert np.allclose(np.abs(np.sum(again.local_rotations * motion.local_rotations, axis=-1)), 1.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(("change_metres", "misses_metres"), [(0.0, 1e-4), (3e-4, 2e-3)])
+def test_bones_that_keep_their_length_need_no_position_channels(
+    tmp_path: Path, change_metres: float, misses_metres: float
+) -> None:
+    """Whatever shape the body's own hips and shoulders have; bones that change a little are written as one skeleton."""
+    rng = np.random.default_rng(3)
+    offsets = SMPL22.offsets + rng.normal(0, 0.03, SMPL22.offsets.shape).astype(np.float32)
+    turns = Rotation.random(50 * 22, rng).as_quat(scalar_first=True).reshape(50, 22, 4).astype(np.float32)
+    root = rng.normal(size=(50, 3)).astype(np.float32)
+    positions = kinematics.forward_kinematics(turns, root, replace(SMPL22, offsets=offsets))
+    positions = (positions + rng.uniform(-change_metres, change_metres, positions.shape)).astype(np.float32)
+    write_bvh(Motion(positions, SMPL22, TimeGrid(Fraction(60), 50)), tmp_path / "own.bvh")
+    text = (tmp_path / "own.bvh").read_text()
+    assert (text.count("CHANNELS 6"), text.count("CHANNELS 3")) == (1, 21)
+    again = read_bvh(tmp_path / "own.bvh")
+    order = [again.skeleton.index(joint) for joint in SMPL22.joint_names]
+    assert np.abs(again.joint_positions[:, order] - positions).max() < misses_metres
+
+
+def test_rotations_in_gimbal_lock_come_back(tmp_path: Path) -> None:
+    """A root that pitches by exactly 90 degrees in many headings, as float32 holds it."""
+    turns = np.zeros((60, 22, 4))
+    turns[..., 0] = 1.0
+    turns[:, 0] = Rotation.from_euler("ZXY", [[0, 90, 6 * k] for k in range(60)], degrees=True).as_quat(
+        scalar_first=True
+    )
+    turns = turns.astype(np.float32)
+    root = np.zeros((60, 3), np.float32)
+    motion = Motion(kinematics.forward_kinematics(turns, root, SMPL22), SMPL22, TimeGrid(Fraction(60), 60), turns, root)
+    write_bvh(motion, tmp_path / "out.bvh")
+    again = read_bvh(tmp_path / "out.bvh", ReadOptions(up="y"))
+    order = [again.skeleton.index(joint) for joint in SMPL22.joint_names]
+    np.testing.assert_allclose(again.joint_positions[:, order], motion.joint_positions, atol=1e-4)
+
+
+@pytest.mark.parametrize("fps", [Fraction(20), Fraction(30000, 1001), Fraction(25, 2), Fraction(250)])
+def test_positions_without_rotations_are_written_exactly(tmp_path: Path, fps: Fraction) -> None:
+    rng = np.random.default_rng(0)
+    turns = Rotation.random(30 * 22, rng).as_quat(scalar_first=True).reshape(30, 22, 4).astype(np.float32)
+    root = rng.normal(size=(30, 3)).astype(np.float32)
+    positions = kinematics.forward_kinematics(turns, root, SMPL22)
+    for name, joints in (("rigid", positions), ("loose", positions + rng.normal(0, 0.01, positions.shape))):
+        motion = Motion(joints.astype(np.float32), SMPL22, TimeGrid(fps, 30))
+        write_bvh(motion, tmp_path / f"{name}.bvh")
+        again = read_bvh(tmp_path / f"{name}.bvh")
+        order = [again.skeleton.index(joint) for joint in SMPL22.joint_names]
+        assert again.fps == fps
+        assert np.abs(again.joint_positions[:, order] - motion.joint_positions).max() < 1.5e-4
+        assert (again.local_rotations is None) == (name == "loose")
+
+
+CUBIC = INTERPOLATORS["rotation-cubic"]
+
+
+def rows(num_frames: int = 12, seed: int = 0) -> list[list[float]]:
+    """Angles that swing and wind up, in the file's six digits; the left foot and the root's x rest."""
+    rng = np.random.default_rng(seed)
+    seconds = np.arange(num_frames) / 30
+    table = 25 * np.sin(rng.uniform(3, 6, NUM_BVH_CHANNELS) * seconds[:, None] + rng.uniform(0, 6, NUM_BVH_CHANNELS))
+    table[:, 0], table[:, 1] = 12.3456, 95 + 2 * np.sin(9 * seconds)
+    table[:, 3] += 170 + 160 * seconds
+    foot = 6 + 3 * 11
+    table[:, foot : foot + 3] = (1.25, -33.3, 90.0)
+    return np.round(table, 6).tolist()
+
+
+def written(path: Path, text: str) -> Path:
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def completed(document: BvhDocument, path: Path, **options: object) -> BvhDocument:
+    observed = document.valid & np.asarray(options.pop("observed", True))
+    fps = options.pop("fps", document.motion.timegrid.fps)
+    write_completed(document, observed, CUBIC, fps, path, **options)
+    return read_document(path)
+
+
+def test_given_frames_are_the_lines_that_they_were(tmp_path: Path) -> None:
+    document = read_document(written(tmp_path / "in.bvh", bvh_text(rows())))
+    made = completed(document, tmp_path / "out.bvh", fps=Fraction(120))
+    assert made.lines[::4] == document.lines and len(made.lines) == 4 * 11 + 1
+    assert made.head.text == document.head.text and made.motion.timegrid.fps == 120
+    np.testing.assert_array_equal(made.table[::4], document.table)
+    # What rests stays as it is to the last digit; what winds up continues.
+    foot = 6 + 3 * 11
+    assert set(made.table[:, 0]) == {12.3456} and set(made.table[:, foot + 2]) == {90.0}
+    assert np.abs(np.diff(made.table, axis=0)).max() < 10
+    assert made.table[-1, 3] > 200
+
+
+def test_new_frames_are_those_of_the_field(tmp_path: Path) -> None:
+    path = written(tmp_path / "in.bvh", bvh_text(rows()))
+    document = read_document(path)
+    made = completed(document, tmp_path / "out.bvh", fps=Fraction(60000, 1001))
+    field = CUBIC.encode(Observation(document.motion.timegrid.seconds(), document.poses, document.motion.skeleton))
+    wanted = field.query(made.motion.timegrid.seconds())
+    np.testing.assert_allclose(made.poses.joint_positions, wanted.joint_positions, atol=2e-6)
+    np.testing.assert_allclose(read_bvh(path).joint_positions, document.poses.joint_positions, atol=1e-6)
+
+
+def test_another_reader_sees_the_same_motion(tmp_path: Path) -> None:
+    document = read_document(written(tmp_path / "in.bvh", bvh_text(rows())))
+    made = completed(document, tmp_path / "out.bvh", fps=Fraction(90), after_seconds=0.1)
+    bvh = BVH()
+    bvh.load(str(tmp_path / "out.bvh"))
+    rotations, positions, _, offsets, _, _ = bvh.get_data()
+    assert list(bvh.data["names"]) == list(made.motion.skeleton.joint_names)
+    assert bvh.data["frame_time"] == pytest.approx(1 / 90, abs=1e-12)
+    assert len(rotations) == made.motion.timegrid.num_frames
+    mine = made.poses.local_rotations
+    assert mine is not None
+    assert np.abs(np.sum(rotations * mine, axis=-1)).min() > 1 - 1e-6
+    np.testing.assert_allclose(positions[:, 0] * document.unit_metres, made.poses.joint_positions[:, 0], atol=1e-5)
+    np.testing.assert_allclose(offsets[1:] * document.unit_metres, made.motion.skeleton.offsets[1:], atol=1e-6)
+
+
+def test_frames_with_nan_are_made_like_a_gap(tmp_path: Path) -> None:
+    table = rows()
+    lines = [" ".join(f"{value:g}" for value in row) for row in table]
+    lines[5] = lines[5].replace(lines[5].split()[8], "NaN")
+    text = f"{bvh_hierarchy()}MOTION\nFrames: 12\nFrame Time: 0.0333333\n" + "\n".join(lines) + "\n"
+    document = read_document(written(tmp_path / "in.bvh", text))
+    assert document.valid.tolist() == [frame != 5 for frame in range(12)]
+    made = completed(document, tmp_path / "out.bvh")
+    np.testing.assert_allclose(made.table[5], table[5], atol=1.0)
+    assert b"NaN" not in made.lines[5] and made.lines[4] == document.lines[4]
+    empty = text.replace("\n".join(lines), "\n".join(" ".join(["nan"] * NUM_BVH_CHANNELS) for _ in lines))
+    with pytest.raises(FormatError, match="every frame"):
+        read_document(written(tmp_path / "none.bvh", empty))
+
+
+def test_a_t_pose_in_front_stays_in_front(tmp_path: Path) -> None:
+    table = rows()
+    t_pose = [0.0] * NUM_BVH_CHANNELS
+    t_pose[:3] = table[0][:3]
+    document = read_document(written(tmp_path / "in.bvh", bvh_text([t_pose, *table])))
+    assert document.has_reference and document.motion.timegrid.num_frames == 12
+    made = completed(document, tmp_path / "out.bvh", fps=Fraction(60))
+    assert made.has_reference and made.lines[::2] == document.lines
+    assert b"Frames: 24" in (tmp_path / "out.bvh").read_bytes()
+
+
+@pytest.mark.parametrize("rests_along_z", [True, False])
+def test_a_body_along_z_is_written_along_z(tmp_path: Path, rests_along_z: bool) -> None:
+    """Where the rest pose is along z too, and where the root's rotation takes it there."""
+
+    def turned(text: str) -> str:
+        found = []
+        for line in text.splitlines():
+            words = line.split()
+            if words[:1] == ["OFFSET"]:
+                x, y, z = words[1:]
+                line = f"OFFSET {x} {-float(z):g} {y}"
+            found.append(line)
+        return "\n".join(found) + "\n"
+
+    table = rows()
+    for row in table:
+        row[1], row[2] = -row[2], row[1]
+        row[3:6] = [0.0, 0.0 if rests_along_z else 90.0, 0.0]
+    text = bvh_text(table)
+    document = read_document(written(tmp_path / "in.bvh", turned(text) if rests_along_z else text))
+    assert (document.up, document.rest_has_same_up) == ("z", rests_along_z)
+    made = completed(document, tmp_path / "out.bvh", fps=Fraction(60))
+    assert made.up == "z" and made.lines[::2] == document.lines
+    between = 0.5 * (made.table[:-2:2] + made.table[2::2])
+    assert np.abs(made.table[1::2] - between).max() < 1.0
+
+
+def test_quadrupeds_and_props_are_written_too(tmp_path: Path) -> None:
+    text = """HIERARCHY
+ROOT box
+{
+OFFSET 0 0 0
+CHANNELS 6 Zposition Yposition Xposition Yrotation Zrotation Xrotation
+JOINT lid
+{
+OFFSET 0 1 0
+CHANNELS 1 Xrotation
+End Site
+{
+OFFSET 0 0 1
+}
+}
+}
+MOTION
+Frames: 3
+Frame Time: 0.04
+0 0 0 0 0 0 0
+1 0 0 30 0 0 10
+2 0 0 60 0 0 20
+"""
+    made = completed(read_document(written(tmp_path / "in.bvh", text)), tmp_path / "out.bvh", fps=Fraction(50))
+    np.testing.assert_allclose(made.table[1], [0.5, 0, 0, 15, 0, 0, 5], atol=1e-5)
+    twice = text.replace("1 Xrotation", "2 Xrotation Xrotation")
+    for row in ("0 0 0 0 0 0 0", "1 0 0 30 0 0 10", "2 0 0 60 0 0 20"):
+        twice = twice.replace(f"{row}\n", f"{row} 0\n")
+    with pytest.raises(FormatError, match="lid"):
+        check_writable(read_document(written(tmp_path / "twice.bvh", twice)))
+
+
+OPTIONS = ReadOptions(fps_rules=parse_rules('[[rule]]\nfiles = "**/slow.bvh"\nfps = 24\n', "mine.toml"))
+MOVING = TAKES["bones that change"]
+# Position channels hold the neck where they say, and its OFFSET is another.
+ELSEWHERE = MOVING.replace("OFFSET 0 27 0", "OFFSET 0 25 0")
+
+
+def source(name: str, text: str) -> Callable[[Path], Path]:
+    """A source of one file."""
+
+    def write(folder: Path) -> Path:
+        (folder / name).write_bytes(text.encode())
+        return folder / name
+
+    return write
+
+
+def of_100style(folder: Path) -> Path:
+    (folder / "Frame_Cuts.csv").write_text("STYLE_NAME,FW_START,FW_STOP\nOld,10,40\n")
+    return source("Old_FW.bvh", TAKES["plain"])(folder)
+
+
+KINDS: dict[str, Callable[[Path], Path]] = {
+    **{name: source("take.bvh", text) for name, text in TAKES.items() if name != "one frame"},
+    "bones that rest elsewhere": source("take.bvh", ELSEWHERE),
+    "a carrier of bones that change": source("take.bvh", carried(ELSEWHERE)),
+    "lafan1": source("walk1_subject5.bvh", lafan1_text(20)),
+    "100style": of_100style,
+    "a rule for its clock": source("slow.bvh", TAKES["plain"]),
+}
+
+
+def ingested(path: Path, folder: Path) -> Motion:
+    report = ingest([path], folder / "store", options=OPTIONS, num_workers=1)
+    assert not report.problems
+    return Store.open(folder / "store").read(0)
+
+
+def loaded_from(path: Path) -> LoadedMotion:
+    (source,), problems = find_motions([str(path)], OPTIONS, path.parent / "none")
+    assert not problems
+    return source.load()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_ingest_complete_and_view_see_one_motion(tmp_path: Path, kind: str) -> None:
+    (tmp_path / "in").mkdir()
+    path = KINDS[kind](tmp_path / "in")
+    stored, loaded = ingested(path, tmp_path), loaded_from(path)
+    motion = loaded.motion
+    assert loaded.valid.all() and loaded.uneven_seconds is None
+    assert stored.timegrid == motion.timegrid
+    assert stored.skeleton.fingerprint == motion.skeleton.fingerprint
+    np.testing.assert_array_equal(loaded.poses.joint_positions, motion.joint_positions)
+    # A store rounds rotations in the last digit and makes positions of them again.
+    np.testing.assert_allclose(stored.joint_positions, motion.joint_positions, atol=1e-6)
+    assert (stored.local_rotations is None) == (motion.local_rotations is None)
+    if stored.local_rotations is not None:
+        np.testing.assert_allclose(stored.local_rotations, motion.local_rotations, atol=1e-6)
+    for name in ("provenance", "action", "style", "split", "captions"):
+        assert getattr(stored, name) == getattr(motion, name)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_is_completed_and_read_again(tmp_path: Path, kind: str) -> None:
+    """Given frames stay where they are, new ones lie between them."""
+    path, out = KINDS[kind](tmp_path), tmp_path / "out.bvh"
+    (source,), _ = find_motions([str(path)], OPTIONS, tmp_path / "none")
+    before = source.load()
+    request = CompletionRequest(fps=2 * before.motion.fps)
+    slerp = choose_encoder("slerp", None, tmp_path)
+    complete_file(source, request, slerp, (), OutputPaths("completed", [str(path)], 1, out=out))
+    old, new = before.motion.joint_positions, loaded_from(out).motion.joint_positions
+    assert len(new) == 2 * len(old) - 1
+    np.testing.assert_allclose(new[::2], old, atol=1e-5)
+    # Slerp between its neighbours turns each bone by no more than they are apart.
+    apart = np.linalg.norm(np.diff(old, axis=0), axis=-1).max()
+    assert np.linalg.norm(new[1::2] - old[:-1], axis=-1).max() <= 1.01 * apart + 1e-5
+
+
+ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX", "ZXZ", "XYX", "YZY")
+EVERY = 4
+
+
+def turning(seed: int, num_frames: int, speed: float) -> np.ndarray:
+    """Rotations of one joint that turns steadily about a slowly turning axis, [frames, 4]."""
+    rng = np.random.default_rng(seed)
+    steps = Rotation.from_rotvec(speed * rng.normal(size=3) + 0.3 * speed * rng.normal(size=(num_frames, 3)))
+    rotation, result = Rotation.random(rng=rng), []
+    for step in steps:
+        rotation = step * rotation
+        result.append(rotation.as_quat(scalar_first=True))
+    return np.array(result)
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10_000), order=st.sampled_from(ORDERS), turns=st.integers(-2, 2), other=st.booleans())
+def test_angles_give_the_rotations_and_stay_near_their_anchors(seed: int, order: str, turns: int, other: bool) -> None:
+    rotations = turning(seed, 40, 0.02)
+    known = Rotation.from_quat(rotations[::EVERY], scalar_first=True).as_euler(order)
+    if other:
+        second = -known[:, 1] if order[0] == order[2] else np.pi - known[:, 1]
+        known = np.stack((known[:, 0] + np.pi, second, known[:, 2] + np.pi), axis=1)
+    anchors = np.degrees(known + 2 * np.pi * turns)
+    found = anchored_angles(rotations, order, np.zeros((40, len(order))), anchors, np.arange(40) // EVERY)
+    again = euler_to_quaternion(np.radians(found), order)
+    assert np.abs(np.sum(again * rotations, axis=-1)).min() > 1 - 1e-9
+    np.testing.assert_allclose(found[::EVERY], anchors, atol=1e-3)
+    # Far from the pole no angle moves much more than the body turns.
+    pole = np.sin if order[0] == order[2] else np.cos
+    safe = np.abs(pole(np.radians(found[:, 1]))) > 0.5
+    steps = np.abs(np.diff(found, axis=0)).max(axis=-1)[safe[1:] & safe[:-1]]
+    within = np.arange(1, 40) % EVERY != 0
+    assert (steps[within[safe[1:] & safe[:-1]]] < 30).all()
+
+
+def test_a_joint_that_spins_turns_beyond_half_a_turn() -> None:
+    angles = np.linspace(0, 720, 91)[:, None] * np.array([0.0, 0.0, 1.0])
+    rotations = euler_to_quaternion(np.radians(angles), "ZXY")
+    found = anchored_angles(rotations, "ZXY", angles * 0 + 7.0, angles[:1], np.zeros(91, np.int64))
+    np.testing.assert_allclose(found, angles, atol=1e-6)
+
+
+def test_a_joint_at_the_pole_keeps_its_angles() -> None:
+    """At 90° only the sum of the outer angles is a rotation: they stay at what is expected."""
+    angles = np.broadcast_to(np.array([20.0, 90.0, -35.0]), (8, 3))
+    rotations = euler_to_quaternion(np.radians(angles), "ZXY").astype(np.float32).astype(np.float64)
+    found = anchored_angles(rotations, "ZXY", np.array(angles), np.array(angles[:1]), np.zeros(8, np.int64))
+    np.testing.assert_array_equal(found, np.degrees(np.radians(angles)))
+
+
+@pytest.mark.parametrize("order", ["X", "Z", "XY", "ZX"])
+def test_joints_of_fewer_axes_use_those_they_have(order: str) -> None:
+    rng = np.random.default_rng(1)
+    angles = np.cumsum(rng.uniform(-4, 4, (50, len(order))), axis=0)
+    rotations = euler_to_quaternion(np.radians(angles), order)
+    found = anchored_angles(rotations, order, np.zeros_like(angles), angles[:1], np.zeros(50, np.int64))
+    np.testing.assert_allclose(found, angles, atol=1e-6)
