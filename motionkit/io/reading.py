@@ -47,7 +47,7 @@ def read_document(item: SourceItem, options: ReadOptions | None = None) -> BvhDo
     options, document = _with_clock(item, options), reader_of(item.format).document
     if document is None:
         return None
-    found = _on_clock(item, options, lambda wanted: document(item.path, wanted))
+    found: BvhDocument = _on_clock(item, options, lambda changed: document(item.path, changed))
     check_unit(found.motion.skeleton, found.motion.joint_positions[:1], options.unit_metres, item.path)
     found = _changed(found, lambda motion: replace(motion, captions=item.captions))
     return _annotated(_without_first(found, item, options), item, options)
