@@ -1,7 +1,8 @@
 """`motionkit export`: a store's motions as files again."""
 
+from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,7 +14,6 @@ from motionkit.core.settings import default_path
 
 if TYPE_CHECKING:
     from motionkit.edit.export.run import Export, ExportReport
-    from motionkit.edit.export.selection import Outcome
 
 MEGABYTE = 1e6
 FORMATS = "bvh, amass, joints-npy, npz, csv, robot-csv, gltf, humanml3d, kit, parquet"
@@ -50,8 +50,8 @@ def export(
 
     Example: motionkit export out --format npz --where "split = 'test'"
     """
+    from motionkit.edit.export.files import Selection
     from motionkit.edit.export.run import export as export_selection
-    from motionkit.edit.export.selection import Selection
     from motionkit.store import Store
 
     rate = parse_rate(fps)
@@ -62,12 +62,16 @@ def export(
     selection = Selection(opened, opened.select_some(where), rate or kind.fps)
     with progress() as show, task(show, "export", len(selection.indices)) as work:
         report = export_selection(selection, out, kind, on_outcome=lambda outcome: work.advance())
-    _print_left_out(report.left_out)
-    _print_missing(report, opened.path)
+    _print_remarks(report, opened.path)
     if as_json:
-        print_json(_as_json(report))
-    else:
-        _print_summary(report)
+        print_json(report.plain())
+        return
+    size = f"{report.num_files:,} files, {report.num_bytes / MEGABYTE:,.1f} MB"
+    stdout.print(f"wrote {report.num_sequences:,} sequences to {report.folder}: {size}")
+    if report.left_out:
+        counts = Counter(outcome.reason for outcome in report.left_out).most_common()
+        reasons = ", ".join(f"{count:,} {reason}" for reason, count in counts)
+        stdout.print(f"left out: {len(report.left_out):,} ({reasons})")
 
 
 def _kind(format: str | None) -> "Export":
@@ -89,42 +93,15 @@ def _character(path: Path, format: str | None, plant: bool, skeleton_maps: list[
     return character_kind(character, plant)
 
 
-def _print_left_out(left_out: "tuple[Outcome, ...]") -> None:
-    for outcome in left_out[:SHOWN_LEFT_OUT]:
-        stderr.print(f"left out {outcome.sequence_id}: {outcome.message}")
-    if len(left_out) > SHOWN_LEFT_OUT:
-        stderr.print(f"… and {len(left_out) - SHOWN_LEFT_OUT:,} more; --json lists all")
-
-
-def _print_missing(report: "ExportReport", store: Path) -> None:
+def _print_remarks(report: "ExportReport", store: Path) -> None:
+    """Print which sequences are left out, and what the others lack."""
     from motionkit.edit.export.pose_folder import MISSING
 
+    for outcome in report.left_out[:SHOWN_LEFT_OUT]:
+        stderr.print(f"left out {outcome.sequence_id}: {outcome.message}")
+    if len(report.left_out) > SHOWN_LEFT_OUT:
+        stderr.print(f"… and {len(report.left_out) - SHOWN_LEFT_OUT:,} more; --json lists all")
     for what, sequence_ids in report.missing.items():
         named = ", ".join(sequence_ids[:SHOWN_MISSING]) + (", …" if len(sequence_ids) > SHOWN_MISSING else "")
         message = MISSING[what].format(store=store)
         stderr.print(f"{len(sequence_ids):,} of {report.num_sequences:,} motions ({named}) are {message}")
-
-
-def _print_summary(report: "ExportReport") -> None:
-    stdout.print(
-        f"wrote {report.num_sequences:,} sequences to {report.folder}: {report.num_files:,} files, "
-        f"{report.num_bytes / MEGABYTE:,.1f} MB",
-    )
-    if report.left_out:
-        reasons = ", ".join(f"{count:,} {reason}" for reason, count in report.left_out_by_reason.items())
-        stdout.print(f"left out: {len(report.left_out):,} ({reasons})")
-
-
-def _as_json(report: "ExportReport") -> dict[str, Any]:
-    return {
-        "folder": str(report.folder),
-        "format": report.format,
-        "sequences": report.num_sequences,
-        "files": report.num_files,
-        "bytes": report.num_bytes,
-        "left_out": [
-            {"sequence_id": outcome.sequence_id, "reason": outcome.reason, "message": outcome.message}
-            for outcome in report.left_out
-        ],
-        "missing": {what: list(sequence_ids) for what, sequence_ids in report.missing.items()},
-    }

@@ -18,8 +18,8 @@ from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError
 from motionkit.core.timegrid import TimeGrid
+from motionkit.edit.export.files import Outcome
 from motionkit.edit.export.pose_folder import HUMANML3D_KIND, pose_entry, write_folder_manifest
-from motionkit.edit.export.selection import Outcome
 from motionkit.fields.contact.planted import planted
 from motionkit.fields.motion_field import MotionField, at_fps
 from motionkit.generate.constraints import Followed, followed

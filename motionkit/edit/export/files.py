@@ -1,20 +1,30 @@
-"""One file per motion, with a CSV of metadata that the files cannot hold; `motionkit ingest` reads both."""
+"""Sequences of a store as files: which ones, their names, one file each, and a CSV of what the files cannot hold."""
 
 import csv
 import json
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any
+
+import numpy as np
+import pyarrow as pa
 
 from motionkit.core.errors import UsageError
 from motionkit.core.files import naming
 from motionkit.core.framerate import format_fps
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.plain_text import markdown_text, spreadsheet_text
+from motionkit.core.shapes import Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import SkeletonMapError, map_joints
-from motionkit.edit.export.selection import Outcome, Selection, flat_names, nested_names
-from motionkit.io.registry import Format, writer_of
+from motionkit.fields.resample import resample
+from motionkit.io.registry import Format
+from motionkit.store.reader import Store
 
 TABLE = "motions.csv"
 # As motionkit.io.annotations reads them; sequence_id, the id in the store, is informative.
@@ -24,33 +34,96 @@ COLUMNS = (
 )
 
 
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """Sequences of a store by ascending index, at their own framerates or, with `fps`, resampled to one."""
+
+    store: Store
+    indices: Int64[np.ndarray, "sequences"]
+    fps: Fraction | None = None
+
+    @cached_property
+    def table(self) -> pa.Table:
+        """The sequences' rows of the store's table (columns: motionkit.store.schema.SEQUENCES)."""
+        return self.store.sequences_table.take(self.store.rows_of(self.indices))
+
+    @property
+    def sequence_ids(self) -> list[str]:
+        """Ids in order."""
+        ids: list[str] = self.table["sequence_id"].to_pylist()
+        return ids
+
+    @property
+    def framerates(self) -> tuple[Fraction, ...]:
+        """The different framerates that will be written, ascending."""
+        if self.fps is not None:
+            return (self.fps,)
+        columns = (self.table[name].to_pylist() for name in ("fps_numerator", "fps_denominator"))
+        return tuple(sorted({Fraction(*pair) for pair in zip(*columns, strict=True)}))
+
+    def motions(self) -> Iterator[Motion]:
+        """The motions in order, one at a time in memory."""
+        for motion in self.store.read_many(self.indices.tolist()):
+            yield motion if self.fps is None else resample(motion, self.fps)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The outcome of one sequence; `reason` (a short slug) and `message` say why it was skipped, else empty.
+
+    `lacks` names missing metadata of a written sequence that the format's readers need.
+    """
+
+    sequence_id: str
+    reason: str = ""
+    message: str = ""
+    lacks: tuple[str, ...] = ()
+
+
+def file_names(sequence_ids: Sequence[str], suffix: str = "", *, flat: bool = False) -> list[PurePosixPath]:
+    """`a/b` → `a/b.SUFFIX`, or with `flat` `a_b.SUFFIX`, all in one folder.
+
+    Raises `UsageError` for an id that is not a path below a folder, and for two with the same name.
+    """
+    names = []
+    for sequence_id in sequence_ids:
+        parts = PurePosixPath(sequence_id).parts
+        if not parts or parts[0] == "/" or ".." in parts or "\0" in sequence_id:
+            raise UsageError(f"the id {sequence_id!r} cannot be a file's name: leave the sequence out with --where")
+        names.append(PurePosixPath(("_" if flat else "/").join(parts) + suffix))
+    repeated, count = Counter(names).most_common(1)[0] if names else (None, 0)
+    if count > 1:
+        ids = " and ".join(repr(one) for one, name in zip(sequence_ids, names, strict=True) if name == repeated)
+        raise UsageError(f"{ids} would be written to one file, {repeated}: choose one of them with --where")
+    return names
+
+
 def export_files(selection: Selection, folder: Path, format: Format) -> Iterator[Outcome]:
     """Write each motion to `folder/ID.SUFFIX` and its row to motions.csv; yields the outcome of each.
 
     Formats whose files share a framerate and joints get one folder, as motions of the 22 joints. A sequence whose
     skeleton cannot be mapped is skipped. Raises `UsageError` for different framerates in such a format.
     """
-    names_of, is_shared = (flat_names, True) if format.shared_file else (nested_names, False)
+    assert format.write is not None
+    is_shared = bool(format.shared_file)
     if is_shared and len(selection.framerates) > 1:
         *most, last = [format_fps(fps) for fps in selection.framerates]
-        found = f"{', '.join(most)} and {last}"
-        raise UsageError(f"a folder of joints has one framerate, the sequences have {found}: give one with --fps")
-    return _write(selection, folder, names_of(selection.sequence_ids, format.suffixes[0]), format)
-
-
-def _write(selection: Selection, folder: Path, names: Sequence[PurePosixPath], format: Format) -> Iterator[Outcome]:
-    assert format.write is not None
-    with MotionTable(folder / TABLE) as table:
+        raise UsageError(
+            f"a folder of joints has one framerate, the sequences have {', '.join(most)} and {last}: give one with "
+            "--fps"
+        )
+    names = file_names(selection.sequence_ids, format.suffixes[0], flat=is_shared)
+    with motion_table(folder) as add_row:
         for motion, name in zip(selection.motions(), names, strict=True):
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
             try:
                 with naming(path):
-                    format.write(_with_22_joints(motion) if format.shared_file else motion, path)
+                    format.write(_with_22_joints(motion) if is_shared else motion, path)
             except SkeletonMapError as error:
                 yield Outcome(motion.sequence_id, "skeleton", str(error))
                 continue
-            table.add(motion, name)
+            add_row(motion, name)
             yield Outcome(motion.sequence_id)
 
 
@@ -58,49 +131,14 @@ def _with_22_joints(motion: Motion) -> Motion:
     return Motion(map_joints(motion, SMPL22.name), SMPL22, motion.timegrid, sequence_id=motion.sequence_id)
 
 
-def names_a_file(out: Path | None) -> bool:
-    """Whether a command's `--out` is one file: it has a suffix, and is no folder that exists."""
-    return out is not None and bool(out.suffix) and not out.is_dir()
-
-
-def output_suffix(out: Path | None, file_format: str | None, *, several: bool) -> str | None:
-    """The suffix of the files that a command writes: of `--out` where it is one file, or of `--format`.
-
-    None means each motion's own. Raises `UsageError` for a suffix that no format writes, for a format that is not that
-    of the file, and for one file where several motions are written.
-    """
-    suffix = None if file_format is None else f".{file_format}"
-    if out is not None and names_a_file(out):
-        if several:
-            raise UsageError(f"{out} is one file: for several motions name a folder, without a suffix")
-        if suffix not in (None, out.suffix.lower()):
-            raise UsageError(f"--format {file_format} and --out {out} are two formats: give one of them")
-        suffix = out.suffix.lower()
-    if suffix is not None:
-        writer_of(suffix)
-    return suffix
-
-
-class MotionTable:
-    """Writes motions.csv, a row for each file; owns the open file."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._handle = path.open("w", encoding="utf-8", newline="")
-        self._table = csv.DictWriter(self._handle, COLUMNS, lineterminator="\n")
-        self._table.writeheader()
-
-    def __enter__(self) -> "MotionTable":
-        return self
-
-    def __exit__(self, *raised: object) -> None:
-        with naming(self._path):
-            self._handle.close()
-
-    def add(self, motion: Motion, name: PurePosixPath) -> None:
-        """Add a motion that was written to `name`, a path from the table's folder."""
-        with naming(self._path):
-            self._table.writerow(_row(motion, name))
+@contextmanager
+def motion_table(folder: Path) -> Iterator[Callable[[Motion, PurePosixPath], None]]:
+    """Write motions.csv in a folder: yields a function that adds the row of a motion and its file's path there."""
+    path = folder / TABLE
+    with naming(path), path.open("w", encoding="utf-8", newline="") as file:
+        table = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        table.writeheader()
+        yield lambda motion, name: table.writerow(_row(motion, name))
 
 
 def _row(motion: Motion, name: PurePosixPath) -> dict[str, str]:

@@ -19,8 +19,7 @@ from motionkit.core.errors import UsageError
 from motionkit.core.files import naming, sha256_of
 from motionkit.core.framerate import format_fps
 from motionkit.core.motion import Motion
-from motionkit.edit.export.files import render
-from motionkit.edit.export.selection import Outcome, Selection
+from motionkit.edit.export.files import Outcome, Selection, render
 from motionkit.io import parquet
 
 # The Hub's names of motion captures' usual licences (huggingface.co/docs/hub/repositories-licenses).

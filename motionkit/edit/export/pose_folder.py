@@ -6,7 +6,7 @@ published. Source: https://github.com/EricGuo5513/HumanML3D, motion_representati
 """
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path, PurePosixPath
@@ -17,8 +17,7 @@ from motionkit.core.checksums import write_json
 from motionkit.core.framerate import format_fps
 from motionkit.core.motion import Motion
 from motionkit.core.skeletons.mapping import SkeletonMapError, map_joints
-from motionkit.edit.export.files import TABLE, MotionTable, render
-from motionkit.edit.export.selection import Outcome, Selection, short_names
+from motionkit.edit.export.files import Outcome, Selection, file_names, motion_table, render
 from motionkit.features import humanml3d
 from motionkit.io import joints_npy
 from motionkit.io.humanml3d import (
@@ -76,37 +75,29 @@ def export_kit(selection: Selection, folder: Path) -> Iterator[Outcome]:
 
 def _export(selection: Selection, folder: Path, kind: Kind) -> Iterator[Outcome]:
     (fps,) = selection.framerates
-    names = short_names(selection.sequence_ids)
-    return _write(selection, names, folder, kind.at(fps))
-
-
-def _write(selection: Selection, names: Sequence[PurePosixPath], folder: Path, kind: Kind) -> Iterator[Outcome]:
+    kind = kind.at(fps)
+    names = [name.name for name in file_names(selection.sequence_ids)]
+    if len(set(names)) < len(names):
+        names = list(map(str, file_names(selection.sequence_ids, flat=True)))
     writer = FolderWriter(folder, kind.layout)
     lacks: Counter[str] = Counter()
-    num_sequences = 0
-    with MotionTable(folder / TABLE) as table:
+    with motion_table(folder) as add_row:
         for motion, name in zip(selection.motions(), names, strict=True):
-            entry = pose_entry(motion, str(name), kind)
+            entry = pose_entry(motion, name, kind)
             if isinstance(entry, Outcome):
                 yield entry
                 continue
             writer.add(entry)
-            table.add(motion, PurePosixPath(JOINTS_FOLDER, f"{name}.npy"))
-            outcome = Outcome(motion.sequence_id, lacks=_lacks(entry, kind))
+            add_row(motion, PurePosixPath(JOINTS_FOLDER, f"{name}.npy"))
+            is_missing = {
+                "captions": not entry.captions,
+                "split": entry.split not in SPLITS,
+                "length": len(entry.joint_positions) < kind.loader_min_frames,
+            }
+            outcome = Outcome(motion.sequence_id, lacks=tuple(what for what, missing in is_missing.items() if missing))
             lacks.update(outcome.lacks)
-            num_sequences += 1
             yield outcome
-    writer.finish()
-    _describe(folder, kind, num_sequences, lacks)
-
-
-def _lacks(entry: Entry, kind: Kind) -> tuple[str, ...]:
-    lacks = {
-        "captions": not entry.captions,
-        "split": entry.split not in SPLITS,
-        "length": len(entry.joint_positions) < kind.loader_min_frames,
-    }
-    return tuple(what for what, is_lacking in lacks.items() if is_lacking)
+    _describe(folder, kind, writer.finish(), lacks)
 
 
 def pose_entry(motion: Motion, name: str, kind: Kind) -> Entry | Outcome:

@@ -1,18 +1,17 @@
-"""Writes a selection to a folder, atomically."""
+"""Writes a selection to a folder, atomically, in one of all formats."""
 
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from motionkit.core.errors import MotionkitError
 from motionkit.core.files import require_empty, whole_folder
-from motionkit.edit.export.files import export_files
+from motionkit.edit.export.files import Outcome, Selection, export_files
 from motionkit.edit.export.parquet import export_parquet
 from motionkit.edit.export.pose_folder import export_humanml3d, export_kit
-from motionkit.edit.export.selection import Outcome, Selection
 from motionkit.io.character import Character, character_format
 from motionkit.io.humanml3d import HUMANML3D, KIT
 from motionkit.io.registry import writers
@@ -62,10 +61,20 @@ class ExportReport:
     left_out: tuple[Outcome, ...]
     missing: Mapping[str, Sequence[str]]
 
-    @property
-    def left_out_by_reason(self) -> dict[str, int]:
-        """Number of sequences left out by the reason, most frequent first."""
-        return dict(Counter(outcome.reason for outcome in self.left_out).most_common())
+    def plain(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "folder": str(self.folder),
+            "format": self.format,
+            "sequences": self.num_sequences,
+            "files": self.num_files,
+            "bytes": self.num_bytes,
+            "left_out": [
+                {"sequence_id": outcome.sequence_id, "reason": outcome.reason, "message": outcome.message}
+                for outcome in self.left_out
+            ],
+            "missing": {what: list(sequence_ids) for what, sequence_ids in self.missing.items()},
+        }
 
 
 def export(
@@ -77,24 +86,23 @@ def export(
     Raises `UsageError` for a folder that is not empty, `BusyError` for one that another process writes,
     `MotionkitError` if nothing could be written.
     """
-    # A link to an empty folder is filled where it points.
-    place = folder.absolute().resolve() if folder.is_symlink() else folder.absolute()
     left_out: list[Outcome] = []
     missing: dict[str, list[str]] = {}
     num_sequences = 0
-    with whole_folder(place) as partial:
+    # A link to an empty folder is filled where it points.
+    with whole_folder(folder.resolve() if folder.is_symlink() else folder.absolute()) as partial_folder:
         # Under the lock, after leftovers of a killed export are deleted.
         require_empty(folder)
-        for outcome in kind.write(selection, partial):
-            if outcome.written:
+        for outcome in kind.write(selection, partial_folder):
+            if outcome.reason:
+                left_out.append(outcome)
+            else:
                 num_sequences += 1
                 for what in outcome.lacks:
                     missing.setdefault(what, []).append(outcome.sequence_id)
-            else:
-                left_out.append(outcome)
             on_outcome(outcome)
         if not num_sequences:
             first = left_out[0].message if left_out else "the selection is empty"
             raise MotionkitError(f"none of {len(left_out)} sequences can be written as {kind.name}, first: {first}")
-        sizes = [path.stat().st_size for path in partial.rglob("*") if path.is_file()]
+        sizes = [path.stat().st_size for path in partial_folder.rglob("*") if path.is_file()]
     return ExportReport(folder, kind.name, num_sequences, len(sizes), sum(sizes), tuple(left_out), missing)
