@@ -159,15 +159,14 @@ def locked_output(path: Path, manifest: Mapping[str, Any], *, resume: bool, over
     """Hold the lock of a call's folder, which is new, empty, or one to `resume` or `overwrite`; has generation.json.
 
     Overwriting deletes the files of an earlier call and nothing else. Raises `BusyError` while another process writes
-    the folder, `UsageError` for one that is not empty, that another call made, or that has links, `DamagedFileError`.
+    the folder, `UsageError` for one that is not empty or that another call made, `DamagedFileError`.
     """
     if path.exists() and not path.is_dir():
         raise UsageError(f"{path} is a file: name a folder with --out")
     busy = f"another process is generating into {path}: wait until it has ended, or {ANOTHER}"
     with locked_folder(path, busy=busy):
-        link = next((entry for entry in path.rglob("*") if entry.is_symlink()), None)
-        if link is not None:
-            raise UsageError(f"{link} is a link: nothing is written or deleted through it; {ANOTHER}")
+        for entry in filter(is_temporary, path.rglob("*")):  # of a killed call
+            entry.unlink()
         if (path / MANIFEST).is_file():
             former = _read_manifest(path)
             if resume:
@@ -177,7 +176,7 @@ def locked_output(path: Path, manifest: Mapping[str, Any], *, resume: bool, over
             else:
                 keeps = "--resume continues them, --overwrite replaces them, --out FOLDER keeps both"
                 raise UsageError(f"{path} holds generated motions: {keeps}")
-        elif any(entry.name != LOCK and not is_temporary(entry) for entry in path.iterdir()):
+        elif any(entry.name != LOCK for entry in path.iterdir()):
             raise UsageError(f"{path} is not empty: {ANOTHER}")
         write_json(path / MANIFEST, manifest)
         yield
