@@ -13,15 +13,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from safetensors.numpy import load_file, save
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save_file
 
 from eval.sets.sets import SampleSet
 from eval.text_motion.evaluator import TextMotionEvaluator
-from motionkit.core.errors import DamagedFileError
+from motionkit.core.files import whole_file
 from motionkit.core.motion import Caption
 from motionkit.core.progress import warn
 from motionkit.core.shapes import Float32, Float64
-from motionkit.training.sealed_tensors import checked_metadata, write_sealed_tensors
 
 FOLDER = "embeddings"
 FORMAT = "motionkit-embeddings/1"
@@ -95,12 +95,12 @@ def _read(path: Path, key: str, num_rows: int) -> Embeddings | None:
         return None
     reason = "it holds other rows than it was named for"
     try:
-        if checked_metadata(path, {"key"}, "delete it").get("key") == key:
-            found = load_file(path).get(TENSOR)
-            if found is not None and _is_whole(found, num_rows):
-                return np.asarray(found)
-    except (DamagedFileError, OSError) as error:
-        reason = error.fault if isinstance(error, DamagedFileError) else str(error)
+        with safe_open(path, framework="np") as opened:
+            found = opened.get_tensor(TENSOR) if (opened.metadata() or {}).get("key") == key else None
+        if found is not None and _is_whole(found, num_rows):
+            return np.asarray(found)
+    except (SafetensorError, OSError) as error:
+        reason = str(error)
     warn(f"{path}: not usable ({reason}); computing it anew")
     return None
 
@@ -111,4 +111,5 @@ def _is_whole(found: np.ndarray, num_rows: int) -> bool:
 
 
 def _write(path: Path, key: str, embeddings: Embeddings) -> None:
-    write_sealed_tensors(path, {TENSOR: np.ascontiguousarray(embeddings, dtype=np.float64)}, {"key": key}, save)
+    with whole_file(path) as temporary:
+        save_file({TENSOR: np.ascontiguousarray(embeddings, dtype=np.float64)}, temporary, metadata={"key": key})

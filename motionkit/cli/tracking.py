@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from motionkit.core.errors import MissingExtraError
-from motionkit.training.metrics_log import OnMetrics, ignore_metrics
+from motionkit.training.run import OnMetrics, ignore_metrics
 
 
 @contextmanager

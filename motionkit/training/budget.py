@@ -8,11 +8,10 @@ from typing import Protocol, runtime_checkable
 
 import torch
 
-from motionkit.core.checksums import write_json
 from motionkit.core.errors import DamagedFileError, UsageError
+from motionkit.core.files import write_json
 from motionkit.training.loop import Trainable
-from motionkit.training.metrics_log import HINT
-from motionkit.training.run import StageFolder, abandon_stage
+from motionkit.training.run import HINT, StageFolder, abandon_stage
 from motionkit.training.schedule import step_generator
 
 # Measured steps are spread evenly over the training, since early ones may cost less; rounds are repeated until this

@@ -15,7 +15,6 @@ from typing import Protocol, runtime_checkable
 import torch
 
 from motionkit.core.progress import OnProgress, ignore, task
-from motionkit.training.metrics_log import NOTHING_LOGGED
 from motionkit.training.ranks import ALONE, Ranks
 from motionkit.training.run import RunError, StageFolder
 from motionkit.training.schedule import step_generator
@@ -133,11 +132,11 @@ def _save(
 ) -> None:
     tensors = prefixed("state", trainable.state_tensors()) | prefixed("sums", figures.sums)
     if ranks.is_first:
+        folder.sync_metrics()
         description = {
             "step": done,
             "stage": folder.path.name,
             "logged": figures.since,
-            "metrics": folder.metrics.extent(),
             "cpu_seconds": round(cpu_seconds, 1),
         }
         save_tensors(folder.checkpoint_path, tensors, description)
@@ -150,7 +149,7 @@ def _restore(trainable: Trainable, folder: StageFolder, steps: int, ranks: Ranks
     """
     path = folder.checkpoint_path
     if not path.is_file():
-        ranks.on_first(lambda: folder.metrics.cut(NOTHING_LOGGED))
+        ranks.on_first(lambda: folder.keep_metrics(0))
         return 0, _Figures({}, since=0), 0.0
     hint = "train the stage again with --overwrite"
     tensors, description = load_tensors(path)
@@ -164,8 +163,7 @@ def _restore(trainable: Trainable, folder: StageFolder, steps: int, ranks: Ranks
         raise CheckpointError(f"{fault}: {hint}") from None
     if not 0 <= logged <= step <= steps:
         raise CheckpointError(f"{path} is of a step that a training of {steps:,} steps does not have: {hint}")
-    logged_until = description.get("metrics") or folder.metrics.extent_until(step)
-    ranks.on_first(lambda: folder.metrics.cut(logged_until))
+    ranks.on_first(lambda: folder.keep_metrics(step))
     figures = _Figures(unprefixed("sums", tensors) if ranks.is_first else {}, since=logged)
     return step, figures, float(description.get("cpu_seconds", 0.0))
 

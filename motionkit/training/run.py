@@ -1,10 +1,11 @@
 """Run folders: RUN/STAGE/ has config.json, metrics.jsonl, checkpoint.safetensors, the stage's results, summary.json.
 
-`config.json` records settings and inputs (recipe values, seed, store fingerprint, versions); `summary.json` is written
-last and marks the stage as complete.
+`config.json` records settings and inputs (recipe values, seed, store fingerprint, versions); `summary.json` marks the
+stage as complete. SHA256SUMS is then the record of these files, and each is compared with it when it is read.
 """
 
 import importlib.metadata
+import json
 import platform
 import subprocess
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
@@ -13,21 +14,40 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from motionkit.core.checksums import read_json, require_intact_tensors, require_whole_tensors, write_json
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
-from motionkit.core.files import LOCK, is_temporary, locked_folder, remove_entry, sha256_of, write_whole
+from motionkit.core.files import (
+    LOCK,
+    RECORD,
+    is_temporary,
+    locked_folder,
+    naming,
+    read_json,
+    read_record,
+    remove_entry,
+    sha256_of,
+    sync,
+    write_json,
+    write_record,
+    write_whole,
+)
 from motionkit.core.plain_text import shown
 from motionkit.training.config import ConfigLike, flatten, to_plain
-from motionkit.training.metrics_log import HINT, MetricsLog
 
 # A pattern. Without a hyphen first, as options have.
 STAGE_NAME = r"\w[\w-]*"
 SHOWN_SETTINGS = 6
-# The key of summary.json for length and sha256 of the log.
-LOGGED = "metrics.jsonl"
 # Keys of config.json that others read.
 CONFIG_TYPES = {"config": dict, "recipe": str, "seed": int, "store_fingerprint": str, "builds_on": dict}
 RECORDED_PACKAGES = ("motionkit", "torch", "numpy", "scipy", "safetensors")
+
+
+# Called with a stage's name and logged metrics.
+OnMetrics = Callable[[str, Mapping[str, float]], None]
+HINT = "restore it from a copy, or train the stage again with --overwrite"
+
+
+def ignore_metrics(stage: str, values: Mapping[str, float]) -> None:
+    """Ignore metrics."""
 
 
 class RunError(MotionkitError):
@@ -80,7 +100,7 @@ class StageFolder:
     @property
     def result_paths(self) -> tuple[Path, ...]:
         """All files of a complete stage except its checkpoint; the last one marks it as complete."""
-        return self.config_path, self.metrics_path, self.model_path, self.summary_path
+        return self.config_path, self.metrics_path, self.model_path, self.path / RECORD, self.summary_path
 
     @property
     def is_complete(self) -> bool:
@@ -99,22 +119,16 @@ class StageFolder:
         return config
 
     def read_summary(self) -> dict[str, Any]:
-        """The final metrics, after checking metrics.jsonl; raises `RunError` if the stage is not complete."""
-        summary = self._read(self.summary_path)
-        if LOGGED in summary:
-            self.metrics.check(summary.pop(LOGGED))
-        return summary
+        """The final metrics; raises `RunError` if the stage is not complete, `DamagedFileError`."""
+        return self._read(self.summary_path)
 
     def check(self) -> None:
-        """Raise `RunError` if the stage is not complete, `DamagedFileError` for a damaged file.
-
-        Of the model, size and header are checked; `weights_sha256` verifies its content.
-        """
+        """Raise `RunError` if the stage is not complete, `DamagedFileError` for a damaged file."""
         self.read_config()
         self.read_summary()
         if not self.model_path.is_file():
             raise RunError(f"{self.path} is called complete, but has no {self.model_path.name}")
-        require_whole_tensors(self.model_path, HINT)
+        check_recorded(self.model_path, HINT)
 
     def effort(self) -> dict[str, str]:
         """Steps, parameters and processor time from the summary of a complete stage, as text."""
@@ -134,29 +148,41 @@ class StageFolder:
                 raise DamagedFileError(self.budget_path, f"{name} is {shown(value)}", HINT)
         return budget
 
-    @property
-    def metrics(self) -> MetricsLog:
-        """The log of its training."""
-        return MetricsLog(self.metrics_path)
-
     def append_metrics(self, values: Mapping[str, float]) -> None:
         """Add a line to metrics.jsonl."""
-        self.metrics.append(values)
+        with naming(self.metrics_path), self.metrics_path.open("a", encoding="utf-8") as log:
+            log.write(json.dumps(dict(values)) + "\n")
         self.on_metrics(values)
 
     def read_metrics(self) -> list[dict[str, float]]:
         """All complete lines of metrics.jsonl, oldest first; empty if nothing was logged.
 
-        The log of a complete stage is verified; of another, a partial last line is left out.
+        The log of a complete stage is compared with its record; of another, a partial last line is left out.
         """
+        if not self.metrics_path.is_file():
+            return []
         if self.is_complete:
-            self.read_summary()
-        return self.metrics.lines()
+            check_recorded(self.metrics_path, HINT)
+        lines = self.metrics_path.read_text(encoding="utf-8", errors="replace").splitlines()
+        return [values for values in map(_metrics_of, lines) if values is not None]
+
+    def keep_metrics(self, step: int) -> None:
+        """Drop what was logged after a step, as a checkpoint of that step is resumed."""
+        kept = [values for values in self.read_metrics() if values["step"] <= step]
+        if self.metrics_path.is_file():
+            write_whole(self.metrics_path, "".join(json.dumps(values) + "\n" for values in kept))
+
+    def sync_metrics(self) -> None:
+        """Flush metrics.jsonl to the disk, so that no checkpoint is ahead of it."""
+        if self.metrics_path.is_file():
+            sync(self.metrics_path)
 
     def finish(self, summary: Mapping[str, Any]) -> None:
-        """Write the final metrics, which marks the stage as complete."""
+        """Write the final metrics, which marks the stage as complete, and record the files' sha256."""
         budget = self.read_budget() if self.budget_path.is_file() else {}
-        write_json(self.summary_path, {**summary, **budget, LOGGED: self.metrics.extent()})
+        write_json(self.summary_path, {**summary, **budget})
+        paths = (self.config_path, self.metrics_path, self.model_path, self.summary_path)
+        write_record(self.path, [path.name for path in paths if path.is_file()])
 
     @contextmanager
     def locked(self) -> Iterator[None]:
@@ -172,7 +198,27 @@ class StageFolder:
                 f"{path} does not exist: stage {self.path.name!r} of run {str(self.path.parent)!r} is not trained "
                 f"(motionkit train --stage {self.path.name} --run {self.path.parent.name})"
             )
+        if self.is_complete:
+            check_recorded(path, HINT)
         return read_json(path, HINT)
+
+
+def check_recorded(path: Path, hint: str) -> None:
+    """Raise `DamagedFileError` for a file that is not what its folder's record of sha256 says, if it has one."""
+    if (path.parent / RECORD).is_file():
+        recorded = read_record(path.parent, hint).get(path.name)
+        if recorded is not None and recorded != sha256_of(path):
+            raise DamagedFileError(path, f"its content is not what {RECORD} says", hint)
+
+
+def _metrics_of(line: str) -> dict[str, float] | None:
+    """A line of metrics.jsonl; None for one that was cut off or is none."""
+    try:
+        values = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    is_whole = isinstance(values, dict) and "step" in values
+    return values if is_whole and all(isinstance(value, int | float) for value in values.values()) else None
 
 
 @dataclass(frozen=True)
@@ -195,7 +241,7 @@ def weights_sha256(run: Path) -> dict[str, str]:
     """Hexadecimal sha256 of every stage's trained weights; raises `DamagedFileError`."""
     paths = sorted(run.glob("*/model.safetensors"))
     for path in paths:
-        require_intact_tensors(path, HINT)
+        check_recorded(path, HINT)
     return {path.parent.name: sha256_of(path) for path in paths}
 
 
@@ -267,7 +313,7 @@ def clear_stage(folder: StageFolder) -> None:
 
     In this order a killed process leaves no folder that counts as complete, or that another training could resume.
     """
-    first = [folder.summary_path, folder.checkpoint_path]
+    first = [folder.summary_path, folder.path / RECORD, folder.checkpoint_path]
     for path in [*first, *sorted(folder.path.iterdir())]:
         if path not in (folder.config_path, folder.path / LOCK):
             remove_entry(path)

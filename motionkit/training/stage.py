@@ -16,8 +16,16 @@ from typing import TYPE_CHECKING, Any, Generic
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import OnProgress, ignore
 from motionkit.training.config import ConfigLike, ConfigT, apply_overrides, flatten, parse_override
-from motionkit.training.metrics_log import OnMetrics, ignore_metrics
-from motionkit.training.run import STAGE_NAME, RunFolder, StageFolder, StageOrigin, begin_stage, check_resumable
+from motionkit.training.run import (
+    STAGE_NAME,
+    OnMetrics,
+    RunFolder,
+    StageFolder,
+    StageOrigin,
+    begin_stage,
+    check_resumable,
+    ignore_metrics,
+)
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store

@@ -1,4 +1,4 @@
-"""Tensors in safetensors files with a JSON description and a checksum, written atomically; no pickle."""
+"""Tensors in safetensors files with a JSON description, and checkpoints of others; no pickle is executed."""
 
 import json
 import threading
@@ -8,13 +8,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import safetensors
 import torch
-from safetensors.torch import save
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
 from torch.nn.modules.module import register_module_parameter_registration_hook
 
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
-from motionkit.training.sealed_tensors import checked_metadata, write_sealed_tensors
+from motionkit.core.files import whole_file
+from motionkit.training.run import check_recorded
 
 DESCRIPTION = "description"
 HINT = "train the stage again with --overwrite, or restore the file from a copy"
@@ -29,7 +30,7 @@ class CheckpointError(MotionkitError):
 
 
 def save_tensors(path: Path, tensors: Mapping[str, torch.Tensor], description: Mapping[str, Any]) -> None:
-    """Write tensors and a JSON description into one file, atomically.
+    """Write tensors and a JSON description into one file, as `whole_file` does.
 
     The description is in the safetensors header, so that tensors and their meaning cannot diverge.
     """
@@ -40,26 +41,30 @@ def save_tensors(path: Path, tensors: Mapping[str, torch.Tensor], description: M
         name: tensor.clone() if uses[tensor.untyped_storage().data_ptr()] > 1 else tensor
         for name, tensor in plain.items()
     }
-    write_sealed_tensors(path, own, {DESCRIPTION: json.dumps(dict(description), allow_nan=False)}, save)
+    text = json.dumps(dict(description), allow_nan=False)
+    with whole_file(path) as temporary:
+        try:
+            save_file(own, temporary, metadata={DESCRIPTION: text})
+        except SafetensorError as error:
+            raise OSError(f"{path} cannot be written ({error})") from None
 
 
 def load_tensors(path: Path, hint: str = HINT) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
     """Read a file of `save_tensors`: tensors on the CPU, and the description.
 
-    Raises `CheckpointError` for a missing file, and `DamagedFileError`, with `hint`, for a damaged one.
+    Raises `CheckpointError` for a missing file, and `DamagedFileError`, with `hint`, for one that is not whole, or not
+    what its folder's record of sha256 says.
     """
     if not path.is_file():
         raise CheckpointError(f"{path}: there is no such checkpoint")
-    metadata = checked_metadata(path, {DESCRIPTION}, hint)
+    check_recorded(path, hint)
     try:
-        description = json.loads(metadata.get(DESCRIPTION, "{}"))
-        if not isinstance(description, dict):
-            raise ValueError("the description in its header is no JSON object")
-        with safetensors.safe_open(path, framework="pt") as opened:
+        with safe_open(path, framework="pt") as opened:
+            description = json.loads((opened.metadata() or {}).get(DESCRIPTION, "{}"))
+            if not isinstance(description, dict):
+                raise ValueError("the description in its header is no JSON object")
             return {name: opened.get_tensor(name) for name in opened.keys()}, description  # noqa: SIM118
-    except RecursionError:
-        raise DamagedFileError(path, "the description in its header is nested too deep", hint) from None
-    except (safetensors.SafetensorError, ValueError) as error:
+    except (SafetensorError, ValueError, RecursionError) as error:
         raise DamagedFileError(path, one_line(error), hint) from None
 
 

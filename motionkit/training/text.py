@@ -12,13 +12,14 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from safetensors.numpy import load_file, save
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save_file
 
-from motionkit.core.errors import DamagedFileError, UsageError
+from motionkit.core.errors import UsageError
+from motionkit.core.files import whole_file
 from motionkit.core.progress import warn
 from motionkit.core.shapes import Float32
 from motionkit.store.cache import writable
-from motionkit.training.sealed_tensors import checked_metadata, write_sealed_tensors
 
 GROUP = "motionkit.text_encoders"
 FOLDERS_AND_HUB = "transformers"
@@ -88,19 +89,16 @@ def _read(path: Path) -> dict[bytes, np.ndarray]:
     if not path.is_file():
         return {}
     try:
-        checked_metadata(path, set(), "computing its embeddings anew")
         arrays = load_file(path)
         keys, embeddings = arrays["text_sha256"], arrays["embeddings"]
         return {row.tobytes(): embedding for row, embedding in zip(keys, embeddings, strict=True)}
-    except DamagedFileError as error:
-        warn(str(error))
-    except (KeyError, ValueError) as error:
+    except (SafetensorError, KeyError, ValueError) as error:
         warn(f"{path} is not a cache of text embeddings ({error}): computing them anew")
-    return {}
+        return {}
 
 
 def _write(path: Path, known: dict[bytes, np.ndarray]) -> None:
     keys = np.frombuffer(b"".join(known), dtype=np.uint8).reshape(-1, 32)
     arrays = {"text_sha256": keys.copy(), "embeddings": np.stack(list(known.values()))}
-    with writable():
-        write_sealed_tensors(path, arrays, {}, save)
+    with writable(), whole_file(path) as temporary:
+        save_file(arrays, temporary)

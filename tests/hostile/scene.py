@@ -63,11 +63,12 @@ def text(place: str, content: str | bytes) -> Spoil:
 
 
 def edited(place: str, edit: Callable[[dict[str, Any]], None]) -> Spoil:
-    """A JSON file that is changed and signed again."""
+    """A JSON file that is changed; its folder has no record of sha256."""
 
     def spoil(inside: Path, outside: Path) -> None:
         document = json.loads((inside / place).read_bytes())
         edit(document)
         (inside / place).write_text(json.dumps(sealed(document)))
+        (inside / place).with_name("SHA256SUMS").unlink(missing_ok=True)
 
     return spoil

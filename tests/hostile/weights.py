@@ -1,6 +1,5 @@
-"""Hostile weights: safetensors with absurd headers, and signed again with tensors that fit no model."""
+"""Hostile weights: safetensors with absurd headers, and with tensors that fit no model."""
 
-import hashlib
 import json
 import math
 from collections.abc import Callable, Iterator
@@ -30,14 +29,11 @@ def _parts(content: bytes) -> tuple[Header, bytes]:
     return json.loads(content[8:end]), content[end:]
 
 
-def signed(header: Header, data: bytes) -> bytes:
-    """A safetensors file of this header, with the checksum that agrees with it."""
-    header = {**header, "__metadata__": {**header.get("__metadata__", {}), "sha256": "0" * 64}}
+def packed(header: Header, data: bytes) -> bytes:
+    """A safetensors file of this header."""
     text = json.dumps(header, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 8)
-    length = len(text).to_bytes(8, "little")
-    digest = hashlib.sha256(length + text + data).hexdigest().encode()
-    return length + text.replace(b'"sha256":"' + b"0" * 64, b'"sha256":"' + digest) + data
+    return len(text).to_bytes(8, "little") + text + data
 
 
 def _file(place: str, content: bytes) -> Spoil:
@@ -46,13 +42,14 @@ def _file(place: str, content: bytes) -> Spoil:
 
 def _write(path: Path, content: bytes) -> None:
     path.write_bytes(content)
+    path.with_name("SHA256SUMS").unlink(missing_ok=True)
 
 
 def _edited(place: str, edit: Callable[[Header], None]) -> Spoil:
     def spoil(inside: Path, outside: Path) -> None:
         header, data = _parts((inside / place).read_bytes())
         edit(header)
-        (inside / place).write_bytes(signed(header, data))
+        _write(inside / place, packed(header, data))
 
     return spoil
 
@@ -101,12 +98,12 @@ RAW: dict[str, bytes] = {
     "a header of 2⁶³ bytes": (2**63).to_bytes(8, "little") + b"{}",
     "a header of 99 MB": (99_000_000).to_bytes(8, "little") + b"{}",
     "nested without end": (200_000).to_bytes(8, "little") + b"[" * 200_000,
-    "a shape without end": signed({"a": {"dtype": "F32", "shape": [2**40, 2**40], "data_offsets": [0, 8]}}, bytes(8)),
-    "offsets without end": signed({"a": {"dtype": "F32", "shape": [2], "data_offsets": [0, 2**62]}}, bytes(8)),
-    "offsets in reverse": signed({"a": {"dtype": "F32", "shape": [2], "data_offsets": [8, 0]}}, bytes(8)),
-    "an unknown type": signed({"a": {"dtype": EVIL, "shape": [2], "data_offsets": [0, 8]}}, bytes(8)),
-    "no tensors": signed({}, b""),
-    "a name of escape sequences": signed({EVIL: {"dtype": "F32", "shape": [2], "data_offsets": [0, 8]}}, bytes(8)),
+    "a shape without end": packed({"a": {"dtype": "F32", "shape": [2**40, 2**40], "data_offsets": [0, 8]}}, bytes(8)),
+    "offsets without end": packed({"a": {"dtype": "F32", "shape": [2], "data_offsets": [0, 2**62]}}, bytes(8)),
+    "offsets in reverse": packed({"a": {"dtype": "F32", "shape": [2], "data_offsets": [8, 0]}}, bytes(8)),
+    "an unknown type": packed({"a": {"dtype": EVIL, "shape": [2], "data_offsets": [0, 8]}}, bytes(8)),
+    "no tensors": packed({}, b""),
+    "a name of escape sequences": packed({EVIL: {"dtype": "F32", "shape": [2], "data_offsets": [0, 8]}}, bytes(8)),
 }
 EDITS: dict[str, Callable[[Header], None]] = {
     "a tensor of another shape": _as_column,

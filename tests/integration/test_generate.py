@@ -19,7 +19,7 @@ from motionkit.generate.long_motions import generate_joined
 from motionkit.generate.models import GenerationRequest, load_model
 from motionkit.generate.output import plant_generated
 from motionkit.store.writer import StoreWriter
-from motionkit.training.run import RunError, RunFolder
+from motionkit.training.run import RunError, RunFolder, StageFolder
 from motionkit.training.tensors import load_tensors, save_tensors
 from tests.helpers.analytic import analytic_motion
 
@@ -219,6 +219,7 @@ def train_again(path: Path) -> None:
     tensors, description = load_tensors(path)
     tensors["scaling.mean"][0] += 1
     save_tensors(path, tensors, description)
+    StageFolder(path.parent).finish(StageFolder(path.parent).read_summary())
 
 
 def test_a_field_that_was_trained_again_is_noticed(trained: Path, tmp_path: Path) -> None:

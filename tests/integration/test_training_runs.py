@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from motionkit.core.checksums import write_json
 from motionkit.core.errors import DamagedFileError
+from motionkit.core.files import RECORD, write_json
 from motionkit.training import loop, precision
 from motionkit.training.config import apply_overrides
 from motionkit.training.run import RunError, RunFolder, StageFolder
@@ -164,6 +164,7 @@ def test_a_run_goes_on_only_with_what_it_was_begun_with(
     folder = other_run("codebook")
     shutil.copytree(RunFolder(run).stage("codebook").path, folder.path)
     write_json(folder.config_path, folder.read_config() | {"seed": 2})
+    (folder.path / RECORD).unlink()
     with pytest.raises(RunError, match="begun with seed 2, not 1"):
         train_stage("codebook", store, folder.path.parent, resume=True)
 

@@ -77,12 +77,7 @@ def _read(folder: str) -> Arguments:
 
 
 def _of_outputs() -> list[Kind]:
-    goes_on = (*GENERATE, "--resume")
-    uses = (goes_on, (*GENERATE, "--overwrite"))
     return [
-        Kind("generation.json", "generated", "made/generation.json", uses),
-        Kind("generated motions.csv", "generated", "made/motions.csv", (*uses, _read("made"))),
-        Kind("generated motions", "generated", "made/*.npz", (_read("made"),)),
         Kind("result", "results", "results/*.json", REPORT),
         Kind("parts of tables", "results", "results/parts/*.json", (EVAL_PAHIRES,)),
         Kind("kinematic features", "caches", "caches/kinematic.npz", ((f"{CALL}kinematic", "caches"),)),

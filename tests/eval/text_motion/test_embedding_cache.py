@@ -5,12 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from safetensors.numpy import save
+from safetensors.numpy import save_file
 
 from eval.sets.sets import SampleSet, sample_set
 from eval.text_motion.embedding_cache import Embedder, fingerprint_of
 from motionkit.core.motion import Caption
-from motionkit.training.sealed_tensors import write_sealed_tensors
 
 
 class Counting:
@@ -84,7 +83,7 @@ def damage_truncated(path: Path) -> None:
 
 
 def damage_other_key(path: Path) -> None:
-    write_sealed_tensors(path, {"embeddings": np.zeros((3, 3))}, {"key": "another"}, save)
+    save_file({"embeddings": np.zeros((3, 3))}, path, {"key": "another"})
 
 
 def damage_shape(path: Path) -> None:
@@ -104,7 +103,7 @@ def _rewrite(path: Path, array: np.ndarray) -> None:
 
     with safe_open(path, framework="np") as opened:
         key = opened.metadata()["key"]
-    write_sealed_tensors(path, {"embeddings": array}, {"key": key}, save)
+    save_file({"embeddings": array}, path, {"key": key})
 
 
 @pytest.mark.parametrize(

@@ -163,7 +163,7 @@ def test_a_gated_repository_says_so(hub: Hub, monkeypatch: pytest.MonkeyPatch) -
 def test_complete_stages_of_a_run_go_and_come_back(hub: Hub, run_folder: RunFolder) -> None:
     done(push, "hf://me/walker", "--run", "walker")
     files = hub.files("models/me/walker")
-    names = ("config.json", "metrics.jsonl", "model.safetensors", "summary.json")
+    names = ("SHA256SUMS", "config.json", "metrics.jsonl", "model.safetensors", "summary.json")
     assert sorted(files) == ["README.md", *(f"field/{name}" for name in names)]
     assert "with the stages field;" in files["README.md"].decode()
 

@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 import torch
 
-from motionkit.core.errors import DamagedFileError
 from motionkit.core.progress import Progress
 from motionkit.training.config import rate_factor
 from motionkit.training.loop import train_loop
@@ -136,30 +135,6 @@ def test_metrics_ahead_of_the_checkpoint_are_forgotten(tmp_path: Path) -> None:
     assert [line["step"] for line in folder.read_metrics()] == [2, 4, 6, 8]
 
 
-def test_a_log_that_lost_a_byte_of_what_a_checkpoint_knows_is_not_gone_on_with(tmp_path: Path) -> None:
-    folder = _folder(tmp_path / "stage")
-    with pytest.raises(KeyboardInterrupt):
-        train_loop(Regression(_interrupt_at(5)), folder, steps=8, seed=1, log_every=2)
-    log = folder.metrics_path.read_bytes()
-    folder.metrics_path.write_bytes(log[:30] + b"7" + log[31:])
-    with pytest.raises(DamagedFileError, match=r"metrics\.jsonl is damaged .*--overwrite"):
-        train_loop(Regression(), folder, steps=8, seed=1, log_every=2)
-
-
-def test_a_checkpoint_that_does_not_record_the_extent_of_the_log_is_gone_on_with(tmp_path: Path) -> None:
-    whole, folder = _folder(tmp_path / "a" / "stage"), _folder(tmp_path / "b" / "stage")
-    train_loop(Regression(), whole, steps=8, seed=1, log_every=2)
-    with pytest.raises(KeyboardInterrupt):
-        train_loop(Regression(_interrupt_at(5)), folder, steps=8, seed=1, log_every=2)
-    tensors, description = load_tensors(folder.checkpoint_path)
-    del description["metrics"]
-    save_tensors(folder.checkpoint_path, tensors, description)
-    folder.append_metrics({"step": 7.0, "loss": 99.0})
-    train_loop(Regression(), folder, steps=8, seed=1, log_every=2)
-    losses = [[line["loss"] for line in each.read_metrics()] for each in (whole, folder)]
-    assert losses[0] == losses[1]
-
-
 def test_a_loss_that_is_not_finite_stops_the_training(tmp_path: Path) -> None:
     class Diverging(Regression):
         def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
@@ -176,22 +151,6 @@ def test_a_checkpoint_of_another_stage_is_refused(tmp_path: Path) -> None:
     save_tensors(folder.checkpoint_path, {}, {"step": 3, "stage": "other"})
     with pytest.raises(CheckpointError, match="is of stage 'other'"):
         train_loop(Regression(), folder, steps=5, seed=0)
-
-
-def test_tensors_round_trip_and_a_damaged_file_is_named(tmp_path: Path) -> None:
-    path = tmp_path / "deep" / "file.safetensors"
-    tensors = {"a": torch.arange(6).reshape(2, 3), "b": torch.randn(3, dtype=torch.float64)[::2]}
-    save_tensors(path, tensors, {"note": "ä", "list": [1, 2]})
-    loaded, description = load_tensors(path)
-    assert description == {"note": "ä", "list": [1, 2]}
-    assert all(torch.equal(loaded[name], tensor) for name, tensor in tensors.items())
-    assert [entry.name for entry in path.parent.iterdir()] == [path.name]
-
-    path.write_bytes(path.read_bytes()[:-5])
-    with pytest.raises(DamagedFileError, match=r"file\.safetensors is damaged"):
-        load_tensors(path)
-    with pytest.raises(CheckpointError, match="there is no such checkpoint"):
-        load_tensors(tmp_path / "absent.safetensors")
 
 
 def test_generators_depend_on_seed_purpose_and_step_alone() -> None:

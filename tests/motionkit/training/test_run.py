@@ -7,9 +7,8 @@ from typing import Any
 
 import pytest
 
-from motionkit.core.checksums import write_json
 from motionkit.core.errors import DamagedFileError, UsageError
-from motionkit.core.files import remove_entry, write_whole
+from motionkit.core.files import remove_entry, write_json, write_whole
 from motionkit.training.precision import resolve_device
 from motionkit.training.run import RunError, RunFolder, commit, copy_stage
 from motionkit.training.stage import Stage, StageContext, choose_stages
@@ -71,11 +70,38 @@ def test_what_exists_is_neither_overwritten_nor_mixed_unasked(tmp_path: Path) ->
     assert not _context(tmp_path, overwrite=True).begin("first", Config(), store_fingerprint="x").read_metrics()
 
 
-def test_a_damaged_config_is_named_with_what_mends_it(tmp_path: Path) -> None:
+def test_a_changed_byte_in_a_complete_stage_is_named_with_what_to_do(tmp_path: Path) -> None:
     folder = _context(tmp_path).begin("first", Config(), store_fingerprint="abc")
-    folder.config_path.write_text(folder.config_path.read_text().replace('"steps": 5', '"steps": 7'))
-    with pytest.raises(DamagedFileError, match=r"config\.json is damaged .*train the stage again with --overwrite"):
-        _context(tmp_path, resume=True).begin("first", Config(), store_fingerprint="abc")
+    folder.append_metrics({"step": 1.0, "loss": 0.5})
+    folder.finish({"loss": 0.5})
+    reads = {
+        folder.config_path: folder.read_config,
+        folder.metrics_path: folder.read_metrics,
+        folder.summary_path: folder.read_summary,
+    }
+    for path, read in reads.items():
+        whole = path.read_text()
+        read()
+        path.write_text(whole.replace("5", "7", 1))
+        with pytest.raises(DamagedFileError, match=rf"{path.name} is damaged .*train the stage again with --overwrite"):
+            read()
+        path.write_text(whole)
+
+
+def test_lines_come_back_without_one_that_was_cut_off_and_none_after_a_checkpoint(tmp_path: Path) -> None:
+    folder = _context(tmp_path).begin("first", Config(), store_fingerprint="abc")
+    assert folder.read_metrics() == []
+    for step in (1.0, 2.0, 3.0):
+        folder.append_metrics({"step": step, "loss": 1 / step})
+    whole = folder.metrics_path.read_bytes()
+    with folder.metrics_path.open("a") as file:
+        file.writelines(f"{line}\n" for line in ("[" * 100_000, '{"step": "1"}', '{"step": 2, "loss": []}', "7"))
+        file.write('{"step": 4.0, "lo')
+    assert [line["step"] for line in folder.read_metrics()] == [1, 2, 3]
+    folder.keep_metrics(3)
+    assert folder.metrics_path.read_bytes() == whole
+    folder.keep_metrics(1)
+    assert folder.read_metrics() == [{"step": 1.0, "loss": 1.0}]
 
 
 @pytest.mark.parametrize(
@@ -89,7 +115,7 @@ def test_a_damaged_config_is_named_with_what_mends_it(tmp_path: Path) -> None:
         {"builds_on": {"first": 7}},
     ],
 )
-def test_a_config_that_was_signed_again_is_named(changed: dict[str, Any], tmp_path: Path) -> None:
+def test_a_config_of_other_types_is_named(changed: dict[str, Any], tmp_path: Path) -> None:
     folder = _context(tmp_path).begin("first", Config(), store_fingerprint="abc")
     write_json(folder.config_path, folder.read_config() | changed)
     with pytest.raises(DamagedFileError, match=rf"config\.json is damaged .*{min(changed)}"):
@@ -174,7 +200,8 @@ def test_a_copy_of_a_stage_that_was_stopped_is_made_again(
     assert not target.is_complete
     copy_stage(source, target)
     assert target.read_summary() == {"loss": 1.0}
-    assert sorted(path.name for path in target.path.iterdir()) == ["config.json", "model.safetensors", "summary.json"]
+    names = sorted(path.name for path in target.path.iterdir())
+    assert names == ["SHA256SUMS", "config.json", "model.safetensors", "summary.json"]
     assert target.read_config() == source.read_config()
 
 
@@ -198,7 +225,7 @@ def test_a_stage_is_not_resumed_upon_another_than_it_was_begun_with(tmp_path: Pa
         _context(tmp_path, resume=True).begin("second", Config(), store_fingerprint="abc", builds_on=("first",))
     # A run of before this was recorded says nothing about it.
     written = json.loads(folder.config_path.read_text())
-    del written["builds_on"], written["checksum"]
+    del written["builds_on"]
     folder.config_path.write_text(json.dumps(written))
     _context(tmp_path, resume=True).begin("second", Config(), store_fingerprint="abc", builds_on=("first",))
 

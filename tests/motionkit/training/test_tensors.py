@@ -1,27 +1,103 @@
-import json
+import resource
 import threading
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
 import torch
-from safetensors.torch import save
+from safetensors.torch import save_file
 
 from motionkit.core.errors import DamagedFileError
-from motionkit.training.sealed_tensors import write_sealed_tensors
-from motionkit.training.tensors import CheckpointError, load_tensors, rebuilding
+from motionkit.training.run import StageFolder
+from motionkit.training.tensors import CheckpointError, load_tensors, rebuilding, save_tensors
 
 TENSORS = {"weight": torch.zeros(3, 2), "bias": torch.zeros(3)}
 PATH = Path("run/field/model.safetensors")
 
 
+@pytest.fixture
+def small_disk() -> Iterator[None]:
+    """Files of this process may have 4096 bytes; more fails as on a disk that is full."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_flipped_byte_in_the_weights_of_a_complete_stage_is_refused(tmp_path: Path) -> None:
+    folder = StageFolder(tmp_path)
+    save_tensors(folder.model_path, TENSORS, {"step": 3})
+    folder.finish({"loss": 0.1})
+    whole = folder.model_path.read_bytes()
+    assert load_tensors(folder.model_path)[1] == {"step": 3}
+    for place in (9, len(whole) // 2, len(whole) - 1):
+        folder.model_path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        with pytest.raises(DamagedFileError, match=r"model\.safetensors is damaged .*--overwrite"):
+            load_tensors(folder.model_path)
+
+
+def test_tensors_round_trip(tmp_path: Path) -> None:
+    path = tmp_path / "deep" / "file.safetensors"
+    tensors = {"a": torch.arange(6).reshape(2, 3), "b": torch.randn(3, dtype=torch.float64)[::2]}
+    save_tensors(path, tensors, {"note": "ä", "list": [1, 2]})
+    loaded, description = load_tensors(path)
+    assert description == {"note": "ä", "list": [1, 2]}
+    assert all(torch.equal(loaded[name], tensor) for name, tensor in tensors.items())
+    with pytest.raises(CheckpointError, match="there is no such checkpoint"):
+        load_tensors(tmp_path / "absent.safetensors")
+
+
+def one_byte_more(path: Path) -> None:
+    path.write_bytes(path.read_bytes() + b"0")
+
+
+def zeros(path: Path) -> None:
+    path.write_bytes(bytes(100))
+
+
+def cut(length: int, path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:length])
+
+
+@pytest.mark.parametrize("damage", [one_byte_more, zeros, *(partial(cut, length) for length in (0, 3, 40, -1))])
+def test_a_file_that_is_not_whole_is_damaged(damage: Callable[[Path], None], tmp_path: Path) -> None:
+    path = tmp_path / "checkpoint.safetensors"
+    save_tensors(path, TENSORS, {})
+    damage(path)
+    with pytest.raises(DamagedFileError, match=r"checkpoint\.safetensors is damaged"):
+        load_tensors(path)
+
+
 @pytest.mark.parametrize("description", ["{" * 50, "[" * 100_000, "7", "[1]", "null", "9" * 5000])
 def test_a_description_that_is_no_object_is_damage(description: str, tmp_path: Path) -> None:
     path = tmp_path / "model.safetensors"
-    write_sealed_tensors(path, TENSORS, {"description": description}, save)
+    save_file(TENSORS, path, {"description": description})
     with pytest.raises(DamagedFileError, match=r"model\.safetensors is damaged .*--overwrite"):
         load_tensors(path)
-    write_sealed_tensors(path, TENSORS, {"description": json.dumps({"step": 1})}, save)
+
+
+def test_the_same_tensors_are_the_same_bytes(tmp_path: Path) -> None:
+    for name in "abcdefgh":
+        save_tensors(tmp_path / name, TENSORS, {"step": 3})
+    assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 1
+
+
+def test_tensors_that_share_memory_are_saved(tmp_path: Path) -> None:
+    whole = torch.arange(6.0)
+    save_tensors(tmp_path / "a", {"whole": whole, "part": whole[2:], "turned": whole.reshape(2, 3).T}, {})
+    tensors, _ = load_tensors(tmp_path / "a")
+    assert torch.equal(tensors["part"], whole[2:])
+    assert torch.equal(tensors["turned"], whole.reshape(2, 3).T)
+
+
+def test_a_full_disk_names_the_file_and_leaves_the_old_one(tmp_path: Path, small_disk: None) -> None:
+    path = tmp_path / "checkpoint.safetensors"
+    save_tensors(path, TENSORS, {"step": 1})
+    with pytest.raises(OSError, match=r"checkpoint\.safetensors"):
+        save_tensors(path, {"a": torch.zeros(4096)}, {"step": 2})
     assert load_tensors(path)[1] == {"step": 1}
+    assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
 
 
 def test_a_network_is_built_from_the_tensors_that_fill_it() -> None:
@@ -33,8 +109,8 @@ def test_a_network_is_built_from_the_tensors_that_fill_it() -> None:
 
 
 def test_a_network_of_another_size_uses_no_memory() -> None:
-    told = r"too small for Linear.weight of shape \(100000000, 2\).*--stage field --overwrite"
-    with pytest.raises(CheckpointError, match=told), rebuilding(PATH, "field", TENSORS):
+    message = r"too small for Linear.weight of shape \(100000000, 2\).*--stage field --overwrite"
+    with pytest.raises(CheckpointError, match=message), rebuilding(PATH, "field", TENSORS):
         torch.nn.Linear(2, 100_000_000)
 
 
@@ -46,8 +122,8 @@ def test_a_network_of_more_layers_comes_to_an_end() -> None:
 
 @pytest.mark.parametrize("error", [AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError])
 def test_whatever_is_missing_is_explained(error: type[Exception]) -> None:
-    told = "not a field of this version of motionkit"
-    with pytest.raises(CheckpointError, match=told), rebuilding(PATH, "field", TENSORS):
+    message = "not a field of this version of motionkit"
+    with pytest.raises(CheckpointError, match=message), rebuilding(PATH, "field", TENSORS):
         raise error("width")
 
 
