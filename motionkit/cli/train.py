@@ -18,8 +18,15 @@ from motionkit.core.errors import UsageError
 from motionkit.core.progress import ignore, task
 from motionkit.core.settings import default_path
 from motionkit.store.sql import conjunction
-from motionkit.training.config import apply_overrides, flatten, parse_override, setting_text, unknown_setting
-from motionkit.training.run import RunFolder, check_comparable, concerns
+from motionkit.training.config import (
+    apply_overrides,
+    flatten,
+    parse_override,
+    setting_text,
+    to_plain,
+    unknown_setting,
+)
+from motionkit.training.run import RunFolder, check_same, concerns
 from motionkit.training.stage import Stage, StageContext, StagePlan, choose_stages, registered_stages
 
 
@@ -178,7 +185,7 @@ def narrowed(stages: tuple[Stage[Any], ...], configs: list[Any], where: str) -> 
         for config in configs
     ]
     if not any(
-        concerns(stage.name, key, config)
+        concerns(stage.name, key, to_plain(config))
         for stage, config, of_config in zip(stages, configs, conditions, strict=True)
         for key in of_config
     ):
@@ -213,7 +220,16 @@ def check_inputs(request: TrainRequest, jobs: Sequence[Job], context: StageConte
     to_train = [job.stage.name for job in jobs if job.config is not None]
     for job in jobs:
         if job.config is None:
-            check_comparable(context.run.stage(job.stage.name), fingerprint, job.budget_seconds, to_train)
+            # It may have other settings, but must be of this store, of the run's own stages, and of the same budget.
+            folder = context.run.stage(job.stage.name)
+            earlier = context.run.fingerprints(folder.read_config().get("builds_on", {}))
+            inputs: dict[str, Any] = {
+                "store_fingerprint": fingerprint,
+                "builds_on": earlier | {name: "trained again" for name in earlier if name in to_train},
+            }
+            if job.budget_seconds is not None:
+                inputs["budget_seconds"] = job.budget_seconds
+            check_same(folder, inputs)
 
 
 def train_all(

@@ -8,9 +8,9 @@ import importlib.metadata
 import json
 import platform
 import subprocess
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,11 +31,10 @@ from motionkit.core.files import (
     write_whole,
 )
 from motionkit.core.plain_text import shown
-from motionkit.training.config import ConfigLike, flatten, to_plain
 
 # A pattern. Without a hyphen first, as options have.
 STAGE_NAME = r"\w[\w-]*"
-SHOWN_SETTINGS = 6
+SHOWN_SETTINGS, SHOWN_LETTERS = 6, 24
 # Keys of config.json that others read.
 CONFIG_TYPES = {"config": dict, "recipe": str, "seed": int, "store_fingerprint": str, "builds_on": dict}
 RECORDED_PACKAGES = ("motionkit", "torch", "numpy", "scipy", "safetensors")
@@ -60,42 +59,18 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), "platform": platform.platform(), **found}
 
 
-@dataclass(frozen=True)
 class StageFolder:
     """A stage's folder inside a run; owns the names of its files. `on_metrics` is called with logged metrics."""
 
-    path: Path
-    on_metrics: Callable[[Mapping[str, float]], None] = field(default=lambda _: None, compare=False, repr=False)
-
-    @property
-    def config_path(self) -> Path:
-        """Settings and inputs: config.json."""
-        return self.path / "config.json"
-
-    @property
-    def metrics_path(self) -> Path:
-        """One JSON object per logged step: metrics.jsonl."""
-        return self.path / "metrics.jsonl"
-
-    @property
-    def checkpoint_path(self) -> Path:
-        """Everything needed to resume: checkpoint.safetensors."""
-        return self.path / "checkpoint.safetensors"
-
-    @property
-    def model_path(self) -> Path:
-        """The trained model: model.safetensors."""
-        return self.path / "model.safetensors"
-
-    @property
-    def summary_path(self) -> Path:
-        """Final metrics; its presence marks the stage as complete: summary.json."""
-        return self.path / "summary.json"
-
-    @property
-    def budget_path(self) -> Path:
-        """Number of steps of a processor time budget, if one was given: budget.json."""
-        return self.path / "budget.json"
+    def __init__(self, path: Path, on_metrics: Callable[[Mapping[str, float]], None] = lambda values: None) -> None:
+        self.path = path
+        self.on_metrics = on_metrics
+        self.config_path = path / "config.json"  # settings and inputs
+        self.metrics_path = path / "metrics.jsonl"  # one JSON object per logged step
+        self.checkpoint_path = path / "checkpoint.safetensors"  # everything needed to resume
+        self.model_path = path / "model.safetensors"  # the trained model
+        self.summary_path = path / "summary.json"  # final metrics; if it exists, the stage is complete
+        self.budget_path = path / "budget.json"  # number of steps of a processor time budget, if one was given
 
     @property
     def result_paths(self) -> tuple[Path, ...]:
@@ -245,32 +220,14 @@ def weights_sha256(run: Path) -> dict[str, str]:
     return {path.parent.name: sha256_of(path) for path in paths}
 
 
-@dataclass(frozen=True)
-class StageOrigin:
-    """The inputs of a stage's training: settings, seed, store, the run's stages that it builds on (by sha256), and the
-    budget of processor time if any."""
-
-    config: ConfigLike
-    recipe: str
-    seed: int
-    store_fingerprint: str
-    builds_on: Mapping[str, str]
-    budget_seconds: float | None = None
-
-    def plain(self) -> dict[str, Any]:
-        """As JSON, without a budget if none was given."""
-        found = {**vars(self), "config": to_plain(self.config), "builds_on": dict(self.builds_on)}
-        return {name: value for name, value in found.items() if value is not None}
-
-
-def begin_stage(folder: StageFolder, origin: StageOrigin, *, store: str, resume: bool, overwrite: bool) -> None:
+def begin_stage(folder: StageFolder, inputs: Mapping[str, Any], *, resume: bool, overwrite: bool) -> None:
     """Create a stage's folder and write its config.json, or check that an existing one can be resumed.
 
-    Raises `UsageError` if the folder exists and neither `resume` nor `overwrite` is set, and `RunError` if the
-    stage was begun from other inputs.
+    `inputs` are those of `StageContext.inputs`. Raises `UsageError` if the folder exists and neither `resume` nor
+    `overwrite` is set, and `RunError` if the stage was begun from other inputs.
     """
     if resume:
-        check_resumable(folder, origin)
+        check_resumable(folder, inputs)
         if folder.config_path.is_file():
             return
     elif _holds_something(folder):
@@ -281,13 +238,13 @@ def begin_stage(folder: StageFolder, origin: StageOrigin, *, store: str, resume:
         clear_stage(folder)
     folder.path.mkdir(parents=True, exist_ok=True)
     code = {"versions": versions(), "commit": commit()}
-    write_json(folder.config_path, {"stage": folder.path.name, **origin.plain(), "store": store, **code})
+    write_json(folder.config_path, {"stage": folder.path.name, **inputs, **code})
 
 
-def check_resumable(folder: StageFolder, origin: StageOrigin) -> None:
+def check_resumable(folder: StageFolder, inputs: Mapping[str, Any]) -> None:
     """Raise `RunError` if a stage was begun from other inputs, or has files but no config.json."""
     if folder.config_path.is_file():
-        check_same(folder, origin)
+        check_same(folder, inputs)
     elif _holds_something(folder):
         raise RunError(
             f"{folder.path} cannot be resumed, for it has no {folder.config_path.name}: train the stage again with "
@@ -329,87 +286,41 @@ def copy_stage(source: StageFolder, target: StageFolder) -> None:
             write_whole(target.path / path.name, path.read_bytes())
 
 
-def check_same(folder: StageFolder, origin: StageOrigin) -> None:
-    """Raise `RunError` if a stage was begun with other settings, seed or store, or if a stage that it builds on was
-    trained again since.
+def check_same(folder: StageFolder, inputs: Mapping[str, Any]) -> None:
+    """Raise `RunError` if a stage was begun from other values of these inputs.
 
-    Old runs that did not record what they build on are accepted. Settings that did not exist then had their default;
-    "auto" matches the recorded choice.
+    Settings of the recipe's other stages don't count, nor its name and the store's place; "auto" matches the recorded
+    choice.
     """
     begun, stage, run = folder.read_config(), folder.path.name, folder.path.parent.name
-    again = f"train it again (motionkit train --stage {stage} --run {run} --overwrite), or use another --run"
-    for name, sha256 in origin.builds_on.items():
-        known = begun.get("builds_on", {}).get(name, sha256)
-        if known != sha256:
-            raise RunError(
-                f"{folder.path} was begun upon another {name} (sha256 {known[:16]}, now {sha256[:16]}), which has been "
-                f"trained again since: {again}"
-            )
-    for name, was, now in (
-        ("seed", begun.get("seed"), origin.seed),
-        ("store fingerprint", begun.get("store_fingerprint"), origin.store_fingerprint),
-        ("budget in seconds", begun.get("budget_seconds"), origin.budget_seconds),
-    ):
-        if was != now:
-            begun_with = f"{name} {shown(was)}, not {now!r}"
-            raise RunError(f"{folder.path} was begun with {begun_with}: ask for the same, or {again}")
-    config = origin.config
-    settings_then = _leaves(to_plain(type(config)())) | _leaves(begun.get("config", {}))
-    settings_now = _leaves(to_plain(config))
+    compared = [name for name in inputs if name not in ("recipe", "store")]
+    before, now = (_leaves({name: each.get(name) for name in compared}) for each in (begun, inputs))
     changed = [
-        key
-        for key in {**settings_then, **settings_now}
-        if settings_then.get(key) != settings_now.get(key) and settings_now.get(key) != "auto"
-        if concerns(stage, key, config)
+        f"{key.removeprefix('config.')} {shown(before.get(key), SHOWN_LETTERS)} → {shown(now.get(key), SHOWN_LETTERS)}"
+        for key in {**before, **now}
+        if before.get(key) != now.get(key) and now.get(key) != "auto"
+        if not key.startswith("config.") or concerns(stage, key.removeprefix("config."), inputs["config"])
     ]
     if changed:
-        differing = [
-            f"{key} {settings_then.get(key)!r} → {settings_now.get(key)!r}" for key in changed[:SHOWN_SETTINGS]
-        ]
-        if len(changed) > SHOWN_SETTINGS:
-            differing.append(f"{len(changed) - SHOWN_SETTINGS} more")
-        recipes = (
-            f"recipe {begun.get('recipe')!r} → {origin.recipe!r}: " if begun.get("recipe") != origin.recipe else ""
-        )
+        more = f", {len(changed) - SHOWN_SETTINGS} more" if len(changed) > SHOWN_SETTINGS else ""
         raise RunError(
-            f"{folder.path} was begun with other settings ({recipes}{', '.join(differing)}): use the same ones, or "
-            f"{again}"
+            f"{folder.path} was begun from other inputs ({', '.join(changed[:SHOWN_SETTINGS])}{more}): use the same "
+            f"ones, train it again (motionkit train --stage {stage} --run {run} --overwrite), or use another --run"
         )
 
 
-def check_comparable(
-    folder: StageFolder, store_fingerprint: str, budget_seconds: float | None, to_train: Container[str] = ()
-) -> None:
-    """Raise `RunError` if a complete stage was trained on another store, with another budget, or upon a stage that has
-    changed or will be trained (`to_train`)."""
-    begun, run = folder.read_config(), RunFolder(folder.path.parent)
-    command = f"motionkit train --stage {folder.path.name} --run {run.path.name} --overwrite"
-    again = f"train it again ({command}), or use another --run"
-    for name, sha256 in begun.get("builds_on", {}).items():
-        if name in to_train or run.fingerprints([name]).get(name, sha256) != sha256:
-            raise RunError(f"{folder.path} was trained upon another {name} than this run's: {again}")
-    if begun.get("store_fingerprint") != store_fingerprint:
-        raise RunError(f"{folder.path} was trained on another store, or on another state of it: {again}")
-    if budget_seconds is not None and begun.get("budget_seconds") != budget_seconds:
-        before = begun.get("budget_seconds")
-        budget = "without a budget" if before is None else f"with a budget of {before:g} s"
-        raise RunError(f"{folder.path} was trained {budget}, not with one of {budget_seconds:g} s: {again}")
-
-
-def concerns(stage: str, key: str, config: ConfigLike) -> bool:
-    """Whether a dotted setting affects a stage: parts named after other stages of the recipe don't."""
-    parts = {leaf.partition(".")[0] for leaf in flatten(config) if "." in leaf}
+def concerns(stage: str, key: str, config: Mapping[str, Any]) -> bool:
+    """Whether a dotted setting of a plain configuration affects a stage: parts named after other stages don't."""
+    parts = {name for name, value in config.items() if isinstance(value, dict)}
     return stage not in parts or key.partition(".")[0] not in parts - {stage}
 
 
 def _leaves(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    """Nested values by their dotted keys."""
+    leaves: dict[str, Any] = {}
     for name, value in values.items():
-        if isinstance(value, dict):
-            found |= _leaves(value, f"{prefix}{name}.")
-        else:
-            found[prefix + name] = value
-    return found
+        leaves |= _leaves(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value}
+    return leaves
 
 
 def commit(code: Path = Path(__file__)) -> str | None:

@@ -6,7 +6,7 @@ An entry point names a module attribute that is a `Stage`. That module must impo
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -15,13 +15,12 @@ from typing import TYPE_CHECKING, Any, Generic
 
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import OnProgress, ignore
-from motionkit.training.config import ConfigLike, ConfigT, apply_overrides, flatten, parse_override
+from motionkit.training.config import ConfigLike, ConfigT, apply_overrides, flatten, parse_override, to_plain
 from motionkit.training.run import (
     STAGE_NAME,
     OnMetrics,
     RunFolder,
     StageFolder,
-    StageOrigin,
     begin_stage,
     check_resumable,
     ignore_metrics,
@@ -74,16 +73,22 @@ class StageContext:
 
         `builds_on` names the stages of this run whose model.safetensors it reads; resuming requires the same ones.
         """
-        folder = replace(self.run.stage(stage), on_metrics=partial(self.on_metrics, stage))
-        origin = self.origin(config, store_fingerprint, builds_on)
-        begin = partial(begin_stage, store=str(self.store), resume=self.resume, overwrite=self.overwrite)
-        self.ranks.on_first(partial(begin, folder, origin))
+        folder = StageFolder(self.run.stage(stage).path, partial(self.on_metrics, stage))
+        inputs = self.inputs(config, store_fingerprint, builds_on)
+        self.ranks.on_first(partial(begin_stage, folder, inputs, resume=self.resume, overwrite=self.overwrite))
         return folder
 
-    def origin(self, config: ConfigLike, store_fingerprint: str, builds_on: Sequence[str]) -> StageOrigin:
-        """The inputs of a stage with these settings."""
-        built_on = self.run.fingerprints(builds_on)
-        return StageOrigin(config, self.recipe, self.seed, store_fingerprint, built_on, self.budget_seconds)
+    def inputs(self, config: ConfigLike, store_fingerprint: str, builds_on: Sequence[str]) -> dict[str, Any]:
+        """The inputs of a stage with these settings, as its config.json has them."""
+        return {
+            "config": to_plain(config),
+            "recipe": self.recipe,
+            "seed": self.seed,
+            "store": str(self.store),
+            "store_fingerprint": store_fingerprint,
+            "builds_on": self.run.fingerprints(builds_on),
+            "budget_seconds": self.budget_seconds,
+        }
 
     def fit_budget(self, trainable: "Rescheduled", folder: StageFolder) -> None:
         """Set a training's number of steps by the budget, if there is one; errors as in `plan_steps`."""
@@ -137,8 +142,8 @@ class Stage(Generic[ConfigT]):
 
     def check_kept(self, context: StageContext, config: ConfigT, store_fingerprint: str) -> None:
         """Raise `RunError` if this stage was begun with other inputs than the same command would use now."""
-        origin = context.origin(config, store_fingerprint, self.builds_on(config))
-        check_resumable(context.run.stage(self.name), origin)
+        inputs = context.inputs(config, store_fingerprint, self.builds_on(config))
+        check_resumable(context.run.stage(self.name), inputs)
 
     def configured(self, recipe: str, overrides: Sequence[str]) -> ConfigT:
         """The configuration of a recipe, with those overrides (`a.b=c`) whose setting it has; raises `UsageError`."""

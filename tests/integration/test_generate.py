@@ -243,7 +243,7 @@ def test_a_denoiser_is_not_resumed_upon_another_field(trained: Path, tmp_path: P
         if not complete:
             denoiser.summary_path.unlink()
         before = denoiser.checkpoint_path.read_bytes()
-        with pytest.raises(RunError, match=r"begun upon another field .* --stage denoiser --run nano --overwrite"):
+        with pytest.raises(RunError, match=r"\(builds_on.field .* --stage denoiser --run nano --overwrite"):
             command("train", "--stage", "denoiser", *places, *settings, "--resume")
         assert denoiser.checkpoint_path.read_bytes() == before
 

@@ -122,6 +122,7 @@ def relabelled(name: str, **changes: object) -> Callable[[Path], None]:
     def spoil(scene: Path) -> None:
         tensors, description = load_tensors(scene / name)
         save_tensors(scene / name, tensors, {**description, **changes})
+        (scene / name).with_name("SHA256SUMS").unlink()
 
     return spoil
 
@@ -131,6 +132,7 @@ def without_tensor(name: str, key: str) -> Callable[[Path], None]:
         tensors, description = load_tensors(scene / name)
         del tensors[key]
         save_tensors(scene / name, tensors, description)
+        (scene / name).with_name("SHA256SUMS").unlink()
 
     return spoil
 
@@ -139,6 +141,7 @@ def with_unknown_setting(scene: Path) -> None:
     tensors, description = load_tensors(scene / FIELD / "model.safetensors")
     config = {**description["config"], "from_the_future": 1}
     save_tensors(scene / FIELD / "model.safetensors", tensors, {**description, "config": config})
+    (scene / FIELD / "SHA256SUMS").unlink()
 
 
 TRAIN = "train --runs runs --store"
@@ -213,7 +216,7 @@ CASES = (
         "resumed with another store",
         f"{TRAIN} other --stage field --resume",
         1,
-        ("was begun with store fingerprint", "use another --run"),
+        ("was begun from other inputs (store_fingerprint", "use another --run"),
         unfinished(FIELD, lambda scene: None),
     ),
     Case(

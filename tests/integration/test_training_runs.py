@@ -165,7 +165,7 @@ def test_a_run_goes_on_only_with_what_it_was_begun_with(
     shutil.copytree(RunFolder(run).stage("codebook").path, folder.path)
     write_json(folder.config_path, folder.read_config() | {"seed": 2})
     (folder.path / RECORD).unlink()
-    with pytest.raises(RunError, match="begun with seed 2, not 1"):
+    with pytest.raises(RunError, match=r"begun from other inputs \(seed 2 → 1\)"):
         train_stage("codebook", store, folder.path.parent, resume=True)
 
 

@@ -280,20 +280,20 @@ def test_half_a_run_and_other_stores_are_found_before_anything_is_trained(world:
             run("--run", "mine", *arguments)
         assert told in str(found.value) and "\n" not in str(found.value) and not world.trained
 
-    refuses("field was trained without a budget, not with one of 36 s", "--budget", "1m")
+    refuses("field was begun from other inputs (budget_seconds None → 36.0)", "--budget", "1m")
     (mine / "judge" / "summary.json").unlink()
-    refuses("judge was begun with seed 0, not 1", "--seed", "1")
+    refuses("judge was begun from other inputs (seed 0 → 1)", "--seed", "1")
     (mine / "judge" / "config.json").unlink()
     refuses("judge cannot be resumed, for it has no config.json: train the stage again with --overwrite")
     for path in (mine / "judge").iterdir():
         path.unlink()
     (mine / "field" / "summary.json").unlink()
-    refuses("denoiser was trained upon another field than this run's: train it again (motionkit train --stage denoiser")
+    refuses("denoiser was begun from other inputs (builds_on.field")
     with StoreWriter.create(tmp_path / "store", overwrite=True) as writer:
         from tests.motionkit.training.test_train_command import MOTION
 
         writer.add(MOTION)
-    refuses("codes was trained on another store, or on another state of it: train it again")
+    refuses("codes was begun from other inputs (store_fingerprint")
 
 
 def test_a_budget_of_stages_of_no_system_is_refused(world: World) -> None:

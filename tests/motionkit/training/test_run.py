@@ -1,4 +1,3 @@
-import json
 import re
 import subprocess
 from dataclasses import dataclass, field
@@ -63,9 +62,9 @@ def test_what_exists_is_neither_overwritten_nor_mixed_unasked(tmp_path: Path) ->
     assert _context(tmp_path, resume=True).begin("first", Config(), store_fingerprint="abc").read_metrics()
     with pytest.raises(RunError, match=r"width 4 → 5"):
         _context(tmp_path, resume=True).begin("first", Config(width=5), store_fingerprint="abc")
-    with pytest.raises(RunError, match="store fingerprint 'abc', not 'abd'"):
+    with pytest.raises(RunError, match="store_fingerprint 'abc' → 'abd'"):
         _context(tmp_path, resume=True).begin("first", Config(), store_fingerprint="abd")
-    with pytest.raises(RunError, match="seed 0, not 1"):
+    with pytest.raises(RunError, match="seed 0 → 1"):
         _context(tmp_path, resume=True, seed=1).begin("first", Config(), store_fingerprint="abc")
     assert not _context(tmp_path, overwrite=True).begin("first", Config(), store_fingerprint="x").read_metrics()
 
@@ -221,13 +220,8 @@ def test_a_stage_is_not_resumed_upon_another_than_it_was_begun_with(tmp_path: Pa
     assert list(folder.read_config()["builds_on"]) == ["first"]
     _context(tmp_path, resume=True).begin("second", Config(), store_fingerprint="abc", builds_on=("first",))
     model.write_bytes(b"two")
-    with pytest.raises(RunError, match=r"begun upon another first .*trained again since.* --stage second --run"):
+    with pytest.raises(RunError, match=r"\(builds_on.first .* --stage second --run"):
         _context(tmp_path, resume=True).begin("second", Config(), store_fingerprint="abc", builds_on=("first",))
-    # A run of before this was recorded says nothing about it.
-    written = json.loads(folder.config_path.read_text())
-    del written["builds_on"]
-    folder.config_path.write_text(json.dumps(written))
-    _context(tmp_path, resume=True).begin("second", Config(), store_fingerprint="abc", builds_on=("first",))
 
 
 def test_what_auto_chose_is_what_auto_asks_for(tmp_path: Path) -> None:
@@ -237,10 +231,10 @@ def test_what_auto_chose_is_what_auto_asks_for(tmp_path: Path) -> None:
         _context(tmp_path, resume=True).begin("first", Chosen("float32"), store_fingerprint="abc")
 
 
-def test_of_many_settings_the_first_are_printed_and_the_recipe(tmp_path: Path) -> None:
+def test_of_many_settings_the_first_are_printed(tmp_path: Path) -> None:
     _context(tmp_path).begin("first", Many(), store_fingerprint="abc")
     other = StageContext(Path("store"), RunFolder(tmp_path), "paper", resume=True)
-    with pytest.raises(RunError, match=r"recipe 'nano' → 'paper': a 1 → 2, .*, 2 more\): use the same ones, or train"):
+    with pytest.raises(RunError, match=r"a 1 → 2, .*, 2 more\): use the same ones, train"):
         other.begin("first", Many(*[2] * 8), store_fingerprint="abc")
 
 

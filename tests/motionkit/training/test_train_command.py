@@ -87,21 +87,23 @@ def test_a_complete_stage_is_not_kept_for_what_it_is_not(folder: Path) -> None:
     for arguments, message in (
         (
             ("--set", "second.steps=7"),
-            r"second was begun with other settings \(second.steps 5 → 7\): use the same ones",
+            r"second was begun from other inputs \(second.steps 5 → 7\): use the same ones",
         ),
-        (("--seed", "4"), r"first was begun with seed 0, not 4"),
+        (("--seed", "4"), r"first was begun from other inputs \(seed 0 → 4\)"),
     ):
         with pytest.raises(RunError, match=message):
             CliRunner().invoke(_app(), ["--run", "mine", "--resume", *arguments], catch_exceptions=False)
     # The other stage's settings are its own affair.
     _run("--run", "mine", "--stage", "first", "--set", "first.steps=6", "--overwrite")
-    with pytest.raises(RunError, match=r"second was begun upon another first .* --stage second --run mine --overwrite"):
+    with pytest.raises(
+        RunError, match=r"second was begun .*\(builds_on.first .* --stage second --run mine --overwrite"
+    ):
         CliRunner().invoke(_app(), ["--run", "mine", "--resume", "--set", "first.steps=6"], catch_exceptions=False)
     _run("--run", "mine", "--stage", "second", "--overwrite")
     _run("--run", "mine", "--resume", "--set", "first.steps=6")
     with StoreWriter.create(folder / "store", overwrite=True) as writer:
         writer.add(MOTION)
-    with pytest.raises(RunError, match="first was begun with store fingerprint"):
+    with pytest.raises(RunError, match=r"first was begun from other inputs \(store_fingerprint"):
         CliRunner().invoke(_app(), ["--run", "mine", "--resume", "--set", "first.steps=6"], catch_exceptions=False)
 
 
@@ -109,7 +111,7 @@ def test_what_a_stage_builds_on_may_change_while_the_command_runs(folder: Path) 
     _run("--run", "mine")
     shutil.rmtree(folder / "runs" / "mine" / "first")
     # The first stage is trained anew, with other settings: then the second one is of another.
-    with pytest.raises(RunError, match="second was begun upon another first"):
+    with pytest.raises(RunError, match=r"second was begun from other inputs \(builds_on.first"):
         CliRunner().invoke(_app(), ["--run", "mine", "--resume", "--set", "first.steps=6"], catch_exceptions=False)
 
 

@@ -78,6 +78,7 @@ def test_both_stages_leave_a_run_that_decodes(run: Path) -> None:
     assert summary["step"] == 40
     assert {"loss", "reconstruction", "kl", "windows", "hours", "wall_seconds"} <= set(summary)
     assert sorted(entry.name for entry in (run / "codebook").iterdir()) == [
+        "SHA256SUMS",
         "checkpoint.safetensors",
         "config.json",
         "metrics.jsonl",
