@@ -10,7 +10,7 @@ import numpy as np
 
 from eval.actions.recogniser import ActionRecogniser
 from eval.actions.scores import LabelledRecognition
-from eval.sets.generated import as_known
+from eval.sets.generated import as_known, is_unconditional, refusal
 from eval.sets.partial import PartialResult
 from eval.sets.row_ids import RowId, Variant
 from eval.sets.sets import SampleSet, sample_set
@@ -20,7 +20,7 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.fields.contact.planted import planted
 from motionkit.fields.motion_field import MotionField, to_motion
 from motionkit.fields.resample import resample
-from motionkit.generate.models import GenerationRequest, GenerativeModel, is_unconditional, refusal
+from motionkit.generate.models import GenerationRequest, GenerativeModel
 from motionkit.io.smpl_body import SMPL
 
 if TYPE_CHECKING:

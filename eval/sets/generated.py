@@ -8,9 +8,10 @@ from math import ceil
 import numpy as np
 
 from eval.sets.sets import SampleSet, sample_set
+from motionkit.core.errors import UsageError
 from motionkit.fields.interpolation import InterpolatedField
 from motionkit.fields.motion_field import MotionField, to_motion
-from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions, is_unconditional
+from motionkit.generate.models import ChecksRequests, GenerationRequest, GenerativeModel, SamplingOptions
 
 AT_ONCE = 256
 
@@ -43,6 +44,26 @@ def windows_of(real: SampleSet, max_duration_seconds: float) -> list[Window]:
         request = GenerationRequest(duration / count, text, action)
         windows.extend(Window(real.sequence_ids[index], number, request) for number in range(count))
     return windows
+
+
+def is_unconditional(model: GenerativeModel) -> bool:
+    """Whether a model declares by an attribute `unconditional` that it was trained without texts and actions."""
+    return bool(getattr(model, "unconditional", False))
+
+
+def needs_a_condition(model: GenerativeModel) -> bool:
+    """Whether a model declares by an attribute `always_conditioned` that it was never trained without one."""
+    return bool(getattr(model, "always_conditioned", False))
+
+
+def refusal(model: GenerativeModel, request: GenerationRequest) -> str:
+    """Why a model with a `check` refuses a request; empty if it does not."""
+    if isinstance(model, ChecksRequests):
+        try:
+            model.check(request)
+        except UsageError as error:
+            return str(error)
+    return ""
 
 
 def as_known(model: GenerativeModel, requests: Sequence[GenerationRequest]) -> list[GenerationRequest]:

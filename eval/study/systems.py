@@ -7,6 +7,7 @@ from fractions import Fraction
 import numpy as np
 
 from eval.sample_folder import SampleFolder
+from eval.sets.generated import is_unconditional
 from eval.sets.real import RealMotion
 from eval.sets.upsampled import upsampled_positions
 from motionkit.core.errors import UsageError
@@ -14,7 +15,7 @@ from motionkit.core.shapes import Float32
 from motionkit.fields.contact.planted import planted
 from motionkit.fields.motion_field import to_motion
 from motionkit.fields.resample import resample_positions
-from motionkit.generate.models import GenerationRequest, GenerativeModel, is_unconditional
+from motionkit.generate.models import GenerationRequest, GenerativeModel
 
 Positions = Float32[np.ndarray, "frames 22 3"]
 

@@ -6,7 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from eval.sets.generated import Window, generate_fields, is_framed, windows_of
+from eval.sets.generated import Window, generate_fields, is_framed, is_unconditional, windows_of
 from eval.sets.partial import PartialResult, collect
 from eval.sets.planted import detailed_fields, planted_fields
 from eval.sets.row_ids import RowId, Variant, check_sample_names
@@ -18,7 +18,7 @@ from motionkit.core.progress import task, tracked
 from motionkit.data.reconstruction import ReconstructsWindows
 from motionkit.edit.encoders import installed_encoders
 from motionkit.fields.motion_field import MotionEncoder, MotionField
-from motionkit.generate.models import GenerativeModel, installed_models, is_unconditional
+from motionkit.generate.models import GenerativeModel, installed_models
 from motionkit.training.detail import has_detail, load_detail
 from motionkit.training.loaders import Loader
 from motionkit.training.run import RunError, RunFolder

@@ -152,14 +152,14 @@ def _write_all(job: "Job", folder: Path, as_json: bool) -> dict[str, Any]:
     num_motions, num_complete = len(job.request.motions), len(job.complete_in(folder))
     report: dict[str, Any] = {"already_there": num_complete, "motions": []}
     with progress() as show, task(show, "generate", num_motions, done=num_complete) as work:
-        for field, sample, path in job.write(folder):
+        for field, facts in job.write(folder):
             work.advance()
             if not as_json:
-                stdout.print(str(path))
+                stdout.print(facts["file"])
                 continue
             if not report["motions"] and isinstance(job.model, DescribesMotions):
                 report |= {f"{name}_of_first": value for name, value in job.model.describe(field).items()}
-            report["motions"].append(sample.plain(str(path)))
+            report["motions"].append(facts)
     if num_complete and not as_json:
         stderr.print(f"motionkit: {num_complete:,} of {num_motions:,} motions were there already")
     return report

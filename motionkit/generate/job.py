@@ -24,15 +24,16 @@ from motionkit.core.framerate import format_fps
 from motionkit.edit.export.files import TABLE, captions_json
 from motionkit.fields.detail import Detail, detailed
 from motionkit.fields.motion_field import MotionField
-from motionkit.generate.long_motions import captions_of, check_script, generate_scripts, is_joined
+from motionkit.generate.constraints import followed
+from motionkit.generate.long_motions import captions_of, check_script, constraints_of, generate_scripts, is_joined
 from motionkit.generate.models import GenerativeModel, SamplingOptions
 from motionkit.generate.output import (
-    GeneratedSample,
     OutputFormat,
     action_of,
     motion_name,
     plant_generated,
-    sample_field,
+    sample_motion,
+    write_instants,
 )
 from motionkit.generate.request import MotionsRequest
 from motionkit.training.run import versions, weights_sha256
@@ -116,31 +117,52 @@ class Job:
         """Numbers of the motions whose files are in a folder."""
         return frozenset(number for number, file in enumerate(self.main_files) if (folder / file).is_file())
 
-    def write(self, folder: Path) -> Iterator[tuple[MotionField, GeneratedSample, Path]]:
-        """Generate and write missing motions one by one: the field, its poses, and its file.
+    def write(self, folder: Path) -> Iterator[tuple[MotionField, dict[str, Any]]]:
+        """Generate and write missing motions one by one: the field, and facts about its file as JSON.
 
         Batches are the same whatever is missing, so a resumed call writes the same numbers.
         """
-        request, motions = self.request, self.request.motions
-        times = np.array(request.times, dtype=np.float64) if request.times else None
         try:
             for number, field in generate_scripts(
                 self.model,
-                motions,
+                self.request.motions,
                 seed=self.seed,
                 skip=self.complete_in(folder),
                 sampling=self.sampling,
-                overlap_seconds=request.overlap_seconds,
+                overlap_seconds=self.request.overlap_seconds,
             ):
-                final = plant_generated(field, motions[number]) if self.plant else field
-                if self.detail is not None:
-                    final = detailed(final, self.detail, seed=self.seed, number=number)
-                sample = sample_field(final, motion_name(number, motions[number]), motions[number], self.fps, times)
-                path = folder / self.main_files[number]
-                self.output.write(path, sample)
-                yield field, sample, path
+                yield field, self._write_motion(folder / self.main_files[number], number, field)
         finally:
             self._write_table(folder)
+
+    def _write_motion(self, path: Path, number: int, field: MotionField) -> dict[str, Any]:
+        script, times = self.request.motions[number], self.request.times
+        if self.plant:
+            field = plant_generated(field, script)
+        if self.detail is not None:
+            field = detailed(field, self.detail, seed=self.seed, number=number)
+        if times:
+            write_instants(path, field, script, np.array(times, dtype=np.float64))
+            num_frames = len(times)
+        else:
+            motion = sample_motion(field, motion_name(number, script), script, self.fps)
+            self.output.write(path, motion)
+            num_frames = motion.num_frames
+        captions = captions_of(script)
+        facts = {
+            "file": str(path),
+            "caption": captions[0].text if len(captions) == 1 else "",
+            "captions": [
+                {"text": each.text, "start_seconds": each.start_seconds, "end_seconds": each.end_seconds}
+                for each in captions
+            ],
+            "action": action_of(script),
+            "duration_seconds": field.end_seconds - field.start_seconds,
+            "fps": None if times else str(self.fps),
+            "num_frames": num_frames,
+        }
+        constraints = [followed(field, each).plain() for each in constraints_of(script)]
+        return facts | ({"constraints": constraints} if constraints else {})
 
     def _write_table(self, folder: Path) -> None:
         """Write motions.csv, a row per complete motion, as `motionkit.io.annotations` reads it."""

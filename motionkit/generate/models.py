@@ -99,29 +99,6 @@ class ChecksRequests(Protocol):
         ...
 
 
-def is_unconditional(model: GenerativeModel) -> bool:
-    """Whether a model declares by an attribute `unconditional` that it was trained without texts and actions.
-
-    Tables give it unconditional requests.
-    """
-    return bool(getattr(model, "unconditional", False))
-
-
-def needs_a_condition(model: GenerativeModel) -> bool:
-    """Whether a model says by an attribute `always_conditioned` that it never learnt to do without one."""
-    return bool(getattr(model, "always_conditioned", False))
-
-
-def refusal(model: GenerativeModel, request: GenerationRequest) -> str:
-    """Why a model that can say so will not answer a request; empty where it will, or cannot say."""
-    if isinstance(model, ChecksRequests):
-        try:
-            model.check(request)
-        except UsageError as error:
-            return str(error)
-    return ""
-
-
 @runtime_checkable
 class FollowsConstraints(Protocol):
     """A model that supports some kinds of constraints."""

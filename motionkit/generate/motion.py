@@ -17,7 +17,7 @@ from motionkit.generate import models
 from motionkit.generate.constraints import Constraint
 from motionkit.generate.long_motions import OVERLAP_SECONDS, Script, check_script, generate_scripts
 from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions, model_of, warn_above_training
-from motionkit.generate.output import motion_name, plant_generated, sample_field
+from motionkit.generate.output import motion_name, plant_generated, sample_motion
 
 Several = list[str] | tuple[str, ...]
 
@@ -108,9 +108,9 @@ class MotionModel:
         warn_above_training(self.model, rate)
         drawn = self._drawn(text, action, seconds, n, seed, sampling, plant)
         motions = [
-            sample_field(field, motion_name(number, script), script, rate)
-            .motion()
-            .logged(f"generate motion {number} of seed {seed} at {format_fps(rate)} fps ({self.name}, {self.run})")
+            sample_motion(field, motion_name(number, script), script, rate).logged(
+                f"generate motion {number} of seed {seed} at {format_fps(rate)} fps ({self.name}, {self.run})"
+            )
             for number, (script, field) in enumerate(drawn)
         ]
         return motions[0] if n is None and not isinstance(text, list | tuple) else motions

@@ -6,24 +6,21 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 import numpy as np
 
 from motionkit.core.errors import UsageError
 from motionkit.core.files import whole_file, write_whole
-from motionkit.core.motion import Caption, Motion
+from motionkit.core.motion import Motion
 from motionkit.core.progress import warn
-from motionkit.core.shapes import Float32, Float64
-from motionkit.core.skeleton import Skeleton
+from motionkit.core.shapes import Float64
 from motionkit.core.skeletons.mapping import SkeletonMapError
 from motionkit.core.timegrid import TimeGrid
 from motionkit.edit.export.files import Outcome
 from motionkit.edit.export.pose_folder import HUMANML3D_KIND, pose_entry, write_folder_manifest
 from motionkit.fields.contact.planted import planted
 from motionkit.fields.motion_field import MotionField, at_fps
-from motionkit.generate.constraints import Followed, followed
-from motionkit.generate.long_motions import Script, captions_of, constraints_of
+from motionkit.generate.long_motions import Script, captions_of
 from motionkit.io import joints_npy, npz
 from motionkit.io.humanml3d import JOINTS_FOLDER, TEXTS_FOLDER, VECTORS_FOLDER
 from motionkit.io.registry import Format, writers
@@ -32,78 +29,35 @@ from motionkit.io.texts import format_texts
 SLUG_LENGTH = 40
 
 
-@dataclass(frozen=True, eq=False)
-class GeneratedSample:
-    """Poses of one generated motion: uniformly at `fps`, or at arbitrary `seconds` if `fps` is None."""
-
-    name: str
-    joint_positions: Float32[np.ndarray, "frames joints 3"]
-    seconds: Float64[np.ndarray, "frames"]
-    fps: Fraction | None
-    duration_seconds: float
-    skeleton: Skeleton
-    captions: tuple[Caption, ...]
-    action: str
-    followed: tuple[Followed, ...] = ()
-
-    def plain(self, file: str) -> dict[str, Any]:
-        """A summary with the file's path, as JSON."""
-        return {
-            "file": file,
-            "caption": self.captions[0].text if len(self.captions) == 1 else "",
-            "captions": [
-                {"text": caption.text, "start_seconds": caption.start_seconds, "end_seconds": caption.end_seconds}
-                for caption in self.captions
-            ],
-            "action": self.action,
-            "duration_seconds": self.duration_seconds,
-            "fps": None if self.fps is None else str(self.fps),
-            "num_frames": len(self.seconds),
-        } | ({"constraints": [each.plain() for each in self.followed]} if self.followed else {})
-
-    def motion(self) -> Motion:
-        """The poses as a motion; raises `UsageError` for poses without a uniform framerate."""
-        if self.fps is None:
-            raise UsageError("poses at arbitrary instants have no framerate: write them as npz")
-        return Motion(
-            self.joint_positions,
-            self.skeleton,
-            TimeGrid(self.fps, len(self.seconds), float(self.seconds[0])),
-            captions=self.captions,
-            action=self.action,
-            sequence_id=self.name,
-        )
-
-
-def sample_field(
-    field: MotionField,
-    name: str,
-    script: Script,
-    fps: Fraction,
-    times_seconds: Float64[np.ndarray, "times"] | None = None,
-) -> GeneratedSample:
-    """Sample a generated field: at `times_seconds`, or the frames k / fps of the half-open interval it lasts.
+def sample_motion(field: MotionField, name: str, script: Script, fps: Fraction) -> Motion:
+    """A generated field as a motion: frame k at k / fps, in the half-open interval that it lasts.
 
     Four seconds at 20 fps are 80 frames; `to_motion` would include the frame at the closed end too.
     """
     duration = field.end_seconds - field.start_seconds
-    if times_seconds is None:
-        field = at_fps(field, fps)
-        num_frames = max(1, int(np.ceil(duration * float(fps) - 1e-6)))
-        seconds = TimeGrid(fps, num_frames, field.start_seconds).seconds()
-    else:
-        seconds = times_seconds
-    return GeneratedSample(
-        name=name,
-        joint_positions=field.query(seconds).joint_positions,
-        seconds=seconds,
-        fps=fps if times_seconds is None else None,
-        duration_seconds=duration,
-        skeleton=field.skeleton,
+    grid = TimeGrid(fps, max(1, int(np.ceil(duration * float(fps) - 1e-6))), field.start_seconds)
+    return Motion(
+        at_fps(field, fps).query(grid.seconds()).joint_positions,
+        field.skeleton,
+        grid,
         captions=captions_of(script),
         action=action_of(script),
-        followed=tuple(followed(field, each) for each in constraints_of(script)),
+        sequence_id=name,
     )
+
+
+def write_instants(path: Path, field: MotionField, script: Script, seconds: Float64[np.ndarray, "times"]) -> None:
+    """Write the poses of a field at arbitrary instants as a .npz: `time_seconds`, no framerate."""
+    arrays = {
+        "joint_positions": field.query(seconds).joint_positions,
+        "time_seconds": seconds,
+        **npz.skeleton_arrays(field.skeleton),
+        **npz.caption_arrays(captions_of(script)),
+        "action": np.array(action_of(script)),
+        "duration_seconds": np.float64(field.end_seconds - field.start_seconds),
+    }
+    with whole_file(path) as temporary:
+        npz.write_arrays(temporary, arrays)
 
 
 def plant_generated(field: MotionField, script: Script) -> MotionField:
@@ -142,7 +96,7 @@ class OutputFormat:
 
     name: str
     patterns: tuple[str, ...]
-    write: Callable[[Path, GeneratedSample], None]
+    write: Callable[[Path, Motion], None]
     fps: Fraction | None = None
     shared: tuple[str, ...] = ()
 
@@ -161,9 +115,7 @@ def output_formats() -> Mapping[str, OutputFormat]:
         fps=HUMANML3D_KIND.layout.fps,
         shared=(joints_npy.MANIFEST,),
     )
-    of_files = {name: _one_file(format) for name, format in writers().items()}
-    npz_format = OutputFormat("npz", ("{}.npz",), _write_npz)
-    return {**of_files, npz_format.name: npz_format, humanml3d.name: humanml3d}
+    return {**{name: _one_file(format) for name, format in writers().items()}, humanml3d.name: humanml3d}
 
 
 def output_format(name: str, times: tuple[float, ...] = ()) -> OutputFormat:
@@ -177,50 +129,31 @@ def output_format(name: str, times: tuple[float, ...] = ()) -> OutputFormat:
 
 
 def _one_file(format: Format) -> OutputFormat:
-    def write(path: Path, sample: GeneratedSample) -> None:
+    def write(path: Path, motion: Motion) -> None:
         assert format.write is not None
         with whole_file(path) as temporary:
-            format.write(sample.motion(), temporary)
+            format.write(motion, temporary)
 
     shared = (format.shared_file,) if format.shared_file else ()
     return OutputFormat(format.name, (f"{{}}{format.suffixes[0]}",), write, shared=shared)
 
 
-def _write_npz(path: Path, sample: GeneratedSample) -> None:
-    """Write the arrays of `motionkit.io.npz`, and the requested `duration_seconds`.
-
-    Poses at arbitrary instants have `time_seconds` and no `fps`.
-    """
-    if sample.fps is None:
-        arrays = {
-            "joint_positions": sample.joint_positions,
-            "time_seconds": sample.seconds,
-            **npz.skeleton_arrays(sample.skeleton),
-            **npz.caption_arrays(sample.captions),
-            "action": np.array(sample.action),
-        }
-    else:
-        arrays = npz.motion_arrays(sample.motion())
-    with whole_file(path) as temporary:
-        npz.write_arrays(temporary, {**arrays, "duration_seconds": np.float64(sample.duration_seconds)})
-
-
-def _write_humanml3d(path: Path, sample: GeneratedSample) -> None:
+def _write_humanml3d(path: Path, motion: Motion) -> None:
     """Write motions.json, texts/NAME.txt, new_joints/NAME.npy and new_joint_vecs/NAME.npy [T − 1, 263] (`path`).
 
-    The vectors are at the sample's framerate; the published steps run on the motion (one skeleton, floor, origin,
+    The vectors are at the motion's framerate; the published steps run on the motion (one skeleton, floor, origin,
     facing Z+). Raises `UsageError` for fewer than two poses.
     """
-    motion, folder = sample.motion(), path.parents[1]
+    name, folder = motion.sequence_id, path.parents[1]
     kind = HUMANML3D_KIND.at(motion.fps)
-    entry = pose_entry(motion, sample.name, kind)
+    entry = pose_entry(motion, name, kind)
     if isinstance(entry, Outcome):
-        raise UsageError(f"{sample.name}: {entry.message}")
+        raise UsageError(f"{name}: {entry.message}")
     if not (folder / joints_npy.MANIFEST).is_file():
         write_folder_manifest(folder, kind.layout)
     if entry.captions:
         text = format_texts(entry.captions, len(entry.joint_positions) / float(motion.fps))
-        write_whole(folder / TEXTS_FOLDER / f"{sample.name}.txt", text)
+        write_whole(folder / TEXTS_FOLDER / f"{name}.txt", text)
     # The main file last: a motion that has it is complete.
     for place, array in ((folder / JOINTS_FOLDER / path.name, entry.joint_positions), (path, entry.vectors)):
         with whole_file(place) as temporary:

@@ -5,6 +5,7 @@ from itertools import chain
 
 from eval.clip_fid.score import CLIP_FID
 from eval.report.results import Block, Result, Row, measure
+from eval.sets.generated import needs_a_condition
 from eval.sets.partial import collect
 from eval.sets.planted import VARIANT_NOTES
 from eval.sets.row_ids import REAL, RowId, Variant
@@ -16,7 +17,7 @@ from eval.tables.parts import Part
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import tracked
-from motionkit.generate.models import installed_models, needs_a_condition
+from motionkit.generate.models import installed_models
 from motionkit.training.run import RunError
 
 VERSION = "unconditional/3"

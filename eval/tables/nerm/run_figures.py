@@ -17,7 +17,7 @@ from eval.metrics.actions import diversity
 from eval.metrics.checks import estimate
 from eval.reconstruction.errors import mpjpe_cell, mre_cell, window_errors
 from eval.report.results import Cell
-from eval.sets.generated import Window, generate_fields, sample_fields, windows_of
+from eval.sets.generated import Window, generate_fields, needs_a_condition, refusal, sample_fields, windows_of
 from eval.sets.partial import PartialResult, collect
 from eval.sets.planted import planted_fields
 from eval.sets.real import NoRealMotionError, RealMotion, real_motion, training_motion
@@ -32,13 +32,7 @@ from eval.tables.nerm.table4 import described_windows
 from eval.tables.parts import Part, kept
 from eval.tables.registry import TableRequest
 from motionkit.fields.motion_field import MotionEncoder, MotionField
-from motionkit.generate.models import (
-    GenerationRequest,
-    GenerativeModel,
-    SamplingOptions,
-    needs_a_condition,
-    refusal,
-)
+from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store

@@ -13,6 +13,7 @@ from eval.metrics.checks import Estimate
 from eval.metrics.replications import Scores
 from eval.report.results import Block, Result
 from eval.sample_folder import SampleFolder
+from eval.sets.generated import refusal
 from eval.sets.memorisation import size_remarks
 from eval.sets.partial import PartialResult, collect
 from eval.sets.planted import VARIANT_NOTES
@@ -35,7 +36,7 @@ from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.progress import task
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS
-from motionkit.generate.models import GenerationRequest, installed_models, refusal
+from motionkit.generate.models import GenerationRequest, installed_models
 
 VERSION = "text-motion/1"
 DEFAULT_FPS = Fraction(20)

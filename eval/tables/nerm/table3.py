@@ -17,6 +17,7 @@ from eval.metrics.replications import Score, Scores
 from eval.metrics.resampling import half_width
 from eval.report.differences import DRAWING, differences_block, of_interest, score_differences
 from eval.report.results import Block, Cell, Origin, Result, Row, measure
+from eval.sets.generated import is_unconditional
 from eval.sets.memorisation import size_remarks
 from eval.sets.partial import PartialResult, collect
 from eval.sets.planted import VARIANT_NOTES
@@ -28,7 +29,7 @@ from eval.tables.parts import SOURCES, printed_rows, reported_figures
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.progress import task, tracked
-from motionkit.generate.models import installed_models, is_unconditional
+from motionkit.generate.models import installed_models
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store
