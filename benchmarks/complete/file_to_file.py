@@ -22,7 +22,7 @@ PIECE_SECONDS = 60.0
 FLOOR = """
 import sys
 from pathlib import Path
-from motionkit.io.source import number_table
+from motionkit.io import number_table
 from motionkit.io.bvh import split_text
 path, repeats = Path(sys.argv[1]), int(sys.argv[2])
 head, body = split_text(path.read_bytes(), path)

@@ -16,8 +16,7 @@ import numpy as np
 from motionkit.core.errors import FormatError
 from motionkit.core.framerate import parse_fps
 from motionkit.core.plain_text import shown
-from motionkit.io import npy
-from motionkit.io.source import source_file
+from motionkit.io import npy, source_file
 
 JOINTS = frozenset({21, 22, 24, 52})
 WIDTHS = frozenset({251, 263})

@@ -8,9 +8,8 @@ from eval.sample_folder.folder import SampleFolder, SampleFolderError
 from eval.sample_folder.manifest import MANIFEST
 from motionkit.core.shapes import Float, Float32, Int64
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
+from motionkit.io.body_frame import PLAUSIBLE_FACTOR, TRUNK_AND_LEGS, TYPICAL_HEIGHT_METRES, UNITS, log_lines, to_y_up
 from motionkit.io.humanml3d import KIT
-from motionkit.io.source.body_frame import PLAUSIBLE_FACTOR, TRUNK_AND_LEGS, TYPICAL_HEIGHT_METRES, UNITS
-from motionkit.io.up import log_lines, to_y_up
 
 KIT_TRUNK_AND_LEGS = (
     *(("LA", "LK"), ("LK", "LH"), ("root", "BP"), ("BP", "BT"), ("BT", "BLN"), ("BLN", "BUN")),

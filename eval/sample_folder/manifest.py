@@ -12,8 +12,8 @@ from typing import Any
 from motionkit.core.errors import FormatError, describe
 from motionkit.core.framerate import parse_fps
 from motionkit.core.plain_text import parse_toml, shown
-from motionkit.io.source import source_file
-from motionkit.io.up import GIVEN_AXES
+from motionkit.io import source_file
+from motionkit.io.body_frame import GIVEN_AXES
 
 ANY = "any"
 # Fields are non-greedy; numeric ones are greedy.

@@ -17,8 +17,7 @@ from motionkit.core.errors import FormatError
 from motionkit.core.shapes import Float, Float32
 from motionkit.features.layout import layout_of
 from motionkit.features.statistics import Statistics
-from motionkit.io import humanml3d, npy
-from motionkit.io.source import source_file
+from motionkit.io import humanml3d, npy, source_file
 
 JOINTS_BY_WIDTH = {12 * layout.skeleton.num_joints - 1: layout for layout in humanml3d.LAYOUTS.values()}
 # Smaller variations of the root's velocity (metres per frame) are not used for the check.

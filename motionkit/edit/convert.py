@@ -20,10 +20,10 @@ from motionkit.edit.motions import (
     write_edited,
 )
 from motionkit.fields.resample import resample
+from motionkit.io.body_frame import GIVEN_AXES, log_lines, turned
 from motionkit.io.character import Character, read_character
 from motionkit.io.files import read_options
 from motionkit.io.registry import ReadOptions
-from motionkit.io.up import GIVEN_AXES, log_lines, turned
 
 
 def convert(

@@ -1,6 +1,6 @@
 """AMASS motions (.npz): SMPL, SMPL-H and SMPL-X poses as axis–angle vectors, z up, with the subject's shape.
 
-Systems that write this form may have y up (HY-Motion): the motion tells (`formats.up`).
+Systems that write this form may have y up (HY-Motion): the motion tells (`io.body_frame`).
 
 The pelvis is at trans + J₀, where J₀ is its rest position for the subject's betas, and the centre of the root rotation.
 Sources: https://github.com/nghorbani/amass (arrays, notebooks) and the file listings of its issues 8, 49 and 68 (names
@@ -21,7 +21,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io import npy, up
+from motionkit.io import body_frame, npy, source_file
 from motionkit.io.registry import FileHead, Format, ReadOptions, SourceItem
 from motionkit.io.retargeting import retarget
 from motionkit.io.smpl_body import (
@@ -35,7 +35,6 @@ from motionkit.io.smpl_body import (
     posed_skeleton,
     rests_as_smpl,
 )
-from motionkit.io.source import clock, source_file
 
 MOTION_NAMES = ("_poses", "_stageii")
 FRAMERATE_KEYS = ("mocap_framerate", "mocap_frame_rate")
@@ -74,12 +73,12 @@ def read_amass(item: SourceItem, options: ReadOptions) -> Motion:
     skeleton, origin = _skeleton(archive, layout, LAYOUTS.get(family, SMPLH), options)
     rotations = kinematics.rotation_vector_to_quaternion(poses[:, : 3 * skeleton.num_joints].reshape(len(poses), -1, 3))
     root = trans + skeleton.offsets[0]
-    frames = up.sampled_frames(len(poses))
+    frames = body_frame.sampled_frames(len(poses))
     sample = kinematics.forward_kinematics(rotations[frames], root[frames], skeleton)
-    axis = options.up or up.infer_up(SMPL22, sample[:, : SMPL22.num_joints], ("z", "y"))
-    rotations[:, 0] = kinematics.quaternion_multiply(up.turn_of(axis), rotations[:, 0])
-    root = up.to_y_up(root, axis)
-    lines = (*operations, *origin, *up.log_lines(axis, options.up))
+    axis = options.up or body_frame.infer_up(SMPL22, sample[:, : SMPL22.num_joints], ("z", "y"))
+    rotations[:, 0] = kinematics.quaternion_multiply(body_frame.turn_of(axis), rotations[:, 0])
+    root = body_frame.to_y_up(root, axis)
+    lines = (*operations, *origin, *body_frame.log_lines(axis, options.up))
     subject = "" if path.parent == item.root else path.parent.name
     return Motion(
         joint_positions=kinematics.forward_kinematics(rotations, root, skeleton),
@@ -140,7 +139,7 @@ def framerate_of(
             reason = "no-framerate" if key is None else "framerate"
             raise FormatError(message, path=archive.path, reason=reason) from None
 
-    fps, operations = clock.fps_in_use(options.fps, stated)
+    fps, operations = source_file.fps_in_use(options.fps, stated)
     return fps, "" if value is None else str(value), operations
 
 
@@ -177,7 +176,9 @@ def write_amass(motion: Motion, path: Path) -> None:
     for joint, name in enumerate(SMPLX.joint_names):
         if name in skeleton.joint_names:
             rotations[:, joint] = body.local_rotations[:, skeleton.index(name)]
-    rotations[:, 0] = kinematics.quaternion_multiply(kinematics.quaternion_conjugate(up.turn_of("z")), rotations[:, 0])
+    rotations[:, 0] = kinematics.quaternion_multiply(
+        kinematics.quaternion_conjugate(body_frame.turn_of("z")), rotations[:, 0]
+    )
     poses = kinematics.quaternion_to_rotation_vector(rotations).reshape(body.num_frames, -1).astype(np.float32)
     pelvis = skeleton.offsets[0] if skeleton.offsets[0].any() else mean_shape_skeleton().offsets[0]
     stops = np.cumsum([size for _, size in POSE_PARTS])
@@ -189,7 +190,7 @@ def write_amass(motion: Motion, path: Path) -> None:
             allow_pickle=False,
             poses=poses,
             **slices,
-            trans=up.from_y_up(body.root_translation.astype(np.float64), "z") - pelvis,
+            trans=body_frame.from_y_up(body.root_translation.astype(np.float64), "z") - pelvis,
             betas=np.zeros(WRITTEN_BETAS, np.float32),
             num_betas=np.array(WRITTEN_BETAS),
             gender=np.array(gender if gender in GENDERS else "neutral"),

@@ -22,8 +22,8 @@ from motionkit.core.errors import FormatError
 from motionkit.core.framerate import parse_fps
 from motionkit.core.motion import Caption
 from motionkit.core.plain_text import parse_json, shown, suggestion, whole_number
+from motionkit.io import source_file
 from motionkit.io.registry import SourceItem
-from motionkit.io.source import source_file
 from motionkit.io.texts import SPLITS
 
 TEXT_COLUMNS = ("action", "style", "subject", "split", "stated_fps", "licence", "source", "subset", "group")

@@ -15,8 +15,8 @@ from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
 from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import MAX_JOINTS, Skeleton
-from motionkit.io.source import source_file
-from motionkit.io.source.number_table import parse_number
+from motionkit.io import source_file
+from motionkit.io.number_table import parse_number
 
 ROTATIONS = {"rx": "X", "ry": "Y", "rz": "Z"}
 INCH = 0.0254

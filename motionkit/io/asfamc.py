@@ -18,10 +18,9 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32, Float64
 from motionkit.core.timegrid import TimeGrid
+from motionkit.io import source_file
 from motionkit.io.asf import ROTATIONS, AsfSkeleton, read_asf
-from motionkit.io.registry import Format, ReadOptions, of_path
-from motionkit.io.source import source_file
-from motionkit.io.source.number_table import (
+from motionkit.io.number_table import (
     INLINE_BYTES,
     Words,
     blocks,
@@ -29,6 +28,7 @@ from motionkit.io.source.number_table import (
     parse_number,
     to_numbers,
 )
+from motionkit.io.registry import Format, ReadOptions, of_path
 
 
 @dataclass(frozen=True)

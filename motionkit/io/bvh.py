@@ -28,10 +28,10 @@ from motionkit.core.skeletons.families import with_layout_map
 from motionkit.core.skeletons.mapping import SkeletonMapError, body_axis, rest_positions
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.motion_field import Poses
+from motionkit.io import body_frame, number_table, source_file
+from motionkit.io.body_frame import infer_up, log_lines, skeleton_to_y_up, to_y_up, turn_of
+from motionkit.io.number_table import parse_number
 from motionkit.io.registry import ReadOptions
-from motionkit.io.source import body_frame, clock, number_table, source_file
-from motionkit.io.source.number_table import parse_number
-from motionkit.io.up import infer_up, log_lines, skeleton_to_y_up, to_y_up, turn_of
 
 CHANNELS = {f"{axis}{kind}": (axis, kind) for axis in "XYZ" for kind in ("position", "rotation")}
 # Smaller changes of a bone are noise of printed digits; a bone with larger ones is not rigid.
@@ -155,8 +155,8 @@ def read_bvh(path: Path, options: ReadOptions | None = None) -> Motion:
     """Read one BVH file: positions in metres, y up, true local rotations, at the stated framerate.
 
     The unit is `options.unit_metres` or inferred (`body_frame.infer_unit`); a T-pose in frame 0, as B. Hahne's
-    conversions of the CMU database have it, is dropped; a motion that is not y up (`io.up`) is turned. All of this is
-    in the operation log. Raises `FormatError` with a reason, the line and the frame.
+    conversions of the CMU database have it, is dropped; a motion that is not y up is turned (`body_frame.infer_up`).
+    All of this is in the operation log. Raises `FormatError` with a reason, the line and the frame.
     """
     return _read(path, options or ReadOptions(), allow_nan=False, any_size=False).motion
 
@@ -176,7 +176,7 @@ def _read(path: Path, options: ReadOptions, *, allow_nan: bool, any_size: bool) 
     provenance = source_file.provenance(path, data, "bvh", (), stated_fps=f"Frame Time: {head.frame_time}")
     del data  # before the memory of the numbers is needed
     hierarchy = head.hierarchy
-    fps, operations = clock.fps_in_use(options.fps, lambda: _stated_fps(head, path))
+    fps, operations = source_file.fps_in_use(options.fps, lambda: _stated_fps(head, path))
     # A number takes at least a digit and a separator: a shorter text is truncated, which its last line says.
     if 2 * head.num_frames * hierarchy.num_channels - 1 <= len(body):
         source_file.check_size(head.num_frames, len(hierarchy.joints), path)

@@ -13,11 +13,11 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float64, Int64
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.motion_field import Poses
+from motionkit.io import number_table
+from motionkit.io.body_frame import from_y_up, turn_of
 from motionkit.io.bvh import BvhDocument, local_rotations, read_bvh, read_document
+from motionkit.io.joint_rotations import joint_channels
 from motionkit.io.registry import Format, of_path
-from motionkit.io.source import number_table
-from motionkit.io.source.joint_channels import joint_channels
-from motionkit.io.up import from_y_up, turn_of
 
 WRITTEN_DECIMALS = 6
 # Tolerance of positions against the expected ones, and of rotations, which are float32.

@@ -16,12 +16,12 @@ from motionkit.core.errors import FormatError
 from motionkit.core.framerate import parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.timegrid import TimeGrid
+from motionkit.io import source_file
+from motionkit.io.body_frame import AXES, log_lines, to_y_up
 from motionkit.io.bvh import unique_names
 from motionkit.io.c3d_container import C3dFile, parse_c3d
+from motionkit.io.markers import UNITS, Markers, checked_metres, marker_skeleton, some, without_gaps
 from motionkit.io.registry import Format, ReadOptions, of_path
-from motionkit.io.source import clock, source_file
-from motionkit.io.source.markers import UNITS, Markers, checked_metres, marker_skeleton, some, without_gaps
-from motionkit.io.up import AXES, log_lines, to_y_up
 
 # Vicon's models store angles, forces and the like among the points, and list them.
 NO_POSITIONS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
@@ -42,7 +42,7 @@ def read_c3d(path: Path, options: ReadOptions | None = None) -> Motion:
     file = parse_c3d(data, path)
     stated = file.numbers("POINT:RATE")
     rate = stated[0] if stated else file.header_rate
-    fps, log = clock.fps_in_use(options.fps, lambda: _stated_fps(rate, path), words=f"{rate:g}")
+    fps, log = source_file.fps_in_use(options.fps, lambda: _stated_fps(rate, path), words=f"{rate:g}")
     markers = without_gaps(_labelled(file, path), fps, path)
     unit, why = _unit(file, options, path)
     up, axis_log = (options.up, log_lines(options.up, options.up)) if options.up else _up(file, markers, path)

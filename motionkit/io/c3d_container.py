@@ -15,7 +15,7 @@ import numpy as np
 
 from motionkit.core.errors import FormatError
 from motionkit.core.shapes import Float64
-from motionkit.io.source import source_file
+from motionkit.io import source_file
 
 BLOCK = 512
 KEY = 0x50

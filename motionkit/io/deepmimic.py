@@ -27,10 +27,9 @@ from motionkit.core.plain_text import parse_json
 from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import Feet, Skeleton
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io import npy
+from motionkit.io import npy, source_file
+from motionkit.io.body_frame import in_metres
 from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
-from motionkit.io.source import clock, source_file
-from motionkit.io.source.body_frame import in_metres
 
 FRAMES_KEY = b'"Frames"'
 ROTATION_SIZES = {"spherical": 4, "revolute": 1, "fixed": 0}
@@ -167,7 +166,7 @@ def _framerate(
     values, counts = np.unique(np.round(durations, 7), return_counts=True)
     order = np.argsort(-counts, kind="stable")
     stated = ", ".join(f"{counts[i]} × {values[i]:g} s" for i in order[:3]) + (" …" if len(values) > 3 else "")
-    fps, log = clock.fps_in_use(given, lambda: _stated_fps(durations, stated, path), words=stated)
+    fps, log = source_file.fps_in_use(given, lambda: _stated_fps(durations, stated, path), words=stated)
     return fps, stated, log
 
 

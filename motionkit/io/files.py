@@ -13,11 +13,11 @@ from motionkit.core.motion import Motion
 from motionkit.core.progress import warn
 from motionkit.core.skeletons.families import read_skeleton_map
 from motionkit.io import joints_npy, npy, reading
+from motionkit.io.body_frame import GIVEN_AXES
 from motionkit.io.humanml3d import JOINTS_FOLDER, LAYOUTS, VECTORS_FOLDER
 from motionkit.io.registry import ReadOptions, SourceItem
 from motionkit.io.scan import scan
-from motionkit.io.source.source_file import dangling
-from motionkit.io.up import GIVEN_AXES
+from motionkit.io.source_file import dangling
 
 NAMED_IDS = 3
 

@@ -16,7 +16,7 @@ from motionkit.core.errors import UsageError
 from motionkit.core.files import read_at_most
 from motionkit.core.framerate import parse_fps
 from motionkit.core.plain_text import LONGEST_TOML, parse_toml, shown
-from motionkit.io.source import clock
+from motionkit.io import source_file
 
 KEYS = frozenset({"files", "stated", "fps", "reason", "source"})
 SHIPPED = "framerate_rules.toml"
@@ -75,7 +75,7 @@ def corrected_fps(fps: Fraction, rules: tuple[FramerateRule, ...]) -> tuple[Frac
     if rule is None:
         return fps, []
     by = f" by rule ({rule.where}{f', {rule.source}' if rule.source else ''})"
-    return rule.fps, clock.replaced_fps(rule.fps, fps, by=by)
+    return rule.fps, source_file.replaced_fps(rule.fps, fps, by=by)
 
 
 def _rule(table: Any, name: str, number: int) -> FramerateRule:

@@ -26,8 +26,8 @@ from motionkit.core.skeleton import MAX_JOINTS, SMPL22, Skeleton
 from motionkit.core.skeletons.families import with_layout_map
 from motionkit.core.skeletons.mapping import SkeletonMapError, rest_positions
 from motionkit.fields.transfer import counterpart_joints
+from motionkit.io.joint_rotations import joint_channels
 from motionkit.io.registry import Format, ReadOptions
-from motionkit.io.source.joint_channels import joint_channels
 
 MAGIC, VERSION = 0x46546C67, 2
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942

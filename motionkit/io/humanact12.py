@@ -11,9 +11,8 @@ from fractions import Fraction
 from pathlib import Path
 
 from motionkit.core.motion import Motion
-from motionkit.io import joints_npy
+from motionkit.io import joints_npy, source_file
 from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
-from motionkit.io.source import clock
 
 FPS = Fraction(20)
 NUM_JOINTS = 24
@@ -47,7 +46,7 @@ def read_humanact12(path: Path, options: ReadOptions | None = None) -> Motion:
     motion = joints_npy.read_joints_npy(path, replace(options, fps=fps))
     match = NAME.fullmatch(path.stem)
     code = int(match["action"]) if match else 0
-    operations = (*motion.provenance.operations, *clock.replaced_fps(fps, FPS, who="the data set"))
+    operations = (*motion.provenance.operations, *source_file.replaced_fps(fps, FPS, who="the data set"))
     return replace(
         motion,
         action=ACTIONS[code - 1] if 1 <= code <= len(ACTIONS) else "",

@@ -20,9 +20,8 @@ from motionkit.core.motion import Caption, Motion
 from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io import joints_npy, npy, texts
+from motionkit.io import joints_npy, npy, source_file, texts
 from motionkit.io.registry import Format, ReadOptions, ScanResult, SourceItem
-from motionkit.io.source import clock, source_file
 from motionkit.io.texts import SPLITS, read_splits
 
 JOINTS_FOLDER, VECTORS_FOLDER, TEXTS_FOLDER = "new_joints", "new_joint_vecs", "texts"
@@ -133,7 +132,7 @@ def read_humanml3d(item: SourceItem, options: ReadOptions, layout: Layout = HUMA
         operations.append(f"a mirrored copy of {item.key[1:]}, made by the dataset's authors")
     stated = joints_npy.read_manifest(item.path.parents[1] / joints_npy.MANIFEST).fps or layout.fps
     fps = options.fps or stated
-    operations += clock.replaced_fps(fps, stated, who="the data set")
+    operations += source_file.replaced_fps(fps, stated, who="the data set")
     described = item.path.parents[1] / TEXTS_FOLDER / f"{item.key}.txt"
     return Motion(
         joint_positions=positions,

@@ -32,10 +32,10 @@ from typing import Any, TypeVar
 from motionkit.core.errors import FormatError, UsageError
 from motionkit.core.motion import Caption
 from motionkit.core.plain_text import parse_json
+from motionkit.io import source_file
 from motionkit.io.cuts import Cut, StepCut, TimeCut
 from motionkit.io.registry import IndexOptions, ScanResult, SourceItem
 from motionkit.io.scan import walk
-from motionkit.io.source import source_file
 from motionkit.io.texts import SPLITS, read_splits, read_texts
 
 Key = tuple[str, ...]

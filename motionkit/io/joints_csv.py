@@ -20,11 +20,11 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
 from motionkit.core.timegrid import TimeGrid
+from motionkit.io import source_file
+from motionkit.io.body_frame import in_metres
 from motionkit.io.npy import MAX_NUMBER
 from motionkit.io.npz import bones_of_pose
 from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
-from motionkit.io.source import clock, source_file
-from motionkit.io.source.body_frame import in_metres
 
 TIME, FRAME = "time_seconds", "frame"
 AXES = ("x", "y", "z")
@@ -158,16 +158,20 @@ def _clock(
         return TimeGrid(options.fps, len(table)), "", []
     seconds = table[:, names.index(TIME)]
     if options.fps is None:
-        grid = clock.grid_of_seconds(seconds, path)
+        grid = source_file.grid_of_seconds(seconds, path)
         return grid, f"{TIME}: {format_fps(grid.fps)}", []
     grid = TimeGrid(options.fps, len(seconds), float(seconds[0]))
     stated = _fps_if_even(seconds, path)
-    return grid, "" if stated is None else f"{TIME}: {format_fps(stated)}", clock.replaced_fps(options.fps, stated)
+    return (
+        grid,
+        "" if stated is None else f"{TIME}: {format_fps(stated)}",
+        source_file.replaced_fps(options.fps, stated),
+    )
 
 
 def _fps_if_even(seconds: Float64[np.ndarray, "frames"], path: Path) -> Fraction | None:
     try:
-        return clock.grid_of_seconds(seconds, path).fps
+        return source_file.grid_of_seconds(seconds, path).fps
     except FormatError:
         return None
 

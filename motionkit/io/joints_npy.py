@@ -18,10 +18,9 @@ from motionkit.core.plain_text import parse_json, shown
 from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS, Skeleton
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io import npy
+from motionkit.io import npy, source_file
+from motionkit.io.body_frame import upright
 from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
-from motionkit.io.source import clock, source_file
-from motionkit.io.up import upright
 
 MANIFEST = "motions.json"
 LAYOUT_BY_JOINTS = {21: "kit21", 22: "smpl22", 24: "smpl22", 52: "smpl22"}
@@ -49,7 +48,7 @@ def manifest_of(path: Path) -> Path:
 
 
 def read_joints_npy(path: Path, options: ReadOptions | None = None) -> Motion:
-    """Read one array as positions in metres, turned to y up (`formats.up`).
+    """Read one array as positions in metres, turned to y up (`io.body_frame`).
 
     Raises `FormatError`, with the reason `no-framerate` if no framerate is given.
     """
@@ -70,7 +69,7 @@ def read_joints_npy(path: Path, options: ReadOptions | None = None) -> Motion:
     positions = npy.read_npy(path, data, (None, None, 3))
     skeleton = _skeleton(positions.shape[1], manifest, path)
     # Without that file nothing else can state a framerate.
-    operations = clock.replaced_fps(fps, manifest.fps or fps, who=MANIFEST)
+    operations = source_file.replaced_fps(fps, manifest.fps or fps, who=MANIFEST)
     if positions.shape[1] != skeleton.num_joints:
         operations.append(f"kept the first {skeleton.num_joints} of {positions.shape[1]} joints")
         positions = np.ascontiguousarray(positions[:, : skeleton.num_joints])

@@ -16,9 +16,8 @@ from motionkit.core.framerate import parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, Feet, Skeleton
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io import npy
+from motionkit.io import joint_rotations, npy, source_file
 from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
-from motionkit.io.source import clock, rigid, source_file
 
 Bones = tuple[tuple[str, str], ...]
 """Joints, each with its parent."""
@@ -106,7 +105,7 @@ def read_kimodo(path: Path, options: ReadOptions | None = None) -> Motion:
     matrices = archive.numbers(ROTATIONS, (*positions.shape[:2], 3, 3))
     local = np.einsum("tjki,tjkl->tjil", matrices[:, skeleton.parents_or_self], matrices)
     local[:, 0] = matrices[:, 0]
-    return rigid.with_rotations(made, local)
+    return joint_rotations.with_rotations(made, local)
 
 
 def _framerate(archive: npy.Archive, options: ReadOptions) -> tuple[Fraction, str, list[str]]:
@@ -116,7 +115,7 @@ def _framerate(archive: npy.Archive, options: ReadOptions) -> tuple[Fraction, st
     except ValueError as error:
         raise FormatError(f"fps: {value} ({error})", path=archive.path, reason="framerate") from None
     used = options.fps or fps
-    return used, "" if value is None else str(value), clock.replaced_fps(used, fps, who=who)
+    return used, "" if value is None else str(value), source_file.replaced_fps(used, fps, who=who)
 
 
 FORMAT = Format(name="kimodo", read=of_path(read_kimodo), suffixes=(".npz",), accepts=accepts)

@@ -17,9 +17,8 @@ from motionkit.core.errors import FormatError
 from motionkit.core.framerate import parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Bool, Float64
-from motionkit.io import joints_npy, npy, reading
+from motionkit.io import joints_npy, npy, reading, source_file
 from motionkit.io.registry import ReadOptions, SourceItem
-from motionkit.io.source import source_file
 
 FRAME_ARRAYS = ("joint_positions", "local_rotations", "root_translation")
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from motionkit.core.errors import FormatError
 from motionkit.core.shapes import Float, Float32, Float64
-from motionkit.io.source import source_file
+from motionkit.io import source_file
 
 MAGIC = np.lib.format.MAGIC_PREFIX
 # numpy refuses headers of more than 10,000 bytes.

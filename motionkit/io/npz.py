@@ -22,10 +22,9 @@ from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import STANDARD_SKELETONS, Feet, Skeleton
 from motionkit.core.skeletons.families import parse_layout_map
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io import npy
+from motionkit.io import npy, source_file
+from motionkit.io.body_frame import in_metres
 from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
-from motionkit.io.source import clock, source_file
-from motionkit.io.source.body_frame import in_metres
 
 
 def skeleton_arrays(skeleton: Skeleton) -> dict[str, Any]:
@@ -229,7 +228,7 @@ def _clock(archive: npy.Archive, num_frames: int, options: ReadOptions) -> tuple
         seconds = archive.exact("time_seconds", (num_frames,))
         start = float(seconds[0]) if np.isfinite(seconds[0]) else 0.0
         if options.fps is None:
-            stated = clock.grid_of_seconds(seconds, archive.path, stated).fps
+            stated = source_file.grid_of_seconds(seconds, archive.path, stated).fps
             words = words or f"time_seconds: {format_fps(stated)}"
     fps = options.fps or stated
     if fps is None:
@@ -239,7 +238,7 @@ def _clock(archive: npy.Archive, num_frames: int, options: ReadOptions) -> tuple
             reason="no-framerate",
         )
     said = archive.text("stated_fps") if "stated_fps" in archive else words
-    return TimeGrid(fps, num_frames, start), said, clock.replaced_fps(fps, stated)
+    return TimeGrid(fps, num_frames, start), said, source_file.replaced_fps(fps, stated)
 
 
 def _stated_fps(archive: npy.Archive) -> tuple[Fraction | None, str]:

@@ -25,11 +25,11 @@ from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import Feet, Skeleton
 from motionkit.core.timegrid import TimeGrid
+from motionkit.io import source_file
+from motionkit.io.body_frame import in_metres
 from motionkit.io.npy import checked_numbers, checked_rotations
 from motionkit.io.npz import checked_layout_map, unnamed_skeleton
 from motionkit.io.registry import Format, ReadOptions, ScanResult, SourceItem
-from motionkit.io.source import clock
-from motionkit.io.source.body_frame import in_metres
 
 DATA_FOLDER = "data"
 CARD = "README.md"
@@ -197,7 +197,7 @@ def _motion(row: Mapping[str, Any], options: ReadOptions, path: Path) -> Motion:
             source_sha256=_sha256(fps, positions, rotations, root),
             source_format="parquet",
             stated_fps=f"fps: {format_fps(stated)}" if said_fps is None and stated is not None else said_fps or "",
-            operations=(*(row.get("operations") or ()), *clock.replaced_fps(fps, stated)),
+            operations=(*(row.get("operations") or ()), *source_file.replaced_fps(fps, stated)),
         ),
     )
 

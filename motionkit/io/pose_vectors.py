@@ -22,11 +22,10 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io import humanml3d, joints_npy, npy
+from motionkit.io import body_frame, humanml3d, joint_rotations, joints_npy, npy, source_file
+from motionkit.io.body_frame import upright
 from motionkit.io.humanml3d import LAYOUTS
 from motionkit.io.registry import FileHead, Format, ReadOptions, SourceItem, of_path
-from motionkit.io.source import body_frame, clock, rigid, source_file
-from motionkit.io.up import upright
 
 Positions = Float32[np.ndarray, "frames joints 3"]
 
@@ -124,7 +123,7 @@ def read_motionstreamer(path: Path, options: ReadOptions | None = None) -> Motio
     local[:, 0] = kinematics.quaternion_to_matrix(back) @ local[:, 0]
     positions = positions.astype(np.float32) * np.float32(options.unit_metres or 1.0)
     made = _motion(path, data, positions, SMPL22, FPS, "motionstreamer", options)
-    return rigid.with_rotations(made, local)
+    return joint_rotations.with_rotations(made, local)
 
 
 def _rows(path: Path, data: bytes) -> Float32[np.ndarray, "frames numbers"]:
@@ -156,7 +155,7 @@ def _motion(
     _check_body(positions, skeleton, path)
     stated = joints_npy.read_manifest(joints_npy.manifest_of(path)).fps or usual_fps
     fps = options.fps or stated
-    lines = (*operations, *clock.replaced_fps(fps, usual_fps, who="the data set"))
+    lines = (*operations, *source_file.replaced_fps(fps, usual_fps, who="the data set"))
     return Motion(
         positions,
         skeleton,

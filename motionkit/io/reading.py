@@ -12,11 +12,10 @@ from motionkit.core.motion import Caption, Motion, captions_within
 from motionkit.core.skeletons.families import with_layout_map
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import cuts, framerate_rules
+from motionkit.io.body_frame import check_unit, log_lines, turned
 from motionkit.io.bvh import BvhDocument
 from motionkit.io.registry import ReadOptions, SourceItem, reader_of
-from motionkit.io.source.body_frame import check_unit
-from motionkit.io.source.source_file import check_size
-from motionkit.io.up import log_lines, turned
+from motionkit.io.source_file import check_size
 
 # Reasons for refusing a file that lacks only a usable framerate.
 NO_FRAMERATE = frozenset({"no-framerate", "framerate", "frame-time"})

@@ -15,10 +15,9 @@ from typing import Any
 from motionkit.core.errors import FormatError, UsageError
 from motionkit.core.files import whole_file
 from motionkit.core.motion import Caption, Motion
-from motionkit.io import npy
+from motionkit.io import npy, source_file
 from motionkit.io.cuts import Cut
 from motionkit.io.framerate_rules import FramerateRule
-from motionkit.io.source import source_file
 
 GROUP = "motionkit.io"
 

@@ -20,8 +20,8 @@ from motionkit.core.skeletons.mapping import map_joints, rest_positions
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.contact.legs import Legs, legs_of
 from motionkit.fields.transfer import counterpart_joints
+from motionkit.io.joint_rotations import joint_channels
 from motionkit.io.smpl_body import mean_shape_skeleton
-from motionkit.io.source.joint_channels import joint_channels
 
 _LIMBS = {"shoulder": "elbow", "elbow": "wrist", "hip": "knee", "knee": "ankle"}
 # Limits on a standing body's bones at rest, relative to SMPL's T-pose; arms may hang.

@@ -28,7 +28,7 @@ from motionkit.io.registry import (
     recognise_folder,
     recognise_unnamed,
 )
-from motionkit.io.source.source_file import dangling, unreadable
+from motionkit.io.source_file import dangling, unreadable
 
 # Limits of messages about what was not read, and of a licence's line.
 SHOWN_KINDS, SHOWN_NAMES, MAX_LICENCE_LINE = 3, 8, 120

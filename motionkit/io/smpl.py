@@ -21,12 +21,11 @@ from motionkit.core.motion import Motion, Provenance
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io import npy, up
+from motionkit.io import body_frame, npy, source_file
 from motionkit.io.amass import FRAMERATE_KEYS, check_radians, framerate_of
+from motionkit.io.joint_rotations import MAX_MATRIX_ERROR
 from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
 from motionkit.io.smpl_body import BODY, SMPL, SMPLX, posed_skeleton
-from motionkit.io.source import clock, source_file
-from motionkit.io.source.rigid import MAX_MATRIX_ERROR
 
 Rotations = Float32[np.ndarray, "frames joints 4"]
 
@@ -84,7 +83,11 @@ def read_motion_x(path: Path, options: ReadOptions | None = None) -> Motion:
     rotations = _of_vectors(values[:, BODY_NUMBERS].reshape(len(values), -1, 3), path, "its first 66 numbers")
     fps = options.fps or MOTION_X_FPS
     source = source_file.provenance(
-        path, data, "motion-x", clock.replaced_fps(fps, MOTION_X_FPS, who="the data set"), stated_fps=str(MOTION_X_FPS)
+        path,
+        data,
+        "motion-x",
+        source_file.replaced_fps(fps, MOTION_X_FPS, who="the data set"),
+        stated_fps=str(MOTION_X_FPS),
     )
     return _motion(rotations, values[:, TRANSLATION], values[0, BETAS], fps, options, path, source)
 
@@ -158,8 +161,8 @@ def _motion(
     local = rotations[:, : skeleton.num_joints].copy()
     root = translation.reshape(-1, 3) + skeleton.offsets[0]
     positions = kinematics.forward_kinematics(local, root, skeleton)
-    axis = options.up or up.infer_up(SMPL22, positions[:, : SMPL22.num_joints], ("y", "z", "-y"))
-    lines += up.log_lines(axis, options.up)
+    axis = options.up or body_frame.infer_up(SMPL22, positions[:, : SMPL22.num_joints], ("y", "z", "-y"))
+    lines += body_frame.log_lines(axis, options.up)
     motion = Motion(
         joint_positions=positions,
         skeleton=skeleton,
@@ -169,7 +172,7 @@ def _motion(
         sequence_id=path.stem,
         provenance=replace(source, operations=tuple(lines)),
     )
-    return up.turned(motion, axis)
+    return body_frame.turned(motion, axis)
 
 
 FORMAT = Format(name="smpl", read=of_path(read_smpl), suffixes=(".npz",), accepts=accepts, turns_up=True)

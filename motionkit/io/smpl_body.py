@@ -15,8 +15,7 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.io import npy
-from motionkit.io.source import source_file
+from motionkit.io import npy, source_file
 
 FINGERS = tuple(f"{finger}{bone}" for finger in ("index", "middle", "pinky", "ring", "thumb") for bone in (1, 2, 3))
 HANDS = tuple(f"{side}_{joint}" for side in ("left", "right") for joint in FINGERS)

@@ -17,9 +17,9 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.plain_text import shown
 from motionkit.core.timegrid import TimeGrid
+from motionkit.io import source_file
 from motionkit.io.bvh import T_POSE_DROPPED, BvhDocument, read_bvh, read_document
 from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
-from motionkit.io.source import source_file
 
 CUTS_FILE = "Frame_Cuts.csv"
 STYLE_COLUMN = "STYLE_NAME"

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Caption
-from motionkit.io.source import source_file
+from motionkit.io import source_file
 
 
 def read_texts(path: Path) -> tuple[Caption, ...]:

@@ -16,11 +16,11 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float64
 from motionkit.core.skeletons.families import with_layout_map
 from motionkit.core.timegrid import TimeGrid
+from motionkit.io import number_table, source_file
+from motionkit.io.body_frame import upright
 from motionkit.io.bvh import unique_names
+from motionkit.io.markers import UNITS, Markers, checked_metres, marker_skeleton, without_gaps
 from motionkit.io.registry import Format, ReadOptions, of_path
-from motionkit.io.source import clock, number_table, source_file
-from motionkit.io.source.markers import UNITS, Markers, checked_metres, marker_skeleton, without_gaps
-from motionkit.io.up import upright
 
 HEADER_LINES = 5
 NOT_SEEN = ("", "nan")
@@ -29,8 +29,8 @@ NOT_SEEN = ("", "nan")
 def read_trc(path: Path, options: ReadOptions | None = None) -> Motion:
     """Read one table as positions in metres, y up, with gaps treated as in `formats.c3d`; raises `FormatError`.
 
-    If the markers are joints by their names, up is inferred from the body (`formats.up`: y, z or −y); else it is y, as
-    in OpenSim.
+    If the markers are joints by their names, up is inferred from the body (`body_frame.infer_up`: y, z or −y); else it
+    is y, as in OpenSim.
     """
     options = options or ReadOptions()
     data = source_file.read_bytes(path)
@@ -41,7 +41,7 @@ def read_trc(path: Path, options: ReadOptions | None = None) -> Motion:
         message = f"the file ends after {len(table)} frames, expected {stated['NumFrames'][:20]}"
         raise FormatError(message, path=path, reason="truncated", line=len(lines), frame=len(table))
     rate = stated.get("DataRate", "")
-    fps, log = clock.fps_in_use(options.fps, lambda: _stated_fps(rate, table[:, 1], path), words=rate[:20])
+    fps, log = source_file.fps_in_use(options.fps, lambda: _stated_fps(rate, table[:, 1], path), words=rate[:20])
     points = table[:, 2:].reshape(len(table), len(names), 3)
     points[~points.any(axis=-1) | np.isnan(points).any(axis=-1)] = np.nan
     unique, renamed = unique_names(names)
@@ -103,7 +103,7 @@ def _stated_fps(rate: str, seconds: Float64[np.ndarray, "frames"], path: Path) -
     except ValueError as error:
         message = f"DataRate {rate[:20]!r} ({error}); give --fps"
         raise FormatError(message, path=path, reason="frame-time", line=3) from None
-    return clock.grid_of_seconds(seconds, path, fps).fps
+    return source_file.grid_of_seconds(seconds, path, fps).fps
 
 
 def _unit(stated: str, options: ReadOptions, path: Path) -> tuple[float, str]:

@@ -17,11 +17,10 @@ from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io import npy
+from motionkit.io import npy, source_file
+from motionkit.io.body_frame import log_lines, turn_of
 from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
 from motionkit.io.smpl_body import SMPL, posed_skeleton
-from motionkit.io.source import clock, source_file
-from motionkit.io.up import log_lines, turn_of
 
 FPS = Fraction(30)
 NUM_BETAS = 10
@@ -107,7 +106,7 @@ def read_uestc(path: Path, options: ReadOptions | None = None) -> Motion:
     rotations[:, 0] = kinematics.quaternion_multiply(turn, rotations[:, 0])
     root = kinematics.quaternion_rotate(turn, trans)
     fps = options.fps or FPS
-    operations += clock.replaced_fps(fps, FPS, who="the data set")
+    operations += source_file.replaced_fps(fps, FPS, who="the data set")
     # The moving camera's view belongs to neither set.
     split = "train" if subject in TRAIN_SUBJECTS else "test"
     if (view == MOVING_VIEW and not is_front) or not 1 <= subject <= NUM_SUBJECTS:

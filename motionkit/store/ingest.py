@@ -19,10 +19,10 @@ from motionkit.core.progress import OnProgress, Task, ignore, task
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.families import parse_layout_map
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, rest_positions
+from motionkit.io.body_frame import standing_metres
 from motionkit.io.cuts import missing_seconds, unlike_stated_seconds
 from motionkit.io.registry import ReadOptions, ScanResult, SourceItem
 from motionkit.io.scan import scan
-from motionkit.io.source.body_frame import standing_metres
 from motionkit.store.chunks import (
     NumberedItem,
     ReadChunk,

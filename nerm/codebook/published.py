@@ -17,8 +17,7 @@ from motionkit.core.errors import FormatError
 from motionkit.core.shapes import Float32
 from motionkit.features.layout import vector_layout
 from motionkit.features.statistics import Statistics, check_statistics
-from motionkit.io import npy
-from motionkit.io.source import source_file
+from motionkit.io import npy, source_file
 from motionkit.training.tensors import CheckpointError, fill_checked, foreign_tensors, read_foreign
 from nerm.codebook.network import DOWNSAMPLINGS, CodebookNetwork
 from nerm.settings import CodebookNetworkConfig

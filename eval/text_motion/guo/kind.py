@@ -16,9 +16,8 @@ from motionkit.core.errors import FormatError, MotionkitError
 from motionkit.core.shapes import Float64
 from motionkit.features.layout import pose_layout
 from motionkit.features.statistics import Statistics, check_statistics
-from motionkit.io import npy
+from motionkit.io import npy, source_file
 from motionkit.io.humanml3d import KIT
-from motionkit.io.source import source_file
 
 STATISTICS_NAMES = (("mean.npy", "std.npy"), ("eval_mean.npy", "eval_std.npy"))
 SIGNATURE_TOLERANCE = 0.01

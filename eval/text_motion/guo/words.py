@@ -14,9 +14,8 @@ from eval.text_motion.guo.kind import GuoError
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Caption
 from motionkit.core.shapes import Float64
-from motionkit.io import npy
+from motionkit.io import npy, source_file
 from motionkit.io.npy import PickleError, parse_pickle
-from motionkit.io.source import source_file
 
 PREFIX = "our_vab"
 NUM_NUMBERS = 300

@@ -6,8 +6,7 @@ from motionkit.core.framerate import format_fps
 from motionkit.core.motion import Motion
 from motionkit.core.skeletons.mapping import SkeletonMapError
 from motionkit.features.quality import measure
-from motionkit.io.source.body_frame import logged_unit, standing_metres
-from motionkit.io.up import logged_up
+from motionkit.io.body_frame import logged_unit, logged_up, standing_metres
 
 
 @dataclass(frozen=True)

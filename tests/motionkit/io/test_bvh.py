@@ -305,7 +305,7 @@ def test_damaged_files_are_read_or_explained(tmp_path: Path, data: st.DataObject
 def test_a_text_without_lines_or_without_frames_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "take.bvh"
     path.write_text(bvh_text()[:-1] + " 0" * 10_000)
-    monkeypatch.setattr("motionkit.io.source.number_table.LONGEST_LINE_BYTES", 5000)
+    monkeypatch.setattr("motionkit.io.number_table.LONGEST_LINE_BYTES", 5000)
     with pytest.raises(FormatError, match="a line of more than") as caught:
         read_bvh(path)
     assert caught.value.reason == "range"
@@ -321,12 +321,12 @@ def test_a_longer_take_than_a_store_holds_is_refused(tmp_path: Path, monkeypatch
     path.write_text(bvh_text(rows(50).tolist())[:-1] + "x\n")  # refused before the bad number is read
     for name, limit in (("MAX_FRAMES", 49), ("MAX_POSES", 49 * 16)):
         with monkeypatch.context() as patched:
-            patched.setattr(f"motionkit.io.source.source_file.{name}", limit)
+            patched.setattr(f"motionkit.io.source_file.{name}", limit)
             with pytest.raises(FormatError, match="50 frames of 16 joints, expected at most 49 frames") as caught:
                 read_bvh(path)
         assert caught.value.reason == "too-large"
     np.savez(tmp_path / "take.npz", joint_positions=bodies(8, 22), fps=30)
-    monkeypatch.setattr("motionkit.io.source.source_file.MAX_FRAMES", 7)
+    monkeypatch.setattr("motionkit.io.source_file.MAX_FRAMES", 7)
     (item,) = scan([tmp_path / "take.npz"]).items
     with pytest.raises(FormatError, match="8 frames of 22 joints") as caught:
         read(item)

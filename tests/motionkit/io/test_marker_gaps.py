@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from motionkit.io.source.markers import largest_block, runs_of
+from motionkit.io.markers import largest_block, runs_of
 
 
 def longest_gap(missing: np.ndarray) -> int:

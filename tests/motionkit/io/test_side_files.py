@@ -16,7 +16,7 @@ from motionkit.io.framerate_rules import read_rules
 from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import scan
-from motionkit.io.source.source_file import read_bytes
+from motionkit.io.source_file import read_bytes
 from motionkit.store.ingest import ingest
 from tests.helpers.damage import damaged
 from tests.helpers.every_format import SOURCES

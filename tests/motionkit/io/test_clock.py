@@ -10,7 +10,7 @@ from motionkit.core.errors import FormatError
 from motionkit.io.bvh import read_bvh
 from motionkit.io.npz import read_npz
 from motionkit.io.registry import ReadOptions
-from motionkit.io.source.clock import fps_in_use, replaced_fps
+from motionkit.io.source_file import fps_in_use, replaced_fps
 
 WALK = """HIERARCHY
 ROOT Hips

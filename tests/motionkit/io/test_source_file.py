@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from motionkit.core.errors import FormatError
-from motionkit.io.source.source_file import read_bytes
+from motionkit.io.source_file import read_bytes
 
 
 @pytest.mark.parametrize("content", [b"", b" \t\r\n\0" * 70_000])

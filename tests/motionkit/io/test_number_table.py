@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motionkit.io.source import number_table
-from motionkit.io.source.number_table import find_words, format_table, read_table, to_numbers
+from motionkit.io import number_table
+from motionkit.io.number_table import find_words, format_table, read_table, to_numbers
 
 NUMBERS = st.one_of(
     st.floats(-1e8, 1e8).map(repr),

@@ -1,1 +1,0 @@
-"""Shared parts of all readers: files, tables of numbers, clocks, units and axes."""
