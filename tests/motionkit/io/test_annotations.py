@@ -1,7 +1,9 @@
-"""Sidecar tables: what they say about generated motions."""
+"""Annotation tables: what they state of motions, which of several counts, and rows that cannot be used."""
 
 import json
+from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,127 +11,97 @@ import pytest
 from motionkit.core.errors import FormatError
 from motionkit.io.annotations import read_annotations, tables_in
 from motionkit.io.reading import read, read_document
-from motionkit.io.registry import IndexOptions, ReadOptions
+from motionkit.io.registry import IndexOptions, ReadOptions, SourceItem
 from motionkit.io.scan import scan
-from tests.helpers.format_samples import bvh_text
+from tests.helpers.format_samples import bvh_text, write_asfamc
 
 
-def test_a_table_names_the_prompt_and_the_length_of_generated_motions(tmp_path: Path) -> None:
-    path = tmp_path / "samples.csv"
-    path.write_text("file,group,num_frames\na.npy,7,40\nb.npy,7,\nc.npy,,0\nd.npy,,-3\ne.npy,,many\n")
-    ((table,), problems) = tables_in(tmp_path)
-    assert table.path == path and not problems and not table.warnings
-    rows = {target.name: row for target, row in table.rows.items()}
-    assert {name: (row.get("group"), row.get("num_frames")) for name, row in rows.items()} == {
-        "a.npy": ("7", 40),
-        "b.npy": ("7", None),
-    }
-    assert [(problem.line, problem.reason) for problem in table.problems] == [
-        (4, "annotations"),
-        (5, "annotations"),
-        (6, "annotations"),
-    ]
-    assert "expected how many frames are motion" in str(table.problems[0])
-
-
-@pytest.mark.parametrize(
-    ("header", "reported"),
-    [
-        ("file,caption,fsp", "a column that is not read: 'fsp' (did you mean fps?)"),
-        ("file,caption, fps", "a column that is not read: ' fps' (did you mean fps?)"),
-        ("file,caption,zzz,Description", "columns that are not read: 'zzz', 'Description' (did you mean caption?)"),
-        ("file,caption,a,b,c,d,e,f,g", "columns that are not read: 'a', 'b', 'c', 'd', 'e' and 2 more"),
-        ("file,caption,\x1b[31m", "a column that is not read: '\\x1b[31m'"),
-        ("file,sequence_id,caption,seconds", None),
-        ("file,zzz", None),
-        ("name,fsp", None),
-    ],
-)
-def test_columns_that_are_not_read_are_reported(tmp_path: Path, header: str, reported: str | None) -> None:
-    (tmp_path / "walk.bvh").write_text(bvh_text())
-    (tmp_path / "table.csv").write_text(f"{header}\nwalk.bvh" + ",1" * header.count(",") + "\n")
-    found = scan([tmp_path])
-    assert (len(found.items), found.problems) == (1, ())
-    assert [warning.message for warning in found.warnings if warning.reason == "unknown-column"] == [reported] * bool(
-        reported
+@pytest.fixture
+def source(tmp_path: Path) -> Path:
+    folder = tmp_path / "takes"
+    write_asfamc(folder / "07")
+    (folder / "walk.bvh").write_text(bvh_text())
+    (folder / "takes.csv").write_text(
+        "file,caption,caption_kit,action,split,fps,performer\n"
+        "walk.bvh,a person walks,somebody walks,walk,train,30,Anna\n"
+        "07/07_01.amc,,,bend,test,60,\n"
+        "gone.bvh,nobody,,,,,\n"
     )
+    return folder
 
 
-def test_a_column_performer_says_who_moves(tmp_path: Path) -> None:
-    (tmp_path / "table.csv").write_text("file,performer,subject\na.bvh,p1,\nb.bvh,p1,s2\n")
-    ((table,), _) = tables_in(tmp_path)
-    assert {target.name: row["subject"] for target, row in table.rows.items()} == {"a.bvh": "p1", "b.bvh": "s2"}
+def one(folder: Path, table: str, text: str | None = None) -> SourceItem:
+    """The item of a folder of one BVH file with a table."""
+    (folder / "walk.bvh").write_text(text or bvh_text())
+    (folder / "table.csv").write_text(table)
+    (item,) = scan([folder]).items
+    return item
 
 
-@pytest.mark.parametrize(("table", "option", "kept"), [("2", 0, 2), ("", 3, 1), ("2", 3, 2), ("0", 3, 4), ("", 0, 4)])
-def test_the_first_frames_are_left_out(tmp_path: Path, table: str, option: int, kept: int) -> None:
-    (tmp_path / "walk.bvh").write_text(bvh_text())
-    (tmp_path / "table.csv").write_text(f"file,skip_frames\nwalk.bvh,{table}\n")
-    options = ReadOptions(skip_frames=option)
-    (item,) = scan([tmp_path], options).items
-    whole, motion = read(item), read(item, options)
-    assert motion.num_frames == kept
-    assert motion.timegrid.start_seconds == 0.0
-    assert np.array_equal(motion.joint_positions[-1], whole.joint_positions[-1])
+def test_a_table_beside_the_motions(source: Path) -> None:
+    result = scan([source])
+    items = {item.sequence_id: item for item in result.items}
+    assert set(items) == {"takes/walk", "takes/07/07_01"}
+    assert [(problem.reason, problem.line) for problem in result.problems] == [("caption-without-motion", 4)]
+    assert [warning.reason for warning in result.warnings] == ["no-caption"]
+    walk = read(items["takes/walk"])
+    assert [caption.text for caption in walk.captions] == ["a person walks", "somebody walks"]
+    assert (walk.action, walk.split, walk.fps, walk.provenance.subject) == ("walk", "train", Fraction(30), "Anna")
+    assert (walk.provenance.source, walk.provenance.source_path) == ("takes", "walk.bvh")
+    bend = read(items["takes/07/07_01"])
+    assert bend.fps == 60 and bend.provenance.subset == "07"
+    assert read(items["takes/07/07_01"], ReadOptions(fps=Fraction(100))).fps == 100
 
 
-@pytest.mark.parametrize("document", [False, True])
-def test_captions_move_with_the_first_frame(tmp_path: Path, document: bool) -> None:
-    """Their seconds count from the file's first frame; what is said of the left-out frames alone is dropped."""
-    rows = [[0.0, 95.0, 2.0 * frame, *[0.0] * 48] for frame in range(90)]
-    (tmp_path / "walk.bvh").write_text(bvh_text(rows))
-    said = [
-        "all of it",
-        {"text": "before", "start_seconds": 0.2, "end_seconds": 0.9},
-        {"text": "across", "start_seconds": 0.5, "end_seconds": 2.0},
-        {"text": "later", "start_seconds": 1.5, "end_seconds": 2.5},
-        {"text": "from then on", "start_seconds": 2.0},
-    ]
-    cell = json.dumps(said).replace('"', '""')
-    (tmp_path / "table.csv").write_text(f'file,skip_frames,captions\nwalk.bvh,30,"{cell}"\n')
-    (item,) = scan([tmp_path]).items
-    opened = read_document(item) if document else None
-    assert (opened is not None) == document
-    found = read(item) if opened is None else opened.motion
-    assert (found.num_frames, found.timegrid.start_seconds) == (60, 0.0)
-    times = [(caption.text, caption.start_seconds, caption.end_seconds) for caption in found.captions]
-    assert times == [
-        ("all of it", 0.0, None),
-        ("across", 0.0, 1.0),
-        ("later", 0.5, 1.5),
-        ("from then on", 1.0, None),
-    ]
+def test_a_single_file_finds_its_row_also_higher_up_and_misses_no_other(source: Path, tmp_path: Path) -> None:
+    (tmp_path / "above.csv").write_text("file,style,action\ntakes/walk.bvh,old,run\n")
+    result = scan([source / "walk.bvh"])
+    (item,) = result.items
+    assert (item.captions[0].text, item.style, item.action) == ("a person walks", "old", "walk")
+    assert not result.problems and item.sequence_id == "takes/walk"
 
 
-def test_more_first_frames_than_there_are(tmp_path: Path) -> None:
-    (tmp_path / "walk.bvh").write_text(bvh_text())
-    (item,) = scan([tmp_path]).items
-    with pytest.raises(FormatError, match="4 frames, of which the first 4 are to be left out"):
-        read(item, ReadOptions(skip_frames=4))
+def test_a_linked_file_keeps_its_annotation(source: Path, tmp_path: Path) -> None:
+    (source / "walk.bvh").rename(tmp_path / "elsewhere.bvh")
+    (source / "walk.bvh").symlink_to(tmp_path / "elsewhere.bvh")
+    walk = next(item for item in scan([source]).items if item.format == "bvh")
+    assert walk.captions and read(walk).num_frames == 4
+    assert scan([source / "walk.bvh"]).items == (walk,)
 
 
-def test_splits_that_no_command_knows_are_reported_once(tmp_path: Path) -> None:
-    names = ("train", "training", "Test", "dev", "val", "", "training")
-    for number in range(len(names)):
-        (tmp_path / f"{number}.bvh").write_text(bvh_text())
-    path = tmp_path / "table.csv"
-    path.write_text("file,split\n" + "".join(f"{number}.bvh,{name}\n" for number, name in enumerate(names)))
-    found = scan([tmp_path])
-    assert [item.split for item in found.items] == list(names)  # what is said is kept: --where may ask for it
-    (warning,) = found.warnings
-    assert (warning.reason, warning.path, warning.line) == ("unknown-split", path, 3)
-    assert warning.message == (
-        "split 'training' (did you mean train?) in 2 rows, 'Test' (did you mean test?) in 1 row, 'dev' in 1 row; "
-        "commands know train, val, test"
+@pytest.mark.parametrize("place", ["mine.csv", "takes/mine.csv", "takes/07/mine.csv"])
+def test_a_given_table_is_joined_to_those_beside_the_files_cell_by_cell(
+    source: Path, tmp_path: Path, place: str
+) -> None:
+    """What it leaves empty stays what the files' own table says, wherever it lies; its paths count from the source."""
+    table = tmp_path / place
+    table.write_text(
+        "file,caption,fps\nwalk.bvh,mine,24\n../takes/walk.bvh,again,\n../../etc/passwd,no,\n/etc/passwd,no,\n"
+        "07/07_01.amc,bends,x\n"
     )
+    result = scan([source], ReadOptions(captions=table))
+    assert [(problem.reason, problem.line) for problem in result.problems if problem.path == table] == [
+        ("duplicate-annotation", 3),
+        ("path", 4),
+        ("path", 5),
+        ("frame-time", 6),
+    ]
+    assert not result.ignored
+    motion = read(next(item for item in result.items if item.format == "bvh"))
+    assert ([caption.text for caption in motion.captions], motion.fps) == (["mine"], 24)
+    assert (motion.action, motion.split) == ("walk", "train")
+    assert motion.provenance.operations[0] == "framerate set to 24; the file says 30"
 
 
-def test_a_table_for_several_sources_is_warned_of_once(tmp_path: Path) -> None:
+def test_a_given_table_may_describe_several_sources(tmp_path: Path) -> None:
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
         (tmp_path / name / f"{name}.bvh").write_text(bvh_text())
-    (tmp_path / "table.csv").write_text("file,caption,fsp\na.bvh,a,60\nb.bvh,b,60\n")
-    found = scan([tmp_path / "a", tmp_path / "b"], ReadOptions(captions=tmp_path / "table.csv"))
+    table = tmp_path / "table.csv"
+    table.write_text("file,caption,fsp\na.bvh,a,60\nb.bvh,b,60\ngone.bvh,nobody,\n")
+    found = scan([tmp_path / "a", tmp_path / "b"], ReadOptions(captions=table))
+    assert [item.captions[0].text for item in found.items] == ["a", "b"]
+    assert [(problem.reason, problem.line) for problem in found.problems] == [("caption-without-motion", 4)]
     assert [warning.reason for warning in found.warnings] == ["unknown-column"]
 
 
@@ -144,8 +116,112 @@ def test_tables_beside_the_files_of_an_index(tmp_path: Path) -> None:
     assert [problem.reason for problem in found.problems] == ["frame-time"]
 
 
+@pytest.mark.parametrize(
+    ("header", "message"),
+    [
+        ("file,caption,fsp", "a column that is not read: 'fsp' (did you mean fps?)"),
+        ("file,caption, fps", "a column that is not read: ' fps' (did you mean fps?)"),
+        ("file,caption,zzz,Description", "columns that are not read: 'zzz', 'Description' (did you mean caption?)"),
+        ("file,caption,a,b,c,d,e,f,g", "columns that are not read: 'a', 'b', 'c', 'd', 'e' and 2 more"),
+        ("file,caption,\x1b[31m", "a column that is not read: '\\x1b[31m'"),
+        ("file,sequence_id,caption,seconds", None),
+        ("file,zzz", None),
+        ("name,fsp", None),
+    ],
+)
+def test_columns_that_are_not_read_are_reported(tmp_path: Path, header: str, message: str | None) -> None:
+    one(tmp_path, f"{header}\nwalk.bvh" + ",1" * header.count(",") + "\n")
+    found = scan([tmp_path])
+    assert (len(found.items), found.problems) == (1, ())
+    assert [warning.message for warning in found.warnings] == [message] * bool(message)
+
+
+def test_splits_that_no_command_knows_are_reported_once(tmp_path: Path) -> None:
+    names = ("train", "training", "Test", "dev", "val", "", "training")
+    for number in range(len(names)):
+        (tmp_path / f"{number}.bvh").write_text(bvh_text())
+    (tmp_path / "table.csv").write_text(
+        "file,split\n" + "".join(f"{number}.bvh,{name}\n" for number, name in enumerate(names))
+    )
+    found = scan([tmp_path])
+    assert [item.split for item in found.items] == list(names)  # kept: --where may name it
+    (warning,) = found.warnings
+    assert (warning.reason, warning.line) == ("unknown-split", 3)
+    assert warning.message == (
+        "split 'training' (did you mean train?) in 2 rows, 'Test' (did you mean test?) in 1 row, 'dev' in 1 row; "
+        "commands know train, val, test"
+    )
+
+
+@pytest.mark.parametrize(
+    ("cells", "stated"),
+    [
+        ("7,40,", {"group": "7", "num_frames": 40}),
+        (",,0", {"skip_frames": 0}),
+        (",0,", "num_frames '0': expected how many frames are motion"),
+        (",-3,", "num_frames '-3'"),
+        (",many,", "num_frames 'many'"),
+        (",,-1", "skip_frames '-1': expected how many frames to leave out"),
+    ],
+)
+def test_numbers_of_frames(tmp_path: Path, cells: str, stated: dict[str, Any] | str) -> None:
+    (tmp_path / "samples.csv").write_text(f"file,group,num_frames,skip_frames\na.npy,{cells}\n")
+    ((table,), problems) = tables_in(tmp_path)
+    assert not problems
+    if isinstance(stated, str):
+        assert [(problem.line, problem.reason) for problem in table.problems] == [(2, "annotations")]
+        assert stated in str(table.problems[0])
+    else:
+        assert list(table.rows.values()) == [{"line": 2, **stated}]
+
+
+@pytest.mark.parametrize(("table", "option", "kept"), [("2", 0, 2), ("", 3, 1), ("2", 3, 2), ("0", 3, 4), ("", 0, 4)])
+def test_the_first_frames_are_left_out(tmp_path: Path, table: str, option: int, kept: int) -> None:
+    item = one(tmp_path, f"file,skip_frames\nwalk.bvh,{table}\n")
+    whole, motion = read(item), read(item, ReadOptions(skip_frames=option))
+    assert (motion.num_frames, motion.timegrid.start_seconds) == (kept, 0.0)
+    assert np.array_equal(motion.joint_positions[-1], whole.joint_positions[-1])
+    with pytest.raises(FormatError, match="4 frames, of which the first 4 are to be left out"):
+        read(one(tmp_path, "file,skip_frames\nwalk.bvh,4\n"))
+
+
+@pytest.mark.parametrize("document", [False, True])
+def test_captions_move_with_the_first_frame(tmp_path: Path, document: bool) -> None:
+    """Their seconds count from the file's first frame; what is said of the left-out frames alone is dropped."""
+    rows = [[0.0, 95.0, 2.0 * frame, *[0.0] * 48] for frame in range(90)]
+    captions = [
+        "all of it",
+        {"text": "before", "start_seconds": 0.2, "end_seconds": 0.9},
+        {"text": "across", "start_seconds": 0.5, "end_seconds": 2.0},
+        {"text": "from then on", "start_seconds": 2.0},
+    ]
+    cell = json.dumps(captions).replace('"', '""')
+    item = one(tmp_path, f'file,skip_frames,captions\nwalk.bvh,30,"{cell}"\n', bvh_text(rows))
+    motion = read_document(item) if document else read(item)
+    assert motion is not None and (motion.num_frames, motion.timegrid.start_seconds) == (60, 0.0)
+    times = [(caption.text, caption.start_seconds, caption.end_seconds) for caption in motion.captions]
+    assert times == [("all of it", 0.0, None), ("across", 0.0, 1.0), ("from then on", 1.0, None)]
+
+
+@pytest.mark.parametrize(
+    ("content", "reason", "words"),
+    [
+        ("file,caption\nwalk.bvh,à pied\n".encode("latin-1"), "encoding", "line 2: byte 0xe0 is not UTF-8"),
+        ("file,caption\nwalk.bvh,walks\n".encode("utf-16"), "encoding", "line 1: byte 0xff is not UTF-8"),
+        (b"file;caption\nwalk.bvh;walks\n", "annotations", "separated by commas"),
+        (b'file,captions\nwalk.bvh,"[""\\ud800""]"\n', "annotations", "expected a JSON list of sentences"),
+    ],
+)
+def test_what_cannot_be_read_is_reported(tmp_path: Path, content: bytes, reason: str, words: str) -> None:
+    (tmp_path / "walk.bvh").write_text(bvh_text())
+    (tmp_path / "captions.csv").write_bytes(content)
+    found = scan([tmp_path])
+    assert len(found.items) == 1
+    assert [problem.reason for problem in found.problems] == [reason] and words in str(found.problems[0])
+
+
 def test_problems_of_many_rows_keep_no_frames(tmp_path: Path) -> None:
-    """The frames of a traceback for each bad row made tables of many take three times as long."""
+    """The frames of a traceback for each bad row made long tables take three times as long."""
     table = tmp_path / "clips.csv"
     table.write_text("file,fps\n" + "../out.npz,30\ntake.npz,walks\n" * 3, encoding="utf-8")
     problems = read_annotations(table).problems

@@ -1,15 +1,22 @@
-import concurrent.futures
-import multiprocessing
+"""Finding the sequences of files and folders: what is read, what stands beside it, what is left out and why."""
+
+import cProfile
 import os
-from fractions import Fraction
+import sys
+from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from motionkit.core.errors import FormatError, UsageError
 from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import scan
+from motionkit.store.chunks import read_or_fault
+from tests.helpers.amass_samples import smplh_fields, write_amass
+from tests.helpers.every_format import SOURCES, bodies
 from tests.helpers.format_samples import bvh_text, write_asfamc
 
 
@@ -19,42 +26,38 @@ def source(tmp_path: Path) -> Path:
     write_asfamc(folder / "07")
     (folder / "walk.bvh").write_text(bvh_text())
     (folder / "notes.txt").write_text("nothing to see")
-    (folder / "takes.csv").write_text(
-        "file,caption,caption_kit,action,split,fps\n"
-        "walk.bvh,a person walks,somebody walks,walk,train,30\n"
-        "07/07_01.amc,,,bend,test,60\n"
-        "gone.bvh,nobody,,,,\n"
-    )
     return folder
 
 
-def test_scan_and_read_with_annotations(source: Path) -> None:
-    result = scan([source])
-    items = {item.sequence_id: item for item in result.items}
-    assert set(items) == {"takes/walk", "takes/07/07_01"}
-    assert [(problem.reason, problem.line) for problem in result.problems] == [("caption-without-motion", 4)]
-    assert [warning.reason for warning in result.warnings] == ["no-caption"]
-    walk = read(items["takes/walk"])
-    assert [caption.text for caption in walk.captions] == ["a person walks", "somebody walks"]
-    assert (walk.action, walk.split, walk.fps) == ("walk", "train", Fraction(30))
-    assert (walk.provenance.source, walk.provenance.source_path) == ("takes", "walk.bvh")
-    bend = read(items["takes/07/07_01"])
-    assert bend.fps == 60 and bend.provenance.subset == "07"
-    assert read(items["takes/07/07_01"], ReadOptions(fps=Fraction(100))).fps == 100
+def ids(*sources: Path) -> list[str]:
+    found = scan(sources)
+    assert not found.problems
+    return [item.sequence_id for item in found.items]
 
 
-def test_an_empty_folder_and_a_repeated_id_are_problems(source: Path, tmp_path: Path) -> None:
-    (tmp_path / "empty").mkdir()
-    assert [problem.reason for problem in scan([tmp_path / "empty"]).problems] == ["empty-folder"]
-    again = scan([source, source])
-    assert [problem.reason for problem in again.problems].count("duplicate-id") == 2
-    assert len(again.items) == 2
+def reasons(problems: tuple[FormatError, ...]) -> list[str]:
+    return [problem.reason for problem in problems]
 
 
-def test_the_real_pack_is_found_whole(captures: Path) -> None:
+def test_the_real_captures_are_found_whole(captures: Path) -> None:
     result = scan([captures / "cmu", captures / "bandai-namco", captures / "mixed-bvh"])
     assert len(result.items) == 159 + 3064 + 14
     assert not result.problems
+
+
+def test_sources_that_cannot_be_scanned(source: Path, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.bvh")
+    (source / "gone.bvh").symlink_to("nowhere.bvh")
+    for path, words in (
+        (source / "absent", "does not exist"),
+        (source / "gone.bvh", r"is a link to nowhere\.bvh, which leads nowhere"),
+        (tmp_path / "pipe.bvh", "neither a file nor a folder"),
+    ):
+        with pytest.raises(UsageError, match=words):
+            scan([path])
+    with pytest.raises(UsageError, match="expected auto or one of"):
+        scan([source], ReadOptions(format="fbx"))
+    assert [item.format for item in scan([source], ReadOptions(format="asfamc")).items] == ["asfamc"]
 
 
 def test_a_single_file_is_known_by_its_content(tmp_path: Path) -> None:
@@ -62,8 +65,8 @@ def test_a_single_file_is_known_by_its_content(tmp_path: Path) -> None:
     (tmp_path / "readme").write_text("nothing")
     (item,) = scan([tmp_path / "take"]).items
     assert item.format == "bvh" and read(item).num_frames == 4
-    assert [problem.reason for problem in scan([tmp_path / "readme"]).problems] == ["unknown-format"]
-    assert [problem.reason for problem in scan([tmp_path]).problems] == ["empty-folder"]
+    assert reasons(scan([tmp_path / "readme"]).problems) == ["unknown-format"]
+    assert reasons(scan([tmp_path]).problems) == ["empty-folder"]
 
 
 def test_a_file_that_is_not_what_its_name_says(tmp_path: Path) -> None:
@@ -74,108 +77,144 @@ def test_a_file_that_is_not_what_its_name_says(tmp_path: Path) -> None:
     assert caught.value.reason == "not-what-it-says"
 
 
-def test_an_explicit_format_and_requests_that_make_no_sense(source: Path) -> None:
-    assert [item.format for item in scan([source], ReadOptions(format="asfamc")).items] == ["asfamc"]
-    with pytest.raises(UsageError, match="expected auto or one of"):
-        scan([source], ReadOptions(format="fbx"))
-    with pytest.raises(UsageError, match="does not exist"):
-        scan([source / "gone"])
-
-
-def test_given_annotations_go_before_those_found_column_by_column_and_paths_stay_inside(
-    source: Path, tmp_path: Path
-) -> None:
-    table = tmp_path / "mine.csv"
-    table.write_text(
-        "file,caption,fps\nwalk.bvh,mine,24\n../takes/walk.bvh,again,\n../../etc/passwd,no,\n/etc/passwd,no,\n"
-        "07/07_01.amc,bends,x\n"
-    )
-    result = scan([source], ReadOptions(captions=table))
-    assert [(problem.reason, problem.line) for problem in result.problems if problem.path == table] == [
-        ("duplicate-annotation", 3),
-        ("path", 4),
-        ("path", 5),
-        ("frame-time", 6),
-    ]
-    walk = next(item for item in result.items if item.format == "bvh")
-    motion = read(walk)
-    assert ([caption.text for caption in motion.captions], motion.fps) == (["mine"], 24)
-    assert (motion.action, motion.split) == ("walk", "train")
-    assert motion.provenance.operations[0] == "framerate set to 24; the file says 30"
-
-
 def test_licences_are_found(source: Path) -> None:
     (source / "LICENSE").write_text("\n  MIT License\n\nCopyright\n")
     (source / "07" / "LICENSE-data").write_text("CC BY-NC 4.0\n")
-    licences = {item.sequence_id: read(item).provenance.licence for item in scan([source]).items}
-    assert licences == {"takes/walk": "MIT License", "takes/07/07_01": "CC BY-NC 4.0"}
+    assert {item.sequence_id: item.licence for item in scan([source]).items} == {
+        "takes/walk": "MIT License",
+        "takes/07/07_01": "CC BY-NC 4.0",
+    }
 
 
-def test_scan_results_travel_between_processes(source: Path) -> None:
-    with concurrent.futures.ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        result = pool.submit(scan, [source]).result()
-    assert result.items == scan([source]).items
-    assert str(result.problems[0]) == str(scan([source]).problems[0])
+def test_of_sequences_of_one_id_the_first_is_read(tmp_path: Path) -> None:
+    for name in ("bvh", "c3d", "npz"):
+        SOURCES[name](tmp_path)
+    found = scan([tmp_path, tmp_path])
+    assert [item.path.name for item in found.items] == ["take.bvh"]
+    assert reasons(found.problems) == ["duplicate-id"] * 5
 
 
-def test_given_captions_may_describe_several_sources(source: Path, tmp_path: Path) -> None:
-    (tmp_path / "more").mkdir()
-    (tmp_path / "more" / "run.bvh").write_text(bvh_text())
-    table = tmp_path / "mine.csv"
-    table.write_text("file,caption\nwalk.bvh,walks\nrun.bvh,runs\n07/07_01.amc,bends\ngone.bvh,nobody\n")
-    result = scan([source, tmp_path / "more"], ReadOptions(captions=table))
-    assert sorted(item.captions[0].text for item in result.items) == ["bends", "runs", "walks"]
-    problems = [problem for problem in result.problems if problem.path == table]
-    assert [(problem.reason, problem.line) for problem in problems] == [("caption-without-motion", 5)]
-    assert not result.warnings
+# Links
 
 
-@pytest.mark.parametrize("place", ["mine.csv", "takes/mine.csv", "takes/07/mine.csv"])
-def test_a_given_table_is_joined_to_the_one_beside_the_files_cell_by_cell(tmp_path: Path, place: str) -> None:
-    """What it leaves empty stays what the files' own table says, wherever it lies; its paths count from the source."""
-    folder = tmp_path / "takes"
-    (folder / "07").mkdir(parents=True)
-    for name in ("walk", "07/run"):
-        (folder / f"{name}.bvh").write_text(bvh_text())
-    (folder / "table.csv").write_text(
-        "file,fps,action,caption,skip_frames\nwalk.bvh,60,walk,theirs,1\n07/run.bvh,24,run,runs,\n"
-    )
-    (tmp_path / place).write_text("file,caption,split,action\nwalk.bvh,mine,test,\n")
-    result = scan([folder], ReadOptions(captions=tmp_path / place))
-    assert (result.problems, result.warnings, result.ignored) == ((), (), ())
-    found = {item.path.stem: item for item in result.items}
-    walk, run = found["walk"], found["run"]
-    assert ([caption.text for caption in walk.captions], walk.split, walk.action) == (["mine"], "test", "walk")
-    assert (walk.fps, walk.skip_frames) == (60, 1)
-    assert ([caption.text for caption in run.captions], run.fps, run.action) == (["runs"], 24, "run")
+def test_a_linked_folder_is_read_with_what_stands_beside_its_motions(source: Path, tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "run.bvh").write_text(bvh_text())
+    (elsewhere / "takes.csv").write_text("file,caption,fps\nrun.bvh,a person runs,50\n")
+    (elsewhere / "LICENSE").write_text("CC0\n")
+    (source / "linked").symlink_to(elsewhere)
+    (item,) = (each for each in scan([source]).items if each.sequence_id == "takes/linked/run")
+    motion = read(item)
+    assert (motion.captions[0].text, motion.fps, motion.provenance.licence) == ("a person runs", 50, "CC0")
+    assert motion.provenance.source_path == "linked/run.bvh"
 
 
-def test_a_single_file_finds_its_row_and_misses_no_other(source: Path) -> None:
-    result = scan([source / "walk.bvh"])
-    assert [item.captions[0].text for item in result.items] == ["a person walks"]
-    assert not result.problems and result.items[0].sequence_id == "takes/walk"
+def test_loops_end_and_nothing_is_found_twice(tmp_path: Path) -> None:
+    source, outside = tmp_path / "takes", tmp_path / "outside"
+    for folder in (source / "b", outside / "one", outside / "two"):
+        folder.mkdir(parents=True)
+        (folder / f"{folder.name}.bvh").write_text(bvh_text())
+    (source / "a").symlink_to(source / "b")  # there both ways: the real path counts
+    (source / "b" / "self").symlink_to(source / "b")
+    (source / "b" / "up").symlink_to("..")
+    (source / "root").symlink_to("/")
+    (source / "parent").symlink_to(tmp_path)
+    (source / "x").symlink_to(outside / "one")
+    (outside / "one" / "other").symlink_to(outside / "two")
+    (outside / "two" / "other").symlink_to(outside / "one")
+    (tmp_path / "alias").symlink_to(source)
+    expected = ["takes/b/b", "takes/x/one", "takes/x/other/two"]
+    assert ids(source) == ids(tmp_path / "alias") == expected
 
 
-def test_a_linked_take_keeps_its_annotation(source: Path, tmp_path: Path) -> None:
-    (tmp_path / "elsewhere.bvh").write_text(bvh_text())
-    (source / "walk.bvh").unlink()
-    (source / "walk.bvh").symlink_to(tmp_path / "elsewhere.bvh")
-    walk = next(item for item in scan([source]).items if item.format == "bvh")
-    assert walk.captions and read(walk).num_frames == 4
-    assert scan([source / "walk.bvh"]).items == (walk,)
+def test_links_that_lead_nowhere_are_reported_and_nothing_else_is_lost(source: Path) -> None:
+    (source / "c").symlink_to(source / "d")
+    (source / "d").symlink_to(source / "c")
+    (source / "07" / "run.bvh").symlink_to("gone.bvh")
+    (source / ".hidden").symlink_to("nowhere")
+    found = scan([source])
+    assert len(found.items) == 2
+    assert [(problem.path.name, problem.reason) for problem in found.problems] == [
+        ("c", "dangling-link"),
+        ("d", "dangling-link"),
+        ("run.bvh", "dangling-link"),
+    ]
+    assert "is a link to gone.bvh, which leads nowhere (No such file" in str(found.problems[2])
 
 
-def test_a_table_whose_captions_are_all_empty_asks_for_none(tmp_path: Path) -> None:
+def test_an_array_whose_link_is_broken_does_not_hide_its_data_set(tmp_path: Path) -> None:
+    joints = tmp_path / "HumanML3D" / "new_joints"
+    joints.mkdir(parents=True)
+    (joints / "000000.npy").symlink_to(tmp_path / "gone.npy")
+    np.save(joints / "000001.npy", np.zeros((5, 22, 3), np.float32))
+    found = scan([tmp_path / "HumanML3D"])
+    assert [item.format for item in found.items] == ["humanml3d", "humanml3d"]
+    fault = read_or_fault(found.items[0], ReadOptions())
+    assert isinstance(fault, FormatError) and fault.reason == "dangling-link"
+    assert read(found.items[1]).num_frames == 5
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may look everywhere")
+def test_what_may_not_be_looked_at_is_reported(source: Path, tmp_path: Path) -> None:
+    private = tmp_path / "private"
+    private.mkdir()
+    (private / "run.bvh").write_text(bvh_text())
+    (source / "07" / "run.bvh").symlink_to(private / "run.bvh")
+    private.chmod(0)
+    try:
+        found = scan([source])
+    finally:
+        private.chmod(0o700)
+    assert len(found.items) == 2 and len(found.problems) == 1
+
+
+# Files that are not read
+
+
+@pytest.mark.parametrize("name", SOURCES)
+def test_nothing_is_ignored_of_a_source_as_its_format_has_it(tmp_path: Path, name: str) -> None:
+    SOURCES[name](tmp_path)
+    (tmp_path / "LICENSE.txt").write_text("MIT")
+    assert scan([tmp_path]).ignored == ()
+
+
+def test_files_that_nothing_is_done_with_are_ignored(source: Path) -> None:
+    (source / "07" / "video.mpg").write_bytes(b"")
+    (source / "notes.csv").write_text("file,caption\nwalk.bvh,a person walks\ngone.bvh,nobody\n")
+    (source / "prices.csv").write_text("a,b\n1,2\n")
+    np.savez(source / "unknown.npz", xyz=bodies(4, 22))
+    np.save(source / "unknown.npy", np.zeros((4, 66)))
+    write_amass(source / "s1" / "take_poses.npz", smplh_fields())
+    write_amass(source / "s1" / "shape.npz", {"betas": np.zeros(10)})
+    (source / ".DS_Store").write_bytes(b"")
+    ignored = [path.relative_to(source.resolve()).as_posix() for path in scan([source, source]).ignored]
+    assert ignored == ["notes.txt", "prices.csv", "unknown.npy", "unknown.npz", "07/video.mpg"]
+    assert scan([source / "walk.bvh"]).ignored == ()
+
+
+def test_of_other_formats_than_the_given_one_all_is_ignored(tmp_path: Path) -> None:
     (tmp_path / "walk.bvh").write_text(bvh_text())
-    (tmp_path / "clips.csv").write_text("file,caption,split\nwalk.bvh,,train\n")
-    result = scan([tmp_path])
-    assert (len(result.items), result.problems, result.warnings) == (1, (), ())
+    (tmp_path / "more").mkdir()
+    SOURCES["humanml3d"](tmp_path / "more")
+    names = {path.name for path in scan([tmp_path], ReadOptions(format="bvh")).ignored}
+    assert names == {"000001.npy", *(f"{name}.txt" for name in ("all", "test", "train", "train_val", "val"))}
 
 
-def test_a_pipe_is_no_source(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "pipe.bvh")
-    with pytest.raises(UsageError, match="neither a file nor a folder"):
-        scan([tmp_path / "pipe.bvh"])
+@pytest.mark.parametrize(
+    ("name", "holds"),
+    [
+        ("keyed.npz", "an archive of betas, xyz"),
+        ("wide.npy", "an array of shape (6, 66)"),
+        ("words.txt", "of no known format, expected"),
+    ],
+)
+def test_an_unknown_file_is_reported_with_the_arrays_that_it_holds(tmp_path: Path, name: str, holds: str) -> None:
+    np.savez(tmp_path / "keyed.npz", betas=np.zeros(10), xyz=bodies(6, 22))
+    np.save(tmp_path / "wide.npy", np.zeros((6, 66)))
+    (tmp_path / "words.txt").write_text("nothing")
+    (problem,) = scan([tmp_path / name]).problems
+    assert problem.reason == "unknown-format" and holds in problem.message
 
 
 def test_a_folder_of_nothing_known_says_what_it_has_in_one_line(tmp_path: Path) -> None:
@@ -185,3 +224,47 @@ def test_a_folder_of_nothing_known_says_what_it_has_in_one_line(tmp_path: Path) 
     (problem,) = scan([tmp_path]).problems
     assert problem.reason == "empty-folder"
     assert "(it has 2 .glb, 1 .csv, the first: motions.csv), expected lafan1" in problem.message
+
+
+# What it costs
+
+
+@pytest.fixture(scope="module")
+def opened() -> Callable[[Callable[[], object]], Counter[str]]:
+    """Counts how often each file is opened in a call."""
+    counts: Counter[str] = Counter()
+    sys.addaudithook(lambda event, arguments: counts.update([str(arguments[0])] if event == "open" else []))
+
+    def count(call: Callable[[], object]) -> Counter[str]:
+        counts.clear()
+        call()
+        return counts
+
+    return count
+
+
+@pytest.mark.parametrize("name", [name for name in SOURCES if name not in ("humanml3d", "kit", "parquet")])
+def test_a_file_is_opened_once_to_know_its_format(
+    tmp_path: Path, name: str, opened: Callable[[Callable[[], object]], Counter[str]]
+) -> None:
+    path = SOURCES[name](tmp_path)
+    counts = opened(lambda: scan([tmp_path], ReadOptions(skip_derived=True)))
+    once = 2 if path.suffix == ".csv" else 1  # a table might be one of annotations, too
+    assert counts[str(path)] <= once
+
+
+def test_many_folders_with_a_table_each_cost_no_more_than_their_sum(tmp_path: Path) -> None:
+    def calls(num_folders: int) -> int:
+        root = tmp_path / str(num_folders)
+        for number in range(num_folders):
+            folder = root / str(number)
+            folder.mkdir(parents=True)
+            for name in ("walk", "run"):
+                (folder / f"{name}.bvh").touch()
+            (folder / "motions.csv").write_text("file,caption\nwalk.bvh,walks\ngone.bvh,no\n")
+        profile = cProfile.Profile()
+        profile.runcall(scan, [root])
+        return sum(entry.callcount for entry in profile.getstats())
+
+    calls(2)
+    assert calls(80) < 9 * calls(10)
