@@ -145,7 +145,7 @@ def ingest(
     is refused. The result does not depend on the engine or the number of workers.
 
     Example: motionkit ingest takes"""
-    from motionkit.io.framerate_rules import read_rules
+    from motionkit.io.reading import read_rules
     from motionkit.store.ingest import ingest as ingest_sources
 
     options = replace(

@@ -111,7 +111,7 @@ def published_step(cut: StepCut, path: Path, fps: Fraction, stated_fps: str) -> 
 
     Its code read SMPL+H files (NAME_poses), so these state that framerate themselves: a correction to `fps` changes a
     frame's time, not which frames were published. For other files the index may give it. SMPL-X files (NAME_stageii)
-    state 120 for nearly all sequences; `framerate_rules` corrects them to the SMPL+H files' framerates.
+    state 120 for nearly all sequences; framerate_rules.toml corrects them to the SMPL+H files' framerates.
     """
     return int(_seen_rate(cut, path, fps, stated_fps) / PUBLISHED_FPS)
 

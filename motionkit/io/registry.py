@@ -17,7 +17,6 @@ from motionkit.core.files import whole_file
 from motionkit.core.motion import Caption, Motion
 from motionkit.io import npy, source_file
 from motionkit.io.cuts import Cut
-from motionkit.io.framerate_rules import FramerateRule
 
 GROUP = "motionkit.io"
 
@@ -39,6 +38,20 @@ class IndexOptions:
 
 
 @dataclass(frozen=True)
+class FramerateRule:
+    """Files whose framerate is `fps` although they state `stated` (None: any).
+
+    `where` names the rule for logs: its file's name and its number.
+    """
+
+    files: tuple[str, ...]
+    fps: Fraction
+    stated: Fraction | None
+    source: str
+    where: str
+
+
+@dataclass(frozen=True)
 class ReadOptions:
     """Options of readers.
 
@@ -46,7 +59,7 @@ class ReadOptions:
     annotations; `captions` is a CSV file of annotations whose cells replace those found beside the motions.
     `skeleton_maps` are the user's tables, as returned by `skeletons.families.read_skeleton_map`; a skeleton keeps the
     one that fits it. `fps_rules` are the user's corrections of framerates, before the shipped ones
-    (`framerate_rules`). `body_models` is the user's folder of SMPL-family models. `index` selects segments of a
+    (`motionkit.io.reading`). `body_models` is the user's folder of SMPL-family models. `index` selects segments of a
     source's files. `skip_frames` frames are dropped at the start of every whole file whose annotations give no number.
     `skip_derived` skips the outputs of `motionkit complete` and `motionkit plant` in folders.
     """

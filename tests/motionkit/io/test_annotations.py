@@ -197,8 +197,10 @@ def test_captions_move_with_the_first_frame(tmp_path: Path, document: bool) -> N
     ]
     cell = json.dumps(captions).replace('"', '""')
     item = one(tmp_path, f'file,skip_frames,captions\nwalk.bvh,30,"{cell}"\n', bvh_text(rows))
-    motion = read_document(item) if document else read(item)
-    assert motion is not None and (motion.num_frames, motion.timegrid.start_seconds) == (60, 0.0)
+    opened = read_document(item) if document else None
+    assert (opened is not None) == document
+    motion = read(item) if opened is None else opened.motion
+    assert (motion.num_frames, motion.timegrid.start_seconds) == (60, 0.0)
     times = [(caption.text, caption.start_seconds, caption.end_seconds) for caption in motion.captions]
     assert times == [("all of it", 0.0, None), ("across", 0.0, 1.0), ("from then on", 1.0, None)]
 

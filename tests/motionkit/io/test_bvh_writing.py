@@ -25,7 +25,7 @@ from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.motion_field import Observation
 from motionkit.io.bvh import BvhDocument, read_bvh, read_document
 from motionkit.io.bvh_writing import anchored_angles, check_writable, write_bvh
-from motionkit.io.framerate_rules import parse_rules
+from motionkit.io.reading import parse_rules
 from motionkit.io.registry import ReadOptions
 from motionkit.store import Store
 from motionkit.store.ingest import ingest

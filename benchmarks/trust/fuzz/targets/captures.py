@@ -13,9 +13,8 @@ from motionkit.core.skeletons.families import read_skeleton_map
 from motionkit.edit.motions import find_motions
 from motionkit.features.quality import measure
 from motionkit.generate.request import read_prompts
-from motionkit.io.framerate_rules import read_rules
 from motionkit.io.indexes import read_index
-from motionkit.io.reading import read
+from motionkit.io.reading import read, read_rules
 from motionkit.io.registry import IndexOptions, ReadOptions, readers
 from motionkit.io.scan import scan
 from motionkit.io.smpl_body import LAYOUTS
