@@ -19,7 +19,7 @@ from motionkit.data.poses import WindowPoses
 from motionkit.store.cache import open_cache
 from motionkit.store.reader import Store
 from motionkit.training.config import Precision, apply_overrides
-from motionkit.training.schedule import step_generator
+from motionkit.training.loop import step_generator
 from nerm.field.training import FieldTraining, training_windows
 from nerm.recipes import RECIPES
 from nerm.settings import FieldConfig

@@ -27,7 +27,7 @@ from motionkit.data.reconstruction import comparable, reconstructions, separate_
 from motionkit.store.cache import PositionCache, open_cache
 from motionkit.store.reader import Store
 from motionkit.training.config import apply_overrides
-from motionkit.training.schedule import step_generator
+from motionkit.training.loop import step_generator
 from nerm.field.trained import TrainedField
 from nerm.field.training import FieldTraining, training_windows
 from nerm.recipes import nano, paper

@@ -21,7 +21,7 @@ from eval.sets.corruptions import Family, families
 from motionkit.core.motion import Caption
 from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64
 from motionkit.training.config import rate_factor
-from motionkit.training.schedule import seeded_initialisation, set_rate
+from motionkit.training.loop import seeded_initialisation, set_rate
 from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
 
 TARGET_OF_FAMILY: Mapping[str, int] = {

@@ -18,7 +18,7 @@ from eval.tmr.settings import TmrConfig
 from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.training.config import rate_factor
-from motionkit.training.schedule import seeded_initialisation, set_rate
+from motionkit.training.loop import seeded_initialisation, set_rate
 from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
 
 MAX_DRAWS = 100

@@ -237,7 +237,7 @@ def train_all(
 ) -> list[dict[str, Any]] | None:
     """Train jobs in order; returns their summaries, on the first rank only. With a title, show one bar for all."""
     from motionkit.store.manifest import read_manifest
-    from motionkit.training.budget import one_thread
+    from motionkit.training.loop import one_thread
     from motionkit.training.precision import resolve_device
     from motionkit.training.ranks import joined_ranks
 

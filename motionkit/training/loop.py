@@ -2,23 +2,31 @@
 
 A step's randomness comes from its generator, which depends on (seed, purpose, step) alone. The step number and the
 tensors of `Trainable.state_tensors` are the whole state of a training, so an interrupted and resumed run is bitwise
-equal to an uninterrupted one.
+equal to an uninterrupted one. With a budget of processor time it is measured first how many steps fit.
 """
 
 import signal
 import threading
 import time
-from collections.abc import Iterator, Mapping
+import zlib
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Protocol, runtime_checkable
 
+import numpy as np
 import torch
 
+from motionkit.core.errors import UsageError
+from motionkit.core.files import write_json
 from motionkit.core.progress import OnProgress, ignore, task
 from motionkit.training.ranks import ALONE, Ranks
-from motionkit.training.run import RunError, StageFolder
-from motionkit.training.schedule import step_generator
+from motionkit.training.run import RunError, StageFolder, abandon_stage
 from motionkit.training.tensors import CheckpointError, load_tensors, one_line, prefixed, save_tensors, unprefixed
+
+# Measured steps are spread evenly over the training, since early ones may cost less; rounds are repeated until this
+# share of the budget is spent.
+ROUND, MEASURED_SHARE = 16, 0.02
+FEWEST_STEPS = 10
 
 
 @runtime_checkable
@@ -194,3 +202,144 @@ def _interrupts() -> Iterator[threading.Event]:
         yield event
     finally:
         restore()
+
+
+@runtime_checkable
+class Rescheduled(Trainable, Protocol):
+    """A `Trainable` whose number of steps can be set before training."""
+
+    steps: int
+
+
+def plan_steps(
+    trainable: Rescheduled, folder: StageFolder, budget_seconds: float, seed: int, clock: Callable[[], float]
+) -> None:
+    """Set a training's number of steps to what fits into its budget, and write it to budget.json.
+
+    An existing budget.json is reused, so a resumed training has the same number of steps; summary.json has it too.
+    The training's state is restored. Raises `UsageError` if fewer than `FEWEST_STEPS` fit, and `DamagedFileError`.
+    """
+    if folder.budget_path.is_file():
+        trainable.steps = int(folder.read_budget()["steps"])
+        return
+    purpose, state = folder.path.name, {name: tensor.clone() for name, tensor in trainable.state_tensors().items()}
+    started, count = clock(), 0
+    trainable.step(0, step_generator(seed, purpose, 0))  # warm-up
+    warm = clock()
+    while count == 0 or clock() - started < MEASURED_SHARE * budget_seconds:
+        for number in range(ROUND):
+            step = (2 * number + 1) * trainable.steps // (2 * ROUND)
+            trainable.step(step, step_generator(seed, purpose, step))
+        count += ROUND
+    ended = clock()
+    trainable.load_state_tensors(state)
+    seconds_a_step = (ended - warm) / count
+    steps = int((budget_seconds - (ended - started)) / max(seconds_a_step, 1e-9))
+    if steps < FEWEST_STEPS:
+        abandon_stage(folder)
+        raise UsageError(
+            f"{purpose}: {budget_seconds:.3g} s of processor time are {max(steps, 0)} steps of {seconds_a_step:.3g} s; "
+            f"give a larger --budget"
+        )
+    plan = {
+        "budget_seconds": budget_seconds,
+        "steps": steps,
+        "measured_seconds_a_step": round(seconds_a_step, 6),
+        "measuring_seconds": round(ended - started, 3),
+    }
+    write_json(folder.budget_path, plan)
+    trainable.steps = steps
+
+
+def seconds_spent(device: torch.device) -> Callable[[], float]:
+    """The clock of a budget: this process' CPU time; wall time for a GPU."""
+    if device.type != "cuda":
+        return time.process_time
+
+    def passed() -> float:
+        torch.cuda.synchronize(device)
+        return time.perf_counter()
+
+    return passed
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Have torch compute on one thread: processor time then is the same training on any number of processors.
+
+    Threads that wait for one another spend it too, several times the work's on a busy machine.
+    """
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def set_rate(optimizer: torch.optim.Optimizer, rate: float) -> None:
+    """Set the learning rate of every parameter group."""
+    for group in optimizer.param_groups:
+        group["lr"] = rate
+
+
+def scale_rates(optimizer: torch.optim.Optimizer, factor: float) -> None:
+    """Set every parameter group's learning rate to its own `base_lr` times a factor."""
+    for group in optimizer.param_groups:
+        group["lr"] = group["base_lr"] * factor
+
+
+class WeightAverage:
+    """Exponential moving average of a module's parameters; buffers are copied.
+
+    The decay ramps up as min(decay, (1 + n) / (10 + n)) over updates n, so that early averages forget the start.
+    """
+
+    def __init__(self, module: torch.nn.Module, decay: float) -> None:
+        self.decay = decay
+        self.averages = {name: tensor.detach().clone() for name, tensor in module.state_dict().items()}
+
+    @torch.no_grad()
+    def update(self, module: torch.nn.Module, step: int) -> None:
+        """Update the average with the module's weights after `step` (0-based)."""
+        weight = 1.0 - min(self.decay, (1.0 + step) / (10.0 + step))
+        for name, tensor in module.state_dict().items():
+            if tensor.is_floating_point():
+                self.averages[name].lerp_(tensor, weight)
+            else:
+                self.averages[name].copy_(tensor)
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """The averages by the module's own names."""
+        return dict(self.averages)
+
+    def load(self, tensors: Mapping[str, torch.Tensor]) -> None:
+        """Restore averages."""
+        for name, average in self.averages.items():
+            average.copy_(tensors[name])
+
+
+def _state(seed: int, purpose: str, step: int) -> int:
+    sequence = np.random.SeedSequence(seed, spawn_key=(zlib.crc32(purpose.encode()), step))
+    return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+
+def step_generator(seed: int, purpose: str, step: int = 0) -> torch.Generator:
+    """A CPU generator for one step of one purpose; drawing on the CPU gives every device the same numbers."""
+    return torch.Generator().manual_seed(_state(seed, purpose, step))
+
+
+@contextmanager
+def seeded_initialisation(seed: int, purpose: str) -> Iterator[None]:
+    """Initialise modules inside from (seed, purpose); torch's global generator is restored."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(_state(seed, purpose, 0))
+        yield
+
+
+@contextmanager
+def dropout_from(generator: torch.Generator, device: torch.device, rank: int = 0) -> Iterator[None]:
+    """Seed dropout inside by the generator and the rank; torch's global generators are restored."""
+    with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
+        torch.manual_seed(int(torch.randint(2**62, (), generator=generator)) + rank)
+        yield

@@ -117,7 +117,7 @@ class StageFolder:
 
     def read_budget(self) -> dict[str, Any]:
         """Read budget.json; raises `RunError` if there is none, `DamagedFileError`."""
-        budget = self._read(self.budget_path)
+        budget = {"steps": None} | self._read(self.budget_path)
         for name, value in budget.items():
             if not isinstance(value, float | int) or isinstance(value, bool):
                 raise DamagedFileError(self.budget_path, f"{name} is {shown(value)}", HINT)

@@ -28,7 +28,7 @@ from motionkit.training.run import (
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store
-    from motionkit.training.budget import Rescheduled
+    from motionkit.training.loop import Rescheduled
     from motionkit.training.ranks import Ranks
 
 
@@ -94,7 +94,7 @@ class StageContext:
         """Set a training's number of steps by the budget, if there is one; errors as in `plan_steps`."""
         if self.budget_seconds is None:
             return
-        from motionkit.training.budget import plan_steps, seconds_spent
+        from motionkit.training.loop import plan_steps, seconds_spent
         from motionkit.training.precision import resolve_device
 
         if self.ranks.size > 1:

@@ -6,9 +6,9 @@ import torch
 from torch.nn.functional import smooth_l1_loss
 
 from motionkit.core.shapes import Float32, Int64
+from motionkit.training.loop import seeded_initialisation, set_rate
 from motionkit.training.precision import autocast
 from motionkit.training.ranks import ALONE, Ranks
-from motionkit.training.schedule import seeded_initialisation, set_rate
 from motionkit.training.tensors import load_training_tensors, training_tensors
 from nerm.codebook.network import CodebookNetwork
 from nerm.codebook.vectors import VectorCorpus, joint_positions_block

@@ -19,8 +19,8 @@ from motionkit.training.diffusion.process import (
     sample_ddpm,
     sampling_steps,
 )
+from motionkit.training.loop import seeded_initialisation, step_generator
 from motionkit.training.run import RunFolder
-from motionkit.training.schedule import seeded_initialisation, step_generator
 from motionkit.training.tensors import load_tensors, prefixed, rebuilding, save_tensors, unprefixed
 from nerm.conditions import ConditionLayout, Conditions, guided
 from nerm.denoiser.latent_space import LatentSpace

@@ -6,15 +6,15 @@ import torch
 from torch import Tensor
 
 from motionkit.training.diffusion.process import add_noise, cumulative_alphas, loss_weights, prediction_target
-from motionkit.training.precision import autocast, compile_each
-from motionkit.training.ranks import ALONE, Ranks
-from motionkit.training.schedule import (
+from motionkit.training.loop import (
     WeightAverage,
     dropout_from,
     seeded_initialisation,
     set_rate,
     step_generator,
 )
+from motionkit.training.precision import autocast, compile_each
+from motionkit.training.ranks import ALONE, Ranks
 from motionkit.training.tensors import load_training_tensors, prefixed, training_tensors, unprefixed
 from nerm.conditions import Conditions
 from nerm.denoiser.corpus import LatentCorpus

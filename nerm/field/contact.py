@@ -19,7 +19,7 @@ from motionkit.data.windows import Windows, rows_by_duration, shuffled_batches
 from motionkit.fields.contact.detection import find_contacts, ground_of
 from motionkit.fields.contact.legs import legs_of
 from motionkit.store.cache import PositionCache, RowFile
-from motionkit.training.schedule import seeded_initialisation, set_rate, step_generator
+from motionkit.training.loop import seeded_initialisation, set_rate, step_generator
 from nerm.field.network import FieldNetwork
 from nerm.settings import ContactsConfig, FieldConfig
 

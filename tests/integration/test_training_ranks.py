@@ -23,7 +23,7 @@ from motionkit.training.config import apply_overrides
 from pathlib import Path
 import torch
 from motionkit.training import loop
-from motionkit.training.schedule import step_generator
+from motionkit.training.loop import step_generator
 from motionkit.training.ranks import joined_ranks
 from tests.helpers.tiny import STAGES, train_stage
 

@@ -17,8 +17,8 @@ from motionkit.core.errors import DamagedFileError
 from motionkit.core.files import RECORD, write_json
 from motionkit.training import loop, precision
 from motionkit.training.config import apply_overrides
+from motionkit.training.loop import step_generator
 from motionkit.training.run import RunError, RunFolder, StageFolder
-from motionkit.training.schedule import step_generator
 from motionkit.training.stage import StageContext
 from motionkit.training.tensors import CheckpointError
 from nerm.stages import CODEBOOK, DENOISER, FIELD
@@ -104,7 +104,7 @@ from functools import partial
 from pathlib import Path
 import torch
 from motionkit.training import loop
-from motionkit.training.schedule import step_generator
+from motionkit.training.loop import step_generator
 from nerm.stages import field as field_stage
 from tests.helpers.tiny import train_stage
 

@@ -14,7 +14,7 @@ from motionkit.data.corpus import FrameValues
 from motionkit.data.poses import WindowPoses
 from motionkit.training.ablations import Variant
 from motionkit.training.config import apply_overrides, flatten, parse_override
-from motionkit.training.schedule import step_generator
+from motionkit.training.loop import step_generator
 from nerm.ablations import ABLATIONS, GLOBAL, LOCAL, NERM
 from nerm.field.training import FieldTraining, remarks, training_windows
 from nerm.recipes import RECIPES, NermConfig, nano, paper

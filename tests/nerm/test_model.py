@@ -14,8 +14,8 @@ from motionkit.fields.motion_field import Poses, check_times, to_motion
 from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions
 from motionkit.training.config import apply_overrides
 from motionkit.training.diffusion.settings import DiffusionConfig
+from motionkit.training.loop import seeded_initialisation
 from motionkit.training.run import RunError
-from motionkit.training.schedule import seeded_initialisation
 from nerm.conditions import ConditionLayout
 from nerm.denoiser.latent_space import LatentSpace
 from nerm.denoiser.network import Denoiser

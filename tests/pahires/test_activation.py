@@ -7,7 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motionkit.training.schedule import seeded_initialisation
+from motionkit.training.loop import seeded_initialisation
 from pahires.activation import (
     LARGEST_AMPLITUDE,
     SLOPE_SQUARE,

@@ -9,8 +9,8 @@ import torch
 
 from motionkit.fields.motion_field import MotionEncoder
 from motionkit.training.config import apply_overrides
+from motionkit.training.loop import seeded_initialisation
 from motionkit.training.run import RunFolder
-from motionkit.training.schedule import seeded_initialisation
 from motionkit.training.stage import StageContext
 from pahires.loaders import load
 from pahires.model import PaHiRes

@@ -19,10 +19,9 @@ from motionkit.cli.options import parse_duration
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.store import StoreWriter
 from motionkit.store.manifest import read_manifest
-from motionkit.training import budget as budget_module
-from motionkit.training.budget import plan_steps
+from motionkit.training import loop as loop_module
 from motionkit.training.loaders import Loader
-from motionkit.training.loop import train_loop
+from motionkit.training.loop import plan_steps, train_loop
 from motionkit.training.run import StageFolder
 from motionkit.training.stage import Stage, StageContext
 from motionkit.training.tensors import load_tensors, save_tensors
@@ -130,7 +129,7 @@ def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[World]:
     for module in (train_module, systems):
         monkeypatch.setattr(module, "registered_stages", world.stages)
     monkeypatch.setattr(systems, "table_that_shows", lambda paper, target: TABLE)
-    monkeypatch.setattr(budget_module, "seconds_spent", lambda device: world.clock)
+    monkeypatch.setattr(loop_module, "seconds_spent", lambda device: world.clock)
     with StoreWriter.create(tmp_path / "store"):
         pass
     monkeypatch.chdir(tmp_path)

@@ -8,15 +8,15 @@ import torch
 
 from motionkit.core.progress import Progress
 from motionkit.training.config import rate_factor
-from motionkit.training.loop import train_loop
-from motionkit.training.run import RunError, StageFolder
-from motionkit.training.schedule import (
+from motionkit.training.loop import (
     WeightAverage,
     scale_rates,
     seeded_initialisation,
     set_rate,
     step_generator,
+    train_loop,
 )
+from motionkit.training.run import RunError, StageFolder
 from motionkit.training.tensors import (
     CheckpointError,
     load_optimizer_tensors,

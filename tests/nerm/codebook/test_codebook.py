@@ -9,7 +9,7 @@ import torch
 from motionkit.core.errors import UsageError
 from motionkit.fields.resample import resample_positions
 from motionkit.training.config import apply_overrides
-from motionkit.training.schedule import step_generator
+from motionkit.training.loop import step_generator
 from motionkit.training.tensors import save_tensors
 from nerm.codebook.network import CodebookNetwork, Quantiser, load_codes
 from nerm.codebook.training import CodebookTraining, perplexity

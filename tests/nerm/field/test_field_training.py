@@ -12,9 +12,9 @@ from motionkit.data.poses import WindowPoses
 from motionkit.data.windows import cut_windows
 from motionkit.features import field as field_vectors
 from motionkit.training.config import apply_overrides
+from motionkit.training.loop import step_generator
 from motionkit.training.pose_vectors import PoseTensors
 from motionkit.training.run import StageFolder
-from motionkit.training.schedule import step_generator
 from motionkit.training.tensors import CheckpointError, save_tensors
 from nerm.field.encoding import effect_of_numbers, encode_by_optimisation, minimise_each, starting_latents
 from nerm.field.trained import TrainedField, load_field, save_field

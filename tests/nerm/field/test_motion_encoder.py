@@ -16,8 +16,8 @@ from motionkit.data.poses import WindowPoses
 from motionkit.data.windows import cut_windows
 from motionkit.fields.completion import complete
 from motionkit.fields.motion_field import MotionEncoder, Observation, Poses, joint_velocities, to_motion
+from motionkit.training.loop import step_generator
 from motionkit.training.run import RunError
-from motionkit.training.schedule import step_generator
 from nerm.field.motion_encoder import NermEncoder, load
 from nerm.field.trained import TrainedField
 from nerm.field.training import FieldTraining

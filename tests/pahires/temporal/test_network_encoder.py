@@ -25,8 +25,8 @@ from motionkit.fields.motion_field import (
 )
 from motionkit.store.reader import Store
 from motionkit.training.config import apply_overrides
+from motionkit.training.loop import step_generator
 from motionkit.training.run import RunError, RunFolder
-from motionkit.training.schedule import step_generator
 from motionkit.training.tensors import CheckpointError
 from pahires.temporal.encoder import NetworkEncoder
 from pahires.temporal.training import TemporalTraining, TrainedNetwork

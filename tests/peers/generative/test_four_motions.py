@@ -15,8 +15,8 @@ from motionkit.features import field, native
 from motionkit.features.field import FIELD_VECTORS
 from motionkit.features.native import NativeVectors
 from motionkit.training.diffusion.settings import DiffusionConfig
+from motionkit.training.loop import dropout_from, step_generator
 from motionkit.training.pose_vectors import VectorScaling
-from motionkit.training.schedule import dropout_from, step_generator
 from peers.generative.batches import NO_ACTION, Conditions, ConditionSizes, MotionBatch, PoseSpace, SampleBatch
 from peers.generative.networks.nemf import Nemf
 from peers.generative.peer import GenerativePeer

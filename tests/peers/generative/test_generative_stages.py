@@ -17,8 +17,8 @@ from motionkit.features import native
 from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions, load_model
 from motionkit.store.reader import Store
 from motionkit.training import loop
+from motionkit.training.loop import step_generator
 from motionkit.training.run import RunError, RunFolder
-from motionkit.training.schedule import step_generator
 from peers.generative.corpus import MotionCorpus, open_corpus
 from peers.generative.settings import ConditionsConfig, MotionsConfig
 from peers.generative.stages import STAGES
