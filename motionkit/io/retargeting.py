@@ -5,7 +5,7 @@ the trunk, feet and hands are assumed equal, and upper arms, forearms, thighs an
 that an A-pose can follow a T-pose. The target's bones keep their lengths.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -23,13 +23,16 @@ from motionkit.fields.transfer import counterpart_joints
 from motionkit.io.joint_rotations import joint_channels
 from motionkit.io.smpl_body import mean_shape_skeleton
 
-_LIMBS = {"shoulder": "elbow", "elbow": "wrist", "hip": "knee", "knee": "ankle"}
-# Limits on a standing body's bones at rest, relative to SMPL's T-pose; arms may hang.
-_MOST_DEGREES = {"shoulder": 60.0, "hip": 80.0, "elbow": 110.0, "wrist": 110.0, "foot": 50.0, "head": 70.0}
-_MOST_OTHERS_DEGREES = 45.0
-_LOW = 0.05
-
 Quaternion = Float64[np.ndarray, "4"]
+Quaternions = Float64[np.ndarray, "frames joints 4"]
+Rest22 = Float32[np.ndarray, "22 3"]
+
+LIMBS = {"shoulder": "elbow", "elbow": "wrist", "hip": "knee", "knee": "ankle"}
+# The largest angle between a standing body's bone at rest and that of SMPL's T-pose; arms may hang.
+MAX_DEGREES = {"shoulder": 60.0, "hip": 80.0, "elbow": 110.0, "wrist": 110.0, "foot": 50.0, "head": 70.0}
+OTHER_MAX_DEGREES = 45.0
+# Of the lowest points of feet over all frames, the quantile that stands on the floor.
+LOW_QUANTILE = 0.05
 
 
 def retarget(motion: Motion, target: Skeleton, rest: Float64[np.ndarray, "joints 4"] | None = None) -> Motion:
@@ -43,24 +46,21 @@ def retarget(motion: Motion, target: Skeleton, rest: Float64[np.ndarray, "joints
     standing = target if rest is None else standing_skeleton(target, rest)
     if not stands(standing):
         raise MotionkitError(f"the rest pose of {target.name} does not stand, as a T-pose does")
-    source = motion if motion.local_rotations is not None and stands(motion.skeleton) else _fitted(motion)
-    local, turns = _rotations(source, standing)
-    share, path = _path(source, local, standing)
+    source, how = motion, ""
+    if motion.local_rotations is None or not stands(motion.skeleton):
+        source, how = _with_rotations(motion), ", rotations by inverse kinematics on SMPL's 22 joints"
+    world = _world_rotations(source, standing)
+    local = _local_rotations(world, standing)
+    scale, path = _path(source, local, standing)
     if rest is not None:
-        local = _from_rest(turns, rest, target)
+        world = kinematics.quaternion_multiply(world, kinematics.global_rotations(rest[None], target))
+        local = _local_rotations(world, target)
     positions = kinematics.forward_kinematics(local, path, target)
-    found = "" if source is motion else ", rotations by inverse kinematics on SMPL's 22 joints"
-    return (
-        Motion(
-            positions.astype(np.float32),
-            target,
-            motion.timegrid,
-            local.astype(np.float32),
-            path.astype(np.float32),
-        )
-        .annotated_like(motion)
-        .logged(f"onto the skeleton {target.name}: legs and path × {share:.3f}{found}")
+    retargeted = Motion(
+        positions.astype(np.float32), target, motion.timegrid, local.astype(np.float32), path.astype(np.float32)
     )
+    line = f"onto the skeleton {target.name}: legs and path × {scale:.3f}{how}"
+    return retargeted.annotated_like(motion).logged(line)
 
 
 def standing_skeleton(skeleton: Skeleton, rest: Float64[np.ndarray, "joints 4"]) -> Skeleton:
@@ -75,144 +75,115 @@ def standing_skeleton(skeleton: Skeleton, rest: Float64[np.ndarray, "joints 4"])
     return replace(skeleton, offsets=offsets.astype(np.float32), end_sites=tips)
 
 
-def _rotations(
-    source: Motion, target: Skeleton
-) -> tuple[Float64[np.ndarray, "frames joints 4"], Float64[np.ndarray, "frames joints 4"]]:
-    """The target's local and world rotations."""
-    assert source.local_rotations is not None
-    turned = kinematics.global_rotations(source.local_rotations.astype(np.float64), source.skeleton)
-    world = np.zeros((source.num_frames, target.num_joints, 4))
-    world[..., 0] = 1.0
-    pairs = _pairs(source.skeleton, target)
-    for joint, parent in enumerate(target.parents):
-        if joint in pairs:
-            counterpart, alignment = pairs[joint]
-            world[:, joint] = kinematics.quaternion_multiply(turned[:, counterpart], alignment)
-        elif parent >= 0:
-            world[:, joint] = world[:, parent]
-    world /= np.linalg.norm(world, axis=-1, keepdims=True)
-    return _local(world, target), world
-
-
-def _local(world: Float64[np.ndarray, "frames joints 4"], skeleton: Skeleton) -> Float64[np.ndarray, "frames joints 4"]:
-    local, parents = world.copy(), list(skeleton.parents[1:])
-    local[:, 1:] = kinematics.quaternion_multiply(kinematics.quaternion_conjugate(world[:, parents]), world[:, 1:])
-    return local
-
-
-def _from_rest(
-    turns: Float64[np.ndarray, "frames joints 4"], rest: Float64[np.ndarray, "joints 4"], target: Skeleton
-) -> Float64[np.ndarray, "frames joints 4"]:
-    """Local rotations of a target with rotations at rest, from its world rotations relative to them."""
-    return _local(kinematics.quaternion_multiply(turns, kinematics.global_rotations(rest[None], target)), target)
-
-
 def stands(skeleton: Skeleton) -> bool:
     """Whether a skeleton's rest pose is a standing one, with arms anywhere between horizontal and hanging."""
-    rest, usual = _rest22(skeleton), rest_positions(mean_shape_skeleton())
-    turn = _facing(usual, rest)
+    rest, expected = _rest22(skeleton), rest_positions(mean_shape_skeleton())
+    facing = _facing(expected, rest)
     for joint, parent in enumerate(SMPL22.parents):
         if parent < 0:
             continue
         bone = rest[joint] - rest[parent]
-        expected = kinematics.quaternion_rotate(turn, (usual[joint] - usual[parent]).astype(np.float64))
-        size = np.linalg.norm(bone) * np.linalg.norm(expected)
-        cosine = float(bone @ expected) / max(float(size), 1e-9)
-        most = _MOST_DEGREES.get(SMPL22.joint_names[joint].rpartition("_")[2], _MOST_OTHERS_DEGREES)
-        if np.linalg.norm(bone) > 0.02 and cosine < np.cos(np.radians(most)):
+        usual = kinematics.quaternion_rotate(facing, (expected[joint] - expected[parent]).astype(np.float64))
+        cosine = float(bone @ usual) / max(float(np.linalg.norm(bone) * np.linalg.norm(usual)), 1e-9)
+        degrees = MAX_DEGREES.get(SMPL22.joint_names[joint].rpartition("_")[2], OTHER_MAX_DEGREES)
+        if np.linalg.norm(bone) > 0.02 and cosine < np.cos(np.radians(degrees)):
             return False
     return True
 
 
-def _rest22(skeleton: Skeleton) -> Float32[np.ndarray, "22 3"]:
-    unturned = np.zeros((1, skeleton.num_joints, 4), np.float32)
-    unturned[..., 0] = 1.0
-    pose = Motion(rest_positions(skeleton)[None], skeleton, TimeGrid(Fraction(1), 1), unturned)
-    joints: Float32[np.ndarray, "22 3"] = map_joints(pose, SMPL22.name)[0]
+def _rest22(skeleton: Skeleton) -> Rest22:
+    identity = np.zeros((1, skeleton.num_joints, 4), np.float32)
+    identity[..., 0] = 1.0
+    pose = Motion(rest_positions(skeleton)[None], skeleton, TimeGrid(Fraction(1), 1), identity)
+    joints: Rest22 = map_joints(pose, SMPL22.name)[0]
     return joints
 
 
-def _fitted(motion: Motion) -> Motion:
+def _with_rotations(motion: Motion) -> Motion:
     """The motion's 22 joints with rotations relative to SMPL's rest pose, on bones of its own lengths."""
     positions = map_joints(motion, SMPL22.name).astype(np.float32)
-    made = joint_channels(Motion(positions, mean_shape_skeleton(), motion.timegrid))
-    return Motion(positions, made.skeleton, motion.timegrid, made.rotations, positions[:, 0])
+    fitted = joint_channels(Motion(positions, mean_shape_skeleton(), motion.timegrid))
+    return Motion(positions, fitted.skeleton, motion.timegrid, fitted.rotations, positions[:, 0])
 
 
-def _facing(target: Float32[np.ndarray, "22 3"], source: Float32[np.ndarray, "22 3"]) -> Quaternion:
+def _facing(target: Rest22, source: Rest22) -> Quaternion:
     """The rotation of a target's trunk at rest to the source's."""
 
-    def trunk(rest: Float32[np.ndarray, "22 3"]) -> Float64[np.ndarray, "1 bones 3"]:
-        place = {name: rest[joint].astype(np.float64) for joint, name in enumerate(SMPL22.joint_names)}
-        middle = (place["left_hip"] + place["right_hip"]) / 2
-        bones = np.stack(
-            (
-                place["left_hip"] - place["right_hip"],
-                place["left_shoulder"] - place["right_shoulder"],
-                place["neck"] - middle,
-            )
-        )
+    def trunk(rest: Rest22) -> Float64[np.ndarray, "1 3 3"]:
+        at = {name: rest[joint].astype(np.float64) for joint, name in enumerate(SMPL22.joint_names)}
+        spine = at["neck"] - (at["left_hip"] + at["right_hip"]) / 2
+        bones = np.stack((at["left_hip"] - at["right_hip"], at["left_shoulder"] - at["right_shoulder"], spine))
         return np.asarray(bones / np.maximum(np.linalg.norm(bones, axis=-1, keepdims=True), 1e-9))[None]
 
     return np.asarray(kinematics.fit_rotation(trunk(target), trunk(source))[0])
 
 
-@dataclass(frozen=True, eq=False)
-class _Rig:
-    """A skeleton at rest, and its joints by the layout's names."""
+def _world_rotations(source: Motion, target: Skeleton) -> Quaternions:
+    """The target's world rotations relative to its rest pose; joints without a counterpart follow their parents."""
+    assert source.local_rotations is not None
+    rotations = kinematics.global_rotations(source.local_rotations.astype(np.float64), source.skeleton)
+    world = np.zeros((source.num_frames, target.num_joints, 4))
+    world[..., 0] = 1.0
+    alignments = _alignments(source.skeleton, target)
+    for joint, parent in enumerate(target.parents):
+        if joint in alignments:
+            counterpart, alignment = alignments[joint]
+            world[:, joint] = kinematics.quaternion_multiply(rotations[:, counterpart], alignment)
+        elif parent >= 0:
+            world[:, joint] = world[:, parent]
+    world /= np.linalg.norm(world, axis=-1, keepdims=True)
+    return world
 
-    rest: Float32[np.ndarray, "joints 3"]
-    own: dict[str, int]
 
-    @classmethod
-    def of(cls, skeleton: Skeleton) -> "_Rig":
-        own = {SMPL22.joint_names[joint]: source for joint, source in counterpart_joints(skeleton).items()}
-        return cls(rest_positions(skeleton), own)
-
-    def bone(self, name: str, below: str) -> Float64[np.ndarray, "3"]:
-        return np.asarray(self.rest[self.own[below]] - self.rest[self.own[name]], np.float64)
+def _local_rotations(world: Quaternions, skeleton: Skeleton) -> Quaternions:
+    local, parents = world.copy(), list(skeleton.parents[1:])
+    local[:, 1:] = kinematics.quaternion_multiply(kinematics.quaternion_conjugate(world[:, parents]), world[:, 1:])
+    return local
 
 
-def _pairs(source: Skeleton, target: Skeleton) -> dict[int, tuple[int, Quaternion]]:
+def _alignments(source: Skeleton, target: Skeleton) -> dict[int, tuple[int, Quaternion]]:
     """Target joint → its counterpart, and the rotation from the target's rest pose to the source's."""
     facing = _facing(_rest22(target), _rest22(source))
-    mine, theirs = _Rig.of(target), _Rig.of(source)
-    shared = [name for name in SMPL22.joint_names if name in mine.own and name in theirs.own]
+    target_rest, source_rest = rest_positions(target), rest_positions(source)
+    target_joints, source_joints = (
+        {SMPL22.joint_names[joint]: own for joint, own in counterpart_joints(each).items()} for each in (target, source)
+    )
+    shared = [name for name in SMPL22.joint_names if name in target_joints and name in source_joints]
     turns: dict[str, Quaternion] = {}
     for name in shared:
-        side, _, joint = name.rpartition("_")
-        below, above = f"{side}_{_LIMBS.get(joint, '')}", f"{side}_elbow"
+        side, _, limb = name.rpartition("_")
+        end = f"{side}_{LIMBS.get(limb, '')}"
         turns[name] = facing
-        if below in shared:
-            bone = kinematics.quaternion_rotate(facing, mine.bone(name, below))
-            onto = kinematics.quaternion_between(bone, theirs.bone(name, below))
+        if end in shared:
+            bone = target_rest[target_joints[end]] - target_rest[target_joints[name]]
+            source_bone = source_rest[source_joints[end]] - source_rest[source_joints[name]]
+            bone = kinematics.quaternion_rotate(facing, bone.astype(np.float64))
+            onto = kinematics.quaternion_between(bone, source_bone.astype(np.float64))
             turns[name] = kinematics.quaternion_multiply(onto, facing)
-        elif joint == "wrist" and above in turns:
-            turns[name] = turns[above]
-    pairs = {mine.own[name]: (theirs.own[name], turns[name]) for name in shared}
-    # Fingers and other joints with the same name in both take their parent's alignment.
-    named = {called: place for place, called in enumerate(canonical_names(source.joint_names))}
-    used = {counterpart for counterpart, _ in pairs.values()}
-    for own, called in enumerate(canonical_names(target.joint_names)):
-        parent = target.parents[own]
-        if own not in pairs and parent in pairs and named.get(called, -1) not in used | {-1}:
-            pairs[own] = (named[called], pairs[parent][1])
-    return pairs
+        elif limb == "wrist" and f"{side}_elbow" in turns:
+            turns[name] = turns[f"{side}_elbow"]
+    found = {target_joints[name]: (source_joints[name], turns[name]) for name in shared}
+    # Fingers and other joints with the same name in both have their parent's alignment.
+    named = {name: joint for joint, name in enumerate(canonical_names(source.joint_names))}
+    used = {counterpart for counterpart, _ in found.values()}
+    for joint, name in enumerate(canonical_names(target.joint_names)):
+        parent = target.parents[joint]
+        if joint not in found and parent in found and name in named and named[name] not in used:
+            found[joint] = (named[name], found[parent][1])
+    return found
 
 
-def _path(
-    source: Motion, local: Float64[np.ndarray, "frames joints 4"], target: Skeleton
-) -> tuple[float, Float64[np.ndarray, "frames 3"]]:
+def _path(source: Motion, local: Quaternions, target: Skeleton) -> tuple[float, Float64[np.ndarray, "frames 3"]]:
     """The ratio of leg lengths, target to source, and the root's path, with hip heights scaled by it."""
-    mine, theirs = legs_of(target), legs_of(source.skeleton)
-    share = _leg_length(target, mine) / max(_leg_length(source.skeleton, theirs), 1e-6)
+    legs, source_legs = legs_of(target), legs_of(source.skeleton)
+    scale = _leg_length(target, legs) / max(_leg_length(source.skeleton, source_legs), 1e-6)
     at_origin = kinematics.forward_kinematics(local, np.zeros((len(local), 3)), target)
-    wanted = source.joint_positions.astype(np.float64)
-    path = share * _hips(wanted, theirs) - _hips(at_origin, mine)
-    lowest = np.quantile(mine.foot_paths(at_origin + path[:, None])[..., 1].min(axis=(1, 2)), _LOW)
-    before = np.quantile(theirs.foot_paths(wanted)[..., 1].min(axis=(1, 2)), _LOW)
-    path[:, 1] += share * (before - _sole(source.skeleton, theirs)) - (lowest - _sole(target, mine))
-    return share, path
+    positions = source.joint_positions.astype(np.float64)
+    path = scale * _hips(positions, source_legs) - _hips(at_origin, legs)
+    low = np.quantile(legs.foot_paths(at_origin + path[:, None])[..., 1].min(axis=(1, 2)), LOW_QUANTILE)
+    source_low = np.quantile(source_legs.foot_paths(positions)[..., 1].min(axis=(1, 2)), LOW_QUANTILE)
+    path[:, 1] += scale * (source_low - _sole(source.skeleton, source_legs)) - (low - _sole(target, legs))
+    return scale, path
 
 
 def _hips(positions: Float64[np.ndarray, "frames joints 3"], legs: Legs) -> Float64[np.ndarray, "frames 3"]:
@@ -221,6 +192,7 @@ def _hips(positions: Float64[np.ndarray, "frames joints 3"], legs: Legs) -> Floa
 
 
 def _leg_length(skeleton: Skeleton, legs: Legs) -> float:
+    """Mean length of both legs at rest, hip to ankle along the bones, metres."""
     rest = rest_positions(skeleton)
     bones = [(leg.hip, leg.knee) for leg in (legs.left, legs.right)]
     bones += [(leg.knee, leg.ankle) for leg in (legs.left, legs.right)]
@@ -229,8 +201,8 @@ def _leg_length(skeleton: Skeleton, legs: Legs) -> float:
 
 def _sole(skeleton: Skeleton, legs: Legs) -> float:
     """Height of the lowest of ankles and toes above the lowest point of the feet at rest, metres."""
-    rest = rest_positions(skeleton)[:, 1]
-    below = {joint for leg in (legs.left, legs.right) for joint in (leg.ankle, *leg.foot)}
-    points = [rest[joint] for joint in below]
-    points += [rest[joint] + offset[1] for joint, offset in skeleton.end_sites if joint in below]
-    return float(min(rest[joint] for joint in legs.feet) - min(points))
+    heights = rest_positions(skeleton)[:, 1]
+    joints = {joint for leg in (legs.left, legs.right) for joint in (leg.ankle, *leg.foot)}
+    points = [heights[joint] for joint in joints]
+    points += [heights[joint] + tip[1] for joint, tip in skeleton.end_sites if joint in joints]
+    return float(min(heights[joint] for joint in legs.feet) - min(points))
