@@ -32,7 +32,6 @@ from motionkit.fields.completion import begin_completion
 from motionkit.fields.contact.planted import planted
 from motionkit.fields.rig import on_bones
 from motionkit.viz.comparison import Version, write_comparison
-from motionkit.viz.player.takes import take_of
 
 # More than a minute of extrapolation is probably a typo.
 LONGEST_REACH_SECONDS = 60.0
@@ -86,7 +85,7 @@ def complete(
         keep = parse_keep(keep)
     request = CompletionRequest(None if fps is None else parse_fps(fps), keep, before, after, plant)
     chosen = choose_encoder(model, None if run is None else str(run), default_path("runs"))
-    completed = request.of(loaded).completed_by(chosen)
+    completed = completed_motion(loaded, request, chosen)
     for warning in completed.warnings:
         warn(warning)
     return completed.edited.motion
@@ -105,10 +104,6 @@ class Reach:
     def __post_init__(self) -> None:
         if not 0 <= self.amount < math.inf:
             raise UsageError(f"extend {self.amount:g}: expected seconds from 0 on, or a number of frames")
-
-    def seconds(self, fps: Fraction) -> float:
-        """The extrapolation in seconds at a motion's framerate."""
-        return float(self.amount / fps) if self.in_frames else self.amount
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,112 +129,99 @@ class CompletionRequest:
         if self.keep is not None and not isinstance(self.keep, np.ndarray):
             check_ranges(self.keep)
 
-    def of(self, loaded: LoadedMotion) -> "MotionCompletion":
-        """The request for one motion; raises `MotionkitError` for a lower framerate, and frames that it does not have.
-
-        Raises `UsageError` for a mask that has not one bool for each frame, or no true one.
-        """
-        grid = loaded.motion.timegrid
-        fps = grid.fps if self.fps is None else self.fps
-        if loaded.uneven_seconds is not None and self.fps is None:
-            raise MotionkitError(
-                f"its frames are uneven in time, about {float(fps):.4g} a second: give the fps of the result"
-            )
-        if fps < grid.fps:
-            raise MotionkitError(
-                f"{format_fps(fps)} fps is less than its {format_fps(grid.fps)}: frames would be dropped, not made; "
-                f"filter it down instead: motionkit convert --fps {format_fps(fps)}, in Python "
-                f"motion.resample({format_fps(fps)})"
-            )
-        observed = loaded.valid & kept_frames(self.keep, grid.num_frames)
-        if not observed.any():
-            raise MotionkitError("none of the frames to keep is valid: their numbers are nan")
-        before, after = self.before.seconds(grid.fps), self.after.seconds(grid.fps)
-        if grid.num_frames == 1 and not (before or after):
-            raise MotionkitError("it has a single frame, so there is nothing between frames; it can only be extended")
-        if max(before, after) > LONGEST_REACH_SECONDS:
-            raise MotionkitError(
-                f"it can be extended by at most {LONGEST_REACH_SECONDS:g} s, not {max(before, after):g} s"
-            )
-        return MotionCompletion(loaded, fps, observed, before, after, self.plant)
-
 
 @dataclass(frozen=True, eq=False)
 class CompletedMotion:
-    """A completed motion, the name of the encoder that completed it, and warnings."""
+    """A completed motion, the encoder that completed it, warnings, the longest time between two frames to keep."""
 
     edited: EditedMotion
     encoder: str
     warnings: tuple[str, ...]
+    longest_gap_seconds: float
 
 
-@dataclass(frozen=True, eq=False)
-class MotionCompletion:
-    """A request for one motion: the framerate, a mask of the frames to keep, seconds beyond both ends."""
+def completed_motion(loaded: LoadedMotion, request: CompletionRequest, chosen: ChosenEncoder) -> CompletedMotion:
+    """The motion, completed by an encoder.
 
-    loaded: LoadedMotion
-    fps: Fraction
-    observed: Frames
-    before_seconds: float
-    after_seconds: float
-    plant: bool
+    Raises `MotionkitError` for a lower framerate, frames that it does not have, and where the encoder fails.
+    """
+    motion = loaded.motion
+    fps, observed = request.fps or motion.fps, observed_frames(loaded, request)
+    before, after = (_seconds(each, motion.fps) for each in (request.before, request.after))
+    if motion.num_frames == 1 and not (before or after):
+        raise MotionkitError("it has a single frame, so there is nothing between frames; it can only be extended")
+    encoder, replaced = chosen.for_skeleton(motion.skeleton)
+    observation, known = loaded.observation(observed), np.flatnonzero(observed)
+    span = (float(loaded.seconds[0]), float(loaded.seconds[-1]))
+    try:
+        completion = begin_completion(observation, span, encoder, fps, before_seconds=before, after_seconds=after)
+    except ValueError as error:
+        raise MotionkitError(f"{chosen.name} cannot complete it: {error}") from None
+    field = completion.field
+    if request.plant:
+        field = anchored(planted(field), observation)
+    if observation.poses.local_rotations is not None:
+        field = on_bones(field, observation)
+    made = replace(completion, field=field).motion()
+    line = (
+        f"complete {motion.num_frames} frames at {motion.fps} fps -> {made.num_frames} at {made.fps}, "
+        f"{made.num_frames - len(completion.given_rows)} made"
+    )
+    edited = EditedMotion(
+        made.annotated_like(motion).logged(line), observed, completion.given_rows, known[completion.given_poses]
+    )
+    gap = float(np.diff(loaded.seconds[observed]).max(initial=0.0))
+    warnings = [replaced] if replaced else _warnings(chosen, gap, max(before, after), len(known))
+    if not loaded.valid.all():
+        warnings.append(f"{int((~loaded.valid).sum()):,} frames hold nan and were filled like gaps")
+    return CompletedMotion(edited, encoder.name if replaced else chosen.name, tuple(warnings), gap)
 
-    @property
-    def longest_gap_seconds(self) -> float:
-        """The longest time between two frames to keep."""
-        return float(np.diff(self.loaded.seconds[self.observed]).max(initial=0.0))
 
-    def completed_by(self, chosen: ChosenEncoder) -> CompletedMotion:
-        """The motion, completed by an encoder; raises `MotionkitError` if the encoder fails."""
-        loaded, motion = self.loaded, self.loaded.motion
-        encoder, warning = chosen.for_skeleton(motion.skeleton)
-        observation = loaded.observation(self.observed)
-        span = (float(loaded.seconds[0]), float(loaded.seconds[-1]))
-        reach = {"before_seconds": self.before_seconds, "after_seconds": self.after_seconds}
-        try:
-            completion = begin_completion(observation, span, encoder, self.fps, **reach)
-        except ValueError as error:
-            raise MotionkitError(f"{chosen.name} cannot complete it: {error}") from None
-        field = completion.field
-        if self.plant:
-            field = anchored(planted(field), observation)
-        if observation.poses.local_rotations is not None:
-            field = on_bones(field, observation)
-        completion = replace(completion, field=field)
-        made, grid = completion.motion(), completion.grid
-        line = (
-            f"complete {motion.num_frames} frames at {motion.fps} fps -> {grid.num_frames} at {grid.fps}, "
-            f"{grid.num_frames - len(completion.given_rows)} made"
+def observed_frames(loaded: LoadedMotion, request: CompletionRequest) -> Frames:
+    """A mask of the valid frames to keep; raises `MotionkitError` for a framerate or frames that it cannot have."""
+    own = loaded.motion.fps
+    if loaded.uneven_seconds is not None and request.fps is None:
+        raise MotionkitError(
+            f"its frames are uneven in time, about {float(own):.4g} a second: give the fps of the result"
         )
-        edited = EditedMotion(
-            made.annotated_like(motion).logged(line),
-            self.observed,
-            completion.given_rows,
-            np.flatnonzero(self.observed)[completion.given_poses],
+    if request.fps is not None and request.fps < own:
+        fps = format_fps(request.fps)
+        raise MotionkitError(
+            f"{fps} fps is less than its {format_fps(own)}: frames would be dropped, not made; filter it down instead: "
+            f"motionkit convert --fps {fps}, in Python motion.resample({fps})"
         )
-        warnings = [warning] if warning else self._warnings(chosen)
-        if not loaded.valid.all():
-            warnings.append(f"{int((~loaded.valid).sum()):,} frames hold nan and were filled like gaps")
-        return CompletedMotion(edited, encoder.name if warning else chosen.name, tuple(warnings))
+    observed = np.asarray(loaded.valid & kept_frames(request.keep, loaded.motion.num_frames))
+    if not observed.any():
+        raise MotionkitError("none of the frames to keep is valid: their numbers are nan")
+    return observed
 
-    def _warnings(self, chosen: ChosenEncoder) -> list[str]:
-        found = []
-        gap, longest = self.longest_gap_seconds, chosen.longest_gap_seconds
-        if longest is not None and gap > longest + 1e-6:
-            found.append(
-                f"a gap of {gap:.2f} s is longer than the {longest:.2f} s that {chosen.name} has learnt to close"
-            )
-        reach, trained = max(self.before_seconds, self.after_seconds), chosen.reach_seconds
-        if chosen.supports_continuation and reach > LONGEST_PLAUSIBLE_SECONDS:
-            found.append(
-                f"{chosen.name} goes on at constant velocity for {reach:g} s; beyond {LONGEST_PLAUSIBLE_SECONDS:g} s "
-                "that is unrealistic (the model spline comes to rest)"
-            )
-        if trained is not None and reach > trained + 1e-6:
-            found.append(f"{reach:g} s beyond an end is farther than the {trained:.2f} s that {chosen.name} has learnt")
-        if int(self.observed.sum()) == 1:
-            found.append("one frame is known, so the body stands still in it")
-        return found
+
+def _seconds(reach: Reach, fps: Fraction) -> float:
+    seconds = float(reach.amount / fps) if reach.in_frames else reach.amount
+    if seconds > LONGEST_REACH_SECONDS:
+        raise MotionkitError(f"it can be extended by at most {LONGEST_REACH_SECONDS:g} s, not {seconds:g} s")
+    return seconds
+
+
+def _warnings(chosen: ChosenEncoder, gap: float, reach: float, num_known: int) -> list[str]:
+    found = []
+    if gap > chosen.longest_gap_seconds + 1e-6:
+        found.append(
+            f"a gap of {gap:.2f} s is longer than the {chosen.longest_gap_seconds:.2f} s that {chosen.name} has learnt "
+            "to close"
+        )
+    if chosen.supports_continuation and reach > LONGEST_PLAUSIBLE_SECONDS:
+        found.append(
+            f"{chosen.name} goes on at constant velocity for {reach:g} s; beyond {LONGEST_PLAUSIBLE_SECONDS:g} s that "
+            "is unrealistic (the model spline comes to rest)"
+        )
+    if reach > chosen.reach_seconds + 1e-6:
+        found.append(
+            f"{reach:g} s beyond an end is farther than the {chosen.reach_seconds:.2f} s that {chosen.name} has learnt"
+        )
+    if num_known == 1:
+        found.append("one frame is known, so the body stands still in it")
+    return found
 
 
 def complete_file(
@@ -254,47 +236,37 @@ def complete_file(
     Raises `MotionkitError` or `OSError` without leaving files behind.
     """
     loaded = source.load()
-    completion = request.of(loaded)
-    path = paths.path(source, loaded, completion.fps)
+    path = paths.path(source, loaded, request.fps or loaded.motion.fps)
     page = path.with_suffix(".html") if compared else None
     if page is not None:
         paths.check_free(page)
-    completed = completion.completed_by(chosen)
-    edited = completed.edited
+    completed = completed_motion(loaded, request, chosen)
+    motion, num_given = completed.edited.motion, len(completed.edited.given_rows)
     with whole_file(path) as temporary:
-        write_edited(edited, loaded, temporary)
+        write_edited(completed.edited, loaded, temporary)
         if page is not None:
-            _write_page(page, source.name, completion, [completed, *map(completion.completed_by, compared)])
+            others = [completed_motion(loaded, request, each) for each in compared]
+            _write_page(page, source.name, loaded, [completed, *others])
     warnings = [*completed.warnings, *filter(None, [loaded.note])]
-    num_completed, num_given = edited.motion.num_frames, len(edited.given_rows)
     details = {
         "encoder": completed.encoder,
         "fps": format_fps(loaded.motion.fps),
-        "completed_fps": format_fps(completion.fps),
+        "completed_fps": format_fps(motion.fps),
         "num_frames": loaded.motion.num_frames,
-        "num_completed_frames": num_completed,
+        "num_completed_frames": motion.num_frames,
         "num_given_frames": num_given,
-        "num_made_frames": num_completed - num_given,
-        "longest_gap_seconds": completion.longest_gap_seconds,
+        "num_made_frames": motion.num_frames - num_given,
+        "longest_gap_seconds": completed.longest_gap_seconds,
         "warnings": warnings,
     }
-    return WrittenMotion(
-        source.name, path, page, details, [f"warning: {source.name}: {warning}" for warning in warnings]
-    )
+    return WrittenMotion(source.name, path, page, details, [f"warning: {source.name}: {each}" for each in warnings])
 
 
-def _write_page(path: Path, title: str, completion: MotionCompletion, versions: Sequence[CompletedMotion]) -> None:
+def _write_page(path: Path, title: str, loaded: LoadedMotion, versions: Sequence[CompletedMotion]) -> None:
     """Write a page of a motion and its completions by name, each at its own framerate."""
-    loaded, observed = completion.loaded, completion.observed
-    source = replace(
-        take_of(loaded.motion, "the clip"),
-        uneven_seconds=loaded.uneven_seconds,
-        start_seconds=float(loaded.seconds[0]),
-        seen=None if observed.all() else observed,
-        unseen="left out",
-    )
-    given = [np.isin(np.arange(each.edited.motion.num_frames), each.edited.given_rows) for each in versions]
-    made = [Version(each.encoder, each.edited.motion, mask) for each, mask in zip(versions, given, strict=True)]
+    observed = versions[0].edited.observed
+    source = replace(loaded.take("the clip"), seen=None if observed.all() else observed, unseen="left out")
+    made = [Version(each.encoder, each.edited.motion, each.edited.is_given) for each in versions]
     note = "Dark are frames that were given, orange are those that were made."
     write_comparison(path, title, source, made, others="made", note=note)
 

@@ -4,16 +4,17 @@ An entry point names an `EncoderLoader`, or a plain function `load(run: Path) ->
 stage that trains it. Interpolators need no run and are found by their names beside them.
 """
 
+import math
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Literal, Protocol, TypeGuard, runtime_checkable
+from typing import Literal
 
 from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError
 from motionkit.fields.anchoring import Anchored
-from motionkit.fields.interpolation import INTERPOLATORS, Method, Settling
+from motionkit.fields.interpolation import INTERPOLATORS, Settling
 from motionkit.fields.motion_field import MotionEncoder
 from motionkit.fields.transfer import Transferred, counterpart_joints
 from motionkit.training.loaders import Loader, installed_loaders, loader_names, loader_of
@@ -24,21 +25,6 @@ GROUP = "motionkit.encoders"
 # Tasks of encoders: frames between given ones; gaps and ends; reconstruction of windows.
 Task = Literal["interpolation", "inbetweening", "extrapolation", "reconstruction"]
 COMPLETION: tuple[Task, ...] = ("interpolation", "inbetweening", "extrapolation")
-
-
-@runtime_checkable
-class StatesItsTraining(Protocol):
-    """An encoder that states the range of its training; beyond it there is a warning."""
-
-    @property
-    def longest_gap_seconds(self) -> float:
-        """The longest time between neighbouring observed frames in training."""
-        ...
-
-    @property
-    def reach_seconds(self) -> float:
-        """The longest extrapolation in training."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -80,14 +66,12 @@ def runs_with(name: str, runs: Path) -> tuple[Path, ...]:
     Raises `UsageError` for an unknown name.
     """
     loader = encoder_loader(name)
-    if not runs.is_dir():
-        return ()
-    complete = [run for run in runs.iterdir() if loader.complete_in(run)]
-    return tuple(sorted(complete, key=lambda run: (_trained_at(run, loader), run.name)))
 
+    def trained_at(run: Path) -> int:
+        return RunFolder(run).stage(loader.stages[-1]).summary_path.stat().st_mtime_ns
 
-def _trained_at(run: Path, loader: EncoderLoader) -> int:
-    return RunFolder(run).stage(loader.stages[-1]).summary_path.stat().st_mtime_ns
+    complete = [run for run in runs.iterdir() if loader.complete_in(run)] if runs.is_dir() else []
+    return tuple(sorted(complete, key=lambda run: (trained_at(run), run.name)))
 
 
 # Of all interpolators the one with the smallest errors on captures (docs/complete.md); its acceleration is continuous.
@@ -101,7 +85,8 @@ ALIASES = {"spline": "rotation-cubic"}
 class ChosenEncoder:
     """An encoder and its name; `explanation` says why it was chosen and how to choose another.
 
-    A trained one supports the 22 joints only.
+    A trained one supports the 22 joints only, and may state the range of its training: `longest_gap_seconds` between
+    observed frames, and `reach_seconds` beyond them.
     """
 
     name: str
@@ -110,14 +95,14 @@ class ChosenEncoder:
     explanation: str
 
     @property
-    def longest_gap_seconds(self) -> float | None:
-        """The longest gap in its training; None if unknown."""
-        return self.encoder.longest_gap_seconds if isinstance(self.encoder, StatesItsTraining) else None
+    def longest_gap_seconds(self) -> float:
+        """The longest gap in its training; infinite if unknown."""
+        return float(getattr(self.encoder, "longest_gap_seconds", math.inf))
 
     @property
-    def reach_seconds(self) -> float | None:
-        """The longest extrapolation in its training; None if unknown."""
-        return self.encoder.reach_seconds if isinstance(self.encoder, StatesItsTraining) else None
+    def reach_seconds(self) -> float:
+        """The longest extrapolation in its training; infinite if unknown."""
+        return float(getattr(self.encoder, "reach_seconds", math.inf))
 
     @property
     def supports_continuation(self) -> bool:
@@ -142,32 +127,25 @@ def choose_encoder(name: str | None, run: str | None, runs: Path) -> ChosenEncod
     """
     if name == "":
         raise UsageError("a name of an encoder is empty, expected one such as spline")
-    name = ALIASES.get(name, name) if name else name
-    if name is not None and _is_interpolator(name):
+    if name is not None:
+        name = ALIASES.get(name, name)
+        interpolator = next((encoder for method, encoder in INTERPOLATORS.items() if method == name), None)
+        if interpolator is None:
+            return _trained(name, run, runs)
         if run is not None:
             raise UsageError(f"{name} is an interpolator, which no run holds: leave out run")
-        encoder = INTERPOLATORS[name]
-        settling = Settling(encoder) if name in SETTLING else encoder
-        return ChosenEncoder(name, settling, False, f"{name}, an interpolator")
-    if name is not None:
-        return _trained(name, run, runs)
+        encoder = Settling(interpolator) if name in SETTLING else interpolator
+        return ChosenEncoder(name, encoder, False, f"{name}, an interpolator")
     preferred = next((name for name, loader in installed_encoders().items() if loader.preferred), None)
     if preferred is not None and (run is not None or runs_with(preferred, runs)):
         return _trained(preferred, run, runs)
     if run is not None:
         raise UsageError(f"run {run}: give its encoder as model ({', '.join(trained_encoder_names()) or 'none'})")
-    return ChosenEncoder(BASE.name, BASE, False, f"{BASE.name}, an interpolator{_why_untrained(preferred, runs)}")
-
-
-def _why_untrained(preferred: str | None, runs: Path) -> str:
-    if preferred is None:
-        return ""
-    command = encoder_loader(preferred).train_command()
-    return f", since no run in {runs} has a trained {preferred}: {command} trains one"
-
-
-def _is_interpolator(name: str) -> TypeGuard[Method]:
-    return name in INTERPOLATORS
+    reason = ""
+    if preferred is not None:
+        command = encoder_loader(preferred).train_command()
+        reason = f", since no run in {runs} has a trained {preferred}: {command} trains one"
+    return ChosenEncoder(BASE.name, BASE, False, f"{BASE.name}, an interpolator{reason}")
 
 
 def _trained(name: str, run: str | None, runs: Path) -> ChosenEncoder:

@@ -1,7 +1,7 @@
 """Motions of files, folders, ids and stores, to be edited or looked at; and edited motions written to files."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cache, cached_property, partial
 from pathlib import Path
@@ -29,6 +29,7 @@ from motionkit.io.reading import read_document
 from motionkit.io.registry import FileHead, ReadOptions, SourceItem, writer_of
 from motionkit.io.scan import derived_folder
 from motionkit.store import Store
+from motionkit.viz.player.takes import Take, take_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +65,15 @@ class LoadedMotion:
         if self.document is not None and self.motion.local_rotations is None:
             return self.document.poses
         return Poses.of(self.motion)
+
+    def take(self, name: str) -> Take:
+        """The motion as it is drawn, its invalid frames marked."""
+        return replace(
+            take_of(self.motion, name),
+            uneven_seconds=self.uneven_seconds,
+            start_seconds=float(self.seconds[0]),
+            seen=None if self.valid.all() else self.valid,
+        )
 
     def observation(self, observed: Bool[np.ndarray, "frames"]) -> Observation:
         """The poses of the `observed` frames at their times."""
@@ -188,6 +198,13 @@ class EditedMotion:
     observed: Bool[np.ndarray, "frames"]
     given_rows: Int[np.ndarray, "given"]
     given_frames: Int[np.ndarray, "given"]
+
+    @property
+    def is_given(self) -> Bool[np.ndarray, "frames"]:
+        """A mask of the frames that are those of the loaded motion."""
+        mask = np.zeros(self.motion.num_frames, bool)
+        mask[self.given_rows] = True
+        return mask
 
 
 @dataclass(frozen=True)

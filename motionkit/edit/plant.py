@@ -10,7 +10,6 @@ from motionkit.core.files import whole_file
 from motionkit.core.framerate import format_fps
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Bool, Float64
-from motionkit.core.timegrid import TimeGrid
 from motionkit.edit.motions import (
     EditedMotion,
     LoadedMotion,
@@ -23,10 +22,8 @@ from motionkit.edit.motions import (
 from motionkit.fields.contact.correction import Correction
 from motionkit.fields.contact.correction import Path as BodyPath
 from motionkit.fields.contact.detection import runs
-from motionkit.fields.contact.planted import PlantedField, planted, planted_frames
-from motionkit.fields.interpolation import INTERPOLATORS
+from motionkit.fields.contact.planted import PlantedField, planted_frames
 from motionkit.viz.comparison import Version, write_comparison
-from motionkit.viz.player.takes import take_of
 
 MOVED_METRES = 2e-5
 # Smaller changes are not worth a word.
@@ -95,37 +92,30 @@ class Change:
 
 
 def planted_motion(loaded: LoadedMotion, path: BodyPath) -> tuple[EditedMotion, Change]:
-    """The motion with planted feet, and the change; frames that nothing moves are unchanged. Raises `MotionkitError`.
+    """The motion with planted feet, and the change; frames that nothing moves are unchanged.
 
-    Frames that are uneven in time are resampled to their mean framerate.
+    Raises `MotionkitError` for frames that hold nan or are uneven in time.
     """
     motion, valid = loaded.motion, loaded.valid
     if not valid.all():
         raise MotionkitError(f"{int((~valid).sum()):,} of its {len(valid):,} frames hold nan: complete it first")
-    observation, grid = loaded.observation(valid), motion.timegrid
-    unmoved = np.zeros(0, np.int64)
-    if loaded.uneven_seconds is None:
-        field = planted_frames(observation, grid, path)
-        change, moved = measure_change(field, grid.seconds())
-        poses, unmoved = loaded.poses, np.flatnonzero(~moved)
-        if moved.any():
-            poses = poses.copy()
-            poses.put(moved, field.query(grid.seconds()[moved]))
-    else:
-        field = planted(INTERPOLATORS["slerp"].encode(observation), path)
-        change, _ = measure_change(field, loaded.seconds)
-        grid = TimeGrid(grid.fps, grid.num_frames, float(loaded.seconds[0]))
-        poses = field.query(np.minimum(grid.seconds(), field.end_seconds))
+    if loaded.uneven_seconds is not None:
+        raise MotionkitError("its frames are uneven in time: complete it first, with --fps")
+    field, seconds = planted_frames(loaded.observation(valid), motion.timegrid, path), loaded.seconds
+    change, moved = measure_change(field, seconds)
+    poses, unmoved = loaded.poses.copy(), np.flatnonzero(~moved)
+    if moved.any():
+        poses.put(moved, field.query(seconds[moved]))
     line = (
         f"plant {change.num_contacts} contacts, the body's path {path}: joints moved by up to "
         f"{1000 * change.largest_change:.1f} mm"
     )
-    made = poses.at(grid, motion.skeleton).annotated_like(motion).logged(line)
+    made = poses.at(motion.timegrid, motion.skeleton).annotated_like(motion).logged(line)
     return EditedMotion(made, valid, unmoved, unmoved), change
 
 
 def plant_file(source: MotionSource, path_of_body: BodyPath, with_page: bool, paths: OutputPaths) -> WrittenMotion:
-    """Read, plant and write one motion, with a page of both if wanted.
+    """Read, plant and write one motion, with a page of both if `with_page`.
 
     Raises `MotionkitError` or `OSError` without leaving files behind.
     """
@@ -138,11 +128,9 @@ def plant_file(source: MotionSource, path_of_body: BodyPath, with_page: bool, pa
     with whole_file(path) as temporary:
         write_edited(edited, loaded, temporary)
         if page is not None:
-            stayed = np.zeros(edited.motion.num_frames, bool)
-            stayed[edited.given_rows] = True
-            version = Version("planted", edited.motion, stayed)
+            version = Version("planted", edited.motion, edited.is_given)
             note = "Dark are frames that stayed, orange are those that moved."
-            write_comparison(page, source.name, take_of(loaded.motion, "before"), [version], others="moved", note=note)
+            write_comparison(page, source.name, loaded.take("before"), [version], others="moved", note=note)
     details = {
         "fps": format_fps(loaded.motion.fps),
         "num_frames": loaded.motion.num_frames,

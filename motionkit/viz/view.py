@@ -16,7 +16,7 @@ from motionkit.core.plain_text import printable
 from motionkit.core.progress import warn
 from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import SMPL22
-from motionkit.edit.motions import LoadedMotion, MotionSource, find_motions
+from motionkit.edit.motions import MotionSource, find_motions
 from motionkit.features.field import heading, to_world
 from motionkit.features.layout import SMPL22_LAYOUT
 from motionkit.generate.constraint_files import PathTable, parse_pose, read_path
@@ -177,7 +177,7 @@ def read_takes(
     are_unique = len({source.short_name for source in sources}) == len(sources)
     for source in sources:
         try:
-            take = interval.of(drawn(_take(source.load(), source.short_name if are_unique else source.name)))
+            take = interval.of(drawn(source.load().take(source.short_name if are_unique else source.name)))
             check_places(take)
         except (MotionkitError, OSError) as error:
             failures.append((source.name, describe(error)))
@@ -185,15 +185,6 @@ def read_takes(
             takes.append(take)
         advance()
     return takes, failures
-
-
-def _take(loaded: LoadedMotion, name: str) -> Take:
-    return replace(
-        take_of(loaded.motion, name),
-        uneven_seconds=loaded.uneven_seconds,
-        start_seconds=float(loaded.seconds[0]),
-        seen=None if loaded.valid.all() else loaded.valid,
-    )
 
 
 def page_path(out: Path | None, sources: Sequence[MotionSource], suffix: str = PAGE_SUFFIX) -> Path:

@@ -1,12 +1,22 @@
 """What is to be completed: framerates, frames to keep, reaches; and the lines that say what is wrong with them."""
 
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from motionkit.core.errors import MotionkitError, UsageError
-from motionkit.edit.complete import CompletionRequest, Reach, kept_frames, parse_extend, parse_keep
+from motionkit.edit.complete import (
+    CompletedMotion,
+    CompletionRequest,
+    Reach,
+    completed_motion,
+    kept_frames,
+    parse_extend,
+    parse_keep,
+)
+from motionkit.edit.encoders import choose_encoder
 from motionkit.edit.motions import LoadedMotion
 from tests.helpers.turning_body import random_motion
 
@@ -48,35 +58,40 @@ def test_ranges_outside_the_clip_name_its_frames(text: str) -> None:
 def test_reaches() -> None:
     assert parse_extend("0.5,1") == (Reach(0.5), Reach(1.0))
     assert parse_extend("2") == (Reach(0.0), Reach(2.0))
-    before, after = parse_extend("0,15f")
-    assert before.seconds(Fraction(30)) == 0.0 and after.seconds(Fraction(30)) == 0.5
+    assert parse_extend("0,15f") == (Reach(0.0), Reach(15.0, in_frames=True))
     for text in ("", "a", "-1", "1,2,3", "nan", "inf", "1.5f", "0,"):
         with pytest.raises(UsageError, match="extend"):
             parse_extend(text)
 
 
+def completed(loaded: LoadedMotion, request: CompletionRequest) -> CompletedMotion:
+    return completed_motion(loaded, request, choose_encoder("slerp", None, Path("runs")))
+
+
 def test_a_request_for_one_motion() -> None:
     motion = random_motion(0)
     loaded, one = LoadedMotion.of(motion), LoadedMotion.of(motion.frames(0, 1))
-    completion = CompletionRequest(keep=parse_keep("0:5,12:")).of(loaded)
-    assert completion.fps == 30 and completion.longest_gap_seconds == pytest.approx(8 / 30)
+    made = completed(loaded, CompletionRequest(keep=parse_keep("0:5,12:")))
+    assert made.edited.motion.fps == 30 and made.longest_gap_seconds == pytest.approx(8 / 30)
+    assert completed(loaded, CompletionRequest(after=Reach(15.0, in_frames=True))).edited.motion.num_frames == 35
     with pytest.raises(UsageError, match="nothing to complete"):
         CompletionRequest()
-    with pytest.raises(MotionkitError, match=r"24 fps is less than its 30.*convert --fps 24"):
-        CompletionRequest(fps=Fraction(24)).of(loaded)
-    with pytest.raises(MotionkitError, match="single frame"):
-        CompletionRequest(fps=Fraction(60)).of(one)
-    with pytest.raises(MotionkitError, match="61 s"):
-        CompletionRequest(after=Reach(61.0)).of(loaded)
     lost = LoadedMotion(motion, np.arange(20) > 4)
-    with pytest.raises(MotionkitError, match="nan"):
-        CompletionRequest(keep=parse_keep(":5")).of(lost)
-    assert CompletionRequest(fps=Fraction(60)).of(lost).observed.sum() == 15
+    assert completed(lost, CompletionRequest(fps=Fraction(60))).edited.observed.sum() == 15
+    for case, request, message in (
+        (loaded, CompletionRequest(fps=Fraction(24)), r"24 fps is less than its 30.*convert --fps 24"),
+        (one, CompletionRequest(fps=Fraction(60)), "single frame"),
+        (loaded, CompletionRequest(after=Reach(61.0)), "61 s"),
+        (lost, CompletionRequest(keep=parse_keep(":5")), "nan"),
+    ):
+        with pytest.raises(MotionkitError, match=message):
+            completed(case, request)
 
 
 def test_uneven_times_need_a_framerate_and_have_their_own_gaps() -> None:
     seconds = np.concatenate((np.arange(10) / 30, 0.5 + np.arange(10) / 30))
     loaded = LoadedMotion(random_motion(0), np.ones(20, bool), seconds)
     with pytest.raises(MotionkitError, match="uneven in time"):
-        CompletionRequest(after=Reach(1.0)).of(loaded)
-    assert CompletionRequest(fps=Fraction(60)).of(loaded).longest_gap_seconds == pytest.approx(0.5 - 9 / 30)
+        completed(loaded, CompletionRequest(after=Reach(1.0)))
+    made = completed(loaded, CompletionRequest(fps=Fraction(60)))
+    assert made.longest_gap_seconds == pytest.approx(0.5 - 9 / 30)
