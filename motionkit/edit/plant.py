@@ -175,7 +175,7 @@ def measure_change(
 
 def _contacts(correction: Correction) -> tuple[int, float, tuple[float | None, float | None]]:
     """Number and seconds of a foot's contacts, and its speed there without and with the correction."""
-    if not correction.is_possible or not correction.contacts.down.any():
+    if not correction.contacts.down.any():
         return 0, 0.0, (None, None)
     down, velocity = np.asarray(correction.contacts.down.any(axis=-1)), correction.contacts.velocity
     moves = np.gradient(correction.offsets[:, :1] + correction.offsets[:, 1:], axis=0) * correction.fps
@@ -186,7 +186,5 @@ def _contacts(correction: Correction) -> tuple[int, float, tuple[float | None, f
 
 def _shifts(correction: Correction) -> tuple[float, float]:
     """The largest offset of a foot along the ground, and up or down."""
-    if not correction.is_possible:
-        return 0.0, 0.0
     feet = correction.offsets[:, :1] + correction.offsets[:, 1:]
     return float(np.hypot(feet[..., 0], feet[..., 2]).max()), float(np.abs(feet[..., 1]).max())

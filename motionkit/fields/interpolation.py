@@ -147,21 +147,22 @@ def rotation_curve(
     q = continuous_quaternions(rotations)
     if kind == "cubic":
         return _rotation_spline(times, q)
-    # The shortest rotation from each knot to the next, in the joint's own frame, radians: log(q_i⁻¹·q_{i+1}).
-    turns = quaternion_to_rotation_vector(quaternion_multiply(quaternion_conjugate(q[:-1]), q[1:]))
+    if kind == "slerp":  # great arcs (Shoemake 1985)
+        ends = [_turns(q[:2]) / (times[1] - times[0]), _turns(q[-2:]) / (times[-1] - times[-2])]
+        return RotationCurve(
+            times,
+            lambda segment, fraction: quaternion_slerp(q[segment], q[segment + 1], fraction),
+            np.concatenate(ends),
+        )
+    turns = _turns(q)
     rates = knot_rates(times, turns)
-    between = {"slerp": _slerp, "catmull-rom": _catmull_rom, "squad": _squad}[kind](q, turns, rates, np.diff(times))
+    between = (_catmull_rom if kind == "catmull-rom" else _squad)(q, turns, rates, np.diff(times))
     return RotationCurve(times, between, rates[[0, -1]])
 
 
-def _slerp(
-    q: Float64[np.ndarray, "frames joints 4"],
-    turns: Float64[np.ndarray, "segments joints 3"],
-    rates: Float64[np.ndarray, "frames joints 3"],
-    gaps: Float64[np.ndarray, "segments"],
-) -> Between:
-    """Great arcs (Shoemake 1985)."""
-    return lambda segment, fraction: quaternion_slerp(q[segment], q[segment + 1], fraction)
+def _turns(q: Float64[np.ndarray, "frames joints 4"]) -> Float64[np.ndarray, "segments joints 3"]:
+    """log(q_i⁻¹·q_{i+1}): the shortest rotation from each one to the next, in the joint's own frame, radians."""
+    return quaternion_to_rotation_vector(quaternion_multiply(quaternion_conjugate(q[:-1]), q[1:]))
 
 
 def _catmull_rom(

@@ -7,9 +7,7 @@ original position (f², more while they swing) and accelerations (f̈², r̈²).
 doesn't bend the knees; the rest fades out while a foot swings.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -25,7 +23,6 @@ from motionkit.fields.contact.detection import (
     runs,
     smoothstep,
 )
-from motionkit.fields.contact.legs import Legs
 
 Path = Literal["near", "free", "kept"]
 """Whether the body returns to its path, may end elsewhere (where its planted feet carry it), or stays on its path.
@@ -77,53 +74,22 @@ HELD = 1e9
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """Offsets of body, left and right foot at any instant of a motion, metres.
+    """Offsets of body, left and right foot, metres, at the samples of a grid, `fps` per second from `start_seconds` on.
 
-    `positions()` are the joints (at least those of the feet) at the `count` samples of a grid, `fps` per second from
-    `start_seconds` on. `down()` says which foot joints are on the ground there, if the motion predicts contacts; else
-    they are detected from the feet's paths. A motion of fewer than four samples is not corrected.
+    `ground` and `contacts` are those of the feet without the offsets.
     """
 
-    legs: Legs
-    positions: Callable[[], Float64[np.ndarray, "instants joints 3"]]
     start_seconds: float
     fps: float
-    count: int
-    path: Path
-    down: Callable[[], Bool[np.ndarray, "instants feet ends"]] | None = None
-
-    @property
-    def is_possible(self) -> bool:
-        """Whether the motion is long enough to detect contacts."""
-        return self.count >= FEWEST_INSTANTS
-
-    @cached_property
-    def paths(self) -> Float64[np.ndarray, "instants feet ends 3"]:
-        """Positions of ankle and toe of both feet at the samples."""
-        return self.legs.foot_paths(self.positions()).astype(np.float64)
-
-    @cached_property
-    def ground(self) -> Ground:
-        """Heights of the feet on the ground, estimated from the whole motion."""
-        return ground_of(self.paths, self.fps)
-
-    @cached_property
-    def contacts(self) -> Contacts:
-        """Contacts of both feet at the samples."""
-        predicted = None if self.down is None else self.down()
-        limits = CAPTURED if self.path == "near" else GENERATED
-        return find_contacts(self.paths, self.fps, self.ground, predicted, limits)
-
-    @cached_property
-    def offsets(self) -> Float64[np.ndarray, "instants 3 3"]:
-        """The offsets at the samples."""
-        return offsets_of(self.paths, self.contacts, self.ground, self.fps, self.path)
+    ground: Ground
+    contacts: Contacts
+    offsets: Float64[np.ndarray, "instants 3 3"]
 
     def at(self, times_seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times 3 3"]:
         """The offsets at any times, by C1 cubic interpolation; constant before the first sample and after the last."""
-        if not self.is_possible:
-            return np.zeros((len(times_seconds), 3, 3))
         values = self.offsets
+        if len(values) == 1:
+            return np.repeat(values, len(times_seconds), axis=0)
         place = np.clip((times_seconds - self.start_seconds) * self.fps, 0.0, len(values) - 1.0)
         row = np.minimum(place.astype(np.int64), len(values) - 2)
         u = (place - row)[:, None, None]
@@ -136,6 +102,24 @@ class Correction:
         return np.asarray(
             start + u * (rise + u * ((3.0 * step - 2.0 * rise - later) + u * (rise + later - 2.0 * step)))
         )
+
+
+def find_correction(
+    paths: Float64[np.ndarray, "instants feet ends 3"],
+    start_seconds: float,
+    fps: float,
+    path: Path,
+    predicted: Bool[np.ndarray, "instants feet ends"] | None = None,
+) -> Correction:
+    """The correction of a motion whose ankles and toes have these paths.
+
+    Contacts are the `predicted` ones, else they are detected. A motion of fewer than four samples is not corrected.
+    """
+    ground = ground_of(paths, fps)
+    if len(paths) < FEWEST_INSTANTS:
+        return Correction(start_seconds, fps, ground, Contacts.none(len(paths)), np.zeros((len(paths), 3, 3)))
+    contacts = find_contacts(paths, fps, ground, predicted, CAPTURED if path == "near" else GENERATED)
+    return Correction(start_seconds, fps, ground, contacts, offsets_of(paths, contacts, ground, fps, path))
 
 
 def offsets_of(
@@ -276,64 +260,35 @@ def solve_offsets(
     count, axes = len(down), wishes.place.shape[-1]
     band = np.zeros((_BAND, count, KINDS))  # band[d, t, k]: the entry of unknown (t, k) and the one d places after it
     right = np.zeros((count, KINDS, axes))
-    _add_keep(band, down, costs)
-    _add_sudden(band, fps, costs)
-    for foot in range(2):
-        _add_velocity(band, right, foot, wishes, fps)
-        _add_place(band, right, foot, wishes)
-    lower = band.reshape(_BAND, count * KINDS)
-    solved = solveh_banded(lower, right.reshape(count * KINDS, axes), lower=True, overwrite_ab=True, check_finite=False)
-    return np.asarray(solved).reshape(count, KINDS, axes)
-
-
-def _add_keep(
-    band: Float64[np.ndarray, "band instants 3"], down: Float64[np.ndarray, "instants feet"], costs: Costs
-) -> None:
+    # Distance from the original position.
     band[0, :, 0] += costs.body
     band[0, :, 1:] += costs.foot_up + (costs.foot_down - costs.foot_up) * down
-
-
-def _add_sudden(band: Float64[np.ndarray, "band instants 3"], fps: float, costs: Costs) -> None:
+    # Acceleration: squares of second differences.
     sudden = np.array([costs.body_sudden, costs.foot_sudden, costs.foot_sudden]) * fps**4
     for first, factor in ((0, 1.0), (1, -2.0), (2, 1.0)):
         for second, other in ((0, 1.0), (1, -2.0), (2, 1.0)):
             if second >= first:
-                stop = band.shape[1] - 2 + first
+                stop = count - 2 + first
                 band[KINDS * (second - first), first:stop] += sudden * factor * other
-
-
-def _add_velocity(
-    band: Float64[np.ndarray, "band instants 3"],
-    right: Float64[np.ndarray, "instants 3 axes"],
-    foot: int,
-    wishes: Wishes,
-    fps: float,
-) -> None:
-    """Weight · |(r + f)(t + 1) − (r + f)(t) − v/fps|² · fps²."""
-    own = 1 + foot
-    weight = wishes.velocity_weight[:, foot] * fps**2
-    for earlier, rows in ((True, slice(None, -1)), (False, slice(1, None))):
-        sign = -1.0 if earlier else 1.0
-        pull = sign * weight[:, None] * wishes.velocity[:, foot] / fps
-        for kind in (0, own):
-            band[0, rows, kind] += weight
-            right[rows, kind] += pull
-        band[own, rows, 0] += weight  # body and foot of one sample
-    for kind in (0, own):
-        band[KINDS, :-1, kind] -= weight  # each with itself one sample later
-    band[KINDS + own, :-1, 0] -= weight  # the body with the foot one sample later
-    band[KINDS - own, :-1, own] -= weight  # the foot with the body one sample later
-
-
-def _add_place(
-    band: Float64[np.ndarray, "band instants 3"],
-    right: Float64[np.ndarray, "instants 3 axes"],
-    foot: int,
-    wishes: Wishes,
-) -> None:
-    own = 1 + foot
-    weight = wishes.place_weight[:, foot]
-    for kind in (0, own):
-        band[0, :, kind] += weight
-        right[:, kind] += weight[:, None] * wishes.place[:, foot]
-    band[own, :, 0] += weight
+    for foot in (1, 2):
+        # Velocity: weight · |(r + f)(t + 1) − (r + f)(t) − v/fps|² · fps².
+        weight = wishes.velocity_weight[:, foot - 1] * fps**2
+        pull = weight[:, None] * wishes.velocity[:, foot - 1] / fps
+        for rows, sign in ((slice(None, -1), -1.0), (slice(1, None), 1.0)):
+            for kind in (0, foot):
+                band[0, rows, kind] += weight
+                right[rows, kind] += sign * pull
+            band[foot, rows, 0] += weight  # body and foot of one sample
+        for kind in (0, foot):
+            band[KINDS, :-1, kind] -= weight  # each with itself one sample later
+        band[KINDS + foot, :-1, 0] -= weight  # the body with the foot one sample later
+        band[KINDS - foot, :-1, foot] -= weight  # the foot with the body one sample later
+        # Place: weight · |(r + f) − p|².
+        weight = wishes.place_weight[:, foot - 1]
+        for kind in (0, foot):
+            band[0, :, kind] += weight
+            right[:, kind] += weight[:, None] * wishes.place[:, foot - 1]
+        band[foot, :, 0] += weight
+    lower = band.reshape(_BAND, count * KINDS)
+    solved = solveh_banded(lower, right.reshape(count * KINDS, axes), lower=True, overwrite_ab=True, check_finite=False)
+    return np.asarray(solved).reshape(count, KINDS, axes)

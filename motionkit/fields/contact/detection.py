@@ -71,6 +71,12 @@ class Contacts:
     lead: Float64[np.ndarray, "instants feet"]
     beside: Float64[np.ndarray, "instants feet"]
 
+    @classmethod
+    def none(cls, count: int) -> "Contacts":
+        """Feet in the air at all of `count` samples."""
+        nothing = np.zeros((count, 2))
+        return cls(np.zeros((count, 2, 2), bool), nothing, np.zeros((count, 2, 3)), nothing, nothing, nothing)
+
 
 @dataclass(frozen=True, eq=False)
 class Ground:
@@ -105,19 +111,19 @@ def find_contacts(
     paths: Float64[np.ndarray, "instants feet ends 3"],
     fps: float,
     ground: Ground,
-    offered: Bool[np.ndarray, "instants feet ends"] | None = None,
+    predicted: Bool[np.ndarray, "instants feet ends"] | None = None,
     limits: Limits = CAPTURED,
 ) -> Contacts:
-    """Contacts of foot joints sampled at `fps`: the `offered` ones, else detected from their paths."""
+    """Contacts of foot joints sampled at `fps`: the `predicted` ones, else detected from their paths."""
     velocity = velocities(paths, fps)
     speed = _lengths(velocity)
     height = _above_ground(paths[..., 1] - ground.level, fps)
     level_speed = np.hypot(velocity[..., 0], velocity[..., 2])
-    down = _down(height, speed, fps, 0) if offered is None else _each(offered, fps)
+    down = _down(height, speed, fps, 0) if predicted is None else _cleaned(predicted, fps)
     rests = Rests.of(down, level_speed, fps)
     beside = rests.stands[:, ::-1]
     here, around = rests.sliding(fps, limits)
-    if offered is None and (around > 0.5).any():
+    if predicted is None and (around > 0.5).any():
         down = np.where((around > 0.5)[:, None, None], _down(height, speed, fps, 1), down)
         rests = Rests.of(down, level_speed, fps)
     steadiest = _steadiest(down, velocity, level_speed)
@@ -169,48 +175,30 @@ def _down(
     fps: float,
     kind: int,
 ) -> Bool[np.ndarray, "instants feet ends"]:
-    """Joints in contact, with the limits for standing (0) to sliding (1) feet."""
+    """Joints in contact, with the limits for standing (0) to sliding (1) feet.
+
+    Hysteresis: while a joint stays within the wider limits, if it is within the narrower ones once.
+    """
     enters = (height < ENTER_METRES) & (speed < ENTER_SPEED[kind])
     stays = (height < LEAVE_METRES) & (speed < LEAVE_SPEED[kind])
-    down = np.empty_like(stays)
+    down = np.zeros_like(stays)
     for foot, end in np.ndindex(2, 2):
-        down[:, foot, end] = _held(enters[:, foot, end], stays[:, foot, end])
-    return _each(down, fps)
+        for start, stop in zip(*runs(stays[:, foot, end]), strict=True):
+            down[start:stop, foot, end] = enters[start:stop, foot, end].any()
+    return _cleaned(down, fps)
 
 
-def _each(found: Bool[np.ndarray, "instants feet ends"], fps: float) -> Bool[np.ndarray, "instants feet ends"]:
+def _cleaned(down: Bool[np.ndarray, "instants feet ends"], fps: float) -> Bool[np.ndarray, "instants feet ends"]:
     """Closes short gaps between contacts, then removes short contacts."""
-    down = np.empty_like(found)
+    cleaned = down.copy()
     for foot, end in np.ndindex(2, 2):
-        down[:, foot, end] = _without_short(_without_gaps(found[:, foot, end], fps), fps)
-    return down
-
-
-def _held(enters: Bool[np.ndarray, "instants"], stays: Bool[np.ndarray, "instants"]) -> Bool[np.ndarray, "instants"]:
-    """Hysteresis: the runs of `stays` that contain at least one True of `enters`."""
-    starts, stops = runs(stays)
-    total = np.concatenate(([0], np.cumsum(enters)))
-    return _mask(starts, stops, total[stops] > total[starts], len(stays))
-
-
-def _without_gaps(mask: Bool[np.ndarray, "instants"], fps: float) -> Bool[np.ndarray, "instants"]:
-    starts, stops = runs(~mask)
-    inner = (starts > 0) & (stops < len(mask))
-    return np.asarray(mask | _mask(starts, stops, inner & (stops - starts <= GAP_SECONDS * fps + 1e-9), len(mask)))
-
-
-def _without_short(mask: Bool[np.ndarray, "instants"], fps: float) -> Bool[np.ndarray, "instants"]:
-    starts, stops = runs(mask)
-    return _mask(starts, stops, stops - starts >= SHORTEST_SECONDS * fps - 1e-9, len(mask))
-
-
-def _mask(
-    starts: Int64[np.ndarray, "runs"], stops: Int64[np.ndarray, "runs"], chosen: Bool[np.ndarray, "runs"], count: int
-) -> Bool[np.ndarray, "instants"]:
-    steps = np.zeros(count + 1, np.int64)
-    np.add.at(steps, starts[chosen], 1)
-    np.add.at(steps, stops[chosen], -1)
-    return np.cumsum(steps[:-1]) > 0
+        joint = cleaned[:, foot, end]
+        starts, stops = runs(joint)
+        for start, stop in zip(stops[:-1], starts[1:], strict=True):
+            joint[start:stop] = stop - start <= GAP_SECONDS * fps + 1e-9
+        for start, stop in zip(*runs(joint), strict=True):
+            joint[start:stop] = stop - start >= SHORTEST_SECONDS * fps - 1e-9
+    return cleaned
 
 
 def _steadiest(

@@ -1,17 +1,16 @@
 """Motion with planted feet: a motion field that wraps another, and the same for a motion's own frames."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
 
 from motionkit.core.kinematics import quaternion_rotate
-from motionkit.core.shapes import Bool, Float32, Float64, Int64
+from motionkit.core.shapes import Bool, Float32, Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.contact.bones import Bones
-from motionkit.fields.contact.correction import Correction, Path
+from motionkit.fields.contact.correction import Correction, Path, find_correction
 from motionkit.fields.contact.legs import BentLeg, Leg, Legs, bend, legs_of, turns
 from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.joints import turned_rotations
@@ -86,23 +85,10 @@ def planted(field: MotionField, path: Path = "near") -> PlantedField:
     span = field.end_seconds - field.start_seconds
     count = int(np.ceil(span * GRID_FPS - 1e-6)) + 1
     fps = (count - 1) / span if count > 1 else GRID_FPS
-
-    def seconds(rows: Int64[np.ndarray, "rows"]) -> Float64[np.ndarray, "rows"]:
-        return np.minimum(field.start_seconds + rows / fps, field.end_seconds)
-
-    def positions(rows: Int64[np.ndarray, "rows"]) -> Float32[np.ndarray, "rows joints 3"]:
-        return field.query(seconds(rows)).joint_positions
-
-    made = _planted(field, positions, fps, count, path)
-    if contacts_of(field, seconds(np.zeros(1, np.int64))) is None:
-        return made
-
-    def down() -> Bool[np.ndarray, "instants feet ends"]:
-        probability = contacts_of(field, seconds(np.arange(count)))
-        assert probability is not None
-        return np.asarray(probability > PROBABLY)
-
-    return replace(made, correction=replace(made.correction, down=down))
+    times = np.minimum(field.start_seconds + np.arange(count) / fps, field.end_seconds)
+    probability = contacts_of(field, times)
+    predicted = None if probability is None else np.asarray(probability > PROBABLY)
+    return _planted(field, field.query(times), fps, path, predicted)
 
 
 def planted_frames(observation: Observation, frames: TimeGrid, path: Path = "near") -> PlantedField:
@@ -111,33 +97,26 @@ def planted_frames(observation: Observation, frames: TimeGrid, path: Path = "nea
     At very high framerates only every second frame, or third, is used for detection.
     """
     step = max(1, round(float(frames.fps) / GRID_FPS))
-
-    def positions(rows: Int64[np.ndarray, "rows"]) -> Float32[np.ndarray, "rows joints 3"]:
-        return np.asarray(observation.poses.joint_positions[step * rows])
-
-    field, count = INTERPOLATORS["hold"].encode(observation), (frames.num_frames - 1) // step + 1
-    return _planted(field, positions, float(frames.fps / step), count, path)
+    field = INTERPOLATORS["hold"].encode(observation)
+    return _planted(field, observation.poses.rows(slice(None, None, step)), float(frames.fps / step), path)
 
 
 def _planted(
     field: MotionField,
-    positions: Callable[[Int64[np.ndarray, "rows"]], Float32[np.ndarray, "rows joints 3"]],
+    poses: Poses,
     fps: float,
-    count: int,
     path: Path,
+    predicted: Bool[np.ndarray, "instants feet ends"] | None = None,
 ) -> PlantedField:
-    """A field planted by its positions at the samples of a grid."""
-    legs = legs_of(field.skeleton)
-    bones = None
-    if field.query(np.array([field.start_seconds])).local_rotations is None:
-        some = np.unique(np.linspace(0, count - 1, min(count, BONE_SAMPLES)).astype(np.int64))
-        bones = Bones.lacking(positions(some), field.skeleton, captured=path == "near")
-
-    def on_bones() -> Float32[np.ndarray, "instants joints 3"]:
-        sampled = positions(np.arange(count))
-        return sampled if bones is None else bones.applied(sampled, legs.feet)
-
-    return PlantedField(field, legs, bones, Correction(legs, on_bones, field.start_seconds, fps, count, path))
+    """A field planted by its poses at the samples of a grid."""
+    legs, bones, positions = legs_of(field.skeleton), None, poses.joint_positions
+    if poses.local_rotations is None:
+        some = np.unique(np.linspace(0, len(positions) - 1, min(len(positions), BONE_SAMPLES)).astype(np.int64))
+        bones = Bones.lacking(positions[some], field.skeleton, captured=path == "near")
+        if bones is not None:
+            positions = bones.applied(positions, legs.feet)
+    paths = legs.foot_paths(positions).astype(np.float64)
+    return PlantedField(field, legs, bones, find_correction(paths, field.start_seconds, fps, path, predicted))
 
 
 def with_offsets(poses: Poses, offsets: Float64[np.ndarray, "times 3 3"], legs: Legs, skeleton: Skeleton) -> Poses:
