@@ -186,7 +186,7 @@ def _show(result: "Result", as_json: bool = False) -> None:
 def _print_tables(result: "Result") -> None:
     """The numbers of a result for a terminal; notes and further metrics are in the file."""
     from eval.report.render import format_cell
-    from motionkit.cli.tables import print_table
+    from motionkit.cli.console import print_table
 
     stdout.print(result.title)
     for line in (result.caption, *result.missing):

@@ -160,7 +160,7 @@ def score(
 
 def _print(found: "list[Preference]") -> None:
     from eval.study.draw import QUESTIONS
-    from motionkit.cli.tables import print_table
+    from motionkit.cli.console import print_table
 
     for question, text in QUESTIONS.items():
         rows = [

