@@ -8,7 +8,7 @@ import typer
 from eval.tables.ablation_runs import find_ablation, find_ablations, papers_with_ablations, run_name, train_variant
 from motionkit.cli.console import print_json, progress, stderr, stdout
 from motionkit.core.errors import MotionkitError, UsageError
-from motionkit.core.settings import default_path
+from motionkit.core.files import default_path
 from motionkit.training.ablations import Ablation, Ablations, Variant
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext

@@ -18,8 +18,7 @@ from eval.commands.eval_options import (
 )
 from motionkit.cli.console import print_json, print_text, progress, stderr, stdout
 from motionkit.core.errors import MotionkitError, UsageError
-from motionkit.core.files import write_whole
-from motionkit.core.settings import default_path
+from motionkit.core.files import default_path, write_whole
 
 if TYPE_CHECKING:
     from eval.report.results import Result

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from motionkit.core.errors import UsageError
-from motionkit.core.settings import default_path
+from motionkit.core.files import default_path
 
 if TYPE_CHECKING:
     from fractions import Fraction

@@ -10,9 +10,8 @@ import typer
 
 from motionkit.cli.console import print_json, print_text, progress, stderr
 from motionkit.core.errors import UsageError
-from motionkit.core.files import write_whole
+from motionkit.core.files import default_path, write_whole
 from motionkit.core.progress import task
-from motionkit.core.settings import default_path
 
 if TYPE_CHECKING:
     from eval.report.results import Result

@@ -15,15 +15,11 @@ from typing import Annotated, Any
 import typer
 
 from motionkit.cli.console import show_warnings, stderr, stdout
-from motionkit.cli.defaults import defaults_of
-from motionkit.core import interrupts
+from motionkit.cli.start import was_stopped
 from motionkit.core.errors import MotionkitError, UsageError, describe
-from motionkit.core.settings import FILE
 
 # The exit code after Ctrl-C.
 INTERRUPTED = 130
-# The exit code of a usage error.
-USAGE = 2
 
 
 def build_app(only: str = "") -> typer.Typer:
@@ -94,15 +90,12 @@ def main() -> None:
     # beside other processes on all processors a training step then takes ten times as long.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     show_warnings()
-    defaults: dict[str, Any] = {}
     try:
         names = sys.argv[1:2]
         app = build_app(*names)
-        if names:
-            defaults = defaults_of(app, names[0], entry_points(group="motionkit.commands").names)
-        app(default_map=defaults)
+        app()
     except (MotionkitError, OSError) as error:
-        if interrupts.was_stopped():
+        if was_stopped():
             raise  # not an interrupt that a library converted
         if isinstance(error, UsageError):
             stderr.print(f"motionkit: {error}")
@@ -114,6 +107,4 @@ def main() -> None:
         # What typer raises for an interrupt.
         if ended.code == INTERRUPTED:
             stderr.print("motionkit: stopped: --resume goes on" if _resumes(app, names) else "motionkit: stopped")
-        if ended.code == USAGE and defaults:
-            stderr.print(f"motionkit: defaults of {names[0]} come from {FILE} here: {defaults[names[0]]}")
         raise

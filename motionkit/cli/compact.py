@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from motionkit.cli.console import print_json, progress, stdout
+from motionkit.core.files import default_path
 from motionkit.core.progress import task
-from motionkit.core.settings import default_path
 
 if TYPE_CHECKING:
     from motionkit.store.life.rewrite import Compaction

@@ -17,7 +17,7 @@ from motionkit.cli.options import (
     parse_rate,
     read_options,
 )
-from motionkit.core.settings import default_path
+from motionkit.core.files import default_path
 
 
 def convert(

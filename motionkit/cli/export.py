@@ -9,8 +9,8 @@ import typer
 from motionkit.cli.console import print_json, progress, stderr, stdout
 from motionkit.cli.options import parse_rate, read_options
 from motionkit.core.errors import UsageError
+from motionkit.core.files import default_path
 from motionkit.core.progress import task
-from motionkit.core.settings import default_path
 
 if TYPE_CHECKING:
     from motionkit.edit.export.run import Export, ExportReport

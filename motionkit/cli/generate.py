@@ -8,8 +8,8 @@ import typer
 from motionkit.cli.console import print_json, progress, stderr, stdout
 from motionkit.cli.options import parse_rate
 from motionkit.core.errors import UsageError
+from motionkit.core.files import default_path
 from motionkit.core.progress import task
-from motionkit.core.settings import default_path
 
 FORMATS = "bvh, amass, joints-npy, npz, csv, robot-csv, gltf, humanml3d"
 

@@ -9,9 +9,8 @@ import typer
 
 from motionkit.cli.console import print_json, progress, stdout
 from motionkit.core.errors import StoreError, UsageError
-from motionkit.core.files import require_empty, whole_folder
+from motionkit.core.files import default_path, require_empty, whole_folder
 from motionkit.core.progress import task
-from motionkit.core.settings import default_path
 
 if TYPE_CHECKING:
     from huggingface_hub import HfUri

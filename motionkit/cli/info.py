@@ -10,8 +10,7 @@ import typer
 from motionkit.cli.console import print_json, stderr, stdout
 from motionkit.cli.options import Up, named_store
 from motionkit.core.errors import UsageError
-from motionkit.core.files import is_store
-from motionkit.core.settings import default_path
+from motionkit.core.files import default_path, is_store
 
 if TYPE_CHECKING:
     from motionkit.core.motion import Motion

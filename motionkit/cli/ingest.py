@@ -13,8 +13,8 @@ import typer
 from motionkit.cli.console import print_json, print_text, progress, say_next, stderr, stdout
 from motionkit.cli.options import Up, of_default, parse_rate, read_options
 from motionkit.core.errors import FormatError, MotionkitError, UsageError
+from motionkit.core.files import default_path
 from motionkit.core.plain_text import printable
-from motionkit.core.settings import default_path, optional_path
 
 
 class Compat(StrEnum):
@@ -74,8 +74,8 @@ SkeletonMaps = Annotated[
 BodyModels = Annotated[
     Path | None,
     typer.Option(
-        help="Folder of your own SMPL, SMPL-H or SMPL-X models (.npz), for AMASS's joints "
-        "(else MOTIONKIT_BODY_MODELS, else SMPL's mean shape).",
+        help="Folder of your own SMPL, SMPL-H or SMPL-X models (.npz), for AMASS's joints (else SMPL's mean shape).",
+        envvar="MOTIONKIT_BODY_MODELS",
         show_default=False,
     ),
 ]
@@ -197,8 +197,7 @@ def _check_success(report: "IngestReport", on_error: OnError) -> None:
         raise MotionkitError(f"nothing was stored; the store {report.store} is as it was")
 
 
-def _body_models(given: Path | None) -> Path | None:
-    folder = given or optional_path("body_models")
+def _body_models(folder: Path | None) -> Path | None:
     if folder is not None and not folder.is_dir():
         raise UsageError(f"--body-models {folder}: no such folder")
     return None if folder is None else folder.resolve()

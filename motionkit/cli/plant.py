@@ -19,7 +19,7 @@ from motionkit.cli.options import (
     read_options,
 )
 from motionkit.core.errors import UsageError
-from motionkit.core.settings import default_path
+from motionkit.core.files import default_path
 
 
 class BodyPath(StrEnum):

@@ -13,8 +13,8 @@ import typer
 
 from motionkit.cli.console import print_json, print_text, stdout
 from motionkit.core.errors import UsageError
+from motionkit.core.files import default_path
 from motionkit.core.plain_text import printable
-from motionkit.core.settings import default_path
 
 LONG_LIST = 6
 WIDEST = 100_000

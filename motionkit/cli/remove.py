@@ -7,7 +7,7 @@ import typer
 
 from motionkit.cli.console import print_json, stdout
 from motionkit.core.errors import UsageError
-from motionkit.core.settings import default_path
+from motionkit.core.files import default_path
 
 if TYPE_CHECKING:
     from motionkit.store.life.rewrite import Removal

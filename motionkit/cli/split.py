@@ -9,7 +9,7 @@ import typer
 from motionkit.cli.console import print_json, say_next, stdout
 from motionkit.cli.options import StoreArgument, named_store, of_default
 from motionkit.core.errors import UsageError
-from motionkit.core.settings import default_path
+from motionkit.core.files import default_path
 
 if TYPE_CHECKING:
     from motionkit.store.life.splits import SplitReport

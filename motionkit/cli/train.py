@@ -15,8 +15,8 @@ from motionkit.cli.console import print_json, progress, say_next, stderr, stdout
 from motionkit.cli.options import StoreArgument, named_store, of_default, parse_duration
 from motionkit.cli.tracking import tensorboard_events
 from motionkit.core.errors import UsageError
+from motionkit.core.files import default_path
 from motionkit.core.progress import ignore, task
-from motionkit.core.settings import default_path
 from motionkit.store.sql import conjunction
 from motionkit.training.config import (
     apply_overrides,

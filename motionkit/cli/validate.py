@@ -7,8 +7,8 @@ import typer
 
 from motionkit.cli.console import print_json, progress, stdout
 from motionkit.cli.options import StoreArgument, named_store
+from motionkit.core.files import default_path
 from motionkit.core.progress import task
-from motionkit.core.settings import default_path
 
 
 def validate(

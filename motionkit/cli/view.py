@@ -9,8 +9,8 @@ import typer
 from motionkit.cli.console import print_json, progress, stderr, stdout
 from motionkit.cli.options import AsJson, Clips, SkeletonMaps, StorePath, Up, WhereOption, parse_rate, read_options
 from motionkit.core.errors import MotionkitError, UsageError
+from motionkit.core.files import default_path
 from motionkit.core.progress import task
-from motionkit.core.settings import default_path
 from motionkit.viz import MOST_MOTIONS
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Files and folders that appear whole, locks between processes, and records of a folder's sha256.
+"""Files and folders that appear whole, locks between processes, signals that wait, records of a folder's sha256.
 
 A file is written beside its place, flushed to the disk and renamed, so a reader never finds half of it. A folder of
 several files may have a record of their sha256, which is checked when the folder is opened for use.
@@ -11,6 +11,8 @@ import os
 import re
 import secrets
 import shutil
+import signal
+import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -25,6 +27,7 @@ LOCK = ".lock"
 RECORD = "SHA256SUMS"
 _RECORD_LINE = re.compile(r"([0-9a-f]{64})  (.+)")
 _TEMPORARY = re.compile(r"\..+\.[0-9a-f]{8}\.tmp(\.[^.]*)?")
+STOPPING_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 _NO_LOCKS = (errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOLCK)
 
 # The files and the folder by which a store is known.
@@ -36,6 +39,11 @@ def is_store(path: Path) -> bool:
     # Not Path.is_file, which raises for folders that may not be entered.
     beside = (path / SEQUENCES_FILE, path / SEGMENTS_FOLDER)
     return os.path.isfile(path / MANIFEST_FILE) and any(map(os.path.exists, beside))  # noqa: PTH113
+
+
+def default_path(name: str) -> Path:
+    """The folder `store`, `runs` or `results` of the environment variable MOTIONKIT_NAME, or else ./NAME."""
+    return Path(os.environ.get(f"MOTIONKIT_{name.upper()}") or name)
 
 
 @contextmanager
@@ -256,3 +264,26 @@ def exclusive_lock(path: Path, *, busy: str | None) -> Iterator[None]:
         yield
     finally:
         lock.release()
+
+
+@contextmanager
+def defer_signals() -> Iterator[None]:
+    """Deliver Ctrl-C and SIGTERM only after the block, however it ends; for short blocks.
+
+    Blocks may be nested. Does nothing outside the main thread, where no signals are handled.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    # None: a handler that was not set from Python and cannot be restored.
+    previous = {number: handler for number in STOPPING_SIGNALS if (handler := signal.getsignal(number)) is not None}
+    try:
+        for number in previous:
+            signal.signal(number, lambda arrived, frame: came.append(arrived))
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+        for arrived in came:
+            signal.raise_signal(arrived)

@@ -11,11 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from motionkit.core.errors import MotionkitError, UsageError
-from motionkit.core.files import whole_file
+from motionkit.core.files import default_path, whole_file
 from motionkit.core.framerate import Framerate, format_fps, parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.progress import warn
-from motionkit.core.settings import default_path
 from motionkit.core.shapes import Bool
 from motionkit.edit.encoders import ChosenEncoder, choose_encoder
 from motionkit.edit.motions import (

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TypedDict, Unpack, overload
 
 from motionkit.core.errors import UsageError
+from motionkit.core.files import default_path
 from motionkit.core.framerate import Framerate, format_fps, parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.plain_text import shown
-from motionkit.core.settings import default_path
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.motion_field import MotionField
 from motionkit.generate import models

@@ -26,7 +26,6 @@ from motionkit.core.checksums import read_json, write_json
 from motionkit.core.errors import DamagedFileError, StoreError, UsageError
 from motionkit.core.files import exclusive_lock, whole_file, whole_folder
 from motionkit.core.progress import tracked, warn
-from motionkit.core.settings import optional_path
 from motionkit.core.shapes import Float32, Int, Int32, Int64
 from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, map_joints
@@ -420,8 +419,8 @@ def _remove_stale(root: Path, fingerprint: str) -> None:
 
 def cache_root(store: Path, fingerprint: str) -> Path:
     """The folder of a store's caches: `cache` in it, or `fingerprint` in the folder that MOTIONKIT_CACHE names."""
-    elsewhere = optional_path("cache")
-    return store / CACHE_FOLDER if elsewhere is None else elsewhere / fingerprint
+    elsewhere = os.environ.get("MOTIONKIT_CACHE")
+    return Path(elsewhere, fingerprint) if elsewhere else store / CACHE_FOLDER
 
 
 def _folders(root: Path) -> list[Path]:

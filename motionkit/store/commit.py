@@ -12,8 +12,7 @@ import pyarrow.parquet as pq
 
 from motionkit.core import files
 from motionkit.core.errors import StoreError, describe
-from motionkit.core.files import exclusive_lock
-from motionkit.core.interrupts import defer_signals
+from motionkit.core.files import defer_signals, exclusive_lock
 from motionkit.store.manifest import (
     PENDING_SUFFIX,
     TABLES,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from motionkit.core import __version__
 from motionkit.core.errors import MissingExtraError, MotionkitError, UsageError
-from motionkit.core.interrupts import defer_signals
+from motionkit.core.files import defer_signals
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -113,6 +113,7 @@ def _processes(num_workers: int, preload: Sequence[str]) -> Iterator[Workers]:
     context = get_context("forkserver" if "forkserver" in get_all_start_methods() else "spawn")
     if context.get_start_method() == "forkserver":
         context.set_forkserver_preload(["__main__", __name__, *preload])
+        _start_server()
     watched, kept_open = Pipe(duplex=False)
 
     def start_pool() -> ProcessPoolExecutor:
@@ -137,6 +138,20 @@ def _processes(num_workers: int, preload: Sequence[str]) -> Iterator[Workers]:
             kept_open.close()  # ends the workers: unfinished calls are not waited for
             pool.shutdown(cancel_futures=True)
             watched.close()
+
+
+def _start_server() -> None:
+    """Start the server of workers so that Ctrl-C, which a terminal sends to all processes, cannot stop its imports."""
+    from multiprocessing import forkserver, resource_tracker
+    from signal import SIG_BLOCK, SIG_SETMASK, SIGINT, pthread_sigmask
+
+    with defer_signals():
+        resource_tracker.ensure_running()  # else it starts with the server, and unblocks signals in between
+        before = pthread_sigmask(SIG_BLOCK, [SIGINT])
+        try:
+            forkserver.ensure_running()
+        finally:
+            pthread_sigmask(SIG_SETMASK, before)
 
 
 def _end_with_parent(watched: "Connection") -> None:

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 
 from motionkit.core import files
 from motionkit.core.errors import StoreError
-from motionkit.core.interrupts import defer_signals
+from motionkit.core.files import defer_signals
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import Skeleton
 from motionkit.store import codec

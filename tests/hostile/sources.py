@@ -45,23 +45,6 @@ USER_TOMLS = {
     "an enormous framerate": RULES.format("*", "9" * 5000),
     "escape sequences": RULES.format("*", f'"{EVIL.encode("unicode_escape").decode().replace("x", "u00")}"'),
 }
-SETTINGS = {
-    "a store of escape sequences": f'store = "{"".join(f"{chr(92)}u{ord(letter):04x}" for letter in EVIL)}"\n',
-    "a store of a zero byte": 'store = "a\\u0000b"\n',
-    "a store of 100,000 letters": f'store = "{"x" * 100_000}"\n',
-    "an enormous number": f"store = {'9' * 5000}\n",
-    "a table for a path": "[store]\na = 1\n[runs]\n[results]\n",
-    "nested without end": "store = " + "[" * 100_000,
-    "not UTF-8": b'store = "\xff"\n',
-}
-DEFAULTS = (
-    ("info",),
-    ("validate",),
-    ("ingest", "one", "--workers", "1"),
-    ("report",),
-    ("train", "--stage", "field", "--device", "cpu"),
-    ("generate", "--action", "walk", "--fps", "30", "--seconds", "1", "--out", "new"),
-)
 TABLE = "file,caption,split\n"
 CAPTURES: dict[str, Spoil] = {
     "a table names files outside": lambda inside, outside: _table(inside, outside),
@@ -134,5 +117,3 @@ def scenes() -> Iterator[Scene]:
         yield Scene(f"rules: {name}", text("rules.toml", content), (command,))
     for name, spoil in CAPTURES.items():
         yield Scene(f"captures: {name}", spoil, INGEST)
-    for name, content in SETTINGS.items():
-        yield Scene(f"motionkit.toml: {name}", text("motionkit.toml", content), DEFAULTS)

@@ -25,8 +25,8 @@ SCRIPT = """
 import sys
 from motionkit.cli import start
 
-prepare = start.interrupts.stop_by_signals
-start.interrupts.stop_by_signals = lambda: (prepare(), print("begun", flush=True))
+prepare = start.stop_by_signals
+start.stop_by_signals = lambda: (prepare(), print("begun", flush=True))
 sys.exit(start.main())
 """
 NUM_TAKES = 24
@@ -73,7 +73,7 @@ def test_so_does_one_that_is_being_loaded(
             raise raised from None  # a library may turn one into the other
 
     monkeypatch.setattr(app, "build_app", loading)
-    monkeypatch.setattr(start.interrupts, "_stopped", [])
+    monkeypatch.setattr(start, "_received", [])
     monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
     with pytest.raises(SystemExit) as ended:
         start.main()

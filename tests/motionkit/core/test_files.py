@@ -8,6 +8,7 @@ import signal
 import stat
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from functools import partial
@@ -18,6 +19,7 @@ import pytest
 from motionkit.core.errors import BusyError, DamagedFileError
 from motionkit.core.files import (
     LOCK,
+    defer_signals,
     exclusive_lock,
     is_temporary,
     locked_folder,
@@ -118,7 +120,11 @@ def test_writers_of_the_same_path_do_not_meet(tmp_path: Path) -> None:
 
 def test_a_link_at_the_path_is_replaced_and_not_written_through(tmp_path: Path) -> None:
     (tmp_path / "letter").write_text("dear")
-    for write in (partial(write_whole, content="x"), lambda path: replace(tmp_path / "new", path)):
+    writers: list[Callable[[Path], None]] = [
+        lambda path: write_whole(path, "x"),
+        lambda path: replace(tmp_path / "new", path),
+    ]
+    for write in writers:
         (tmp_path / "new").write_text("x")
         (tmp_path / "walk.json").unlink(missing_ok=True)
         (tmp_path / "walk.json").symlink_to(tmp_path / "letter")
@@ -250,7 +256,7 @@ def test_killed_before_any_step_the_folder_is_there_or_the_next_writer_makes_it(
     for step in range(20):
         path = tmp_path / str(step) / "out"
         path.parent.mkdir()
-        if not killed_before(step, path.parent, lambda path=path: write(path)):
+        if not killed_before(step, path.parent, partial(write, path)):
             break
         killed += 1
         if not path.exists():
@@ -336,3 +342,33 @@ def test_too_large_a_file_is_not_read(tmp_path: Path) -> None:
     assert read_at_most(tmp_path / "a", 3) == b"abc"
     with pytest.raises(OSError, match="too large"):
         read_at_most(tmp_path / "a", 2)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_waits_for_the_end_of_all_blocks(number: signal.Signals) -> None:
+    previous = signal.signal(number, signal.default_int_handler)
+    done = []
+    try:
+        with pytest.raises(KeyboardInterrupt) as caught, defer_signals():
+            with defer_signals():
+                signal.raise_signal(number)
+                done.append("inner")
+            done.append("outer")
+            raise ValueError("a fault")
+    finally:
+        signal.signal(number, previous)
+    assert done == ["inner", "outer"]
+    assert isinstance(caught.value.__context__, ValueError)
+
+
+def test_in_another_thread_no_signal_waits() -> None:
+    handlers = []
+
+    def work() -> None:
+        with defer_signals():
+            handlers.append(signal.getsignal(signal.SIGINT))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert handlers == [signal.getsignal(signal.SIGINT)]
