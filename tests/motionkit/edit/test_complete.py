@@ -7,9 +7,13 @@ import numpy as np
 import pytest
 
 import motionkit as mk
+from motionkit.edit.complete import CompletionRequest, Reach, completed_motion, kept_frames, parse_extend, parse_keep
+from motionkit.edit.encoders import choose_encoder
+from motionkit.edit.motions import LoadedMotion
 from motionkit.fields.motion_field import to_motion
 from motionkit.io.npz import motion_arrays
 from tests.helpers.analytic import analytic_motion
+from tests.helpers.bones import bone_lengths
 
 
 @pytest.fixture(scope="module")
@@ -34,10 +38,6 @@ def test_more_frames_between_those_that_are_given(motion: mk.Motion, fps: int | 
     assert made.provenance.operations[-1] == "complete 60 frames at 30 fps -> 237 at 120, 177 made"
 
 
-def test_broadcast_framerates(motion: mk.Motion) -> None:
-    assert mk.complete(motion, fps=59.94).fps == Fraction(60000, 1001)
-
-
 def test_frames_to_keep_in_any_form(motion: mk.Motion) -> None:
     mask = np.ones(60, bool)
     mask[10:40] = False
@@ -60,30 +60,26 @@ def test_seconds_beyond_the_ends_in_any_form(motion: mk.Motion) -> None:
 def test_what_moves_joints_alone_is_brought_onto_the_bones(motion: mk.Motion) -> None:
     made = mk.complete(motion, fps=60, model="linear")
     assert made.local_rotations is not None
-
-    def lengths(of: mk.Motion) -> np.ndarray:
-        return np.linalg.norm(of.joint_positions[:, 4] - of.joint_positions[:, 1], axis=-1)
-
-    assert np.ptp(lengths(made)) < 1e-5
+    assert np.ptp(bone_lengths(made.joint_positions, made.skeleton), axis=0).max() < 1e-5
 
 
 def test_a_file_is_the_motion_that_it_holds(motion: mk.Motion) -> None:
     motion.save("walk.bvh")
-    read = mk.read("walk.bvh")
-    for path in ("walk.bvh", Path("walk.bvh")):
-        of_file, of_motion = mk.complete(path, fps=90), mk.complete(read, fps=90)
-        np.testing.assert_allclose(of_file.joint_positions, of_motion.joint_positions, atol=1e-5)
-        assert of_file.sequence_id == of_motion.sequence_id == f"{Path.cwd().name}/walk"
-    with pytest.raises(mk.UsageError, match="does not exist"):
-        mk.complete("nowhere.bvh", fps=90)
+    of_file, of_motion = mk.complete("walk.bvh", fps=90), mk.complete(mk.read("walk.bvh"), fps=90)
+    np.testing.assert_allclose(of_file.joint_positions, of_motion.joint_positions, atol=1e-5)
+    assert of_file.sequence_id == of_motion.sequence_id == f"{Path.cwd().name}/walk"
+    for name in ("one", "two"):
+        motion.save(f"takes/{name}.npz")
+    for path, message in (("nowhere.bvh", "does not exist"), ("takes", "2 motions")):
+        with pytest.raises(mk.UsageError, match=message):
+            mk.complete(path, fps=90)
 
 
 def test_lost_frames_of_a_file_are_made(motion: mk.Motion) -> None:
     arrays = motion_arrays(motion)
     for name in ("joint_positions", "local_rotations", "root_translation"):
-        if name in arrays:
-            arrays[name] = arrays[name].copy()
-            arrays[name][20:25] = np.nan
+        arrays[name] = arrays[name].copy()
+        arrays[name][20:25] = np.nan
     np.savez("lost.npz", **arrays)
     with pytest.raises(mk.FormatError, match="nan"):
         mk.read("lost.npz")
@@ -93,16 +89,36 @@ def test_lost_frames_of_a_file_are_made(motion: mk.Motion) -> None:
     np.testing.assert_array_equal(made.joint_positions[25:], motion.joint_positions[25:])
 
 
+def test_uneven_times_have_their_own_gaps(motion: mk.Motion) -> None:
+    seconds = np.arange(60) / 30 + 0.2 * (np.arange(60) > 9)
+    loaded, slerp = LoadedMotion(motion, np.ones(60, bool), seconds), choose_encoder("slerp", None, Path("runs"))
+    made = completed_motion(loaded, CompletionRequest(fps=Fraction(60)), slerp)
+    assert made.longest_gap_seconds == pytest.approx(0.2 + 1 / 30)
+    with pytest.raises(mk.MotionkitError, match="uneven in time"):
+        completed_motion(loaded, CompletionRequest(after=Reach(1.0)), slerp)
+
+
+def test_ranges_of_frames_and_reaches() -> None:
+    assert parse_keep("40:, :10 ,25") == ((40, None), (0, 10), (25, 26))
+    assert np.flatnonzero(kept_frames(parse_keep(":2,4,6:"), 8)).tolist() == [0, 1, 4, 6, 7]
+    assert kept_frames(None, 3).all()
+    assert parse_extend("0.5,1") == (Reach(0.5), Reach(1.0)) and parse_extend("2") == (Reach(0.0), Reach(2.0))
+    assert parse_extend("0,15f") == (Reach(0.0), Reach(15.0, in_frames=True))
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
         ({}, "nothing to complete"),
         ({"fps": 20}, r"motion\.resample\(20\)"),
-        ({"keep": [(50, 70)]}, "50:70 does not lie inside its 60 frames"),
         ({"keep": np.ones(59, bool)}, "59 frames, the motion has 60"),
-        ({"keep": np.zeros(60, bool)}, "is empty"),
-        ({"keep": []}, "is empty"),
-        ({"keep": [(5, 2)]}, "holds no frame"),
+        *(({"keep": empty}, "is empty") for empty in (np.zeros(60, bool), [])),
+        *(({"keep": text}, "not a range") for text in ("", "a:b", "-3:5", "0:10,,20:30", "9" * 5000)),
+        *(({"keep": text}, "holds no frame") for text in ("10:10", "10:5")),
+        *(({"keep": text}, "overlap") for text in ("0:10,5:20", "40:,50:60", "3,3")),
+        *(({"keep": text}, "inside its 60 frames, 0:60") for text in ("5:70", "60:", "59:61", "500:501")),
+        *(({"extend": text}, "neither seconds") for text in ("a", "-1", "nan", "inf", "1.5f", "0,")),
+        ({"extend": "1,2,3"}, "expected BEFORE,AFTER"),
         ({"extend": -1.0}, "seconds from 0 on"),
         ({"extend": 100.0}, "at most 60 s"),
         ({"fps": 60, "model": "guess"}, "no encoder is called 'guess'"),
@@ -118,10 +134,3 @@ def test_what_cannot_be_had_is_reported(motion: mk.Motion, given: dict, message:
 def test_going_on_at_constant_velocity_for_long_is_reported(motion: mk.Motion) -> None:
     with pytest.warns(UserWarning, match="constant velocity for 2 s"):
         mk.complete(motion, extend=2, model="linear")
-
-
-def test_a_folder_of_several_is_reported(motion: mk.Motion) -> None:
-    for name in ("one", "two"):
-        motion.save(f"takes/{name}.npz")
-    with pytest.raises(mk.UsageError, match="2 motions"):
-        mk.complete("takes", fps=60)

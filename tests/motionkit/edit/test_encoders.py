@@ -51,9 +51,6 @@ def test_a_registered_encoder_is_loaded_from_the_run(tmp_path: Path, package: No
     positions[1] = 2.0
     field = encoder.encode(Observation(np.array([0.0, 1.0]), Poses(positions), SMPL22))
     np.testing.assert_allclose(field.query(np.array([0.25])).joint_positions, 0.5)
-
-
-def test_an_unknown_name_is_answered_with_all_that_there_are(tmp_path: Path, package: None) -> None:
     with pytest.raises(UsageError, match=r"'sprline'.*squad.*borrowed"):
         encoder_loader("sprline")
 

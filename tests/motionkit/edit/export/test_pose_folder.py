@@ -80,19 +80,17 @@ def test_without_the_table_the_folder_still_says_its_framerate(store, export_as,
     assert [caption.text for caption in again[0].captions] == ["a person walks, then waves", "waves"]
 
 
-def test_the_readme_warns_of_another_framerate(store, export_as):
-    text = (export_as(store, "humanml3d", Fraction(60)).folder / "README.md").read_text()
-    assert "not the published framerate (20 fps)" in text
-    assert "over 20 frames, 0.333 s here" in text
-    assert "shorter than" not in text
-
-
-def test_the_readme_of_the_published_framerate_does_not(store, export_as):
-    text = (export_as(store, "kit").folder / "README.md").read_text()
-    assert "12.5 fps is the framerate of the published dataset" in text
-    assert "not the published framerate" not in text
-    assert "What is missing" not in text
-    assert "[T − 1, 251]" in text
+@pytest.mark.parametrize(
+    ("name", "fps", "stated"),
+    [
+        ("humanml3d", Fraction(60), ("not the published framerate (20 fps)", "over 20 frames, 0.333 s here")),
+        ("kit", None, ("12.5 fps is the framerate of the published dataset", "[T − 1, 251]")),
+    ],
+)
+def test_the_readme_says_what_the_numbers_are(store, export_as, name, fps, stated):
+    text = (export_as(store, name, fps).folder / "README.md").read_text()
+    assert all(words in text for words in stated) and "What is missing" not in text
+    assert ("not the published framerate" in text) == (fps is not None)
 
 
 def test_what_is_too_short_or_has_no_legs_is_left_out(tmp_path, export_as):
