@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,11 +28,13 @@ from motionkit.core.skeleton import MAX_JOINTS, Skeleton
 from motionkit.core.skeletons.families import with_layout_map
 from motionkit.core.skeletons.mapping import SkeletonMapError, body_axis, rest_positions
 from motionkit.core.timegrid import TimeGrid
-from motionkit.fields.motion_field import Poses
 from motionkit.io import body_frame, number_table, source_file
 from motionkit.io.body_frame import infer_up, log_lines, skeleton_to_y_up, to_y_up, turn_of
 from motionkit.io.number_table import parse_number
-from motionkit.io.registry import ReadOptions
+from motionkit.io.registry import Format, ReadOptions, of_path
+
+if TYPE_CHECKING:
+    from motionkit.fields.motion_field import Poses
 
 CHANNELS = {f"{axis}{kind}": (axis, kind) for axis in "XYZ" for kind in ("position", "rotation")}
 # Smaller changes of a bone are noise of printed digits; a bone with larger ones is not rigid.
@@ -127,8 +130,10 @@ class BvhDocument:
         return _lines(self.body)[self.first_frame : self.first_frame + len(self.table)]
 
     @property
-    def poses(self) -> Poses:
+    def poses(self) -> "Poses":
         """All poses, with rotations and the root's translation."""
+        from motionkit.fields.motion_field import Poses  # reading a file loads no motion fields
+
         return Poses(self.motion.joint_positions, self.local_rotations, self.root_translation)
 
     def frames(self, start: int, stop: int) -> "BvhDocument":
@@ -691,3 +696,20 @@ def unique_names(names: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]
         unique.append(candidate)
     changed = [new for old, new in zip(names, unique, strict=True) if old != new]
     return tuple(unique), (f"repeated joint names made unique: {', '.join(changed)}",) if changed else ()
+
+
+def _write(motion: Motion, path: Path) -> None:
+    from motionkit.io.bvh_writing import write_bvh
+
+    write_bvh(motion, path)
+
+
+FORMAT = Format(
+    name="bvh",
+    read=of_path(read_bvh),
+    document=read_document,
+    suffixes=(".bvh",),
+    begins=b"HIERARCHY",
+    write=_write,
+    turns_up=True,
+)

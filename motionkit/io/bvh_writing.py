@@ -15,9 +15,8 @@ from motionkit.core.skeleton import Skeleton
 from motionkit.fields.motion_field import Poses
 from motionkit.io import number_table
 from motionkit.io.body_frame import from_y_up, turn_of
-from motionkit.io.bvh import BvhDocument, local_rotations, read_bvh, read_document
+from motionkit.io.bvh import BvhDocument, local_rotations
 from motionkit.io.joint_rotations import joint_channels
-from motionkit.io.registry import Format, of_path
 
 WRITTEN_DECIMALS = 6
 # Tolerance of positions against the expected ones, and of rotations, which are float32.
@@ -324,14 +323,3 @@ def _continued(
 
 def _within_half_turn(angles: Float64[np.ndarray, "*shape"]) -> Float64[np.ndarray, "*shape"]:
     return np.asarray(angles - 2 * np.pi * np.rint(angles / (2 * np.pi)))
-
-
-FORMAT = Format(
-    name="bvh",
-    read=of_path(read_bvh),
-    document=read_document,
-    suffixes=(".bvh",),
-    begins=b"HIERARCHY",
-    write=write_bvh,
-    turns_up=True,
-)

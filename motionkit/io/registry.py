@@ -3,6 +3,7 @@
 Motionkit's own formats are loaded when a file may be of them, those of the entry point group `motionkit.io` at once.
 """
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -203,16 +204,22 @@ def of_path(read: Callable[[Path, ReadOptions], Motion]) -> Reader:
 class _BuiltIn:
     """What is known of a format before its module is loaded.
 
-    `suffixes` are those of the files that it reads; a folder may be of a folder format if it has an entry that
-    matches one of the patterns `holds`.
+    `suffixes` are those of the files that it reads, whose names without suffix match `stem` in any case; a folder may be
+    of a folder format if it has an entry that matches one of the patterns `holds`.
     """
 
     name: str
     module: str
     variable: str = "FORMAT"
     suffixes: tuple[str, ...] = ()
+    stem: str = ".*"
     holds: tuple[str, ...] = ()
     writes: bool = False
+
+    def may_read(self, path: Path) -> bool:
+        """Whether the name of a file allows it to be of this format."""
+        flags = re.DOTALL | re.IGNORECASE
+        return path.suffix.lower() in self.suffixes and re.fullmatch(self.stem, path.stem, flags) is not None
 
     def load(self) -> Format:
         found: Format = getattr(import_module(f"motionkit.io.{self.module}"), self.variable)
@@ -222,9 +229,9 @@ class _BuiltIn:
 _POSE_FOLDERS = ("new_joints", "new_joint_vecs")
 # The first that accepts a file reads it.
 _BUILT_IN = (
-    _BuiltIn("lafan1", "lafan1", suffixes=(".bvh",)),
-    _BuiltIn("100style", "style100", suffixes=(".bvh",)),
-    _BuiltIn("bvh", "bvh_writing", suffixes=(".bvh",), writes=True),
+    _BuiltIn("lafan1", "lafan1", suffixes=(".bvh",), stem=r".*_subject\d+"),
+    _BuiltIn("100style", "style100", suffixes=(".bvh",), stem=r".*_([BFS][RW]|ID|TR[123])"),
+    _BuiltIn("bvh", "bvh", suffixes=(".bvh",), writes=True),
     _BuiltIn("asfamc", "asfamc", suffixes=(".amc",)),
     _BuiltIn("c3d", "c3d", suffixes=(".c3d",)),
     _BuiltIn("trc", "trc", suffixes=(".trc",)),
@@ -284,7 +291,7 @@ def recognise(head: FileHead, name: str = "auto") -> Format | None:
 
     def candidates() -> Iterator[Format]:
         yield from (each for each in _installed() if suffix in each.suffixes and each.read is not None)
-        yield from (reader_of(each.name) for each in _BUILT_IN if suffix in each.suffixes)
+        yield from (reader_of(each.name) for each in _BUILT_IN if each.may_read(head.path))
 
     return next((each for each in candidates() if name in ("auto", each.name) and each.accepts(head)), None)
 
