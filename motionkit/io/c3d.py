@@ -1,12 +1,19 @@
 """C3D markers: points of a capture without bones, at the point rate, in metres and y up.
 
 A motion of markers has the first marker as its root and all others as the root's children, with offsets of zero: a
-skeleton that only names them. A `--skeleton-map` computes the 22 joints from them. Source: "The C3D File Format User
+skeleton that only names them. A `--skeleton-map` computes the 22 joints from them.
+
+All three number formats (Intel, DEC/VAX, MIPS) and both kinds of points (scaled integers, floats) are read, and every
+size is checked against the file's bytes. No library is used (docs/deviations.md). Source: "The C3D File Format User
 Guide", Motion Lab Systems 2021, https://www.c3d.org (units, screen axes, residuals, the lists of points that are not
 positions).
 """
 
+import math
 import re
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
@@ -15,17 +22,43 @@ import numpy as np
 from motionkit.core.errors import FormatError
 from motionkit.core.framerate import parse_fps
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float64
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import source_file
 from motionkit.io.body_frame import AXES, log_lines, to_y_up
 from motionkit.io.bvh import unique_names
-from motionkit.io.c3d_container import C3dFile, parse_c3d
 from motionkit.io.markers import UNITS, Markers, checked_metres, marker_skeleton, some, without_gaps
 from motionkit.io.registry import Format, ReadOptions, of_path
 
 # Vicon's models store angles, forces and the like among the points, and list them.
 NO_POSITIONS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
 ASSUMED_UP = "z"
+BLOCK = 512
+KEY = 0x50
+INTEL, DEC, MIPS = 84, 85, 86
+MAX_FRAME_WORD = 65535
+
+Parameter = tuple[str, ...] | tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class C3dFile:
+    """A file's `parameters` by "GROUP:NAME", and points [frames, points, 4]: x, y, z in file units, residual.
+
+    A negative residual marks a point that is not visible.
+    """
+
+    parameters: Mapping[str, Parameter]
+    points: Float64[np.ndarray, "frames points 4"]
+    header_rate: float
+
+    def texts(self, name: str) -> tuple[str, ...]:
+        """A parameter's strings, stripped; empty if there are none."""
+        return tuple(value for value in self.parameters.get(name, ()) if isinstance(value, str))
+
+    def numbers(self, name: str) -> tuple[float, ...]:
+        """A parameter's numbers; empty if there are none."""
+        return _numbers(self.parameters, name)
 
 
 def read_c3d(path: Path, options: ReadOptions | None = None) -> Motion:
@@ -133,6 +166,146 @@ def _up(file: C3dFile, markers: Markers, path: Path) -> tuple[str, list[str]]:
         up = up[1:] if up[0] == "-" else f"-{up}"
         why += ", but that way most markers would be below the floor"
     return up, [] if up == "y" and not below else [f"turned from {up.replace('-', '−')} up to y up ({why})"]
+
+
+def parse_c3d(data: bytes, path: Path) -> C3dFile:
+    """Read a whole file; raises `FormatError` (`not-what-it-says`, `truncated`, `parameters`, `no-frames` …)."""
+    if len(data) < 2 or data[1] != KEY or data[0] == 0:
+        message = f"looks like {source_file.describe_content(data)}, expected a C3D file"
+        raise FormatError(message, path=path, reason="not-what-it-says")
+    if len(data) < BLOCK:
+        raise FormatError(f"{len(data)} bytes, expected a C3D file", path=path, reason="truncated")
+    start = (data[0] - 1) * BLOCK
+    if len(data) < start + 4:
+        message = f"the parameters begin at byte {start}, but the file has {len(data)}"
+        raise FormatError(message, path=path, reason="truncated")
+    num_blocks, processor = data[start + 2], data[start + 3]
+    if processor not in (INTEL, DEC, MIPS):
+        message = f"processor type {processor}, expected {INTEL} (Intel), {DEC} (DEC) or {MIPS} (MIPS)"
+        raise FormatError(message, path=path, reason="parameters")
+    parameters = _parameters(data[start + 4 : start + max(num_blocks, 1) * BLOCK], processor, path)
+    return C3dFile(parameters, _points(data, parameters, processor, path), float(_floats(data[20:24], processor)[0]))
+
+
+def _floats(data: bytes, processor: int) -> Float64[np.ndarray, "numbers"]:
+    with np.errstate(invalid="ignore"):  # signalling NaN, in bytes that are not floats
+        if processor != DEC:
+            return np.frombuffer(data, ">f4" if processor == MIPS else "<f4").astype(np.float64)
+        # VAX F: the 16-bit words are swapped, and the exponent's bias is larger by two.
+        words = np.ascontiguousarray(np.frombuffer(data, "<u2").reshape(-1, 2)[:, ::-1])
+        return words.view("<f4")[:, 0].astype(np.float64) / 4.0
+
+
+def _parameters(data: bytes, processor: int, path: Path) -> dict[str, Parameter]:
+    """Records of groups (negative number) and of their parameters, in any order; each has the offset to the next."""
+    groups: dict[int, str] = {}
+    values: list[tuple[int, str, Parameter]] = []
+    at = 0
+    while at + 2 <= len(data):
+        name_length, number = struct.unpack_from("bb", data, at)
+        if name_length == 0 or number == 0:
+            break
+        name_end = at + 2 + abs(name_length)
+        name = data[at + 2 : name_end].decode("latin-1").strip().upper()
+        if name_end + 2 > len(data):
+            raise _cut_off(path)
+        (step,) = struct.unpack_from(">h" if processor == MIPS else "<h", data, name_end)
+        if number < 0:
+            groups[-number] = name
+        else:
+            values.append((number, name, _value(data[name_end + 2 :], processor, path)))
+        if step <= 0:
+            break
+        at = name_end + step
+    return {f"{groups[number]}:{name}": value for number, name, value in values if number in groups}
+
+
+def _value(data: bytes, processor: int, path: Path) -> Parameter:
+    """A parameter of any number of dimensions, flat; of strings the first dimension is their length."""
+    if len(data) < 2:
+        raise _cut_off(path)
+    kind, num_dimensions = struct.unpack_from("bB", data)
+    dimensions = tuple(data[2 : 2 + num_dimensions])
+    if len(dimensions) < num_dimensions:
+        raise _cut_off(path)
+    if kind not in (-1, 1, 2, 4):
+        raise FormatError(f"a parameter of type {kind}, expected -1, 1, 2 or 4", path=path, reason="parameters")
+    num_bytes = math.prod(dimensions) * abs(kind)
+    body = data[2 + num_dimensions : 2 + num_dimensions + num_bytes]
+    if len(body) < num_bytes:
+        raise _cut_off(path)
+    if kind == -1:
+        length = max(dimensions[0], 1) if dimensions else 1
+        return tuple(body[i : i + length].decode("latin-1").strip("\0 ") for i in range(0, len(body), length))
+    if kind == 4:
+        return tuple(_floats(body, processor).tolist())
+    code = "b" if kind == 1 else ">i2" if processor == MIPS else "<i2"
+    return tuple(float(value) for value in np.frombuffer(body, code).tolist())
+
+
+def _cut_off(path: Path) -> FormatError:
+    return FormatError("the parameters end in the middle of one", path=path, reason="truncated")
+
+
+def _numbers(parameters: Mapping[str, Parameter], name: str) -> tuple[float, ...]:
+    return tuple(value for value in parameters.get(name, ()) if not isinstance(value, str))
+
+
+def _points(
+    data: bytes, parameters: Mapping[str, Parameter], processor: int, path: Path
+) -> Float64[np.ndarray, "frames points 4"]:
+    order = ">" if processor == MIPS else "<"
+    num_points, num_analog, first_frame, last_frame = struct.unpack_from(f"{order}4H", data, 2)
+    num_frames = _num_frames(first_frame, last_frame, parameters)
+    if num_frames < 1:
+        raise FormatError("0 frames, expected at least one", path=path, reason="no-frames")
+    if num_points < 1:
+        raise FormatError("0 points, expected markers", path=path, reason="no-markers")
+    scale = next(iter(_numbers(parameters, "POINT:SCALE")), float(_floats(data[12:16], processor)[0]))
+    if not np.isfinite(scale) or scale == 0:
+        raise FormatError(f"POINT:SCALE is {scale}, expected a number", path=path, reason="parameters")
+    size = 4 if scale < 0 else 2
+    num_values = 4 * num_points + num_analog
+    start = (struct.unpack_from(f"{order}H", data, 16)[0] - 1) * BLOCK
+    needed, available = num_frames * num_values * size, len(data) - start
+    if start < BLOCK or available < needed:
+        raise FormatError(
+            f"the header states {num_frames} frames of {num_points} points, {needed} bytes from byte {start} on, but "
+            f"{max(available, 0)} follow",
+            path=path,
+            reason="truncated",
+        )
+    if num_frames == MAX_FRAME_WORD and available > needed + BLOCK:
+        raise FormatError(
+            f"the header can state no more than 65,535 frames and no TRIAL:ACTUAL_END_FIELD states more, but there are "
+            f"bytes for {available // (num_values * size)}; write the take again with that parameter, or in parts",
+            path=path,
+            reason="frame-count",
+        )
+    # Analog values follow the points of each frame, and are often most of a file.
+    values = np.frombuffer(data, f"<u{size}", num_frames * num_values, start).reshape(num_frames, num_values)
+    body, shape = values[:, : 4 * num_points].tobytes(), (num_frames, num_points, 4)
+    if size == 4:
+        return _floats(body, processor).reshape(shape)
+    points = np.frombuffer(body, f"{order}i2").reshape(shape).astype(np.float64)
+    points[..., :3] *= scale
+    return points
+
+
+def _num_frames(first_frame: int, last_frame: int, parameters: Mapping[str, Parameter]) -> int:
+    """The header's words hold frames up to 65,535; longer takes state them in parameters, as two words or a number."""
+    whole = {
+        name: [int(value) for value in _numbers(parameters, name) if np.isfinite(value)]
+        for name in ("TRIAL:ACTUAL_START_FIELD", "TRIAL:ACTUAL_END_FIELD", "POINT:LONG_FRAMES", "POINT:FRAMES")
+    }
+    start, end = whole["TRIAL:ACTUAL_START_FIELD"], whole["TRIAL:ACTUAL_END_FIELD"]
+    if len(start) == len(end) == 2:
+        first, last = (low % 65536 + 65536 * (high % 65536) for low, high in (start, end))
+        return last - first + 1
+    stated = last_frame - first_frame + 1
+    if last_frame < MAX_FRAME_WORD:
+        return stated
+    return max(stated, *whole["POINT:LONG_FRAMES"], *whole["POINT:FRAMES"], 0)
 
 
 FORMAT = Format(

@@ -204,8 +204,8 @@ def of_path(read: Callable[[Path, ReadOptions], Motion]) -> Reader:
 class _BuiltIn:
     """What is known of a format before its module is loaded.
 
-    `suffixes` are those of the files that it reads, whose names without suffix match `stem` in any case; a folder may be
-    of a folder format if it has an entry that matches one of the patterns `holds`.
+    `suffixes` are those of the files that it reads, whose names without suffix match `stem` in any case; a folder may
+    be of a folder format if it has an entry that matches one of the patterns `holds`.
     """
 
     name: str

@@ -16,8 +16,7 @@ from motionkit.core.errors import FormatError
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.families import read_skeleton_map
 from motionkit.core.skeletons.mapping import map_joints
-from motionkit.io.c3d import read_c3d
-from motionkit.io.c3d_container import parse_c3d
+from motionkit.io.c3d import parse_c3d, read_c3d
 from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import scan
