@@ -22,7 +22,7 @@ from motionkit.fields.contact.bones import with_lengths
 from motionkit.fields.motion_field import FramerateConditioned, MotionField
 from motionkit.generate.constraints import KINDS, ConstraintKind
 from motionkit.generate.models import GenerationRequest, SamplingOptions, check_constraints
-from motionkit.training.precision import resolve_device
+from motionkit.training.devices import resolve_device
 from motionkit.training.run import RunError, RunFolder
 from motionkit.training.text import TextEncoder, load_text_encoder
 from nerm.conditions import Conditions, unit_rows

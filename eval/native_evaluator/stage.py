@@ -25,8 +25,8 @@ def train_evaluator(context: StageContext, config: NativeConfig) -> None:
     from motionkit.core.framerate import parse_fps
     from motionkit.store.cache import cache_root, open_cache
     from motionkit.training.config import to_plain
+    from motionkit.training.devices import resolve_device
     from motionkit.training.loop import train_loop
-    from motionkit.training.precision import resolve_device
     from motionkit.training.tensors import save_tensors
     from motionkit.training.text import embed_texts, load_text_encoder
 

@@ -20,8 +20,7 @@ from motionkit.edit.encoders import installed_encoders
 from motionkit.fields.motion_field import MotionEncoder, MotionField
 from motionkit.generate.models import GenerativeModel, installed_models
 from motionkit.training.detail import has_detail, load_detail
-from motionkit.training.loaders import Loader
-from motionkit.training.run import RunError, RunFolder
+from motionkit.training.run import Loader, RunError, RunFolder
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store

@@ -18,7 +18,7 @@ from eval.sets.real import of_split_and
 from eval.text_motion.guo.kind import GuoFiles
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import OnProgress, ignore, task
-from motionkit.training.loaders import Loader
+from motionkit.training.run import Loader
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store

@@ -1,6 +1,6 @@
 """The stages to train for a table of systems, in order, and their shares of a time budget: `motionkit train --for`.
 
-A system is a model or encoder that tables load from runs (`motionkit.training.loaders`).
+A system is a model or encoder that tables load from runs (`motionkit.training.stage`).
 """
 
 from collections.abc import Callable, Iterable, Sequence

@@ -18,7 +18,7 @@ from motionkit.cli.options import (
     read_options,
 )
 from motionkit.core.files import default_path
-from motionkit.training.loaders import loader_names
+from motionkit.training.run import loader_names
 
 TRAINED = ", ".join(loader_names("motionkit.encoders"))
 

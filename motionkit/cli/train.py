@@ -237,9 +237,8 @@ def train_all(
 ) -> list[dict[str, Any]] | None:
     """Train jobs in order; returns their summaries, on the first rank only. With a title, show one bar for all."""
     from motionkit.store.manifest import read_manifest
+    from motionkit.training.devices import joined_ranks, resolve_device
     from motionkit.training.loop import one_thread
-    from motionkit.training.precision import resolve_device
-    from motionkit.training.ranks import joined_ranks
 
     fingerprint = read_manifest(context.store).fingerprint
     is_timed = any(job.budget_seconds is not None for job in jobs) and resolve_device(context.device).type != "cuda"

@@ -17,8 +17,7 @@ from motionkit.fields.anchoring import Anchored
 from motionkit.fields.interpolation import INTERPOLATORS, Settling
 from motionkit.fields.motion_field import MotionEncoder
 from motionkit.fields.transfer import Transferred, counterpart_joints
-from motionkit.training.loaders import Loader, installed_loaders, loader_names, loader_of
-from motionkit.training.run import RunFolder
+from motionkit.training.run import Loader, RunFolder, installed_loaders, loader_names, loader_of
 
 GROUP = "motionkit.encoders"
 

@@ -16,7 +16,7 @@ from motionkit.core.progress import warn
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.motion_field import MotionField
 from motionkit.generate.constraints import Constraint, ConstraintKind
-from motionkit.training.loaders import Loader, installed_loaders, loader_names, loader_of
+from motionkit.training.run import Loader, installed_loaders, loader_names, loader_of
 
 
 @dataclass(frozen=True)

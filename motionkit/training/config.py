@@ -23,7 +23,7 @@ class ConfigLike(Protocol):
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
 
-# The number format of matrix products (motionkit.training.precision).
+# The number format of matrix products (motionkit.training.devices).
 Precision = Literal["auto", "float32", "tf32", "bfloat16"]
 
 ConfigT = TypeVar("ConfigT", bound=ConfigLike)

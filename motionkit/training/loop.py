@@ -19,7 +19,7 @@ import torch
 from motionkit.core.errors import UsageError
 from motionkit.core.files import write_json
 from motionkit.core.progress import OnProgress, ignore, task
-from motionkit.training.ranks import ALONE, Ranks
+from motionkit.training.devices import ALONE, Ranks
 from motionkit.training.run import RunError, StageFolder, abandon_stage
 from motionkit.training.tensors import CheckpointError, load_tensors, one_line, prefixed, save_tensors, unprefixed
 

@@ -2,6 +2,9 @@
 
 `config.json` records settings and inputs (recipe values, seed, store fingerprint, versions); `summary.json` marks the
 stage as complete. SHA256SUMS is then the record of these files, and each is compared with it when it is read.
+
+Models and encoders of runs are entry points that name a `Loader`, or a plain function from a run folder, whose title
+and stage are then the entry point's name. Their modules must import lightly, since titles are listed without loading.
 """
 
 import importlib.metadata
@@ -11,8 +14,9 @@ import subprocess
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.core.files import (
@@ -47,6 +51,9 @@ HINT = "restore it from a copy, or train the stage again with --overwrite"
 
 def ignore_metrics(stage: str, values: Mapping[str, float]) -> None:
     """Ignore metrics."""
+
+
+T = TypeVar("T")
 
 
 class RunError(MotionkitError):
@@ -218,6 +225,54 @@ def weights_sha256(run: Path) -> dict[str, str]:
     for path in paths:
         check_recorded(path, HINT)
     return {path.parent.name: sha256_of(path) for path in paths}
+
+
+@dataclass(frozen=True)
+class Loader(Generic[T]):
+    """A loader from the stages of a run.
+
+    `title` is its name in tables and messages; `stages` are those it needs; loaders are sorted by `order`.
+    """
+
+    title: str
+    stages: tuple[str, ...]
+    load: Callable[[Path], T]
+    order: int = 100
+
+    def begun_in(self, run: Path) -> bool:
+        """Whether a run holds at least one trained stage of it."""
+        stages = [RunFolder(run).stage(name) for name in self.stages]
+        return any(stage.is_complete or stage.model_path.is_file() for stage in stages)
+
+    def complete_in(self, run: Path) -> bool:
+        """Whether all its stages are trained in a run."""
+        return all(RunFolder(run).stage(name).is_complete for name in self.stages)
+
+    def train_command(self, run: Path | None = None) -> str:
+        """The commands that train it; for a run, its missing stages."""
+        named = f" --run {run.name}" if run else ""
+        lacking = [name for name in self.stages if run is None or not RunFolder(run).stage(name).is_complete]
+        return " && ".join(f"motionkit train --stage {name}{named}" for name in lacking or self.stages[-1:])
+
+
+LoaderT = TypeVar("LoaderT", bound=Loader[Any])
+
+
+def loader_names(group: str) -> tuple[str, ...]:
+    """Names of all loaders of an entry point group, sorted; nothing is imported."""
+    return tuple(sorted({entry.name for entry in entry_points(group=group)}))
+
+
+def installed_loaders(group: str, kind: type[LoaderT]) -> dict[str, LoaderT]:
+    """All loaders of an entry point group by name, sorted by `order`; plain functions are wrapped in `kind`."""
+    found = {entry.name: loader_of(entry, kind) for entry in entry_points(group=group)}
+    return dict(sorted(found.items(), key=lambda named: (named[1].order, named[0])))
+
+
+def loader_of(entry: EntryPoint, kind: type[LoaderT]) -> LoaderT:
+    """The loader that an entry point names."""
+    named = entry.load()
+    return named if isinstance(named, kind) else kind(entry.name, (entry.name,), named)
 
 
 def begin_stage(folder: StageFolder, inputs: Mapping[str, Any], *, resume: bool, overwrite: bool) -> None:

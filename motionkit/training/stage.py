@@ -28,8 +28,8 @@ from motionkit.training.run import (
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store
+    from motionkit.training.devices import Ranks
     from motionkit.training.loop import Rescheduled
-    from motionkit.training.ranks import Ranks
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class StageContext:
     @property
     def ranks(self) -> "Ranks":
         """The ranks that train this stage together."""
-        from motionkit.training.ranks import ALONE, present_ranks
+        from motionkit.training.devices import ALONE, present_ranks
 
         return present_ranks() if self.shared else ALONE
 
@@ -94,8 +94,8 @@ class StageContext:
         """Set a training's number of steps by the budget, if there is one; errors as in `plan_steps`."""
         if self.budget_seconds is None:
             return
+        from motionkit.training.devices import resolve_device
         from motionkit.training.loop import plan_steps, seconds_spent
-        from motionkit.training.precision import resolve_device
 
         if self.ranks.size > 1:
             raise UsageError("--budget is for one process: a rank does not know what the others have spent")
@@ -121,7 +121,7 @@ class Stage(Generic[ConfigT]):
     sorts the stages of `--stage all` (low first), `in_all`: whether this one is included; `recipes` maps names to
     functions that make a configuration. Stages of one model may share a configuration whose parts are named after the
     stages: a change of another stage's part doesn't prevent `--resume`. Under torchrun every rank calls the `train` of
-    a `shared` stage (`motionkit.training.ranks`); others are trained by the first rank alone. `share` is its share of
+    a `shared` stage (`motionkit.training.devices`); others are trained by the first rank alone. `share` is its share of
     its system's time budget, relative to the system's other stages (`StagePlan`).
     """
 

@@ -6,9 +6,8 @@ import torch
 from torch.nn.functional import smooth_l1_loss
 
 from motionkit.core.shapes import Float32, Int64
+from motionkit.training.devices import ALONE, Ranks, autocast
 from motionkit.training.loop import seeded_initialisation, set_rate
-from motionkit.training.precision import autocast
-from motionkit.training.ranks import ALONE, Ranks
 from motionkit.training.tensors import load_training_tensors, training_tensors
 from nerm.codebook.network import CodebookNetwork
 from nerm.codebook.vectors import VectorCorpus, joint_positions_block

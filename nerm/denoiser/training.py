@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
+from motionkit.training.devices import ALONE, Ranks, autocast, compile_each
 from motionkit.training.diffusion.process import add_noise, cumulative_alphas, loss_weights, prediction_target
 from motionkit.training.loop import (
     WeightAverage,
@@ -13,8 +14,6 @@ from motionkit.training.loop import (
     set_rate,
     step_generator,
 )
-from motionkit.training.precision import autocast, compile_each
-from motionkit.training.ranks import ALONE, Ranks
 from motionkit.training.tensors import load_training_tensors, prefixed, training_tensors, unprefixed
 from nerm.conditions import Conditions
 from nerm.denoiser.corpus import LatentCorpus

@@ -19,8 +19,8 @@ from motionkit.features.field import FIELD_VECTORS
 from motionkit.fields.contact.planted import GRID_FPS
 from motionkit.fields.motion_field import Poses, check_times
 from motionkit.training.config import from_plain, to_plain
+from motionkit.training.devices import resolve_device
 from motionkit.training.pose_vectors import VectorScaling, has_joints, vector_tensors, vectors_of
-from motionkit.training.precision import resolve_device
 from motionkit.training.run import RunFolder, StageFolder
 from motionkit.training.tensors import CheckpointError, load_tensors, prefixed, rebuilding, save_tensors, unprefixed
 from nerm.field.contact import ContactHead, contact_head, probabilities

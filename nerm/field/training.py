@@ -12,10 +12,9 @@ from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.data.poses import WindowPoses
 from motionkit.data.windows import PositionSource, Windows, cut_windows, rows_by_duration, shuffled_batches
+from motionkit.training.devices import ALONE, DealtRows, Ranks, autocast, compile_each
 from motionkit.training.loop import scale_rates, seeded_initialisation, step_generator
 from motionkit.training.pose_vectors import PoseTensors, VectorScaling, measure_scaling, uniform_of
-from motionkit.training.precision import autocast, compile_each
-from motionkit.training.ranks import ALONE, DealtRows, Ranks
 from motionkit.training.tensors import load_training_tensors, prefixed, training_tensors
 from nerm.field.network import FieldNetwork
 from nerm.latents.linear_fit import LinearModel, fit_windows, measure_components

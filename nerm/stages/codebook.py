@@ -10,8 +10,8 @@ import torch
 
 from motionkit.store.cache import PositionCache, open_cache
 from motionkit.store.reader import Store
+from motionkit.training.devices import float32_products, resolve_device, with_precision_of
 from motionkit.training.loop import train_loop
-from motionkit.training.precision import float32_products, resolve_device, with_precision_of
 from motionkit.training.stage import StageContext
 from motionkit.training.tensors import prefixed, save_tensors
 from nerm.codebook.network import FORMAT, FORMAT_VERSION

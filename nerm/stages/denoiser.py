@@ -5,8 +5,8 @@ import time
 
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.files import sha256_of
+from motionkit.training.devices import float32_products, resolve_device, with_precision_of
 from motionkit.training.loop import train_loop
-from motionkit.training.precision import float32_products, resolve_device, with_precision_of
 from motionkit.training.run import RunError
 from motionkit.training.stage import StageContext
 from motionkit.training.text import TextEncoder, load_text_encoder

@@ -12,8 +12,8 @@ from motionkit.data.poses import WindowPoses
 from motionkit.features.convention import PoseVectors
 from motionkit.store.cache import PositionCache
 from motionkit.store.reader import Store
+from motionkit.training.devices import float32_products, resolve_device, with_precision_of
 from motionkit.training.loop import train_loop
-from motionkit.training.precision import float32_products, resolve_device, with_precision_of
 from motionkit.training.run import RunError
 from motionkit.training.stage import StageContext
 from nerm.codebook.network import load_codes

@@ -13,8 +13,8 @@ from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import Feet, Skeleton
 from motionkit.data.takes import open_takes
 from motionkit.training.config import from_plain, to_plain
+from motionkit.training.devices import autocast, float32_products, resolve_device
 from motionkit.training.loop import WeightAverage, dropout_from, scale_rates, seeded_initialisation, train_loop
-from motionkit.training.precision import autocast, float32_products, resolve_device
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
 from motionkit.training.tensors import (

@@ -18,9 +18,9 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.interpolation import INTERPOLATORS, InterpolatedField
 from motionkit.fields.motion_field import MotionField, Observation
 from motionkit.generate.models import GenerationRequest, SamplingOptions
+from motionkit.training.devices import resolve_device
 from motionkit.training.diffusion.settings import DiffusionConfig
 from motionkit.training.loop import step_generator
-from motionkit.training.precision import resolve_device
 from motionkit.training.run import RunError, RunFolder
 from motionkit.training.text import TextEncoder
 from peers.generative.batches import NO_ACTION, Conditions, SampleBatch

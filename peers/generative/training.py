@@ -11,10 +11,10 @@ from torch import Tensor, nn
 
 from motionkit.core.shapes import Float, Float64
 from motionkit.training.config import Schedule, from_plain, to_plain
+from motionkit.training.devices import autocast, float32_products, resolve_device, with_precision_of
 from motionkit.training.diffusion.settings import DiffusionConfig
 from motionkit.training.loop import WeightAverage, dropout_from, seeded_initialisation, set_rate, train_loop
 from motionkit.training.pose_vectors import VectorScaling, vector_tensors, vectors_of
-from motionkit.training.precision import autocast, float32_products, resolve_device, with_precision_of
 from motionkit.training.run import RunError, RunFolder
 from motionkit.training.stage import StageContext
 from motionkit.training.tensors import (

@@ -15,7 +15,7 @@ import torch
 
 from motionkit.core.errors import DamagedFileError
 from motionkit.core.files import RECORD, write_json
-from motionkit.training import loop, precision
+from motionkit.training import devices, loop
 from motionkit.training.config import apply_overrides
 from motionkit.training.loop import step_generator
 from motionkit.training.run import RunError, RunFolder, StageFolder
@@ -173,7 +173,7 @@ def test_the_chosen_precision_is_written_down_and_hardly_changes_what_is_learnt(
     store: Path, run: Path, other_run: Callable[[str], StageFolder], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = other_run("field")
-    monkeypatch.setattr(precision, "has_bfloat16", lambda device: True)
+    monkeypatch.setattr(devices, "has_bfloat16", lambda device: True)
     asked = replace(NERM, field=replace(NERM.field, precision="auto"))
     monkeypatch.setitem(STAGES, "field", (STAGES["field"][0], asked))
     train_stage("field", store, folder.path.parent)
@@ -181,7 +181,7 @@ def test_the_chosen_precision_is_written_down_and_hardly_changes_what_is_learnt(
     (_, found), (_, expected) = figures(folder), figures(RunFolder(run).stage("field"))
     assert found != expected
     assert found["reconstruction"] == pytest.approx(expected["reconstruction"], rel=0.2)
-    monkeypatch.setattr(precision, "has_bfloat16", lambda device: False)
+    monkeypatch.setattr(devices, "has_bfloat16", lambda device: False)
     with pytest.raises(RunError, match=r"field.precision 'bfloat16' → 'float32'"):
         train_stage("field", store, folder.path.parent, resume=True)
 

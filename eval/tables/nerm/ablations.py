@@ -26,8 +26,7 @@ from motionkit.core.progress import OnProgress, task
 from motionkit.edit.encoders import EncoderLoader, encoder_loader
 from motionkit.generate.models import ModelLoader, model_loader
 from motionkit.training.ablations import Ablation, Entry
-from motionkit.training.loaders import Loader
-from motionkit.training.run import RunFolder
+from motionkit.training.run import Loader, RunFolder
 from motionkit.training.stage import recorded_settings
 
 NERM = find_ablations("nerm")

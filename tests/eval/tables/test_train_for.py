@@ -20,9 +20,8 @@ from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.store import StoreWriter
 from motionkit.store.manifest import read_manifest
 from motionkit.training import loop as loop_module
-from motionkit.training.loaders import Loader
 from motionkit.training.loop import plan_steps, train_loop
-from motionkit.training.run import StageFolder
+from motionkit.training.run import Loader, StageFolder
 from motionkit.training.stage import Stage, StageContext
 from motionkit.training.tensors import load_tensors, save_tensors
 

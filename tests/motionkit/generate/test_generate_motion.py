@@ -9,7 +9,7 @@ import pytest
 
 import motionkit as mk
 from motionkit.generate import models
-from motionkit.training import loaders
+from motionkit.training import run as run_module
 from tests.helpers.scripted_model import ScriptedModel
 
 
@@ -121,7 +121,7 @@ def loads(run: Path) -> Drawing:
 def installed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two models, each of one stage of its own name."""
     entries = EntryPoints(EntryPoint(name, f"{__name__}:loads", "motionkit.models") for name in ("first", "other"))
-    for module in (models, loaders):
+    for module in (models, run_module):
         monkeypatch.setattr(module, "entry_points", lambda **chosen: entries.select(**chosen))
 
 
@@ -130,9 +130,9 @@ def test_the_model_that_a_run_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.chdir(tmp_path)
     for run, stages in {"held": ["first"], "both": ["first", "other"], "damaged": ["other"], "empty": []}.items():
         (tmp_path / "runs" / run).mkdir(parents=True)
-        for stage in stages:
-            (tmp_path / "runs" / run / stage).mkdir()
-            (tmp_path / "runs" / run / stage / "summary.json").write_text("{}")
+        for name in stages:
+            (tmp_path / "runs" / run / name).mkdir()
+            (tmp_path / "runs" / run / name / "summary.json").write_text("{}")
     for run in ("runs/held", Path("runs/held"), "held"):
         model = mk.load_model(run)
         assert model.run == Path("runs/held") and model.name == "NeRM"

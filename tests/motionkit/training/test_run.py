@@ -8,7 +8,7 @@ import pytest
 
 from motionkit.core.errors import DamagedFileError, UsageError
 from motionkit.core.files import remove_entry, write_json, write_whole
-from motionkit.training.precision import resolve_device
+from motionkit.training.devices import resolve_device
 from motionkit.training.run import RunError, RunFolder, commit, copy_stage
 from motionkit.training.stage import Stage, StageContext, choose_stages
 
