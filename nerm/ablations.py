@@ -142,7 +142,7 @@ def share_codebook(common: StageContext, run: RunFolder, config: NermConfig) -> 
     Variants differ in how the codes are used, not in the codes, so they share one codebook. A variant without codes
     gets none.
     """
-    from motionkit.store.manifest import read_manifest  # the list of ablations is read for --help
+    from motionkit.store.commit import read_manifest  # the list of ablations is read for --help
 
     if config.field.encoder.kind != "codebook":
         return

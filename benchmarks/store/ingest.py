@@ -131,7 +131,7 @@ def main() -> None:
         assert len({store.fingerprint for store in stores}) == 1, "the stores differ"
         floor, num_bytes = floor_seconds(arguments.sources, stores[0])
         peer = peer_seconds_per_megabyte(arguments.sources, arguments.peer_files, folder)
-        sequences, frames = stores[0].num_sequences, stores[0].manifest.num_frames
+        sequences, frames = stores[0].num_sequences, stores[0].num_frames
     best = {workers: {key: min(run[key] for run in done) for key in ("wall", "cpu")} for workers, done in runs.items()}
     median = {workers: statistics.median(run["wall"] for run in done) for workers, done in runs.items()}
     one, more = best[1], best[arguments.workers]

@@ -23,7 +23,7 @@ from benchmarks.command import arguments_parser, print_json
 from motionkit.cli.console import stdout
 from motionkit.store import Store
 from motionkit.store.life.rewrite import merge
-from motionkit.store.schema import FLOAT_COLUMNS
+from motionkit.store.schema import FRAME_COLUMNS
 
 Fetch = Callable[[int], np.ndarray]
 PEER_READS = 20
@@ -44,29 +44,26 @@ def by_duckdb(store: Store) -> Fetch:
     connection = duckdb.connect()
     connection.execute("SET threads = 1")
     sql = (
-        f"SELECT num_frames, {', '.join(FLOAT_COLUMNS)} FROM '{store.path}/segments/*.parquet' "
-        "WHERE sequence_index = ? ORDER BY start_frame"
+        f"SELECT num_frames, {', '.join(FRAME_COLUMNS)} FROM '{store.path}/motions/*.parquet' WHERE sequence_index = ?"
     )
     return lambda index: _positions(connection.sql(sql, params=[index]).to_arrow_table())
 
 
 def by_pyarrow(store: Store) -> Fetch:
     parts = ds.dataset([str(store.path / name) for name in store.manifest.parts])
-    columns = ["start_frame", "num_frames", *FLOAT_COLUMNS]
+    columns = ["num_frames", *FRAME_COLUMNS]
 
     def fetch(index: int) -> np.ndarray:
         table = parts.to_table(columns, filter=ds.field("sequence_index") == index, use_threads=False)
-        return _positions(table.sort_by("start_frame"))
+        return _positions(table)
 
     return fetch
 
 
-def _positions(segments: pa.Table) -> np.ndarray:
-    pieces = []
-    for num_frames, values in zip(segments["num_frames"].to_pylist(), segments["joint_positions"], strict=True):
-        flat = values.values.to_numpy(zero_copy_only=False).astype(np.float32, copy=False)
-        pieces.append(flat.reshape(-1, num_frames).T.reshape(num_frames, -1, 3))
-    return np.concatenate(pieces)
+def _positions(motions: pa.Table) -> np.ndarray:
+    num_frames = motions["num_frames"][0].as_py()
+    flat = motions["joint_positions"].combine_chunks().flatten().to_numpy()
+    return np.ascontiguousarray(flat.reshape(-1, num_frames).T).reshape(num_frames, -1, 3)
 
 
 def measure(path: Path, num_reads: int) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Layouts of float columns in Parquet: size against raw float32, encoding and decoding speed, on real captures.
 
-Every variant holds the same segments of at most 256 frames as plain lists of float32 that any Parquet reader takes;
+Every variant holds the same sequences, a plain list of float32 each, as any Parquet reader takes them;
 what comes out is compared, bit by bit, with what went in (or with what was rounded, where the variant rounds).
 
     python benchmarks/store/size.py captures/cmu captures/bandai-namco captures/mixed-bvh [--every 5] [--json]
@@ -22,9 +22,9 @@ from motionkit.cli.console import stdout
 from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import scan
-from motionkit.store.schema import FLOAT_LIST, ROW_GROUP_SEGMENTS, SEGMENT_FRAMES
+from motionkit.store.schema import FLOAT_LIST, ROW_GROUP_FRAMES
 
-# One segment of one column, channels by frames.
+# One sequence of one column, channels by frames.
 Block = np.ndarray
 Blocks = list[Block]
 STORE_OPTIONS = {"compression": "zstd", "compression_level": 3, "use_dictionary": False}
@@ -37,7 +37,7 @@ class Variant:
     name: str
     options: dict[str, Any] = field(default_factory=lambda: dict(STORE_OPTIONS))
     split_bytes: bool = True
-    row_group_segments: int = ROW_GROUP_SEGMENTS
+    row_group_frames: int = ROW_GROUP_FRAMES
     order: str = "C"
     prepare: Callable[[Blocks], Blocks] = lambda blocks: blocks
 
@@ -74,8 +74,8 @@ def variants(rotations: bool) -> list[Variant]:
         Variant("pyarrow's defaults: snappy, dictionary", {}, split_bytes=False),
         Variant("zstd 3", {**zstd, "compression_level": 3}, split_bytes=False),
         Variant("zstd 3, bytes split, frame after frame", order="F"),
-        Variant("zstd 3, bytes split, channel after channel, 256 segments", row_group_segments=256),
-        Variant("the same, 16 segments"),
+        Variant("zstd 3, bytes split, channel after channel, row groups of 65,536 frames", row_group_frames=65_536),
+        Variant("the same, 2,048 frames"),
         *signs,
         Variant("zstd 1", {**zstd, "compression_level": 1}),
         Variant("zstd 9", {**zstd, "compression_level": 9}),
@@ -96,8 +96,9 @@ def measure(variant: Variant, blocks: Blocks) -> Figures:
     sink = pa.BufferOutputStream()
     begun = time.process_time()
     with pq.ParquetWriter(sink, schema, write_statistics=False, **variant.options, **split) as writer:
-        for start in range(0, len(flat), variant.row_group_segments):
-            writer.write_table(_table(flat[start : start + variant.row_group_segments], schema))
+        ends = np.cumsum([block.shape[1] for block in blocks]) // variant.row_group_frames
+        for group in np.split(np.arange(len(flat)), np.flatnonzero(np.diff(ends)) + 1):
+            writer.write_table(_table([flat[number] for number in group], schema))
     encoded = time.process_time() - begun
     content = sink.getvalue()
     file = pq.ParquetFile(pa.BufferReader(content))
@@ -105,19 +106,19 @@ def measure(variant: Variant, blocks: Blocks) -> Figures:
     for group in range(file.num_row_groups):
         file.read_row_group(group, use_threads=False)
     decoded = time.process_time() - begun
-    found = file.read()["values"].combine_chunks().values.to_numpy()
+    found = file.read()["values"].combine_chunks().flatten().to_numpy()
     np.testing.assert_array_equal(found, np.concatenate(flat))
     return Figures(content.size / num_bytes, num_bytes / 1e6 / encoded, num_bytes / 1e6 / decoded)
 
 
 def _table(flat: Sequence[np.ndarray], schema: pa.Schema) -> pa.Table:
-    offsets = np.cumsum([0, *(values.size for values in flat)], dtype=np.int64)
-    lists = pa.LargeListArray.from_arrays(pa.array(offsets), pa.array(np.concatenate(flat)), type=FLOAT_LIST)
+    offsets = np.cumsum([0, *(values.size for values in flat)], dtype=np.int32)
+    lists = pa.ListArray.from_arrays(pa.array(offsets), pa.array(np.concatenate(flat)), type=FLOAT_LIST)
     return pa.Table.from_arrays([lists], schema=schema)
 
 
 def blocks_of(sources: list[Path], every: int) -> dict[str, Blocks]:
-    """Every n-th sequence's segments, unrounded."""
+    """Every n-th sequence, unrounded."""
     options = ReadOptions()
     blocks: dict[str, Blocks] = {"joint_positions": [], "joint_rotations": []}
     for item in scan(sources, options).items[::every]:
@@ -127,9 +128,7 @@ def blocks_of(sources: list[Path], every: int) -> dict[str, Blocks]:
             ("joint_rotations", motion.local_rotations),
         ):
             if frames is not None:
-                table = frames.reshape(len(frames), -1)
-                starts = range(0, len(table), SEGMENT_FRAMES)
-                blocks[column] += [np.ascontiguousarray(table[start : start + SEGMENT_FRAMES].T) for start in starts]
+                blocks[column].append(np.ascontiguousarray(frames.reshape(len(frames), -1).T))
     return blocks
 
 

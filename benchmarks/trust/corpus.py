@@ -58,7 +58,7 @@ def read_without(store: str, name: str) -> None:
 def look(store: str) -> None:
     """Print a reader's view as JSON: the store's fingerprint, a digest of every motion, and `validate`'s faults."""
     from motionkit.store import Store
-    from motionkit.store.manifest import MANIFEST_FILE
+    from motionkit.store.schema import MANIFEST_FILE
     from motionkit.store.validate import faults
 
     if not (Path(store) / MANIFEST_FILE).exists():

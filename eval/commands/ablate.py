@@ -66,7 +66,7 @@ def ablate(
     base = ablations.recipes[recipe]()
     configs = {variant: variant.configure(base, overrides or [], where) for variant in variants}
 
-    from motionkit.store.manifest import read_manifest
+    from motionkit.store.commit import read_manifest
 
     store = store or default_path("store")
     read_manifest(store)  # fail on a missing store before heavy imports

@@ -16,7 +16,7 @@ from eval.metrics.metric import Metric, find_metric
 from motionkit.core.checksums import read_json, write_json
 from motionkit.core.errors import MotionkitError
 from motionkit.core.plain_text import shown
-from motionkit.store.manifest import read_manifest
+from motionkit.store.commit import read_manifest
 from motionkit.training.run import RunFolder, commit, versions
 
 FORMAT = "motionkit-result/1"

@@ -59,7 +59,7 @@ def train_variant(
     kept. Raises `RunError` if they were trained with other settings, `BusyError` while another process trains one of
     them, and what training raises.
     """
-    from motionkit.store.manifest import read_manifest  # this module is read for --help
+    from motionkit.store.commit import read_manifest  # this module is read for --help
 
     run = RunFolder(common.run.path.with_name(run_name(common.run.path.name, variant, common.seed)))
     context = replace(common, run=run)

@@ -29,10 +29,9 @@ def compact(
 
     Example: motionkit compact --dry-run
     """
-    from motionkit.store.commit import leftovers
+    from motionkit.store.commit import leftovers, read_manifest
     from motionkit.store.life.rewrite import compact as compact_store
     from motionkit.store.life.rewrite import plan_compaction
-    from motionkit.store.manifest import read_manifest
 
     path = store or default_path("store")
     if dry_run:
@@ -74,6 +73,6 @@ def _say_plan(path: Path, plan: "Compaction", as_json: bool) -> None:
     else:
         stdout.print(
             f"{path}: {plan.num_parts:,} parts, {plan.num_bytes / MEGABYTE:,.1f} MB, would become about "
-            f"{plan.bytes_after / MEGABYTE:,.1f} MB; {plan.num_removed_segments:,} segments of removed sequences would "
+            f"{plan.bytes_after / MEGABYTE:,.1f} MB; the frames of {plan.num_removed:,} removed sequences would "
             f"be gone for good; until it is done both need room"
         )

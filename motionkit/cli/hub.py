@@ -17,10 +17,6 @@ if TYPE_CHECKING:
 
     from motionkit.training.run import StageFolder
 
-STORE_TEXT = (
-    "{:,} sequences, {:.2f} h: a store of motionkit, whose tables are Parquet; `motionkit.Store.open({!r})` reads it. "
-    "Every sequence keeps the licence of its source (column `licence`), which says what it may be used for."
-)
 RUN_TEXT = (
     "A run of motionkit with the stages {}; weights are safetensors, config.json has each stage's settings and "
     "summary.json its figures. What it may be used for depends on the licences of the motions that it was trained "
@@ -86,7 +82,7 @@ def push(
 
 def _require_intact(store: Path, hint: str) -> None:
     """Raise `StoreError` for a store that is not as its manifest says."""
-    from motionkit.store.manifest import read_manifest
+    from motionkit.store.commit import read_manifest
     from motionkit.store.validate import faults
 
     with progress() as show, task(show, "check", len(read_manifest(store).files)) as work:
@@ -97,19 +93,12 @@ def _require_intact(store: Path, hint: str) -> None:
 
 def _store_card(path: Path, repository: "HfUri") -> tuple[str, list[str]]:
     """The card of a store, and its licences."""
-    from motionkit.store.hub import card_of
+    from motionkit.store.hub import store_card
     from motionkit.store.reader import Store
     from motionkit.store.reports.summary import summarise
 
-    summary, address = summarise(Store.open(path)), repository.to_uri()
-    table = [("source", "sequences", "hours", "framerates", "licences")]
-    for each in summary.sources:
-        names = ", ".join(name or "not stated" for name in each.licences)
-        row = (each.source, f"{each.num_sequences:,}", f"{each.hours:.2f}", ", ".join(each.framerates), names)
-        table.append(row)
-    licences = sorted({name or "not stated" for each in summary.sources for name in each.licences})
-    text = STORE_TEXT.format(summary.num_sequences, summary.hours, address)
-    return card_of(text, f"motionkit pull {address} --store store", licences, table), licences
+    summary = summarise(Store.open(path))
+    return store_card(summary, repository.to_uri()), list(summary.licences)
 
 
 def _complete_stages(run: Path) -> "list[StageFolder]":

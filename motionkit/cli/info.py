@@ -229,9 +229,9 @@ def _print_summary(summary: "StoreSummary") -> None:
             stdout.print(
                 f"  {name} {column.disk_bytes / MEGABYTE:,.1f} MB, {column.disk_bytes / column.raw_bytes:.3f} of raw"
             )
-    if summary.num_removed_segments:
+    if summary.num_removed:
         stdout.print(
-            f"of it {summary.num_removed_segments:,} segments of removed sequences: 'motionkit compact --store "
+            f"of it the frames of {summary.num_removed:,} removed sequences: 'motionkit compact --store "
             f"{summary.path}' drops them",
         )
     stdout.print(f"fingerprint {summary.fingerprint}")

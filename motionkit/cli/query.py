@@ -27,7 +27,7 @@ def query(
     as_json: Annotated[bool, typer.Option("--json", help="Print the rows as JSON.")] = False,
     as_csv: Annotated[bool, typer.Option("--csv", help="Print the rows as CSV.")] = False,
 ) -> None:
-    """Query a store in SQL: the tables sequences, segments and skeletons; nothing can be changed.
+    """Query a store in SQL: the tables sequences, motions and skeletons; nothing can be changed.
 
     Example: motionkit query "SELECT fps, count(*) FROM sequences GROUP BY fps"
     """

@@ -33,9 +33,9 @@ def remove(
 
     Example: motionkit remove --where "duration_seconds > 1" --dry-run
     """
+    from motionkit.store.commit import read_manifest
     from motionkit.store.life.rewrite import plan_removal
     from motionkit.store.life.rewrite import remove as remove_sequences
-    from motionkit.store.manifest import read_manifest
 
     if not ids and where is None:
         raise UsageError("name the sequences to remove, by their ids or with --where")
@@ -53,12 +53,12 @@ def remove(
                 "store": str(path),
                 "removed": removed,
                 "sequences_in_store": manifest.num_sequences,
-                "segments_to_compact": manifest.num_removed_segments,
+                "sequences_to_compact": manifest.num_removed,
             }
         )
         return
     stdout.print(f"removed {len(removed):,} sequences from {path}, which holds {manifest.num_sequences:,}")
-    if manifest.num_removed_segments:
+    if manifest.num_removed:
         stdout.print(f"their frames leave the disk with 'motionkit compact --store {path}'")
 
 

@@ -208,7 +208,7 @@ def _show_settings(configs: Sequence[Any], as_json: bool) -> None:
 
 def check_inputs(request: TrainRequest, jobs: Sequence[Job], context: StageContext) -> None:
     """Raise errors that can be found before torch is imported: in the store, the condition, and kept stages."""
-    from motionkit.store.manifest import read_manifest
+    from motionkit.store.commit import read_manifest
 
     fingerprint = read_manifest(context.store).fingerprint
     if request.where:
@@ -236,7 +236,7 @@ def train_all(
     jobs: Sequence[Job], context: StageContext, as_json: bool, title: str | None = None
 ) -> list[dict[str, Any]] | None:
     """Train jobs in order; returns their summaries, on the first rank only. With a title, show one bar for all."""
-    from motionkit.store.manifest import read_manifest
+    from motionkit.store.commit import read_manifest
     from motionkit.training.devices import joined_ranks, resolve_device
     from motionkit.training.loop import one_thread
 

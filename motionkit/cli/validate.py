@@ -16,13 +16,13 @@ def validate(
     store: Annotated[Path | None, typer.Option(help="Store to check.", show_default="./store")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the faults as JSON.")] = False,
 ) -> None:
-    """Check every file of a store: checksums, counts, segments, finite frames, skeletons.
+    """Check every file of a store: checksums, tables, finite frames.
 
     Prints a line for each fault. Exit code 1 if there is any, else 0.
 
     Example: motionkit validate
     """
-    from motionkit.store.manifest import read_manifest
+    from motionkit.store.commit import read_manifest
     from motionkit.store.validate import faults
 
     path = named_store(path, store) or default_path("store")
@@ -41,8 +41,7 @@ def validate(
             stdout.print(fault)
         if not found:
             stdout.print(
-                f"{path} is intact: {manifest.num_sequences:,} sequences, {manifest.num_frames:,} frames, "
-                f"{len(manifest.files)} files",
+                f"{path} is intact: {manifest.num_sequences:,} sequences, {len(manifest.files)} files",
             )
     if found:
         raise typer.Exit(1)

@@ -31,13 +31,13 @@ STOPPING_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 _NO_LOCKS = (errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOLCK)
 
 # The files and the folder by which a store is known.
-MANIFEST_FILE, SEQUENCES_FILE, SEGMENTS_FOLDER = "manifest.json", "sequences.parquet", "segments"
+MANIFEST_FILE, SEQUENCES_FILE, MOTIONS_FOLDER = "manifest.json", "sequences.parquet", "motions"
 
 
 def is_store(path: Path) -> bool:
     """Whether a path is a store's folder, intact or damaged: it has a manifest beside a table or parts."""
     # Not Path.is_file, which raises for folders that may not be entered.
-    beside = (path / SEQUENCES_FILE, path / SEGMENTS_FOLDER)
+    beside = (path / SEQUENCES_FILE, path / MOTIONS_FOLDER)
     return os.path.isfile(path / MANIFEST_FILE) and any(map(os.path.exists, beside))  # noqa: PTH113
 
 

@@ -252,7 +252,6 @@ _BUILT_IN = (
     _BuiltIn("csv", "joints_csv", suffixes=(".csv",), writes=True),
     _BuiltIn("robot-csv", "robot_csv", writes=True),
     _BuiltIn("gltf", "gltf", writes=True),
-    _BuiltIn("parquet", "parquet", holds=("*.parquet", "data/*.parquet")),
 )
 
 

@@ -1,3 +1,3 @@
-from .codec import RefusedMotion as RefusedMotion
 from .reader import Store as Store
+from .schema import RefusedMotion as RefusedMotion
 from .writer import StoreWriter as StoreWriter

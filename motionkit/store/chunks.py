@@ -11,10 +11,9 @@ from motionkit.core.errors import FormatError, StoreError
 from motionkit.core.skeleton import Skeleton
 from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions, SourceItem
-from motionkit.store.codec import EncodedMotion, RefusedMotion, Row, encode
-from motionkit.store.commit import unique_pending_part
+from motionkit.store.commit import pending_part
 from motionkit.store.parts import PartWriter, PendingPart
-from motionkit.store.schema import SEGMENTS_FOLDER
+from motionkit.store.schema import MOTIONS_FOLDER, EncodedMotion, RefusedMotion, Row, encode
 
 # A second of reading, and a part of about 10 MB: keeps all workers busy for small corpora.
 CHUNK_BYTES, CHUNK_ITEMS = 32 << 20, 1024
@@ -90,9 +89,9 @@ def read_chunk(
     `deadly` are faults, unread. Raises `OSError` where the part cannot be written, and `StoreError` where there is no
     such store.
     """
-    if not (store / SEGMENTS_FOLDER).is_dir():
+    if not (store / MOTIONS_FOLDER).is_dir():
         raise StoreError(f"there is no store {store} on {socket.gethostname()}: it must be where all machines see it")
-    part = PartWriter(unique_pending_part(store, items[0].sequence_index or 0))
+    part = PartWriter(pending_part(store, items[0].sequence_index or 0))
     skeletons: dict[str, Skeleton] = {}
     outcomes: list[ReadSequence | FormatError] = []
     try:
@@ -103,8 +102,8 @@ def read_chunk(
                 continue
             row = motion.row
             if each.sequence_index is not None:
-                first_row = part.add(each.sequence_index, motion.runs)
-                row = {**row, "sequence_index": each.sequence_index, "first_row": first_row}
+                part_row = part.add(each.sequence_index, motion)
+                row = {**row, "sequence_index": each.sequence_index, "part_row": part_row}
             skeleton = skeletons.setdefault(motion.skeleton.fingerprint, motion.skeleton)
             outcomes.append(ReadSequence(row, skeleton))
         return ReadChunk(part.finish(), tuple(outcomes))

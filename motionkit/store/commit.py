@@ -1,54 +1,204 @@
-"""Atomic changes of a store: a lock, tables under pending names, the manifest's rename as commit, and cleanup."""
+"""The state of a store: the manifest, which lists its files with their checksums, and the commit that replaces it.
 
+A writer holds the lock, writes parts and tables under pending names (`.new`), and renames the manifest, which commits
+them. A reader sees the manifest before or after that rename, and the files that it names.
+"""
+
+import hashlib
+import json
 import os
 import re
 import secrets
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from motionkit.core import files
+from motionkit.core import __version__, files
 from motionkit.core.errors import StoreError, describe
-from motionkit.core.files import defer_signals, exclusive_lock
-from motionkit.store.manifest import (
-    PENDING_SUFFIX,
-    TABLES,
-    FileEntry,
-    Manifest,
-    commit_manifest,
-    describe_file,
-    read_manifest,
-)
+from motionkit.core.files import defer_signals, exclusive_lock, sha256_of
 from motionkit.store.schema import (
     MANIFEST_FILE,
-    SEGMENTS_FOLDER,
+    MOTIONS_FOLDER,
+    SEQUENCES_FILE,
     SEQUENCES_PER_ROW_GROUP,
+    SKELETONS_FILE,
+    part_name,
+    part_number,
     table_writer_options,
 )
 
-_PART = re.compile(
-    rf"part-[0-9]{{5,10}}(\.parquet|\.parquet{re.escape(PENDING_SUFFIX)}|-[0-9a-f]{{8}}\.parquet{re.escape(PENDING_SUFFIX)})"
-)
+FORMAT = "motionkit-store"
+VERSION = 3
+TABLES = (SEQUENCES_FILE, SKELETONS_FILE)
+PENDING = ".new"
 LOCK_FILE = ".writer.lock"
-EMPTY = Manifest(
-    num_sequences=0, num_segments=0, num_frames=0, num_skeletons=0, next_sequence_index=0, next_part=0, files={}
-)
+# Numbers of sequences and of parts are int32 in the tables.
+MAX_NUMBER = 2**31
+PART_PATTERN = rf"{MOTIONS_FOLDER}/part-[0-9]{{5,10}}\.parquet"
+_PART = re.compile(PART_PATTERN)
+_WRITTEN_PART = re.compile(r"part-[0-9]{5,10}(-[0-9a-f]{8})?\.parquet(\.new)?")
+_SHA256 = re.compile("[0-9a-f]{64}")
+_HINT = "restore it from a copy, or ingest the sources into a new store"
+
+
+@dataclass(frozen=True)
+class FileEntry:
+    """One file of a store: its sha256, size in bytes and number of rows."""
+
+    sha256: str
+    num_bytes: int
+    num_rows: int
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """A committed state of a store; `files` maps paths inside the store to their entries.
+
+    It holds no date and no machine name, so equal content gives an equal fingerprint. `next_sequence_index` and
+    `next_part` are above all numbers that were assigned, so that none is assigned again.
+    """
+
+    files: Mapping[str, FileEntry] = field(default_factory=dict)
+    next_sequence_index: int = 0
+    next_part: int = 0
+    tool: str = f"motionkit {__version__}"
+
+    @property
+    def num_sequences(self) -> int:
+        """Number of sequences."""
+        return self.files[SEQUENCES_FILE].num_rows if SEQUENCES_FILE in self.files else 0
+
+    @property
+    def num_removed(self) -> int:
+        """Number of removed sequences whose frames are still in the parts: `motionkit compact` drops them."""
+        return sum(self.files[name].num_rows for name in self.parts) - self.num_sequences
+
+    @property
+    def num_bytes(self) -> int:
+        """Total bytes of its files."""
+        return sum(entry.num_bytes for entry in self.files.values())
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Paths of the parts inside the store, in order."""
+        return tuple(sorted(self.files.keys() - TABLES, key=part_number))
+
+    @property
+    def text(self) -> str:
+        """The manifest as JSON."""
+        document = {
+            "format": FORMAT,
+            "format_version": VERSION,
+            "tool": self.tool,
+            "next": {"sequence_index": self.next_sequence_index, "part": self.next_part},
+            "files": {name: asdict(entry) for name, entry in sorted(self.files.items())},
+        }
+        return json.dumps(document, indent=2) + "\n"
+
+    @property
+    def fingerprint(self) -> str:
+        """Hex sha256 of the manifest, which holds those of all files: equal for equal stores."""
+        return hashlib.sha256(self.text.encode()).hexdigest()
+
+
+def read_manifest(store: Path) -> Manifest:
+    """Read a store's manifest; raises `StoreError` where there is none, or it is damaged or of another version."""
+    path = store / MANIFEST_FILE
+    try:
+        document = json.loads(path.read_bytes())
+        if not isinstance(document, dict) or document.get("format") != FORMAT:
+            raise ValueError(f"it is not the manifest of a store: its 'format' is not {FORMAT!r}")
+        version = document.get("format_version")
+        if version != VERSION:
+            raise StoreError(
+                f"the store {store} has format version {version!r} and was written by {document.get('tool')!r}, "
+                f"but motionkit {__version__} reads version {VERSION}: ingest the sources again"
+            )
+        manifest = Manifest(
+            files={name: _entry(name, entry) for name, entry in document["files"].items()},
+            next_sequence_index=_count(document["next"], "sequence_index"),
+            next_part=_count(document["next"], "part"),
+            tool=document["tool"],
+        )
+        if not (isinstance(manifest.tool, str) and manifest.tool.isprintable()):
+            raise ValueError(f"its tool is {manifest.tool!r}")
+        if not manifest.num_sequences <= manifest.next_sequence_index <= MAX_NUMBER:
+            raise ValueError(f"next.sequence_index is below its {manifest.num_sequences} sequences")
+        if not max(map(part_number, manifest.parts), default=-1) < manifest.next_part <= MAX_NUMBER:
+            raise ValueError(f"next.part is not above {manifest.parts[-1] if manifest.parts else 'MAX_NUMBER'}")
+        return manifest
+    except FileNotFoundError:
+        raise StoreError(
+            f"there is no store at {store}: make one with 'motionkit ingest SOURCE --store {store}'"
+        ) from None
+    except NotADirectoryError:
+        raise StoreError(
+            f"{store} is a file, and a store is a folder: 'motionkit ingest {store}' puts a motion into one, "
+            f"'motionkit view {store}' shows it"
+        ) from None
+    except OSError as error:
+        raise StoreError(describe(error)) from None
+    except (KeyError, ValueError, TypeError, AttributeError, RecursionError) as error:
+        fault = f"no {error}" if isinstance(error, KeyError) else str(error)
+        raise StoreError(f"{path} is damaged ({fault}): {_HINT}") from None
+
+
+def _entry(name: str, entry: Any) -> FileEntry:
+    if name not in TABLES and not (_PART.fullmatch(name) and name == part_name(part_number(name))):
+        raise ValueError(f"it names {name!r}, which is no file of a store")
+    if not isinstance(entry, dict):
+        raise ValueError(f"{name} is {str(entry)[:40]!r}")
+    if not (isinstance(entry["sha256"], str) and _SHA256.fullmatch(entry["sha256"])):
+        raise ValueError(f"the sha256 of {name} is {entry['sha256']!r}")
+    return FileEntry(entry["sha256"], _count(entry, "num_bytes"), _count(entry, "num_rows"))
+
+
+def _count(values: Any, name: str) -> int:
+    value = values[name]
+    if type(value) is not int or not 0 <= value < 2**63:
+        raise ValueError(f"{name} is {value!r}")
+    return value
+
+
+def committed(store: Path) -> Manifest:
+    """The state that a reader would see now; an empty manifest if there is no store yet."""
+    return read_manifest(store) if files.is_store(store) else Manifest()
+
+
+def read_committed(store: Path, name: str, entry: FileEntry) -> bytes | None:
+    """Content of a table that the manifest names; None where no file is that one.
+
+    A writer that is killed between the rename of the manifest and those of its tables leaves a committed table under
+    its pending name until the next writer renames it. The checksum says which file it is, also while a writer works.
+    """
+    # The first path again, for a writer may rename a table between the two.
+    for path in (store / name, pending(store, name), store / name):
+        try:
+            if path.stat().st_size != entry.num_bytes:
+                continue
+            content = path.read_bytes()
+        except FileNotFoundError:
+            continue
+        if hashlib.sha256(content).hexdigest() == entry.sha256:
+            return content
+    return None
 
 
 @contextmanager
 def changing(store: Path, *, must_exist: bool = False, must_not_exist: bool = False) -> Iterator[Manifest]:
-    """Hold the writer's lock on a store, or on a folder that becomes one; yields its state, `EMPTY` for a new one.
+    """Hold the writer's lock on a store, or on a folder that becomes one; yields its state, an empty one if it is new.
 
     What a killed writer left is finished or removed first; what this one has written is removed where the block raises
     before its commit, and kept after it. Raises `BusyError` while another process writes; `StoreError` for a store that
-    is missing, present or not a store, and where the disk fails after the commit; `OSError`
-    where it fails before the commit.
+    is missing, present or not a store, and where the disk fails after the commit; `OSError` where it fails before it.
     """
     _check_target(store, must_exist=must_exist, must_not_exist=must_not_exist)
-    (store / SEGMENTS_FOLDER).mkdir(parents=True, exist_ok=True)
+    (store / MOTIONS_FOLDER).mkdir(parents=True, exist_ok=True)
     busy = f"another process is writing to the store {store}: wait until it has ended"
     with exclusive_lock(store / LOCK_FILE, busy=busy):
         _check_target(store, must_exist=must_exist, must_not_exist=must_not_exist)
@@ -69,72 +219,6 @@ def changing(store: Path, *, must_exist: bool = False, must_not_exist: bool = Fa
             raise
 
 
-def committed(store: Path) -> Manifest:
-    """The state that a reader would see now; `EMPTY` if there is no store yet."""
-    return read_manifest(store) if files.is_store(store) else EMPTY
-
-
-def pending(store: Path, name: str) -> Path:
-    """Path of a table before it is committed."""
-    return store / (name + PENDING_SUFFIX)
-
-
-def unique_pending_part(store: Path, number: int) -> Path:
-    """Path of a part before it is adopted: several processes may be writing the same one."""
-    return store / SEGMENTS_FOLDER / f"part-{number:05d}-{secrets.token_hex(4)}.parquet{PENDING_SUFFIX}"
-
-
-def write_pending(store: Path, name: str, table: pa.Table) -> None:
-    """Writes a table to its pending path; raises `OSError` that names the file."""
-    path = pending(store, name)
-    with files.naming(path):
-        files.create(path)
-        pq.write_table(table, path, row_group_size=SEQUENCES_PER_ROW_GROUP, **table_writer_options())
-
-
-def describe_pending(store: Path, num_rows: Mapping[str, int]) -> dict[str, FileEntry]:
-    """The manifest's entries for finished pending tables, by their names and numbers of rows."""
-    entries = {}
-    for name, rows in num_rows.items():
-        files.sync(pending(store, name))
-        entries[name] = describe_file(pending(store, name), rows)
-    return entries
-
-
-def publish(store: Path, manifest: Manifest) -> None:
-    """Commits: the rename of the manifest changes the store's state; then the tables get their final names."""
-    with defer_signals():
-        commit_manifest(store, manifest)
-        _tidy(store, manifest)
-
-
-def leftovers(store: Path, manifest: Manifest) -> list[Path]:
-    """Files left by a stopped command: parts that the manifest does not name, and pending files.
-
-    While a part that it names is missing, no parts are included: one may be that part under a wrong name.
-    """
-    folder = store / SEGMENTS_FOLDER
-    found = sorted(path for path in folder.iterdir() if _PART.fullmatch(path.name)) if folder.is_dir() else []
-    complete = all((store / name).exists() for name in manifest.parts)
-    unnamed = [path for path in found if f"{SEGMENTS_FOLDER}/{path.name}" not in manifest.files]
-    parts = [path for path in unnamed if complete or path.name.endswith(PENDING_SUFFIX)]
-    return parts + [path for name in (*TABLES, MANIFEST_FILE) if os.path.lexists(path := pending(store, name))]
-
-
-def _tidy(store: Path, manifest: Manifest) -> None:
-    for name in TABLES:
-        path = pending(store, name)
-        if name in manifest.files and _is_committed(path, manifest.files[name]):
-            files.replace(path, store / name)
-    for path in leftovers(store, manifest):
-        path.unlink(missing_ok=True)
-
-
-def _is_committed(path: Path, entry: FileEntry) -> bool:
-    """Whether a pending table is the one that the manifest names: its writer was stopped after the commit."""
-    return path.is_file() and not path.is_symlink() and describe_file(path, entry.num_rows) == entry
-
-
 def _check_target(path: Path, *, must_exist: bool, must_not_exist: bool) -> None:
     if path.exists() and not path.is_dir():
         raise StoreError(f"{path} is a file; a store is a folder")
@@ -144,7 +228,71 @@ def _check_target(path: Path, *, must_exist: bool, must_not_exist: bool) -> None
     if must_not_exist and is_store:
         raise StoreError(f"there already is a store at {path}: append to it, or overwrite it on purpose")
     if not is_store and path.exists():
-        ours = {SEGMENTS_FOLDER, LOCK_FILE, *(name + PENDING_SUFFIX for name in (*TABLES, MANIFEST_FILE))}
+        ours = {MOTIONS_FOLDER, LOCK_FILE, *(name + PENDING for name in (*TABLES, MANIFEST_FILE))}
         foreign = sorted(entry.name for entry in path.iterdir() if entry.name not in ours)
         if foreign:
             raise StoreError(f"{path} is not a store and not empty (it holds {foreign[0]}): name an empty folder")
+
+
+def pending(store: Path, name: str) -> Path:
+    """Path of a file before it is committed."""
+    return store / (name + PENDING)
+
+
+def pending_part(store: Path, number: int) -> Path:
+    """Path of a part before it is added: several processes may be writing one of this number."""
+    return store / MOTIONS_FOLDER / f"part-{number:05d}-{secrets.token_hex(4)}.parquet{PENDING}"
+
+
+def write_pending(store: Path, name: str, table: pa.Table) -> FileEntry:
+    """Write a table to its pending path; returns its entry. Raises `OSError` that names the file."""
+    path = pending(store, name)
+    with files.naming(path):
+        files.create(path)
+        pq.write_table(table, path, row_group_size=SEQUENCES_PER_ROW_GROUP, **table_writer_options())
+    return finished_entry(path, table.num_rows)
+
+
+def finished_entry(path: Path, num_rows: int) -> FileEntry:
+    """Flush a finished file to the disk; returns its entry for the manifest."""
+    files.sync(path)
+    return FileEntry(sha256_of(path), path.stat().st_size, num_rows)
+
+
+def publish(store: Path, manifest: Manifest) -> None:
+    """Commit: the rename of the manifest changes the store's state; then the tables get their final names."""
+    with defer_signals():
+        path = pending(store, MANIFEST_FILE)
+        with files.naming(path):
+            files.create(path)
+            path.write_text(manifest.text, encoding="utf-8")
+        files.replace(path, store / MANIFEST_FILE)
+        _tidy(store, manifest)
+
+
+def leftovers(store: Path, manifest: Manifest) -> list[Path]:
+    """Files left by a stopped command: parts that the manifest does not name, and pending files.
+
+    While a part that it names is missing, only pending ones are included: another may be that part under a wrong name.
+    """
+    folder = store / MOTIONS_FOLDER
+    is_own = folder.is_dir() and not folder.is_symlink()
+    written = sorted(path for path in folder.iterdir() if _WRITTEN_PART.fullmatch(path.name)) if is_own else []
+    is_complete = all((store / name).exists() for name in manifest.parts)
+    parts = [
+        path
+        for path in written
+        if f"{MOTIONS_FOLDER}/{path.name}" not in manifest.files and (is_complete or path.name.endswith(PENDING))
+    ]
+    return parts + [path for name in (*TABLES, MANIFEST_FILE) if os.path.lexists(path := pending(store, name))]
+
+
+def _tidy(store: Path, manifest: Manifest) -> None:
+    for name in TABLES:
+        path = pending(store, name)
+        # A pending table is the one that the manifest names where its writer was stopped after the commit.
+        is_file = path.is_file() and not path.is_symlink()
+        if is_file and name in manifest.files and sha256_of(path) == manifest.files[name].sha256:
+            files.replace(path, store / name)
+    for path in leftovers(store, manifest):
+        path.unlink(missing_ok=True)

@@ -17,17 +17,33 @@ from typing import TYPE_CHECKING, Any
 
 from motionkit.core import __version__
 from motionkit.core.errors import MissingExtraError, MotionkitError, StoreError, UsageError
-from motionkit.core.files import MANIFEST_FILE, SEGMENTS_FOLDER, SEQUENCES_FILE
+from motionkit.core.files import MANIFEST_FILE, MOTIONS_FOLDER, SEQUENCES_FILE
 from motionkit.core.plain_text import markdown_text
 from motionkit.core.progress import warn
-from motionkit.store.manifest import read_manifest
+from motionkit.store.commit import read_manifest
 
 if TYPE_CHECKING:
     from huggingface_hub import HfUri
 
+    from motionkit.store.reports.summary import StoreSummary
+
 # Patterns of a store's files.
-STORE_FILES = (MANIFEST_FILE, SEQUENCES_FILE, "skeletons.parquet", f"{SEGMENTS_FOLDER}/part-*.parquet")
+STORE_FILES = (MANIFEST_FILE, SEQUENCES_FILE, "skeletons.parquet", f"{MOTIONS_FOLDER}/part-*.parquet")
 LONGEST_NAME_BYTES = 255
+STORE_TEXT = (
+    "{0.num_sequences:,} sequences, {0.hours:.2f} h: a store of motionkit, whose tables are Parquet; "
+    "`motionkit.Store.open({1!r})` reads it. `datasets`, pandas, polars and duckdb read the files as they are: "
+    "`sequences.parquet` has a row for each sequence, `motions/` its frames, joined by `sequence_index`. Every "
+    "sequence keeps the licence of its source (column `licence`), which says what it may be used for."
+)
+READ_STORE = """\
+row = load_dataset({!r}, "motions", split="train").with_format("numpy")[0]
+joints = row["joint_positions"].reshape(row["num_joints"], 3, row["num_frames"]).transpose(2, 0, 1)"""
+DATA_FILES = (
+    "- {config_name: motions, default: true, data_files: motions/*.parquet}",
+    "- {config_name: sequences, data_files: sequences.parquet}",
+    "- {config_name: skeletons, data_files: skeletons.parquet}",
+)
 
 
 class HubError(MotionkitError):
@@ -141,14 +157,36 @@ def push(repository: "HfUri", folder: Path, patterns: Sequence[str], card: str, 
     return str(commit.commit_url)
 
 
-def card_of(text: str, pull: str, licences: Sequence[str] = (), table: Sequence[Sequence[str]] = ()) -> str:
-    """A README.md for the Hub: a text, the command that pulls the repository, a table with titles in row 0."""
+def store_card(summary: "StoreSummary", address: str) -> str:
+    """The README.md of a store at an address of the Hub, or in a folder: its sources, and how to read it."""
+    table = [("source", "sequences", "hours", "framerates", "licences")]
+    for each in summary.sources:
+        names = ", ".join(name or "not stated" for name in each.licences)
+        row = (each.source, f"{each.num_sequences:,}", f"{each.hours:.2f}", ", ".join(each.framerates), names)
+        table.append(row)
+    return card_of(STORE_TEXT.format(summary, address), READ_STORE.format(address), summary.licences, table, DATA_FILES)
+
+
+def card_of(
+    text: str,
+    code: str,
+    licences: Sequence[str] = (),
+    table: Sequence[Sequence[str]] = (),
+    data_files: Sequence[str] = (),
+) -> str:
+    """A README.md for the Hub: a text, code that fetches or reads the files, a table with titles in row 0.
+
+    `data_files` are the configurations that `datasets` finds.
+    """
     head = ["---", "library_name: motionkit", "tags: [human-motion, motion-capture]"]
     if licences:
         head += ["license: other", f"license_name: {json.dumps('; '.join(licences))}"]
+    if data_files:
+        head += ["configs:", *data_files]
     rows = [f"| {' | '.join(map(markdown_text, row))} |" for row in table]
     rows[1:1] = [f"|{'---|' * len(row)}" for row in table[:1]]
-    return "\n".join((*head, "---", "# Human motion at native framerates", "", text, "", f"    {pull}", "", *rows, ""))
+    indented = [f"    {line}".rstrip() for line in code.splitlines()]
+    return "\n".join((*head, "---", "# Human motion at native framerates", "", text, "", *indented, "", *rows, ""))
 
 
 @contextmanager

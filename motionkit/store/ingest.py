@@ -32,8 +32,8 @@ from motionkit.store.chunks import (
     read_chunk,
     worker_died,
 )
-from motionkit.store.codec import RefusedMotion, Row
-from motionkit.store.manifest import read_manifest
+from motionkit.store.commit import read_manifest
+from motionkit.store.schema import RefusedMotion, Row
 from motionkit.store.workers import LOCAL, WorkerDied, Workers, check_engine, start_workers, usable_cores
 from motionkit.store.writer import StoreWriter
 

@@ -1,7 +1,7 @@
 """Reads a store: tables, single motions, many motions in order, SQL."""
 
 import operator
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from html import escape
 from pathlib import Path
@@ -12,90 +12,113 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from motionkit.core.errors import StoreError, UsageError
+from motionkit.core.errors import MotionkitError, StoreError, UsageError
 from motionkit.core.motion import Motion
 from motionkit.core.progress import OnProgress, ignore
 from motionkit.core.shapes import Int, Int64
-from motionkit.store import codec
-from motionkit.store.codec import EncodedMotion
-from motionkit.store.manifest import Manifest, read_committed, read_manifest
-from motionkit.store.parts import SegmentReader, check_still_there
+from motionkit.core.skeleton import Skeleton
+from motionkit.core.skeletons.families import parse_layout_map
+from motionkit.store.commit import Manifest, read_committed, read_manifest
+from motionkit.store.parts import PartReader, check_still_there
 from motionkit.store.schema import (
-    FLOAT_COLUMNS,
-    PLACE_COLUMNS,
-    SEGMENTS,
+    MOTIONS,
     SEQUENCES,
     SEQUENCES_FILE,
     SKELETONS,
     SKELETONS_FILE,
+    EncodedMotion,
+    motion_from_row,
+    part_number,
+    skeleton_from_row,
 )
 from motionkit.store.sql import UnknownTable, query
-from motionkit.store.table_checks import require_sound
-
-
-def read_table(content: bytes, columns: Sequence[str] | None = None) -> pa.Table:
-    """The table of a Parquet file's content, or some columns of it; raises what pyarrow raises.
-
-    One thread reads it. Arrow's own threads would keep the content for some milliseconds after the call, and where one
-    of them lets go of a Python object while the interpreter ends, the process aborts: "terminate called without an
-    active exception" (apache/arrow issues 36389 and 49942). One thread is quicker for such tables, too.
-    """
-    return pq.ParquetFile(pa.BufferReader(content)).read(columns=columns, use_threads=False)
-
-
-def open_table(store: Path, manifest: Manifest, name: str, columns: Sequence[str] | None = None) -> pa.Table | None:
-    """A table as the manifest names it; None where no file is that one, as after a commit that came in between.
-
-    Raises `StoreError` where its rows or columns are not what they should be.
-    """
-    try:
-        return read_committed_table(store, manifest, name, columns)
-    except ValueError as error:
-        raise StoreError(
-            f"{store / name} is damaged ({error}): restore the store from a copy, or ingest the sources into a new one"
-        ) from None
-
-
-def read_committed_table(
-    store: Path, manifest: Manifest, name: str, columns: Sequence[str] | None = None
-) -> pa.Table | None:
-    """A table as the manifest names it; None where no file is that one.
-
-    Raises `ValueError` for a table with other columns or another number of rows than it should have, and for what is
-    no Parquet.
-    """
-    entry = manifest.files.get(name)
-    if entry is None:
-        raise ValueError("the manifest does not name it")
-    content = read_committed(store, name, entry)
-    if content is None:
-        return None
-    try:
-        found = pq.read_schema(pa.BufferReader(content))
-        table = read_table(content, columns)
-        table.validate(full=True)  # texts that are no UTF-8, lists that leave their values
-    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"it cannot be read as Parquet ({' '.join(str(error).split())})") from None
-    if not found.equals({SEQUENCES_FILE: SEQUENCES, SKELETONS_FILE: SKELETONS}[name]):
-        raise ValueError("its columns are not those of this format version")
-    if table.num_rows != entry.num_rows:
-        raise ValueError(f"it has {table.num_rows} rows, the manifest says {entry.num_rows}")
-    return table
-
-
-def not_committed(store: Path) -> StoreError:
-    """The error if `read_committed_table` repeatedly finds none."""
-    return StoreError(
-        f"the tables of the store {store} are not those that its manifest names: "
-        f"'motionkit validate --store {store}' says which; restore them from a copy or ingest again"
-    )
-
 
 if TYPE_CHECKING:
     import pandas as pd
 
+
 OPEN_ATTEMPTS = 5
 ROWS_AT_ONCE = 1024
+# Where a sequence lies in its store: what changes when it is copied into another one.
+PLACE_COLUMNS = ("sequence_index", "part", "part_row")
+
+
+def read_table(store: Path, manifest: Manifest, name: str, columns: Sequence[str] | None = None) -> pa.Table | None:
+    """A table, or some of its columns, as the manifest names it; None where no file is that one.
+
+    So it is after a commit that came in between. Raises `ValueError` for a table with other columns or another number
+    of rows, and for what is no Parquet.
+    """
+    entry = manifest.files.get(name)
+    if entry is None:
+        raise ValueError(f"{name}: the manifest does not name it")
+    content = read_committed(store, name, entry)
+    if content is None:
+        return None
+    try:
+        # One thread: Arrow's own would keep the content for some milliseconds after the call, and where one of them
+        # frees a Python object while the interpreter ends, the process aborts (apache/arrow issues 36389 and 49942).
+        file = pq.ParquetFile(pa.BufferReader(content))
+        table = file.read(columns, use_threads=False)
+        table.validate(full=True)  # texts that are no UTF-8, lists that leave their values
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"{name}: it cannot be read as Parquet ({' '.join(str(error).split())})") from None
+    if not file.schema_arrow.equals({SEQUENCES_FILE: SEQUENCES, SKELETONS_FILE: SKELETONS}[name]):
+        raise ValueError(f"{name}: its columns are not those of this format version")
+    if table.num_rows != entry.num_rows:
+        raise ValueError(f"{name}: it has {table.num_rows} rows, the manifest says {entry.num_rows}")
+    return table.combine_chunks()
+
+
+def read_skeletons(table: pa.Table) -> dict[str, Skeleton]:
+    """The skeletons of a table by fingerprint; raises `ValueError` for a row that is none."""
+    skeletons = {}
+    for row in table.to_pylist():
+        try:
+            skeleton = skeleton_from_row(row)
+            if skeleton.layout_map:
+                parse_layout_map(skeleton.layout_map)
+            if skeleton.fingerprint != row["skeleton"]:
+                raise ValueError(f"its joints are those of {skeleton.fingerprint!r}")
+        except (ValueError, MotionkitError) as error:
+            raise ValueError(f"{SKELETONS_FILE}: skeleton {row['skeleton']!r}: {error}") from None
+        skeletons[row["skeleton"]] = skeleton
+    return skeletons
+
+
+def check_sequences(sequences: pa.Table, manifest: Manifest, skeletons: Mapping[str, Skeleton]) -> None:
+    """Raise `ValueError` for rows that no writer writes, in a store of somebody else's making.
+
+    Indices ascend below the manifest's next one, ids are unique, framerates positive, and every row has frames, a part
+    that the manifest names, and one of the skeletons.
+    """
+    index = np.asarray(sequences["sequence_index"], np.int64)
+    if (np.diff(index, prepend=-1, append=manifest.next_sequence_index) < 1).any():
+        raise ValueError(
+            f"{SEQUENCES_FILE}: sequence_index does not ascend from 0 to below {manifest.next_sequence_index}"
+        )
+    ids = sequences["sequence_id"]
+    if pc.count_distinct(ids).as_py() != len(ids):
+        counts = pc.value_counts(ids)
+        repeated = counts.filter(pc.greater(counts.field("counts"), 1))[0]["values"]
+        raise ValueError(f"{SEQUENCES_FILE}: the id {repeated.as_py()!r} occurs more than once")
+    numbers = {name: np.asarray(sequences[name], np.float64) for name in ("fps_numerator", "fps_denominator")}
+    joints = pa.array([each.num_joints for each in skeletons.values()], pa.int16())
+    place = pc.index_in(sequences["skeleton"], pa.array(list(skeletons), pa.string()))
+    parts = [part_number(name) for name in manifest.parts]
+    wrong = {
+        "its framerate is not positive": (numbers["fps_numerator"] <= 0) | (numbers["fps_denominator"] <= 0),
+        "it has no frames": np.asarray(sequences["num_frames"]) < 1,
+        "its start_seconds are not finite": ~np.isfinite(np.asarray(sequences["start_seconds"])),
+        "the manifest does not name its part": ~np.isin(np.asarray(sequences["part"]), parts),
+        f"its skeleton is not in {SKELETONS_FILE}": np.asarray(pc.is_null(place)),
+        "num_joints is not its skeleton's": np.asarray(
+            pc.fill_null(pc.not_equal(joints.take(place.combine_chunks()), sequences["num_joints"]), False)
+        ),
+    }
+    for fault, rows in wrong.items():
+        if rows.any():
+            raise ValueError(f"{SEQUENCES_FILE}: sequence {ids[int(np.argmax(rows))].as_py()!r}: {fault}")
 
 
 class Store:
@@ -125,16 +148,20 @@ class Store:
         self.manifest = manifest
         self.sequences_table = sequences
         self.skeletons_table = skeletons
-        self.skeletons = require_sound(path, manifest, sequences, skeletons)
-        """Skeletons by fingerprint."""
-        self._segments = SegmentReader(path, manifest.files)
+        self._parts = PartReader(path, manifest.files)
+        try:
+            self.skeletons = read_skeletons(skeletons)
+            """Skeletons by fingerprint."""
+            check_sequences(sequences, manifest, self.skeletons)
+        except ValueError as error:
+            raise _damaged(path, error) from None
 
     @classmethod
     def open(cls, path: Path | str, *, on_progress: OnProgress = ignore) -> "Store":
         """Open a store, also one of the Hub (`hf://datasets/OWNER/NAME`), which is fetched into the Hub's cache.
 
-        `on_progress` is called while caches are built from it. Raises `StoreError` where there
-        is none, or it is damaged or of another format version; `HubError` where the Hub cannot be asked.
+        `on_progress` is called while caches are built from it. Raises `StoreError` where there is none, or it is
+        damaged or of another format version; `HubError` where the Hub cannot be asked.
         """
         if str(path).startswith("hf://"):
             from motionkit.store.hub import fetch_store, parse_address  # deferred: few stores are of the Hub
@@ -143,10 +170,12 @@ class Store:
         path = Path(path)
         for _ in range(OPEN_ATTEMPTS):
             manifest = read_manifest(path)
-            sequences = open_table(path, manifest, SEQUENCES_FILE)
-            skeletons = open_table(path, manifest, SKELETONS_FILE)
+            try:
+                sequences, skeletons = (read_table(path, manifest, name) for name in (SEQUENCES_FILE, SKELETONS_FILE))
+            except ValueError as error:
+                raise _damaged(path, error) from None
             if sequences is not None and skeletons is not None:
-                return cls(path, manifest, sequences.combine_chunks(), skeletons, on_progress)
+                return cls(path, manifest, sequences, skeletons, on_progress)
         raise not_committed(path)
 
     @property
@@ -158,6 +187,11 @@ class Store:
     def num_sequences(self) -> int:
         """Number of sequences."""
         return self.manifest.num_sequences
+
+    @property
+    def num_frames(self) -> int:
+        """Number of frames of all sequences."""
+        return int(pc.sum(self.sequences_table["num_frames"], min_count=0).as_py())
 
     @cached_property
     def sequences(self) -> "pd.DataFrame":
@@ -210,20 +244,8 @@ class Store:
                 "read_many gives several"
             ) from None
         row = self.sequences_table.slice(self.rows_of(np.array([index]))[0], 1).to_pylist()[0]
-        skeleton = self.skeletons[row["skeleton"]]
-        wanted: dict[str, tuple[int, ...]] = {"joint_positions": (skeleton.num_joints, 3)}
-        if rotations and row["has_rotations"]:
-            wanted["joint_rotations"] = (skeleton.num_joints, 4)
-        if rotations and row["has_root_translation"]:
-            wanted["root_translation"] = (3,)
-        frames = self._segments.read(row, wanted, decode=FLOAT_COLUMNS if rotations else FLOAT_COLUMNS[:1])
-        return codec.motion_from_row(
-            row,
-            skeleton,
-            frames["joint_positions"],
-            frames.get("joint_rotations"),
-            frames.get("root_translation"),
-        )
+        frames = self._parts.read(row, rotations=rotations)
+        return motion_from_row(row, self.skeletons[row["skeleton"]], frames)
 
     def __getitem__(self, sequence: int | str) -> Motion:
         """One motion by id or index, as `read` gives it."""
@@ -250,39 +272,40 @@ class Store:
         rows = self.sequences_table.take(self.rows_of(sequences))
         for batch in rows.to_batches(max_chunksize=ROWS_AT_ONCE):
             for row in batch.to_pylist():
-                skeleton = self.skeletons[row["skeleton"]]
-                widths = {"joint_positions": 3 * skeleton.num_joints}
-                if row["has_rotations"]:
-                    widths["joint_rotations"] = 4 * skeleton.num_joints
-                if row["has_root_translation"]:
-                    widths["root_translation"] = 3
                 placeless = {name: value for name, value in row.items() if name not in PLACE_COLUMNS}
-                yield EncodedMotion(placeless, skeleton, self._segments.read_runs(row, widths))
+                yield EncodedMotion(placeless, self.skeletons[row["skeleton"]], self._parts.read_encoded(row))
 
     def query(self, sql: str) -> pa.Table:
-        """Result of one SQL statement over `sequences`, `segments`, `skeletons`; raises `UsageError` for bad SQL."""
+        """Result of one SQL statement over `sequences`, `motions`, `skeletons`; raises `UsageError` for bad SQL."""
         views: dict[str, Any] = {"sequences": self.sequences_table, "skeletons": self.skeletons_table}
         try:
-            # Only where they are asked for: a dataset looks at each of its files.
-            if "segments" in sql.lower():
-                views["segments"] = self._segments_dataset()
+            # Only where the statement names them: the parts are read to compare their checksums.
+            if "motions" in sql.lower():
+                views["motions"] = self._motions()
             return query(views, sql)
         except UnknownTable as error:
-            raise UsageError(f"{error}; the tables of a store are sequences, segments and skeletons") from None
+            raise UsageError(f"{error}; the tables of a store are sequences, motions and skeletons") from None
         except FileNotFoundError as error:
             check_still_there(self.path, self.manifest.parts)
             raise StoreError(f"{error}: 'motionkit validate --store {self.path}' says what is missing") from None
         except (pa.ArrowException, OSError) as error:
             raise StoreError(f"{error}: 'motionkit validate --store {self.path}' says what is damaged") from None
 
-    def part(self, name: str) -> Path:
-        """Path of a part whose footer is what the manifest says; raises `StoreError` where it is damaged."""
-        return self._segments.checked_part(name)
+    def _motions(self) -> Any:
+        import pyarrow.dataset as ds
+
+        parts = [str(self._parts.checked_path(name)) for name in self.manifest.parts]
+        if not parts:
+            return MOTIONS.empty_table()
+        # The frames of removed sequences are in the parts until the store is compacted.
+        return ds.dataset(parts, schema=MOTIONS).filter(
+            pc.field("sequence_index").isin(self.sequences_table["sequence_index"])
+        )
 
     def sql(self, sql: str) -> "pd.DataFrame":
         """Result of one SQL statement as a pandas table; `query` gives the same as an Arrow table.
 
-        The tables are `sequences`, `segments` and `skeletons` (docs/store.md). Raises `UsageError` for bad SQL.
+        The tables are `sequences`, `motions` and `skeletons` (docs/store.md). Raises `UsageError` for bad SQL.
 
         >>> mk.Store.open("store").sql("SELECT fps, count(*) AS takes FROM sequences GROUP BY fps ORDER BY fps")
             fps  takes
@@ -291,19 +314,6 @@ class Store:
         """
         frame: pd.DataFrame = self.query(sql).to_pandas()
         return frame
-
-    def _segments_dataset(self) -> Any:
-        import pyarrow.dataset as ds  # which imports pandas: a third of a second that no worker of an ingest needs
-
-        parts = [str(self.part(name)) for name in self.manifest.parts]
-        if not parts:
-            return SEGMENTS.empty_table()
-        checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
-        pages = ds.ParquetFileFormat(default_fragment_scan_options=checked)
-        segments = ds.dataset(parts, schema=SEGMENTS, format=pages)
-        if not self.manifest.num_removed_segments:
-            return segments
-        return segments.filter(pc.field("sequence_index").isin(self.sequences_table["sequence_index"]))
 
     def select(self, where: str | None = None) -> Int64[np.ndarray, "selected"]:
         """Indices of the sequences for which a SQL condition over the table of sequences holds, ascending.
@@ -334,8 +344,7 @@ class Store:
         return f"motionkit info --store {self.path} says what it holds"
 
     def __repr__(self) -> str:
-        counts = self.manifest
-        return f"Store({str(self.path)!r}, {counts.num_sequences} sequences, {counts.num_frames} frames)"
+        return f"Store({str(self.path)!r}, {self.num_sequences} sequences, {self.num_frames} frames)"
 
     def _repr_html_(self) -> str:
         """Summary by source, framerate and split, for notebooks."""
@@ -344,3 +353,18 @@ class Store:
             "FROM sequences GROUP BY ALL ORDER BY ALL"
         )
         return f"<p>{escape(repr(self))}</p>{counted.to_html(index=False, max_rows=40)}"
+
+
+def not_committed(store: Path) -> StoreError:
+    """The error where `read_table` finds none again and again."""
+    return StoreError(
+        f"the tables of the store {store} are not those that its manifest names: "
+        f"'motionkit validate --store {store}' says which; restore them from a copy or ingest again"
+    )
+
+
+def _damaged(store: Path, fault: ValueError) -> StoreError:
+    return StoreError(
+        f"the store {store} is damaged: {fault}: 'motionkit validate --store {store}' says all that is wrong; restore "
+        "it from a copy, or ingest the sources into a new store"
+    )

@@ -3,18 +3,11 @@
 import json
 import struct
 from collections.abc import Callable, Sequence
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
-from motionkit.core.motion import Caption, Motion
-from motionkit.core.skeleton import SMPL22
-from motionkit.core.timegrid import TimeGrid
 from motionkit.features import humanml3d
-from motionkit.io import parquet
 from motionkit.io.deepmimic import humanoid3d
 from motionkit.io.humanml3d import Entry, write_humanml3d
 from tests.helpers.amass_samples import smplh_fields, write_amass
@@ -63,14 +56,6 @@ def write_arrays(name: str, **arrays: np.ndarray) -> Callable[[Path], Path]:
         return folder / name
 
     return write
-
-
-def write_rows(folder: Path) -> Path:
-    positions, path = bodies(5, 22), folder / "rows.parquet"
-    motion = Motion(positions, SMPL22, TimeGrid(Fraction(30), 5), captions=(Caption("walks"),), sequence_id="take")
-    columns = {name: [value] for name, value in parquet.row_of(motion).items()}
-    pq.write_table(pa.table(columns, parquet.SCHEMA), path, compression="zstd")
-    return path
 
 
 def write_acclaim(folder: Path) -> Path:
@@ -176,6 +161,5 @@ SOURCES: dict[str, Callable[[Path], Path]] = {
     "interhuman": write_vectors(lambda: interhuman_rows(walk(30, 2.0))),
     "motionstreamer": write_vectors(lambda: motionstreamer_rows(walk(30, 2.0))),
     "npz": write_arrays("take.npz", joint_positions=bodies(5, 22), fps=np.array(30.0), captions=np.array(["walks"])),
-    "parquet": write_rows,
     "csv": write_text("take.csv", "time_seconds,a_x,a_y,a_z\n0.0,1,2,3\n0.5,1,2,3.5\n1.0,1,2,3.25\n"),
 }

@@ -2,25 +2,24 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from motionkit.core.checksums import sealed
-from motionkit.store.manifest import describe_file, read_manifest
+from motionkit.store.commit import finished_entry
 
 Edit = Callable[[pa.Table], pa.Table]
 
 
 def sign(store: Path, edit: Callable[[dict[str, Any]], None]) -> None:
-    """Change the manifest's document and give it its checksum."""
+    """Change the manifest's document."""
     path = store / "manifest.json"
     document = json.loads(path.read_text())
     edit(document)
-    path.write_text(json.dumps(sealed(document), indent=2))
+    path.write_text(json.dumps(document, indent=2))
 
 
 def rewrite(store: Path, name: str, edit: Edit) -> None:
@@ -32,8 +31,8 @@ def rewrite(store: Path, name: str, edit: Edit) -> None:
 
 def describe(store: Path, name: str, num_rows: int) -> None:
     """Make the manifest say what a file is now."""
-    entry = replace(read_manifest(store).files[name], **describe_file(store / name, num_rows).plain(), footer_sha256="")
-    sign(store, lambda document: document["files"].update({name: entry.plain()}))
+    entry = asdict(finished_entry(store / name, num_rows))
+    sign(store, lambda document: document["files"].update({name: entry}))
 
 
 def with_column(name: str, change: Callable[[pa.ChunkedArray], object]) -> Edit:

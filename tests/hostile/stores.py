@@ -37,11 +37,11 @@ LINKS: dict[str, dict[str, str]] = {
     "a cache is a link": {"store/cache/*-smpl22-*": "folder"},
     "a cache's file is a link": {"store/cache/*-smpl22-*/positions.npy": "mine.npy"},
     "cache's lock is a link": {"store/cache/.builder.lock": "mine.txt"},
-    "segments is a link": {"store/segments": "store/segments"},
-    "a part is a link": {"store/segments/part-00000.parquet": "store/segments/part-00000.parquet"},
+    "motions is a link": {"store/motions": "store/motions"},
+    "a part is a link": {"store/motions/part-00000.parquet": "store/motions/part-00000.parquet"},
     "the next part is a link": {
-        "store/segments/part-00002.parquet": "mine.txt",
-        "store/segments/part-00002.parquet.new": "mine.txt",
+        "store/motions/part-00002.parquet": "mine.txt",
+        "store/motions/part-00002.parquet.new": "mine.txt",
     },
     "the manifest is a link": {"store/manifest.json": "store/manifest.json"},
     "tables are links": {
@@ -62,7 +62,7 @@ LINKS: dict[str, dict[str, str]] = {
 def _renamed(new: str) -> Callable[[dict[str, Any]], None]:
     def edit(document: dict[str, Any]) -> None:
         files = document["files"]
-        files[new] = files.pop("segments/part-00000.parquet")
+        files[new] = files.pop("motions/part-00000.parquet")
 
     return edit
 
@@ -76,9 +76,9 @@ def _counts(value: object) -> Callable[[dict[str, Any]], None]:
 
 
 MANIFESTS: dict[str, Callable[[dict[str, Any]], None]] = {
-    "a part above the store": _renamed("../../outside/store/segments/part-00000.parquet"),
-    "a part above the folder of segments": _renamed("segments/../../../outside/mine.txt"),
-    "a part of an odd name": _renamed(f"segments/part-{EVIL}.parquet"),
+    "a part above the store": _renamed("../../outside/store/motions/part-00000.parquet"),
+    "a part above the folder of motions": _renamed("motions/../../../outside/mine.txt"),
+    "a part of an odd name": _renamed(f"motions/part-{EVIL}.parquet"),
     "the next part is one that is there": _next(0),
     "the next part is negative": _next(-1),
     "the next part is enormous": _next(10**30, 10**30),
@@ -103,7 +103,7 @@ SEQUENCES: dict[str, Edit] = {
     "an unknown skeleton": with_value("skeleton", 0, "../../outside"),
     "a part that is not there": with_value("part", 0, 2**31 - 1),
     "a part below zero": with_value("part", 0, -1),
-    "rows that are not there": with_value("first_row", 0, 2**31 - 1),
+    "rows that are not there": with_value("part_row", 0, 2**31 - 1),
     "frames without end": with_value("num_frames", 0, 2**31 - 1),
     "no frames": with_value("num_frames", 0, 0),
     "a number of joints that is not its skeleton's": with_value("num_joints", 0, 32_767),
@@ -138,7 +138,7 @@ def _unsigned(inside: Path, outside: Path) -> None:
 
 
 def _absolute_part(inside: Path, outside: Path) -> None:
-    sign(inside / "store", _renamed(str(outside / "store/segments/part-00000.parquet")))
+    sign(inside / "store", _renamed(str(outside / "store/motions/part-00000.parquet")))
 
 
 def _absolute_ids(inside: Path, outside: Path) -> None:

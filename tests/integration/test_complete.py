@@ -182,7 +182,7 @@ def test_what_tables_and_folders_say_belongs_to_a_single_clip(motionkit: Run, tm
     (tmp_path / "clips.csv").write_text("file,caption\ntakes/walk.npz,somebody walks\n", encoding="utf-8")
     made = motionkit("complete", tmp_path / "takes" / "walk.npz", "--fps", "60").stdout.strip()
     assert [caption.text for caption in read_npz(Path(made)).captions] == ["somebody walks"]
-    # Rows of one Parquet file have a result each.
+    # Sequences of an exported store have a result each.
     with StoreWriter.create(tmp_path / "store") as writer:
         for number in range(2):
             writer.add(replace(motion, sequence_id=f"set/{number}"))
@@ -190,7 +190,7 @@ def test_what_tables_and_folders_say_belongs_to_a_single_clip(motionkit: Run, tm
     assert exported.code == 0, exported.stderr
     outcome = motionkit("complete", tmp_path / "rows", "--fps", "60", "--out", tmp_path / "made")
     names = [Path(line).name for line in outcome.stdout.split()]
-    assert outcome.code == 0 and len(names) == 2 and names[0].endswith("-0.bvh") and names[1].endswith("-1.bvh")
+    assert outcome.code == 0 and len(names) == 2 and names == ["set_0.bvh", "set_1.bvh"]
 
 
 def test_what_was_made_in_a_folder_is_not_completed_again(motionkit: Run, tmp_path: Path, motion: Motion) -> None:

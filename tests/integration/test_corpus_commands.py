@@ -64,13 +64,13 @@ def test_query(motionkit, store):
 def test_query_over_frames_and_skeletons(motionkit, store):
     sql = (
         "SELECT s.sequence_id, k.name, len(g.joint_positions) AS numbers, s.captions[1].text AS caption, 0.0 / 0 AS no "
-        "FROM sequences s JOIN segments g USING (sequence_index) JOIN skeletons k USING (skeleton) ORDER BY 1"
+        "FROM sequences s JOIN motions g USING (sequence_index) JOIN skeletons k USING (skeleton) ORDER BY 1"
     )
     first = json.loads(motionkit("query", sql, "--store", store, "--json").stdout)[0]
     assert first["numbers"] == 4 * 6 * 3
     assert first["caption"] == "a person slides"
     assert first["no"] is None
-    assert "… 72 values]" in motionkit("query", "FROM segments LIMIT 1", "--store", store).stdout
+    assert "… 72 values]" in motionkit("query", "FROM motions LIMIT 1", "--store", store).stdout
 
 
 def test_columns_of_one_name_are_distinguished(motionkit, store):
@@ -107,19 +107,19 @@ def test_json_and_csv_exclude_each_other(motionkit, store):
 
 def test_validate(motionkit, store):
     intact = motionkit("validate", "--store", store)
-    assert (intact.code, intact.stdout) == (0, f"{store} is intact: 3 sequences, 15 frames, 3 files\n")
-    part = store / "segments" / "part-00000.parquet"
+    assert (intact.code, intact.stdout) == (0, f"{store} is intact: 3 sequences, 3 files\n")
+    part = store / "motions" / "part-00000.parquet"
     content = bytearray(part.read_bytes())
     content[len(content) // 2] ^= 1
     part.write_bytes(content)
     damaged = motionkit("validate", "--store", store)
     assert damaged.code == 1
-    assert damaged.stdout == "segments/part-00000.parquet: its sha256 is not the manifest's\n"
+    assert damaged.stdout == "motions/part-00000.parquet: its sha256 is not the manifest's\n"
     assert json.loads(motionkit("validate", "--store", store, "--json").stdout)["faults"] == [damaged.stdout.strip()]
 
 
 def test_info_about_a_store_without_its_part(motionkit, store):
-    (store / "segments" / "part-00000.parquet").unlink()
+    (store / "motions" / "part-00000.parquet").unlink()
     outcome = motionkit("info", "--store", store)
     assert (outcome.code, outcome.stdout) == (1, "")
     assert outcome.stderr.endswith(f"'motionkit validate --store {store}' says what is damaged\n")

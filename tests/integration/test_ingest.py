@@ -56,7 +56,7 @@ def test_two_goes_store_what_one_does(motionkit, takes, tmp_path):
     motionkit("ingest", whole, "--store", tmp_path / "two")
     motionkit("ingest", whole, "--store", tmp_path / "one")
     one, two = (Store.open(tmp_path / name) for name in ("one", "two"))
-    places = ["sequence_index", "part", "first_row"]
+    places = ["sequence_index", "part", "part_row"]
     rows = [
         store.sequences.reset_index(drop=True).drop(columns=places, errors="ignore").set_index("sequence_id")
         for store in (one, two)

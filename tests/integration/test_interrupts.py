@@ -57,7 +57,7 @@ def test_an_interrupted_command_says_so(
 def test_one_that_can_go_on_says_how(
     motionkit: Callable[..., Outcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("motionkit.store.manifest.read_manifest", interrupted)
+    monkeypatch.setattr("motionkit.store.commit.read_manifest", interrupted)
     outcome = motionkit("train", "--store", tmp_path)
     assert (outcome.code, outcome.stdout, outcome.stderr) == (130, "", "motionkit: stopped: --resume goes on\n")
 

@@ -35,7 +35,7 @@ def test_remove_and_compact(motionkit, store):
         "store": str(store),
         "removed": [everything[2]],
         "sequences_in_store": 1,
-        "segments_to_compact": 1,
+        "sequences_to_compact": 1,
     }
 
 
@@ -56,7 +56,7 @@ def test_dry_runs_say_what_would_go_and_change_nothing(motionkit, store, tmp_pat
     motionkit("remove", first, "--store", whole)
     changed = Store.open(whole).fingerprint
     assert (
-        "1 segments of removed sequences would be gone for good"
+        "the frames of 1 removed sequences would be gone for good"
         in motionkit("compact", "--store", whole, "--dry-run").stdout
     )
     plan = json.loads(motionkit("compact", "--store", whole, "--dry-run", "--json").stdout)
@@ -76,7 +76,7 @@ def test_info_tells_what_removed_sequences_still_take(motionkit, store, tmp_path
     assert "motionkit compact" not in motionkit("info", "--store", tmp_path / "one-part").stdout
     motionkit("remove", "--where", "num_frames = 5", "--store", tmp_path / "one-part")
     lines = motionkit("info", "--store", tmp_path / "one-part").stdout.splitlines()
-    assert any(line.startswith("of it 1 segments of removed sequences") for line in lines)
+    assert any(line.startswith("of it the frames of 1 removed sequences") for line in lines)
 
 
 @pytest.mark.parametrize(
@@ -131,7 +131,7 @@ def test_what_is_asked_of_no_store(motionkit, takes, tmp_path):
     outcome = motionkit("query", "SELECT * FROM takes", "--store", tmp_path / "store")
     assert outcome.code == 2
     assert outcome.stderr.strip() == (
-        "motionkit: there is no table takes; the tables of a store are sequences, segments and skeletons"
+        "motionkit: there is no table takes; the tables of a store are sequences, motions and skeletons"
     )
 
 

@@ -34,7 +34,7 @@ def _of_store() -> list[Kind]:
     return [
         *(Kind(name, "gaps", f"store/{name}", STORE_USES) for name in ("manifest.json", "sequences.parquet")),
         Kind("skeletons.parquet", "gaps", "store/skeletons.parquet", STORE_USES),
-        Kind("part", "gaps", "store/segments/*.parquet", reads),
+        Kind("part", "gaps", "store/motions/*.parquet", reads),
     ]
 
 

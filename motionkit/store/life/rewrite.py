@@ -1,6 +1,7 @@
 """Removes sequences from stores, compacts stores in place, and merges stores."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -10,18 +11,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from motionkit.core.errors import StoreError, UsageError, describe
-from motionkit.core.files import sha256_of
 from motionkit.core.shapes import Int
 from motionkit.store.cache import remove_stale_caches
-from motionkit.store.codec import EncodedMotion
-from motionkit.store.commit import (
-    changing,
-    committed,
-    describe_pending,
-    publish,
-    write_pending,
-)
-from motionkit.store.manifest import Manifest
+from motionkit.store.commit import Manifest, changing, committed, publish, write_pending
 from motionkit.store.reader import Store
 from motionkit.store.schema import MANIFEST_FILE, PART_BYTES, SEQUENCES_FILE, part_name, part_number
 from motionkit.store.writer import StoreWriter
@@ -57,17 +49,10 @@ def _divided(store: Store, sequence_ids: Sequence[str], where: str | None) -> tu
 
 def _without(path: Path, previous: Manifest, kept: pa.Table) -> Manifest:
     """Writes the table of the kept sequences and returns the new state."""
-    write_pending(path, SEQUENCES_FILE, kept)
     live = set(np.unique(kept["part"].to_numpy()).tolist())
     dead = {name for name in previous.parts if part_number(name) not in live}
     entries = {name: entry for name, entry in previous.files.items() if name not in dead}
-    return replace(
-        previous,
-        num_sequences=kept.num_rows,
-        num_segments=int(pc.sum(kept["num_segments"]).as_py() or 0),
-        num_frames=int(pc.sum(kept["num_frames"]).as_py() or 0),
-        files=entries | describe_pending(path, {SEQUENCES_FILE: kept.num_rows}),
-    )
+    return replace(previous, files={**entries, SEQUENCES_FILE: write_pending(path, SEQUENCES_FILE, kept)})
 
 
 @dataclass(frozen=True)
@@ -93,11 +78,10 @@ def plan_removal(path: Path, sequence_ids: Sequence[str] = (), *, where: str | N
 
 
 def _bytes_of(manifest: Manifest, sequences: pa.Table) -> dict[str, int]:
-    """Approximate bytes of these sequences per part, by their share of its segments."""
-    segments = sequences.select(["part", "num_segments"]).to_pandas().groupby("part")["num_segments"].sum()
-    entries = {part_name(part): manifest.files[part_name(part)] for part in segments.index}
-    shares = zip(entries.items(), segments, strict=True)
-    return {name: round(entry.num_bytes * count / entry.num_rows) for (name, entry), count in shares}
+    """Approximate bytes of these sequences per part, by their share of its rows."""
+    counts = Counter(map(part_name, sequences["part"].to_pylist()))
+    entries = {name: manifest.files[name] for name in counts}
+    return {name: round(entry.num_bytes * counts[name] / entry.num_rows) for name, entry in entries.items()}
 
 
 def compact(path: Path, on_sequence: OnSequence = lambda: None, *, part_bytes: int = PART_BYTES) -> bool:
@@ -130,7 +114,7 @@ class Compaction:
     num_parts: int
     num_bytes: int
     bytes_after: int
-    num_removed_segments: int
+    num_removed: int
 
 
 def plan_compaction(path: Path, *, part_bytes: int = PART_BYTES) -> Compaction:
@@ -140,7 +124,7 @@ def plan_compaction(path: Path, *, part_bytes: int = PART_BYTES) -> Compaction:
     size = sum(manifest.files[name].num_bytes for name in manifest.parts)
     after = sum(_bytes_of(manifest, store.sequences_table).values())
     compact = _is_compact(manifest, part_bytes)
-    return Compaction(compact, len(manifest.parts), size, after, manifest.num_removed_segments)
+    return Compaction(compact, len(manifest.parts), size, after, manifest.num_removed)
 
 
 def _is_compact(manifest: Manifest, part_bytes: int) -> bool:
@@ -152,29 +136,9 @@ def _write_anew(path: Path, part_bytes: int, on_sequence: OnSequence) -> None:
     with StoreWriter.create(path, overwrite=True, part_bytes=part_bytes) as writer:
         # Opened under the lock, so that sequences added by other writers aren't missed.
         store = Store.open(path)
-        for motion in _encoded(store, store.select()):
+        for motion in store.read_encoded(store.select()):
             writer.add_encoded(motion)
             on_sequence()
-
-
-def _encoded(store: Store, indices: Int[np.ndarray, "chosen"]) -> Iterator[EncodedMotion]:
-    """Sequences as they are stored.
-
-    Raises `StoreError` for a part that is not what the manifest says: under a new sha256 nobody would see the damage.
-    """
-    parts = store.columns("part").loc[indices, "part"].to_numpy()
-    starts = np.flatnonzero(np.diff(parts, prepend=-1))
-    for start, chosen in zip(starts, np.split(indices, starts[1:]), strict=True) if len(starts) else ():
-        _require_intact(store, part_name(int(parts[start])))
-        yield from store.read_encoded(chosen)
-
-
-def _require_intact(store: Store, name: str) -> None:
-    path = store.path / name
-    if not path.is_file() or sha256_of(path) != store.manifest.files[name].sha256:
-        raise StoreError(
-            f"{path} is missing or damaged: 'motionkit validate --store {store.path}' says what; restore it from a copy"
-        )
 
 
 @dataclass(frozen=True)
@@ -225,7 +189,7 @@ def merge(
         num_new = sum(len(choice.indices) for choice in news)
         on_start(num_new)
         for choice in news:
-            for motion in _encoded(choice.store, choice.indices):
+            for motion in choice.store.read_encoded(choice.indices):
                 writer.add_encoded(motion)
                 on_sequence()
     return MergeReport(out, num_new, num_known, tuple(conflicts), committed(out).num_sequences)

@@ -16,9 +16,7 @@ from scipy.sparse.csgraph import connected_components
 
 from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Float, Int
-from motionkit.store.codec import array_of
-from motionkit.store.commit import changing, describe_pending, publish, write_pending
-from motionkit.store.manifest import read_manifest
+from motionkit.store.commit import changing, publish, read_manifest, write_pending
 from motionkit.store.reader import Store
 from motionkit.store.schema import SEQUENCES_FILE
 
@@ -96,9 +94,10 @@ def split(
             return report
         place = store.sequences_table.schema.get_field_index("split")
         table = store.sequences_table.set_column(place, store.sequences_table.schema.field(place), column)
-        write_pending(path, SEQUENCES_FILE, table)
-        entries = previous.files | describe_pending(path, {SEQUENCES_FILE: table.num_rows})
-        publish(path, replace(previous, files=entries))
+        publish(
+            path,
+            replace(previous, files={**previous.files, SEQUENCES_FILE: write_pending(path, SEQUENCES_FILE, table)}),
+        )
     return replace(report, fingerprint=read_manifest(path).fingerprint)
 
 
@@ -185,7 +184,7 @@ def _plan(
     )
     num_changed = sum(one != other for one, other in zip(before, after, strict=True))
     report = SplitReport(store.path, named, found, num_changed, store.fingerprint)
-    return report, array_of(after, pa.string())
+    return report, pa.array(after, pa.string())
 
 
 def wording(caption: str) -> str:

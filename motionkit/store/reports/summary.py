@@ -17,12 +17,7 @@ from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map
 from motionkit.store.cache import cache_bytes
 from motionkit.store.reader import Store
-from motionkit.store.schema import (
-    FLOAT_COLUMNS,
-    POSITION_BYTES_PER_JOINT,
-    ROOT_TRANSLATION_BYTES,
-    ROTATION_BYTES_PER_JOINT,
-)
+from motionkit.store.schema import FRAME_COLUMNS
 
 COUNTED_COLUMNS = (
     "source",
@@ -85,7 +80,7 @@ class StoreSummary:
     num_frames: int
     num_skeletons: int
     num_parts: int
-    num_removed_segments: int
+    num_removed: int
     disk_bytes: int
     cache_bytes: int
     columns: dict[str, ColumnSize]
@@ -95,6 +90,11 @@ class StoreSummary:
     def raw_bytes(self) -> int:
         """Bytes of all float columns as raw float32."""
         return sum(column.raw_bytes for column in self.columns.values())
+
+    @property
+    def licences(self) -> tuple[str, ...]:
+        """The licences of all sequences, sorted; "not stated" for those without."""
+        return tuple(sorted({name or "not stated" for source in self.sources for name in source.licences}))
 
 
 def summarise(store: Store) -> StoreSummary:
@@ -109,10 +109,10 @@ def summarise(store: Store) -> StoreSummary:
         tool=manifest.tool,
         num_sequences=manifest.num_sequences,
         hours=_hours(sequences),
-        num_frames=manifest.num_frames,
-        num_skeletons=manifest.num_skeletons,
+        num_frames=store.num_frames,
+        num_skeletons=len(store.skeletons),
         num_parts=len(manifest.parts),
-        num_removed_segments=manifest.num_removed_segments,
+        num_removed=manifest.num_removed,
         disk_bytes=manifest.num_bytes,
         cache_bytes=cache_bytes(store.path, store.fingerprint),
         columns=_column_sizes(store, sequences),
@@ -168,10 +168,10 @@ def _counts(column: pa.ChunkedArray) -> dict[str, int]:
 
 
 def _column_sizes(store: Store, sequences: pa.Table) -> dict[str, ColumnSize]:
-    disk = dict.fromkeys(FLOAT_COLUMNS, 0)
+    disk = dict.fromkeys(FRAME_COLUMNS, 0)
     for name in store.manifest.parts:
         try:
-            metadata = pq.read_metadata(store.part(name))
+            metadata = pq.read_metadata(store.path / name)
         except (pa.ArrowException, OSError) as error:
             raise StoreError(
                 f"{store.path / name}: {error}: 'motionkit validate --store {store.path}' says what is damaged"
@@ -185,11 +185,11 @@ def _column_sizes(store: Store, sequences: pa.Table) -> dict[str, ColumnSize]:
     frames = sequences["num_frames"].cast(pa.int64())
     joint_frames = pc.multiply(frames, sequences["num_joints"])
     raw = {
-        "joint_positions": POSITION_BYTES_PER_JOINT * _total(joint_frames),
-        "joint_rotations": ROTATION_BYTES_PER_JOINT * _total(joint_frames.filter(sequences["has_rotations"])),
-        "root_translation": ROOT_TRANSLATION_BYTES * _total(frames.filter(sequences["has_root_translation"])),
+        "joint_positions": 12 * _total(joint_frames),
+        "local_rotations": 16 * _total(joint_frames.filter(sequences["has_rotations"])),
+        "root_translation": 12 * _total(frames.filter(sequences["has_root_translation"])),
     }
-    return {name: ColumnSize(disk[name], raw[name]) for name in FLOAT_COLUMNS}
+    return {name: ColumnSize(disk[name], raw[name]) for name in FRAME_COLUMNS}
 
 
 @dataclass(frozen=True)

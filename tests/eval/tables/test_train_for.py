@@ -18,7 +18,7 @@ from motionkit.cli import train as train_module
 from motionkit.cli.options import parse_duration
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.store import StoreWriter
-from motionkit.store.manifest import read_manifest
+from motionkit.store.commit import read_manifest
 from motionkit.training import loop as loop_module
 from motionkit.training.loop import plan_steps, train_loop
 from motionkit.training.run import Loader, StageFolder

@@ -243,7 +243,7 @@ def opened() -> Callable[[Callable[[], object]], Counter[str]]:
     return count
 
 
-@pytest.mark.parametrize("name", [name for name in SOURCES if name not in ("humanml3d", "kit", "parquet")])
+@pytest.mark.parametrize("name", [name for name in SOURCES if name not in ("humanml3d", "kit")])
 def test_a_file_is_opened_once_to_know_its_format(
     tmp_path: Path, name: str, opened: Callable[[Callable[[], object]], Counter[str]]
 ) -> None:

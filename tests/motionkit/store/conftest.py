@@ -62,7 +62,7 @@ def make_motion() -> MakeMotion:
 
 @pytest.fixture
 def small_store(tmp_path: Path, make_motion: MakeMotion) -> Path:
-    """A store of six motions: three framerates, some with rotations, one longer than two segments."""
+    """A store of six motions: three framerates, some with rotations, one longer than all others."""
     rates = (Fraction(30), Fraction(120), Fraction(30000, 1001))
     with StoreWriter.create(tmp_path / "store") as writer:
         for i in range(6):

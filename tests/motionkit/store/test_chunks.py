@@ -81,30 +81,30 @@ def folder_of(tmp_path: Path, lengths: list[int]) -> Path:
 def test_a_worker_writes_what_has_an_index_and_says_what_it_read(tmp_path):
     folder = folder_of(tmp_path, [300, 5, 7])
     (folder / "1.bvh").write_text("HIERARCHY\n")
-    (tmp_path / "segments").mkdir()
+    (tmp_path / "motions").mkdir()
     items = [SourceItem("bvh", folder / f"{number}.bvh", folder, f"takes/{number}") for number in (0, 1, 2, 2)]
     numbered = [NumberedItem(item, index) for item, index in zip(items, (4, 5, None, 6), strict=True)]
     read, again = (read_chunk(numbered, tmp_path, ReadOptions()) for _ in range(2))
     assert read.part is not None and again.part is not None and read.part.path != again.part.path
-    assert read.part.entry == again.part.entry and read.part.entry.num_rows == 3
+    assert read.part.entry == again.part.entry and read.part.entry.num_rows == 2
     first, broken, known, last = read.outcomes
     assert isinstance(broken, FormatError)
     assert isinstance(first, ReadSequence) and isinstance(known, ReadSequence) and isinstance(last, ReadSequence)
-    assert [(each.row["sequence_index"], each.row["first_row"]) for each in (first, last)] == [(4, 0), (6, 2)]
-    assert "first_row" not in known.row and known.row["sequence_id"] == "takes/2"
+    assert [(each.row["sequence_index"], each.row["part_row"]) for each in (first, last)] == [(4, 0), (6, 1)]
+    assert "part_row" not in known.row and known.row["sequence_id"] == "takes/2"
     assert first.skeleton is last.skeleton is known.skeleton
 
 
 def test_what_is_only_read_leaves_no_file(tmp_path):
     folder = folder_of(tmp_path, [3])
-    (tmp_path / "segments").mkdir()
+    (tmp_path / "motions").mkdir()
     item = SourceItem("bvh", folder / "0.bvh", folder, "takes/0")
     assert read_chunk([NumberedItem(item, None)], tmp_path, ReadOptions()).part is None
-    assert list((tmp_path / "segments").iterdir()) == []
+    assert list((tmp_path / "motions").iterdir()) == []
 
 
 def test_a_file_that_a_worker_does_not_see(tmp_path):
-    (tmp_path / "segments").mkdir()
+    (tmp_path / "motions").mkdir()
     gone = SourceItem(format="bvh", path=tmp_path / "gone.bvh", root=tmp_path, sequence_id="takes/gone")
     (problem,) = read_chunk([NumberedItem(gone, 0)], tmp_path, ReadOptions()).outcomes
     assert isinstance(problem, FormatError)
@@ -138,7 +138,7 @@ def test_an_index_is_the_place_among_what_is_new(tmp_path, monkeypatch, workers)
     store = Store.open(tmp_path / "store")
     assert store.sequences["sequence_index"].tolist() == [0, 1, 3, 4, 5, 6]
     assert [store.read(index).num_frames for index in (5, 6)] == [40, 70]
-    names = sorted(f"segments/{path.name}" for path in (store.path / "segments").iterdir())
+    names = sorted(f"motions/{path.name}" for path in (store.path / "motions").iterdir())
     assert names == list(store.manifest.parts)
 
 
@@ -188,7 +188,7 @@ def test_a_worker_that_is_killed_from_outside_changes_nothing(tmp_path, monkeypa
     stores = [Store.open(tmp_path / name) for name in ("undisturbed", "store")]
     assert len(stores[0].manifest.parts) == 4
     assert stores[0].fingerprint == stores[1].fingerprint
-    names = [sorted(path.name for path in (store.path / "segments").iterdir()) for store in stores]
+    names = [sorted(path.name for path in (store.path / "motions").iterdir()) for store in stores]
     assert names[0] == names[1]
 
 
@@ -199,7 +199,7 @@ def test_a_problem_under_stop_leaves_no_part_of_other_chunks(tmp_path, monkeypat
     (folder / "3.bvh").write_text("HIERARCHY\n")
     report = ingest([folder], tmp_path / "store", num_workers=workers, on_error="stop")
     assert (report.committed, len(report.problems)) == (False, 1)
-    assert list((tmp_path / "store" / "segments").iterdir()) == []
+    assert list((tmp_path / "store" / "motions").iterdir()) == []
 
 
 def test_a_part_that_a_store_cannot_take_names_the_file(tmp_path, monkeypatch):
@@ -214,4 +214,4 @@ def test_a_part_that_a_store_cannot_take_names_the_file(tmp_path, monkeypatch):
         StoreError, match=r"cannot be written .*No space left .*part-00000-.{8}\.parquet\.new.*as it was"
     ):
         ingest([folder], tmp_path / "store", num_workers=1)
-    assert list((tmp_path / "store" / "segments").iterdir()) == []
+    assert list((tmp_path / "store" / "motions").iterdir()) == []

@@ -17,9 +17,9 @@ from motionkit.cli.export import export
 from motionkit.cli.hub import pull, push
 from motionkit.cli.ingest import ingest
 from motionkit.core.errors import DamagedFileError, MotionkitWarning, StoreError
+from motionkit.store.commit import read_manifest
 from motionkit.store.hub import HubError
 from motionkit.store.life.rewrite import compact, remove
-from motionkit.store.manifest import read_manifest
 from motionkit.training.run import RunFolder
 from motionkit.training.tensors import save_tensors
 from tests.helpers.hub import Hub, local_hub
@@ -112,7 +112,7 @@ def test_a_store_goes_and_comes_back(hub: Hub, store: mk.Store) -> None:
 def test_a_store_that_is_damaged_or_not_whole_is_not_pulled(hub: Hub, store: mk.Store) -> None:
     done(push, WALKS)
     whole = hub.files("datasets/me/walks")
-    part = next(name for name in store.manifest.files if name.startswith("segments/"))
+    part = next(name for name in store.manifest.files if name.startswith("motions/"))
     hub.add("datasets/me/walks", {**whole, part: whole[part][:-200] + bytes(100) + whole[part][-100:]})
     failed = run(pull, WALKS, "--store", "copy").exception
     assert isinstance(failed, StoreError) and "sha256" in str(failed)

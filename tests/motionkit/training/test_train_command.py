@@ -15,7 +15,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.store import StoreWriter
-from motionkit.store.manifest import read_manifest
+from motionkit.store.commit import read_manifest
 from motionkit.training.run import RunError
 from motionkit.training.stage import Stage, StageContext, choose_stages, registered_stages
 

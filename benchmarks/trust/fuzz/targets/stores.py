@@ -23,7 +23,7 @@ from motionkit.store import Store
 from motionkit.store.cache import open_cache
 from motionkit.store.reports.quality import report_quality
 from motionkit.store.reports.summary import summarise
-from motionkit.store.schema import CACHE_FOLDER, MANIFEST_FILE, SEGMENTS_FOLDER
+from motionkit.store.schema import CACHE_FOLDER, MANIFEST_FILE, MOTIONS_FOLDER
 from motionkit.store.validate import faults
 from motionkit.store.writer import StoreWriter
 from tests.helpers.every_format import bodies
@@ -81,7 +81,7 @@ def signed(victim: Path, damaged: bytes) -> bytes:
     """The new content of a file, after updating its checksum, size and number of rows in the store's manifest."""
     if victim.name == MANIFEST_FILE:
         return _sealed(damaged)
-    store = victim.parents[1] if victim.parent.name == SEGMENTS_FOLDER else victim.parent
+    store = victim.parents[1] if victim.parent.name == MOTIONS_FOLDER else victim.parent
     shutil.copyfile(store / MANIFEST_FILE, _kept(store))
     manifest = json.loads((store / MANIFEST_FILE).read_bytes())
     entry = manifest["files"][victim.relative_to(store).as_posix()]

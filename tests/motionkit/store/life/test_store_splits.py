@@ -84,7 +84,7 @@ def test_performers_are_whole_and_shares_near(many):
 def test_only_the_table_changes_and_the_seed_decides(many, tmp_path, make_motion):
     before = Store.open(many)
     frames = [before.read(index).joint_positions for index in before.select()]
-    parts = {name: entry for name, entry in before.manifest.files.items() if name.startswith("segments/")}
+    parts = {name: entry for name, entry in before.manifest.files.items() if name.startswith("motions/")}
     first = split(many, seed=1)
     after = Store.open(many)
     assert list(faults(many)) == []
