@@ -502,5 +502,5 @@ WITHOUT_LOCKS = textwrap.dedent(
 def test_a_store_is_written_where_there_are_no_locks(small_store, tmp_path, missing):
     arguments = [sys.executable, "-c", WITHOUT_LOCKS, missing, str(small_store), str(tmp_path / "new")]
     done = subprocess.run(arguments, check=True, stderr=subprocess.PIPE, text=True)
-    assert str(tmp_path / "new") in done.stderr  # a warning names the store
+    assert "lock" in done.stderr  # a warning
     assert Store.open(tmp_path / "new").num_sequences == 1

@@ -214,4 +214,3 @@ def test_the_how_to_runs(hub: Hub, store: mk.Store, tmp_path: Path, monkeypatch:
     assert list(names["store"]) == list(store)
     last = store["lab/2"]
     np.testing.assert_array_equal(names["joints"], last.joint_positions)
-    np.testing.assert_allclose(names["seconds"], last.timegrid.seconds())
