@@ -18,8 +18,8 @@ from eval.sets.copies import Nearest, TrainingMotion, nearest_training
 from eval.sets.real import NoRealMotionError, real_motion
 from eval.sets.sets import SampleSet
 from eval.sets.stretches import FPS
-from motionkit.core.checksums import read_json, write_json
 from motionkit.core.errors import DamagedFileError, UsageError
+from motionkit.core.files import read_json, write_json
 from motionkit.core.progress import warn
 from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64
 from motionkit.store.cache import cache_root

@@ -1,5 +1,6 @@
 """A study's blinded page, and its key, which tells the systems."""
 
+import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,9 +14,8 @@ import numpy as np
 from eval.sets.sets import middle
 from eval.study.draw import QUESTIONS, Design, Trial
 from eval.study.systems import Positions, System
-from motionkit.core.checksums import checksum_of, write_json
 from motionkit.core.errors import MotionkitError
-from motionkit.core.files import write_whole
+from motionkit.core.files import write_json, write_whole
 from motionkit.core.framerate import format_fps
 from motionkit.core.progress import OnProgress, task
 from motionkit.core.skeleton import SMPL22
@@ -95,7 +95,7 @@ def _key(systems: Sequence[System], trials: Sequence[Trial], design: Design) -> 
             for trial in trials
         ],
     }
-    return {**content, "study": checksum_of(content).removeprefix("sha256:")[:16]}
+    return {**content, "study": hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]}
 
 
 def _page(data: dict[str, Any]) -> str:

@@ -11,8 +11,8 @@ from scipy.stats import binomtest
 from eval.sets.partial import PartialResult
 from eval.study.draw import QUESTIONS
 from eval.study.page import ANSWERS_FORMAT, KEY_FORMAT
-from motionkit.core.checksums import read_json
 from motionkit.core.errors import MotionkitError
+from motionkit.core.files import read_json
 from motionkit.core.framerate import parse_fps
 from motionkit.core.plain_text import shown
 

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from eval.report.results import Cell, Row, parse_cell
-from motionkit.core.checksums import read_json, write_json
 from motionkit.core.errors import DamagedFileError
+from motionkit.core.files import read_json, write_json
 from motionkit.core.progress import warn
 
 FOLDER = "parts"

@@ -7,6 +7,7 @@ several files may have a record of their sha256, which is checked when the folde
 import errno
 import hashlib
 import json
+import math
 import os
 import re
 import secrets
@@ -84,16 +85,22 @@ def write_json(path: Path, document: Mapping[str, Any]) -> None:
 def read_json(path: Path, hint: str) -> dict[str, Any]:
     """Read a JSON object; `hint` tells the user how to repair a damaged file.
 
-    Raises `DamagedFileError` for anything but a JSON object, and `OSError` if the file cannot be read.
+    Raises `DamagedFileError` for anything but a JSON object of finite numbers, `OSError` for an unreadable file.
     """
     try:
         with naming(path):
-            document = json.loads(path.read_bytes())
+            document = json.loads(path.read_bytes(), parse_float=_finite, parse_constant=_finite)
     except (ValueError, RecursionError) as error:
         raise DamagedFileError(path, str(error), hint) from None
     if not isinstance(document, dict):
         raise DamagedFileError(path, "it is not a JSON object", hint)
     return document
+
+
+def _finite(text: str) -> float:
+    if not math.isfinite(float(text)):
+        raise ValueError(f"{text} is not a finite number")
+    return float(text)
 
 
 def replace(source: Path, target: Path) -> None:

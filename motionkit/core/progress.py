@@ -54,6 +54,10 @@ class Task:
         """Set the number of steps, once it is known."""
         self._report(replace(self._progress, total=total))
 
+    def set(self, done: int, total: int) -> None:
+        """Set both the steps done and their total."""
+        self._report(replace(self._progress, done=done, total=total))
+
     def note(self, text: str) -> None:
         """Set the note beside the numbers, such as the name of the current file."""
         self._report(replace(self._progress, note=text))

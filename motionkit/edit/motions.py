@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from motionkit.core.checksums import write_json
 from motionkit.core.errors import FormatError, MotionkitError, StoreError, UsageError
-from motionkit.core.files import is_store
+from motionkit.core.files import is_store, write_json
 from motionkit.core.framerate import format_fps
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Bool, Float64, Int

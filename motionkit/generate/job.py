@@ -17,9 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from motionkit.core.checksums import read_json, write_json
 from motionkit.core.errors import UsageError
-from motionkit.core.files import LOCK, is_temporary, locked_folder, write_whole
+from motionkit.core.files import LOCK, is_temporary, locked_folder, read_json, write_json, write_whole
 from motionkit.core.framerate import format_fps
 from motionkit.edit.export.files import TABLE, captions_json
 from motionkit.fields.detail import Detail, detailed

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from motionkit.core.checksums import unsealed, write_json
 from motionkit.core.errors import FormatError
+from motionkit.core.files import write_json
 from motionkit.core.framerate import format_fps, parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.plain_text import parse_json, shown
@@ -113,7 +113,7 @@ def read_manifest(path: Path) -> Manifest:
     if not path.is_file():
         return Manifest()
     try:
-        value = unsealed(parse_json(source_file.decode(source_file.read_bytes(path), path)))
+        value = parse_json(source_file.decode(source_file.read_bytes(path), path))
         fps = value.get("fps")
         manifest = Manifest(
             None if fps is None else parse_fps(fps), str(value.get("layout", "")), float(value.get("unit_metres", 1.0))

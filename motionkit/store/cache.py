@@ -22,9 +22,8 @@ from pathlib import Path
 
 import numpy as np
 
-from motionkit.core.checksums import read_json, write_json
 from motionkit.core.errors import DamagedFileError, StoreError, UsageError
-from motionkit.core.files import exclusive_lock, whole_file, whole_folder
+from motionkit.core.files import exclusive_lock, read_json, whole_file, whole_folder, write_json
 from motionkit.core.progress import tracked, warn
 from motionkit.core.shapes import Float32, Int, Int32, Int64
 from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton

@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from motionkit.core.checksums import read_json, write_json
 from motionkit.core.errors import DamagedFileError, UsageError
-from motionkit.core.files import sha256_of, whole_file
+from motionkit.core.files import read_json, sha256_of, whole_file, write_json
 from motionkit.core.progress import warn
 from motionkit.core.shapes import Float, Float32, Int64
 from motionkit.data.windows import PositionSource

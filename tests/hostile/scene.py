@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from motionkit.core.checksums import sealed
-
 Arguments = tuple[str, ...]
 Spoil = Callable[[Path, Path], None]
 # Colours, a window's title, line breaks, a C1 control and a turned direction of writing.
@@ -68,7 +66,7 @@ def edited(place: str, edit: Callable[[dict[str, Any]], None]) -> Spoil:
     def spoil(inside: Path, outside: Path) -> None:
         document = json.loads((inside / place).read_bytes())
         edit(document)
-        (inside / place).write_text(json.dumps(sealed(document)))
+        (inside / place).write_text(json.dumps(document))
         (inside / place).with_name("SHA256SUMS").unlink(missing_ok=True)
 
     return spoil

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from motionkit.core.checksums import read_json
+from motionkit.core.files import read_json
 from motionkit.demo_corpus import write_demo_corpus
 from motionkit.store.ingest import ingest
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from motionkit.core.checksums import write_json
+from motionkit.core.files import write_json
 from motionkit.training.config import apply_overrides, to_plain
 from motionkit.training.run import RunFolder
 from nerm.names import LAYERS, LOCAL, OTHERWISE, PUBLISHED, row_name

@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from motionkit.core.checksums import write_json
+from motionkit.core.files import write_json
 from motionkit.core.framerate import format_fps
 from motionkit.core.motion import Motion
 from motionkit.core.skeletons.mapping import SkeletonMapError, map_joints

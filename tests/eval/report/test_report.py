@@ -24,8 +24,8 @@ from eval.report.results import (
     read_result,
     write_result,
 )
-from motionkit.core.checksums import write_json
 from motionkit.core.errors import DamagedFileError
+from motionkit.core.files import write_json
 
 
 @pytest.fixture
@@ -81,7 +81,6 @@ def test_older_results_name_their_differences_by_title(result: Result, tmp_path:
     document = json.loads(path.read_text())
     for block in document["blocks"]:
         del block["differences_of"]
-    del document["checksum"]
     path.write_text(json.dumps(document))
     assert [block.differences_of for block in read_result(path).blocks] == ["", "numbers"]
 
@@ -89,7 +88,6 @@ def test_older_results_name_their_differences_by_title(result: Result, tmp_path:
 def test_files_that_are_no_results_are_refused(result: Result, tmp_path: Path) -> None:
     path = write_result(result, tmp_path)
     document = json.loads(path.read_text())
-    del document["checksum"]
     path.write_text(json.dumps(document | {"format": "motionkit-result/0"}))
     with pytest.raises(ResultError, match="motionkit-result/0"):
         read_result(path)
@@ -119,7 +117,6 @@ def test_a_value_that_is_no_finite_number_is_named_and_nothing_else_is_lost(
 ) -> None:
     broken = write_result(replace(result, task="broken"), tmp_path)
     document = json.loads(broken.read_text())
-    del document["checksum"]  # as results of before were
     broken.write_text(json.dumps(document).replace("0.01234", value))
     write_result(result, tmp_path)
     with pytest.raises(ResultError, match=f"1 of 2 results in '{tmp_path}' could not be read"):
@@ -142,7 +139,6 @@ def places(document: object, at: tuple[str | int, ...] = ()) -> Iterator[tuple[s
 def test_a_value_of_another_type_anywhere_is_shown_or_refused(value: object, result: Result, tmp_path: Path) -> None:
     path = write_result(result, tmp_path)
     whole = json.loads(path.read_text())
-    del whole["checksum"]
     refused = 0
     for *upper, last in filter(None, places(whole)):
         document = json.loads(json.dumps(whole))
@@ -158,24 +154,11 @@ def test_a_value_of_another_type_anywhere_is_shown_or_refused(value: object, res
     assert refused > 20
 
 
-def test_every_flipped_byte_of_a_result_is_noticed_or_changes_nothing(result: Result, tmp_path: Path) -> None:
-    path = write_result(result, tmp_path)
-    whole = path.read_bytes()
-    noticed = 0
-    for place in range(len(whole)):
-        path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
-        found = find_results(tmp_path)
-        assert found.results == (result,) or found.faults
-        noticed += len(found.faults)
-    assert noticed > 0.7 * len(whole)
-
-
 def test_results_of_another_version_are_named(
     result: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = write_result(result, tmp_path)
     document = json.loads(path.read_text())
-    del document["checksum"]
     path.write_text(json.dumps(document | {"format": "motionkit-result/9"}))
     (tmp_path / "mine.json").write_text('{"mine": 1}')
     with pytest.raises(ResultError, match="1 of 1 results"):

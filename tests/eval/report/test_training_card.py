@@ -7,7 +7,7 @@ import pytest
 from eval.report.render import origin_line
 from eval.report.results import Result, environment
 from eval.report.training import run_card, stages_of, training_figure
-from motionkit.core.checksums import write_json
+from motionkit.core.files import write_json
 from motionkit.training.run import RunError, RunFolder
 
 

@@ -15,7 +15,7 @@ from eval.study.draw import CONSISTENT, REALISTIC, Design, draw_trials
 from eval.study.page import ANSWERS_FORMAT, KEY_FORMAT
 from eval.study.preference import Key, KeyTrial, StudyError, preferences, read_key
 from eval.study.systems import System
-from motionkit.core.checksums import write_json
+from motionkit.core.files import write_json
 from tests.helpers.analytic import analytic_motion
 
 

@@ -10,7 +10,7 @@ from eval.metrics.metric import MeanSums
 from eval.report.results import Cell
 from eval.tables.pahires.measured import find_scores, keep_scores
 from eval.tables.parts import Part, find_part, keep_part
-from motionkit.core.checksums import read_json, write_json
+from motionkit.core.files import read_json, write_json
 
 TERMS = {"store": "abc"}
 PART = Part({"a": {"x": Cell(1.5, None, {"weight": 4.0})}}, ("b: no takes",))
