@@ -30,6 +30,7 @@ from motionkit.fields.anchoring import anchored
 from motionkit.fields.completion import begin_completion
 from motionkit.fields.contact.planted import planted
 from motionkit.fields.rig import on_bones
+from motionkit.io.bvh_writing import KnownFrames
 from motionkit.viz.comparison import Version, write_comparison
 
 # More than a minute of extrapolation is probably a typo.
@@ -166,9 +167,8 @@ def completed_motion(loaded: LoadedMotion, request: CompletionRequest, chosen: C
         f"complete {motion.num_frames} frames at {motion.fps} fps -> {made.num_frames} at {made.fps}, "
         f"{made.num_frames - len(completion.given_rows)} made"
     )
-    edited = EditedMotion(
-        made.annotated_like(motion).logged(line), observed, completion.given_rows, known[completion.given_poses]
-    )
+    frames = KnownFrames(known, observation.times_seconds, completion.given_rows, known[completion.given_poses])
+    edited = EditedMotion(made.annotated_like(motion).logged(line), frames)
     gap = float(np.diff(loaded.seconds[observed]).max(initial=0.0))
     warnings = [replaced] if replaced else _warnings(chosen, gap, max(before, after), len(known))
     if not loaded.valid.all():
@@ -240,7 +240,7 @@ def complete_file(
     if page is not None:
         paths.check_free(page)
     completed = completed_motion(loaded, request, chosen)
-    motion, num_given = completed.edited.motion, len(completed.edited.given_rows)
+    motion, num_given = completed.edited.motion, len(completed.edited.known.kept_rows)
     with whole_file(path) as temporary:
         write_edited(completed.edited, loaded, temporary)
         if page is not None:
@@ -263,7 +263,7 @@ def complete_file(
 
 def _write_page(path: Path, title: str, loaded: LoadedMotion, versions: Sequence[CompletedMotion]) -> None:
     """Write a page of a motion and its completions by name, each at its own framerate."""
-    observed = versions[0].edited.observed
+    observed = np.isin(np.arange(loaded.motion.num_frames), versions[0].edited.known.frames)
     source = replace(loaded.take("the clip"), seen=None if observed.all() else observed, unseen="left out")
     made = [Version(each.encoder, each.edited.motion, each.edited.is_given) for each in versions]
     note = "Dark are frames that were given, orange are those that were made."

@@ -21,6 +21,7 @@ from motionkit.edit.motions import (
 )
 from motionkit.fields.resample import resample
 from motionkit.io.body_frame import GIVEN_AXES, log_lines, turned
+from motionkit.io.bvh_writing import KnownFrames
 from motionkit.io.character import Character, read_character
 from motionkit.io.files import read_options
 from motionkit.io.registry import ReadOptions
@@ -86,24 +87,23 @@ def convert_file(
     """
     loaded = source.load()
     if character is not None:
-        loaded = replace(loaded, suffix=character.suffix, document=None, is_pose_vectors=False, note="")
+        loaded = replace(loaded, suffix=character.suffix, document=None, is_pose_vectors=False)
     path = paths.path(source, loaded, fps or loaded.motion.fps)
     motion = converted_motion(loaded, fps, character)
     if motion.local_rotations is None:
         loaded = replace(loaded, document=None)
-    given = np.arange(motion.num_frames if motion is loaded.motion else 0)
+    kept = np.arange(motion.num_frames if motion is loaded.motion else 0)
+    known = KnownFrames(np.arange(len(loaded.seconds)), loaded.seconds, kept, kept)
     with whole_file(path) as temporary:
         if character is not None and path.suffix.lower() == character.suffix:
             character.write(motion, temporary)
         else:
-            write_edited(EditedMotion(motion, loaded.valid, given, given), loaded, temporary)
+            write_edited(EditedMotion(motion, known), loaded, temporary)
     details = {
         "fps": format_fps(loaded.motion.fps),
         "converted_fps": format_fps(motion.fps),
         "num_frames": loaded.motion.num_frames,
         "num_converted_frames": motion.num_frames,
         "num_joints": motion.skeleton.num_joints,
-        "note": loaded.note if path.suffix.lower() == loaded.suffix else "",
     }
-    remarks = [f"warning: {source.name}: {details['note']}"] if details["note"] else []
-    return WrittenMotion(source.name, path, None, details, remarks)
+    return WrittenMotion(source.name, path, None, details)

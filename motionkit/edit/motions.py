@@ -13,7 +13,7 @@ from motionkit.core.errors import FormatError, MotionkitError, StoreError, Usage
 from motionkit.core.files import is_store, write_json
 from motionkit.core.framerate import format_fps
 from motionkit.core.motion import Motion
-from motionkit.core.shapes import Bool, Float64, Int
+from motionkit.core.shapes import Bool, Float64
 from motionkit.core.skeleton import STANDARD_SKELETONS
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import at_origin, facing_forward
@@ -188,21 +188,16 @@ def _file_name(sequence_id: str) -> Path:
 
 @dataclass(frozen=True, eq=False)
 class EditedMotion:
-    """A motion made of a loaded one, of whose frames `observed` masks those that it was made of.
-
-    Frame `given_rows[i]` is frame `given_frames[i]` of the loaded motion, unchanged; both ascend.
-    """
+    """A motion made of a loaded one, and which of its frames are those of the loaded one, unchanged."""
 
     motion: Motion
-    observed: Bool[np.ndarray, "frames"]
-    given_rows: Int[np.ndarray, "given"]
-    given_frames: Int[np.ndarray, "given"]
+    known: KnownFrames
 
     @property
     def is_given(self) -> Bool[np.ndarray, "frames"]:
         """A mask of the frames that are those of the loaded motion."""
         mask = np.zeros(self.motion.num_frames, bool)
-        mask[self.given_rows] = True
+        mask[self.known.kept_rows] = True
         return mask
 
 
@@ -230,9 +225,7 @@ def write_edited(edited: EditedMotion, loaded: LoadedMotion, path: Path) -> None
     """
     document = loaded.document
     if document is not None and path.suffix.lower() == ".bvh":
-        observed = np.flatnonzero(edited.observed)
-        known = KnownFrames(observed, loaded.seconds[observed], edited.given_rows, edited.given_frames)
-        rewrite_bvh(document, path, edited.motion, known)
+        rewrite_bvh(document, path, edited.motion, edited.known)
     elif loaded.is_pose_vectors and path.suffix.lower() == ".npy":
         _write_pose_vectors(edited.motion, path)
     else:

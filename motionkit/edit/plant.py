@@ -23,6 +23,7 @@ from motionkit.fields.contact.correction import Correction
 from motionkit.fields.contact.correction import Path as BodyPath
 from motionkit.fields.contact.detection import runs
 from motionkit.fields.contact.planted import PlantedField, planted_frames
+from motionkit.io.bvh_writing import KnownFrames
 from motionkit.viz.comparison import Version, write_comparison
 
 MOVED_METRES = 2e-5
@@ -111,7 +112,7 @@ def planted_motion(loaded: LoadedMotion, path: BodyPath) -> tuple[EditedMotion, 
         f"{1000 * change.largest_change:.1f} mm"
     )
     made = poses.at(motion.timegrid, motion.skeleton).annotated_like(motion).logged(line)
-    return EditedMotion(made, valid, unmoved, unmoved), change
+    return EditedMotion(made, KnownFrames(np.arange(len(moved)), seconds, unmoved, unmoved)), change
 
 
 def plant_file(source: MotionSource, path_of_body: BodyPath, with_page: bool, paths: OutputPaths) -> WrittenMotion:

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from motionkit.edit.motions import EditedMotion, LoadedMotion, write_edited
 from motionkit.fields.completion import begin_completion
-from motionkit.fields.motion_field import MotionEncoder
+from motionkit.fields.motion_field import MotionEncoder, Observation
 from motionkit.fields.rig import on_bones
 from motionkit.io.bvh import BvhDocument
+from motionkit.io.bvh_writing import KnownFrames, rewrite_bvh
 
 
 def write_completed(
@@ -22,9 +22,9 @@ def write_completed(
     **reach: float,
 ) -> None:
     """Complete the observed frames of a document at a framerate, and write the result."""
-    loaded = LoadedMotion(document.motion, document.valid, document=document, suffix=".bvh")
-    observation, seconds = loaded.observation(observed), document.motion.timegrid.seconds()
+    seconds, frames = document.motion.timegrid.seconds(), np.flatnonzero(observed)
+    observation = Observation(seconds[frames], document.poses.rows(frames), document.motion.skeleton)
     made = begin_completion(observation, (seconds[0], seconds[-1]), encoder, fps, **reach)
     made = replace(made, field=on_bones(made.field, observation))
-    given = np.flatnonzero(observed)[made.given_poses]
-    write_edited(EditedMotion(made.motion(), observed, made.given_rows, given), loaded, path)
+    known = KnownFrames(frames, seconds[frames], made.given_rows, frames[made.given_poses])
+    rewrite_bvh(document, path, made.motion(), known)
