@@ -77,16 +77,6 @@ def test_framerates_lengths_and_conditions_by_default(model: mk.MotionModel) -> 
     assert model.model.sampling == options  # type: ignore[attr-defined]
 
 
-def test_above_the_training_data_is_reported(model: mk.MotionModel) -> None:
-    with pytest.warns(UserWarning, match="144 fps is above the 120 fps"):
-        assert model.generate("walk", fps=144, seconds=6).num_frames == 864
-
-
-def test_longer_motions_are_joined(model: mk.MotionModel) -> None:
-    motion = model.generate("walk", fps=20, seconds=10)
-    assert motion.num_frames == 200 and model.model.asked > 1  # type: ignore[attr-defined]
-
-
 def test_poses_at_any_instants(model: mk.MotionModel) -> None:
     (field,) = model.fields("walk", seconds=2, seed=3)
     poses = field.query(np.array([0.0, 1.0])).joint_positions

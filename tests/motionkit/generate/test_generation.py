@@ -51,18 +51,6 @@ def test_a_model_is_in_a_run_as_soon_as_one_stage_is(tmp_path: Path, two: None) 
     assert full.complete_in(tmp_path)
 
 
-def test_the_model_of_a_run_is_the_one_that_it_holds(tmp_path: Path, two: None) -> None:
-    with pytest.raises(UsageError, match="holds none of the installed models \\(full, plain\\)"):
-        model_of(tmp_path)
-    with pytest.raises(UsageError, match="there is no run"):
-        model_of(tmp_path / "none")
-    finish(tmp_path, "plain")
-    assert model_of(tmp_path) == "plain"
-    finish(tmp_path, "first")
-    with pytest.raises(UsageError, match="holds several models, full and plain"):
-        model_of(tmp_path)
-
-
 def test_a_run_without_a_model_names_the_command_that_trains_one(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="motionkit train --stage denoiser --run nothing trains NeRM"):
         model_of(tmp_path / "nothing")

@@ -53,43 +53,23 @@ def test_a_wrong_override_is_refused_with_what_there_is(override: str, message: 
         apply_overrides(Outer(), [override])
 
 
-@given(
-    st.builds(
-        Outer,
-        st.text(),
-        st.booleans(),
-        st.builds(
-            Inner,
-            st.integers(-(2**40), 2**40),
-            st.floats(allow_nan=False),
-            st.sampled_from(["relu", "silu"]),
-            st.lists(st.integers(0, 9)).map(tuple),
-            st.none() | st.floats(allow_nan=False),
-        ),
+def outers(texts: st.SearchStrategy[str], floats: st.SearchStrategy[float]) -> st.SearchStrategy[Outer]:
+    widths = st.lists(st.integers(0, 9)).map(tuple)
+    inner = st.builds(
+        Inner, st.integers(-(2**40), 2**40), floats, st.sampled_from(["relu", "silu"]), widths, st.none() | floats
     )
-)
+    return st.builds(Outer, texts, st.booleans(), inner)
+
+
+@given(outers(st.text(), st.floats(allow_nan=False)))
 def test_plain_values_round_trip(config: Outer) -> None:
     assert from_plain(Outer, to_plain(config)) == config
 
 
-@given(
-    st.builds(
-        Outer,
-        st.text("abc_./ ", min_size=1).map(str.strip),
-        st.booleans(),
-        st.builds(
-            Inner,
-            st.integers(-(2**40), 2**40),
-            st.floats(allow_nan=False, allow_infinity=False),
-            st.sampled_from(["relu", "silu"]),
-            st.lists(st.integers(0, 9)).map(tuple),
-            st.none() | st.floats(allow_nan=False, allow_infinity=False),
-        ),
-    )
-)
+@given(outers(st.text("abc_./ ", min_size=1).map(str.strip), st.floats(allow_nan=False, allow_infinity=False)))
 def test_settings_given_are_set(config: Outer) -> None:
-    told = [f"{key}={setting_text(value)}" for key, value in flatten(config).items()]
-    assert apply_overrides(Outer(), told) == config
+    settings = [f"{key}={setting_text(value)}" for key, value in flatten(config).items()]
+    assert apply_overrides(Outer(), settings) == config
 
 
 def test_flat_keys_name_every_leaf() -> None:
