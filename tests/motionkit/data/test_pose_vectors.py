@@ -16,7 +16,6 @@ from motionkit.data.poses import WindowPoses
 from motionkit.data.reconstruction import window_truth
 from motionkit.data.windows import cut_windows
 from motionkit.features import field, native
-from motionkit.features.field import FIELD_VECTORS
 from motionkit.features.native import NativeVectors
 from motionkit.features.rotations import RotationVectors, smpl_rig
 from motionkit.fields.motion_field import to_motion
@@ -148,16 +147,6 @@ class TestRotations:
         made = kinematics.forward_kinematics(decoded.local_rotations, decoded.root_translation, vectors.skeleton)
         np.testing.assert_allclose(made, decoded.joint_positions, atol=1e-5)
 
-    def test_two_columns_that_are_not_orthogonal_still_are_a_rotation(self) -> None:
-        vectors = RotationVectors(SMPL22)
-        numbers = np.random.default_rng(0).normal(size=(5, vectors.num_features)).astype(np.float32)
-        decoded = vectors.decode(numbers, np.arange(5.0), np.arange(5.0))
-        assert decoded.local_rotations is not None
-        np.testing.assert_allclose(np.linalg.norm(decoded.local_rotations, axis=-1), 1.0, atol=1e-6)
-        matrices = kinematics.quaternion_to_matrix(decoded.local_rotations)
-        first = numbers[:, 3:].reshape(5, 22, 2, 3)[:, :, 0]
-        np.testing.assert_allclose(matrices[..., 0], first / np.linalg.norm(first, axis=-1, keepdims=True), atol=1e-5)
-
     def test_a_store_without_rotations_is_reported(self, store: Store) -> None:
         with pytest.raises(
             UsageError, match=r"needs sequences with the joint rotations of SMPL's 22 joints .* has none"
@@ -191,23 +180,6 @@ def test_a_rank_without_a_window_in_the_batch_has_nothing_to_encode(store: Store
     between = vectors.between(nothing, nothing, np.zeros((0, 8), np.float32))
     encoded = vectors.encode(between, np.zeros(0, np.float32), np.zeros((0, 2), np.float32))
     assert encoded.shape == (0, 8, vectors.num_features)
-
-
-def test_rows_of_a_cache_are_computed_once(store: Store) -> None:
-    cache, _ = open_frames(FIELD_VECTORS, store, None)
-    made = cache.derived_rows("sums", 1, lambda: (cache.sequence_positions(n).sum((1, 2))[:, None] for n in range(4)))
-
-    def not_again() -> None:
-        raise AssertionError("computed again")
-
-    again = cache.derived_rows("sums", 1, not_again)  # type: ignore[arg-type]
-    every = np.arange(len(cache.positions))
-    np.testing.assert_array_equal(made[every], cache.positions.sum((1, 2))[:, None])
-    np.testing.assert_array_equal(made[every], again[every])
-    assert made.shape == (len(cache.positions), 1)
-    with pytest.raises(ValueError, match="rows of shape"):
-        cache.derived_rows("wrong", 1, lambda: iter([np.zeros((1, 2), np.float32)] * 4))
-    assert not (cache.path / "wrong.npy").exists()
 
 
 TINY = (

@@ -10,7 +10,7 @@ from motionkit.core.mirror import mirror_positions
 from motionkit.core.skeleton import SMPL22
 from motionkit.data.corpus import FrameValues
 from motionkit.data.poses import WindowPoses
-from motionkit.data.windows import PositionSource, cut_windows, rows_by_duration, shuffled_batches
+from motionkit.data.windows import cut_windows, rows_by_duration, shuffled_batches
 from motionkit.features import field
 from tests.helpers.nerm_corpus import MemorySource
 
@@ -43,10 +43,6 @@ def source() -> MemorySource:
     return make_source(
         [241, 1500, 90, 5, 400], [Fraction(120), Fraction(120), Fraction(30), Fraction(60), Fraction(24)]
     )
-
-
-def test_a_source_is_what_the_store_s_cache_offers(source: MemorySource) -> None:
-    assert isinstance(source, PositionSource)
 
 
 @settings(max_examples=25)
@@ -85,13 +81,6 @@ def test_a_window_of_l_max_spans_the_whole_domain(source: MemorySource) -> None:
     batch = poses.at_frames(np.array([long]), np.array([[0, 600, 1200]]))
     assert batch.coordinates.tolist() == [[-1.0, 0.0, 1.0]]
     assert batch.fps.tolist() == [120.0]
-
-
-def test_coordinates_are_the_frames_seconds_in_the_window(source: MemorySource) -> None:
-    poses = WindowPoses(cut_windows(source, max_duration_seconds=10.0), FrameValues.of_positions(source))
-    frames = np.arange(30, 46)
-    batch = poses.at_frames(np.array([0]), frames[None])
-    np.testing.assert_allclose(batch.coordinates[0], frames / 120 / 5.0 - 1.0, atol=1e-12)
 
 
 def test_vectors_are_those_of_the_window_s_frame(source: MemorySource) -> None:
@@ -197,25 +186,3 @@ def test_batches_are_the_same_in_every_version() -> None:
         [2, 4, 3],
     ]
     assert shuffled_batches(3, 8, 1, 7).tolist() == [1, 2, 1, 0, 2, 1, 0, 1]
-
-
-def test_rows_are_permuted_once_an_epoch(monkeypatch: pytest.MonkeyPatch) -> None:
-    generator, made = np.random.default_rng, 0
-
-    def counted(seed: np.random.SeedSequence) -> np.random.Generator:
-        nonlocal made
-        made += 1
-        return generator(seed)
-
-    monkeypatch.setattr(np.random, "default_rng", counted)
-    for step in range(60):
-        shuffled_batches(97, 10, step, 1234)
-    assert made == 7
-
-
-def test_framerates_are_divided_once_and_not_saved(source: MemorySource) -> None:
-    windows = cut_windows(source, max_duration_seconds=10.0)
-    before = set(windows.arrays())
-    assert windows.fps is windows.fps
-    assert set(windows.arrays()) == before
-    np.testing.assert_array_equal(windows.select(windows.fps > 60).fps, 120.0)

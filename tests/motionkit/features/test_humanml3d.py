@@ -37,21 +37,13 @@ def test_the_slices_are_the_published_ones(num_joints: int, size: int) -> None:
         assert (layout.joint_rotations, layout.contacts) == (slice(67, 193), slice(259, 263))
 
 
-@pytest.mark.parametrize("name", list(LAYOUTS))
-@pytest.mark.parametrize("num_frames", [2, 3, 40])
+# Blocks of 200 frames meet in 250.
+@pytest.mark.parametrize(("name", "num_frames"), [("smpl22", 2), ("smpl22", 3), ("smpl22", 250), ("kit21", 40)])
 def test_agrees_with_the_plain_reference(name: str, num_frames: int) -> None:
     joints = wandering_body(LAYOUTS[name], num_frames, seed=num_frames)
     found = humanml3d.vectors(joints, name)
     assert found.shape == (num_frames - 1, LAYOUTS[name].vector.size)
     assert np.allclose(found, plain_vectors(joints, LAYOUTS[name]), atol=2e-5)
-
-
-def test_a_long_take_is_seamless_where_blocks_of_frames_meet() -> None:
-    joints = wandering_body(LAYOUTS["smpl22"], 600, seed=1)
-    rows = slice(240, 275)
-    assert np.allclose(
-        humanml3d.vectors(joints, "smpl22")[rows], plain_vectors(joints, LAYOUTS["smpl22"])[rows], atol=2e-5
-    )
 
 
 def test_published_clip(golden_humanml3d: Path) -> None:
@@ -81,13 +73,6 @@ def test_processing_leaves_one_skeleton_on_the_floor_at_the_origin_facing_z(name
     assert joints[..., 1].min() == pytest.approx(0, abs=1e-6)
     assert np.allclose(joints[0, 0, [0, 2]], 0, atol=1e-6)
     assert field.heading(joints[0]) == pytest.approx(0, abs=1e-5)
-
-
-def test_a_body_that_faces_nowhere_is_not_turned() -> None:
-    joints = wandering_body(LAYOUTS["smpl22"], 3, seed=5)
-    for right, left in ((2, 1), (17, 16)):
-        joints[0, right] = joints[0, left]
-    assert np.array_equal(humanml3d.facing_forward(joints, "smpl22"), joints)
 
 
 def test_degenerate_bones_give_finite_rotations() -> None:

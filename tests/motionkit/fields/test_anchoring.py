@@ -79,14 +79,3 @@ def test_one_observed_frame_moves_the_whole_field() -> None:
     field = Anchored(INTERPOLATORS["slerp"]).encode(Observation.of(motion), after_seconds=0.5)
     assert np.allclose(field.query(np.array([1.25, 1.75])).joint_positions, motion.joint_positions, atol=1e-5)
     assert field.at_fps(Fraction(60)).end_seconds == 1.75
-
-
-def test_a_pose_does_not_depend_on_how_much_is_asked_for_with_it() -> None:
-    """Corrections are made of the frames around what is asked for, and are those of all frames."""
-    motion = random_motion(4, num_frames=60)
-    field = Anchored(Forgetful("rotation-cubic")).encode(Observation.of(motion), before_seconds=0.3, after_seconds=0.3)
-    times = np.linspace(field.start_seconds, field.end_seconds, 301)
-    together = field.query(times).joint_positions
-    for some in (slice(0, 1), slice(5, 12), slice(150, 153), slice(290, 301)):
-        np.testing.assert_allclose(field.query(times[some]).joint_positions, together[some], atol=1e-6)
-    assert len(field.query(times[:0]).joint_positions) == 0

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from motionkit.core.kinematics import forward_kinematics
 from motionkit.core.motion import Motion
-from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
+from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.assembly import AssembledField, Piece, assemble, chain, even_starts
 from motionkit.fields.interpolation import INTERPOLATORS, InterpolatedField, Method, interpolate
@@ -148,25 +148,6 @@ def test_a_chain_goes_on_where_the_last_motion_ends() -> None:
     assert np.allclose(speed, np.linalg.norm(joint_velocities(walk, times), axis=-1), atol=2e-2)
 
 
-def test_more_than_two_pieces_may_overlap() -> None:
-    pieces = [Piece(wandering(seed), 0.5 * seed) for seed in range(4)]
-    field = assemble(pieces)
-    assert np.all(field.fade_end[:-1] <= field.fade_start[1:] + 1e-12)
-    assert np.isfinite(to_motion(field, Fraction(100)).joint_positions).all()
-
-
-def test_a_placed_piece_is_rigid_and_its_rotations_agree() -> None:
-    field = wandering(5)
-    placed = Piece(field, field.start_seconds, 0.7, (1.0, -2.0)).query(np.array([1.5, 2.0]))
-    assert placed.local_rotations is not None and placed.root_translation is not None
-    again = forward_kinematics(placed.local_rotations, placed.root_translation, SMPL22)
-    assert np.allclose(again, placed.joint_positions, atol=1e-4)
-    own = field.query(np.array([1.5, 2.0])).joint_positions
-    assert np.allclose(placed.joint_positions[..., 1], own[..., 1], atol=1e-6)
-    distance = np.linalg.norm(placed.joint_positions - placed.joint_positions[:, :1], axis=-1)
-    assert np.allclose(distance, np.linalg.norm(own - own[:, :1], axis=-1), atol=1e-5)
-
-
 def test_starts_cover_a_motion_evenly() -> None:
     assert even_starts(8.0, 10.0, 2.0).tolist() == [0.0]
     assert even_starts(18.0, 10.0, 2.0).tolist() == [0.0, 8.0]
@@ -177,39 +158,36 @@ def test_starts_cover_a_motion_evenly() -> None:
         even_starts(30.0, 10.0, 10.0)
 
 
-def test_what_cannot_be_assembled_is_named() -> None:
-    first, second = wandering(0), wandering(1)
-    lasts = first.end_seconds - first.start_seconds
-    with pytest.raises(ValueError, match="nothing to assemble"):
-        assemble([])
-    with pytest.raises(ValueError, match=r"pieces 0 .* and 1 .* must overlap by 0\.001 s or more"):
-        assemble([Piece(first, 0.0), Piece(second, lasts)])
-    with pytest.raises(ValueError, match="out of order"):
-        assemble([Piece(first, 1.0), Piece(second, 0.0)])
-    with pytest.raises(ValueError, match="different skeletons"):
-        other = interpolate(random_motion(0, num_frames=40, fps=Fraction(20), skeleton=SMPL22.scaled(2.0)))
-        assemble([Piece(first, 0.0), Piece(other, 1.0)])
-    with pytest.raises(ValueError, match="longer than 0 s"):
-        assemble([Piece(first, 0.0), Piece(second, 1.0)], 0.0)
+def two(first_at: float, second_at: float, *, scale: float = 1.0) -> list[Piece]:
+    other = random_motion(1, num_frames=40, fps=Fraction(20), skeleton=SMPL22.scaled(scale))
+    return [Piece(wandering(0), first_at), Piece(interpolate(other), second_at)]
+
+
+@pytest.mark.parametrize(
+    ("pieces", "fade", "message"),
+    [
+        ([], None, "nothing to assemble"),
+        (two(0.0, 1.95), None, r"pieces 0 .* and 1 .* must overlap by 0\.001 s or more"),
+        (two(1.0, 0.0), None, "out of order"),
+        (two(0.0, np.nan), None, "out of order"),
+        (two(0.0, 1.0, scale=2.0), None, "different skeletons"),
+        (two(0.0, 1.0), 0.0, "longer than 0 s"),
+        (two(0.0, 1.0), np.nan, "longer than 0 s, not nan"),
+    ],
+)
+def test_what_cannot_be_assembled_is_named(pieces: list[Piece], fade: float | None, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        assemble(pieces, fade)
+
+
+def test_pieces_have_rotations_all_or_none() -> None:
     motion = random_motion(1, num_frames=40, fps=Fraction(20))
-    for poses in (Poses(motion.joint_positions), Poses(motion.joint_positions, motion.local_rotations)):
-        other = INTERPOLATORS["slerp"].encode(Observation(motion.timegrid.seconds(), poses, SMPL22))
-        with pytest.raises(ValueError, match="all pieces or none have rotations, all or none a root translation"):
-            to_motion(assemble([Piece(first, 0.0), Piece(other, 1.0)]), Fraction(30))
-    with pytest.raises(ValueError, match="longer than 0 s, not nan"):
-        assemble([Piece(first, 0.0), Piece(second, 1.0)], np.nan)
-    with pytest.raises(ValueError, match="out of order"):
-        assemble([Piece(first, 0.0), Piece(second, np.nan)])
-    with pytest.raises(ValueError, match="lie outside the motion"):
-        assemble([Piece(first, 0.0)]).query(np.array([-1.0]))
+    other = INTERPOLATORS["slerp"].encode(Observation(motion.timegrid.seconds(), Poses(motion.joint_positions), SMPL22))
+    with pytest.raises(ValueError, match="all pieces or none have rotations, all or none a root translation"):
+        to_motion(assemble([Piece(wandering(0), 0.0), Piece(other, 1.0)]), Fraction(30))
 
 
-def test_what_cannot_be_chained_is_named() -> None:
-    first = wandering(0)
-    for overlap in (-0.1, 0.0, 5.0, np.nan):
-        with pytest.raises(ValueError, match=r"not \S+ s where motion 0 lasts 1\.95 s"):
-            chain([first, first], overlap)
-    with pytest.raises(ValueError, match="motions 0 and 1 have different skeletons"):
-        chain([first, interpolate(random_motion(0, num_frames=40, skeleton=KIT21))], 0.2)
-    with pytest.raises(ValueError, match="nothing to assemble"):
-        chain([], 0.2)
+@pytest.mark.parametrize("overlap", [-0.1, 0.0, 5.0, np.nan])
+def test_an_overlap_is_shorter_than_the_motions(overlap: float) -> None:
+    with pytest.raises(ValueError, match=r"not \S+ s where motion 0 lasts 1\.95 s"):
+        chain([wandering(0), wandering(0)], overlap)

@@ -11,11 +11,9 @@ from motionkit.core.kinematics import forward_kinematics
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import KIT21, SMPL22
 from motionkit.fields.detail import (
-    BAND_REACH,
     NUM_BANDS,
     Detail,
     DetailedField,
-    band_motion,
     band_power,
     detailed,
     fit_detail,
@@ -69,18 +67,6 @@ def test_detail_is_as_strong_as_captures_are_in_such_moments(learnt: Detail, smo
     assert still < fast / 3
 
 
-def test_bands_are_all_that_lies_above_the_lowest_edge() -> None:
-    rng = np.random.default_rng(0)
-    noise = rng.standard_normal((1200, 2))
-    inner = noise[BAND_REACH:-BAND_REACH]
-    times = np.arange(1200) / 120
-    slow, fast = (np.sin(2 * np.pi * hz * times)[:, None] for hz in (4.0, 24.0))
-    assert np.abs(band_motion(slow)).max() < 0.01
-    assert np.abs(band_motion(fast).sum(axis=0) - fast[BAND_REACH:-BAND_REACH]).max() < 0.01
-    assert band_motion(fast)[2].std() > 10 * band_motion(fast)[[0, 4]].std(axis=(1, 2)).max()
-    assert band_motion(noise).sum(axis=0).shape == inner.shape
-
-
 def test_the_state_is_the_same_wherever_the_body_stands_and_faces(smooth: Motion) -> None:
     positions = with_ends(smooth.joint_positions)
     turn = np.array([[0.6, 0.0, 0.8], [0.0, 1.0, 0.0], [-0.8, 0.0, 0.6]])
@@ -110,12 +96,6 @@ def test_nothing_lies_above_half_the_framerate(learnt: Detail, smooth: Motion, f
     hz = np.fft.rfftfreq(len(steps), 1 / 240)
     assert power[hz > fps / 2].sum() < 1e-5 * power.sum()
     assert power[(hz > 0.7 * fps / 2) & (hz < 0.8 * fps / 2)].sum() > 1e-3 * power.sum()
-
-
-def test_what_20_fps_hold_is_left_alone(learnt: Detail, smooth: Motion) -> None:
-    field = field_of(smooth, learnt)
-    plain = to_motion(field.field, Fraction(20)).joint_positions
-    np.testing.assert_array_equal(to_motion(field, Fraction(20)).joint_positions, plain)
 
 
 def test_any_instants_in_any_order(learnt: Detail, smooth: Motion) -> None:

@@ -17,8 +17,6 @@ from motionkit.fields.completion import query_many
 from motionkit.fields.interpolation import INTERPOLATORS, Method, interpolate
 from motionkit.fields.motion_field import (
     TIMES_AT_ONCE,
-    MotionEncoder,
-    MotionField,
     Observation,
     Poses,
     joint_velocities,
@@ -84,20 +82,6 @@ def test_many_motions_at_once_are_each_as_alone(method: Method, rotations: bool)
             assert turn_between(found.local_rotations, expected.local_rotations).max() < 1e-5
 
 
-def test_many_motions_must_be_observed_alike() -> None:
-    first, second = (Observation.of(random_motion(seed)) for seed in (0, 1))
-    with pytest.raises(ValueError, match="motion 1 of 2 is not observed at the times of the first"):
-        INTERPOLATORS["slerp"].query_many([first, second.rows(slice(0, -1))], first.times_seconds)
-    with pytest.raises(ValueError, match="no motion is observed"):
-        INTERPOLATORS["hold"].query_many([], first.times_seconds)
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_interpolators_are_encoders_of_motion_fields(method: Method) -> None:
-    assert isinstance(INTERPOLATORS[method], MotionEncoder) and INTERPOLATORS[method].name == method
-    assert isinstance(interpolate(random_motion(2), method), MotionField)
-
-
 @pytest.mark.parametrize("method", METHODS)
 @settings(max_examples=10)
 @given(seed=st.integers(0, 1000))
@@ -146,10 +130,6 @@ def test_very_short_motions(method: Method, num_frames: int) -> None:
         assert np.allclose(later, motion.joint_positions, atol=1e-6)
 
 
-def test_an_empty_query_has_no_poses() -> None:
-    assert interpolate(random_motion(7)).query(np.array([])).joint_positions.shape == (0, 22, 3)
-
-
 def test_observations_are_checked() -> None:
     motion = random_motion(8, num_frames=3)
     poses = Poses.of(motion)
@@ -171,11 +151,6 @@ def test_observations_are_checked() -> None:
     with pytest.raises(ValueError, match=r"joint_positions of pose 1 \(1\.2833 s\) hold a number that is not finite"):
         Observation(motion.timegrid.seconds(), Poses(unseen, motion.local_rotations), SMPL22)
     assert repr(Observation.of(motion)).startswith("Observation([1.2500, 1.3167] s, Poses(3 of 22 joints, local_rot")
-
-
-def test_velocities_need_a_step() -> None:
-    with pytest.raises(ValueError, match="some length, not 0 s"):
-        joint_velocities(interpolate(random_motion(8)), np.array([1.3]), step_seconds=0.0)
 
 
 def polynomial_motion(degree: int, fps: int = 10) -> tuple[Motion, "np.ndarray"]:
@@ -318,19 +293,6 @@ def test_arms_overhead_do_not_swing_between_positions(method: Method) -> None:
     grid = TimeGrid(Fraction(20), 41)
     found = to_motion(interpolate(Motion(overhead(grid.seconds()), SMPL22, grid), method), Fraction(160))
     assert np.abs(found.joint_positions - overhead(found.timegrid.seconds())).max() < 2e-4
-
-
-@pytest.mark.parametrize("method", ON_ROTATIONS)
-def test_rotations_keep_bone_lengths_and_lines_do_not(method: Method) -> None:
-    motion = random_motion(14, rotations=False)
-    times = motion.timegrid.seconds()[:-1] + 0.5 * motion.timegrid.seconds_between_frames
-    parents, rest = list(SMPL22.parents[1:]), np.linalg.norm(SMPL22.offsets[1:], axis=-1)
-
-    def error(method: Method) -> float:
-        positions = interpolate(motion, method).query(times).joint_positions
-        return float(np.abs(np.linalg.norm(positions[:, 1:] - positions[:, parents], axis=-1) - rest).max())
-
-    assert error(method) < 1e-3 < 5e-3 < error("linear")
 
 
 def test_velocities_are_those_of_the_motion() -> None:

@@ -153,26 +153,6 @@ def test_a_foot_drawn_along_the_floor_beside_one_that_stands_is_let_be() -> None
     assert np.abs(free.joint_positions - positions)[:, 8].max() > 0.02
 
 
-def test_standing_still_is_unchanged_to_the_last_bit() -> None:
-    walk = capture(FPS, "walk")
-    pose = np.repeat(walk.joint_positions[:1], 120, axis=0)
-    still = Motion.from_joints(pose, FPS)
-    after = to_motion(field_of(still), FPS)
-    # Cubics through equal numbers round.
-    np.testing.assert_allclose(after.joint_positions, pose, atol=1e-6)
-
-
-def test_a_heel_that_rises_over_a_sliding_toe_still_rises() -> None:
-    motion = capture(FPS, "walk")
-    feet = motion.joint_positions[:, FEET].reshape(-1, 2, 2, 3)
-    rolling = np.linalg.norm(feet[..., 0, :] - feet[..., 1, :], axis=-1)
-    after = to_motion(field_of(slid(bare(motion), 0.2)), FPS).joint_positions[:, FEET].reshape(-1, 2, 2, 3)
-    np.testing.assert_allclose(np.linalg.norm(after[..., 0, :] - after[..., 1, :], axis=-1), rolling, atol=1e-4)
-    direction = (feet[..., 0, :] - feet[..., 1, :]) / rolling[..., None]
-    turned = (after[..., 0, :] - after[..., 1, :]) / rolling[..., None]
-    assert np.degrees(np.arccos(np.clip(np.sum(direction * turned, axis=-1), -1, 1))).max() < 1.0
-
-
 def test_feet_below_the_floor_come_up() -> None:
     motion = bare(capture(FPS, "walk", seconds=12.0))
     sunk = motion.joint_positions.copy()
@@ -240,28 +220,6 @@ def test_joints_of_a_chest_that_is_bent_out_of_shape_do_not_jump() -> None:
     assert np.linalg.norm(np.diff(changed, axis=0), axis=-1).max() * 120 < 5.0
 
 
-def test_feet_alone_are_where_they_are_with_the_whole_body() -> None:
-    positions = capture(FPS, "walk", noise=0.03).joint_positions
-    bones = Bones.of(positions, SMPL22)
-    whole, feet = bones.applied(positions), bones.applied(positions, FEET)
-    np.testing.assert_array_equal(feet[:, FEET], whole[:, FEET])
-
-
-def test_planting_samples_a_motion_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    field = interpolate(capture(FPS, "walk", noise=0.01), "cubic")
-    sizes: list[int] = []
-    query = type(field).query
-
-    def counted(self: MotionField, times_seconds: np.ndarray) -> Poses:
-        sizes.append(len(times_seconds))
-        return query(self, times_seconds)
-
-    monkeypatch.setattr(type(field), "query", counted)
-    planted(field, "free").query(np.zeros(1))
-    grid = round(120 * (field.end_seconds - field.start_seconds)) + 1
-    assert sorted(sizes) == [1, grid]
-
-
 def test_a_hand_does_not_turn_over_where_its_arm_shrinks() -> None:
     """Four fifths of an upper arm, and a tenth of a forearm: the elbow gives way, and the hand stays where it is."""
     shoulder, elbow, wrist = 16, 18, 20
@@ -301,20 +259,6 @@ def feet_in_place() -> tuple[np.ndarray, Ground]:
     return paths, Ground(level, level - 0.005, 0.03)
 
 
-def test_a_captured_foot_is_not_pulled_far_from_its_body() -> None:
-    """Feet that part, each by half a metre, and then stand: the body can't take what both do."""
-    paths, ground = feet_in_place()
-    parted = 0.25 * np.clip(np.arange(480) / 120.0, 0.0, 2.0)
-    paths[:, 0, :, 0] -= parted[:, None]
-    paths[:, 1, :, 0] += parted[:, None]
-    contacts = find_contacts(paths, 120.0, ground)
-    feet = {
-        path: np.abs(correction.offsets_of(paths, contacts, ground, 120.0, path)[:, 1:, 0]) for path in ("near", "free")
-    }
-    assert feet["near"].max() < 0.03
-    assert 0.1 < feet["free"].max() < 0.3
-
-
 @pytest.mark.parametrize(("depth", "raised"), [(0.06, 0.0), (0.015, 0.007)])
 def test_captured_feet_step_down_but_do_not_sink(depth: float, raised: float) -> None:
     paths, ground = feet_in_place()
@@ -322,16 +266,6 @@ def test_captured_feet_step_down_but_do_not_sink(depth: float, raised: float) ->
     contacts = find_contacts(paths, 120.0, ground)
     offsets = correction.offsets_of(paths, contacts, ground, 120.0, "near")
     assert float((offsets[:, 0, 1] + offsets[:, 1, 1]).max()) == pytest.approx(raised, abs=0.002)
-
-
-def test_planting_twice_is_planting_once() -> None:
-    motion = slid(bare(capture(FPS, "walk")), 0.2)
-    once = to_motion(field_of(motion), FPS)
-    twice = to_motion(field_of(once), FPS)
-    change = np.linalg.norm(once.joint_positions - motion.joint_positions, axis=-1)
-    again = np.linalg.norm(twice.joint_positions - once.joint_positions, axis=-1)
-    assert again.mean() < 0.01 * change.mean()
-    assert again.max() < 0.02
 
 
 def test_rotations_agree_with_positions() -> None:

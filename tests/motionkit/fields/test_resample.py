@@ -66,12 +66,6 @@ def test_constants_and_ends_survive_any_pair_of_rates(frames: int, fps_from: Fra
     assert np.allclose(resample_positions(walk, fps_from, fps_to)[0], 1.0, atol=1e-9)
 
 
-def test_equal_rates_give_an_equal_copy() -> None:
-    positions = random_motion(11).joint_positions
-    same = resample_positions(positions, NTSC, NTSC)
-    assert np.array_equal(same, positions) and same is not positions
-
-
 def test_downsampling_filters_rotations_and_positions_together() -> None:
     motion = random_motion(12, num_frames=240, fps=Fraction(120))
     shaken = motion.local_rotations

@@ -10,7 +10,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.interpolation import INTERPOLATORS
-from motionkit.fields.motion_field import Observation, Poses, to_motion
+from motionkit.fields.motion_field import Observation, to_motion
 from motionkit.fields.rig import on_bones
 from tests.helpers.analytic import analytic_motion
 from tests.helpers.bones import bone_lengths
@@ -68,13 +68,6 @@ def test_observed_frames_stay_what_they_are(name: str) -> None:
     np.testing.assert_allclose(alike, 1.0, atol=1e-4)
 
 
-@pytest.mark.parametrize("name", ["hold", "slerp", "rotation-cubic"])
-def test_fields_with_rotations_stay_themselves(name: str, walk: Motion) -> None:
-    observation = Observation.of(walk)
-    field = INTERPOLATORS[name].encode(observation)
-    assert on_bones(field, observation) is field
-
-
 def test_what_travels_or_never_turns_is_left_so() -> None:
     frames = 10
     rng = np.random.default_rng(0)
@@ -95,11 +88,3 @@ def test_what_travels_or_never_turns_is_left_so() -> None:
     np.testing.assert_allclose(made.local_rotations[:, [0, 2], 0], 1.0, atol=1e-6)
     np.testing.assert_allclose(bone_lengths(made.joint_positions, LEG)[:, 1:], [[0.1, 0.5, 0.4, 0.2, 0.3]] * 100, 1e-5)
     assert np.linalg.norm(made.joint_positions - wanted.joint_positions, axis=-1).max() < 3e-3
-
-
-def test_one_frame_is_one_pose(walk: Motion) -> None:
-    observation = Observation.of(walk.frames(0, 1))
-    field = INTERPOLATORS["linear"].encode(observation, after_seconds=1.0)
-    made = on_bones(field, observation).query(np.array([0.0, 0.5, 1.0]) + field.start_seconds)
-    np.testing.assert_allclose(made.joint_positions, np.tile(walk.joint_positions[:1], (3, 1, 1)), atol=1e-6)
-    assert isinstance(made, Poses)

@@ -10,12 +10,12 @@ from scipy.spatial.transform import Rotation
 from motionkit.core import kinematics
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
-from motionkit.core.skeletons.mapping import SkeletonMapError, map_joints
+from motionkit.core.skeletons.mapping import SkeletonMapError
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.completion import complete
 from motionkit.fields.interpolation import INTERPOLATORS, Interpolator
 from motionkit.fields.joints import Joints
-from motionkit.fields.motion_field import MotionEncoder, MotionField, Observation, Poses
+from motionkit.fields.motion_field import MotionField, Observation, Poses
 from motionkit.fields.transfer import Transferred, canonical_observation, counterpart_joints
 
 CUBIC, SLERP = INTERPOLATORS["rotation-cubic"], INTERPOLATORS["slerp"]
@@ -149,27 +149,6 @@ def test_bones_keep_their_length_and_the_reference_its_place() -> None:
     assert alike.min() > 1 - 1e-6
 
 
-def test_queries_do_not_depend_on_order_or_company() -> None:
-    motion = swinging(mixamo())
-    truth = canonical_observation(Observation.of(swinging(mixamo(), seed=5)))
-    encoder = Transferred(Oracle(truth), CUBIC)
-    assert isinstance(encoder, MotionEncoder)
-    field = encoder.encode(Observation.of(motion, gaps(motion.num_frames)))
-    assert isinstance(field, MotionField)
-    times = np.random.default_rng(0).uniform(field.start_seconds, field.end_seconds, 40)
-    together, alone = field.query(times), field.query(times[7:8])
-    np.testing.assert_allclose(alone.joint_positions[0], together.joint_positions[7], atol=1e-6)
-    with pytest.raises(ValueError, match="outside the motion"):
-        field.query(np.array([field.end_seconds + 1.0]))
-
-
-def test_the_22_joints_themselves_are_answered_as_the_model_answers() -> None:
-    truth, motion = swinging(SMPL22, seed=3), swinging(SMPL22, seed=4)
-    observed = gaps(motion.num_frames)
-    made = complete(motion, Transferred(Oracle(Observation.of(truth)), SLERP), observed=observed)
-    np.testing.assert_allclose(made.joint_positions[~observed], truth.joint_positions[~observed], atol=2e-5)
-
-
 def test_counterparts_of_a_rig() -> None:
     rig = mixamo()
     found = {SMPL22.joint_names[joint]: rig.joint_names[own] for joint, own in counterpart_joints(rig).items()}
@@ -184,12 +163,3 @@ def test_a_skeleton_that_nobody_knows_is_refused() -> None:
     motion = swinging(dog)
     with pytest.raises(SkeletonMapError, match="dog"):
         Transferred(CUBIC).encode(Observation.of(motion))
-
-
-def test_canonical_positions_are_those_of_the_map() -> None:
-    motion = swinging(mixamo())
-    canonical = canonical_observation(Observation.of(motion))
-    np.testing.assert_allclose(canonical.poses.joint_positions, map_joints(motion, "smpl22"), atol=1e-6)
-    assert canonical.poses.local_rotations is not None
-    again = Joints.of(canonical.poses, SMPL22).positions(SMPL22)
-    np.testing.assert_allclose(again, canonical.poses.joint_positions, atol=1e-5)
