@@ -28,8 +28,7 @@ from motionkit.fields.motion_field import to_motion
 from motionkit.generate.models import GenerationRequest, SamplingOptions
 from motionkit.generate.output import motion_name, plant_generated
 from motionkit.store import Store
-from motionkit.viz.player.page import write_page
-from motionkit.viz.player.takes import take_of
+from motionkit.viz.player import panel_of, write_page
 from nerm.model import load
 
 FPS = Fraction(60)
@@ -98,7 +97,7 @@ def rows_of(arguments: argparse.Namespace) -> list[dict[str, Any]]:
         if arguments.pages is not None:
             arguments.pages.mkdir(parents=True, exist_ok=True)
             path = arguments.pages / f"{motion_name(index, (request,))}.html"
-            write_page(path, f"{index}: {request.text}", [take_of(before, "as generated"), take_of(after, "planted")])
+            write_page(path, f"{index}: {request.text}", [panel_of(before, "as generated"), panel_of(after, "planted")])
     return rows
 
 

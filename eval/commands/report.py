@@ -115,8 +115,7 @@ def _motions(run: Path, store: Path, show: "OnProgress") -> Iterator[tuple[str, 
     from eval.tables.models import trained_models
     from motionkit.core.skeleton import SMPL22
     from motionkit.store import Store
-    from motionkit.viz.player.page import page_of
-    from motionkit.viz.player.takes import Take
+    from motionkit.viz.player import Panel, page_of
 
     held_out = real_motion(Store.open(store), "test")
     real, rates = of_real(held_out), held_out.fps
@@ -140,7 +139,7 @@ def _motions(run: Path, store: Path, show: "OnProgress") -> Iterator[tuple[str, 
             for system, place in [(real, index), *((each, number) for each in made)]:
                 fps = FPS if system is not real or system.has(index, FPS) else rates[index]
                 positions = system.positions(place, fps)[: int(LONGEST_SHOWN_SECONDS * fps)]
-                takes.append(Take(system.name, positions, SMPL22, fps))
+                takes.append(Panel(system.name, positions, SMPL22, fps))
                 work.advance()
             yield real.captions[index] or f"Motion {number + 1}", page_of("", takes)
 

@@ -19,8 +19,7 @@ from motionkit.core.files import write_json, write_whole
 from motionkit.core.framerate import format_fps
 from motionkit.core.progress import OnProgress, task
 from motionkit.core.skeleton import SMPL22
-from motionkit.viz.player.page import MOST_PAGE_BYTES, data_of, player
-from motionkit.viz.player.takes import Take
+from motionkit.viz.player import MOST_PAGE_BYTES, Panel, data_of, player
 
 KEY_FORMAT, ANSWERS_FORMAT = "motionkit-study-key/1", "motionkit-study-answers/1"
 
@@ -53,7 +52,7 @@ def write_study(
     with task(on_progress, "motions", len(trials)) as work:
         for trial in trials:
             takes = [
-                Take(letter, _positions(systems[system], motion, trial.fps, longest_seconds), SMPL22, trial.fps)
+                Panel(letter, _positions(systems[system], motion, trial.fps, longest_seconds), SMPL22, trial.fps)
                 for letter, system, motion in zip("AB", trial.systems, trial.motions, strict=True)
             ]
             shown.append({"question": trial.question, "caption": trial.caption, "player": data_of("", takes)})

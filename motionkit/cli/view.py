@@ -14,7 +14,7 @@ from motionkit.core.progress import task
 from motionkit.viz import MOST_MOTIONS
 
 if TYPE_CHECKING:
-    from motionkit.viz.player.takes import Take
+    from motionkit.viz.player import Panel
     from motionkit.viz.view import Viewed
 
 FILMS = ("mp4", "gif", "png", "rrd")
@@ -74,7 +74,7 @@ def view(
 
     Example: motionkit view takes/walk.bvh takes/jump.bvh"""
     from motionkit.edit.motions import find_motions
-    from motionkit.viz.view import PAGE_SUFFIX, Interval, constraint_drawing, page_path, read_takes, write_view
+    from motionkit.viz.view import PAGE_SUFFIX, Interval, constraint_drawing, page_path, read_panels, write_view
 
     interval = Interval(from_seconds, to_seconds)
     film, read_as = _film_suffix(format, out, speed)
@@ -90,13 +90,13 @@ def view(
         raise MotionkitError(f"{page} exists: --overwrite replaces it, --out writes elsewhere")
     drawn = constraint_drawing(path, pose or (), pose_placed)
     with progress() as show, task(show, "read", len(sources)) as work:
-        takes, failed = read_takes(sources, interval, work.advance, drawn)
+        panels, failed = read_panels(sources, interval, work.advance, drawn)
     failures = [*((str(problem.path), str(problem)) for problem in problems), *failed]
     for name, message in failures:
         stderr.print(f"motionkit: {message if name in message else f'{name}: {message}'}")
     viewed = None
-    if takes:
-        viewed = _write_film(page, takes, speed or 1.0) if film else write_view(page, takes, interval)
+    if panels:
+        viewed = _write_film(page, panels, speed or 1.0) if film else write_view(page, panels, interval)
     if as_json:
         plain = {"page": None, "bytes": 0, "motions": []} if viewed is None else viewed.plain()
         print_json({**plain, "failed": [{"clip": name, "message": message} for name, message in failures]})
@@ -121,14 +121,14 @@ def _film_suffix(format: str, out: Path | None, speed: float | None) -> tuple[st
     return film, "auto" if format in FILMS else format
 
 
-def _write_film(path: Path, takes: "list[Take]", speed: float) -> "Viewed":
+def _write_film(path: Path, panels: "list[Panel]", speed: float) -> "Viewed":
     from motionkit.viz.film import num_pictures, write_film
     from motionkit.viz.view import Viewed
 
     exact = Fraction(speed).limit_denominator(1000)
-    with progress() as show, task(show, "draw", num_pictures(takes, exact, path.suffix.lower())) as work:
-        write_film(path, takes, exact, work.advance)
-    return Viewed(path, path.stat().st_size, tuple(takes))
+    with progress() as show, task(show, "draw", num_pictures(panels, exact, path.suffix.lower())) as work:
+        write_film(path, panels, exact, work.advance)
+    return Viewed(path, path.stat().st_size, tuple(panels))
 
 
 def _open(path: Path) -> None:

@@ -28,7 +28,7 @@ from motionkit.io.reading import read_document
 from motionkit.io.registry import FileHead, ReadOptions, SourceItem, writer_of
 from motionkit.io.scan import derived_folder
 from motionkit.store import Store
-from motionkit.viz.player.takes import Take, take_of
+from motionkit.viz.player import Panel, panel_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,10 +65,10 @@ class LoadedMotion:
             return self.document.poses
         return Poses.of(self.motion)
 
-    def take(self, name: str) -> Take:
+    def panel(self, name: str) -> Panel:
         """The motion as it is drawn, its invalid frames marked."""
         return replace(
-            take_of(self.motion, name),
+            panel_of(self.motion, name),
             uneven_seconds=self.uneven_seconds,
             start_seconds=float(self.seconds[0]),
             seen=None if self.valid.all() else self.valid,

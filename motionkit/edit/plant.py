@@ -131,7 +131,7 @@ def plant_file(source: MotionSource, path_of_body: BodyPath, with_page: bool, pa
         if page is not None:
             version = Version("planted", edited.motion, edited.is_given)
             note = "Dark are frames that stayed, orange are those that moved."
-            write_comparison(page, source.name, loaded.take("before"), [version], others="moved", note=note)
+            write_comparison(page, source.name, loaded.panel("before"), [version], others="moved", note=note)
     details = {
         "fps": format_fps(loaded.motion.fps),
         "num_frames": loaded.motion.num_frames,

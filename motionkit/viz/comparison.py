@@ -9,8 +9,7 @@ import numpy as np
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Bool
 from motionkit.core.timegrid import num_frames_within
-from motionkit.viz.player.page import write_page
-from motionkit.viz.player.takes import Take, packed_bytes, take_of
+from motionkit.viz.player import Panel, packed_bytes, panel_of, write_page
 
 # What is looked at; and a page of some megabytes opens at once, whatever the framerate.
 PAGE_SECONDS, PAGE_BYTES = 60.0, 24_000_000
@@ -26,7 +25,7 @@ class Version:
 
 
 def write_comparison(
-    path: Path, title: str, source: Take, versions: Sequence[Version], *, others: str, note: str
+    path: Path, title: str, source: Panel, versions: Sequence[Version], *, others: str, note: str
 ) -> None:
     """Write a page of a motion and its versions, atomically, each at its own framerate; of long ones the beginning.
 
@@ -38,10 +37,10 @@ def write_comparison(
     shown_seconds = float(num_shown / first.fps)
     until = first.timegrid.start_seconds + shown_seconds
     of_source = max(1, int(np.searchsorted(source.frame_seconds(), until - 1e-6)))
-    takes = [replace(source.frames(0, of_source), colours="plain")]
+    panels = [replace(source.frames(0, of_source), colours="plain")]
     for version in versions:
-        made = replace(take_of(version.motion, version.name), seen=version.given, unseen=others, colours="given")
-        takes.append(made.frames(0, num_shown))
+        made = replace(panel_of(version.motion, version.name), seen=version.given, unseen=others, colours="given")
+        panels.append(made.frames(0, num_shown))
     if num_shown < first.num_frames:
         note = f"Shown: the first {shown_seconds:.4g} of {first.duration_seconds:.1f} seconds. {note}"
-    write_page(path, title, takes, note=note, one_camera=True)
+    write_page(path, title, panels, note=note, one_camera=True)

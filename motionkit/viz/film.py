@@ -22,7 +22,7 @@ from motionkit.core.errors import MissingExtraError, MotionkitError
 from motionkit.core.files import whole_file
 from motionkit.core.framerate import format_fps
 from motionkit.core.shapes import Float64
-from motionkit.viz.player.takes import Take, drawing_of
+from motionkit.viz.player import Panel, drawing_of
 
 PANEL_PIXELS, DPI = 480, 100
 STRIP_POSES, STRIP_PIXELS = 8, 240
@@ -41,18 +41,18 @@ MOST_PICTURES = 20_000
 MP4_OPTIONS = ["-pix_fmt", "yuv420p", "-crf", "18", "-threads", "1", "-fflags", "+bitexact"]
 
 
-def film_fps(takes: Sequence[Take], speed: Fraction, suffix: str) -> Fraction:
+def film_fps(panels: Sequence[Panel], speed: Fraction, suffix: str) -> Fraction:
     """Pictures per second: one for every native frame of the fastest motion, at `speed`; at most 50 for a gif."""
-    fps = max(take.fps for take in takes) * speed
+    fps = max(panel.fps for panel in panels) * speed
     return min(fps, GIF_FPS) if suffix == ".gif" else fps
 
 
-def num_pictures(takes: Sequence[Take], speed: Fraction, suffix: str) -> int:
+def num_pictures(panels: Sequence[Panel], speed: Fraction, suffix: str) -> int:
     """How many pictures a file has; strips and recordings are one. Raises `MotionkitError` for too many."""
     if suffix in (".png", ".rrd"):
         return 1
-    longest = max(take.duration_seconds for take in takes)
-    fps = float(film_fps(takes, speed, suffix))
+    longest = max(panel.duration_seconds for panel in panels)
+    fps = float(film_fps(panels, speed, suffix))
     count = max(1, int(np.ceil(longest / float(speed) * fps - 1e-6)))
     if count > MOST_PICTURES:
         enough = int(MOST_PICTURES * float(speed) / fps)
@@ -63,7 +63,7 @@ def num_pictures(takes: Sequence[Take], speed: Fraction, suffix: str) -> int:
 
 
 def write_film(
-    path: Path, takes: Sequence[Take], speed: Fraction = Fraction(1), on_picture: Callable[[], None] = lambda: None
+    path: Path, panels: Sequence[Panel], speed: Fraction = Fraction(1), on_picture: Callable[[], None] = lambda: None
 ) -> None:
     """Write motions side by side: .mp4 and .gif played at `speed`, .png a strip of poses, .rrd for Rerun's viewer.
 
@@ -71,15 +71,15 @@ def write_film(
     for an mp4 without the extra `video`, an rrd without `rerun`.
     """
     suffix = path.suffix.lower()
-    count, fps = num_pictures(takes, speed, suffix), film_fps(takes, speed, suffix)
+    count, fps = num_pictures(panels, speed, suffix), film_fps(panels, speed, suffix)
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as temporary:
         if suffix in (".png", ".rrd"):
-            (_write_strip if suffix == ".png" else _write_recording)(temporary, takes)
+            (_write_strip if suffix == ".png" else _write_recording)(temporary, panels)
             on_picture()
             return
-        figure = Figure(figsize=(len(takes) * PANEL_PIXELS / DPI, PANEL_PIXELS / DPI), dpi=DPI)
-        scenes = [_Scene(figure, take, (1, len(takes)), place) for place, take in enumerate(takes)]
+        figure = Figure(figsize=(len(panels) * PANEL_PIXELS / DPI, PANEL_PIXELS / DPI), dpi=DPI)
+        scenes = [_Scene(figure, panel, (1, len(panels)), place) for place, panel in enumerate(panels)]
 
         def each_picture() -> Iterator[None]:
             for instant in np.arange(count) * float(speed / fps):
@@ -94,14 +94,14 @@ def write_film(
 class _Scene:
     """The axes of one motion, seen by a camera that follows the body and keeps every pose inside."""
 
-    def __init__(self, figure: Figure, take: Take, grid: tuple[int, int], place: int, titled: bool = True) -> None:
-        drawing = drawing_of(take.skeleton, take.joint_positions)
+    def __init__(self, figure: Figure, panel: Panel, grid: tuple[int, int], place: int, titled: bool = True) -> None:
+        drawing = drawing_of(panel.skeleton, panel.joint_positions)
         yaw, level, above = drawing.yaw + ASIDE_RADIANS, np.cos(ABOVE_RADIANS), np.sin(ABOVE_RADIANS)
         right = np.array([np.cos(yaw), 0.0, -np.sin(yaw)])
         towards = np.array([np.sin(yaw) * level, above, np.cos(yaw) * level])
-        self._take, self._seconds = take, take.frame_seconds()
+        self._panel, self._seconds = panel, panel.frame_seconds()
         self._camera = np.stack((right, np.cross(towards, right)))
-        poses = take.joint_positions[:: max(1, take.num_frames // MOST_POSES)].astype(np.float64)
+        poses = panel.joint_positions[:: max(1, panel.num_frames // MOST_POSES)].astype(np.float64)
         poses = poses[np.isfinite(poses).all(axis=(1, 2))]
         lowest, highest = (float(poses[..., 1].min()), float(poses[..., 1].max())) if len(poses) else (0.0, 1.0)
         self._floor = 0.0 if abs(lowest) < (highest - lowest) / 7 else lowest
@@ -121,18 +121,18 @@ class _Scene:
             axes.add_collection(lines)
         self._clock = axes.text(0.03, 0.03, "", transform=axes.transAxes, fontsize=9, color="#666666")
         if titled:
-            title = f"{take.name}, {format_fps(take.fps)} fps"
+            title = f"{panel.name}, {format_fps(panel.fps)} fps"
             axes.text(0.03, 0.95, title, transform=axes.transAxes, fontsize=9, parse_math=False)
 
     def draw(self, instant: float) -> None:
         """Show the most recent frame at an instant in seconds after the motion's beginning."""
         seconds = self._seconds[0] + instant + 1e-6
         frame = max(0, int(np.searchsorted(self._seconds, seconds, side="right")) - 1)
-        pose = np.nan_to_num(self._take.joint_positions[frame]).astype(np.float64)
+        pose = np.nan_to_num(self._panel.joint_positions[frame]).astype(np.float64)
         centre = self._centre(pose)
         self._body.set_segments(list((pose - centre)[self._bones] @ self._camera.T))
         self._ground.set_segments(list((_ground_lines(centre, self._floor) - centre) @ self._camera.T))
-        self._clock.set_text(f"{self._seconds[frame]:.3f} s, frame {self._take.first_frame + frame}")
+        self._clock.set_text(f"{self._seconds[frame]:.3f} s, frame {self._panel.first_frame + frame}")
 
     def _centre(self, poses: Float64[np.ndarray, "*poses joints 3"]) -> Float64[np.ndarray, "*poses 3"]:
         """Where the camera looks: the mean of the joints, at one height."""
@@ -153,14 +153,16 @@ def _ground_lines(centre: Float64[np.ndarray, "3"], floor: float) -> Float64[np.
     return np.stack(lines)
 
 
-def _write_strip(path: Path, takes: Sequence[Take]) -> None:
+def _write_strip(path: Path, panels: Sequence[Panel]) -> None:
     """A row for each motion, with poses evenly spread over its duration."""
     size = STRIP_PIXELS / DPI
-    figure = Figure(figsize=(STRIP_POSES * size, len(takes) * size), dpi=DPI)
-    for row, take in enumerate(takes):
-        seconds = take.frame_seconds() - take.frame_seconds()[0]
-        for column, frame in enumerate(np.unique(np.linspace(0, take.num_frames - 1, STRIP_POSES).round().astype(int))):
-            scene = _Scene(figure, take, (len(takes), STRIP_POSES), row * STRIP_POSES + column, titled=column == 0)
+    figure = Figure(figsize=(STRIP_POSES * size, len(panels) * size), dpi=DPI)
+    for row, panel in enumerate(panels):
+        seconds = panel.frame_seconds() - panel.frame_seconds()[0]
+        for column, frame in enumerate(
+            np.unique(np.linspace(0, panel.num_frames - 1, STRIP_POSES).round().astype(int))
+        ):
+            scene = _Scene(figure, panel, (len(panels), STRIP_POSES), row * STRIP_POSES + column, titled=column == 0)
             scene.draw(float(seconds[frame]))
     figure.savefig(path, format="png", dpi=DPI)
 
@@ -198,35 +200,35 @@ def _write_mp4(path: Path, figure: Figure, pictures: Iterator[None], fps: Fracti
         raise MotionkitError(f"{path}: ffmpeg failed: {str(error.stderr).strip()}") from None
 
 
-def _write_recording(path: Path, takes: Sequence[Take]) -> None:
+def _write_recording(path: Path, panels: Sequence[Panel]) -> None:
     """A view for each motion: named joints and bones at their own seconds; frames with NaN are left out."""
     try:
         import rerun
         from rerun.blueprint import Horizontal, Spatial3DView
     except ImportError:
         raise MissingExtraError("rerun-sdk", "rerun") from None
-    places = [rerun.new_entity_path([take.name]) for take in takes]
-    views = [Spatial3DView(origin=place, name=take.name) for place, take in zip(places, takes, strict=True)]
+    places = [rerun.new_entity_path([panel.name]) for panel in panels]
+    views = [Spatial3DView(origin=place, name=panel.name) for place, panel in zip(places, panels, strict=True)]
     recording = rerun.RecordingStream("motionkit")
     recording.save(path, default_blueprint=Horizontal(*views))
-    for place, take in zip(places, takes, strict=True):
-        drawing, names = drawing_of(take.skeleton, take.joint_positions), take.skeleton.joint_names
+    for place, panel in zip(places, panels, strict=True):
+        drawing, names = drawing_of(panel.skeleton, panel.joint_positions), panel.skeleton.joint_names
         joints = [
             rerun.AnnotationInfo(number, name, tuple(bytes.fromhex(COLOURS[side][1:])) if side else LIGHT)
             for number, (name, side) in enumerate(zip(names, drawing.sides, strict=True))
         ]
         bones = [(joint, parent) for joint, parent in enumerate(drawing.bones) if parent >= 0]
         body = rerun.ClassDescription(
-            info=rerun.AnnotationInfo(0, take.name, LIGHT), keypoint_annotations=joints, keypoint_connections=bones
+            info=rerun.AnnotationInfo(0, panel.name, LIGHT), keypoint_annotations=joints, keypoint_connections=bones
         )
         look = rerun.Points3D.from_fields(
             class_ids=[0], keypoint_ids=range(len(names)), radii=[0.012], show_labels=False
         )
         for each in (rerun.ViewCoordinates.RIGHT_HAND_Y_UP, rerun.AnnotationContext([body]), look):
             rerun.log(place, each, static=True, recording=recording)
-        whole = np.isfinite(take.joint_positions).all(axis=(1, 2))
-        seconds = np.round(take.frame_seconds()[whole] * 1e9).astype("timedelta64[ns]")
-        poses = rerun.Points3D.columns(positions=take.joint_positions[whole].reshape(-1, 3))
+        whole = np.isfinite(panel.joint_positions).all(axis=(1, 2))
+        seconds = np.round(panel.frame_seconds()[whole] * 1e9).astype("timedelta64[ns]")
+        poses = rerun.Points3D.columns(positions=panel.joint_positions[whole].reshape(-1, 3))
         clock, sizes = rerun.TimeColumn("time", duration=seconds), np.full(int(whole.sum()), len(names))
         rerun.send_columns(place, [clock], poses.partition(sizes), recording=recording)
     recording.disconnect()

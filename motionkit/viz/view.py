@@ -24,8 +24,7 @@ from motionkit.generate.constraints import Constraint
 from motionkit.io.files import existing_path
 from motionkit.io.registry import ReadOptions
 from motionkit.viz import MOST_MOTIONS
-from motionkit.viz.player.page import check_places, page_of, write_page
-from motionkit.viz.player.takes import Line, Take, packed_bytes, take_of
+from motionkit.viz.player import Line, Panel, check_places, packed_bytes, page_of, panel_of, write_page
 
 PAGE_SUFFIX = ".view.html"
 # Names combined from many files may exceed the system's limit, which is in bytes.
@@ -58,13 +57,13 @@ def view(*motions: Motion | str | Path, path: str | Path | None = None, open: bo
         problems += map(str, failed)
     if len(sources) > MOST_MOTIONS or not motions:
         raise UsageError(f"a page shows 1 to {MOST_MOTIONS} motions, not {len(sources):,}")
-    takes, failures = read_takes(sources, Interval(), lambda: None)
+    panels, failures = read_panels(sources, Interval(), lambda: None)
     problems += [message if name in message else f"{name}: {message}" for name, message in failures]
-    if not takes:
+    if not panels:
         raise MotionkitError("; ".join(problems))
     for problem in problems:
         warn(problem)
-    written = write_view(page_path(None if path is None else Path(path), sources), takes, Interval()).path
+    written = write_view(page_path(None if path is None else Path(path), sources), panels, Interval()).path
     if open:
         webbrowser.open(written.absolute().as_uri())
     return written
@@ -79,16 +78,16 @@ def notebook_view(motion: Motion) -> str:
     '<iframe'
     """
     num_frames = max(1, min(motion.num_frames, MOST_NOTEBOOK_BYTES // packed_bytes(1, motion.skeleton.num_joints)))
-    take = take_of(motion, motion.sequence_id or "motion").frames(0, num_frames)
-    note = f"Shown: the first {take.duration_seconds:.4g} of {motion.duration_seconds:.4g} s."
+    panel = panel_of(motion, motion.sequence_id or "motion").frames(0, num_frames)
+    note = f"Shown: the first {panel.duration_seconds:.4g} of {motion.duration_seconds:.4g} s."
     try:
-        page = page_of(take.name, [take], note=note if num_frames < motion.num_frames else "")
+        page = page_of(panel.name, [panel], note=note if num_frames < motion.num_frames else "")
     except MotionkitError as error:
         return f"<pre>{html.escape(f'{motion!r}: {error}')}</pre>"
     # Scripts run in an origin of their own, from which they reach nothing of the notebook.
     inside = page.replace("&", "&amp;").replace('"', "&quot;")
     return (
-        f'<iframe title="{html.escape(take.name)}" srcdoc="{inside}" sandbox="allow-scripts" '
+        f'<iframe title="{html.escape(panel.name)}" srcdoc="{inside}" sandbox="allow-scripts" '
         f'style="width: 100%; height: {NOTEBOOK_HEIGHT}px; border: 0"></iframe>'
     )
 
@@ -110,11 +109,11 @@ class Interval:
         if begin is not None and end is not None and begin >= end:
             raise UsageError(f"--from {begin:g} --to {end:g} holds nothing: it ends before it begins")
 
-    def of(self, take: Take) -> Take:
+    def of(self, panel: Panel) -> Panel:
         """The frames inside; raises `MotionkitError` if there are none."""
         begin = -np.inf if self.from_seconds is None else self.from_seconds
         end = np.inf if self.to_seconds is None else self.to_seconds
-        seconds = take.frame_seconds()
+        seconds = panel.frame_seconds()
         first, stop = np.searchsorted(seconds, (begin - 1e-6, end - 1e-6)).tolist()
         if first >= stop:
             described = ["its beginning" if self.from_seconds is None else f"{begin:g} s"]
@@ -123,7 +122,7 @@ class Interval:
                 f"it has no frame from {' to '.join(described)}: its frames are at {seconds[0]:g} to "
                 f"{seconds[-1]:.6g} s"
             )
-        return take.frames(first, stop)
+        return panel.frames(first, stop)
 
     def __str__(self) -> str:
         parts = [
@@ -135,11 +134,11 @@ class Interval:
 
 @dataclass(frozen=True)
 class Viewed:
-    """A written page or film: its file, its size in bytes, its takes."""
+    """A written page or film: its file, its size in bytes, its panels."""
 
     path: Path
     num_bytes: int
-    takes: tuple[Take, ...]
+    panels: tuple[Panel, ...]
 
     def plain(self) -> dict[str, Any]:
         """As JSON."""
@@ -148,43 +147,43 @@ class Viewed:
             "bytes": self.num_bytes,
             "motions": [
                 {
-                    "name": take.name,
-                    "fps": format_fps(take.fps),
-                    "first_frame": take.first_frame,
-                    "num_frames": take.num_frames,
-                    "start_seconds": take.start_seconds,
-                    "duration_seconds": take.duration_seconds,
-                    "num_joints": take.skeleton.num_joints,
+                    "name": panel.name,
+                    "fps": format_fps(panel.fps),
+                    "first_frame": panel.first_frame,
+                    "num_frames": panel.num_frames,
+                    "start_seconds": panel.start_seconds,
+                    "duration_seconds": panel.duration_seconds,
+                    "num_joints": panel.skeleton.num_joints,
                 }
-                for take in self.takes
+                for panel in self.panels
             ],
         }
 
 
-def read_takes(
+def read_panels(
     sources: Sequence[MotionSource],
     interval: Interval,
     advance: Callable[[], None],
-    drawn: Callable[[Take], Take] = lambda take: take,
-) -> tuple[list[Take], list[tuple[str, str]]]:
-    """The takes of sources, and name and message of each that cannot be shown.
+    drawn: Callable[[Panel], Panel] = lambda panel: panel,
+) -> tuple[list[Panel], list[tuple[str, str]]]:
+    """The panels of sources, and name and message of each that cannot be shown.
 
-    `drawn` may add drawings to a whole take.
+    `drawn` may add drawings to a whole panel.
     """
-    takes: list[Take] = []
+    panels: list[Panel] = []
     failures: list[tuple[str, str]] = []
     # File names without folders, if these are unique.
     are_unique = len({source.short_name for source in sources}) == len(sources)
     for source in sources:
         try:
-            take = interval.of(drawn(source.load().take(source.short_name if are_unique else source.name)))
-            check_places(take)
+            panel = interval.of(drawn(source.load().panel(source.short_name if are_unique else source.name)))
+            check_places(panel)
         except (MotionkitError, OSError) as error:
             failures.append((source.name, describe(error)))
         else:
-            takes.append(take)
+            panels.append(panel)
         advance()
-    return takes, failures
+    return panels, failures
 
 
 def page_path(out: Path | None, sources: Sequence[MotionSource], suffix: str = PAGE_SUFFIX) -> Path:
@@ -198,44 +197,44 @@ def page_path(out: Path | None, sources: Sequence[MotionSource], suffix: str = P
     return out / name if out.is_dir() else out
 
 
-def write_view(path: Path, takes: Sequence[Take], interval: Interval) -> Viewed:
-    """Write the page of takes; raises `MotionkitError`."""
+def write_view(path: Path, panels: Sequence[Panel], interval: Interval) -> Viewed:
+    """Write the page of panels; raises `MotionkitError`."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    title = takes[0].name if len(takes) == 1 else f"{len(takes)} motions"
-    return Viewed(path, write_page(path, title, takes, note=str(interval)), tuple(takes))
+    title = panels[0].name if len(panels) == 1 else f"{len(panels)} motions"
+    return Viewed(path, write_page(path, title, panels, note=str(interval)), tuple(panels))
 
 
-def constraint_drawing(path: Path | None, poses: Sequence[str], placed: bool) -> Callable[[Take], Take]:
+def constraint_drawing(path: Path | None, poses: Sequence[str], placed: bool) -> Callable[[Panel], Panel]:
     """`with_constraints` for options of `motionkit generate`: a path's file, and poses; raises what reading raises."""
     table, parsed = None if path is None else read_path(path), [parse_pose(each, placed=placed) for each in poses]
-    return lambda take: with_constraints(take, table, parsed)
+    return lambda panel: with_constraints(panel, table, parsed)
 
 
-def with_constraints(take: Take, path: PathTable | None, poses: Sequence[Constraint]) -> Take:
-    """Add lines to a take: the path, on the floor, and the bones of poses.
+def with_constraints(panel: Panel, path: PathTable | None, poses: Sequence[Constraint]) -> Panel:
+    """Add lines to a panel: the path, on the floor, and the bones of poses.
 
     A pose without a position is drawn where the motion is at its time. Raises `UsageError` for a path point beyond the
     motion's end, and for such a pose if the motion does not have the 22 joints.
     """
     lines: list[Line] = []
     if path is not None:
-        lines.append(path.constraint(take.duration_seconds).positions[:, 0])
+        lines.append(path.constraint(panel.duration_seconds).positions[:, 0])
     for pose in poses:
-        placed = _placed(take, pose)
+        placed = _placed(panel, pose)
         bones = [placed[[parent, joint]] for joint, parent in enumerate(SMPL22.parents) if parent >= 0]
         lines += [bone for bone in bones if np.isfinite(bone).all()]
-    return replace(take, lines=tuple(lines))
+    return replace(panel, lines=tuple(lines))
 
 
-def _placed(take: Take, pose: Constraint) -> Float64[np.ndarray, "22 3"]:
-    """All 22 joints of a pose in the take's world; unconstrained ones are NaN."""
+def _placed(panel: Panel, pose: Constraint) -> Float64[np.ndarray, "22 3"]:
+    """All 22 joints of a pose in the panel's world; unconstrained ones are NaN."""
     joints = np.full((SMPL22.num_joints, 3), np.nan)
     joints[pose.joint_indices] = pose.positions[0]
     if pose.frame == "world":
         return joints
-    if take.skeleton.joint_names != SMPL22.joint_names:
-        raise UsageError(f"{take.name}: a pose is shown with motions of the 22 joints of {SMPL22.name}")
-    frame = int(np.abs(take.frame_seconds() - pose.seconds[0]).argmin())
-    here = take.joint_positions[[frame]].astype(np.float64)
+    if panel.skeleton.joint_names != SMPL22.joint_names:
+        raise UsageError(f"{panel.name}: a pose is shown with motions of the 22 joints of {SMPL22.name}")
+    frame = int(np.abs(panel.frame_seconds() - pose.seconds[0]).argmin())
+    here = panel.joint_positions[[frame]].astype(np.float64)
     yaw, place = heading(here, SMPL22_LAYOUT.facing), here[:, 0, [0, 2]]
     return np.asarray(to_world(joints[None, None], yaw, place)[0, 0], np.float64)

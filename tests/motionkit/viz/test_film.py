@@ -12,14 +12,14 @@ from motionkit.core.errors import MotionkitError
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import rest_positions
 from motionkit.viz import film
-from motionkit.viz.player.takes import Take
+from motionkit.viz.player import Panel
 
 
-def take(num_frames: int, fps: Fraction, name: str = "still $x$") -> Take:
+def take(num_frames: int, fps: Fraction, name: str = "still $x$") -> Panel:
     """A body that rises by 0.6 m; a name that is no formula."""
     places = np.repeat(rest_positions(SMPL22)[None] + np.array([0, 0.9, 0], np.float32), num_frames, axis=0)
     places[..., 1] += np.linspace(0, 0.6, num_frames)[:, None]
-    return Take(name, places.astype(np.float32), SMPL22, fps)
+    return Panel(name, places.astype(np.float32), SMPL22, fps)
 
 
 @pytest.mark.parametrize(
@@ -76,7 +76,7 @@ def test_a_strip_has_a_row_for_each_take(tmp_path: Path) -> None:
 
 def test_a_body_that_lies_is_whole_in_the_picture(tmp_path: Path) -> None:
     standing = take(1, Fraction(30))
-    lying = Take("lies", standing.joint_positions[..., [1, 0, 2]], SMPL22, standing.fps)
+    lying = Panel("lies", standing.joint_positions[..., [1, 0, 2]], SMPL22, standing.fps)
     film.write_film(tmp_path / "a.png", [lying])
     with Image.open(tmp_path / "a.png") as made:
         drawn = np.array(made, np.int64)
@@ -98,8 +98,8 @@ def test_every_native_frame_of_a_recording_is_at_its_second(tmp_path: Path) -> N
     lost = places.copy()
     lost[3] = np.nan
     takes = [
-        Take("a/b c.bvh", lost, SMPL22, Fraction(120), 1.5),
-        Take("run.bvh", places, SMPL22, Fraction(30000, 1001)),
+        Panel("a/b c.bvh", lost, SMPL22, Fraction(120), 1.5),
+        Panel("run.bvh", places, SMPL22, Fraction(30000, 1001)),
     ]
     film.write_film(tmp_path / "made.rrd", takes)
     found = [chunk.to_record_batch().to_pydict() for chunk in reader(tmp_path / "made.rrd").stream().to_chunks()]

@@ -18,8 +18,7 @@ from motionkit.io.reading import read, read_rules
 from motionkit.io.registry import IndexOptions, ReadOptions, readers
 from motionkit.io.scan import scan
 from motionkit.io.smpl_body import LAYOUTS
-from motionkit.viz.player.page import check_places
-from motionkit.viz.player.takes import take_of
+from motionkit.viz.player import check_places, panel_of
 from tests.helpers.amass_samples import smplh_fields, stageii_fields, write_amass
 from tests.helpers.every_format import SOURCES, bodies, write_arrays, write_text
 from tests.helpers.format_samples import bvh_text, write_asfamc
@@ -77,7 +76,7 @@ def view_folder(folder: Path) -> None:
     for source in sources:
         loaded = source.load()
         if loaded.valid.all():
-            check_places(take_of(loaded.motion, source.short_name))
+            check_places(panel_of(loaded.motion, source.short_name))
     if problems:
         raise problems[0]
 

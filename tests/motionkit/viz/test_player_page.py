@@ -16,15 +16,14 @@ from motionkit.core.errors import MotionkitError
 from motionkit.core.motion import Caption
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import rest_positions
-from motionkit.viz.player.page import write_page
-from motionkit.viz.player.takes import Take
+from motionkit.viz.player import Panel, write_page
 from tests.helpers.packed import unpack
 
 
-def standing(name: str, num_frames: int, fps: int, **more: Any) -> Take:
+def standing(name: str, num_frames: int, fps: int, **more: Any) -> Panel:
     """A body that moves a centimetre a frame."""
     path = np.arange(num_frames, dtype=np.float32)[:, None, None] * np.float32([0.01, 0, 0])
-    return Take(name, rest_positions(SMPL22)[None] + path, SMPL22, Fraction(fps), **more)
+    return Panel(name, rest_positions(SMPL22)[None] + path, SMPL22, Fraction(fps), **more)
 
 
 def page_data(path: Path) -> Any:
@@ -65,14 +64,14 @@ def test_frames_of_a_take_keep_their_numbers_and_times() -> None:
 
 
 def test_too_much_is_refused_with_a_stretch_that_fits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("motionkit.viz.player.page.MOST_PAGE_BYTES", 100_000)
+    monkeypatch.setattr("motionkit.viz.player.MOST_PAGE_BYTES", 100_000)
     take = standing("long", 6000, 60)
     with pytest.raises(MotionkitError, match=r"100 s of the longest.*--from 0 --to \d+") as states:
         write_page(tmp_path / "page.html", "long", [take])
     seconds = int(re.findall(r"--to (\d+)", str(states.value))[0])
     write_page(tmp_path / "page.html", "long", [take.frames(0, 60 * seconds)])
     (shown,) = page_data(tmp_path / "page.html")["takes"]
-    assert len(shown["positions"]["narrowNumbers"]) > 50_000
+    assert len(shown["positions"]["steps"]) > 50_000
 
 
 def test_a_body_that_is_nowhere_is_reported_by_name(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from motionkit.core.kinematics import quaternion_rotate
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import rest_positions
 from motionkit.fields.motion_field import to_motion
-from motionkit.viz.player.takes import drawing_of
+from motionkit.viz.player import drawing_of
 from tests.helpers.analytic import analytic_motion
 
 

@@ -1,1 +1,0 @@
-"""The page of moving skeletons: one HTML file that opens from disk, for `motionkit view` and `complete --compare`."""
