@@ -1,14 +1,15 @@
-"""AMC motions over ASF skeletons, as the CMU motion capture database publishes them.
+"""AMC motions over ASF skeletons (Acclaim), as the CMU motion capture database publishes them.
 
-A bone's local rotation is L = C·R(dof)·C⁻¹, its global one parent·L, its end start + global·(direction·length). Joints
-are at the starts of bones (`asf.AsfSkeleton`), so L is the joint's local rotation. AMC does not state a framerate.
-Source: http://mocap.cs.cmu.edu, and the page named in `asf`.
+An ASF file has bones with a rest direction, a length, an axis frame C and degrees of freedom; an AMC file has their
+angles. A bone's local rotation is L = C·R(dof)·C⁻¹, its global one parent·L, its end start + global·(direction·length).
+Joints are at the starts of bones (`AsfSkeleton`), so L is the joint's local rotation. AMC does not state a framerate.
+Sources: http://research.cs.wisc.edu/graphics/Courses/cs-838-1999/Jeff/ASF-AMC.html, http://mocap.cs.cmu.edu.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import accumulate
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -17,18 +18,45 @@ from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32, Float64
+from motionkit.core.skeleton import MAX_JOINTS, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import source_file
-from motionkit.io.asf import ROTATIONS, AsfSkeleton, read_asf
-from motionkit.io.number_table import (
-    INLINE_BYTES,
-    Words,
-    blocks,
-    find_words,
-    parse_number,
-    to_numbers,
-)
+from motionkit.io.number_table import INLINE_BYTES, Words, blocks, find_words, parse_number, to_numbers
 from motionkit.io.registry import Format, ReadOptions, of_path
+
+ROTATIONS = {"rx": "X", "ry": "Y", "rz": "Z"}
+ROOT_CHANNELS = ("tx", "ty", "tz", "rx", "ry", "rz")
+INCH = 0.0254
+LONGEST_MESSAGE = 400
+
+# A line's number and its words.
+Line = tuple[int, list[str]]
+Vector = Float64[np.ndarray, "3"]
+
+
+@dataclass(frozen=True)
+class AsfBone:
+    """One bone, or the root (its `dof` is the channel order): its end relative to its start in file units, and C."""
+
+    name: str
+    end: Vector
+    axis_frame: Float64[np.ndarray, "4"]
+    dof: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class AsfSkeleton:
+    """The root and all bones, parents first; `degrees`: angles are in degrees. The root position is in file units.
+
+    `skeleton` has a joint at the start of every bone, with the bone's name: lfemur is the hip. Its offsets are in
+    metres, and a leaf bone's end is an End Site.
+    """
+
+    bones: tuple[AsfBone, ...]
+    skeleton: Skeleton
+    unit_metres: float
+    degrees: bool
+    root_position: Vector
 
 
 @dataclass(frozen=True)
@@ -76,20 +104,203 @@ def read_asfamc(path: Path, options: ReadOptions | None = None, skeleton_path: P
 
 def find_skeleton(path: Path) -> Path:
     """The ASF file of an AMC file; raises `FormatError` (`no-skeleton`, `two-skeletons`)."""
-    found = sorted(entry for entry in path.parent.iterdir() if entry.suffix.lower() == ".asf")
-    subjects = {path.stem.lower(), path.stem.rsplit("_", 1)[0].lower()}
-    named = [entry for entry in found if entry.stem.lower() in subjects]
-    if len(named) == 1:
-        return named[0]
-    if len(found) == 1:
-        return found[0]
-    if not found:
+    skeletons = sorted(entry for entry in path.parent.iterdir() if entry.suffix.lower() == ".asf")
+    subject = path.stem.rsplit("_", 1)[0]
+    named = [entry for entry in skeletons if entry.stem.lower() in (path.stem.lower(), subject.lower())]
+    for candidates in (named, skeletons):
+        if len(candidates) == 1:
+            return candidates[0]
+    if not skeletons:
         raise FormatError("no ASF skeleton in its folder, expected one", path=path, reason="no-skeleton")
-    raise FormatError(
-        f"its folder holds {len(found)} skeletons ({', '.join(entry.name for entry in found)}), expected one "
-        f"or {path.stem.rsplit('_', 1)[0]}.asf",
-        path=path,
-        reason="two-skeletons",
+    names = ", ".join(entry.name for entry in skeletons)
+    message = f"its folder holds {len(skeletons)} skeletons ({names}), expected one or {subject}.asf"
+    raise FormatError(message, path=path, reason="two-skeletons")
+
+
+def read_asf(path: Path, unit_metres: float | None = None) -> AsfSkeleton:
+    """Read a skeleton; metres per unit are 0.0254 / length unit unless given.
+
+    Raises `FormatError` (`asf`, `not-what-it-says`, …) naming the line.
+    """
+    return _parsed_asf(source_file.read_bytes(path), path, unit_metres)
+
+
+@lru_cache(maxsize=8)  # all takes of a subject share one file
+def _parsed_asf(data: bytes, path: Path, unit_metres: float | None) -> AsfSkeleton:
+    if not re.search(rb"(?m)^[ \t]*:(bonedata|root)\b", data):
+        raise FormatError(
+            f"looks like {source_file.describe_content(data)}, expected an ASF skeleton with :root and :bonedata",
+            path=path,
+            reason="not-what-it-says",
+        )
+    sections: dict[str, list[Line]] = {}
+    section: list[Line] = []
+    for number, line in enumerate(source_file.decode(data, path).splitlines(), start=1):
+        words = line.split("#", 1)[0].split()
+        if words and words[0].startswith(":"):
+            section = sections.setdefault(words[0][1:].lower(), [])
+        elif words:
+            section.append((number, words))
+    length_unit, degrees = _units(sections.get("units", []), path)
+    root, root_position = _root(sections.get("root", []), degrees, path)
+    bones = _bones(sections.get("bonedata", []), degrees, path)
+    parents = _parents(sections.get("hierarchy", []), bones, path)
+    ordered = _depth_first(parents)
+    lost = sorted(set(bones) - set(ordered))
+    if lost:
+        message = f"bones not connected to the root in :hierarchy: {', '.join(lost)}"
+        raise _fault(message[:LONGEST_MESSAGE], path)
+    metres = unit_metres or INCH / length_unit
+    every = (root, *(bones[name] for name in ordered[1:]))
+    skeleton = _skeleton(path.stem, every, parents, metres)
+    return AsfSkeleton(every, skeleton, metres, degrees, root_position)
+
+
+def _fault(message: str, path: Path, line: int | None = None) -> FormatError:
+    return FormatError(message, path=path, reason="asf", line=line)
+
+
+def _numbers(words: list[str], count: int, path: Path, line: int) -> list[float]:
+    if len(words) < count:
+        raise _fault(f"{len(words)} numbers, expected {count}", path, line)
+    return [parse_number(word, path, line) for word in words[:count]]
+
+
+def _units(lines: list[Line], path: Path) -> tuple[float, bool]:
+    """The length unit, and whether angles are degrees."""
+    length_unit, degrees = 1.0, True
+    for line, words in lines:
+        if words[0] == "length":
+            (length_unit,) = _numbers(words[1:], 1, path, line)
+            if not length_unit > 0:
+                raise _fault(f"length unit {length_unit}, expected a positive number", path, line)
+        elif words[0] == "angle":
+            if words[1:] not in (["deg"], ["rad"]):
+                raise _fault(f"angle {' '.join(words[1:])!r}, expected deg or rad", path, line)
+            degrees = words[1] == "deg"
+    return length_unit, degrees
+
+
+def _axis_order(words: list[str], path: Path, line: int) -> str:
+    order = "".join(words).upper() or "XYZ"
+    if sorted(order) != ["X", "Y", "Z"]:
+        raise _fault(f"axis order {order!r}, expected a permutation of XYZ", path, line)
+    return order
+
+
+def _axis_frame(angles: list[float], order: str, degrees: bool) -> Float64[np.ndarray, "4"]:
+    """C as a quaternion: the angles are about fixed axes, in the order listed."""
+    return kinematics.euler_to_quaternion(
+        np.array(angles) * (np.pi / 180.0 if degrees else 1.0), order, kind="extrinsic"
+    )
+
+
+def _root(lines: list[Line], degrees: bool, path: Path) -> tuple[AsfBone, Vector]:
+    """The root, and its rest position."""
+    dof, order, angles, position = ROOT_CHANNELS, "XYZ", [0.0, 0.0, 0.0], np.zeros(3)
+    for line, words in lines:
+        match words[0].lower():
+            case "order":
+                dof = tuple(word.lower() for word in words[1:])
+                if len(set(dof)) != len(dof) or not set(dof) <= set(ROOT_CHANNELS):
+                    message = f"root order {' '.join(dof)!r}, expected TX TY TZ RX RY RZ in some order"
+                    raise _fault(message, path, line)
+            case "axis":
+                order = _axis_order(words[1:], path, line)
+            case "position":
+                position = np.array(_numbers(words[1:], 3, path, line))
+            case "orientation":
+                angles = _numbers(words[1:], 3, path, line)
+    return AsfBone("root", np.zeros(3), _axis_frame(angles, order, degrees), dof), position
+
+
+def _bones(lines: list[Line], degrees: bool, path: Path) -> dict[str, AsfBone]:
+    """The bones of all begin … end blocks by name."""
+    bones: dict[str, AsfBone] = {}
+    block: dict[str, Line] | None = None
+    for line, words in lines:
+        keyword = words[0].lower()
+        if keyword == "begin":
+            block = {}
+        elif block is None:
+            raise _fault(f"{words[0]!r} outside begin … end", path, line)
+        elif keyword == "end":
+            bone = _bone(block, degrees, path)
+            if not bone.name or bone.name in bones or bone.name == "root":
+                raise _fault(f"bone name {bone.name!r} is missing or repeated", path, line)
+            if len(bones) >= MAX_JOINTS - 1:
+                raise _fault(f"more than {MAX_JOINTS:,} bones", path, line)
+            bones[bone.name], block = bone, None
+        else:
+            block[keyword] = line, words[1:]
+    if block is not None or not bones:
+        line = lines[-1][0] if lines else None
+        raise _fault("the bone data ends early, expected begin … end blocks", path, line)
+    return bones
+
+
+def _bone(block: Mapping[str, Line], degrees: bool, path: Path) -> AsfBone:
+    def numbers(keyword: str, count: int) -> list[float]:
+        if keyword not in block:
+            return [0.0] * count
+        line, words = block[keyword]
+        return _numbers(words, count, path, line)
+
+    line, dof = block.get("dof", (0, []))
+    unknown = [word.lower() for word in dof if word.lower() not in ROTATIONS]
+    if unknown:
+        raise _fault(f"degrees of freedom {', '.join(unknown)}, expected rx, ry, rz", path, line)
+    direction = np.array(numbers("direction", 3))
+    norm = float(np.linalg.norm(direction))
+    axis_line, axis = block.get("axis", (0, []))
+    return AsfBone(
+        name=" ".join(block.get("name", (0, []))[1]),
+        end=(direction / norm if norm > 0 else direction) * numbers("length", 1)[0],
+        axis_frame=_axis_frame(numbers("axis", 3), _axis_order(axis[3:], path, axis_line), degrees),
+        dof=tuple(word.lower() for word in dof),
+    )
+
+
+def _parents(lines: list[Line], bones: Mapping[str, AsfBone], path: Path) -> dict[str, str]:
+    """The parent of each bone, in the order of the bones: a line has a parent and its children."""
+    parents: dict[str, str] = {}
+    for line, (parent, *children) in lines:
+        if parent in ("begin", "end"):
+            continue
+        for child in children:
+            if child in parents or child not in bones:
+                raise _fault(f"bone {child!r} is unknown or has two parents", path, line)
+            parents[child] = parent
+    return {name: parents[name] for name in bones if name in parents}
+
+
+def _depth_first(parents: Mapping[str, str]) -> list[str]:
+    """The root and all bones below it, parents first."""
+    children: dict[str, list[str]] = {}
+    for name, parent in parents.items():
+        children.setdefault(parent, []).append(name)
+    ordered, stack = [], ["root"]
+    while stack:
+        name = stack.pop()
+        ordered.append(name)
+        stack += reversed(children.get(name, []))
+    return ordered
+
+
+def _skeleton(name: str, bones: tuple[AsfBone, ...], parents: Mapping[str, str], metres: float) -> Skeleton:
+    places = {bone.name: place for place, bone in enumerate(bones)}
+    indices = [places[parents[bone.name]] if bone.name in parents else -1 for bone in bones]
+    ends = np.stack([bone.end * metres for bone in bones])
+    offsets = np.stack([ends[parent] if parent >= 0 else np.zeros(3) for parent in indices])
+    with_child = set(indices)
+    leaves = [joint for joint in range(len(bones)) if joint not in with_child and ends[joint].any()]
+    tips = {joint: ends[joint].tolist() for joint in leaves}
+    return Skeleton(
+        name=name,
+        joint_names=tuple(places),
+        parents=tuple(indices),
+        offsets=offsets.astype(np.float32),
+        end_sites=tuple((joint, (x, y, z)) for joint, (x, y, z) in tips.items()),
     )
 
 
@@ -118,7 +329,7 @@ def parse_amc(data: bytes, path: Path) -> AmcTable:
     bones = tuple((name.decode("utf-8", "replace"), len(numbers)) for name, *numbers in words)
     values = _parse_regular(body, first)
     if values is None:
-        return _parse_slowly(data, bones, path)
+        return _parse_lines(data, bones, path)
     numbers = values[:, 0]
     return AmcTable(np.delete(values, 0, axis=1), bones, int(numbers[0]))
 
@@ -165,71 +376,43 @@ def _same_words(words: Words, expected: Words) -> bool:
     return bool(((letters == expected.inline().view(np.uint8).reshape(-1, INLINE_BYTES)) | ~counts).all())
 
 
-def _parse_slowly(data: bytes, bones: Sequence[tuple[str, int]], path: Path) -> AmcTable:
-    expected = dict(bones)
-    if len(expected) != len(bones):
+def _parse_lines(data: bytes, bones: tuple[tuple[str, int], ...], path: Path) -> AmcTable:
+    """The same line by line; raises `FormatError` at the first line that is not as in the first frame."""
+    if len(dict(bones)) != len(bones):
         raise FormatError("a bone is listed twice in the first frame", path=path, reason="bones")
-    columns = dict(zip(expected, accumulate(expected.values(), initial=0), strict=False))
-    frames: list[list[float]] = []
+    rows: list[list[float]] = []
     numbers: list[int] = []
-    seen: set[str] = set()
+    missing: list[tuple[str, int]] = []  # bones of the current frame that follow, the next one last
+
+    def fault(message: str, reason: str) -> FormatError:
+        return FormatError(message, path=path, reason=reason, line=line, frame=max(len(rows) - 1, 0))
+
     line = 0
     for line, text in enumerate(data.splitlines(), start=1):
         words = text.split()
         if not words or words[0][:1] in (b"#", b":"):
             continue
         if len(words) == 1 and words[0].isdigit():
-            _check_complete(seen, expected, frames, path, line)
+            if missing:
+                break
             number = int(words[0][:15])
+            rows.append([])
             if numbers and number != numbers[-1] + 1:
-                raise FormatError(
-                    f"frame number {number} after {numbers[-1]}, expected {numbers[-1] + 1}",
-                    path=path,
-                    reason="frame-number",
-                    line=line,
-                    frame=len(frames),
-                )
+                raise fault(f"frame number {number} after {numbers[-1]}, expected {numbers[-1] + 1}", "frame-number")
             numbers.append(number)
-            frames.append([0.0] * sum(expected.values()))
-            seen = set()
+            missing = list(reversed(bones))
             continue
-        frame = len(frames) - 1
         name = words[0].decode("utf-8", "replace")
-        if not frames or name not in expected or name in seen:
-            raise FormatError(
-                f"{name[:40]!r}, expected a frame number or a bone of the first frame, each once",
-                path=path,
-                reason="bones",
-                line=line,
-                frame=max(frame, 0),
-            )
-        if len(words) - 1 != expected[name]:
-            raise FormatError(
-                f"{len(words) - 1} numbers for {name}, expected {expected[name]}",
-                path=path,
-                reason="channel-count",
-                line=line,
-                frame=frame,
-            )
-        seen.add(name)
-        frames[-1][columns[name] : columns[name] + expected[name]] = [
-            parse_number(word, path, line, frame) for word in words[1:]
-        ]
-    _check_complete(seen, expected, frames, path, line)
-    return AmcTable(np.array(frames, dtype=np.float64).reshape(len(frames), -1), tuple(bones), numbers[0])
-
-
-def _check_complete(seen: set[str], expected: dict[str, int], frames: Sequence[object], path: Path, line: int) -> None:
-    if frames and len(seen) < len(expected):
-        missing = [name for name in expected if name not in seen]
-        raise FormatError(
-            f"the frame ends without {', '.join(missing[:4])}{' …' if len(missing) > 4 else ''}; "
-            f"expected {len(expected)} bones",
-            path=path,
-            reason="truncated",
-            line=line,
-            frame=len(frames) - 1,
-        )
+        if not missing or name != missing[-1][0]:
+            expected = missing[-1][0] if missing else "a frame number"
+            raise fault(f"{name[:40]!r}, expected {expected}, as in the first frame", "bones")
+        _, count = missing.pop()
+        if len(words) - 1 != count:
+            raise fault(f"{len(words) - 1} numbers for {name}, expected {count}", "channel-count")
+        rows[-1] += [parse_number(word, path, line, len(rows) - 1) for word in words[1:]]
+    if missing:
+        raise fault(f"the frame ends without {missing[-1][0]}; expected {len(bones)} bones", "truncated")
+    return AmcTable(np.array(rows, dtype=np.float64), bones, numbers[0])
 
 
 def _local_rotations(
@@ -240,7 +423,6 @@ def _local_rotations(
     rotations = np.zeros((num_frames, len(names), 4), np.float32)
     rotations[..., 0] = 1.0
     root = np.repeat(asf.root_position[None], num_frames, axis=0)
-    frames = asf.axis_frames
     column = 0
     for name, count in table.bones:
         if name not in names:
@@ -264,9 +446,8 @@ def _local_rotations(
             angles = values[:, turning] * (np.pi / 180.0 if asf.degrees else 1.0)
             order = "".join(ROTATIONS[bone.dof[place]] for place in turning)
             turn = kinematics.euler_to_quaternion(angles, order, kind="extrinsic")
-            frame = frames[joint]
-            back = kinematics.quaternion_conjugate(frame)
-            turn = kinematics.quaternion_multiply(kinematics.quaternion_multiply(frame, turn), back)
+            back = kinematics.quaternion_conjugate(bone.axis_frame)
+            turn = kinematics.quaternion_multiply(kinematics.quaternion_multiply(bone.axis_frame, turn), back)
             rotations[:, joint] = turn
     return rotations, (root * asf.unit_metres).astype(np.float32)
 

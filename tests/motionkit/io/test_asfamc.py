@@ -7,10 +7,10 @@ from scipy.spatial.transform import Rotation
 
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
-from motionkit.io.asfamc import parse_amc, read_asfamc
+from motionkit.io.asfamc import read_asfamc
 from motionkit.io.bvh import read_bvh
 from motionkit.io.registry import ReadOptions
-from tests.helpers.format_samples import amc_text, write_asfamc
+from tests.helpers.format_samples import write_asfamc
 
 AT_120 = ReadOptions(fps=Fraction(120))
 
@@ -62,11 +62,3 @@ def test_every_real_take_is_an_upright_metre_sized_body_and_its_rotations_are_tr
         assert motion.local_rotations is not None and motion.root_translation is not None
         again = kinematics.forward_kinematics(motion.local_rotations, motion.root_translation, motion.skeleton)
         assert np.abs(again - motion.joint_positions).max() < 1e-5
-
-
-def test_frames_in_another_order_are_read_by_the_exact_parser() -> None:
-    text = amc_text()
-    third = text.index("\n3\n") + 3
-    lines = text[third:].splitlines()
-    table = parse_amc((text[:third] + "\n".join(reversed(lines)) + "\n").encode(), Path("a.amc"))
-    assert np.array_equal(table.values, parse_amc(text.encode(), Path("a.amc")).values)

@@ -4,8 +4,7 @@ from pathlib import Path
 import pytest
 
 from motionkit.core.errors import FormatError
-from motionkit.io.asf import read_asf
-from motionkit.io.asfamc import parse_amc, read_asfamc
+from motionkit.io.asfamc import parse_amc, read_asf, read_asfamc
 from motionkit.io.registry import ReadOptions
 from tests.helpers.format_samples import ASF, amc_text, write_asfamc
 
