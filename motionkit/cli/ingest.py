@@ -1,17 +1,18 @@
 """`motionkit ingest`: read sources into a store."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from motionkit.cli.console import print_json, print_text, progress, say_next, stderr, stdout
-from motionkit.cli.options import Up, of_default, parse_rate, read_options
+from motionkit.cli.options import SkeletonMaps, Up, of_default, parse_rate, read_options
 from motionkit.core.errors import FormatError, MotionkitError, UsageError
 from motionkit.core.files import default_path
 from motionkit.core.plain_text import printable
@@ -41,70 +42,45 @@ CaptionsTable = Annotated[
 ]
 Indexes = Annotated[
     list[Path] | None,
-    typer.Option(
-        help="Index of stretches of the source's files: HumanML3D's index.csv, TMR's annotations.json (KIT-ML), "
-        "BABEL's train.json. May be given several times."
-    ),
+    typer.Option(help="Index of segments: HumanML3D's index.csv, TMR's annotations.json (KIT-ML), BABEL's train.json."),
 ]
 TextsFolder = Annotated[Path | None, typer.Option(help="Folder of the index's captions: 000000.txt …")]
 SplitsFolder = Annotated[
     Path | None,
-    typer.Option(
-        help="Folder of the index's train.txt, val.txt, test.txt; by default the index's, or the one above --texts."
-    ),
+    typer.Option(help="Folder of the index's train.txt, val.txt, test.txt.", show_default="beside it or --texts"),
 ]
 Mirrored = Annotated[bool, typer.Option("--mirrored", help="The index's mirrored sequences too, M000000 …")]
 Published = Annotated[
-    Compat | None,
-    typer.Option(help="Only the frames that HumanML3D published of the index's stretches, not every native one."),
+    Compat | None, typer.Option(help="Only the frames that HumanML3D published, not every native one.")
 ]
 GivenFps = Annotated[str | None, typer.Option(help="Framerate that replaces what files say: 120, 30000/1001.")]
 FpsRules = Annotated[
     list[Path] | None,
-    typer.Option(
-        help="TOML of framerates that files state wrongly (docs/formats.md); takes precedence over the shipped one. "
-        "May be given several times."
-    ),
+    typer.Option(help="TOML of framerates that files state wrongly (docs/formats.md), before the shipped one."),
 ]
 UnitMetres = Annotated[float | None, typer.Option(help="Length of one file unit in metres: 0.01 for centimetres.")]
-SkeletonMaps = Annotated[
-    list[Path] | None,
-    typer.Option(help="TOML that maps a rig to the 22 joints (docs/formats.md). May be given several times."),
-]
 BodyModels = Annotated[
     Path | None,
     typer.Option(
         help="Folder of your own SMPL, SMPL-H or SMPL-X models (.npz), for AMASS's joints (else SMPL's mean shape).",
         envvar="MOTIONKIT_BODY_MODELS",
+        exists=True,
+        file_okay=False,
+        resolve_path=True,
         show_default=False,
     ),
 ]
 SkipFrames = Annotated[
-    int,
-    typer.Option(
-        min=0,
-        help="Frames to skip at the start of every file, such as a T-pose; the column skip_frames of --captions "
-        "sets it for one.",
-    ),
+    int, typer.Option(min=0, help="Frames to skip at the start of every file; a column skip_frames sets it for one.")
 ]
 OnErrorChoice = Annotated[
-    OnError,
-    typer.Option(
-        help="skip: good sequences are stored, bad ones are reported, exit code 0. "
-        "stop: the first bad one ends it, the store stays as it was, exit code 1."
-    ),
+    OnError, typer.Option(help="skip: bad sequences are reported. stop: the first one leaves the store as it was.")
 ]
-Overwrite = Annotated[
-    bool, typer.Option("--overwrite", help="Replace the store instead of adding to it, once all is read.")
-]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the store instead of adding to it.")]
 Workers = Annotated[
-    int | None,
-    typer.Option(min=1, help="Processes that read; by default all cores, one for few files.", show_default=False),
+    int | None, typer.Option(min=1, help="Processes that read.", show_default="all cores, one for few files")
 ]
-EngineName = Annotated[
-    str,
-    typer.Option(help="local; ray: a Ray on this machine, or that of RAY_ADDRESS; ray://HOST:PORT: a Ray cluster."),
-]
+EngineName = Annotated[str, typer.Option(help="local, ray (here, or that of RAY_ADDRESS) or ray://HOST:PORT.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")]
 
 
@@ -152,12 +128,20 @@ def ingest(
         read_options(parse_rate(fps), skeleton_map, format, unit_metres, captions, up),
         index=_index_options(index, texts, splits, mirrored, compat, captions, skip_frames),
         fps_rules=tuple(rule for path in fps_rules or () for rule in read_rules(path)),
-        body_models=_body_models(body_models),
+        body_models=body_models,
         skip_frames=skip_frames,
         skip_derived=True,
     )
     print_fault = _fault_printer()
-    with progress() as show, _fetched(sources) as paths:
+    with progress() as show, ExitStack() as stack:
+        paths: list[Path] = []
+        for source in sources:
+            if source.startswith("hf://"):
+                from motionkit.store.hub import as_folder, parse_address
+
+                paths.append(stack.enter_context(as_folder(parse_address(source))))
+            else:
+                paths.append(Path(source))
         report = ingest_sources(
             *(paths, store or default_path("store")),
             options=options,
@@ -166,41 +150,16 @@ def ingest(
             num_workers=workers,
             engine=engine,
             on_progress=show,
-            on_problem=lambda problem: print_fault(problem, ""),
-            on_warning=lambda warning: print_fault(warning, "warning: "),
+            on_problem=print_fault,
+            on_warning=partial(print_fault, prefix="warning: "),
         )
     print_json(_as_json(report)) if as_json else _print_summary(report, of_default("--store", store))
-    _check_success(report, on_error)
-
-
-@contextmanager
-def _fetched(sources: Sequence[str]) -> Iterator[list[Path]]:
-    """Local paths unchanged; a repository as a temporary folder of its files, with its name."""
-    with ExitStack() as stack:
-        folders = []
-        for source in sources:
-            if source.startswith("hf://"):
-                from motionkit.store.hub import as_folder, parse_address
-
-                folders.append(stack.enter_context(as_folder(parse_address(source))))
-            else:
-                folders.append(Path(source))
-        yield folders
-
-
-def _check_success(report: "IngestReport", on_error: OnError) -> None:
     if report.problems and on_error is OnError.STOP:
         raise MotionkitError(f"stopped at the first problem; the store {report.store} is as it was")
     if not report.num_in_store:
         raise MotionkitError(f"nothing could be stored in {report.store}")
     if report.problems and not report.num_stored:
         raise MotionkitError(f"nothing was stored; the store {report.store} is as it was")
-
-
-def _body_models(folder: Path | None) -> Path | None:
-    if folder is not None and not folder.is_dir():
-        raise UsageError(f"--body-models {folder}: no such folder")
-    return None if folder is None else folder.resolve()
 
 
 def _index_options(
@@ -227,11 +186,11 @@ def _index_options(
     return IndexOptions(tuple(index), texts, splits, mirrored, published=compat is not None)
 
 
-def _fault_printer() -> Callable[[FormatError, str], None]:
-    """A function that prints a fault after a prefix: the first few of each reason, of which a corpus can have many."""
+def _fault_printer() -> Callable[..., None]:
+    """A function that prints faults, the first few of each reason: a corpus can have many."""
     num_printed: Counter[str] = Counter()
 
-    def print_fault(fault: FormatError, prefix: str) -> None:
+    def print_fault(fault: FormatError, prefix: str = "") -> None:
         num_printed[fault.reason] += 1
         if num_printed[fault.reason] <= MAX_PRINTED_OF_A_REASON:
             stderr.print(f"{prefix}{fault}")
