@@ -212,7 +212,8 @@ class _Ingest:
             raise _Stopped
         if engine == LOCAL:
             num_workers = num_workers or sum(1 for _ in islice(chunks_of(items), usable_cores()))
-        with self._writer, start_workers(engine, num_workers, preload=["motionkit.store.chunks"]) as workers:
+        # Arrow loads pandas to convert a row.
+        with self._writer, start_workers(engine, num_workers, preload=["motionkit.store.chunks", "pandas"]) as workers:
             for skeleton in self._writer.skeletons:
                 body_size_warning(skeleton, self._body_sizes)
             read = partial(read_chunk, store=self._writer.path.absolute(), options=self._options)
