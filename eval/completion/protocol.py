@@ -10,8 +10,8 @@ from fractions import Fraction
 
 import numpy as np
 
+from eval.completion.lafan1_benchmark import NUM_PAST_FRAMES
 from motionkit.core.shapes import Bool, Int64
-from motionkit.io.lafan1 import NUM_PAST_FRAMES
 
 INBETWEENING_VERSION = "inbetweening/1"
 EXTRAPOLATION_VERSION = "extrapolation/1"

@@ -7,6 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from eval.completion.lafan1_benchmark import (
+    NUM_PAST_FRAMES,
+    TEST_STEP_FRAMES,
+    TEST_WINDOW_FRAMES,
+    TRAIN_STEP_FRAMES,
+    TRAIN_WINDOW_FRAMES,
+    benchmark_windows,
+)
 from eval.completion.scores import split_remark
 from eval.completion.takes import DataSet, NoTakesError, open_clips
 from motionkit.core import kinematics
@@ -59,10 +67,10 @@ def lafan1_windows(store: "Store", advance: Callable[[], None] = lambda: None) -
     training = _lafan1_takes(store, lafan1.TRAIN_SUBJECTS)
     test = _lafan1_takes(store, lafan1.TEST_SUBJECTS)
     moments, skeleton = _training_statistics(_advancing(training, advance))
-    found = [lafan1.benchmark_windows(motion, **_TEST) for motion in _advancing(test, advance)]
+    found = [benchmark_windows(motion, **_TEST) for motion in _advancing(test, advance)]
     roots = np.concatenate([windows.root_translation for windows in found])
     if not len(roots):
-        raise NoTakesError(f"no take of subject 5 is longer than {lafan1.TEST_WINDOW_FRAMES} frames")
+        raise NoTakesError(f"no take of subject 5 is longer than {TEST_WINDOW_FRAMES} frames")
     expected = "" if len(roots) == BENCHMARK_WINDOWS else f" (the whole data set has {BENCHMARK_WINDOWS:,})"
     return PoseWindows(
         name="LaFAN1",
@@ -71,13 +79,13 @@ def lafan1_windows(store: "Store", advance: Callable[[], None] = lambda: None) -
         local_rotations=np.concatenate([windows.local_rotations for windows in found]),
         takes=tuple(f"LaFAN1 {take}" for take, each in enumerate(found) for _ in each.root_translation),
         position_std=moments.std.reshape(-1, 3),
-        num_training_windows=moments.count // lafan1.TRAIN_WINDOW_FRAMES,
+        num_training_windows=moments.count // TRAIN_WINDOW_FRAMES,
         remark=f"subject 5, {len(roots):,} windows{expected}; statistics of subjects 1 to 4.",
     )
 
 
-_TEST = {"window_frames": lafan1.TEST_WINDOW_FRAMES, "step_frames": lafan1.TEST_STEP_FRAMES}
-_TRAIN = {"window_frames": lafan1.TRAIN_WINDOW_FRAMES, "step_frames": lafan1.TRAIN_STEP_FRAMES}
+_TEST = {"window_frames": TEST_WINDOW_FRAMES, "step_frames": TEST_STEP_FRAMES}
+_TRAIN = {"window_frames": TRAIN_WINDOW_FRAMES, "step_frames": TRAIN_STEP_FRAMES}
 
 
 def num_lafan1_takes(store: "Store") -> int:
@@ -113,7 +121,7 @@ def _training_statistics(motions: Iterable["Motion"]) -> tuple[Moments, Skeleton
 
     def parts() -> Iterator[Float32[np.ndarray, "rows numbers"]]:
         for motion in motions:
-            windows = lafan1.benchmark_windows(motion, **_TRAIN)
+            windows = benchmark_windows(motion, **_TRAIN)
             if not len(windows.start_frames):
                 continue
             skeletons.append(motion.skeleton)
@@ -123,7 +131,7 @@ def _training_statistics(motions: Iterable["Motion"]) -> tuple[Moments, Skeleton
     try:
         return stream(parts()), skeletons[0]
     except ValueError:
-        raise NoTakesError(f"no training take is longer than {lafan1.TRAIN_WINDOW_FRAMES} frames") from None
+        raise NoTakesError(f"no training take is longer than {TRAIN_WINDOW_FRAMES} frames") from None
 
 
 def global_poses(
@@ -149,12 +157,12 @@ def data_set_windows(store: "Store", data_set: DataSet, split: str, where: str |
     where the compared split has no window.
     """
     # The benchmark needs a frame after each window (strict i + window < T): equivalent to clips of one frame more.
-    test = open_clips(store, data_set, split, where, lafan1.TEST_WINDOW_FRAMES + 1, lafan1.TEST_STEP_FRAMES)
+    test = open_clips(store, data_set, split, where, TEST_WINDOW_FRAMES + 1, TEST_STEP_FRAMES)
     remark = split_remark(store, test, split)
     try:
-        train = open_clips(store, data_set, "train", None, lafan1.TRAIN_WINDOW_FRAMES + 1, lafan1.TRAIN_STEP_FRAMES)
+        train = open_clips(store, data_set, "train", None, TRAIN_WINDOW_FRAMES + 1, TRAIN_STEP_FRAMES)
     except NoTakesError:
-        train = open_clips(store, data_set, split, where, lafan1.TRAIN_WINDOW_FRAMES + 1, lafan1.TRAIN_STEP_FRAMES)
+        train = open_clips(store, data_set, split, where, TRAIN_WINDOW_FRAMES + 1, TRAIN_STEP_FRAMES)
         remark += " There is no training split: statistics are those of the compared takes."
 
     def parts() -> Iterator[Float32[np.ndarray, "rows numbers"]]:
@@ -179,7 +187,7 @@ def data_set_windows(store: "Store", data_set: DataSet, split: str, where: str |
         local_rotations=_continuous(rotations),
         takes=test.takes,
         position_std=moments.std.reshape(-1, 3),
-        num_training_windows=moments.count // lafan1.TRAIN_WINDOW_FRAMES,
+        num_training_windows=moments.count // TRAIN_WINDOW_FRAMES,
         remark=f"{test.num_clips:,} windows of {test.num_takes:,} takes; {remark}",
     )
 
@@ -188,7 +196,7 @@ def _benchmark_frame(
     vectors: Float32[np.ndarray, "windows frames numbers"],
 ) -> tuple[Float64[np.ndarray, "windows"], Float64[np.ndarray, "windows 2"]]:
     """Yaw and origin of the benchmark's frame: centred in x and z, frame 9 facing +x."""
-    yaw = heading(vectors[:, lafan1.NUM_PAST_FRAMES - 1], SMPL22)
+    yaw = heading(vectors[:, NUM_PAST_FRAMES - 1], SMPL22)
     origin = vectors[..., (0, 2)].astype(np.float64).mean(axis=1)
     return yaw - np.pi / 2, origin
 

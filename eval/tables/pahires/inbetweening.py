@@ -4,13 +4,19 @@ from dataclasses import replace
 from functools import partial
 
 from eval.completion.encoders import INTERPOLATION
+from eval.completion.lafan1_benchmark import (
+    NUM_PAST_FRAMES,
+    TEST_STEP_FRAMES,
+    TEST_WINDOW_FRAMES,
+    TRAIN_STEP_FRAMES,
+    TRAIN_WINDOW_FRAMES,
+)
 from eval.completion.protocol import INBETWEENING_VERSION, gaps
 from eval.report.results import Block, Cell, Result, Row
 from eval.tables.pahires.window_rows import WindowTable, measure_table
 from eval.tables.parts import SOURCES, Reported, reported_figures
 from eval.tables.registry import Table, TableRequest
 from motionkit.edit.encoders import installed_encoders
-from motionkit.io import lafan1
 
 _NAMES = {"hold": "zero velocity", "SLERP": "interpolation (SLERP)"}
 _NOTES = {"hold": "the last given pose", "SLERP": "the benchmark's own interpolation: local great arcs, root on a line"}
@@ -68,10 +74,10 @@ TABLE = Table(
 def definition(request: TableRequest) -> dict[str, object]:
     """All settings that the figures depend on."""
     return {
-        "windows": f"{lafan1.TEST_WINDOW_FRAMES} frames every {lafan1.TEST_STEP_FRAMES}, start + window < frames of "
-        f"the take; centred on their mean in x and z, frame {lafan1.NUM_PAST_FRAMES - 1} facing +x",
-        "statistics": f"deviations of global positions over training windows of {lafan1.TRAIN_WINDOW_FRAMES} frames "
-        f"every {lafan1.TRAIN_STEP_FRAMES}",
+        "windows": f"{TEST_WINDOW_FRAMES} frames every {TEST_STEP_FRAMES}, start + window < frames of "
+        f"the take; centred on their mean in x and z, frame {NUM_PAST_FRAMES - 1} facing +x",
+        "statistics": f"deviations of global positions over training windows of {TRAIN_WINDOW_FRAMES} frames "
+        f"every {TRAIN_STEP_FRAMES}",
         "bones": "those of the first training window's first frame, for the truth and for every row",
         "l2p": "mean over frames of the norm of all global positions' differences, each divided by its deviation",
         "l2q": "mean over frames of the norm of all global quaternions' differences, signs aligned joint by joint",
