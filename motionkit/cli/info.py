@@ -135,7 +135,7 @@ def _show_store(summary: "StoreSummary", html: Path | None, as_json: bool) -> No
 
 def _show_file(path: Path, up: str, skeletons: bool, init: Path | None, as_json: bool) -> None:
     from motionkit.core.files import write_whole
-    from motionkit.core.skeletons.guessing import map_text
+    from motionkit.core.skeletons.mapping import draft_map
     from motionkit.store.reports.motion import summarise_motion
     from motionkit.store.reports.rig import rig_of
 
@@ -144,7 +144,7 @@ def _show_file(path: Path, up: str, skeletons: bool, init: Path | None, as_json:
     if init is not None:
         if init.exists():
             raise UsageError(f"{init} exists: name another file, or delete it")
-        text = map_text(motion.skeleton, init.stem)
+        text = draft_map(motion.skeleton, init.stem)
     found, rig = summarise_motion(motion, has_framerate=has_framerate), rig_of(motion.skeleton)
     if as_json:
         print_json({"file": str(path), **asdict(found), **asdict(rig)})
@@ -156,7 +156,7 @@ def _show_file(path: Path, up: str, skeletons: bool, init: Path | None, as_json:
             _print_rig(rig)
     if text is not None and init is not None:
         write_whole(init, text)
-        stderr.print(f"{init}: a guess; motionkit view {path} --skeleton-map {init} shows it")
+        stderr.print(f"{init}: complete it; motionkit view {path} --skeleton-map {init} shows it")
 
 
 def _first_motion(path: Path, up: str) -> "tuple[Motion, bool]":
@@ -177,7 +177,7 @@ def _file_lines(found: "MotionSummary", rig: "RigTree") -> list[tuple[str, str]]
     stated = f" (the file says {found.stated_fps})" if found.stated_fps else ""
     seconds = "" if found.duration_seconds is None else f", {found.duration_seconds:.6g} s"
     height = "unknown" if found.height_metres is None else f"{found.height_metres:.3g} m from ankles to head"
-    maps = f"maps by {rig.family}" if rig.family else f"maps by nothing{', a guess is shown' if rig.guessed else ''}"
+    maps = f"maps by {rig.family}" if rig.family else "no mapping; provide --skeleton-map"
     rotations = "rotations" if found.has_rotations else "positions only"
     lines = [
         ("motion", f"{found.sequence_id} ({found.format})"),

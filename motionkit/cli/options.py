@@ -110,7 +110,7 @@ def read_options(
     skip_derived: bool = False,
 ) -> "ReadOptions":
     """The options of readers; raises `UsageError` for a unit that is not a positive length."""
-    from motionkit.core.skeletons.families import read_skeleton_map
+    from motionkit.core.skeletons.mapping import read_skeleton_map
     from motionkit.io.registry import ReadOptions
 
     if unit_metres is not None and not 0 < unit_metres < float("inf"):

@@ -28,7 +28,7 @@ class Skeleton:
 
     `offsets` are rest positions relative to the parent in metres, float32 [J, 3] (row 0: the root's rest offset).
     `end_sites` maps a leaf's index to the offset of the unnamed tip that BVH calls End Site. `layout_map` is a user's
-    map to the standard layouts as canonical JSON (`motionkit.core.skeletons.families`), or empty to map by names.
+    map to the standard layouts as canonical JSON (`motionkit.core.skeletons.mapping`), or empty to map by names.
     Raises `ValueError` for a parent that does not precede its child, repeated names, or arrays of unequal length.
 
     >>> skeleton = mk.read("walk.bvh").skeleton

@@ -25,8 +25,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.plain_text import whole_number
 from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64
 from motionkit.core.skeleton import MAX_JOINTS, Skeleton
-from motionkit.core.skeletons.families import with_layout_map
-from motionkit.core.skeletons.mapping import SkeletonMapError, body_axis, rest_positions
+from motionkit.core.skeletons.mapping import SkeletonMapError, body_axis, rest_positions, with_layout_map
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import body_frame, number_table, source_file
 from motionkit.io.body_frame import infer_up, log_lines, skeleton_to_y_up, to_y_up, turn_of

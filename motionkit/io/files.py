@@ -11,7 +11,7 @@ from motionkit.core.files import is_store
 from motionkit.core.framerate import Framerate, parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.progress import warn
-from motionkit.core.skeletons.families import read_skeleton_map
+from motionkit.core.skeletons.mapping import read_skeleton_map
 from motionkit.io import joints_npy, npy, reading
 from motionkit.io.body_frame import GIVEN_AXES
 from motionkit.io.humanml3d import JOINTS_FOLDER, LAYOUTS, VECTORS_FOLDER

@@ -23,8 +23,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.plain_text import parse_json
 from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import MAX_JOINTS, SMPL22, Skeleton
-from motionkit.core.skeletons.families import with_layout_map
-from motionkit.core.skeletons.mapping import SkeletonMapError, rest_positions
+from motionkit.core.skeletons.mapping import SkeletonMapError, rest_positions, with_layout_map
 from motionkit.fields.transfer import counterpart_joints
 from motionkit.io.joint_rotations import joint_channels
 from motionkit.io.registry import Format, ReadOptions

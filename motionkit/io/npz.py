@@ -20,7 +20,7 @@ from motionkit.core.framerate import format_fps, parse_fps
 from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import STANDARD_SKELETONS, Feet, Skeleton
-from motionkit.core.skeletons.families import parse_layout_map
+from motionkit.core.skeletons.mapping import parse_layout_map
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import npy, source_file
 from motionkit.io.body_frame import in_metres

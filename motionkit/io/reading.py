@@ -19,7 +19,7 @@ from motionkit.core.framerate import parse_fps
 from motionkit.core.mirror import mirror
 from motionkit.core.motion import Motion, captions_within
 from motionkit.core.plain_text import LONGEST_TOML, parse_toml, shown
-from motionkit.core.skeletons.families import with_layout_map
+from motionkit.core.skeletons.mapping import with_layout_map
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io.body_frame import check_unit, log_lines, turned
 from motionkit.io.cuts import crop

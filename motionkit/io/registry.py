@@ -58,7 +58,7 @@ class ReadOptions:
 
     `fps`, `unit_metres` (metres per file unit) and `up` (the axis x, y or z that points up) override the file and its
     annotations; `captions` is a CSV file of annotations whose cells replace those found beside the motions.
-    `skeleton_maps` are the user's tables, as returned by `skeletons.families.read_skeleton_map`; a skeleton keeps the
+    `skeleton_maps` are the user's tables, as returned by `skeletons.mapping.read_skeleton_map`; a skeleton keeps the
     one that fits it. `fps_rules` are the user's corrections of framerates, before the shipped ones
     (`motionkit.io.reading`). `body_models` is the user's folder of SMPL-family models. `index` selects segments of a
     source's files. `skip_frames` frames are dropped at the start of every whole file whose annotations give no number.

@@ -15,8 +15,7 @@ from motionkit.core.errors import MotionkitError
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.core.skeletons.families import canonical_names
-from motionkit.core.skeletons.mapping import map_joints, rest_positions
+from motionkit.core.skeletons.mapping import canonical_names, map_joints, rest_positions
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.contact.legs import Legs, legs_of
 from motionkit.fields.transfer import counterpart_joints

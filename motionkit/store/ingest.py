@@ -17,8 +17,7 @@ from motionkit.core.errors import FormatError, MotionkitError, StoreError
 from motionkit.core.files import is_store
 from motionkit.core.progress import OnProgress, Task, ignore, task
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.core.skeletons.families import parse_layout_map
-from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, rest_positions
+from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, parse_layout_map, rest_positions
 from motionkit.io.body_frame import standing_metres
 from motionkit.io.cuts import missing_seconds, unlike_stated_seconds
 from motionkit.io.registry import ReadOptions, ScanResult, SourceItem

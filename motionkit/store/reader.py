@@ -17,7 +17,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.progress import OnProgress, ignore
 from motionkit.core.shapes import Int, Int64
 from motionkit.core.skeleton import Skeleton
-from motionkit.core.skeletons.families import parse_layout_map
+from motionkit.core.skeletons.mapping import parse_layout_map
 from motionkit.store.commit import Manifest, read_committed, read_manifest
 from motionkit.store.parts import PartReader, check_still_there
 from motionkit.store.schema import (

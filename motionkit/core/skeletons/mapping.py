@@ -1,38 +1,233 @@
-"""Maps known skeletons to the 22-joint (SMPL) and 21-joint (KIT) layouts, by tables of names and weights.
+"""Maps of skeletons to the 22-joint (SMPL) and 21-joint (KIT) layouts, by tables of joint names and weights.
 
-A family of skeletons (`motionkit.core.skeletons.families`) defines every joint of the layout as a weighted sum of the
-family's joints (`X.tip` is the End Site of X). Missing toes are placed in front of the ankle.
+A family of skeletons is a TOML table: the joints that identify it, and each joint of the layout as a weighted sum of
+the family's joints (`X.tip` is the End Site of X). Families are shipped here; a user's own table (`ingest
+--skeleton-map my-rig.toml`) is stored with the skeletons that it fits as canonical JSON (`Skeleton.layout_map`).
+Missing toes are placed in front of the ankle.
 """
 
+import json
+import math
+import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from motionkit.core import kinematics
-from motionkit.core.errors import MotionkitError
+from motionkit.core.errors import FormatError, MotionkitError
+from motionkit.core.files import read_at_most
 from motionkit.core.motion import Motion
-from motionkit.core.plain_text import shortened
+from motionkit.core.plain_text import LONGEST_TOML, parse_json, parse_toml, shortened, shown
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import KIT21, SMPL22, STANDARD_SKELETONS, Skeleton
-from motionkit.core.skeletons.families import (
-    canonical_names,
-    family_of,
-    find_family,
-    load_table,
-    parse_layout_map,
-)
 
 # Offsets of an extrapolated toe ahead of and below the ankle, as shares of the shin: HumanML3D's skeleton has 0.14 m
 # and 0.06 m for a shin of 0.43 m.
 TOE_AHEAD, TOE_BELOW = 0.33, 0.14
 # A row of which joints have less than this share is a tip.
 MIN_JOINT_WEIGHT = 0.1
+# Missing toes can be extrapolated; every other joint of the layout needs a row.
 TOES = {"left_foot": ("left_ankle", "left_knee"), "right_foot": ("right_ankle", "right_knee")}
+KEYS = ("name", "source", "requires", "aliases", "units_per_metre", "smpl22")
+REASON = "skeleton-map"
+
+Way = Mapping[str, float]
 
 
-EndSites = tuple[tuple[int, tuple[float, float, float]], ...]
+@dataclass(frozen=True)
+class SkeletonFamily:
+    """A kind of skeleton: `requires` (canonical names) identifies it, `rows` map its joints to the layout's.
+
+    A row lists alternatives, of which the first possible one is used; each is a weighted sum of joints and `X.tip`.
+    `metres_per_unit` is the length unit of the family's files, if known.
+    """
+
+    name: str
+    requires: frozenset[str]
+    aliases: Mapping[str, str]
+    rows: Mapping[str, tuple[Way, ...]]
+    metres_per_unit: float | None
+
+
+def read_skeleton_map(path: Path) -> str:
+    """Read a user's TOML file as canonical text; raises `FormatError` (`skeleton-map`) with advice."""
+    try:
+        text = read_at_most(path, LONGEST_TOML).decode("utf-8-sig")
+    except OSError as error:
+        raise FormatError(f"cannot be read ({error.strerror or error})", path=path, reason="unreadable") from None
+    except UnicodeDecodeError as error:
+        raise FormatError(f"not UTF-8 ({error.reason})", path=path, reason=REASON) from None
+    try:
+        table = parse_toml(text)
+    except ValueError as error:
+        line = re.search(r"at line (\d+)", str(error))
+        raise FormatError(
+            f"no TOML ({error}); the form is described in docs/formats.md, Standard layouts",
+            path=path,
+            reason=REASON,
+            line=int(line[1]) if line else text.count("\n") + 1,
+        ) from None
+    try:
+        _family(table)
+        return json.dumps(table, sort_keys=True, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+    except (ValueError, TypeError) as error:
+        raise FormatError(str(error), path=path, reason=REASON) from None
+
+
+@lru_cache(maxsize=256)
+def parse_layout_map(text: str) -> SkeletonFamily:
+    """The family that a skeleton's `layout_map` describes; raises `MotionkitError` for any other text."""
+    try:
+        return _family(parse_json(text))
+    except ValueError as error:
+        raise MotionkitError(f"the layout map of a skeleton cannot be read: {error}") from None
+
+
+def with_layout_map(skeleton: Skeleton, layout_maps: Sequence[str]) -> Skeleton:
+    """The skeleton with the most specific matching map of `layout_maps`; unchanged if none matches."""
+    names = canonical_names(skeleton.joint_names)
+    fitting = [text for text in layout_maps if fits(parse_layout_map(text), names)]
+    if not fitting or skeleton.layout_map:
+        return skeleton
+    return replace(skeleton, layout_map=max(fitting, key=lambda text: len(parse_layout_map(text).requires)))
+
+
+def family_of(skeleton: Skeleton) -> SkeletonFamily | None:
+    """The skeleton's own map, or the shipped family that it belongs to, or None."""
+    if skeleton.layout_map:
+        return parse_layout_map(skeleton.layout_map)
+    return find_family(canonical_names(skeleton.joint_names))
+
+
+def fits(family: SkeletonFamily, names: Sequence[str]) -> bool:
+    """Whether canonical joint names hold all that the family requires."""
+    return family.requires <= {family.aliases.get(name, name) for name in names}
+
+
+@lru_cache(maxsize=1024)
+def canonical_names(joint_names: tuple[str, ...]) -> tuple[str, ...]:
+    """Normalised joint names: "mixamorig:LeftArm", "Character1_LeftArm" and "left arm" are the same joint."""
+    plain = [name.rsplit(":", 1)[-1] for name in joint_names]
+    prefix, count = (
+        Counter(name.split("_", 1)[0] for name in plain if "_" in name).most_common(1)[0]
+        if any("_" in name for name in plain)
+        else ("", 0)
+    )
+    if 2 * count > len(plain):
+        plain = [name.removeprefix(f"{prefix}_") for name in plain]
+    return tuple(_canonical(name) for name in plain)
+
+
+def _shipped_tables() -> list[dict[str, Any]]:
+    files = resources.files("motionkit.core.skeletons").iterdir()
+    return [parse_toml(file.read_text(encoding="utf-8")) for file in files if file.name.endswith(".toml")]
+
+
+@cache
+def shipped_families() -> tuple[SkeletonFamily, ...]:
+    """All shipped families, the most specific first, because general ones match its skeletons too."""
+    # The table of DeepMimic's humanoid has its joints' axes too, for its reader.
+    tables = [{key: table[key] for key in KEYS if key in table} for table in _shipped_tables() if "smpl22" in table]
+    families = [_family(table) for table in tables]
+    return tuple(sorted(families, key=lambda family: (-len(family.requires), family.name)))
+
+
+@lru_cache(maxsize=1024)
+def find_family(names: tuple[str, ...]) -> SkeletonFamily | None:
+    """The most specific shipped family that canonical joint names match."""
+    return next((family for family in shipped_families() if fits(family, names)), None)
+
+
+def draft_map(skeleton: Skeleton, name: str) -> str:
+    """A table for `read_skeleton_map` as TOML text, of joint names that shipped families have, to be completed."""
+    names = canonical_names(skeleton.joint_names)
+    found: dict[str, str] = {}
+    for row in SMPL22.joint_names:
+        ways = (way for family in shipped_families() for way in family.rows[row])
+        found[row] = next((joint for way in ways for joint in way if len(way) == 1 and joint in names), "")
+    requires = json.dumps(list(dict.fromkeys(filter(None, found.values()))))
+    lines = [f'{row} = "{joint}"' if joint else f'# {row} = ""' for row, joint in found.items()]
+    head = "# Drafted from joint names: correct it, and complete the rows that begin with #."
+    return "\n".join((head, f"name = {json.dumps(name)}", f"requires = {requires}", "", "[smpl22]", *lines, ""))
+
+
+def _canonical(name: str) -> str:
+    stem, dot, tip = name.partition(".tip")
+    return re.sub(r"[^a-z0-9]", "", stem.lower()) + (dot + tip if dot else "")
+
+
+def _family(table: Any) -> SkeletonFamily:
+    # Every ValueError is a message for the author of the table.
+    if not isinstance(table, dict):
+        raise ValueError("expected a table with name, requires and [smpl22]")
+    unknown = sorted(set(table) - set(KEYS))
+    if unknown:
+        raise ValueError(f"unknown key {shown(unknown[0])}, expected {', '.join(KEYS)}")
+    name = table.get("name")
+    if not isinstance(name, str) or not name.strip() or name in STANDARD_SKELETONS:
+        raise ValueError(f"name = {shown(name)}, expected a text other than {', '.join(STANDARD_SKELETONS)}")
+    requires = table.get("requires")
+    if not isinstance(requires, list) or not requires or not all(isinstance(joint, str) for joint in requires):
+        raise ValueError(
+            'requires is missing; it lists the joints by which the skeleton is known: ["Pelvis", "Thigh_L"]'
+        )
+    if not isinstance(table.get("source", ""), str):
+        raise ValueError("source is not a text; it says where the names are from")
+    aliases = table.get("aliases", {})
+    if not isinstance(aliases, dict) or not all(isinstance(joint, str) for joint in aliases.values()):
+        raise ValueError('[aliases] holds lines of the form OtherName = "Name"')
+    units = table.get("units_per_metre")
+    if units is not None and not (_is_number(units) and 1e-6 < units < 1e6):
+        raise ValueError(f"units_per_metre = {shown(units)}, expected a positive number such as 100 for centimetres")
+    return SkeletonFamily(
+        name=name,
+        requires=frozenset(_canonical(joint) for joint in requires),
+        aliases={_canonical(key): _canonical(value) for key, value in aliases.items()},
+        rows=_rows(table.get("smpl22")),
+        metres_per_unit=1.0 / units if units is not None else None,
+    )
+
+
+def _rows(table: Any) -> Mapping[str, tuple[Way, ...]]:
+    if not isinstance(table, dict):
+        raise ValueError("no table [smpl22]; it says for each joint of the layout where it comes from")
+    unknown = sorted(set(table) - set(SMPL22.joint_names))
+    if unknown:
+        raise ValueError(
+            f"[smpl22] has {shown(unknown[0])}, which is no joint of the layout: {', '.join(SMPL22.joint_names)}"
+        )
+    missing = [joint for joint in SMPL22.joint_names if joint not in table and joint not in TOES]
+    if missing:
+        raise ValueError(f"[smpl22] says nothing about {', '.join(missing)}; only the feet can be left out")
+    rows = {}
+    for joint in SMPL22.joint_names:
+        entry = table.get(joint, [])
+        rows[joint] = tuple(_way(joint, way) for way in (entry if isinstance(entry, list) else [entry]))
+    return rows
+
+
+def _way(joint: str, way: Any) -> Way:
+    """One alternative of a row: a joint's name, or a table of weights."""
+    if isinstance(way, str) and way.strip():
+        return {_canonical(way): 1.0}
+    if not isinstance(way, dict) or not way or not all(_is_number(weight) for weight in way.values()):
+        raise ValueError(
+            f"{joint} = {shown(way)}, expected a joint's name, weights such as {{ A = 0.6, B = 0.4 }}, or a list"
+        )
+    total = math.fsum(way.values())
+    if abs(total - 1.0) > 1e-6:
+        raise ValueError(f"the weights of {joint} sum to {total:g}, expected 1")
+    return {_canonical(source): float(weight) for source, weight in way.items()}
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and -1e9 < value < 1e9
 
 
 # Names shown in a message.
@@ -43,35 +238,24 @@ class SkeletonMapError(MotionkitError):
     """A skeleton that cannot be mapped to a layout; `missing` are the layout's joints without a source."""
 
     def __init__(self, skeleton: Skeleton, layout: str, missing: tuple[str, ...]) -> None:
-        self.skeleton_name, self.layout, self.missing = skeleton.name, layout, missing
-        shown = _some(skeleton.joint_names, SHOWN_JOINTS)
-        table = (
-            f"its own map {parse_layout_map(skeleton.layout_map).name!r} names" if skeleton.layout_map else "there is"
-        )
-        remedy = (
-            "correct it and ingest again"
-            if skeleton.layout_map
-            else "`motionkit info FILE --init my-rig.toml` drafts a map for --skeleton-map (docs/formats.md)"
-        )
+        self.skeleton, self.layout, self.missing = skeleton, layout, missing
+        table = "there is"
+        remedy = "`motionkit info FILE --init my-rig.toml` drafts a map for --skeleton-map (docs/formats.md)"
+        if skeleton.layout_map:
+            table = f"its own map {parse_layout_map(skeleton.layout_map).name!r} names"
+            remedy = "correct it and ingest again"
         super().__init__(
             f"skeleton {skeleton.name!r} cannot be mapped to {layout}: {table} nothing for "
-            f"{_some(missing, SHOWN_MISSING)} among its joints ({shown}); {remedy}"
+            f"{_some(missing, SHOWN_MISSING)} among its joints ({_some(skeleton.joint_names, SHOWN_JOINTS)}); {remedy}"
         )
 
     def __reduce__(self) -> tuple[object, ...]:
-        return _rebuild_error, (self.args[0], self.skeleton_name, self.layout, self.missing)
+        return type(self), (self.skeleton, self.layout, self.missing)
 
 
 def _some(names: Sequence[str], most: int) -> str:
     more = f" and {len(names) - most:,} more" if len(names) > most else ""
     return ", ".join(shortened(name, LONGEST_NAME) for name in names[:most]) + more
-
-
-def _rebuild_error(message: str, skeleton_name: str, layout: str, missing: tuple[str, ...]) -> SkeletonMapError:
-    error = SkeletonMapError.__new__(SkeletonMapError)
-    error.args = (message,)
-    error.skeleton_name, error.layout, error.missing = skeleton_name, layout, missing
-    return error
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,6 +349,9 @@ def family_unit_metres(skeleton: Skeleton) -> float | None:
     return family.metres_per_unit if family else None
 
 
+EndSites = tuple[tuple[int, tuple[float, float, float]], ...]
+
+
 @lru_cache(maxsize=1024)
 def _map_to_smpl22(joint_names: tuple[str, ...], end_sites: EndSites, layout_map: str) -> JointMap | tuple[str, ...]:
     # The map, or the layout's joints without a source.
@@ -250,7 +437,7 @@ def _with_toes(
 
 @cache
 def _kit21_from_smpl22() -> Float32[np.ndarray, "21 22"]:
-    table = load_table("kit21_from_smpl22.toml")["kit21"]
+    table = next(table["kit21"] for table in _shipped_tables() if "kit21" in table)
     weights = np.zeros((KIT21.num_joints, SMPL22.num_joints), np.float32)
     for row, joint_name in enumerate(KIT21.joint_names):
         entry = table[joint_name]

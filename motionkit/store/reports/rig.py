@@ -2,9 +2,7 @@
 
 from dataclasses import dataclass
 
-from motionkit.core.errors import MotionkitError
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.core.skeletons.guessing import guess_map
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map
 
 
@@ -21,17 +19,16 @@ class RigJoint:
 
 @dataclass(frozen=True)
 class RigTree:
-    """A rig's joints; `family` is the map that fits it, empty where none does and `taken_for` is a guess or nothing."""
+    """A rig's joints; `family` is the map that fits it, empty where none does and joints are `missing`."""
 
     family: str
-    guessed: bool
     missing: tuple[str, ...]
     joints: tuple[RigJoint, ...]
 
 
 def rig_of(skeleton: Skeleton) -> RigTree:
     """The mapping of a skeleton to the 22 joints."""
-    family, guessed = "", False
+    family = ""
     missing: tuple[str, ...] = ()
     used: dict[str, list[str]] = {name: [] for name in skeleton.joint_names}
     try:
@@ -42,13 +39,6 @@ def rig_of(skeleton: Skeleton) -> RigTree:
                 used[skeleton.joint_names[column]].append(joint)
     except SkeletonMapError as error:
         missing = error.missing
-        try:
-            for joint, entry in guess_map(skeleton).items():
-                for name in [entry] if isinstance(entry, str) else entry:
-                    used[name].append(joint)
-            guessed = True
-        except MotionkitError:
-            pass
     depths: list[int] = []
     joints = []
     for joint_name, parent, offset in zip(
@@ -57,4 +47,4 @@ def rig_of(skeleton: Skeleton) -> RigTree:
         depths.append(depths[parent] + 1 if parent >= 0 else 0)
         above = skeleton.joint_names[parent] if parent >= 0 else ""
         joints.append(RigJoint(joint_name, above, depths[-1], tuple(offset), tuple(used[joint_name])))
-    return RigTree(family, guessed, () if guessed else missing, tuple(joints))
+    return RigTree(family, missing, tuple(joints))

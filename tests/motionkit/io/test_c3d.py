@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 
 from motionkit.core.errors import FormatError
 from motionkit.core.skeleton import SMPL22
-from motionkit.core.skeletons.families import read_skeleton_map
-from motionkit.core.skeletons.mapping import map_joints
+from motionkit.core.skeletons.mapping import map_joints, read_skeleton_map
 from motionkit.io.c3d import parse_c3d, read_c3d
 from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions

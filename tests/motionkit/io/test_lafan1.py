@@ -10,7 +10,7 @@ from motionkit.io.lafan1 import read_lafan1
 from motionkit.io.reading import read
 from motionkit.io.scan import scan
 from tests.helpers.format_samples import bvh_text, lafan1_text
-from tests.motionkit.core.skeletons.test_skeleton_mapping import check_body
+from tests.motionkit.core.test_skeletons import check_body
 
 
 @pytest.fixture

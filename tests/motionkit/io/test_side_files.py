@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from motionkit.core.errors import FormatError, MotionkitError
-from motionkit.core.skeletons.families import read_skeleton_map
+from motionkit.core.skeletons.mapping import read_skeleton_map
 from motionkit.io.reading import read, read_rules
 from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import scan

@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.trust.fuzz.target import Make, Target, named
 from motionkit.core.errors import FormatError, MotionkitError
-from motionkit.core.skeletons.families import read_skeleton_map
+from motionkit.core.skeletons.mapping import read_skeleton_map
 from motionkit.edit.motions import find_motions
 from motionkit.features.quality import measure
 from motionkit.generate.request import read_prompts
