@@ -6,16 +6,13 @@ https://github.com/xbpeng/DeepMimic, README.md ("Mocap Data"), data/characters/h
 DeepMimicCore/anim/KinTree.cpp (the axis of revolute joints).
 """
 
-import json
 import re
 import tomllib
-from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -67,14 +64,13 @@ def read_deepmimic(path: Path, options: ReadOptions | None = None) -> Motion:
     """
     options = options or ReadOptions()
     data = source_file.read_bytes(path)
-    content = _object(data, path)
     character = humanoid3d()
-    table = _table(content.get("Frames"), character, path)
+    table, repeats = _table(data, character, path)
     fps, stated, operations = _framerate(table[:-1, 0], options.fps, path)
     rotations, normalised = _rotations(table, character, path)
     operations += normalised
     root = table[:, 1:FIRST_ROTATION].astype(np.float32)
-    if content.get("Loop") == "wrap":
+    if repeats:
         operations.append('read as it is; the file says that it repeats (Loop "wrap")')
     named = NAME.fullmatch(path.stem)
     motion = Motion(
@@ -110,91 +106,60 @@ def humanoid3d() -> Character:
     return Character(skeleton, tuple(ROTATION_SIZES[joint["rotation"]] for joint in joints))
 
 
-def _object(data: bytes, path: Path) -> Mapping[str, Any]:
+def _table(data: bytes, character: Character, path: Path) -> tuple[Float64[np.ndarray, "frames numbers"], bool]:
+    """The numbers of all frames, and whether the motion is stated to repeat."""
     try:
         content = parse_json(source_file.decode(data, path))
-    except json.JSONDecodeError as error:
-        ends = error.pos >= len(data.rstrip()) - 1
-        raise FormatError(
-            f"no JSON ({error.msg}), expected an object with Frames",
-            path=path,
-            reason="truncated" if ends else "not-what-it-says",
-            line=error.lineno,
-        ) from None
-    except ValueError as error:
-        raise FormatError(f"no plain JSON ({error})", path=path, reason="not-what-it-says") from None
-    if not isinstance(content, dict):
-        raise FormatError("expected a JSON object with Frames", path=path, reason="not-what-it-says")
-    return content
-
-
-def _table(frames: Any, character: Character, path: Path) -> Float64[np.ndarray, "frames numbers"]:
-    if not isinstance(frames, list):
-        raise FormatError("no list 'Frames', expected one list of numbers per frame", path=path, reason="truncated")
+        frames = content["Frames"]
+        if not isinstance(frames, list):
+            raise ValueError("Frames is no list")
+    except (ValueError, TypeError, KeyError) as error:
+        message = f"no JSON object with a list Frames ({type(error).__name__}: {error})"
+        raise FormatError(message, path=path, reason="not-what-it-says") from None
     if not frames:
         raise FormatError("0 frames, expected at least one", path=path, reason="no-frames")
     size = character.frame_size
-    wrong = next((i for i, frame in enumerate(frames) if not isinstance(frame, list) or len(frame) != size), None)
-    if wrong is not None:
-        found = f"{len(frames[wrong])} numbers" if isinstance(frames[wrong], list) else "no list of numbers"
-        raise FormatError(
-            f"{found}, expected the {size} of DeepMimic's humanoid (duration, root position, 13 rotations)",
-            path=path,
-            reason="channel-count",
-            frame=wrong,
-        )
-    try:
-        table = np.array(frames)
-    except ValueError:  # a list where a number was expected
-        table = np.empty(0, object)
-    if table.dtype.kind not in "fi":
-        wrong = next(i for i, frame in enumerate(frames) if not all(_is_number(value) for value in frame))
-        raise FormatError("not all are numbers", path=path, reason="not-a-number", frame=wrong)
-    table = table.astype(np.float64)
+    for number, frame in enumerate(frames):
+        if not isinstance(frame, list) or len(frame) != size:
+            found = f"{len(frame)} numbers" if isinstance(frame, list) else "no list of numbers"
+            message = f"{found}, expected the {size} of DeepMimic's humanoid (duration, root position, 13 rotations)"
+            raise FormatError(message, path=path, reason="channel-count", frame=number)
+        if not all(type(value) in (int, float) for value in frame):
+            raise FormatError("not all are numbers", path=path, reason="not-a-number", frame=number)
+    table = np.array(frames, np.float64)
     npy.checked_numbers(table, path)
-    return table
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, float) or (type(value) is int and abs(value) < 2**62)
+    return table, content.get("Loop") == "wrap"
 
 
 def _framerate(
     durations: Float64[np.ndarray, "intervals"], given: Fraction | None, path: Path
 ) -> tuple[Fraction, str, list[str]]:
-    # The framerate, the file's stated framerate, and the log.
+    """The framerate in use, what the durations state, and the log's lines."""
     values, counts = np.unique(np.round(durations, 7), return_counts=True)
     order = np.argsort(-counts, kind="stable")
     stated = ", ".join(f"{counts[i]} × {values[i]:g} s" for i in order[:3]) + (" …" if len(values) > 3 else "")
-    fps, log = source_file.fps_in_use(given, lambda: _stated_fps(durations, stated, path), words=stated)
+
+    def stated_fps() -> Fraction:
+        if not len(values):
+            message = "a single frame, whose duration says nothing; give the framerate with --fps"
+            raise FormatError(message, path=path, reason="no-framerate")
+        # Durations are compared with the commonest one.
+        usual = float(np.median(durations[np.round(durations, 7) == values[order[0]]]))
+        others = np.flatnonzero(np.abs(durations - usual) > SNAP_TOLERANCE * abs(usual))
+        if others.size:
+            message = (
+                f"lasts {durations[others[0]]:g} s where {len(durations) - others.size} of {len(durations)} frames "
+                f"last {usual:g} s (in all {stated}); expected one duration. If it is a mistake, --fps sets one for all"
+            )
+            raise FormatError(message, path=path, reason="frame-time", frame=int(others[0]))
+        try:
+            return parse_fps(float(1.0 / usual) if usual else float("inf"))
+        except ValueError as error:
+            message = f"frames last {usual:g} s ({error}); correct it, or give --fps"
+            raise FormatError(message, path=path, reason="frame-time") from None
+
+    fps, log = source_file.fps_in_use(given, stated_fps, words=stated)
     return fps, stated, log
-
-
-def _stated_fps(durations: Float64[np.ndarray, "intervals"], stated: str, path: Path) -> Fraction:
-    # Durations are compared with the commonest one.
-    values, group, counts = np.unique(np.round(durations, 7), return_inverse=True, return_counts=True)
-    if not len(values):
-        raise FormatError(
-            "a single frame, whose duration says nothing; give the framerate with --fps",
-            path=path,
-            reason="no-framerate",
-        )
-    usual = float(np.median(durations[group == np.argmax(counts)]))
-    astray = np.flatnonzero(np.abs(durations - usual) > SNAP_TOLERANCE * abs(usual))
-    if astray.size:
-        raise FormatError(
-            f"lasts {durations[astray[0]]:g} s where {len(durations) - astray.size} of {len(durations)} frames last "
-            f"{usual:g} s (in all {stated}); expected one duration. If it is a mistake, --fps sets one for all",
-            path=path,
-            reason="frame-time",
-            frame=int(astray[0]),
-        )
-    try:
-        return parse_fps(float(1.0 / usual) if usual else float("inf"))
-    except ValueError as error:
-        raise FormatError(
-            f"frames last {usual:g} s ({error}); correct it, or give --fps", path=path, reason="frame-time"
-        ) from None
 
 
 def _rotations(
@@ -213,17 +178,13 @@ def _rotations(
             error = np.abs(lengths - 1.0)
             frame = int(np.argmax(error))
             if error[frame] > MAX_LENGTH_ERROR:
-                raise FormatError(
-                    f"the rotation of {character.skeleton.joint_names[joint]} is no unit quaternion (its length is "
-                    f"{lengths[frame]:.4g})",
-                    path=path,
-                    reason="range",
-                    frame=frame,
-                )
+                name = character.skeleton.joint_names[joint]
+                message = f"the rotation of {name} is no unit quaternion (its length is {lengths[frame]:.4g})"
+                raise FormatError(message, path=path, reason="range", frame=frame)
             worst = max(worst, float(error[frame]))
             rotations[:, joint] = values / lengths[:, None]
-    log = [f"quaternions normalised; they were off unit length by up to {worst:.3f}"]
-    return rotations, log if worst > LOGGED_LENGTH_ERROR else []
+    log = f"quaternions normalised; they were off unit length by up to {worst:.3f}"
+    return rotations, [log] if worst > LOGGED_LENGTH_ERROR else []
 
 
 FORMAT = Format(

