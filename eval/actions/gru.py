@@ -21,7 +21,7 @@ from eval.text_motion.guo.networks import weights_digest
 from motionkit.core.errors import MotionkitError
 from motionkit.core.shapes import Float, Float32
 from motionkit.core.skeleton import SMPL22
-from motionkit.io import humanact12
+from motionkit.io import joints_npy
 from motionkit.training.tensors import fill_checked, foreign_tensors, read_foreign
 
 NUM_SMPL_JOINTS = 24
@@ -102,10 +102,10 @@ def cmu_joints(clips: Clips) -> Clips:
 HUMANACT12 = GruKind(
     name="humanact12",
     title="Action2Motion's GRU for HumanAct12",
-    fps=humanact12.FPS,
+    fps=joints_npy.HUMANACT12_FPS,
     clip_length=60,
     num_joints=24,
-    actions=humanact12.ACTIONS,
+    actions=joints_npy.HUMANACT12_ACTIONS,
     joints=humanact12_joints,
 )
 CMU_MOCAP = GruKind(

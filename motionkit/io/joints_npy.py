@@ -2,9 +2,14 @@
 
 `motions.json` beside the files has the form `{"fps": "30000/1001", "layout": "smpl22", "unit_metres": 1.0}`; without it
 the layout follows from J: 22, 24 and 52 joints are SMPL's (SMPL-H's 30 hand joints are dropped), 21 are KIT's.
+
+HumanAct12's 1,191 clips of 12 actions have this form: 24 joints, 20 fps, the action's code in the file's name
+(https://github.com/EricGuo5513/action-to-motion). According to its author, the capture really ran at 15 fps (HumanML3D
+issue 124; set `--fps 15`). Users report that left and right are swapped (issue 147); the files' sides are not changed.
 """
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -23,6 +28,12 @@ from motionkit.io.body_frame import upright
 from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
 
 MANIFEST = "motions.json"
+HUMANACT12_FPS = Fraction(20)
+HUMANACT12_NAME = re.compile(r"P(?P<subject>\d+)G\d+R\d+F\d+T\d+A(?P<action>\d\d)\d\d", re.IGNORECASE)
+HUMANACT12_ACTIONS = (
+    *("warm_up", "walk", "run", "jump", "drink", "lift_dumbbell"),
+    *("sit", "eat", "turn_steering_wheel", "phone", "boxing", "throw"),
+)
 LAYOUT_BY_JOINTS = {21: "kit21", 22: "smpl22", 24: "smpl22", 52: "smpl22"}
 
 
@@ -56,12 +67,9 @@ def read_joints_npy(path: Path, options: ReadOptions | None = None) -> Motion:
     manifest = read_manifest(path.parent / MANIFEST)
     fps = options.fps or manifest.fps
     if fps is None:
-        of_humanml3d = (
-            "; of HumanML3D name the folder above, whose framerate is known" if path.parent.name == "new_joints" else ""
-        )
         raise FormatError(
             f'nothing says the framerate; put {{"fps": 30}} into {MANIFEST} beside the file, a column fps into an '
-            f"annotation CSV, or use --fps{of_humanml3d}",
+            "annotation CSV, or use --fps (of HumanML3D name the folder above, whose framerate is known)",
             path=path,
             reason="no-framerate",
         )
@@ -88,6 +96,31 @@ def read_joints_npy(path: Path, options: ReadOptions | None = None) -> Motion:
             path, data, "joints-npy", operations, stated_fps="" if manifest.fps is None else format_fps(manifest.fps)
         ),
     )
+
+
+def accepts_humanact12(head: FileHead) -> bool:
+    """Whether a .npy file is a HumanAct12 clip: its name has the data set's form and its array is [T, 24, 3]."""
+    shape = head.array_shape
+    return HUMANACT12_NAME.fullmatch(head.path.stem) is not None and (shape is None or shape[1:] == (24, 3))
+
+
+def read_humanact12(path: Path, options: ReadOptions | None = None) -> Motion:
+    """Read one clip as the 22 body joints in metres with its action; raises `FormatError`."""
+    options = options or ReadOptions()
+    fps = options.fps or HUMANACT12_FPS
+    motion = read_joints_npy(path, replace(options, fps=fps))
+    match = HUMANACT12_NAME.fullmatch(path.stem)
+    code = int(match["action"]) if match else 0
+    replaced = source_file.replaced_fps(fps, HUMANACT12_FPS, who="the data set")
+    provenance = replace(
+        motion.provenance,
+        source_format="humanact12",
+        stated_fps=str(HUMANACT12_FPS),
+        subject=match["subject"] if match else "",
+        operations=(*motion.provenance.operations, *replaced),
+    )
+    action = HUMANACT12_ACTIONS[code - 1] if 1 <= code <= len(HUMANACT12_ACTIONS) else ""
+    return replace(motion, action=action, provenance=provenance)
 
 
 def write_joints_npy(motion: Motion, path: Path) -> None:
@@ -118,27 +151,23 @@ def read_manifest(path: Path) -> Manifest:
         manifest = Manifest(
             None if fps is None else parse_fps(fps), str(value.get("layout", "")), float(value.get("unit_metres", 1.0))
         )
+        if manifest.layout not in ("", *STANDARD_SKELETONS) or not 0 < manifest.unit_metres < 1e6:
+            raise ValueError(f"layout {shown(manifest.layout)}, unit_metres {manifest.unit_metres}")
     except (ValueError, TypeError, AttributeError) as error:
-        raise FormatError(f"expected an object with fps and layout ({error})", path=path, reason="manifest") from None
-    if manifest.layout not in ("", *STANDARD_SKELETONS) or not 0 < manifest.unit_metres < 1e6:
-        raise FormatError(
-            f"layout {shown(manifest.layout)} and unit {manifest.unit_metres} m, expected one of "
-            f"{', '.join(STANDARD_SKELETONS)} and a length",
-            path=path,
-            reason="manifest",
-        )
+        layouts = " or ".join(STANDARD_SKELETONS)
+        message = f"expected an object with fps, a layout ({layouts}) and a unit_metres, not {error}"
+        raise FormatError(message, path=path, reason="manifest") from None
     return manifest
 
 
 def _skeleton(num_joints: int, manifest: Manifest, path: Path) -> Skeleton:
-    layout = manifest.layout or LAYOUT_BY_JOINTS.get(num_joints, "")
-    if layout not in STANDARD_SKELETONS or LAYOUT_BY_JOINTS.get(num_joints) != layout:
-        raise FormatError(
-            f"{num_joints} joints{f' for the layout {layout}' if layout else ''}, expected 22 (smpl22), 24 or 52 "
-            "(SMPL or SMPL-H with hands) or 21 (kit21)",
-            path=path,
-            reason="channel-count",
+    layout = LAYOUT_BY_JOINTS.get(num_joints, "")
+    if not layout or manifest.layout not in ("", layout):
+        stated = f" for the layout {manifest.layout}" if manifest.layout else ""
+        message = (
+            f"{num_joints} joints{stated}, expected 22 (smpl22), 24 or 52 (SMPL or SMPL-H with hands) or 21 (kit21)"
         )
+        raise FormatError(message, path=path, reason="channel-count")
     return STANDARD_SKELETONS[layout]
 
 
@@ -152,4 +181,12 @@ FORMAT = Format(
     write=write_joints_npy,
     turns_up=True,
     shared_file=MANIFEST,
+)
+
+HUMANACT12_FORMAT = Format(
+    name="humanact12",
+    read=of_path(read_humanact12),
+    suffixes=(".npy",),
+    accepts=accepts_humanact12,
+    beside=(MANIFEST,),
 )

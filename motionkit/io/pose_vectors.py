@@ -117,13 +117,13 @@ def read_motionstreamer(path: Path, options: ReadOptions | None = None) -> Motio
     back = np.stack((np.cos(-yaw / 2), 0 * yaw, np.sin(-yaw / 2), 0 * yaw), axis=-1)
     steps = np.insert(values[:, PATH], 1, 0.0, axis=1)
     path_steps = np.concatenate((steps[:1], kinematics.quaternion_rotate(back[:-1], steps[1:])))
-    seen = values[:, PLACES].reshape(len(values), JOINTS, 3)
-    positions = kinematics.quaternion_rotate(back[:, None], seen) + np.cumsum(path_steps, axis=0)[:, None]
+    relative = values[:, PLACES].reshape(len(values), JOINTS, 3)
+    positions = kinematics.quaternion_rotate(back[:, None], relative) + np.cumsum(path_steps, axis=0)[:, None]
     local = _matrices(values[:, TURNS].reshape(len(values), JOINTS, 2, 3), path)
     local[:, 0] = kinematics.quaternion_to_matrix(back) @ local[:, 0]
     positions = positions.astype(np.float32) * np.float32(options.unit_metres or 1.0)
-    made = _motion(path, data, positions, SMPL22, FPS, "motionstreamer", options)
-    return joint_rotations.with_rotations(made, local)
+    motion = _motion(path, data, positions, SMPL22, FPS, "motionstreamer", options)
+    return joint_rotations.with_rotations(motion, local)
 
 
 def _rows(path: Path, data: bytes) -> Float32[np.ndarray, "frames numbers"]:

@@ -9,8 +9,7 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io.humanact12 import read_humanact12
-from motionkit.io.joints_npy import read_joints_npy, write_joints_npy
+from motionkit.io.joints_npy import read_humanact12, read_joints_npy, write_joints_npy
 from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import scan
