@@ -170,7 +170,7 @@ def smooth(values: Float[np.ndarray, "frames columns"], sigma_frames: float) -> 
     padded = np.empty((values.shape[1], len(values) + 2 * reach))
     padded[:, reach : reach + len(values)] = values.T
     padded[:, :reach], padded[:, reach + len(values) :] = values[0, :, None], values[-1, :, None]
-    return np.stack([_convolve(column, kernel) for column in padded], axis=-1)
+    return np.stack([np.convolve(column, kernel, mode="valid") for column in padded], axis=-1)
 
 
 @lru_cache(maxsize=64)
@@ -180,16 +180,6 @@ def _kernel(sigma_frames: float) -> Float64[np.ndarray, "taps"]:
     kernel /= kernel.sum()
     kernel.flags.writeable = False
     return np.asarray(kernel)
-
-
-def _convolve(
-    padded: Float64[np.ndarray, "padded"], kernel: Float64[np.ndarray, "taps"]
-) -> Float64[np.ndarray, "frames"]:
-    if len(kernel) * len(padded) < 1_000_000:
-        return np.convolve(padded, kernel, mode="valid")
-    from scipy.signal import oaconvolve
-
-    return np.asarray(oaconvolve(padded, kernel, mode="valid"))
 
 
 def to_z_half_angle(direction: Float[np.ndarray, "frames 2"]) -> Float64[np.ndarray, "frames"]:

@@ -5,9 +5,8 @@ from typing import Literal
 
 import numpy as np
 
-from motionkit.core.moments import Moments
 from motionkit.core.shapes import Float, Float32, Float64
-from motionkit.features.layout import layout_of, vector_layout
+from motionkit.features.layout import layout_of
 
 Signature = Literal["published", "evaluator"]
 
@@ -39,20 +38,6 @@ class Statistics:
         return np.asarray(rows * self.std + self.mean, dtype=np.float32)
 
 
-def block_statistics(found: Moments, convention: str, num_joints: int) -> Statistics:
-    """Statistics with the std averaged inside each of the vector's seven blocks.
-
-    Source: HumanML3D, cal_mean_variance.ipynb. Raises `ValueError` for a constant block or a wrong size.
-    """
-    layout = vector_layout(num_joints)
-    if found.mean.size != layout.size:
-        raise ValueError(f"vectors of {num_joints} joints have {layout.size} numbers, these have {found.mean.size}")
-    std = found.std
-    for block in layout.blocks:
-        std[block] = std[block].mean()
-    return Statistics(convention, found.mean, std)
-
-
 def check_statistics(found: Statistics, num_joints: int, expected: Signature) -> None:
     """Raise `ValueError` unless statistics have the expected signature.
 
@@ -67,7 +52,7 @@ def check_statistics(found: Statistics, num_joints: int, expected: Signature) ->
     if uneven:
         raise ValueError(
             f"the std varies inside numbers {uneven[0].start} to {uneven[0].stop - 1}, so this is not a file of "
-            "HumanML3D's convention, which has one std per block; make one with block_statistics"
+            "HumanML3D's convention, which has one std per block"
         )
     ratio = float(found.std[layout.root_velocity].mean() / found.std[layout.joint_velocities].mean())
     signature: Signature = "published" if ratio > _ROOT_TO_JOINT_SPEED else "evaluator"

@@ -1,8 +1,7 @@
 """Corrects a motion field so that it passes through the observed frames without jumps."""
 
 from dataclasses import dataclass
-from fractions import Fraction
-from functools import cached_property
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,12 +16,11 @@ from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.joints import Joints
 from motionkit.fields.motion_field import (
+    DerivedField,
     MotionEncoder,
     MotionField,
     Observation,
     Poses,
-    at_fps,
-    check_skeleton,
     check_times,
 )
 
@@ -48,77 +46,52 @@ class Anchored:
 
     def encode(
         self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
-    ) -> "AnchoredField":
+    ) -> DerivedField:
         """The encoder's field, corrected to pass through the observed frames; raises what the encoder raises."""
         field = self.encoder.encode(observation, before_seconds=before_seconds, after_seconds=after_seconds)
         return anchored(field, observation)
 
 
-@dataclass(frozen=True, eq=False)
-class AnchoredField:
-    """A field plus what it misses the observed frames by, interpolated."""
+def anchored(field: MotionField, observation: Observation) -> DerivedField:
+    """A field corrected to pass through observed frames; raises `ValueError` if times or skeleton don't match."""
+    skeleton = field.skeleton
+    if skeleton.joint_names != observation.skeleton.joint_names:
+        raise ValueError(
+            f"the field is of skeleton {skeleton.name!r} ({skeleton.num_joints} joints), the observation of "
+            f"{observation.skeleton.name!r} ({observation.skeleton.num_joints}): their joints must be the same"
+        )
+    check_times(field, observation.times_seconds)
 
-    field: MotionField
-    observation: Observation
+    def on_rotations(poses: Poses) -> bool:
+        return poses.local_rotations is not None and observation.poses.local_rotations is not None
 
-    @property
-    def skeleton(self) -> Skeleton:
-        """Same as the wrapped field's."""
-        return self.field.skeleton
-
-    @property
-    def start_seconds(self) -> float:
-        """Same as the wrapped field's."""
-        return self.field.start_seconds
-
-    @property
-    def end_seconds(self) -> float:
-        """Same as the wrapped field's."""
-        return self.field.end_seconds
-
-    def at_fps(self, fps: Fraction) -> "AnchoredField":
-        """The field for this framerate, anchored again."""
-        return anchored(at_fps(self.field, fps), self.observation)
-
-    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
-        """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
-        poses = self.field.query(times_seconds)
-        offsets = np.asarray(self._offsets(np.clip(times_seconds, *self._offsets.x[[0, -1]])))
-        if self._on_rotations(poses):
-            return _with_offsets(poses, offsets, self.skeleton)
-        return Poses((poses.joint_positions + offsets.reshape(poses.joint_positions.shape)).astype(np.float32))
-
-    def _on_rotations(self, poses: Poses) -> bool:
-        return poses.local_rotations is not None and self.observation.poses.local_rotations is not None
-
-    @cached_property
-    def _offsets(self) -> "PchipInterpolator":
+    @cache
+    def offsets() -> "PchipInterpolator":
         """What the field misses the observed poses by, as a function of time; constant beyond both ends."""
         from scipy.interpolate import PchipInterpolator
 
-        observed, times = self.observation, self.observation.times_seconds
-        poses = self.field.query(times)
-        on_rotations = self._on_rotations(poses)
-        offsets = _missed(poses, observed, self.skeleton) if on_rotations else _missed_positions(poses, observed)
+        times = observation.times_seconds
+        poses, given = field.query(times), observation.poses
+        if on_rotations(poses):
+            missed = _missed(poses, given, skeleton)
+        else:
+            missed = (given.joint_positions.astype(np.float64) - poses.joint_positions).reshape(len(times), -1)
         # The end offsets again beyond the ends: there the slope becomes zero, so velocity stays continuous.
         knots = np.concatenate(([times[0] - 1.0], times, [times[-1] + 1.0]))
-        return PchipInterpolator(knots, np.concatenate((offsets[:1], offsets, offsets[-1:])))
+        return PchipInterpolator(knots, np.concatenate((missed[:1], missed, missed[-1:])))
+
+    def corrected(times: Float64[np.ndarray, "times"]) -> Poses:
+        poses = field.query(times)
+        steps = np.asarray(offsets()(np.clip(times, *offsets().x[[0, -1]])))
+        if on_rotations(poses):
+            return _with_offsets(poses, steps, skeleton)
+        return Poses((poses.joint_positions + steps.reshape(poses.joint_positions.shape)).astype(np.float32))
+
+    return DerivedField(field, corrected, lambda other: anchored(other, observation))
 
 
-def anchored(field: MotionField, observation: Observation) -> AnchoredField:
-    """A field corrected to pass through observed frames; raises `ValueError` if times or skeleton don't match."""
-    check_skeleton(field, observation)
-    check_times(field, observation.times_seconds)
-    return AnchoredField(field, observation)
-
-
-def _missed_positions(made: Poses, given: Observation) -> Float64[np.ndarray, "frames numbers"]:
-    moves = given.poses.joint_positions.astype(np.float64) - made.joint_positions
-    return np.asarray(moves.reshape(len(moves), -1))
-
-
-def _missed(made: Poses, given: Observation, skeleton: Skeleton) -> Float64[np.ndarray, "frames numbers"]:
-    mine, theirs = Joints.of(made, skeleton), Joints.of(given.poses, skeleton)
+def _missed(made: Poses, given: Poses, skeleton: Skeleton) -> Float64[np.ndarray, "frames numbers"]:
+    mine, theirs = Joints.of(made, skeleton), Joints.of(given, skeleton)
     turns = quaternion_to_rotation_vector(quaternion_multiply(quaternion_conjugate(mine.rotations), theirs.rotations))
     parts = (turns, theirs.bones - mine.bones, (theirs.root - mine.root)[:, None])
     return np.concatenate(parts, axis=1).reshape(len(turns), -1)

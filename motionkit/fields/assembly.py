@@ -154,17 +154,15 @@ class AssembledField:
         return all(contacts_of(field, start) is not None for field, start in starts)
 
 
-def assemble(pieces: Sequence[Piece], fade_seconds: float | None = None) -> AssembledField:
+def assemble(pieces: Sequence[Piece]) -> AssembledField:
     """One field from pieces in chronological order, each overlapping the next.
 
-    A fade lies in the middle of its overlap and takes all of it, or `fade_seconds`; where more than two pieces overlap
-    it is shortened until fades do not meet. Raises `ValueError` for no piece, unequal skeletons, pieces out of order,
-    neighbours that overlap by less than a millisecond, or a fade that takes no time.
+    A fade takes all of its overlap; where more than two pieces overlap it is shortened until fades do not meet. Raises
+    `ValueError` for no piece, unequal skeletons, pieces out of order, and neighbours that overlap by less than a
+    millisecond.
     """
     if not pieces:
         raise ValueError("nothing to assemble: give at least one piece")
-    if fade_seconds is not None and not fade_seconds > 0:
-        raise ValueError(f"the fade must be longer than 0 s, not {fade_seconds:g} s")
     starts = np.array([piece.start_seconds for piece in pieces])
     ends = np.array([piece.end_seconds for piece in pieces])
     for number, (before, after) in enumerate(pairwise(pieces)):
@@ -177,8 +175,6 @@ def assemble(pieces: Sequence[Piece], fade_seconds: float | None = None) -> Asse
             raise ValueError(f"{names} must overlap by {SHORTEST_OVERLAP_SECONDS:g} s or more, for the cross-fade")
     centre = (starts[1:] + ends[:-1]) / 2
     half = (ends[:-1] - starts[1:]) / 2
-    if fade_seconds is not None:
-        half = np.minimum(half, fade_seconds / 2)
     room = np.diff(centre) / 2
     half[1:] = np.minimum(half[1:], room)
     half[:-1] = np.minimum(half[:-1], room)

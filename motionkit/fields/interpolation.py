@@ -29,6 +29,7 @@ from motionkit.core.shapes import Float, Float64, Int
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.joints import Joints, with_rotations
 from motionkit.fields.motion_field import (
+    DerivedField,
     Observation,
     Poses,
     check_observed_alike,
@@ -406,7 +407,7 @@ class Settling:
 
     def encode(
         self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
-    ) -> "SettlingField | InterpolatedField":
+    ) -> DerivedField | InterpolatedField:
         """The field through all observed frames; raises `ValueError` for a negative reach."""
         between = self.interpolator.encode(observation, before_seconds=before_seconds, after_seconds=after_seconds)
         if not (before_seconds or after_seconds):
@@ -417,57 +418,41 @@ class Settling:
             before_seconds=min(before_seconds, longest),
             after_seconds=min(after_seconds, longest),
         )
-        return SettlingField(self, between, beyond)
 
+        def settling(times: Float64[np.ndarray, "times"]) -> Poses:
+            inside = np.clip(times, observation.start_seconds, observation.end_seconds)
+            outside = np.flatnonzero(inside != times)
+            poses = between.query(inside)
+            if outside.size:
+                poses.put(outside, self._settled(beyond, inside[outside], (times - inside)[outside], poses))
+            return poses
 
-@dataclass(frozen=True, eq=False)
-class SettlingField:
-    """`between` inside the observed span; outside it `beyond`, which has rotations, at slowed times."""
+        return DerivedField(
+            between,
+            settling,
+            lambda _: self.encode(observation, before_seconds=before_seconds, after_seconds=after_seconds),
+        )
 
-    encoder: Settling
-    between: InterpolatedField
-    beyond: InterpolatedField
+    def _settled(
+        self,
+        beyond: InterpolatedField,
+        ends: Float64[np.ndarray, "times"],
+        reach: Float64[np.ndarray, "times"],
+        like: Poses,
+    ) -> Poses:
+        """Poses `reach` seconds beyond the ends: those of `beyond`, which has rotations, at slowed times."""
 
-    @property
-    def skeleton(self) -> Skeleton:
-        """The observation's skeleton."""
-        return self.between.skeleton
-
-    @property
-    def start_seconds(self) -> float:
-        """First instant of the domain."""
-        return self.between.start_seconds
-
-    @property
-    def end_seconds(self) -> float:
-        """Last instant of the domain."""
-        return self.between.end_seconds
-
-    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
-        """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
-        check_times(self, times_seconds)
-        observation = self.between.observation
-        inside = np.clip(times_seconds, observation.start_seconds, observation.end_seconds)
-        outside = np.flatnonzero(inside != times_seconds)
-        poses = self.between.query(inside)
-        if outside.size:
-            poses.put(outside, self._settled(inside[outside], (times_seconds - inside)[outside], poses))
-        return poses
-
-    def _settled(self, ends: Float64[np.ndarray, "times"], reach: Float64[np.ndarray, "times"], like: Poses) -> Poses:
         def slowed(seconds: float) -> Poses:
             way = seconds * -np.expm1(-np.abs(reach) / seconds)
-            return self.beyond.query(
-                np.clip(ends + np.sign(reach) * way, self.beyond.start_seconds, self.beyond.end_seconds)
-            )
+            return beyond.query(np.clip(ends + np.sign(reach) * way, beyond.start_seconds, beyond.end_seconds))
 
-        limbs, path = slowed(self.encoder.joints_seconds), slowed(self.encoder.root_seconds)
+        limbs, path = slowed(self.joints_seconds), slowed(self.root_seconds)
         assert limbs.local_rotations is not None
-        # A bone that travels, hips in a reference on the floor, is a part of the path.
-        travelled = Joints.of(path, self.skeleton)
-        joints = Joints(Joints.of(limbs, self.skeleton).rotations, travelled.bones, travelled.root)
+        # A bone that travels, hips in a reference on the floor, belongs to the path.
+        travelled = Joints.of(path, beyond.skeleton)
+        joints = Joints(Joints.of(limbs, beyond.skeleton).rotations, travelled.bones, travelled.root)
         return Poses(
-            joints.positions(self.skeleton),
+            joints.positions(beyond.skeleton),
             None if like.local_rotations is None else limbs.local_rotations,
             None if like.root_translation is None else path.root_translation,
         )

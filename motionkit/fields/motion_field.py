@@ -262,6 +262,47 @@ def contacts_of(
     return field.contacts(times_seconds) if isinstance(field, PredictsContacts) else None
 
 
+@dataclass(frozen=True, eq=False)
+class DerivedField:
+    """A `MotionField` whose poses are computed from another one's, on the same domain.
+
+    `compute` gives the poses at some times. `derive` derives the same from the other field at another framerate.
+    Predicted contacts are the other field's.
+    """
+
+    field: MotionField
+    compute: Callable[[Float64[np.ndarray, "times"]], Poses]
+    derive: Callable[[MotionField], MotionField]
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The other field's skeleton."""
+        return self.field.skeleton
+
+    @property
+    def start_seconds(self) -> float:
+        """First instant of the domain."""
+        return self.field.start_seconds
+
+    @property
+    def end_seconds(self) -> float:
+        """Last instant of the domain."""
+        return self.field.end_seconds
+
+    def at_fps(self, fps: Fraction) -> MotionField:
+        """Derived from the other field at this framerate."""
+        return self.derive(at_fps(self.field, fps))
+
+    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
+        """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
+        check_times(self, times_seconds)
+        return self.compute(times_seconds)
+
+    def contacts(self, times_seconds: Float64[np.ndarray, "times"]) -> Float32[np.ndarray, "times 2 2"] | None:
+        """The other field's predicted contacts, if any."""
+        return contacts_of(self.field, times_seconds)
+
+
 def query_in_blocks(
     query: Callable[[Float64[np.ndarray, "times"]], Poses], times_seconds: Float64[np.ndarray, "times"]
 ) -> Poses:
@@ -299,49 +340,14 @@ def check_observed_alike(observations: Sequence[Observation]) -> None:
         raise ValueError("no motion is observed")
 
 
-def check_skeleton(field: MotionField, observation: Observation) -> None:
-    """Raise `ValueError` where a field and an observation do not have the same joints."""
-    if field.skeleton.joint_names != observation.skeleton.joint_names:
-        raise ValueError(
-            f"the field is of skeleton {field.skeleton.name!r} ({field.skeleton.num_joints} joints), the observation "
-            f"of {observation.skeleton.name!r} ({observation.skeleton.num_joints}): their joints must be the same"
-        )
-
-
 def at_fps(field: MotionField, fps: Fraction) -> MotionField:
     """The field itself, or where it depends on the framerate that it is sampled at, the one for `fps`."""
     return field.at_fps(fps) if isinstance(field, FramerateConditioned) else field
 
 
-def frame_grid(field: MotionField, fps: Fraction) -> TimeGrid:
-    """The frames start_seconds + k / fps that lie in the field's domain."""
-    return TimeGrid(fps, num_frames_within(field.end_seconds - field.start_seconds, fps), field.start_seconds)
-
-
 def to_motion(field: MotionField, fps: Fraction, provenance: Provenance | None = None) -> Motion:
-    """Sample the whole field uniformly: frame k at start_seconds + k / fps."""
-    grid = frame_grid(field, fps)
+    """Sample the whole field uniformly: frame k at start_seconds + k / fps, as far as the domain reaches."""
+    num_frames = num_frames_within(field.end_seconds - field.start_seconds, fps)
+    grid = TimeGrid(fps, num_frames, field.start_seconds)
     poses = at_fps(field, fps).query(np.minimum(grid.seconds(), field.end_seconds))
     return poses.at(grid, field.skeleton, provenance)
-
-
-def joint_velocities(
-    field: MotionField, times_seconds: Float64[np.ndarray, "times"], *, step_seconds: float = 1e-3
-) -> Float64[np.ndarray, "times joints 3"]:
-    """Velocities of all joints in m/s: the slope at each time of the parabola through three poses one step apart.
-
-    The three lie around the time, or inside the domain where it is near an end. Poses are float32, so a step of 1 ms
-    resolves about 0.1 mm/s. Raises `ValueError` for times outside the domain and for a step of no length.
-    """
-    if step_seconds <= 0:
-        raise ValueError(f"velocities need a step of some length, not {step_seconds:g} s")
-    check_times(field, times_seconds)
-    step = min(step_seconds, (field.end_seconds - field.start_seconds) / 2)
-    if step <= 0:
-        return np.zeros((len(times_seconds), field.skeleton.num_joints, 3))
-    centre = np.clip(times_seconds, field.start_seconds + step, field.end_seconds - step)
-    three = np.concatenate((centre - step, centre, centre + step))
-    poses = field.query(np.clip(three, field.start_seconds, field.end_seconds)).joint_positions.astype(np.float64)
-    before, here, after = np.split(poses, 3)
-    offset = (times_seconds - centre)[:, None, None]
-    return np.asarray((after - before) / (2 * step) + offset * (before - 2 * here + after) / step**2)

@@ -23,7 +23,7 @@ from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.interpolation import INTERPOLATORS, Settling
 from motionkit.fields.joints import Joints
-from motionkit.fields.motion_field import MotionField, Observation, Poses
+from motionkit.fields.motion_field import DerivedField, MotionField, Observation, Poses
 
 _FRAMES_TO_ESTIMATE_FROM = 500
 _RIGID_METRES, _STILL_NUMBERS = 1e-4, 1e-6
@@ -85,41 +85,18 @@ def on_bones(field: MotionField, observation: Observation) -> MotionField:
         before_seconds=max(0.0, observation.start_seconds - field.start_seconds),
         after_seconds=max(0.0, field.end_seconds - observation.end_seconds),
     )
-    return OnBones(field, own, Rig.of(observation))
+    rig = Rig.of(observation)
 
-
-@dataclass(frozen=True, eq=False)
-class OnBones:
-    """A `MotionField` of joint positions, carried by the bones of `own`, which has rotations."""
-
-    field: MotionField
-    own: MotionField
-    rig: Rig
-
-    @property
-    def skeleton(self) -> Skeleton:
-        """Same as the wrapped field's."""
-        return self.field.skeleton
-
-    @property
-    def start_seconds(self) -> float:
-        """Same as the wrapped field's."""
-        return self.field.start_seconds
-
-    @property
-    def end_seconds(self) -> float:
-        """Same as the wrapped field's."""
-        return self.field.end_seconds
-
-    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
-        """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
-        wanted = self.field.query(times_seconds).joint_positions
-        poses = self.own.query(np.clip(times_seconds, self.own.start_seconds, self.own.end_seconds))
-        positions, rotations = _pointed(poses, wanted, self.rig)
+    def on_rig(times: Float64[np.ndarray, "times"]) -> Poses:
+        aims = field.query(times).joint_positions
+        poses = own.query(np.clip(times, own.start_seconds, own.end_seconds))
+        positions, rotations = _pointed(poses, aims, rig)
         translation = None
         if poses.root_translation is not None:
             translation = poses.root_translation + positions[:, 0] - poses.joint_positions[:, 0]
         return Poses(positions, rotations, translation)
+
+    return DerivedField(field, on_rig, lambda other: on_bones(other, observation))
 
 
 def _pointed(

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from fractions import Fraction
 
 import numpy as np
 
@@ -10,7 +9,7 @@ from motionkit.core.kinematics import fit_rotation, quaternion_conjugate, quater
 from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.contact.legs import LEAST_ROOM_METRES, LONGEST_SHARE, Vectors
-from motionkit.fields.motion_field import MotionField, Poses, at_fps, contacts_of
+from motionkit.fields.motion_field import DerivedField, MotionField, Poses
 
 # If a joint's distance from its parent varies by more, there is no bone: hips above a reference on the floor, markers.
 TRAVELLING_FROM_ROOT_METRES, TRAVELLING_METRES = 0.25, 0.5
@@ -166,42 +165,6 @@ class Bones:
         reached[joint, rows] = reached[start, rows] + upper * _directions(old + gone[:, None] * (bent - old))[0]
 
 
-@dataclass(frozen=True, eq=False)
-class BonesField:
-    """A `MotionField` of another one's positions, projected onto bones."""
-
-    field: MotionField
-    bones: Bones
-
-    @property
-    def skeleton(self) -> Skeleton:
-        """Same as the wrapped field's."""
-        return self.field.skeleton
-
-    @property
-    def start_seconds(self) -> float:
-        """Same as the wrapped field's."""
-        return self.field.start_seconds
-
-    @property
-    def end_seconds(self) -> float:
-        """Same as the wrapped field's."""
-        return self.field.end_seconds
-
-    def at_fps(self, fps: Fraction) -> "BonesField":
-        """The field for this framerate on the same bones."""
-        return replace(self, field=at_fps(self.field, fps))
-
-    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
-        """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
-        poses = self.field.query(times_seconds)
-        return Poses(self.bones.applied(poses.joint_positions), None, poses.root_translation)
-
-    def contacts(self, times_seconds: Float64[np.ndarray, "times"]) -> Float32[np.ndarray, "times 2 2"] | None:
-        """The wrapped field's predicted contacts, if any."""
-        return contacts_of(self.field, times_seconds)
-
-
 def with_lengths(field: MotionField, lengths: Float[np.ndarray, "bones"]) -> MotionField:
     """A motion with these bone lengths, metres, from the second joint on.
 
@@ -214,7 +177,15 @@ def with_lengths(field: MotionField, lengths: Float[np.ndarray, "bones"]) -> Mot
     own = np.linalg.norm(bones.offsets[1:], axis=-1, keepdims=True)
     offsets = bones.offsets.copy()
     offsets[1:] *= np.where(own > 0, lengths[:, None] / np.where(own > 0, own, 1.0), 1.0)
-    return BonesField(field, replace(bones, offsets=offsets))
+    return _on_bones(field, replace(bones, offsets=offsets))
+
+
+def _on_bones(field: MotionField, bones: Bones) -> DerivedField:
+    def on_bones(times: Float64[np.ndarray, "times"]) -> Poses:
+        poses = field.query(times)
+        return Poses(bones.applied(poses.joint_positions), None, poses.root_translation)
+
+    return DerivedField(field, on_bones, lambda other: _on_bones(other, bones))
 
 
 def _middle_and_spread(

@@ -19,10 +19,10 @@ from motionkit.fields.motion_field import (
     TIMES_AT_ONCE,
     Observation,
     Poses,
-    joint_velocities,
     to_motion,
 )
 from tests.helpers.turning_body import random_motion
+from tests.helpers.velocities import joint_velocities
 
 METHODS: list[Method] = list(INTERPOLATORS)
 SMOOTH: list[Method] = ["catmull-rom", "cubic", "rotation-catmull-rom", "squad", "rotation-cubic"]
@@ -300,5 +300,3 @@ def test_velocities_are_those_of_the_motion() -> None:
     times = np.linspace(0, 1.1, 23)
     slopes = coefficients[1] + 2 * coefficients[2] * times[:, None, None]
     assert np.allclose(joint_velocities(interpolate(motion, "cubic"), times), slopes, atol=5e-3)
-    still = interpolate(random_motion(15, num_frames=1))
-    assert np.array_equal(joint_velocities(still, np.array([1.25])), np.zeros((1, 22, 3)))

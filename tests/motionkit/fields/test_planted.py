@@ -15,8 +15,9 @@ from motionkit.fields.contact.bones import Bones
 from motionkit.fields.contact.detection import Ground, find_contacts, ground_of
 from motionkit.fields.contact.planted import PlantedField, planted
 from motionkit.fields.interpolation import interpolate
-from motionkit.fields.motion_field import MotionField, Poses, joint_velocities, to_motion
+from motionkit.fields.motion_field import MotionField, Poses, to_motion
 from tests.helpers.analytic import capture
+from tests.helpers.velocities import joint_velocities
 
 FPS = Fraction(60)
 FEET = (7, 10, 8, 11)

@@ -12,8 +12,9 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.completion import complete
 from motionkit.fields.interpolation import INTERPOLATORS, Settling
 from motionkit.fields.joints import Joints
-from motionkit.fields.motion_field import MotionEncoder, MotionField, Observation, Poses, joint_velocities
+from motionkit.fields.motion_field import MotionEncoder, MotionField, Observation, Poses
 from tests.helpers.turning_body import random_motion
+from tests.helpers.velocities import joint_velocities
 
 NAMES = ("slerp", "squad", "rotation-cubic")
 

@@ -15,7 +15,7 @@ from motionkit.data.corpus import FrameValues
 from motionkit.data.poses import WindowPoses
 from motionkit.data.windows import cut_windows
 from motionkit.fields.completion import complete
-from motionkit.fields.motion_field import MotionEncoder, Observation, Poses, joint_velocities, to_motion
+from motionkit.fields.motion_field import MotionEncoder, Observation, Poses, to_motion
 from motionkit.training.loop import step_generator
 from motionkit.training.run import RunError
 from nerm.field.motion_encoder import NermEncoder, load
@@ -23,6 +23,7 @@ from nerm.field.trained import TrainedField
 from nerm.field.training import FieldTraining
 from tests.helpers.nerm_corpus import analytic_positions, analytic_source
 from tests.helpers.observed_errors import observed_errors
+from tests.helpers.velocities import joint_velocities
 from tests.nerm.field.test_field_training import SMALL
 
 SECONDS = 11.0

@@ -20,7 +20,6 @@ from motionkit.fields.motion_field import (
     MotionField,
     Observation,
     Poses,
-    joint_velocities,
     to_motion,
 )
 from motionkit.store.reader import Store
@@ -34,6 +33,7 @@ from pahires.temporal.windows import WindowSampler
 from tests.helpers.nerm_corpus import analytic_positions
 from tests.helpers.observed_errors import observed_errors
 from tests.helpers.small_network import SmallConfig, SmallNetwork, load, train, write_store
+from tests.helpers.velocities import joint_velocities
 
 CPU = torch.device("cpu")
 EXACT = SmallConfig(
