@@ -6,7 +6,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from motionkit.cli import split
+from motionkit.cli.store import split
 from motionkit.core.errors import UsageError
 from motionkit.store import Store
 
@@ -21,7 +21,7 @@ def store(motionkit, takes, tmp_path):
 
 def run(*arguments):
     app = typer.Typer()
-    app.command()(split.split)
+    app.command()(split)
     return CliRunner().invoke(app, list(map(str, arguments)), catch_exceptions=False)
 
 

@@ -1,0 +1,277 @@
+"""Commands that check and change a store: validate, split, remove, merge, compact."""
+
+from dataclasses import asdict
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from motionkit.cli.console import print_json, progress, say_next, stderr, stdout
+from motionkit.cli.options import StoreArgument, named_store, of_default
+from motionkit.core.errors import UsageError
+from motionkit.core.files import default_path
+from motionkit.core.progress import task
+
+MEGABYTE = 1e6
+SHOWN_IDS = 20
+
+ChangedStore = Annotated[Path | None, typer.Option(help="Store to change.", show_default="./store")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and leave the store.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print what was done as JSON.")]
+
+
+class OnConflict(StrEnum):
+    """What to do if one id stands for two different files."""
+
+    STOP = "stop"
+    SKIP = "skip"
+
+
+def validate(
+    path: StoreArgument = None,
+    store: Annotated[Path | None, typer.Option(help="Store to check.", show_default="./store")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the faults as JSON.")] = False,
+) -> None:
+    """Check every file of a store: checksums, tables, finite frames.
+
+    Prints a line for each fault. Exit code 1 if there is any, else 0.
+
+    Example: motionkit validate
+    """
+    from motionkit.store.commit import read_manifest
+    from motionkit.store.validate import faults
+
+    path = named_store(path, store) or default_path("store")
+    manifest = read_manifest(path)
+    with progress() as show, task(show, "validate", len(manifest.files)) as work:
+
+        def on_file(name: str) -> None:
+            work.note(name)
+            work.advance()
+
+        found = list(faults(path, on_file))
+    if as_json:
+        print_json({"store": str(path), "fingerprint": manifest.fingerprint, "faults": found})
+    else:
+        intact = f"{path} is intact: {manifest.num_sequences:,} sequences, {len(manifest.files)} files"
+        for line in found or [intact]:
+            stdout.print(line)
+    if found:
+        raise typer.Exit(1)
+
+
+def split(
+    path: StoreArgument = None,
+    shares: Annotated[
+        str, typer.Option(help="What part of the motion, in seconds, each split gets: test=1 puts all of it there.")
+    ] = "train=0.8,val=0.05,test=0.15",
+    by: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="SQL",
+            help="What stays together: performer (source and subject), wording (captions of the same words), source, "
+            "source_path, or any expression over the table of sequences; sequence_id to hold out takes of known "
+            "performers. Given again, what shares either stays together: --by performer --by wording.",
+            show_default="performer",
+        ),
+    ] = None,
+    where: Annotated[
+        str | None,
+        typer.Option(metavar="SQL", help="Only sequences for which this holds; the others stay where they are."),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Who is held out follows from it.")] = 0,
+    store: ChangedStore = None,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+) -> None:
+    """Split a store into train, val and test so that held-out performers are not in training.
+
+    The sources' own splits are replaced. The store's fingerprint changes, and runs trained on it no longer match:
+    split before training, or split a copy ('motionkit merge').
+
+    Example: motionkit split --by sequence_id --shares train=0.6,test=0.4
+    """
+    from motionkit.store.life.splits import PERFORMER
+    from motionkit.store.life.splits import split as split_store
+
+    store = named_store(path, store)
+    arguments = (store or default_path("store"), parse_shares(shares))
+    report = split_store(*arguments, by=by or [PERFORMER], where=where, seed=seed, dry_run=dry_run)
+    if as_json:
+        print_json({**asdict(report), "store": str(report.store), "seed": seed, "dry_run": dry_run})
+        return
+    stdout.print(
+        f"{'split':8}{'share':>8}{'asked':>8}{'hours':>10}{'groups':>10}{'sequences':>12}{'wordings seen':>16}"
+    )
+    for each in report.splits:
+        hours, seen = each.duration_seconds / 3600, f"{each.num_seen:,} of {each.num_captioned:,}"
+        stdout.print(
+            f"{each.split:8}{each.share:8.3f}{each.asked_share:8.3f}{hours:10.2f}{each.num_groups:10,}"
+            f"{each.num_sequences:12,}{seen:>16}",
+        )
+    doing = "would change" if dry_run else "changed"
+    stdout.print(f"{doing} the split of {report.num_changed:,} sequences of {report.store}, by {report.by}")
+    if not dry_run:
+        say_next(f"motionkit train{of_default('--store', store)}")
+
+
+def parse_shares(text: str) -> dict[str, float]:
+    """Parse `train=0.8,test=0.2`; raises `UsageError` for anything else."""
+    shares: dict[str, float] = {}
+    for item in text.split(","):
+        name, equals, number = (piece.strip() for piece in item.partition("="))
+        try:
+            share = float(number)
+        except ValueError:
+            share = float("nan")
+        if not equals or share != share:
+            raise UsageError(f"--shares takes SPLIT=NUMBER,… (train=0.8,val=0.05,test=0.15), not {text!r}")
+        if name in shares:
+            raise UsageError(f"--shares names {name!r} twice: {text!r}")
+        shares[name] = share
+    return shares
+
+
+def remove(
+    ids: Annotated[list[str] | None, typer.Argument(help="Ids of sequences.", show_default=False)] = None,
+    where: Annotated[
+        str | None, typer.Option(metavar="SQL", help="Condition over the table of sequences: \"source = 'CMU'\".")
+    ] = None,
+    store: ChangedStore = None,
+    dry_run: DryRun = False,
+    as_json: AsJson = False,
+) -> None:
+    """Remove sequences from a store, by id or by a condition.
+
+    They disappear from its tables at once; their frames are deleted by 'motionkit compact'. To undo it, run 'motionkit
+    ingest' on the same sources, which stores missing sequences, and 'motionkit split' again; or make a copy beforehand
+    with 'motionkit merge COPY STORE'.
+
+    Example: motionkit remove --where "duration_seconds > 1" --dry-run
+    """
+    from motionkit.store.commit import read_manifest
+    from motionkit.store.life.rewrite import plan_removal
+    from motionkit.store.life.rewrite import remove as remove_sequences
+
+    if not ids and where is None:
+        raise UsageError("name the sequences to remove, by their ids or with --where")
+    path = store or default_path("store")
+    plan = plan_removal(path, ids or (), where=where)
+    if not plan.sequence_ids:
+        raise UsageError(f"no sequence of {path} satisfies {where!r}")
+    if dry_run and as_json:
+        sizes = {"bytes_at_once": plan.bytes_at_once, "bytes_with_compact": plan.bytes_later}
+        print_json({"store": str(path), "dry_run": True, "would_remove": plan.sequence_ids, **sizes})
+    elif dry_run:
+        for sequence_id in plan.sequence_ids[:SHOWN_IDS]:
+            stdout.print(f"  {sequence_id}")
+        if len(plan.sequence_ids) > SHOWN_IDS:
+            stdout.print(f"  and {len(plan.sequence_ids) - SHOWN_IDS:,} more: --json names all")
+        stdout.print(
+            f"would remove {len(plan.sequence_ids):,} sequences from {path}: about "
+            f"{plan.bytes_at_once / MEGABYTE:,.1f} MB at once, {plan.bytes_later / MEGABYTE:,.1f} MB with "
+            "'motionkit compact'"
+        )
+    if dry_run:
+        return
+    removed = remove_sequences(path, ids or (), where=where)
+    manifest = read_manifest(path)
+    if as_json:
+        counts = {"sequences_in_store": manifest.num_sequences, "sequences_to_compact": manifest.num_removed}
+        print_json({"store": str(path), "removed": removed, **counts})
+        return
+    stdout.print(f"removed {len(removed):,} sequences from {path}, which holds {manifest.num_sequences:,}")
+    if manifest.num_removed:
+        stdout.print(f"their frames leave the disk with 'motionkit compact --store {path}'")
+
+
+def merge(
+    out: Annotated[Path, typer.Argument(help="Store to make or to add to.", show_default=False)],
+    sources: Annotated[list[Path], typer.Argument(help="Stores to copy from.", show_default=False)],
+    where: Annotated[
+        str | None,
+        typer.Option(metavar="SQL", help="Condition over each source's table of sequences: \"split = 'test'\"."),
+    ] = None,
+    on_conflict: Annotated[
+        OnConflict, typer.Option(help="One id, two files: write nothing, or keep the first.")
+    ] = OnConflict.STOP,
+    as_json: AsJson = False,
+) -> None:
+    """Copy stores into one, or a subset of a store into a new one, unchanged.
+
+    Sequences that the target has from equal files are kept.
+
+    Example: motionkit merge tests store --where "split = 'test'"
+    """
+    from motionkit.store.life.rewrite import merge as merge_stores
+
+    with progress() as show, task(show, "merge") as work:
+        report = merge_stores(
+            out,
+            sources,
+            where=where,
+            on_conflict=on_conflict.value,
+            on_start=work.set_total,
+            on_sequence=work.advance,
+        )
+    for sequence_id in report.conflicts:
+        stderr.print(f"left out: {sequence_id!r} is there from another file")
+    if as_json:
+        counts = {"stored": report.num_stored, "already_stored": report.num_already_stored}
+        ids = {"conflicts": report.conflicts, "sequences_in_store": report.num_in_store}
+        print_json({"store": str(report.store), **counts, **ids})
+        return
+    stdout.print(f"stored {report.num_stored:,} sequences in {report.store}, which holds {report.num_in_store:,}")
+    if report.num_already_stored:
+        stdout.print(f"already there: {report.num_already_stored:,}")
+    if report.conflicts:
+        stdout.print(f"left out: {len(report.conflicts):,} whose ids are there from other files")
+
+
+def compact(store: ChangedStore = None, dry_run: DryRun = False, as_json: AsJson = False) -> None:
+    """Rewrite a store's parts, full and without removed sequences; if interrupted, the store is unchanged.
+
+    Sequences are renumbered from 0. Needs disk space for a second copy until it is done; programs that have the store
+    open must reopen it. Removed sequences can then only be restored from their sources or a copy of the store. The
+    store's fingerprint changes, so its training caches are rebuilt.
+
+    Example: motionkit compact --dry-run
+    """
+    from motionkit.store.commit import leftovers, read_manifest
+    from motionkit.store.life.rewrite import compact as compact_store
+    from motionkit.store.life.rewrite import plan_compaction
+
+    path = store or default_path("store")
+    if dry_run:
+        plan = plan_compaction(path)
+        if as_json:
+            print_json({"store": str(path), "dry_run": True, **asdict(plan)})
+        elif plan.is_compact:
+            stdout.print(f"{path} is compact already")
+        else:
+            stdout.print(
+                f"{path}: {plan.num_parts:,} parts, {plan.num_bytes / MEGABYTE:,.1f} MB, would become about "
+                f"{plan.bytes_after / MEGABYTE:,.1f} MB; the frames of {plan.num_removed:,} removed sequences would "
+                f"be gone for good; until it is done both need room"
+            )
+        return
+    before = read_manifest(path)
+    num_left = len(leftovers(path, before))
+    with progress() as show, task(show, "compact", before.num_sequences) as work:
+        changed = compact_store(path, work.advance)
+    after = read_manifest(path)
+    if as_json:
+        parts = {"parts_before": len(before.parts), "parts": len(after.parts)}
+        sizes = {"bytes_before": before.num_bytes, "bytes": after.num_bytes, "leftovers_deleted": num_left}
+        print_json({"store": str(path), **parts, **sizes})
+        return
+    if num_left:
+        stdout.print(f"{path}: deleted {num_left:,} files that a stopped command had left")
+    if not changed:
+        stdout.print(f"{path} is compact already")
+        return
+    stdout.print(
+        f"{path}: {len(before.parts):,} parts, {before.num_bytes / MEGABYTE:,.1f} MB, became {len(after.parts):,}, "
+        f"{after.num_bytes / MEGABYTE:,.1f} MB",
+    )
