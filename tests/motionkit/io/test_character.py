@@ -76,9 +76,6 @@ def test_a_bvh_keeps_its_hierarchy_and_moves_as_the_source(walk: mk.Motion, rig:
     made = mk.read(tmp_path / "walk.bvh", unit_metres=0.001)
     assert (made.fps, made.num_frames) == (walk.fps, walk.num_frames)
     np.testing.assert_allclose(directions(as_smpl(made)), directions(walk), atol=1e-3)
-    np.testing.assert_allclose(
-        made.skeleton.offsets, mk.read(tmp_path / "figure.bvh", unit_metres=0.001).skeleton.offsets
-    )
     # Smaller legs go as much less far.
     hips = [motion.joint_positions[:, 0, [0, 2]] for motion in (made, walk)]
     ways = [np.linalg.norm(np.diff(places, axis=0), axis=-1).sum() for places in hips]
@@ -228,16 +225,6 @@ def test_joints_that_are_matrices_move_alike(walk: mk.Motion, rig: Skeleton, tmp
     np.testing.assert_allclose(places[0], places[1], atol=1e-5)
 
 
-def test_our_own_glb_is_a_character_too(walk: mk.Motion, tmp_path: Path) -> None:
-    mk.write(replace(t_pose(mean_shape_skeleton()), sequence_id="t"), tmp_path / "figure.glb")
-    character = read_character(tmp_path / "figure.glb", ReadOptions())
-    character.write(character.perform(walk), tmp_path / "walk.glb")
-    places = world_places(tmp_path / "walk.glb")[:, :22].astype(np.float32)
-    np.testing.assert_allclose(
-        directions(mk.Motion(places, mean_shape_skeleton(), walk.timegrid)), directions(walk), atol=1e-3
-    )
-
-
 @pytest.mark.parametrize(
     "damage",
     [
@@ -254,16 +241,11 @@ def test_a_glb_that_is_no_rig_is_refused(rig: Skeleton, tmp_path: Path, damage: 
     document, binary = read_glb(tmp_path / "whole.glb")
     damage(document)  # type: ignore[operator]
     write_glb(tmp_path / "bad.glb", document, binary)
-    with pytest.raises(FormatError) as raised:
-        read_character(tmp_path / "bad.glb", ReadOptions())
-    assert raised.value.reason == "gltf"
-
-
-@pytest.mark.parametrize("content", [b"", b"glTF", b"glTF" + bytes(40)])
-def test_what_is_no_glb_is_refused(tmp_path: Path, content: bytes) -> None:
-    (tmp_path / "bad.glb").write_bytes(content)
-    with pytest.raises(FormatError):
-        read_character(tmp_path / "bad.glb", ReadOptions())
+    for content in ((tmp_path / "bad.glb").read_bytes(), b"", b"glTF" + bytes(40)):
+        (tmp_path / "bad.glb").write_bytes(content)
+        with pytest.raises(FormatError) as raised:
+            read_character(tmp_path / "bad.glb", ReadOptions())
+        assert raised.value.reason == "gltf"
 
 
 def test_who_never_stands_is_refused(rig: Skeleton, tmp_path: Path) -> None:

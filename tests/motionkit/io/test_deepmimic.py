@@ -122,13 +122,6 @@ def test_bad_frames_are_refused_with_a_reason(tmp_path: Path, frames: Any, reaso
     assert caught.value.reason == reason
 
 
-def test_windows_line_ends_and_a_byte_order_mark_are_fine(tmp_path: Path) -> None:
-    path = written(tmp_path / "m.txt", [standing(), standing()])
-    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes().replace(b", ", b",\r\n"))
-    (item,) = scan([tmp_path]).items
-    assert read(item).num_frames == 2
-
-
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
@@ -147,10 +140,3 @@ def test_what_is_no_json_of_frames_is_refused(tmp_path: Path, content: bytes, re
     with pytest.raises(FormatError) as caught:
         read_deepmimic(path)
     assert caught.value.reason == reason
-
-
-def test_other_text_files_are_left_alone(tmp_path: Path) -> None:
-    (tmp_path / "notes.txt").write_text("Frames")
-    (tmp_path / "settings.json").write_text('{"fps": 30}')
-    written(tmp_path / "clip.JSON", [standing(), standing()])
-    assert [item.path.name for item in scan([tmp_path]).items] == ["clip.JSON"]

@@ -1,6 +1,5 @@
 """glTF: read by pygltflib, moved by a plain forward kinematics of the file's own numbers."""
 
-import struct
 from dataclasses import replace
 from fractions import Fraction
 
@@ -181,29 +180,11 @@ def test_the_file_is_as_the_specification_wants_it(played):
             assert (np.sum(values[1:] * values[:-1], axis=1) >= 0).all()
 
 
-def test_chunks_are_aligned_and_counted(tmp_path):
-    write_gltf(MOTIONS["rotations"], tmp_path / "a.glb")
-    content = (tmp_path / "a.glb").read_bytes()
-    magic, version, total = struct.unpack_from("<4sII", content)
-    assert (magic, version, total) == (b"glTF", 2, len(content))
-    size, kind = struct.unpack_from("<I4s", content, 12)
-    assert (size % 4, kind) == (0, b"JSON")
-    binary, kind = struct.unpack_from("<I4s", content, 20 + size)
-    assert (binary % 4, kind, 28 + size + binary) == (0, b"BIN\0", len(content))
-
-
 def test_rigid_motions_have_rotations_alone_and_loose_ones_translations(tmp_path):
     for name, kinds in (("rotations", {(0, "translation")}), ("positions whose bones change", None)):
         write_gltf(MOTIONS[name], tmp_path / "a.glb")
         moved = {key for key in Played(tmp_path / "a.glb").channels if key[1] == "translation"}
         assert moved == (kinds or {(joint, "translation") for joint in range(22)})
-
-
-def test_what_gltf_has_no_place_for_is_in_extras(tmp_path):
-    write_gltf(MOTIONS["rotations"], tmp_path / "a.glb")
-    said = Played(tmp_path / "a.glb").file.asset.extras
-    assert (said["fps"], said["start_seconds"], said["sequence_id"]) == ("60000/1001", 3.5, "a/b")
-    assert said["captions"] == [{"text": "turns 走", "start_seconds": 0.1, "end_seconds": None}]
 
 
 @pytest.mark.parametrize("pairs", [SMPL22.left_right_pairs, ()])

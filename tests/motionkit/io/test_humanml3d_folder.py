@@ -11,7 +11,7 @@ from motionkit.io.humanml3d import Entry, recover_positions, write_humanml3d
 from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import scan
-from motionkit.io.texts import format_texts, read_texts
+from motionkit.io.texts import read_texts
 
 
 def test_recovery_reproduces_the_published_joints(golden_humanml3d: Path) -> None:
@@ -90,27 +90,6 @@ def test_captions_and_motions_that_miss_each_other(tmp_path: Path) -> None:
     assert sorted(warning.reason for warning in result.warnings) == ["no-caption", "split-without-motion"]
 
 
-def test_a_split_of_other_names_shows_one_of_each_side(tmp_path: Path) -> None:
-    write_humanml3d(tmp_path / "h", [Entry("000001", np.zeros((5, 22, 3), np.float32))])
-    (tmp_path / "h" / "train.txt").write_text("CMU/01/01_01\r\nCMU/01/01_02\r\n")
-    (tmp_path / "h" / "test.txt").write_bytes(b"\xef\xbb\xbf000001\r\n")
-    result = scan([tmp_path / "h"])
-    assert [item.split for item in result.items] == ["test"]
-    assert [warning.message for warning in result.warnings] == [
-        "none of its 2 names is in the folder: it lists 'CMU/01/01_01', the folder has '000001'; so nothing is of the "
-        "split train"
-    ]
-
-
-def test_a_motion_without_a_caption_is_reported_once(tmp_path: Path) -> None:
-    body = np.zeros((5, 22, 3), np.float32)
-    entries = [Entry("000001", body, captions=(Caption("a person walks"),)), Entry("000002", body)]
-    write_humanml3d(tmp_path / "h", entries)
-    (tmp_path / "h" / "motions.csv").write_text("file,caption\nnew_joints/000001.npy,a person walks\n")
-    result = scan([tmp_path / "h"])
-    assert [(warning.reason, warning.path.stem) for warning in result.warnings] == [("no-caption", "000002")]
-
-
 @pytest.mark.parametrize(
     ("line", "expected"),
     [
@@ -133,19 +112,3 @@ def test_a_bad_text_line_is_named(tmp_path: Path, line: str) -> None:
     with pytest.raises(FormatError) as caught:
         read_texts(tmp_path / "a.txt")
     assert (caught.value.reason, caught.value.line) == ("text", 2)
-
-
-def test_texts_round_trip(tmp_path: Path) -> None:
-    captions = (
-        Caption("a person jumps", 0.0, None, "a/DET person/NOUN jump/VERB"),
-        Caption("lands", 1.1, 2.3, "land/VERB"),
-    )
-    (tmp_path / "a.txt").write_text(format_texts(captions, 4.0))
-    assert read_texts(tmp_path / "a.txt") == captions
-
-
-def test_blocks_tile_a_vector() -> None:
-    for layout in (humanml3d.HUMANML3D, humanml3d.KIT):
-        blocks = humanml3d.vector_blocks(layout.skeleton.num_joints)
-        covered = np.concatenate([np.arange(layout.num_values)[block] for block in blocks])
-        assert np.array_equal(covered, np.arange(layout.num_values))

@@ -13,9 +13,7 @@ from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.skeleton import KIT21, SMPL22, Feet, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import npz
-from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions
-from motionkit.io.scan import scan
 
 WORDS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=12)
 SECONDS = st.floats(0, 1e4, allow_nan=False)
@@ -74,15 +72,6 @@ def test_a_motion_comes_back_as_it_was(tmp_path, fps, start, captions, texts, op
         assert getattr(after.provenance, name) == said[name]
     for name in ("joint_positions", "local_rotations", "root_translation"):
         np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
-
-
-def test_nothing_in_it_is_an_object(tmp_path):
-    motion = Motion(body(), SMPL22, TimeGrid(Fraction(30), 5), captions=(Caption("走る"), Caption("")))
-    npz.write_npz(motion, tmp_path / "a.npz")
-    with np.load(tmp_path / "a.npz", allow_pickle=False) as arrays:
-        kinds = {name: arrays[name].dtype.kind for name in arrays}
-    assert set(kinds.values()) <= set("fiU")
-    assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]
 
 
 def save(path, **arrays):
@@ -184,27 +173,3 @@ def test_options_replace_the_clock_and_scale_every_length(tmp_path):
         "framerate set to 60; the file says 30",
         "lengths × 0.01 to metres (given)",
     )
-
-
-def test_a_standard_skeleton_is_in_metres_whatever_the_files_unit(tmp_path):
-    path = save(tmp_path / "a.npz", joint_positions=body() * 100)
-    motion = npz.read_npz(path, ReadOptions(unit_metres=0.01))
-    np.testing.assert_allclose(motion.joint_positions, body(), atol=1e-5)
-    assert motion.skeleton == SMPL22
-
-
-def test_formats_of_one_suffix_are_distinguished_without_reading(tmp_path):
-    np.savez(tmp_path / "amass.npz", poses=np.zeros((4, 156)), trans=np.zeros((4, 3)), mocap_framerate=120.0)
-    save(tmp_path / "ours.npz")
-    np.savez(tmp_path / "statistics.npz", mean=np.zeros(3))
-    (tmp_path / "broken.npz").write_bytes(b"PK\x03\x04 and no more")
-    found = scan([tmp_path])
-    assert {item.path.name: item.format for item in found.items} == {
-        "amass.npz": "amass",
-        "broken.npz": "npz",
-        "ours.npz": "npz",
-    }
-    broken = next(item for item in found.items if item.path.name == "broken.npz")
-    with pytest.raises(FormatError, match=r"broken \.npz archive") as caught:
-        read(broken)
-    assert caught.value.reason == "truncated"

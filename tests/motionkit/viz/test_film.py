@@ -74,18 +74,6 @@ def test_a_strip_has_a_row_for_each_take(tmp_path: Path) -> None:
     assert all((abs(panel[..., 2] - panel[..., 0]) > 100).sum() > 50 for panel in panels)
 
 
-def test_a_body_that_lies_is_whole_in_the_picture(tmp_path: Path) -> None:
-    standing = take(1, Fraction(30))
-    lying = Panel("lies", standing.joint_positions[..., [1, 0, 2]], SMPL22, standing.fps)
-    film.write_film(tmp_path / "a.png", [lying])
-    with Image.open(tmp_path / "a.png") as made:
-        drawn = np.array(made, np.int64)
-    assert (drawn[:, 240:] == 255).all()  # one frame is one pose
-    rows, columns = np.nonzero(abs(drawn[..., 2] - drawn[..., 0]) > 100)
-    assert columns.max() - columns.min() > 120
-    assert columns.min() > 3 and columns.max() < 237 and rows.min() > 3 and rows.max() < 237
-
-
 def test_what_would_take_for_ever_is_refused(tmp_path: Path) -> None:
     with pytest.raises(MotionkitError, match="--from 0 --to 166"):
         film.write_film(tmp_path / "a.mp4", [take(30_000, Fraction(120))])

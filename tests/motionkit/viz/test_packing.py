@@ -101,10 +101,3 @@ def test_a_frame_is_held_until_the_next(node: str) -> None:
         asked,
     )
     assert ends == [[{"frame": 49, "part": 0, "state": 1}, {"frame": 0, "part": 0, "state": -1}]] * len(takes)
-
-
-def test_a_short_take_begins_again_at_its_end(node: str) -> None:
-    take = {"fps": [30, 1], "startSeconds": 0.2, "numFrames": 15, "unevenSeconds": None}
-    asked = [0.0, 0.2, 0.45, 0.7, 0.95, 1.45, 1.6]
-    answer = in_script(node, ["clock.js"], "data.at.map((at) => againAt(data.take, at))", {"take": take, "at": asked})
-    np.testing.assert_allclose(answer, [0.0, 0.2, 0.45, 0.2, 0.45, 0.45, 0.6], atol=1e-5)
