@@ -134,11 +134,6 @@ def read_or_fault(item: SourceItem, options: ReadOptions) -> EncodedMotion | For
         return FormatError(f"the {item.format} reader failed: {text}", path=item.path, reason="unexpected")
 
 
-def check_readable(item: SourceItem, options: ReadOptions) -> None:
-    """Reads and encodes a sequence, whatever its faults: a worker that survives this does not die of it."""
-    read_or_fault(item, options)
-
-
 def worker_died(item: SourceItem) -> FormatError:
     """The fault of a sequence whose reader ended its process."""
     message = "the process that read it ended without a word (killed, or out of memory?): --workers 1 shows where"

@@ -26,7 +26,6 @@ from motionkit.store.chunks import (
     NumberedItem,
     ReadChunk,
     ReadSequence,
-    check_readable,
     chunks_of,
     read_chunk,
     worker_died,
@@ -172,31 +171,23 @@ class _Stopped(Exception):
     """A problem under `stop`, or nothing to store: leaves the writer without a commit."""
 
 
+@dataclass
 class _Ingest:
     """One ingest: owns the writer, the counts and the faults."""
 
-    def __init__(
-        self,
-        writer: StoreWriter,
-        options: ReadOptions,
-        stops: bool,
-        work: Task,
-        on_problem: Callable[[FormatError], None],
-        on_warning: Callable[[FormatError], None],
-    ) -> None:
-        self._writer = writer
-        self._options = options
-        self._stops = stops
-        self._work = work
-        self._on_problem = on_problem
-        self._on_warning = on_warning
-        self._rigs: set[tuple[tuple[str, ...], str]] = set()
-        self._body_sizes: dict[tuple[str, ...], tuple[float, str]] = {}
-        self.problems: list[FormatError] = []
-        self.warnings: list[FormatError] = []
-        self.failed_by_dataset: Counter[str] = Counter()
-        self.num_already_stored = 0
-        self.stored = StoredCounts()
+    writer: StoreWriter
+    options: ReadOptions
+    stops: bool
+    work: Task
+    on_problem: Callable[[FormatError], None]
+    on_warning: Callable[[FormatError], None]
+    stored: StoredCounts = field(default_factory=StoredCounts)
+    num_already_stored: int = 0
+    problems: list[FormatError] = field(default_factory=list)
+    warnings: list[FormatError] = field(default_factory=list)
+    failed_by_dataset: Counter[str] = field(default_factory=Counter)
+    rigs: set[tuple[tuple[str, ...], str]] = field(default_factory=set)
+    body_sizes: dict[tuple[str, ...], tuple[float, str]] = field(default_factory=dict)
 
     def report_scan(self, found: ScanResult) -> None:
         """Report the faults of a scan."""
@@ -212,13 +203,15 @@ class _Ingest:
         if engine == LOCAL:
             num_workers = num_workers or sum(1 for _ in islice(chunks_of(items), usable_cores()))
         # Arrow loads pandas to convert a row.
-        with self._writer, start_workers(engine, num_workers, preload=["motionkit.store.chunks", "pandas"]) as workers:
-            for skeleton in self._writer.skeletons:
-                body_size_warning(skeleton, self._body_sizes)
-            read = partial(read_chunk, store=self._writer.path.absolute(), options=self._options)
+        with self.writer, start_workers(engine, num_workers, preload=["motionkit.store.chunks", "pandas"]) as workers:
+            for skeleton in self.writer.skeletons:
+                body_size_warning(skeleton, self.body_sizes)
+            read = partial(read_chunk, store=self.writer.path.absolute(), options=self.options)
             with closing(workers.map(read, self._numbered_chunks(items))) as results:
                 for chunk, result in results:
-                    self._add_chunk(chunk, self._again(workers, chunk) if isinstance(result, WorkerDied) else result)
+                    if isinstance(result, WorkerDied):
+                        result = self._again(workers, read, chunk)
+                    self._add_chunk(chunk, result)
             if not self.stored.num_sequences:
                 raise _Stopped
         self._check_maps()
@@ -226,57 +219,50 @@ class _Ingest:
     def _numbered_chunks(self, items: Sequence[SourceItem]) -> Iterator[list[NumberedItem]]:
         # An index is the place among the sequences that are new, whether or not those before it can be read: so a part
         # has the same bytes whoever writes it, whenever.
-        numbers = count(self._writer.next_sequence_index)
+        numbers = count(self.writer.next_sequence_index)
         for chunk in chunks_of(items):
-            known = [self._writer.holds(item.sequence_id) for item in chunk]
+            known = [self.writer.holds(item.sequence_id) for item in chunk]
             yield [
                 NumberedItem(item, None if is_known else next(numbers))
                 for item, is_known in zip(chunk, known, strict=True)
             ]
 
-    def _again(self, workers: Workers, chunk: Sequence[NumberedItem]) -> ReadChunk:
+    def _again(self, workers: Workers, read: Callable[..., ReadChunk], chunk: Sequence[NumberedItem]) -> ReadChunk:
         """A chunk of which two workers died, without the files that they die of: these are found one by one."""
         deadly: set[int] = set()
         for position, each in enumerate(chunk):
             try:
-                workers.call(partial(check_readable, options=self._options), each.item)
+                workers.call(read, [NumberedItem(each.item, None)])
             except WorkerDied:
                 deadly.add(position)
-                self._check_alive(workers)
-        read = partial(read_chunk, store=self._writer.path.absolute(), options=self._options, deadly=deadly)
+        if len(deadly) == len(chunk) > 1:
+            raise MotionkitError("workers end whatever they read: killed, or out of memory? --workers 1 shows where")
         try:
-            return workers.call(read, chunk)
+            return workers.call(partial(read, deadly=deadly), chunk)
         except WorkerDied:
             return ReadChunk(None, tuple(worker_died(each.item) for each in chunk))
 
-    def _check_alive(self, workers: Workers) -> None:
-        try:
-            workers.call(len, ())
-        except WorkerDied:
-            message = "workers end before they have done anything: killed, or out of memory? --workers 1 shows where"
-            raise MotionkitError(message) from None
-
     def _add_chunk(self, chunk: Sequence[NumberedItem], result: ReadChunk) -> None:
-        place = {} if result.part is None else {"part": self._writer.add_part(result.part)}
+        place = {} if result.part is None else {"part": self.writer.add_part(result.part)}
         for each, outcome in zip(chunk, result.outcomes, strict=True):
             if isinstance(outcome, FormatError):
                 self._fail(outcome, each.item)
             else:
                 self._add(each.item, replace(outcome, row={**outcome.row, **place}))
-            self._work.advance()
+            self.work.advance()
 
     def _add(self, item: SourceItem, read: ReadSequence) -> None:
         self._check_rig(item, read.skeleton)
-        if self._writer.holds_from(item.sequence_id, read.row["source_sha256"]):
+        if self.writer.holds_from(item.sequence_id, read.row["source_sha256"]):
             self.num_already_stored += 1
             return
-        is_new_skeleton = not self._writer.knows_skeleton(read.skeleton)
+        is_new_skeleton = not self.writer.knows_skeleton(read.skeleton)
         try:
-            self._writer.add_row(read.row, read.skeleton)
+            self.writer.add_row(read.row, read.skeleton)
         except RefusedMotion as refused:
             self._fail(FormatError(str(refused), path=item.path, reason=refused.reason), item)
             return
-        size = body_size_warning(read.skeleton, self._body_sizes) if is_new_skeleton else ""
+        size = body_size_warning(read.skeleton, self.body_sizes) if is_new_skeleton else ""
         if size:
             self._warn(FormatError(size, path=item.path, reason="body-size"))
         for warning in _warnings_of(item, read.row):
@@ -287,17 +273,17 @@ class _Ingest:
         # Joints that no layout knows are reported once, whatever the lengths of their bones; the motions are kept.
         # Markers, which have no bones, are reported once for all their sets.
         rig = (skeleton.joint_names if skeleton.offsets.any() else (), skeleton.layout_map)
-        if rig in self._rigs:
+        if rig in self.rigs:
             return
-        self._rigs.add(rig)
+        self.rigs.add(rig)
         try:
             joint_map(skeleton, SMPL22.name)
         except SkeletonMapError as error:
             self._warn(FormatError(str(error), path=item.path, reason="unmapped-skeleton"))
 
     def _check_maps(self) -> None:
-        used = {layout_map for _, layout_map in self._rigs}
-        for text in self._options.skeleton_maps:
+        used = {layout_map for _, layout_map in self.rigs}
+        for text in self.options.skeleton_maps:
             if text not in used:
                 family = parse_layout_map(text)
                 message = (
@@ -307,14 +293,14 @@ class _Ingest:
 
     def _warn(self, warning: FormatError) -> None:
         self.warnings.append(warning)
-        self._on_warning(warning)
+        self.on_warning(warning)
 
     def _fail(self, problem: FormatError, item: SourceItem | None = None) -> None:
         if item is not None:
             self.failed_by_dataset[item.subset] += 1
         self.problems.append(problem)
-        self._on_problem(problem)
-        if self._stops:
+        self.on_problem(problem)
+        if self.stops:
             raise _Stopped
 
 
