@@ -14,7 +14,7 @@ from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.data.takes import open_takes
 from motionkit.fields.motion_field import Observation, Poses
-from motionkit.store.cache import RowFile, open_cache
+from motionkit.store.cache import open_cache
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store
@@ -85,8 +85,8 @@ class TrueClips:
 
     fps: Fraction
     num_frames: int
-    rows: RowFile
-    positions: RowFile
+    rows: Float32[np.ndarray, "total_frames numbers"]
+    positions: Float32[np.ndarray, "total_frames joints 3"]
     first_row: Int64[np.ndarray, "clips"]
     keep_every: Int64[np.ndarray, "clips"]
     sequence_index: Int64[np.ndarray, "clips"]
@@ -116,7 +116,8 @@ class TrueClips:
     def vectors(self, clips: slice) -> Float32[np.ndarray, "clips frames numbers"]:
         """Rows alone, in the world's frame."""
         frames = np.arange(self.num_frames) * self.keep_every[clips, None] + self.first_row[clips, None]
-        return self.rows[frames]
+        rows: Float32[np.ndarray, "clips frames numbers"] = self.rows[frames]
+        return rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +182,7 @@ def open_clips(
         fps=data_set.fps,
         num_frames=num_frames,
         rows=takes.rows,
-        positions=cache.rows,
+        positions=cache.positions,
         first_row=takes.start_row[take] + number * every * takes.keep_every[take],
         keep_every=takes.keep_every[take],
         sequence_index=takes.sequence_index[take],

@@ -8,13 +8,13 @@ import numpy as np
 from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Bool, Float32, Int64
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.data.windows import PositionSource, rows_of
+from motionkit.data.windows import PositionSource
 from motionkit.features import native
 from motionkit.features.convention import PoseVectors, PoseVectorsName
 from motionkit.features.field import FIELD_VECTORS
 from motionkit.features.native import NativeVectors
 from motionkit.features.rotations import RotationVectors, begins_as_smpl, mean_rig
-from motionkit.store.cache import PositionCache, RowFile, open_cache
+from motionkit.store.cache import PositionCache, open_cache
 from motionkit.store.reader import Store
 from motionkit.store.sql import conjunction
 
@@ -25,19 +25,19 @@ NATIVE_ROWS = "native-vectors-1"
 class FrameValues:
     """What `vectors` keeps of each frame of a corpus: a row for each row of its cache's positions."""
 
-    rows: RowFile | Float32[np.ndarray, "total_frames joints 3"]
+    rows: Float32[np.ndarray, "total_frames *values"]
     vectors: PoseVectors
 
     @classmethod
     def of_positions(cls, source: PositionSource) -> "FrameValues":
         """The positions themselves, for `field` vectors."""
-        return cls(rows_of(source), FIELD_VECTORS)
+        return cls(source.positions, FIELD_VECTORS)
 
     def gather(
         self, row: Int64[np.ndarray, "batch poses"], mirrored: Bool[np.ndarray, "batch"]
     ) -> Float32[np.ndarray, "batch poses *row"]:
         """Copies of the values of frames, mirrored for mirrored windows."""
-        values = self.rows[row]
+        values: Float32[np.ndarray, "batch poses *row"] = self.rows[row]
         if mirrored.any():
             values[mirrored] = self.vectors.mirror(values[mirrored])
         return values
@@ -66,7 +66,7 @@ def open_frames(vectors: PoseVectors, store: Store, where: str | None) -> tuple[
     if isinstance(vectors, NativeVectors):
         rows = cache.derived_rows(NATIVE_ROWS, vectors.num_features, lambda: _native_vectors(cache))
         return cache, FrameValues(rows, vectors)
-    return cache, FrameValues(cache.rows, vectors)
+    return cache, FrameValues(cache.positions, vectors)
 
 
 def _native_vectors(cache: PositionCache) -> Iterator[Float32[np.ndarray, "frames features"]]:

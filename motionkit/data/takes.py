@@ -12,7 +12,7 @@ from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.features.rotations import num_features, rotation_rows, rows_of_poses
 from motionkit.fields.motion_field import Poses
-from motionkit.store.cache import PositionCache, RowFile, open_cache
+from motionkit.store.cache import PositionCache, open_cache
 from motionkit.store.reader import Store
 
 
@@ -26,7 +26,7 @@ class Takes:
     """
 
     fps: Fraction
-    rows: RowFile
+    rows: Float32[np.ndarray, "total_frames numbers"]
     skeleton: Skeleton
     sequence_index: Int64[np.ndarray, "takes"]
     source: Int64[np.ndarray, "takes"]
@@ -38,7 +38,7 @@ class Takes:
     @property
     def num_features(self) -> int:
         """Numbers per frame: 135 for 22 joints."""
-        return self.rows.shape[1]
+        return int(self.rows.shape[1])
 
     def read(
         self,
@@ -49,7 +49,8 @@ class Takes:
     ) -> Float32[np.ndarray, "batch frames numbers"]:
         """World rows of every `stride`-th native frame, counted by `frames` from a native frame of their take."""
         row = self.start_row[take] + first_native
-        return self.rows[row[:, None] + frames * stride[:, None]]
+        world: Float32[np.ndarray, "batch frames numbers"] = self.rows[row[:, None] + frames * stride[:, None]]
+        return world
 
     def seconds_between(
         self, take: Int64[np.ndarray, "batch"], stride: Int64[np.ndarray, "batch"]

@@ -16,7 +16,6 @@ from motionkit.core.errors import UsageError
 from motionkit.core.mirror import mirror_positions
 from motionkit.core.shapes import Bool, Float32, Float64, Int, Int64
 from motionkit.features import field
-from motionkit.store.cache import PositionCache, RowFile
 
 
 @runtime_checkable
@@ -52,11 +51,6 @@ class PositionSource(Protocol):
     def fps_denominator(self) -> Int[np.ndarray, "sequences"]:
         """Denominator of each sequence's framerate."""
         ...
-
-
-def rows_of(source: PositionSource) -> RowFile | Float32[np.ndarray, "total_frames joints 3"]:
-    """A source's frames by their row numbers; of a cache they are read one by one, so that no pages stay in memory."""
-    return source.rows if isinstance(source, PositionCache) else source.positions
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +138,7 @@ def cut_windows(
     nth = np.arange(len(sequence)) - np.repeat(np.cumsum(count) - count, count)
     start = np.minimum(nth * step[sequence], spare[sequence])
     start_row = source.start_row[sequence].astype(np.int64) + start
-    first_pose = rows_of(source)[start_row]
+    first_pose = source.positions[start_row]
     mirrored = np.zeros(len(sequence), dtype=np.bool_)
     if mirror_pairs is not None:
         first_pose = np.concatenate((first_pose, mirror_positions(first_pose, mirror_pairs)))

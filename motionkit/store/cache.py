@@ -2,7 +2,8 @@
 
 A cache is a folder in `store/cache`, or in the folder that MOTIONKIT_CACHE names. Its name has a digest of all that it
 depends on: the store's fingerprint, the condition, the layout and the joint maps of the store's skeletons. It appears
-whole, and caches of other states of the store are deleted when one is built. It may be deleted at any time.
+whole: `positions.npy`, and `cache.json` with the sequences' lengths and framerates. Caches of other states of the store
+are deleted when one is built. It may be deleted at any time.
 """
 
 import errno
@@ -12,18 +13,17 @@ import math
 import os
 import re
 import shutil
-import weakref
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from fractions import Fraction
-from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from motionkit.core.errors import DamagedFileError, StoreError, UsageError
-from motionkit.core.files import exclusive_lock, read_json, whole_file, whole_folder, write_json
+from motionkit.core.files import exclusive_lock, whole_file, whole_folder, write_whole
 from motionkit.core.progress import tracked, warn
 from motionkit.core.shapes import Float32, Int, Int32, Int64
 from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
@@ -32,22 +32,15 @@ from motionkit.store.reader import Store
 from motionkit.store.schema import CACHE_FOLDER
 
 # Raised when a cache's files or their content change.
-VERSION = 3
-FACTS_FILE, INDEX_FILE, POSITIONS_FILE = "cache.json", "index.npy", "positions.npy"
+VERSION = 4
+FACTS_FILE, POSITIONS_FILE = "cache.json", "positions.npy"
 NATIVE = "native"
-INDEX = np.dtype(
-    [
-        ("sequence_index", "<i4"),
-        ("num_frames", "<i4"),
-        ("start_row", "<i8"),
-        ("fps_numerator", "<i8"),
-        ("fps_denominator", "<i8"),
-    ]
-)
+# What a cache knows of each sequence, from the store's table.
+COLUMNS = {"sequence_index": np.int32, "num_frames": np.int32, "fps_numerator": np.int64, "fps_denominator": np.int64}
 _LOCK_FILE = ".builder.lock"
 _NAME = re.compile(r"[0-9a-f]{16}-[a-z0-9]+-[0-9a-f]{16}")
 _NOT_WRITABLE = (errno.EROFS, errno.EACCES, errno.EPERM)
-_ADVICE = "delete its folder, it is built again"
+_HINT = "delete its folder, it is built again"
 
 
 @dataclass(frozen=True)
@@ -60,74 +53,11 @@ class Skipped:
 
 
 @dataclass(frozen=True, eq=False)
-class RowFile:
-    """A float32 array of `shape` whose rows are read from a .npy file by their numbers: `rows[numbers]`.
-
-    Unlike a memory map it leaves no page of the file in the process, however many rows are read, so a training's
-    memory is that of its batches. Picklable: another process opens the same file.
-    """
-
-    path: Path
-    shape: tuple[int, ...]
-    first_byte: int
-
-    @classmethod
-    def open(cls, path: Path) -> "RowFile":
-        """The rows of a .npy file; raises `DamagedFileError` for one that is not of `<f4` in C order, or is cut."""
-        with path.open("rb") as file:
-            try:
-                np.lib.format.read_magic(file)
-                shape, in_columns, dtype = np.lib.format.read_array_header_1_0(file)
-            except ValueError as error:
-                raise DamagedFileError(path, f"it is no .npy file: {error}", _ADVICE) from None
-            first_byte = file.tell()
-            num_bytes = file.seek(0, os.SEEK_END)
-        if in_columns or dtype != np.dtype("<f4") or num_bytes != first_byte + 4 * math.prod(shape):
-            raise DamagedFileError(path, f"its {num_bytes:,} bytes are not float32 {shape}", _ADVICE)
-        return cls(path, shape, first_byte)
-
-    def __len__(self) -> int:
-        return self.shape[0]
-
-    def __getitem__(self, row: Int64[np.ndarray, "*rows"]) -> Float32[np.ndarray, "*rows_and_row"]:
-        """Copies of the rows with these numbers, in their order; the caller may write to them.
-
-        Rows that follow each other are read at once. Raises `IndexError` for a number outside [0, len), `StoreError`
-        where the file has become shorter.
-        """
-        numbers = row.reshape(-1)
-        if numbers.size and not 0 <= numbers.min() <= numbers.max() < len(self):
-            wrong = int(numbers.min() if numbers.min() < 0 else numbers.max())
-            raise IndexError(f"row {wrong} does not lie in [0, {len(self)}) of {self.path}")
-        starts = np.flatnonzero(np.diff(numbers, prepend=-2) != 1)
-        counts = np.diff(starts, append=numbers.size)
-        row_bytes = 4 * int(np.prod(self.shape[1:], dtype=np.int64))
-        places = (self.first_byte + row_bytes * numbers[starts]).tolist()
-        # A system call a run, under a microsecond each; a map's page faults cost more as soon as pages are given back.
-        file = self._descriptor
-        read = [os.pread(file, size, at) for size, at in zip((row_bytes * counts).tolist(), places, strict=True)]
-        content = bytearray().join(read)
-        if len(content) != row_bytes * numbers.size:
-            raise StoreError(f"{self.path} has become shorter than its {len(self)} rows: {_ADVICE}")
-        return np.frombuffer(content, dtype="<f4").reshape(*row.shape, *self.shape[1:])
-
-    @cached_property
-    def _descriptor(self) -> int:
-        descriptor = os.open(self.path, os.O_RDONLY)
-        weakref.finalize(self, os.close, descriptor)
-        return descriptor
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return RowFile, (self.path, self.shape, self.first_byte)
-
-
-@dataclass(frozen=True, eq=False)
 class PositionCache:
     """Concatenated frames of N sequences; sequence n is rows [start_row[n], start_row[n] + num_frames[n]).
 
-    `positions` is a read-only memory map [total_frames, J, 3], metres; `rows` reads single frames of the same file
-    without keeping pages in the process. `sequence_index` refers to the store. Picklable: another process maps the same
-    file.
+    `positions` is a read-only memory map [total_frames, J, 3], metres. `sequence_index` refers to the store. Picklable:
+    another process maps the same file.
     """
 
     path: Path
@@ -135,7 +65,6 @@ class PositionCache:
     where: str | None
     store_fingerprint: str
     positions: Float32[np.ndarray, "total_frames joints 3"]
-    rows: RowFile
     sequence_index: Int32[np.ndarray, "sequences"]
     start_row: Int64[np.ndarray, "sequences"]
     num_frames: Int32[np.ndarray, "sequences"]
@@ -194,8 +123,8 @@ class PositionCache:
         name: str,
         num_features: int,
         compute: Callable[[], Iterable[Float32[np.ndarray, "frames features"]]],
-    ) -> RowFile:
-        """A file with a row of features for each row of `positions`, computed if it is missing or damaged.
+    ) -> Float32[np.ndarray, "total_frames features"]:
+        """A memory map with a row of features for each row of `positions`, computed if its file is missing or cut.
 
         `compute` yields the sequences' rows in the cache's order, one sequence in memory at a time. `name` identifies
         the computation: a change needs another name. The file is deleted with the cache. If two processes call it at
@@ -203,22 +132,15 @@ class PositionCache:
         `StoreError` if the cache is not writable.
         """
         shape, path = (len(self.positions), num_features), self.path / f"{name}.npy"
-        found = _existing_rows(path, shape)
-        if found is not None:
-            return found
+        if (existing := _map(path, shape)) is not None:
+            return existing
         with writable(), exclusive_lock(self.path / f".{name}.lock", busy=None):
-            found = _existing_rows(path, shape)
-            if found is None:
-                write_rows(path, shape, self._checked(name, num_features, compute()))
-        return found or RowFile.open(path)
-
-    def _checked(
-        self, name: str, num_features: int, sequences: Iterable[Float32[np.ndarray, "frames features"]]
-    ) -> Iterator[Float32[np.ndarray, "frames features"]]:
-        for rows, expected in zip(sequences, self.num_frames.tolist(), strict=True):
-            if rows.shape != (expected, num_features):
-                raise ValueError(f"{name}: rows of shape {rows.shape} for a sequence of {expected} × {num_features}")
-            yield rows
+            rows = _map(path, shape)  # another process may have computed it in between
+            if rows is None:
+                if path.exists():
+                    warn(f"{path} is damaged: it is computed again")
+                rows = _write(path, shape, compute(), self.num_frames)
+        return rows
 
     def __reduce__(self) -> tuple[object, ...]:
         return _load, (self.path,)
@@ -230,8 +152,8 @@ class PositionCache:
 def open_cache(store: Store, *, layout: str = "smpl22", where: str | None = None) -> PositionCache:
     """The cache of the sequences that match the SQL condition `where`, in the layout; built if missing.
 
-    A damaged cache is rebuilt with a warning. Layouts: `smpl22`, `kit21`, and `native` for stores (or filters) with one
-    number of joints. If two processes call it at once, one builds and the other waits. Raises `UsageError` for an
+    An incomplete cache is rebuilt with a warning. Layouts: `smpl22`, `kit21`, and `native` for stores (or filters) with
+    one number of joints. If two processes call it at once, one builds and the other waits. Raises `UsageError` for an
     unknown layout, bad SQL, or an empty or unsupported selection; `StoreError` if the disk is too small or not
     writable.
     """
@@ -243,18 +165,19 @@ def open_cache(store: Store, *, layout: str = "smpl22", where: str | None = None
     key = hashlib.sha256(described.encode()).hexdigest()
     root = cache_root(store.path, store.fingerprint)
     path = root / f"{store.fingerprint[:16]}-{layout}-{key[:16]}"
-    if (found := _existing_cache(path)) is not None:
-        return found
+    with suppress(DamagedFileError):
+        return _load(path)
     with writable():
         root.mkdir(parents=True, exist_ok=True)
         with exclusive_lock(root / _LOCK_FILE, busy=None):
-            found = _existing_cache(path)  # another process may have built it in between
-            if found is None:
-                _remove_stale(root, store.fingerprint)
-                if path.is_dir():
-                    shutil.rmtree(path)
-                _build(path, store, where, layout, maps, facts)
-    return found or _load(path)
+            with suppress(DamagedFileError):
+                return _load(path)  # another process may have built it in between
+            _remove_stale(root, store.fingerprint)
+            if path.is_dir():
+                warn(f"{path} is damaged: the cache is built again from the store")
+                shutil.rmtree(path)
+            _build(path, store, where, layout, maps, facts)
+    return _load(path)
 
 
 def cache_bytes(store: Path, fingerprint: str) -> int:
@@ -284,21 +207,36 @@ def writable() -> Iterator[None]:
         ) from None
 
 
-def write_rows(path: Path, shape: tuple[int, ...], blocks: Iterable[Float32[np.ndarray, "..."]]) -> None:
-    """Write a float32 .npy file of `shape` that appears when it is complete; `blocks` are its rows in order.
+def _write(
+    path: Path,
+    shape: tuple[int, ...],
+    sequences: Iterable[Float32[np.ndarray, "..."]],
+    num_frames: Int[np.ndarray, "sequences"],
+) -> Float32[np.ndarray, "..."]:
+    """Write a float32 .npy file of `shape` that appears when it is complete, from the sequences; returns its map.
 
-    Raises `ValueError` where they are not as many or not of that shape, and `OSError` that names the file.
+    Raises `ValueError` for a sequence with rows of another number or shape.
     """
-    num_rows = 0
+    # Not through a map: a write to a map of a full disk ends the process.
     with whole_file(path) as temporary, temporary.open("wb") as file:
         np.lib.format.write_array_header_1_0(file, {"descr": "<f4", "fortran_order": False, "shape": shape})
-        for block in blocks:
-            if block.shape[1:] != shape[1:]:
-                raise ValueError(f"{path.name}: rows of shape {block.shape[1:]}, expected {shape[1:]}")
-            file.write(np.ascontiguousarray(block, dtype="<f4").data)
-            num_rows += len(block)
-        if num_rows != shape[0]:
-            raise ValueError(f"{path.name}: {num_rows} rows, expected {shape[0]}")
+        for rows, expected in zip(sequences, num_frames.tolist(), strict=True):
+            if rows.shape != (expected, *shape[1:]):
+                raise ValueError(f"{path.stem}: rows of shape {rows.shape}, expected {(expected, *shape[1:])}")
+            file.write(np.ascontiguousarray(rows, dtype="<f4").data)
+    written = _map(path, shape)
+    assert written is not None
+    return written
+
+
+def _map(path: Path, shape: tuple[int, ...]) -> Float32[np.ndarray, "..."] | None:
+    """A read-only memory map of a .npy file; None for one that is missing, cut, or of other numbers."""
+    try:
+        # A plain array over the map: views of np.memmap cost microseconds each.
+        rows = np.lib.format.open_memmap(path, mode="r").view(np.ndarray)
+    except (OSError, ValueError):
+        return None
+    return rows if rows.dtype == np.float32 and rows.shape == shape else None
 
 
 @dataclass(frozen=True)
@@ -327,7 +265,7 @@ def _layout_map(skeleton: Skeleton, layout: str) -> _LayoutMap:
 def _build(
     path: Path, store: Store, where: str | None, layout: str, maps: dict[str, _LayoutMap], facts: dict[str, object]
 ) -> None:
-    columns = store.columns("sequence_id", "skeleton", *(name for name in INDEX.names or () if name != "start_row"))
+    columns = store.columns("sequence_id", "skeleton", *COLUMNS)
     chosen = columns.loc[store.select_some(where)]
     faults = chosen["skeleton"].map(lambda fingerprint: maps[fingerprint].fault)
     kept, left_out = chosen[faults == ""], chosen[faults != ""]
@@ -340,12 +278,8 @@ def _build(
             f"the layout {layout!r} needs one number of joints, but the chosen sequences have "
             f'{", ".join(map(str, counts))}: choose with a condition such as "num_joints = {counts[0]}"'
         )
-    index = np.zeros(len(kept), INDEX)
-    for name in INDEX.names or ():
-        if name != "start_row":
-            index[name] = kept[name].to_numpy()
-    index["start_row"][1:] = np.cumsum(index["num_frames"][:-1], dtype=np.int64)
-    shape = (int(index["num_frames"].sum(dtype=np.int64)), counts[0], 3)
+    num_frames = kept["num_frames"].to_numpy()
+    shape = (int(num_frames.sum(dtype=np.int64)), counts[0], 3)
     needed, free = 4 * math.prod(shape), shutil.disk_usage(path.parent).free
     if needed > free:
         raise StoreError(
@@ -358,55 +292,32 @@ def _build(
         for number, sequence_id, fingerprint in zip(*identity, strict=True)
     ]
     # Tips of bones are computed from rotations.
-    motions = store.read_many(index["sequence_index"].tolist(), rotations=any(each.uses_tips for each in used))
-    counted = tracked(store.on_progress, f"cache {layout}", motions, len(index))
+    motions = store.read_many(kept.index.tolist(), rotations=any(each.uses_tips for each in used))
+    counted = tracked(store.on_progress, f"cache {layout}", motions, len(kept))
+    sequences = {name: kept[name].tolist() for name in COLUMNS}
     with whole_folder(path) as folder:
-        write_rows(folder / POSITIONS_FILE, shape, (map_joints(motion, layout) for motion in counted))
-        np.save(folder / INDEX_FILE, index, allow_pickle=False)
-        write_json(folder / FACTS_FILE, {**facts, "skipped": skipped})
-
-
-def _existing_cache(path: Path) -> PositionCache | None:
-    try:
-        return _load(path) if path.is_dir() else None
-    except DamagedFileError as error:
-        warn(f"{error.path} is damaged ({error.fault}): the cache is built again from the store")
-        return None
-
-
-def _existing_rows(path: Path, shape: tuple[int, int]) -> RowFile | None:
-    if not path.exists():
-        return None
-    try:
-        rows = RowFile.open(path)
-        if rows.shape == shape:
-            return rows
-        fault = f"it has the shape {rows.shape} instead of {shape}"
-    except DamagedFileError as error:
-        fault = error.fault
-    warn(f"{path} is damaged ({fault}): it is computed again")
-    return None
+        _write(folder / POSITIONS_FILE, shape, (map_joints(motion, layout) for motion in counted), num_frames)
+        facts = {**facts, "num_joints": counts[0], "sequences": sequences, "skipped": skipped}
+        write_whole(folder / FACTS_FILE, json.dumps(facts))
 
 
 def _load(path: Path) -> PositionCache:
-    """Open a cache; raises `DamagedFileError` where its files are incomplete or do not belong together."""
+    """Open a cache; raises `DamagedFileError` where its files are missing or do not belong together."""
     try:
-        facts = read_json(path / FACTS_FILE, _ADVICE)
-        # A map of the file: nothing is allocated by what its header says.
-        index = np.load(path / INDEX_FILE, mmap_mode="r", allow_pickle=False)
-        rows = RowFile.open(path / POSITIONS_FILE)
-        columns = {name: np.ascontiguousarray(index[name]) for name in INDEX.names or ()}
+        facts = json.loads((path / FACTS_FILE).read_bytes())
+        columns: dict[str, Any] = {name: np.array(facts["sequences"][name], dtype) for name, dtype in COLUMNS.items()}
         skipped = tuple(Skipped(**each) for each in facts["skipped"])
-        layout, where, fingerprint = (facts[name] for name in ("layout", "where", "store_fingerprint"))
-    except FileNotFoundError as error:
-        raise DamagedFileError(Path(error.filename or path), "it is missing", _ADVICE) from None
-    except (KeyError, TypeError, ValueError, IndexError, EOFError) as error:
-        raise DamagedFileError(path, f"{type(error).__name__}: {error}", _ADVICE) from None
-    if len(rows) != int(columns["num_frames"].sum(dtype=np.int64)):
-        raise DamagedFileError(rows.path, f"its {len(rows):,} rows are not those of its index", _ADVICE)
-    # A plain array over the map: views of np.memmap cost microseconds each.
-    positions = np.memmap(rows.path, "<f4", "r", rows.first_byte, rows.shape).view(np.ndarray)
-    return PositionCache(path, layout, where, fingerprint, positions, rows, skipped=skipped, **columns)
+        described = {name: facts[name] for name in ("layout", "where", "store_fingerprint")}
+        num_frames, num_joints = columns["num_frames"].astype(np.int64), int(facts["num_joints"])
+    except FileNotFoundError:
+        raise DamagedFileError(path / FACTS_FILE, "it is missing", _HINT) from None
+    except (KeyError, TypeError, ValueError) as error:
+        raise DamagedFileError(path / FACTS_FILE, f"{type(error).__name__}: {error}", _HINT) from None
+    positions = _map(path / POSITIONS_FILE, (int(num_frames.sum()), num_joints, 3))
+    if positions is None:
+        raise DamagedFileError(path / POSITIONS_FILE, "it is missing or cut", _HINT)
+    start_row = np.cumsum(num_frames) - num_frames
+    return PositionCache(path=path, positions=positions, start_row=start_row, skipped=skipped, **columns, **described)
 
 
 def _remove_stale(root: Path, fingerprint: str) -> None:

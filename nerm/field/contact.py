@@ -18,7 +18,7 @@ from motionkit.core.timegrid import normalise_seconds
 from motionkit.data.windows import Windows, rows_by_duration, shuffled_batches
 from motionkit.fields.contact.detection import find_contacts, ground_of
 from motionkit.fields.contact.legs import legs_of
-from motionkit.store.cache import PositionCache, RowFile
+from motionkit.store.cache import PositionCache
 from motionkit.training.loop import seeded_initialisation, set_rate, step_generator
 from nerm.field.network import FieldNetwork
 from nerm.settings import ContactsConfig, FieldConfig
@@ -51,7 +51,7 @@ def contact_head(network: FieldNetwork, config: FieldConfig) -> ContactHead:
     return ContactHead(network.num_read, config.contacts.width)
 
 
-def contact_rows(cache: PositionCache) -> RowFile:
+def contact_rows(cache: PositionCache) -> Float32[np.ndarray, "total_frames 4"]:
     """Contact labels (1 or 0) of the foot joints for every row of the position cache, cached beside it."""
 
     def compute() -> Iterator[Float32[np.ndarray, "frames 4"]]:
@@ -75,7 +75,7 @@ class ContactTraining:
         network: FieldNetwork,
         means: Float32[Tensor, "windows latent"],
         windows: Windows,
-        rows: RowFile,
+        rows: Float32[np.ndarray, "total_frames 4"],
         noisy: Noisy,
         *,
         seed: int,

@@ -2,7 +2,6 @@
 
 import os
 import pickle
-import re
 import shutil
 import signal
 import subprocess
@@ -15,18 +14,16 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 
 from motionkit.core.errors import DamagedFileError, StoreError, UsageError
 from motionkit.core.progress import Progress
 from motionkit.core.skeleton import KIT21, Skeleton
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.store import Store, StoreWriter, cache
-from motionkit.store.cache import PositionCache, RowFile, open_cache, write_rows
+from motionkit.store.cache import PositionCache, open_cache
 from motionkit.store.life.rewrite import compact
 
 CHAIN = Skeleton("chain", ("a", "b", "c"), (-1, 0, 1), np.eye(3, dtype=np.float32))
-ARRAY = np.random.default_rng(0).standard_normal((50, 4, 3)).astype(np.float32)
 
 
 @pytest.fixture
@@ -184,7 +181,7 @@ KILLED = textwrap.dedent(
 )
 
 
-@pytest.mark.parametrize("moment", [0, 2])
+@pytest.mark.parametrize("moment", [0, 1])
 def test_a_killed_builder_leaves_nothing_that_is_used(small_store, moment):
     """It is killed before it flushes positions.npy or cache.json."""
     child = subprocess.run([sys.executable, "-c", KILLED, str(small_store), str(moment)], check=False)
@@ -216,7 +213,7 @@ def test_a_disk_that_is_too_small(small_store, monkeypatch):
     assert folders(small_store) == []
 
 
-@pytest.mark.parametrize("name", ["positions.npy", "index.npy", "cache.json", "sums.npy"])
+@pytest.mark.parametrize("name", ["positions.npy", "cache.json", "sums.npy"])
 @pytest.mark.parametrize("damage", ["cut", "empty", "remove"])
 def test_an_incomplete_cache_is_built_again(small_store, name, damage, recwarn):
     store = Store.open(small_store)
@@ -248,64 +245,3 @@ def test_a_store_that_cannot_be_written(small_store, monkeypatch):
     monkeypatch.setattr(Path, "mkdir", refuse)
     with pytest.raises(StoreError, match="MOTIONKIT_CACHE"):
         open_cache(store)
-
-
-@pytest.fixture(scope="module")
-def path(tmp_path_factory) -> Path:
-    path = tmp_path_factory.mktemp("rows") / "rows.npy"
-    np.save(path, ARRAY)
-    return path
-
-
-@given(
-    rows=hnp.arrays(
-        np.int64, hnp.array_shapes(min_dims=1, max_dims=3, min_side=0, max_side=6), elements=st.integers(0, 49)
-    )
-)
-def test_rows_are_those_of_the_array(path, rows):
-    found = pickle.loads(pickle.dumps(RowFile.open(path)))[rows]  # noqa: S301 - our own bytes
-    np.testing.assert_array_equal(found, ARRAY[rows])
-    assert found.dtype == np.float32 and found.flags.writeable and found.shape == (*rows.shape, 4, 3)
-
-
-@pytest.mark.parametrize("wrong", [-1, 50])
-def test_rows_outside_the_file(path, wrong):
-    with pytest.raises(IndexError, match=str(wrong)):
-        RowFile.open(path)[np.array([3, wrong])]
-
-
-@pytest.mark.parametrize(
-    "content", [b"no array", "cut", np.zeros((3, 2)), np.zeros((3, 2), np.float32, order="F"), "short"]
-)
-def test_files_that_are_not_rows(tmp_path: Path, path, content):
-    if isinstance(content, np.ndarray):
-        np.save(tmp_path / "rows.npy", content)
-    else:
-        whole = path.read_bytes()
-        (tmp_path / "rows.npy").write_bytes({"cut": whole[:40], "short": whole[:-100]}.get(content, content))
-    with pytest.raises(DamagedFileError):
-        RowFile.open(tmp_path / "rows.npy")
-
-
-@pytest.mark.parametrize("blocks", [[ARRAY[:7]], [ARRAY[:, :3]]])
-def test_rows_of_another_shape_are_not_written(tmp_path: Path, blocks):
-    with pytest.raises(ValueError, match="expected"):
-        write_rows(tmp_path / "rows.npy", ARRAY.shape, blocks)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_reading_rows_keeps_no_page_of_the_file(tmp_path):
-    def file_kilobytes() -> int:
-        status = Path("/proc/self/status")
-        if not status.is_file():
-            pytest.skip("needs Linux's /proc")
-        return int(re.findall(r"^RssFile:\s+(\d+)", status.read_text(), re.MULTILINE)[0])
-
-    np.save(tmp_path / "large.npy", np.zeros((8_000, 22, 3, 16), np.float32))
-    chosen = np.random.default_rng(0).integers(0, 8_000, 4_000)
-    rows, before = RowFile.open(tmp_path / "large.npy"), file_kilobytes()
-    rows[chosen]
-    assert file_kilobytes() - before < 2_000
-    mapped = np.load(tmp_path / "large.npy", mmap_mode="r")
-    mapped[chosen]
-    assert file_kilobytes() - before > 10_000

@@ -14,7 +14,6 @@ from motionkit.data.poses import WindowPoses
 from motionkit.data.windows import cut_windows
 from motionkit.fields.assembly import Piece, assemble
 from motionkit.fields.motion_field import PredictsContacts
-from motionkit.store.cache import RowFile
 from motionkit.training.config import apply_overrides
 from motionkit.training.run import StageFolder
 from nerm.field.contact import ContactTraining
@@ -57,17 +56,15 @@ def swinging_left() -> Float32[np.ndarray, "frames 4"]:
 
 
 @pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> TrainedField:
+def trained() -> TrainedField:
     """A field that begins as its linear model, which knows these motions, with contacts learnt on top."""
-    path = tmp_path_factory.mktemp("rows") / "contacts.npy"
-    np.save(path, swinging_left())
     source = analytic_source()
     windows = cut_windows(source, max_duration_seconds=4.0)
     poses = WindowPoses(windows, FrameValues.of_positions(source))
     field = FieldTraining(poses, CONFIG, codebook=None, seed=0, device=torch.device("cpu"))
     mean, log_variance = field.posteriors()
     network = field.network.eval().requires_grad_(False)
-    training = ContactTraining(network, mean, windows, RowFile.open(path), lambda latents, _: latents, seed=0)
+    training = ContactTraining(network, mean, windows, swinging_left(), lambda latents, _: latents, seed=0)
     assert training.run(ignore) < 0.15
     return TrainedField(
         network, field.scaling, field.components, mean, log_variance, windows, "analytic", contacts=training.head.eval()
@@ -91,14 +88,12 @@ def test_contacts_follow_from_the_latent_at_any_instant(trained: TrainedField) -
         motion.contacts(np.array([4.5]))
 
 
-def test_a_mirrored_window_has_them_on_the_other_side(tmp_path: Path) -> None:
-    np.save(tmp_path / "rows.npy", swinging_left())
+def test_a_mirrored_window_has_them_on_the_other_side() -> None:
     source = analytic_source()
     windows = cut_windows(source, max_duration_seconds=4.0, mirror_pairs=SMPL22.left_right_pairs)
     poses = WindowPoses(windows, FrameValues.of_positions(source))
     field = FieldTraining(poses, CONFIG, codebook=None, seed=0, device=torch.device("cpu"))
-    rows = RowFile.open(tmp_path / "rows.npy")
-    training = ContactTraining(field.network, field.posteriors()[0], windows, rows, lambda z, _: z, seed=0)
+    training = ContactTraining(field.network, field.posteriors()[0], windows, swinging_left(), lambda z, _: z, seed=0)
     [plain], [mirrored] = (np.flatnonzero((windows.start_row == 0) & (windows.mirrored == is_it)) for is_it in (0, 1))
     frames = np.arange(100)[None]
     there, here = (training._down(np.array([window]), frames).numpy()[0] for window in (plain, mirrored))
