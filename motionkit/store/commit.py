@@ -1,4 +1,4 @@
-"""The state of a store: the manifest, which lists its files with their checksums, and the commit that replaces it.
+"""The state of a store: the manifest, which lists its files with their checksums, its tables, and the commit.
 
 A writer holds the lock, writes parts and tables under pending names (`.new`), and renames the manifest, which commits
 them. A reader sees the manifest before or after that rename, and the files that it names.
@@ -9,26 +9,33 @@ import json
 import os
 import re
 import secrets
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from motionkit.core import __version__, files
-from motionkit.core.errors import StoreError, describe
+from motionkit.core.errors import MotionkitError, StoreError, describe
 from motionkit.core.files import defer_signals, exclusive_lock, sha256_of
+from motionkit.core.skeleton import Skeleton
+from motionkit.core.skeletons.mapping import parse_layout_map
 from motionkit.store.schema import (
     MANIFEST_FILE,
     MOTIONS_FOLDER,
+    SEQUENCES,
     SEQUENCES_FILE,
     SEQUENCES_PER_ROW_GROUP,
+    SKELETONS,
     SKELETONS_FILE,
     part_name,
     part_number,
+    skeleton_from_row,
     table_writer_options,
 )
 
@@ -187,6 +194,100 @@ def read_committed(store: Path, name: str, entry: FileEntry) -> bytes | None:
         if hashlib.sha256(content).hexdigest() == entry.sha256:
             return content
     return None
+
+
+def read_table(store: Path, manifest: Manifest, name: str, columns: Sequence[str] | None = None) -> pa.Table | None:
+    """A table, or some of its columns, as the manifest names it; None where no file is that one.
+
+    So it is after a commit that came in between. Raises `ValueError` for a table with other columns or another number
+    of rows, and for what is no Parquet.
+    """
+    entry = manifest.files.get(name)
+    if entry is None:
+        raise ValueError(f"{name}: the manifest does not name it")
+    content = read_committed(store, name, entry)
+    if content is None:
+        return None
+    try:
+        # One thread: Arrow's own would keep the content for some milliseconds after the call, and where one of them
+        # frees a Python object while the interpreter ends, the process aborts (apache/arrow issues 36389 and 49942).
+        file = pq.ParquetFile(pa.BufferReader(content))
+        table = file.read(columns, use_threads=False)
+        table.validate(full=True)  # texts that are no UTF-8, lists that leave their values
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"{name}: it cannot be read as Parquet ({' '.join(str(error).split())})") from None
+    if not file.schema_arrow.equals({SEQUENCES_FILE: SEQUENCES, SKELETONS_FILE: SKELETONS}[name]):
+        raise ValueError(f"{name}: its columns are not those of this format version")
+    if table.num_rows != entry.num_rows:
+        raise ValueError(f"{name}: it has {table.num_rows} rows, the manifest says {entry.num_rows}")
+    return table.combine_chunks()
+
+
+def read_skeletons(table: pa.Table) -> dict[str, Skeleton]:
+    """The skeletons of a table by fingerprint; raises `ValueError` for a row that is none."""
+    skeletons = {}
+    for row in table.to_pylist():
+        try:
+            skeleton = skeleton_from_row(row)
+            if skeleton.layout_map:
+                parse_layout_map(skeleton.layout_map)
+            if skeleton.fingerprint != row["skeleton"]:
+                raise ValueError(f"its joints are those of {skeleton.fingerprint!r}")
+        except (ValueError, MotionkitError) as error:
+            raise ValueError(f"{SKELETONS_FILE}: skeleton {row['skeleton']!r}: {error}") from None
+        skeletons[row["skeleton"]] = skeleton
+    return skeletons
+
+
+def check_sequences(sequences: pa.Table, manifest: Manifest, skeletons: Mapping[str, Skeleton]) -> None:
+    """Raise `ValueError` for rows that no writer writes, in a store of somebody else's making.
+
+    Indices ascend below the manifest's next one, ids are unique, framerates positive, and every row has frames, a part
+    that the manifest names, and one of the skeletons.
+    """
+    index = np.asarray(sequences["sequence_index"], np.int64)
+    if (np.diff(index, prepend=-1, append=manifest.next_sequence_index) < 1).any():
+        raise ValueError(
+            f"{SEQUENCES_FILE}: sequence_index does not ascend from 0 to below {manifest.next_sequence_index}"
+        )
+    ids = sequences["sequence_id"]
+    if pc.count_distinct(ids).as_py() != len(ids):
+        counts = pc.value_counts(ids)
+        repeated = counts.filter(pc.greater(counts.field("counts"), 1))[0]["values"]
+        raise ValueError(f"{SEQUENCES_FILE}: the id {repeated.as_py()!r} occurs more than once")
+    numbers = {name: np.asarray(sequences[name], np.float64) for name in ("fps_numerator", "fps_denominator")}
+    joints = pa.array([each.num_joints for each in skeletons.values()], pa.int16())
+    place = pc.index_in(sequences["skeleton"], pa.array(list(skeletons), pa.string()))
+    parts = [part_number(name) for name in manifest.parts]
+    wrong = {
+        "its framerate is not positive": (numbers["fps_numerator"] <= 0) | (numbers["fps_denominator"] <= 0),
+        "it has no frames": np.asarray(sequences["num_frames"]) < 1,
+        "its start_seconds are not finite": ~np.isfinite(np.asarray(sequences["start_seconds"])),
+        "the manifest does not name its part": ~np.isin(np.asarray(sequences["part"]), parts),
+        f"its skeleton is not in {SKELETONS_FILE}": np.asarray(pc.is_null(place)),
+        "num_joints is not its skeleton's": np.asarray(
+            pc.fill_null(pc.not_equal(joints.take(place.combine_chunks()), sequences["num_joints"]), False)
+        ),
+    }
+    for fault, rows in wrong.items():
+        if rows.any():
+            raise ValueError(f"{SEQUENCES_FILE}: sequence {ids[int(np.argmax(rows))].as_py()!r}: {fault}")
+
+
+def not_committed(store: Path) -> StoreError:
+    """The error where `read_table` finds none again and again."""
+    return StoreError(
+        f"the tables of the store {store} are not those that its manifest names: "
+        f"'motionkit validate --store {store}' says which; restore them from a copy or ingest again"
+    )
+
+
+def damaged(store: Path, fault: ValueError) -> StoreError:
+    """The error where a table is damaged: the fault, and what to do."""
+    return StoreError(
+        f"the store {store} is damaged: {fault}: 'motionkit validate --store {store}' says all that is wrong; restore "
+        "it from a copy, or ingest the sources into a new store"
+    )
 
 
 @contextmanager

@@ -1,7 +1,7 @@
 """Reads a store: tables, single motions, many motions in order, SQL."""
 
 import operator
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator
 from functools import cached_property
 from html import escape
 from pathlib import Path
@@ -10,26 +10,28 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
-from motionkit.core.errors import MotionkitError, StoreError, UsageError
+from motionkit.core.errors import StoreError, UsageError
 from motionkit.core.motion import Motion
 from motionkit.core.progress import OnProgress, ignore
 from motionkit.core.shapes import Int, Int64
-from motionkit.core.skeleton import Skeleton
-from motionkit.core.skeletons.mapping import parse_layout_map
-from motionkit.store.commit import Manifest, read_committed, read_manifest
+from motionkit.store.commit import (
+    Manifest,
+    check_sequences,
+    damaged,
+    not_committed,
+    read_manifest,
+    read_skeletons,
+    read_table,
+)
 from motionkit.store.parts import PartReader, check_still_there
 from motionkit.store.schema import (
     MOTIONS,
     SEQUENCES,
     SEQUENCES_FILE,
-    SKELETONS,
     SKELETONS_FILE,
     EncodedMotion,
     motion_from_row,
-    part_number,
-    skeleton_from_row,
 )
 from motionkit.store.sql import UnknownTable, query
 
@@ -41,84 +43,6 @@ OPEN_ATTEMPTS = 5
 ROWS_AT_ONCE = 1024
 # Where a sequence lies in its store: what changes when it is copied into another one.
 PLACE_COLUMNS = ("sequence_index", "part", "part_row")
-
-
-def read_table(store: Path, manifest: Manifest, name: str, columns: Sequence[str] | None = None) -> pa.Table | None:
-    """A table, or some of its columns, as the manifest names it; None where no file is that one.
-
-    So it is after a commit that came in between. Raises `ValueError` for a table with other columns or another number
-    of rows, and for what is no Parquet.
-    """
-    entry = manifest.files.get(name)
-    if entry is None:
-        raise ValueError(f"{name}: the manifest does not name it")
-    content = read_committed(store, name, entry)
-    if content is None:
-        return None
-    try:
-        # One thread: Arrow's own would keep the content for some milliseconds after the call, and where one of them
-        # frees a Python object while the interpreter ends, the process aborts (apache/arrow issues 36389 and 49942).
-        file = pq.ParquetFile(pa.BufferReader(content))
-        table = file.read(columns, use_threads=False)
-        table.validate(full=True)  # texts that are no UTF-8, lists that leave their values
-    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{name}: it cannot be read as Parquet ({' '.join(str(error).split())})") from None
-    if not file.schema_arrow.equals({SEQUENCES_FILE: SEQUENCES, SKELETONS_FILE: SKELETONS}[name]):
-        raise ValueError(f"{name}: its columns are not those of this format version")
-    if table.num_rows != entry.num_rows:
-        raise ValueError(f"{name}: it has {table.num_rows} rows, the manifest says {entry.num_rows}")
-    return table.combine_chunks()
-
-
-def read_skeletons(table: pa.Table) -> dict[str, Skeleton]:
-    """The skeletons of a table by fingerprint; raises `ValueError` for a row that is none."""
-    skeletons = {}
-    for row in table.to_pylist():
-        try:
-            skeleton = skeleton_from_row(row)
-            if skeleton.layout_map:
-                parse_layout_map(skeleton.layout_map)
-            if skeleton.fingerprint != row["skeleton"]:
-                raise ValueError(f"its joints are those of {skeleton.fingerprint!r}")
-        except (ValueError, MotionkitError) as error:
-            raise ValueError(f"{SKELETONS_FILE}: skeleton {row['skeleton']!r}: {error}") from None
-        skeletons[row["skeleton"]] = skeleton
-    return skeletons
-
-
-def check_sequences(sequences: pa.Table, manifest: Manifest, skeletons: Mapping[str, Skeleton]) -> None:
-    """Raise `ValueError` for rows that no writer writes, in a store of somebody else's making.
-
-    Indices ascend below the manifest's next one, ids are unique, framerates positive, and every row has frames, a part
-    that the manifest names, and one of the skeletons.
-    """
-    index = np.asarray(sequences["sequence_index"], np.int64)
-    if (np.diff(index, prepend=-1, append=manifest.next_sequence_index) < 1).any():
-        raise ValueError(
-            f"{SEQUENCES_FILE}: sequence_index does not ascend from 0 to below {manifest.next_sequence_index}"
-        )
-    ids = sequences["sequence_id"]
-    if pc.count_distinct(ids).as_py() != len(ids):
-        counts = pc.value_counts(ids)
-        repeated = counts.filter(pc.greater(counts.field("counts"), 1))[0]["values"]
-        raise ValueError(f"{SEQUENCES_FILE}: the id {repeated.as_py()!r} occurs more than once")
-    numbers = {name: np.asarray(sequences[name], np.float64) for name in ("fps_numerator", "fps_denominator")}
-    joints = pa.array([each.num_joints for each in skeletons.values()], pa.int16())
-    place = pc.index_in(sequences["skeleton"], pa.array(list(skeletons), pa.string()))
-    parts = [part_number(name) for name in manifest.parts]
-    wrong = {
-        "its framerate is not positive": (numbers["fps_numerator"] <= 0) | (numbers["fps_denominator"] <= 0),
-        "it has no frames": np.asarray(sequences["num_frames"]) < 1,
-        "its start_seconds are not finite": ~np.isfinite(np.asarray(sequences["start_seconds"])),
-        "the manifest does not name its part": ~np.isin(np.asarray(sequences["part"]), parts),
-        f"its skeleton is not in {SKELETONS_FILE}": np.asarray(pc.is_null(place)),
-        "num_joints is not its skeleton's": np.asarray(
-            pc.fill_null(pc.not_equal(joints.take(place.combine_chunks()), sequences["num_joints"]), False)
-        ),
-    }
-    for fault, rows in wrong.items():
-        if rows.any():
-            raise ValueError(f"{SEQUENCES_FILE}: sequence {ids[int(np.argmax(rows))].as_py()!r}: {fault}")
 
 
 class Store:
@@ -154,7 +78,7 @@ class Store:
             """Skeletons by fingerprint."""
             check_sequences(sequences, manifest, self.skeletons)
         except ValueError as error:
-            raise _damaged(path, error) from None
+            raise damaged(path, error) from None
 
     @classmethod
     def open(cls, path: Path | str, *, on_progress: OnProgress = ignore) -> "Store":
@@ -173,7 +97,7 @@ class Store:
             try:
                 sequences, skeletons = (read_table(path, manifest, name) for name in (SEQUENCES_FILE, SKELETONS_FILE))
             except ValueError as error:
-                raise _damaged(path, error) from None
+                raise damaged(path, error) from None
             if sequences is not None and skeletons is not None:
                 return cls(path, manifest, sequences, skeletons, on_progress)
         raise not_committed(path)
@@ -353,18 +277,3 @@ class Store:
             "FROM sequences GROUP BY ALL ORDER BY ALL"
         )
         return f"<p>{escape(repr(self))}</p>{counted.to_html(index=False, max_rows=40)}"
-
-
-def not_committed(store: Path) -> StoreError:
-    """The error where `read_table` finds none again and again."""
-    return StoreError(
-        f"the tables of the store {store} are not those that its manifest names: "
-        f"'motionkit validate --store {store}' says which; restore them from a copy or ingest again"
-    )
-
-
-def _damaged(store: Path, fault: ValueError) -> StoreError:
-    return StoreError(
-        f"the store {store} is damaged: {fault}: 'motionkit validate --store {store}' says all that is wrong; restore "
-        "it from a copy, or ingest the sources into a new store"
-    )

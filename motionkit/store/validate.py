@@ -8,9 +8,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from motionkit.core.errors import StoreError
-from motionkit.store.commit import Manifest, read_manifest
+from motionkit.store.commit import Manifest, check_sequences, read_manifest, read_skeletons, read_table
 from motionkit.store.parts import PartReader
-from motionkit.store.reader import check_sequences, read_skeletons, read_table
 from motionkit.store.schema import SEQUENCES_FILE, SKELETONS_FILE, part_number
 
 # People give captions' ends in tenths of seconds, and releases of a data set differ by some frames.

@@ -14,9 +14,20 @@ from motionkit.core.errors import StoreError
 from motionkit.core.files import defer_signals
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import Skeleton
-from motionkit.store.commit import FileEntry, Manifest, changing, finished_entry, pending, publish, write_pending
+from motionkit.store.commit import (
+    FileEntry,
+    Manifest,
+    changing,
+    damaged,
+    finished_entry,
+    not_committed,
+    pending,
+    publish,
+    read_skeletons,
+    read_table,
+    write_pending,
+)
 from motionkit.store.parts import PartWriter, PendingPart
-from motionkit.store.reader import not_committed, read_skeletons, read_table
 from motionkit.store.schema import (
     PART_BYTES,
     SEQUENCES,
@@ -93,7 +104,7 @@ class StoreWriter:
         try:
             table = read_table(self.path, self._base, name, columns)
         except ValueError as error:
-            raise StoreError(f"{self.path / name} is damaged ({error}): restore the store from a copy") from None
+            raise damaged(self.path, error) from None
         if table is None:
             raise not_committed(self.path)
         return table

@@ -190,7 +190,7 @@ def test_what_tables_and_folders_say_belongs_to_a_single_clip(motionkit: Run, tm
     assert exported.code == 0, exported.stderr
     outcome = motionkit("complete", tmp_path / "rows", "--fps", "60", "--out", tmp_path / "made")
     names = [Path(line).name for line in outcome.stdout.split()]
-    assert outcome.code == 0 and len(names) == 2 and names == ["set_0.bvh", "set_1.bvh"]
+    assert outcome.code == 0 and len(names) == 2 and names == ["set_0.npz", "set_1.npz"]
 
 
 def test_what_was_made_in_a_folder_is_not_completed_again(motionkit: Run, tmp_path: Path, motion: Motion) -> None:
