@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from motionkit.store.reports.motion import MotionSummary
     from motionkit.store.reports.quality import Offender, QualityReport, SourceQuality
     from motionkit.store.reports.rig import RigTree
-    from motionkit.store.reports.summary import Rig, SourceSummary, StoreSummary
+    from motionkit.store.reports.summary import SourceSummary, StoreSummary
 
 SHOWN_UPSAMPLED = 20
 
@@ -72,11 +72,11 @@ def info(
     ] = None,
     store: Annotated[Path | None, typer.Option(help="Store to describe.", show_default="./store")] = None,
     up: Up = None,
-    skeletons: Annotated[
-        bool, typer.Option("--skeletons", "--skeleton", help="Say which joints reach the 22: the store's, or FILE's.")
+    skeleton: Annotated[
+        bool, typer.Option("--skeleton", help="Show FILE's rig, and which joints reach the 22.")
     ] = False,
     init: Annotated[
-        Path | None, typer.Option(metavar="RIG.TOML", help="Guess a map of FILE's rig, for --skeleton-map.")
+        Path | None, typer.Option(metavar="RIG.TOML", help="Draft a map of FILE's rig, for --skeleton-map.")
     ] = None,
     quality: Annotated[
         bool, typer.Option("--quality", help="Say what looks odd: flags, worst sequences, upsampled ones.")
@@ -95,27 +95,22 @@ def info(
     if path is not None and not is_store(path):
         if store is not None or quality or where or html is not None:
             raise UsageError("FILE goes with --up, --skeleton, --init and --json alone")
-        _show_file(path, "" if up is None else up.value, skeletons, init, as_json)
+        _show_file(path, "" if up is None else up.value, skeleton, init, as_json)
         return
-    if init is not None or up is not None:
-        raise UsageError("--init and --up are about a file: name a FILE")
+    if init is not None or up is not None or skeleton:
+        raise UsageError("--init, --skeleton and --up are about a file: name a FILE")
     store = named_store(path, store)
     from motionkit.store import Store
     from motionkit.store.reports.quality import report_quality
-    from motionkit.store.reports.summary import rigs, summarise
+    from motionkit.store.reports.summary import summarise
 
     if where and not quality:
         raise UsageError("--where goes with --quality; 'motionkit query' answers anything else")
-    if html is not None and (quality or skeletons or as_json):
-        raise UsageError("--html writes the whole card: leave out --quality, --skeletons and --json")
-    if quality and skeletons:
-        raise UsageError("--quality and --skeletons exclude each other")
+    if html is not None and (quality or as_json):
+        raise UsageError("--html writes the whole card: leave out --quality and --json")
     opened = Store.open(store or default_path("store"))
     if quality:
         _print_quality(report_quality(opened, where), as_json)
-        return
-    if skeletons:
-        _print_rigs(opened.path, rigs(opened), as_json)
         return
     _show_store(summarise(opened), html, as_json)
 
@@ -133,7 +128,7 @@ def _show_store(summary: "StoreSummary", html: Path | None, as_json: bool) -> No
         _print_summary(summary)
 
 
-def _show_file(path: Path, up: str, skeletons: bool, init: Path | None, as_json: bool) -> None:
+def _show_file(path: Path, up: str, skeleton: bool, init: Path | None, as_json: bool) -> None:
     from motionkit.core.files import write_whole
     from motionkit.core.skeletons.mapping import draft_map
     from motionkit.store.reports.motion import summarise_motion
@@ -152,7 +147,7 @@ def _show_file(path: Path, up: str, skeletons: bool, init: Path | None, as_json:
         stdout.print(str(path))
         for name, value in _file_lines(found, rig):
             stdout.print(f"{name:12}{value}")
-        if skeletons:
+        if skeleton:
             _print_rig(rig)
     if text is not None and init is not None:
         write_whole(init, text)
@@ -235,35 +230,6 @@ def _print_summary(summary: "StoreSummary") -> None:
             f"{summary.path}' drops them",
         )
     stdout.print(f"fingerprint {summary.fingerprint}")
-
-
-def _print_rigs(store: Path, found: "tuple[Rig, ...]", as_json: bool) -> None:
-    if as_json:
-        print_json({"store": str(store), "rigs": [asdict(rig) for rig in found]})
-        return
-    mapped = sum(not rig.missing for rig in found)
-    stdout.print(f"kinds of skeleton: {len(found):,}, of which {mapped:,} reach the 22 joints")
-    for rig in found:
-        stdout.print()
-        for name, text in _rig_lines(rig):
-            stdout.print(f"{name:12}{text}")
-
-
-def _rig_lines(rig: "Rig") -> list[tuple[str, str]]:
-    bones = f", {rig.num_skeletons:,} sets of bone lengths" if rig.num_skeletons > 1 else ""
-    lines = [("skeleton", f"{_some(rig.names)}: {rig.num_joints} joints{bones}, {rig.num_sequences:,} sequences")]
-    if rig.missing:
-        lines.append(("maps by", "nothing; --skeleton-map teaches one" if not rig.own_map else "its own map, in part"))
-        lines.append(("missing", ", ".join(rig.missing)))
-    else:
-        lines.append(("maps by", f"{rig.family} (given by --skeleton-map)" if rig.own_map else rig.family))
-        lines.append(("not used", ", ".join(rig.unmapped) or "none"))
-    return [*lines, ("made up", ", ".join(rig.made_up))] if rig.made_up else lines
-
-
-def _some(names: tuple[str, ...]) -> str:
-    left_out = len(names) - SHOWN_COUNTS
-    return ", ".join(names[:SHOWN_COUNTS]) + (f" and {left_out:,} more" if left_out > 0 else "")
 
 
 def _lines(source: "SourceSummary") -> list[tuple[str, str]]:

@@ -50,7 +50,6 @@ def test_no_command_lets_a_name_speak_to_the_terminal(motionkit: Run, hostile: l
     for command in (
         ["info"],
         ["info", "--quality"],
-        ["info", "--skeletons"],
         ["validate"],
         ["split", "--by", "sequence_id"],
     ):

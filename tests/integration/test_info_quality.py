@@ -71,7 +71,7 @@ def test_a_condition_narrows_it(motionkit, store):
 
 def test_options_that_make_no_sense_are_refused(motionkit, store):
     assert motionkit("info", "--store", store, "--where", "fps = 120").code == 2
-    assert motionkit("info", "--store", store, "--quality", "--skeletons").code == 2
+    assert motionkit("info", "--store", store, "--skeleton").code == 2
     assert motionkit("info", "--store", store, "--quality", "--where", "bad sql").code == 2
 
 

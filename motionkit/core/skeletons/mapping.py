@@ -262,7 +262,7 @@ def _some(names: Sequence[str], most: int) -> str:
 class JointMap:
     """Every joint of a layout as a weighted sum of source joints and End Site tips; the weights of a row sum to 1.
 
-    `made_up` are the extrapolated toes; `unmapped` the source joints that no row uses.
+    `made_up` are the extrapolated toes.
     """
 
     layout: str
@@ -270,7 +270,6 @@ class JointMap:
     weights: Float32[np.ndarray, "layout_joints joints"]
     tip_weights: Float32[np.ndarray, "layout_joints tips"]
     made_up: tuple[str, ...]
-    unmapped: tuple[str, ...]
 
 
 def map_joints(motion: Motion, layout: str) -> Float32[np.ndarray, "frames layout_joints 3"]:
@@ -333,14 +332,14 @@ def joint_map(skeleton: Skeleton, layout: str) -> JointMap:
     target = STANDARD_SKELETONS[layout]
     if skeleton.joint_names == target.joint_names and not skeleton.layout_map:
         eye = np.eye(target.num_joints, dtype=np.float32)
-        return JointMap(layout, layout, eye, np.zeros((len(eye), len(skeleton.end_sites)), np.float32), (), ())
+        return JointMap(layout, layout, eye, np.zeros((len(eye), len(skeleton.end_sites)), np.float32), ())
     body = _map_to_smpl22(skeleton.joint_names, skeleton.end_sites, skeleton.layout_map)
     if isinstance(body, tuple):
         raise SkeletonMapError(skeleton, layout, body)
     if layout == SMPL22.name:
         return body
     via = _kit21_from_smpl22()
-    return JointMap(layout, body.family, via @ body.weights, via @ body.tip_weights, body.made_up, body.unmapped)
+    return JointMap(layout, body.family, via @ body.weights, via @ body.tip_weights, body.made_up)
 
 
 def family_unit_metres(skeleton: Skeleton) -> float | None:
@@ -377,8 +376,7 @@ def _map_to_smpl22(joint_names: tuple[str, ...], end_sites: EndSites, layout_map
                 tip_weights[row, tips[source]] += weight
     if missing:
         return tuple(missing)
-    unmapped = tuple(name for name, used in zip(joint_names, np.any(weights, axis=0).tolist(), strict=True) if not used)
-    return JointMap(SMPL22.name, family.name, weights, tip_weights, tuple(made_up), unmapped)
+    return JointMap(SMPL22.name, family.name, weights, tip_weights, tuple(made_up))
 
 
 def _possible(

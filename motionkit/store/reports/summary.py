@@ -13,8 +13,6 @@ import pyarrow.parquet as pq
 
 from motionkit.core.errors import StoreError
 from motionkit.core.framerate import format_fps
-from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map
 from motionkit.store.cache import cache_bytes
 from motionkit.store.reader import Store
 from motionkit.store.schema import FRAME_COLUMNS
@@ -190,56 +188,3 @@ def _column_sizes(store: Store, sequences: pa.Table) -> dict[str, ColumnSize]:
         "root_translation": 12 * _total(frames.filter(sequences["has_root_translation"])),
     }
     return {name: ColumnSize(disk[name], raw[name]) for name in FRAME_COLUMNS}
-
-
-@dataclass(frozen=True)
-class Rig:
-    """Skeletons with the same joints and the same map, and how they reach the 22-joint layout.
-
-    `names` are theirs, `num_skeletons` counts different bone lengths. `family` is the table that maps them (empty where
-    none does: then `missing` names the layout's joints without a source), `own_map` says whether it is the user's;
-    `unmapped` are joints that the layout does not use, `made_up` toes without any source.
-    """
-
-    names: tuple[str, ...]
-    num_joints: int
-    num_skeletons: int
-    num_sequences: int
-    family: str
-    own_map: bool
-    missing: tuple[str, ...]
-    unmapped: tuple[str, ...]
-    made_up: tuple[str, ...]
-
-
-def rigs(store: Store) -> tuple[Rig, ...]:
-    """The rigs of a store, the one with most sequences first; reads the two small tables only."""
-    counts: Counter[str] = Counter(store.sequences_table["skeleton"].to_pylist())
-    groups: dict[tuple[object, ...], list[Skeleton]] = {}
-    for skeleton in store.skeletons.values():
-        tips = tuple(joint for joint, _ in skeleton.end_sites)
-        groups.setdefault((skeleton.joint_names, tips, skeleton.layout_map), []).append(skeleton)
-    found = [_rig(members, sum(counts[member.fingerprint] for member in members)) for members in groups.values()]
-    return tuple(sorted(found, key=lambda rig: (-rig.num_sequences, rig.names)))
-
-
-def _rig(members: list[Skeleton], num_sequences: int) -> Rig:
-    first = members[0]
-    missing: tuple[str, ...]
-    made_up: tuple[str, ...]
-    try:
-        mapping = joint_map(first, SMPL22.name)
-        name, missing, unmapped, made_up = mapping.family, (), mapping.unmapped, mapping.made_up
-    except SkeletonMapError as error:
-        name, missing, unmapped, made_up = "", error.missing, first.joint_names, ()
-    return Rig(
-        names=tuple(sorted({member.name for member in members})),
-        num_joints=first.num_joints,
-        num_skeletons=len(members),
-        num_sequences=num_sequences,
-        family=name,
-        own_map=bool(first.layout_map),
-        missing=missing,
-        unmapped=unmapped,
-        made_up=made_up,
-    )
