@@ -64,15 +64,15 @@ def table_that_shows(paper: str | None, target: str) -> Table:
     if not number or kind not in KINDS:
         raise UsageError(f"--for {target}: table:NUMBER or figure:NUMBER, such as table:2")
     installed = sorted(entry_points(group="motionkit.tables"), key=lambda entry: entry.name)
-    found: list[Table] = [
+    tables: list[Table] = [
         entry.load()
         for entry in installed
         if entry.name.endswith(f"-{KINDS[kind]}{number}") and (paper is None or entry.name.startswith(f"{paper}-"))
     ]
-    if not found:
+    if not tables:
         names = ", ".join(entry.name for entry in installed)
         raise UsageError(f"--for {target}: there is no such table; installed tables: {names or 'none'}")
-    table = next((each for each in found if each.is_default), found[0])
+    table = next((each for each in tables if each.is_default), tables[0])
     if not table.shown():
         raise UsageError(f"--for {target}: that table has no rows of systems (of ablations: motionkit ablate)")
     return table
@@ -80,11 +80,11 @@ def table_that_shows(paper: str | None, target: str) -> Table:
 
 def _with_earlier(names: Iterable[str], earlier: Callable[[str], Iterable[str]]) -> set[str]:
     """The names, and all that they need."""
-    found: set[str] = set()
+    needed: set[str] = set()
     waiting = list(names)
     while waiting:
         name = waiting.pop()
-        if name not in found:
-            found.add(name)
+        if name not in needed:
+            needed.add(name)
             waiting += earlier(name)
-    return found
+    return needed

@@ -29,7 +29,7 @@ Seconds = Annotated[
 Join = Annotated[
     bool, typer.Option("--join", help="One motion of all texts or actions in sequence, --seconds of each.")
 ]
-Overlap = Annotated[float, typer.Option(help="Seconds of overlap between the parts of a joined or long motion.")]
+Overlap = Annotated[float, typer.Option(help="Seconds of overlap between the pieces of a joined or long motion.")]
 PathFile = Annotated[
     Path | None, typer.Option(help="The body's path: a CSV of x, z in metres, optionally seconds and heading_degrees.")
 ]
@@ -117,8 +117,8 @@ def generate(
     chosen = parse_prompts(prompts, texts or [], action or [], unconditional, seconds)
     rate, instants = parse_rate(fps), parse_times(times)
     output = output_format(file_format, instants)
-    held = parse_constraints(table, join, chosen, pose, joint, joints=pose_joints, placed=pose_placed)
-    request = MotionsRequest(tuple(chosen), count, instants, rate, join, overlap, held)
+    constraints = parse_constraints(table, join, chosen, pose, joint, joints=pose_joints, placed=pose_placed)
+    request = MotionsRequest(tuple(chosen), count, instants, rate, join, overlap, constraints)
 
     from motionkit.generate.job import Job, locked_output
     from motionkit.generate.models import SamplingOptions, load_model, model_of

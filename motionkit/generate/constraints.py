@@ -141,7 +141,7 @@ class Constraint:
         return [SMPL22.joint_names.index(joint) for joint in self.joints]
 
     def between(self, start_seconds: float, end_seconds: float) -> "Constraint | None":
-        """The constraint on a stretch of the motion, in the stretch's own time; None if it does not apply."""
+        """The constraint on an interval of the motion, in the interval's own time; None if it does not apply."""
         inside = (self.seconds >= start_seconds - 1e-9) & (self.seconds <= end_seconds + 1e-9)
         if not inside.any():
             return None
@@ -172,8 +172,7 @@ class Followed:
 
     def plain(self) -> dict[str, Any]:
         """As JSON."""
-        found = {"kind": self.kind, "name": self.name, "mean_metres": self.mean_metres, "max_metres": self.max_metres}
-        return found if self.mean_degrees is None else found | {"mean_degrees": self.mean_degrees}
+        return {name: value for name, value in vars(self).items() if value is not None}
 
 
 def followed(motion: MotionField, constraint: Constraint) -> Followed:
@@ -195,5 +194,4 @@ def followed(motion: MotionField, constraint: Constraint) -> Followed:
 def in_body_frame(joint_positions: Float[np.ndarray, "poses 22 3"]) -> Float64[np.ndarray, "poses 22 3"]:
     """Each pose seen from the floor under its root, ahead being Z+."""
     yaw = heading_of(joint_positions, SMPL22_LAYOUT.facing)
-    seen = to_window(joint_positions[:, None], yaw, joint_positions[:, 0, (0, 2)])
-    return seen[:, 0].astype(np.float64)
+    return to_window(joint_positions[:, None], yaw, joint_positions[:, 0, (0, 2)])[:, 0].astype(np.float64)

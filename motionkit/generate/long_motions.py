@@ -56,7 +56,7 @@ def pieces_of(script: Script, longest_seconds: float, overlap_seconds: float) ->
             f"motions of up to {longest_seconds:g} s overlap by more than 0 s and up to {longest_seconds / 2:g} s, "
             f"not by {overlap_seconds:g} s"
         )
-    found: list[GenerationRequest] = []
+    pieces: list[GenerationRequest] = []
     for number, request in enumerate(script):
         seconds = request.duration_seconds
         if seconds is None or not overlap_seconds < seconds < float("inf"):
@@ -67,12 +67,11 @@ def pieces_of(script: Script, longest_seconds: float, overlap_seconds: float) ->
             )
         inner_ends = (number > 0) + (number < len(script) - 1)
         span = seconds + inner_ends * overlap_seconds / 2
-        count = int(np.ceil((span - overlap_seconds) / (longest_seconds - overlap_seconds) - 1e-9))
-        count = max(1, count)
-        found += [
+        count = max(1, int(np.ceil((span - overlap_seconds) / (longest_seconds - overlap_seconds) - 1e-9)))
+        pieces += [
             replace(request, constraints=(), duration_seconds=(span + (count - 1) * overlap_seconds) / count)
         ] * count
-    return found
+    return pieces
 
 
 def generate_joined(
@@ -95,11 +94,11 @@ def generate_joined(
         return chain(model.generate(requests, seed=own_seed, sampling=sampling), overlap_seconds)
     constraints, pieces, start = constraints_of(script), list[Piece](), 0.0
     for piece, request in enumerate(requests):
-        held = [each.between(start, start + (request.duration_seconds or 0.0)) for each in constraints]
+        own = [each.between(start, start + (request.duration_seconds or 0.0)) for each in constraints]
         if pieces:
-            held.append(_end_of(pieces[-1], overlap_seconds))
-        asked = replace(request, constraints=tuple(each for each in held if each is not None))
-        [field] = model.generate([asked], seed=own_seed, sampling=sampling, first=piece)
+            own.append(_end_of(pieces[-1], overlap_seconds))
+        constrained = replace(request, constraints=tuple(each for each in own if each is not None))
+        [field] = model.generate([constrained], seed=own_seed, sampling=sampling, first=piece)
         pieces.append(Piece(field, start))
         start = pieces[-1].end_seconds - overlap_seconds
     return assemble(pieces)

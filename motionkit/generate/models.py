@@ -116,9 +116,9 @@ def check_constraints(model: GenerativeModel, request: GenerationRequest) -> Non
     for each in request.constraints:
         if each.kind not in kinds:
             follows = f"follows {' and '.join(sorted(kinds))} alone" if kinds else "follows no constraints"
-            raise UsageError(f"{each.name}: the model {model.name!r} {follows}: it cannot be held to a {each.kind}")
+            raise UsageError(f"{each.name}: the model {model.name!r} {follows}: it cannot follow a {each.kind}")
         if length is None:
-            raise UsageError(f"{each.name}: --seconds is needed: it is held to instants of a motion of a given length")
+            raise UsageError(f"{each.name}: --seconds is needed: its instants are those of a motion of a given length")
         if each.seconds.max() > length + 1e-9:
             raise UsageError(f"{each.name}: {each.seconds.max():g} s lies outside the motion's 0 … {length:g} s")
 
@@ -153,11 +153,11 @@ def installed_models() -> dict[str, ModelLoader]:
 
 def model_loader(name: str) -> ModelLoader:
     """The loader of a model; raises `UsageError` that lists the known ones."""
-    found = entry_points(group=GROUP, name=name)
-    if not found:
+    entries = entry_points(group=GROUP, name=name)
+    if not entries:
         known = ", ".join(loader_names(GROUP)) or "none"
         raise UsageError(f"no model is called {name!r}; installed models: {known}")
-    return loader_of(next(iter(found)), ModelLoader)
+    return loader_of(next(iter(entries)), ModelLoader)
 
 
 def load_model(name: str, run: Path) -> GenerativeModel:
@@ -173,11 +173,13 @@ def model_of(run: Path) -> str:
     installed = installed_models()
     if len(installed) == 1:
         return next(iter(installed))
-    held = [name for name, loader in installed.items() if loader.begun_in(run)]
-    if len(held) == 1:
-        return held[0]
-    if held:
-        raise UsageError(f"{run} holds several models, {' and '.join(held)}: name one of them (--model {held[0]})")
+    trained = [name for name, loader in installed.items() if loader.begun_in(run)]
+    if len(trained) == 1:
+        return trained[0]
+    if trained:
+        raise UsageError(
+            f"{run} holds several models, {' and '.join(trained)}: name one of them (--model {trained[0]})"
+        )
     if not installed:
         raise UsageError("no model is installed")
     first = next(iter(installed.values()))

@@ -55,7 +55,7 @@ class MotionsRequest:
         for prompt in self.prompts if self.join else ():
             if prompt.request.duration_seconds is None:
                 place = f"{prompt.where}: " if prompt.where else ""
-                raise UsageError(f"{place}--join needs to know how long each part lasts: --seconds, or in --prompts")
+                raise UsageError(f"{place}--join needs to know how long each text lasts: --seconds, or in --prompts")
         for prompts in self.scripts if self.times else ():
             lengths = [prompt.request.duration_seconds for prompt in prompts]
             length = None if None in lengths else sum(seconds for seconds in lengths if seconds is not None)
@@ -87,7 +87,7 @@ def parse_times(times: str | None) -> tuple[float, ...]:
     if times is None:
         return ()
     try:
-        return tuple(float(part) for part in times.split(","))
+        return tuple(float(text) for text in times.split(","))
     except ValueError:
         raise UsageError(f"--times takes seconds separated by commas (0.5,1.25), not {times!r}") from None
 

@@ -3,7 +3,7 @@
 Weights, moments and losses are always float32; matrix products may be bfloat16 or TF32.
 
 Distributed data-parallel training: `torchrun` starts the processes and sets their environment variables. A batch does
-not depend on the number of ranks: every rank draws all of it (from the same generator), computes its own part, and
+not depend on the number of ranks: every rank draws all of it (from the same generator), computes its own rows, and
 results are summed. So N ranks follow one rank's losses up to the order of floating-point sums, and a checkpoint can be
 resumed with another number of ranks. With one rank, all of this does nothing.
 """
@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from datetime import timedelta
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,7 +22,7 @@ from torch import distributed
 
 from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Float, Int64, Shaped
-from motionkit.training.config import ConfigLike, Precision
+from motionkit.training.config import ConfigT, Precision
 
 # A rank may wait for long while the first one trains a stage alone; torchrun ends all ranks if one dies.
 PATIENCE = timedelta(days=7)
@@ -40,8 +40,8 @@ class Ranks:
         """Whether this is the rank that prints and writes."""
         return self.rank == 0
 
-    def part(self, count: int) -> slice:
-        """This rank's part of `count` rows: parts are contiguous, in order of ranks, and differ by at most one.
+    def rows_of(self, count: int) -> slice:
+        """This rank's share of `count` rows: shares are contiguous, in order of ranks, and differ by at most one.
 
         Raises `UsageError` if a rank would have none.
         """
@@ -51,24 +51,24 @@ class Ranks:
 
     def add_up(self, tensors: Iterable[torch.Tensor]) -> None:
         """All-reduce (sum) tensors of one type on one device in place, in a single message."""
-        found = list(tensors)
-        if self.size == 1 or not found:
+        own = list(tensors)
+        if self.size == 1 or not own:
             return
-        message = torch.cat([tensor.detach().flatten() for tensor in found])
+        message = torch.cat([tensor.detach().flatten() for tensor in own])
         distributed.all_reduce(message)
-        for tensor, total in zip(found, torch.split(message, [tensor.numel() for tensor in found]), strict=True):
+        for tensor, total in zip(own, torch.split(message, [tensor.numel() for tensor in own]), strict=True):
             tensor.detach().copy_(total.view_as(tensor))
 
     def add_up_gradients(self, parameters: Iterable[torch.nn.Parameter]) -> None:
         """All-reduce gradients. Parameters without one have none on any rank, since all build the same graph."""
         self.add_up(parameter.grad for parameter in parameters if parameter.grad is not None)
 
-    def all_rows(self, part: Shaped[torch.Tensor, "part *rest"], count: int) -> Shaped[torch.Tensor, "count *rest"]:
-        """Gather the rows of all ranks, of which each has its `part(count)`."""
+    def all_rows(self, own: Shaped[torch.Tensor, "own *rest"], count: int) -> Shaped[torch.Tensor, "count *rest"]:
+        """Gather the rows of all ranks, of which each has its `rows_of(count)`."""
         if self.size == 1:
-            return part
-        rows = part.new_zeros((count, *part.shape[1:]))
-        rows[self.part(count)] = part
+            return own
+        rows = own.new_zeros((count, *own.shape[1:]))
+        rows[self.rows_of(count)] = own
         self.add_up([rows])
         return rows
 
@@ -167,19 +167,6 @@ class DealtRows:
         return whole
 
 
-@runtime_checkable
-class HasPrecision(ConfigLike, Protocol):
-    """Settings, a dataclass, with a precision among them."""
-
-    @property
-    def precision(self) -> Precision:
-        """The requested precision."""
-        ...
-
-
-SettingsT = TypeVar("SettingsT", bound=HasPrecision)
-
-
 @functools.cache
 def has_bfloat16(device: torch.device) -> bool:
     """Whether the CPU has native bfloat16 products; otherwise they are emulated, and slower than float32."""
@@ -187,20 +174,19 @@ def has_bfloat16(device: torch.device) -> bool:
         return bool(torch.cuda.is_bf16_supported(including_emulation=False))
     # torch calls it "avx512_bf16", "amx_bf16" or alike; older versions don't say.
     capabilities: dict[str, Any] = getattr(torch.cpu, "get_capabilities", dict)()
-    return device.type == "cpu" and any("bf16" in name and found is True for name, found in capabilities.items())
+    return device.type == "cpu" and any("bf16" in name and value is True for name, value in capabilities.items())
 
 
-def with_precision_of(settings: SettingsT, device: torch.device) -> SettingsT:
-    """The settings with "auto" replaced by bfloat16 if the device supports it, else by float32.
+def with_precision_of(settings: ConfigT, device: torch.device) -> ConfigT:
+    """The settings with `precision` "auto" replaced by bfloat16 if the device supports it, else by float32.
 
     So the run's config.json records the choice, and a run is not silently resumed in another precision. Raises
     `UsageError` for unsupported TF32.
     """
-    if settings.precision == "tf32" and not (
-        device.type == "cuda" and torch.cuda.get_device_capability(device) >= (8, 0)
-    ):
+    precision: Precision = vars(settings)["precision"]
+    if precision == "tf32" and not (device.type == "cuda" and torch.cuda.get_device_capability(device) >= (8, 0)):
         raise UsageError(f"{device} has no TF32 (NVIDIA GPUs from Ampere on have): precision=auto, or float32")
-    if settings.precision != "auto":
+    if precision != "auto":
         return settings
     chosen = "bfloat16" if has_bfloat16(device) else "float32"
     return replace(settings, precision=chosen)

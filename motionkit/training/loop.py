@@ -33,11 +33,11 @@ FEWEST_STEPS = 10
 class Trainable(Protocol):
     """What `train_loop` trains.
 
-    With several ranks each has a part of the batch; gradients are reduced inside `step`, metrics by the loop.
+    With several ranks each has some rows of the batch; gradients are reduced inside `step`, metrics by the loop.
     """
 
     def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
-        """Do one whole step (batch, loss, optimiser) and return its metrics, this rank's part of them, as scalars.
+        """Do one whole step (batch, loss, optimiser) and return its metrics, this rank's share of them, as scalars.
 
         `step` counts from 0; all randomness comes from `generator` (on the CPU, the same on every rank).
         """

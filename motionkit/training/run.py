@@ -62,8 +62,8 @@ class RunError(MotionkitError):
 
 def versions() -> dict[str, str]:
     """Python, platform and the packages that affect a run's numbers."""
-    found = {name: importlib.metadata.version(name) for name in RECORDED_PACKAGES}
-    return {"python": platform.python_version(), "platform": platform.platform(), **found}
+    packages = {name: importlib.metadata.version(name) for name in RECORDED_PACKAGES}
+    return {"python": platform.python_version(), "platform": platform.platform(), **packages}
 
 
 class StageFolder:
@@ -265,8 +265,8 @@ def loader_names(group: str) -> tuple[str, ...]:
 
 def installed_loaders(group: str, kind: type[LoaderT]) -> dict[str, LoaderT]:
     """All loaders of an entry point group by name, sorted by `order`; plain functions are wrapped in `kind`."""
-    found = {entry.name: loader_of(entry, kind) for entry in entry_points(group=group)}
-    return dict(sorted(found.items(), key=lambda named: (named[1].order, named[0])))
+    loaders = {entry.name: loader_of(entry, kind) for entry in entry_points(group=group)}
+    return dict(sorted(loaders.items(), key=lambda named: (named[1].order, named[0])))
 
 
 def loader_of(entry: EntryPoint, kind: type[LoaderT]) -> LoaderT:

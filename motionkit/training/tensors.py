@@ -189,21 +189,23 @@ def foreign_tensors(loaded: Mapping[str, Any], key: str, path: Path, what: str) 
 
 
 def fill_checked(
-    own: Mapping[str, torch.Tensor], found: Mapping[str, torch.Tensor], key: str, path: Path, what: str
+    own: Mapping[str, torch.Tensor], published: Mapping[str, torch.Tensor], key: str, path: Path, what: str
 ) -> None:
-    """Copy `found` into `own`, in place, after checking names, shapes and finiteness.
+    """Copy `published` into `own`, in place, after checking names, shapes and finiteness.
 
-    Raises `CheckpointError` that names the tensor, what was expected and what was found; nothing is copied then.
+    Raises `CheckpointError` that names the tensor, and what was expected; nothing is copied then.
     """
-    missing, unknown = sorted(own.keys() - found.keys()), sorted(found.keys() - own.keys())
+    missing, unknown = sorted(own.keys() - published.keys()), sorted(published.keys() - own.keys())
     if missing or unknown:
         fault = f"lacks {key}/{missing[0]}" if missing else f"has {key}/{unknown[0]} besides"
         raise CheckpointError(f"{path}: not {what} of {len(own)} tensors: it {fault}")
     for name, tensor in own.items():
-        if tensor.shape != found[name].shape:
-            raise CheckpointError(f"{path}: {key}/{name} is {tuple(found[name].shape)}, expected {tuple(tensor.shape)}")
-        if not bool(torch.isfinite(found[name]).all()):
+        if tensor.shape != published[name].shape:
+            raise CheckpointError(
+                f"{path}: {key}/{name} is {tuple(published[name].shape)}, expected {tuple(tensor.shape)}"
+            )
+        if not bool(torch.isfinite(published[name]).all()):
             raise CheckpointError(f"{path}: {key}/{name} holds numbers that are not finite")
     with torch.no_grad():
         for name, tensor in own.items():
-            tensor.copy_(found[name])
+            tensor.copy_(published[name])

@@ -36,7 +36,7 @@ class CodebookTraining:
         """SmoothL1 + 0.5·SmoothL1 of joint positions + 0.02·commitment, then update the codes' moving averages."""
         config, schedule, quantiser = self.config, self.config.schedule, self.network.quantiser
         starts = torch.randint(len(self.corpus.first_rows), (schedule.batch_size,), generator=generator)
-        starts = starts[self.ranks.part(schedule.batch_size)]
+        starts = starts[self.ranks.rows_of(schedule.batch_size)]
         share = len(starts) / schedule.batch_size
         vectors = self.corpus.windows(starts, config.window_frames).to(self.device)
         with autocast(config.precision, self.device):

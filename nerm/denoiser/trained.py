@@ -15,8 +15,7 @@ from motionkit.training.diffusion.process import (
     Adjust,
     cumulative_alphas,
     predicted_noise,
-    sample_ddim,
-    sample_ddpm,
+    sample,
     sampling_steps,
 )
 from motionkit.training.loop import seeded_initialisation, step_generator
@@ -109,10 +108,8 @@ class TrainedDenoiser:
             alpha = float(alphas[int(steps[0])])
             return predicted_noise(diffusion.prediction, output.to("cpu", torch.float64), latents, alpha)
 
-        if diffusion.sampler == "ddim":
-            latents = sample_ddim(predict_noise, draw_noise(), alphas, steps, adjust)
-        else:
-            latents = sample_ddpm(predict_noise, draw_noise(), alphas, steps, draw_noise, adjust)
+        fresh = draw_noise if diffusion.sampler == "ddpm" else None
+        latents = sample(predict_noise, draw_noise(), alphas, steps, draw_noise=fresh, adjust=adjust)
         used = in_use(self.denoiser.first_read.to("cpu"), conditions.duration)
         return self.space.restore(latents.to(torch.float32) * used)
 

@@ -57,7 +57,7 @@ class DenoiserTraining:
         """One optimiser step on a fresh batch; returns the loss of Eq. 5 (mean over the numbers in use)."""
         config, diffusion, schedule = self.config, self.config.diffusion, self.config.schedule
         set_rate(self.optimizer, schedule.factor(step, self.steps) * schedule.learning_rate)
-        mine = self.ranks.part(schedule.batch_size)
+        mine = self.ranks.rows_of(schedule.batch_size)
         rows = torch.randint(len(self.corpus), (schedule.batch_size,), generator=generator)
         latents = self.space.standardise(self.corpus.draw(rows, generator))
         conditions = self.corpus.draw_conditions(

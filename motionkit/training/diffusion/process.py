@@ -115,17 +115,21 @@ def loss_weights(
     return weights
 
 
-def sample_ddim(
+def sample(
     predict_noise: NoisePredictor,
     start: Float64[Tensor, "batch latent"],
     alphas: Float64[Tensor, "num_steps"],
     steps: Sequence[int],
+    *,
+    draw_noise: Callable[[], Tensor] | None = None,
     adjust: Adjust | None = None,
 ) -> Float64[Tensor, "batch latent"]:
-    """Deterministic sampling (DDIM, η = 0; Song et al. 2021, Eq. 12) from z_K over decreasing steps.
+    """Sample from z_K over decreasing steps; the last update goes to ᾱ = 1, to the last prediction of the clean latent.
 
-    The last update goes to ᾱ = 1, so the result is the last prediction of the clean latent, after `adjust`; the noise
-    is recomputed from the adjusted latent.
+    Without `draw_noise` deterministically (DDIM, η = 0; Song et al. 2021, Eq. 12). With it, ancestrally (DDPM; Ho et
+    al. 2020, Eq. 7): it returns fresh N(0, I) numbers of the shape of `start`, the last update adds none, and the
+    variance is that of the true posterior q(z_{k−1} | z_k, z_0), for steps that are skipped too. `adjust` may change
+    each prediction of the clean latent.
     """
     latents = start
     targets = [float(alphas[k]) for k in steps[1:]] + [1.0]
@@ -136,32 +140,9 @@ def sample_ddim(
         if adjust is not None:
             clean = adjust(clean, index, alpha)
             noise = predicted_noise("latent", clean, latents, alpha)
-        latents = target**0.5 * clean + (1 - target) ** 0.5 * noise
-    return latents
-
-
-def sample_ddpm(
-    predict_noise: NoisePredictor,
-    start: Float64[Tensor, "batch latent"],
-    alphas: Float64[Tensor, "num_steps"],
-    steps: Sequence[int],
-    draw_noise: Callable[[], Tensor],
-    adjust: Adjust | None = None,
-) -> Float64[Tensor, "batch latent"]:
-    """Ancestral sampling (Ho et al. 2020, Eq. 7) from z_K over decreasing steps.
-
-    `draw_noise` returns fresh N(0, I) numbers of the shape of `start`; the last update adds none. The variance is that
-    of the true posterior q(z_{k−1} | z_k, z_0), for steps that are skipped too. `adjust` may change each prediction of
-    the clean latent.
-    """
-    latents = start
-    targets = [float(alphas[k]) for k in steps[1:]] + [1.0]
-    for index, (k, target) in enumerate(zip(steps, targets, strict=True)):
-        alpha = float(alphas[k])
-        noise = predict_noise(latents, torch.full((len(latents),), k, dtype=torch.int64))
-        clean = predicted_latents(latents, noise.to(torch.float64), alpha)
-        if adjust is not None:
-            clean = adjust(clean, index, alpha)
+        if draw_noise is None:
+            latents = target**0.5 * clean + (1 - target) ** 0.5 * noise
+            continue
         kept = alpha / target
         latents = (target**0.5 * (1 - kept) * clean + kept**0.5 * (1 - target) * latents) / (1 - alpha)
         if target < 1.0:

@@ -13,8 +13,7 @@ from motionkit.training.diffusion.process import (
     loss_weights,
     predicted_noise,
     prediction_target,
-    sample_ddim,
-    sample_ddpm,
+    sample,
     sampling_steps,
 )
 from motionkit.training.diffusion.settings import DiffusionConfig
@@ -190,7 +189,6 @@ def diffusion_sample(
     def fresh() -> Tensor:
         return draw().to(batch.device).flatten(1)
 
-    visited = sampling_steps(config)
-    if config.sampler == "ddim":
-        return sample_ddim(predict_noise, start.flatten(1), alphas, visited).view(shape)
-    return sample_ddpm(predict_noise, start.flatten(1), alphas, visited, fresh).view(shape)
+    draw_noise = fresh if config.sampler == "ddpm" else None
+    drawn = sample(predict_noise, start.flatten(1), alphas, sampling_steps(config), draw_noise=draw_noise)
+    return drawn.view(shape)

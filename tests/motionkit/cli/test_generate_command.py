@@ -89,7 +89,7 @@ def test_framerates_above_the_training_data_warn(run_command, recwarn):
         (("a walk", "--times", "x", "--seconds", "1"), "separated by commas"),
         (("a walk", "--times", "0.5,1.5", "--seconds", "1"), "1.5 s lies outside"),
         (("a walk", "--times", "0.5", "--seconds", "1", "--fps", "30"), "exclude each other"),
-        (("a walk", "--join"), "needs to know how long each part lasts"),
+        (("a walk", "--join"), "needs to know how long each text lasts"),
         (("a walk", "--seconds", "30", "--overlap", "6"), "overlap by more than 0 s and up to 5 s, not by 6 s"),
         (("a walk", "--seconds", "4000"), "a motion lasts up to 3600 s"),
         (("a walk", "a jump", "--seconds", "0.5", "--join"), "part 1 of 2 of a joined motion lasts 0.5 s"),
@@ -140,7 +140,7 @@ def test_a_path_of_a_long_motion_is_given_to_each_piece_by_its_clock(run_command
     [
         (
             ("--path", "points.csv"),
-            r"points\.csv: the model 'Drift' follows no constraints: it cannot be held to a path",
+            r"points\.csv: the model 'Drift' follows no constraints: it cannot follow a path",
         ),
         (("--path", "points.csv", "--seconds", "1"), r"points\.csv: 2 s lies outside the motion's 0 … 1 s"),
         (("--path", "bad.csv"), r"bad\.csv, line 2: x is a number, not 'a'"),
@@ -162,7 +162,7 @@ def test_what_a_motion_cannot_be_held_to_is_refused(run_command, tmp_path, argum
 
 
 def test_kinds_that_a_model_does_not_follow_and_instants_outside(run_command, tmp_path):
-    with pytest.raises(UsageError, match="follows path and pose alone: it cannot be held to a joint"):
+    with pytest.raises(UsageError, match="follows path and pose alone: it cannot follow a joint"):
         run_command("a walk", "--joint", "head@1=0,0,0", "--seconds", "2", model=GoesOn())
     np.savez(tmp_path / "pose.npz", joint_positions=np.zeros((1, 22, 3), np.float32), fps=10.0)
     with pytest.raises(UsageError, match=r"pose\.npz at 3 s: 3 s lies outside the motion's 0 … 2 s"):

@@ -86,7 +86,7 @@ def test_compiled_layers_keep_their_names_and_answers(monkeypatch: pytest.Monkey
 @given(st.integers(1, 9), st.integers(0, 50))
 def test_parts_are_all_rows_once(size: int, more: int) -> None:
     count = size + more
-    parts = [Ranks(rank, size).part(count) for rank in range(size)]
+    parts = [Ranks(rank, size).rows_of(count) for rank in range(size)]
     assert [row for part in parts for row in range(count)[part]] == list(range(count))
     lengths = [len(range(count)[part]) for part in parts]
     assert max(lengths) - min(lengths) <= 1
@@ -94,7 +94,7 @@ def test_parts_are_all_rows_once(size: int, more: int) -> None:
 
 def test_a_batch_that_is_too_small_is_refused() -> None:
     with pytest.raises(UsageError, match="a batch of 3 can't be shared by 4 ranks"):
-        Ranks(1, 4).part(3)
+        Ranks(1, 4).rows_of(3)
 
 
 @given(st.integers(1, 5), st.lists(st.floats(0.5, 10.0), min_size=1, max_size=40), st.randoms())

@@ -13,7 +13,7 @@ from motionkit.features.rotations import RotationVectors, smpl_rig
 from motionkit.fields.contact.legs import legs_of
 from motionkit.fields.motion_field import to_motion
 from motionkit.generate.constraints import Constraint
-from motionkit.training.diffusion.process import sample_ddim
+from motionkit.training.diffusion.process import sample
 from motionkit.training.pose_vectors import joints_of
 from nerm.denoiser.constrained import Search
 from nerm.field.goals import ConstraintCost, FootSliding
@@ -117,10 +117,10 @@ def test_what_adjusts_the_sampler_is_what_comes_out() -> None:
         seen.append(index)
         return torch.full_like(clean, 7.0)
 
-    found = sample_ddim(lambda latents, steps: 0.3 * latents, start, alphas, (90, 50, 10), adjust)
+    found = sample(lambda latents, steps: 0.3 * latents, start, alphas, (90, 50, 10), adjust=adjust)
     assert seen == [0, 1, 2] and torch.equal(found, torch.full((1, 3), 7.0).double())
-    plain = sample_ddim(lambda latents, steps: 0.3 * latents, start, alphas, (90, 50, 10))
-    same = sample_ddim(lambda latents, steps: 0.3 * latents, start, alphas, (90, 50, 10), lambda clean, *_: clean)
+    plain = sample(lambda latents, steps: 0.3 * latents, start, alphas, (90, 50, 10))
+    same = sample(lambda latents, steps: 0.3 * latents, start, alphas, (90, 50, 10), adjust=lambda clean, *_: clean)
     torch.testing.assert_close(same, plain)
 
 

@@ -14,8 +14,7 @@ from motionkit.training.diffusion.process import (
     predicted_latents,
     predicted_noise,
     prediction_target,
-    sample_ddim,
-    sample_ddpm,
+    sample,
     sampling_steps,
 )
 from motionkit.training.diffusion.settings import DiffusionConfig
@@ -107,7 +106,7 @@ def test_ddim_agrees_with_diffusers(config):
     for step in scheduler.timesteps:
         output = wobbly(expected, step.expand(6))
         expected = scheduler.step(output, step, expected, eta=0.0).prev_sample
-    found = sample_ddim(noise_by(config), start, cumulative_alphas(config), sampling_steps(config))
+    found = sample(noise_by(config), start, cumulative_alphas(config), sampling_steps(config))
     torch.testing.assert_close(found, expected, rtol=1e-3, atol=1e-3)
 
 
@@ -120,12 +119,12 @@ def test_ddpm_agrees_with_diffusers(config):
     for step in scheduler.timesteps:
         output = wobbly(expected, step.expand(6))
         expected = scheduler.step(output, step, expected, generator=theirs).prev_sample
-    found = sample_ddpm(
+    found = sample(
         noise_by(config),
         start,
         cumulative_alphas(config),
         sampling_steps(config),
-        lambda: torch.randn(6, 4, generator=ours, dtype=torch.float64),
+        draw_noise=lambda: torch.randn(6, 4, generator=ours, dtype=torch.float64),
     )
     torch.testing.assert_close(found, expected, rtol=1e-3, atol=1e-3)
 
