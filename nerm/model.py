@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from itertools import combinations
@@ -14,12 +14,12 @@ import torch
 
 from motionkit.core.errors import UsageError
 from motionkit.core.files import sha256_of
-from motionkit.core.shapes import Float32
+from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid, num_frames_within
 from motionkit.fields.assembly import laid
-from motionkit.fields.contact.bones import with_lengths
-from motionkit.fields.motion_field import FramerateConditioned, MotionField
+from motionkit.fields.contact.bones import Bones
+from motionkit.fields.motion_field import DerivedField, FramerateConditioned, MotionField, Poses
 from motionkit.generate.constraints import KINDS, ConstraintKind
 from motionkit.generate.models import GenerationRequest, SamplingOptions, check_constraints
 from motionkit.training.devices import resolve_device
@@ -31,6 +31,7 @@ from nerm.denoiser.trained import TrainedDenoiser, load_denoiser
 from nerm.field.trained import TrainedField, load_field
 from nerm.names import row_name
 
+BONE_SAMPLES = 200
 NO_TEXTS = "this model was trained without texts: ask for an action, or for unconditional motions"
 
 
@@ -142,7 +143,7 @@ class NermModel:
             )
             motion: MotionField = self.field.as_motion_field(held.latent, durations[row])
             if held.bones is not None:
-                motion = with_lengths(motion, held.bones.numpy())
+                motion = _with_lengths(motion, held.bones.numpy())
             yaw, x, z = held.place.tolist()
             made.append(laid(motion, yaw, (x, z)))
         return made
@@ -264,3 +265,26 @@ def load(run: Path) -> NermModel:
             f"(motionkit train --stage denoiser --run {run.name} --overwrite)"
         )
     return NermModel(field, denoiser, row_name(folder, field.config, denoiser.config))
+
+
+def _with_lengths(field: MotionField, lengths: Float[np.ndarray, "bones"]) -> MotionField:
+    """A motion with these bone lengths, metres, from the second joint on.
+
+    Unchanged if it has rotations: its bones are then its skeleton's.
+    """
+    poses = field.query(np.linspace(field.start_seconds, field.end_seconds, BONE_SAMPLES))
+    if poses.local_rotations is not None:
+        return field
+    bones = Bones.of(poses.joint_positions, field.skeleton)
+    own = np.linalg.norm(bones.offsets[1:], axis=-1, keepdims=True)
+    offsets = bones.offsets.copy()
+    offsets[1:] *= np.where(own > 0, lengths[:, None] / np.where(own > 0, own, 1.0), 1.0)
+    return _on_bones(field, replace(bones, offsets=offsets))
+
+
+def _on_bones(field: MotionField, bones: Bones) -> DerivedField:
+    def on_bones(times: Float64[np.ndarray, "times"]) -> Poses:
+        poses = field.query(times)
+        return Poses(bones.applied(poses.joint_positions), None, poses.root_translation)
+
+    return DerivedField(field, on_bones, lambda other: _on_bones(other, bones))

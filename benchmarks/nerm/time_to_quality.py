@@ -20,10 +20,10 @@ import torch
 
 from benchmarks.command import arguments_parser
 from eval.metrics.reconstruction import mpjpe_root_aligned
+from eval.reconstruction.windows import comparable, reconstructions, separate_windows
 from eval.report.results import provenance
 from motionkit.data.corpus import FrameValues
 from motionkit.data.poses import WindowPoses
-from motionkit.data.reconstruction import comparable, reconstructions, separate_windows
 from motionkit.store.cache import PositionCache, open_cache
 from motionkit.store.reader import Store
 from motionkit.training.config import apply_overrides

@@ -6,11 +6,11 @@ import numpy as np
 
 from eval.completion.encoders import Completer
 from eval.completion.protocol import Question
+from eval.completion.queries import query_many
 from eval.completion.scores import Scores, TakeStreams, scores_of
 from eval.completion.windows import FPS, PoseWindows, global_poses
 from motionkit.core.kinematics import continuous_quaternions
 from motionkit.core.shapes import Float32
-from motionkit.fields.completion import query_many
 from motionkit.fields.motion_field import Observation, Poses
 
 METRICS = ("l2p", "l2q", "l2q_as_signed", "npss", "mpjpe_global")

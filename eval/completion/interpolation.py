@@ -8,6 +8,7 @@ import numpy as np
 
 from eval.completion.encoders import Completer
 from eval.completion.protocol import InterpolationProtocol, scale_label
+from eval.completion.queries import query_many
 from eval.completion.scores import ClipFrames, PoseScale, Scores, TakeStreams, scores_of
 from eval.completion.takes import TrueClips, TruePoses, observations
 from eval.metrics.metric import MeanStream, all_metrics
@@ -15,7 +16,6 @@ from motionkit.core.errors import MotionkitError
 from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.features.rotations import rows_of_poses, two_columns
-from motionkit.fields.completion import query_many
 from motionkit.fields.motion_field import Poses
 
 # A still body is reconstructed exactly: dB per clip are capped, at about float32's resolution.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from eval.report.results import Cell
 
 if TYPE_CHECKING:
-    from motionkit.data.reconstruction import Reconstruction
+    from eval.reconstruction.windows import Reconstruction
 
 GLOBAL = "global MPJPE, mm"
 DISTANCE = "L2 norm of the whole vector"

@@ -5,16 +5,15 @@ overlap, because two fields that only touch agree neither in place nor in veloci
 needs them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 
 from motionkit.core.kinematics import quaternion_multiply, quaternion_rotate, quaternion_slerp
-from motionkit.core.shapes import Float, Float32, Float64
+from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.joints import Joints
 from motionkit.fields.motion_field import MotionField, Poses, at_fps, check_times, contacts_of
@@ -103,14 +102,10 @@ class AssembledField:
         Each piece is evaluated once, at its own times only.
         """
         check_times(self, times_seconds)
-        first = np.searchsorted(self.fade_end, times_seconds, side="right")
-        starts = np.append(self.fade_start, np.inf)[first]
-        fading = times_seconds > starts
+        first, weight = self._fades(times_seconds)
         result: Poses | None = None
-        for number in np.union1d(first, first[fading] + 1).tolist() or [0]:
-            alone, joining = first == number, fading & (first == number - 1)
-            asked = np.flatnonzero(alone | joining)
-            poses = self.pieces[number].query(times_seconds[asked])
+        for number, rows in self._rows_of_pieces(first, weight):
+            poses = self.pieces[number].query(times_seconds[rows])
             if result is None:
                 result = poses.room_for(len(times_seconds))
             elif not poses.is_like(result):
@@ -118,14 +113,11 @@ class AssembledField:
                     f"piece {number} gives {poses!r}, those before it {result!r}: all pieces or none "
                     "have rotations, all or none a root translation"
                 )
-            joins = joining[asked]
+            joins = first[rows] == number - 1
             if joins.any():
-                rows = asked[joins]
-                span = self.fade_end[number - 1] - self.fade_start[number - 1]
-                u = (times_seconds[rows] - self.fade_start[number - 1]) / span
-                weight = u**3 * (u * (6.0 * u - 15.0) + 10.0)
-                result.put(rows, _mixed(result.rows(rows), poses.rows(joins), weight, self.skeleton))
-            result.put(asked[~joins], poses.rows(~joins))
+                before = result.rows(rows[joins])
+                result.put(rows[joins], _mixed(before, poses.rows(joins), weight[rows[joins]], self.skeleton))
+            result.put(rows[~joins], poses.rows(~joins))
         assert result is not None
         return result
 
@@ -135,23 +127,32 @@ class AssembledField:
         None if a piece doesn't predict contacts.
         """
         check_times(self, times_seconds)
-        if not self._all_know:
-            return None
-        found = np.zeros((len(times_seconds), 2, 2), np.float32)
-        first = np.searchsorted(self.fade_end, times_seconds, side="right")
-        last = np.searchsorted(self.fade_start, times_seconds, side="left")
-        for number, piece in enumerate(self.pieces):
-            asked = np.flatnonzero((first <= number) & (number <= last))
-            if len(asked):
-                said = contacts_of(piece.field, piece.own_seconds(times_seconds[asked]))
-                assert said is not None
-                found[asked] = np.maximum(found[asked], said)
-        return found
+        result = np.zeros((len(times_seconds), 2, 2), np.float32)
+        for number, rows in self._rows_of_pieces(*self._fades(times_seconds)):
+            piece = self.pieces[number]
+            probabilities = contacts_of(piece.field, piece.own_seconds(times_seconds[rows]))
+            if probabilities is None:
+                return None
+            result[rows] = np.maximum(result[rows], probabilities)
+        return result
 
-    @cached_property
-    def _all_know(self) -> bool:
-        starts = ((piece.field, np.array([piece.field.start_seconds])) for piece in self.pieces)
-        return all(contacts_of(field, start) is not None for field, start in starts)
+    def _fades(
+        self, times: Float64[np.ndarray, "times"]
+    ) -> tuple[Int64[np.ndarray, "times"], Float64[np.ndarray, "times"]]:
+        """The first piece at each time, and the weight of the one after it: 0 outside their fade."""
+        first = np.searchsorted(self.fade_end, times, side="right")
+        start = np.append(self.fade_start, np.inf)[first]
+        length = np.append(self.fade_end - self.fade_start, 1.0)[first]
+        u = np.maximum(0.0, (times - start) / length)
+        return first.astype(np.int64), u**3 * (u * (6.0 * u - 15.0) + 10.0)
+
+    def _rows_of_pieces(
+        self, first: Int64[np.ndarray, "times"], weight: Float64[np.ndarray, "times"]
+    ) -> Iterator[tuple[int, Int64[np.ndarray, "rows"]]]:
+        """The pieces that are needed, in order, and at which of the times."""
+        fading = weight > 0.0
+        for number in np.union1d(first, first[fading] + 1).tolist() or [0]:
+            yield number, np.flatnonzero((first == number) | (fading & (first == number - 1)))
 
 
 def assemble(pieces: Sequence[Piece]) -> AssembledField:

@@ -1,23 +1,20 @@
 """Upsampling, in-betweening and extrapolation of motions with any `MotionEncoder`: one function, `complete`."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
 
 from motionkit.core.motion import Motion
-from motionkit.core.shapes import Bool, Float64, Int
+from motionkit.core.shapes import Bool, Int
 from motionkit.core.timegrid import SAME_SECONDS, TimeGrid, num_frames_within
 from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.motion_field import (
-    BatchEncoder,
     MotionEncoder,
     MotionField,
     Observation,
     Poses,
     at_fps,
-    check_observed_alike,
 )
 
 SLERP: MotionEncoder = INTERPOLATORS["slerp"]
@@ -111,26 +108,6 @@ def begin_completion(
         after_seconds=max(0.0, grid.start_seconds + grid.span_seconds - observation.end_seconds),
     )
     return Completion(observation, at_fps(field, fps), grid, rows[given], given)
-
-
-def query_many(
-    encoder: MotionEncoder,
-    observations: Sequence[Observation],
-    times_seconds: Float64[np.ndarray, "times"],
-    fps: Fraction,
-) -> list[Poses]:
-    """Evaluates the fields of many motions, observed at the same times: batched if the encoder can.
-
-    Times may lie beyond the observed span; fields that depend on the framerate get `fps`. Raises `ValueError` for
-    motions that are observed at different times or differ in their joints, and where the encoder cannot go that far.
-    """
-    check_observed_alike(observations)
-    if isinstance(encoder, BatchEncoder):
-        return encoder.query_many(observations, times_seconds)
-    before = max(0.0, observations[0].start_seconds - float(times_seconds.min()))
-    after = max(0.0, float(times_seconds.max()) - observations[0].end_seconds)
-    fields = (encoder.encode(observation, before_seconds=before, after_seconds=after) for observation in observations)
-    return [at_fps(field, fps).query(times_seconds) for field in fields]
 
 
 def _with_given(poses: Poses, rows: Int[np.ndarray, "given"], given: Poses) -> Poses:

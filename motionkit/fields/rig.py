@@ -26,7 +26,7 @@ from motionkit.fields.joints import Joints
 from motionkit.fields.motion_field import DerivedField, MotionField, Observation, Poses
 
 _FRAMES_TO_ESTIMATE_FROM = 500
-_RIGID_METRES, _STILL_NUMBERS = 1e-4, 1e-6
+_MOVING_METRES, _TURNING = 1e-4, 1e-6
 _NO_LENGTH = 1e-6
 # Negligible if the bones determine a joint's rotation, and enough if they are collinear.
 _INERTIA = 1e-4
@@ -54,8 +54,8 @@ class Rig:
         turned = 1.0 - np.abs(np.sum(joints.rotations * joints.rotations[:1], axis=-1)).min(axis=0)
         return cls(
             observation.skeleton,
-            frozenset(np.flatnonzero(spread > _RIGID_METRES).tolist()),
-            frozenset(np.flatnonzero(turned < _STILL_NUMBERS).tolist()),
+            frozenset(np.flatnonzero(spread > _MOVING_METRES).tolist()),
+            frozenset(np.flatnonzero(turned < _TURNING).tolist()),
         )
 
     def carried(self, joint: int) -> tuple[int, ...]:

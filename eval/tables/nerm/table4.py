@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eval.reconstruction.errors import WindowErrors, mpjpe_cell, mre_cell, window_errors
+from eval.reconstruction.windows import Reconstruction, comparable, reconstructions, separate_windows
 from eval.report.results import Block, Cell, Result, Row, measure
 from eval.sets.partial import PartialResult
 from eval.tables.models import reconstructor, trained_reconstructors
@@ -16,14 +17,7 @@ from eval.tables.parts import printed_rows, reported_figures
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Int64
-from motionkit.data.reconstruction import (
-    ModelWindows,
-    Reconstruction,
-    ReconstructsWindows,
-    comparable,
-    reconstructions,
-    separate_windows,
-)
+from motionkit.data.reconstruction import ModelWindows, ReconstructsWindows
 from motionkit.data.windows import PositionSource, Windows
 from motionkit.edit.encoders import installed_encoders
 from motionkit.fields.motion_field import MotionField

@@ -1,7 +1,7 @@
 """Projects joint positions onto constant bone lengths, and rigid shapes where a joint has several children."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,7 +9,6 @@ from motionkit.core.kinematics import fit_rotation, quaternion_conjugate, quater
 from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.contact.legs import LEAST_ROOM_METRES, LONGEST_SHARE, Vectors
-from motionkit.fields.motion_field import DerivedField, MotionField, Poses
 
 # If a joint's distance from its parent varies by more, there is no bone: hips above a reference on the floor, markers.
 TRAVELLING_FROM_ROOT_METRES, TRAVELLING_METRES = 0.25, 0.5
@@ -21,8 +20,6 @@ LIMB_RATIO = 0.4
 """Smallest length ratio of the two bones of a limb: arms and legs, not ankle and toe."""
 SHRUNK_SHARE, GONE_SHARE = 0.8, 0.2
 """Below this fraction of its length, the direction of a limb's second bone counts less and less."""
-SAMPLES = 200
-"""Poses that a body's bones are measured from."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,29 +160,6 @@ class Bones:
         bent = along * forth + side * np.sqrt(upper**2 - np.square(forth))
         old = reached[joint, rows] - reached[start, rows]
         reached[joint, rows] = reached[start, rows] + upper * _directions(old + gone[:, None] * (bent - old))[0]
-
-
-def with_lengths(field: MotionField, lengths: Float[np.ndarray, "bones"]) -> MotionField:
-    """A motion with these bone lengths, metres, from the second joint on.
-
-    Unchanged if it has rotations: its bones are then its skeleton's.
-    """
-    poses = field.query(np.linspace(field.start_seconds, field.end_seconds, SAMPLES))
-    if poses.local_rotations is not None:
-        return field
-    bones = Bones.of(poses.joint_positions, field.skeleton)
-    own = np.linalg.norm(bones.offsets[1:], axis=-1, keepdims=True)
-    offsets = bones.offsets.copy()
-    offsets[1:] *= np.where(own > 0, lengths[:, None] / np.where(own > 0, own, 1.0), 1.0)
-    return _on_bones(field, replace(bones, offsets=offsets))
-
-
-def _on_bones(field: MotionField, bones: Bones) -> DerivedField:
-    def on_bones(times: Float64[np.ndarray, "times"]) -> Poses:
-        poses = field.query(times)
-        return Poses(bones.applied(poses.joint_positions), None, poses.root_translation)
-
-    return DerivedField(field, on_bones, lambda other: _on_bones(other, bones))
 
 
 def _middle_and_spread(

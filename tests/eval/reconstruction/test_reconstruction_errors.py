@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eval.reconstruction.errors import COUNT, DISTANCE, GLOBAL, mpjpe_cell, mre_cell, window_errors
-from motionkit.data.reconstruction import Reconstruction
+from eval.reconstruction.windows import Reconstruction
 from tests.helpers.nerm_corpus import analytic_positions
 
 FPS = Fraction(60)

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from eval.reconstruction.windows import window_truth
 from motionkit.core import kinematics
 from motionkit.core.errors import UsageError
 from motionkit.core.mirror import mirror_positions
 from motionkit.core.skeleton import SMPL22
 from motionkit.data.corpus import open_frames, training_rig, training_vectors, with_rotations
 from motionkit.data.poses import WindowPoses
-from motionkit.data.reconstruction import window_truth
 from motionkit.data.windows import cut_windows
 from motionkit.features import field, native
 from motionkit.features.native import NativeVectors

@@ -13,7 +13,6 @@ from motionkit.core import kinematics
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
-from motionkit.fields.completion import query_many
 from motionkit.fields.interpolation import INTERPOLATORS, Method, interpolate
 from motionkit.fields.motion_field import (
     TIMES_AT_ONCE,
@@ -71,7 +70,7 @@ def test_many_motions_at_once_are_each_as_alone(method: Method, rotations: bool)
     observations = [Observation.of(motion).rows(kept) for motion in motions]
     times = np.concatenate((motions[0].timegrid.seconds(), observations[0].times_seconds[:1] - [0.05, 0.2]))
     before, after = np.ptp(times), np.ptp(times)
-    together = query_many(INTERPOLATORS[method], observations, times, motions[0].fps)
+    together = INTERPOLATORS[method].query_many(observations, times)
     for observation, found in zip(observations, together, strict=True):
         field = INTERPOLATORS[method].encode(observation, before_seconds=before, after_seconds=after)
         expected = field.query(times)
