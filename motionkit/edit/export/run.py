@@ -10,11 +10,14 @@ from typing import Any
 from motionkit.core.errors import MotionkitError
 from motionkit.core.files import require_empty, whole_folder
 from motionkit.edit.export.files import Outcome, Selection, export_files
-from motionkit.edit.export.parquet import export_parquet
 from motionkit.edit.export.pose_folder import export_humanml3d, export_kit
 from motionkit.io.character import Character, character_format
 from motionkit.io.humanml3d import HUMANML3D, KIT
 from motionkit.io.registry import writers
+from motionkit.store import Store, StoreWriter
+from motionkit.store.commit import LOCK_FILE
+from motionkit.store.hub import store_card
+from motionkit.store.reports.summary import summarise
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,16 @@ def export_kinds() -> Mapping[str, Export]:
         Export("parquet", export_parquet),
     )
     return {kind.name: kind for kind in kinds}
+
+
+def export_parquet(selection: Selection, folder: Path) -> Iterator[Outcome]:
+    """Write a store with the selection, and its card (README.md): Parquet for `datasets`, pandas, polars, duckdb."""
+    with StoreWriter.create(folder) as writer:
+        for motion in selection.motions():
+            writer.add(motion)
+            yield Outcome(motion.sequence_id)
+    (folder / LOCK_FILE).unlink()
+    (folder / "README.md").write_text(store_card(summarise(Store.open(folder)), "OUT"), encoding="utf-8")
 
 
 def character_kind(character: Character, plant: bool) -> Export:
