@@ -264,7 +264,7 @@ def complete_file(
 def _write_page(path: Path, title: str, loaded: LoadedMotion, versions: Sequence[CompletedMotion]) -> None:
     """Write a page of a motion and its completions by name, each at its own framerate."""
     observed = np.isin(np.arange(loaded.motion.num_frames), versions[0].edited.known.frames)
-    source = replace(loaded.panel("the clip"), seen=None if observed.all() else observed, unseen="left out")
+    source = replace(loaded.panel("the clip"), observed=None if observed.all() else observed, gap_label="left out")
     made = [Version(each.encoder, each.edited.motion, each.edited.is_given) for each in versions]
     note = "Dark are frames that were given, orange are those that were made."
     write_comparison(path, title, source, made, others="made", note=note)

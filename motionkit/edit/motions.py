@@ -71,7 +71,7 @@ class LoadedMotion:
             panel_of(self.motion, name),
             uneven_seconds=self.uneven_seconds,
             start_seconds=float(self.seconds[0]),
-            seen=None if self.valid.all() else self.valid,
+            observed=None if self.valid.all() else self.valid,
         )
 
     def observation(self, observed: Bool[np.ndarray, "frames"]) -> Observation:

@@ -32,12 +32,13 @@ class Character:
         """The motion retargeted to this rig, its path scaled by leg length; `plant` removes foot sliding. Raises as
         `retarget` does.
         """
-        made = retarget(motion, self.skeleton, self.rest)
+        retargeted = retarget(motion, self.skeleton, self.rest)
         if not plant:
-            return made
-        field = planted_frames(Observation.of(made), made.timegrid)
-        poses = field.query(made.timegrid.seconds())
-        return poses.at(made.timegrid, made.skeleton, made.provenance).annotated_like(made).logged("planted")
+            return retargeted
+        grid = retargeted.timegrid
+        poses = planted_frames(Observation.of(retargeted), grid).query(grid.seconds())
+        planted = poses.at(grid, self.skeleton, retargeted.provenance)
+        return planted.annotated_like(retargeted).logged("planted")
 
 
 def read_character(path: Path, options: ReadOptions) -> Character:

@@ -121,8 +121,8 @@ def _table(data: bytes, character: Character, path: Path) -> tuple[Float64[np.nd
     size = character.frame_size
     for number, frame in enumerate(frames):
         if not isinstance(frame, list) or len(frame) != size:
-            found = f"{len(frame)} numbers" if isinstance(frame, list) else "no list of numbers"
-            message = f"{found}, expected the {size} of DeepMimic's humanoid (duration, root position, 13 rotations)"
+            content = f"{len(frame)} numbers" if isinstance(frame, list) else "no list of numbers"
+            message = f"{content}, expected the {size} of DeepMimic's humanoid (duration, root position, 13 rotations)"
             raise FormatError(message, path=path, reason="channel-count", frame=number)
         if not all(type(value) in (int, float) for value in frame):
             raise FormatError("not all are numbers", path=path, reason="not-a-number", frame=number)

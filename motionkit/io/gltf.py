@@ -228,7 +228,7 @@ def _octahedron(
 
 def _extras(motion: Motion) -> dict[str, Any]:
     provenance = motion.provenance
-    said = {
+    extras = {
         "sequence_id": motion.sequence_id,
         "fps": format_fps(motion.fps),
         "start_seconds": motion.timegrid.start_seconds,
@@ -241,7 +241,7 @@ def _extras(motion: Motion) -> dict[str, Any]:
             for caption in motion.captions
         ],
     }
-    return {name: value for name, value in said.items() if value not in ("", [], None)}
+    return {name: value for name, value in extras.items() if value not in ("", [], None)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,10 +318,10 @@ def _rig(document: dict[str, Any], binary: bytes, path: Path, options: ReadOptio
 
     def product(chain: Sequence[int]) -> Float64[np.ndarray, "4 4"]:
         """The transform of nodes that are given from the innermost outwards."""
-        found = np.eye(4)
+        matrix = np.eye(4)
         for node in chain:
-            found = matrices[node] @ found
-        return found
+            matrix = matrices[node] @ matrix
+        return matrix
 
     world = [product((joint, *chains[joint])) for joint in order]
     turns = kinematics.matrix_to_quaternion(np.array([_rotation(matrix) for matrix in world]))

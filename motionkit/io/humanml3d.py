@@ -255,13 +255,13 @@ def write_humanml3d(folder: Path, entries: Iterable[Entry], layout: Layout = HUM
 
 
 def _block_averaged(
-    found: Moments, layout: Layout
+    vectors: Moments, layout: Layout
 ) -> tuple[Float32[np.ndarray, "values"], Float32[np.ndarray, "values"]]:
     """Mean, and the standard deviation averaged inside each block."""
-    std = found.std
+    std = vectors.std
     for block in vector_blocks(layout.skeleton.num_joints):
         std[block] = std[block].mean()
-    return found.mean.astype(np.float32), std.astype(np.float32)
+    return vectors.mean.astype(np.float32), std.astype(np.float32)
 
 
 def _arrays(folder: Path) -> dict[str, Path]:

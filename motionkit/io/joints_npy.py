@@ -85,8 +85,8 @@ def read_joints_npy(path: Path, options: ReadOptions | None = None) -> Motion:
     if unit != 1.0:
         positions = positions * np.float32(unit)
         operations.append(f"lengths × {unit:g} to metres (given)")
-    positions, turned = upright(skeleton, positions, options.up)
-    operations += turned
+    positions, lines = upright(skeleton, positions, options.up)
+    operations += lines
     return Motion(
         joint_positions=positions,
         skeleton=skeleton,
@@ -133,9 +133,9 @@ def write_joints_npy(motion: Motion, path: Path) -> None:
         motion = Motion(map_joints(motion, SMPL22.name), SMPL22, motion.timegrid)
     manifest = path.parent / MANIFEST
     if manifest.exists():
-        there = read_manifest(manifest)
-        if (there.fps, there.layout) != (motion.fps, motion.skeleton.name):
-            raise ValueError(f"{manifest} says {there.fps} fps and {there.layout}; one folder holds one of each")
+        folder = read_manifest(manifest)
+        if (folder.fps, folder.layout) != (motion.fps, motion.skeleton.name):
+            raise ValueError(f"{manifest} says {folder.fps} fps and {folder.layout}; one folder holds one of each")
     else:
         write_json(manifest, {"fps": format_fps(motion.fps), "layout": motion.skeleton.name})
     np.save(path, motion.joint_positions, allow_pickle=False)

@@ -47,7 +47,7 @@ _STUMPS = (("HandThumbEnd", "Hand"), ("HandMiddleEnd", "Hand"))
 
 
 def _soma(name: str, head: Bones, arm: Bones, leg: Bones) -> Skeleton:
-    limbs = (each for part in (arm, leg) for side in ("Left", "Right") for each in _sided(side, part))
+    limbs = (each for limb in (arm, leg) for side in ("Left", "Right") for each in _sided(side, limb))
     bones = (*TRUNK, *head, *limbs)
     names = tuple(joint for joint, _ in bones)
     return Skeleton(
@@ -93,7 +93,7 @@ def read_kimodo(path: Path, options: ReadOptions | None = None) -> Motion:
         raise FormatError(message, path=path, reason="channel-count")
     fps, stated, operations = _framerate(archive, options)
     body = replace(skeleton, offsets=positions[0] - positions[0, skeleton.parents_or_self])
-    made = Motion(
+    motion = Motion(
         positions,
         body,
         TimeGrid(fps, len(positions)),
@@ -101,11 +101,11 @@ def read_kimodo(path: Path, options: ReadOptions | None = None) -> Motion:
         provenance=source_file.provenance(path, data, "kimodo", operations, stated_fps=stated),
     )
     if ROTATIONS not in archive:
-        return made
+        return motion
     matrices = archive.numbers(ROTATIONS, (*positions.shape[:2], 3, 3))
     local = np.einsum("tjki,tjkl->tjil", matrices[:, skeleton.parents_or_self], matrices)
     local[:, 0] = matrices[:, 0]
-    return joint_rotations.with_rotations(made, local)
+    return joint_rotations.with_rotations(motion, local)
 
 
 def _framerate(archive: npy.Archive, options: ReadOptions) -> tuple[Fraction, str, list[str]]:

@@ -158,8 +158,8 @@ class Archive:
 
     def strings(self, key: str) -> tuple[str, ...]:
         """An array of strings; a single string gives one element, a missing array none."""
-        found = self.array(key, None, STRINGS).ravel().tolist() if key in self else []
-        return tuple(value.decode("utf-8", "replace") if isinstance(value, bytes) else value for value in found)
+        values = self.array(key, None, STRINGS).ravel().tolist() if key in self else []
+        return tuple(value.decode("utf-8", "replace") if isinstance(value, bytes) else value for value in values)
 
     def text(self, key: str) -> str:
         """One string, also if it was saved as a Python object; empty without one."""
@@ -183,8 +183,8 @@ class Archive:
     def _content(self, key: str) -> bytes:
         info = self.zipped.NameToInfo.get(f"{key}.npy")
         if info is None:
-            held = ", ".join(sorted(self.keys)[:12])
-            raise FormatError(f"no array {key!r}; it holds {held[:200]}", path=self.path, reason="missing-key")
+            names = ", ".join(sorted(self.keys)[:12])
+            raise FormatError(f"no array {key!r}; it holds {names[:200]}", path=self.path, reason="missing-key")
         if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # others may unpack to any size
             raise FormatError(f"{key}: compressed otherwise than numpy does", path=self.path, reason="unreadable")
         if info.file_size > min(max(HARMLESS_BYTES, MAX_RATIO * info.compress_size), source_file.MAX_BYTES):
@@ -200,8 +200,8 @@ class Archive:
 def open_archive(path: Path, data: bytes) -> Archive:
     """The archive in an .npz file's bytes; raises `FormatError` (`not-what-it-says`, `truncated`)."""
     if not data.startswith(b"PK\x03\x04"):
-        found = source_file.describe_content(data)
-        raise FormatError(f"looks like {found}, expected an .npz archive", path=path, reason="not-what-it-says")
+        message = f"looks like {source_file.describe_content(data)}, expected an .npz archive"
+        raise FormatError(message, path=path, reason="not-what-it-says")
     try:
         return Archive(path, zipfile.ZipFile(io.BytesIO(data)))
     except BROKEN_ZIP as error:
@@ -228,14 +228,14 @@ def read_object(path: Path, data: bytes, name: str = "") -> Any:
     """
     try:
         _, _, dtype, start = _header(data)
-        found = parse_pickle(data[start:]) if dtype.hasobject else None
+        value = parse_pickle(data[start:]) if dtype.hasobject else None
     except PickleError as error:
         raise FormatError(f"a pickle that is not read: {error}", path=path, reason="pickle") from None
     except ValueError:  # a broken header, which `parse_npy` explains
-        found = None
-    if found is None:
-        found = parse_npy(path, data, None, NUMBERS + STRINGS, name)
-    return found.item() if isinstance(found, np.ndarray) and found.size == 1 else found
+        value = None
+    if value is None:
+        value = parse_npy(path, data, None, NUMBERS + STRINGS, name)
+    return value.item() if isinstance(value, np.ndarray) and value.size == 1 else value
 
 
 def parse_pickle(content: bytes) -> Any:

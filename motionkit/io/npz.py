@@ -66,11 +66,11 @@ def read_skeleton(archive: npy.Archive, joint_positions: Float32[np.ndarray, "fr
             return skeleton
 
     def joints(key: str, shape: npy.Shape, lowest: int = 0) -> list[Any]:
-        found = archive.exact(key, shape)
-        if not ((found >= lowest) & (found < num_joints) & (found == np.rint(found))).all():
+        indices = archive.exact(key, shape)
+        if not ((indices >= lowest) & (indices < num_joints) & (indices == np.rint(indices))).all():
             raise ValueError(f"{key}: joints are numbered {lowest} … {num_joints - 1}, these are not")
-        numbers: list[Any] = found.astype(np.int64).tolist()
-        return numbers
+        whole: list[Any] = indices.astype(np.int64).tolist()
+        return whole
 
     try:
         parents = (-1, *(0,) * (num_joints - 1))
@@ -237,8 +237,8 @@ def _clock(archive: npy.Archive, num_frames: int, options: ReadOptions) -> tuple
             path=archive.path,
             reason="no-framerate",
         )
-    said = archive.text("stated_fps") if "stated_fps" in archive else words
-    return TimeGrid(fps, num_frames, start), said, source_file.replaced_fps(fps, stated)
+    words = archive.text("stated_fps") if "stated_fps" in archive else words
+    return TimeGrid(fps, num_frames, start), words, source_file.replaced_fps(fps, stated)
 
 
 def _stated_fps(archive: npy.Archive) -> tuple[Fraction | None, str]:

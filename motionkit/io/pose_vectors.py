@@ -99,8 +99,8 @@ def read_interhuman(item: SourceItem, options: ReadOptions) -> Motion:
     rows = values.reshape(len(values), -1)
     start = INTERHUMAN_WIDTH * PERSONS.index(item.key) if item.key else 0
     positions = rows[:, start : start + 3 * JOINTS].reshape(len(rows), JOINTS, 3)
-    positions, turned = upright(SMPL22, positions * np.float32(options.unit_metres or 1.0), options.up)
-    return _motion(path, data, positions, SMPL22, FPS, "interhuman", options, *turned)
+    positions, lines = upright(SMPL22, positions * np.float32(options.unit_metres or 1.0), options.up)
+    return _motion(path, data, positions, SMPL22, FPS, "interhuman", options, *lines)
 
 
 def read_motionstreamer(path: Path, options: ReadOptions | None = None) -> Motion:

@@ -161,15 +161,15 @@ def _alignments(source: Skeleton, target: Skeleton) -> dict[int, tuple[int, Quat
             turns[name] = kinematics.quaternion_multiply(onto, facing)
         elif limb == "wrist" and f"{side}_elbow" in turns:
             turns[name] = turns[f"{side}_elbow"]
-    found = {target_joints[name]: (source_joints[name], turns[name]) for name in shared}
+    alignments = {target_joints[name]: (source_joints[name], turns[name]) for name in shared}
     # Fingers and other joints with the same name in both have their parent's alignment.
     named = {name: joint for joint, name in enumerate(canonical_names(source.joint_names))}
-    used = {counterpart for counterpart, _ in found.values()}
+    used = {counterpart for counterpart, _ in alignments.values()}
     for joint, name in enumerate(canonical_names(target.joint_names)):
         parent = target.parents[joint]
-        if joint not in found and parent in found and name in named and named[name] not in used:
-            found[joint] = (named[name], found[parent][1])
-    return found
+        if joint not in alignments and parent in alignments and name in named and named[name] not in used:
+            alignments[joint] = (named[name], alignments[parent][1])
+    return alignments
 
 
 def _path(source: Motion, local: Quaternions, target: Skeleton) -> tuple[float, Float64[np.ndarray, "frames 3"]]:

@@ -39,8 +39,9 @@ def write_comparison(
     of_source = max(1, int(np.searchsorted(source.frame_seconds(), until - 1e-6)))
     panels = [replace(source.frames(0, of_source), colours="plain")]
     for version in versions:
-        made = replace(panel_of(version.motion, version.name), seen=version.given, unseen=others, colours="given")
-        panels.append(made.frames(0, num_shown))
+        panel = panel_of(version.motion, version.name)
+        panel = replace(panel, observed=version.given, gap_label=others, colours="given")
+        panels.append(panel.frames(0, num_shown))
     if num_shown < first.num_frames:
         note = f"Shown: the first {shown_seconds:.4g} of {first.duration_seconds:.1f} seconds. {note}"
     write_page(path, title, panels, note=note, one_camera=True)

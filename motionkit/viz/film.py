@@ -79,7 +79,7 @@ def write_film(
             on_picture()
             return
         figure = Figure(figsize=(len(panels) * PANEL_PIXELS / DPI, PANEL_PIXELS / DPI), dpi=DPI)
-        scenes = [_Scene(figure, panel, (1, len(panels)), place) for place, panel in enumerate(panels)]
+        scenes = [_Scene(figure, panel, (1, len(panels)), number) for number, panel in enumerate(panels)]
 
         def each_picture() -> Iterator[None]:
             for instant in np.arange(count) * float(speed / fps):
@@ -94,7 +94,7 @@ def write_film(
 class _Scene:
     """The axes of one motion, seen by a camera that follows the body and keeps every pose inside."""
 
-    def __init__(self, figure: Figure, panel: Panel, grid: tuple[int, int], place: int, titled: bool = True) -> None:
+    def __init__(self, figure: Figure, panel: Panel, grid: tuple[int, int], number: int, titled: bool = True) -> None:
         drawing = drawing_of(panel.skeleton, panel.joint_positions)
         yaw, level, above = drawing.yaw + ASIDE_RADIANS, np.cos(ABOVE_RADIANS), np.sin(ABOVE_RADIANS)
         right = np.array([np.cos(yaw), 0.0, -np.sin(yaw)])
@@ -108,7 +108,7 @@ class _Scene:
         self._middle = (self._floor + highest) / 2
         reach = np.abs((poses - self._centre(poses)[:, None]) @ self._camera.T).max(initial=0.05) * AIR
         rows, columns = grid
-        row, column = divmod(place, columns)
+        row, column = divmod(number, columns)
         axes = figure.add_axes((column / columns, 1 - (row + 1) / rows, 1 / columns, 1 / rows))
         axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
         axes.set_axis_off()
@@ -207,11 +207,11 @@ def _write_recording(path: Path, panels: Sequence[Panel]) -> None:
         from rerun.blueprint import Horizontal, Spatial3DView
     except ImportError:
         raise MissingExtraError("rerun-sdk", "rerun") from None
-    places = [rerun.new_entity_path([panel.name]) for panel in panels]
-    views = [Spatial3DView(origin=place, name=panel.name) for place, panel in zip(places, panels, strict=True)]
+    entities = [rerun.new_entity_path([panel.name]) for panel in panels]
+    views = [Spatial3DView(origin=entity, name=panel.name) for entity, panel in zip(entities, panels, strict=True)]
     recording = rerun.RecordingStream("motionkit")
     recording.save(path, default_blueprint=Horizontal(*views))
-    for place, panel in zip(places, panels, strict=True):
+    for entity, panel in zip(entities, panels, strict=True):
         drawing, names = drawing_of(panel.skeleton, panel.joint_positions), panel.skeleton.joint_names
         joints = [
             rerun.AnnotationInfo(number, name, tuple(bytes.fromhex(COLOURS[side][1:])) if side else LIGHT)
@@ -225,10 +225,10 @@ def _write_recording(path: Path, panels: Sequence[Panel]) -> None:
             class_ids=[0], keypoint_ids=range(len(names)), radii=[0.012], show_labels=False
         )
         for each in (rerun.ViewCoordinates.RIGHT_HAND_Y_UP, rerun.AnnotationContext([body]), look):
-            rerun.log(place, each, static=True, recording=recording)
+            rerun.log(entity, each, static=True, recording=recording)
         whole = np.isfinite(panel.joint_positions).all(axis=(1, 2))
         seconds = np.round(panel.frame_seconds()[whole] * 1e9).astype("timedelta64[ns]")
         poses = rerun.Points3D.columns(positions=panel.joint_positions[whole].reshape(-1, 3))
         clock, sizes = rerun.TimeColumn("time", duration=seconds), np.full(int(whole.sum()), len(names))
-        rerun.send_columns(place, [clock], poses.partition(sizes), recording=recording)
+        rerun.send_columns(entity, [clock], poses.partition(sizes), recording=recording)
     recording.disconnect()

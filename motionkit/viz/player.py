@@ -48,9 +48,10 @@ class Panel:
     """One motion of a page or film: joint positions [T, J, 3] in metres, y up, at its own framerate.
 
     Frame k is at `start_seconds` + k / `fps`, or at `uneven_seconds`[k]. `first_frame` is the number of the first one
-    in its file. `seen` masks observed frames; others are drawn differently, and labelled `unseen`. Bones are coloured
-    by side ("sides"), by given and new frames ("given"), or uniformly ("plain"). `labels` are shown below the name,
-    `details` are key-value pairs. `lines` are drawn in the motion's world, on the floor where a height is NaN.
+    in its file. `observed` masks the frames that the source has; others are drawn differently and labelled
+    `gap_label`. Bones are coloured by side ("sides"), by given and new frames ("given"), or uniformly ("plain").
+    `labels` are shown below the name, `details` are key-value pairs. `lines` are drawn in the motion's world, on the
+    floor where a height is NaN.
     """
 
     name: str
@@ -60,8 +61,8 @@ class Panel:
     start_seconds: float = 0.0
     first_frame: int = 0
     uneven_seconds: Float64[np.ndarray, "frames"] | None = None
-    seen: Bool[np.ndarray, "frames"] | None = None
-    unseen: str = "lost"
+    observed: Bool[np.ndarray, "frames"] | None = None
+    gap_label: str = "lost"
     colours: Colours = "sides"
     captions: tuple[Caption, ...] = ()
     labels: tuple[str, ...] = ()
@@ -94,7 +95,7 @@ class Panel:
             start_seconds=float(self.frame_seconds()[start]),
             first_frame=self.first_frame + start,
             uneven_seconds=None if self.uneven_seconds is None else self.uneven_seconds[start:stop],
-            seen=None if self.seen is None else self.seen[start:stop],
+            observed=None if self.observed is None else self.observed[start:stop],
         )
 
 
@@ -259,8 +260,8 @@ def _data(panel: Panel) -> dict[str, Any]:
         "firstFrame": panel.first_frame,
         "numFrames": panel.num_frames,
         "unevenSeconds": None if uneven is None else _text(uneven.astype("<f8")),
-        "seen": None if panel.seen is None else _text(np.packbits(panel.seen, bitorder="little")),
-        "unseen": panel.unseen,
+        "seen": None if panel.observed is None else _text(np.packbits(panel.observed, bitorder="little")),
+        "unseen": panel.gap_label,
         "colours": panel.colours,
         "jointNames": list(panel.skeleton.joint_names),
         "positions": pack(panel.joint_positions),

@@ -38,7 +38,7 @@ HOSTILE = '</script><b>&"__DATA__ __SCRIPTS__ \\1'
 def test_a_page_holds_its_motions_and_loads_nothing(tmp_path: Path) -> None:
     seen = np.arange(40) % 3 > 0
     takes = [
-        standing(HOSTILE, 40, 120, seen=seen, captions=(Caption("a & <b>", 0.0, 0.5),)),
+        standing(HOSTILE, 40, 120, observed=seen, captions=(Caption("a & <b>", 0.0, 0.5),)),
         standing("slow", 20, 30, uneven_seconds=np.geomspace(1, 3, 20)),
     ]
     size = write_page(tmp_path / "page.html", HOSTILE, takes, note="<i>")
@@ -54,10 +54,10 @@ def test_a_page_holds_its_motions_and_loads_nothing(tmp_path: Path) -> None:
 
 
 def test_frames_of_a_take_keep_their_numbers_and_times() -> None:
-    take = standing("walk", 100, 50, start_seconds=1.0, seen=np.arange(100) < 60)
+    take = standing("walk", 100, 50, start_seconds=1.0, observed=np.arange(100) < 60)
     part = take.frames(25, 75).frames(5, 40)
     assert part.first_frame == 30 and part.num_frames == 35 and part.start_seconds == pytest.approx(1.6)
-    assert part.seen is not None and part.seen.sum() == 30
+    assert part.observed is not None and part.observed.sum() == 30
     np.testing.assert_allclose(part.frame_seconds(), take.frame_seconds()[30:65])
     uneven = replace(take, uneven_seconds=np.geomspace(1, 9, 100)).frames(30, 65)
     np.testing.assert_array_equal(uneven.frame_seconds(), np.geomspace(1, 9, 100)[30:65])
