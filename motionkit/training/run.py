@@ -354,6 +354,8 @@ def check_same(folder: StageFolder, inputs: Mapping[str, Any]) -> None:
         f"{key.removeprefix('config.')} {shown(before.get(key), SHOWN_LETTERS)} → {shown(now.get(key), SHOWN_LETTERS)}"
         for key in {**before, **now}
         if before.get(key) != now.get(key) and now.get(key) != "auto"
+        # The model of an earlier stage may have been deleted since.
+        if key in now or not key.startswith("builds_on.")
         if not key.startswith("config.") or concerns(stage, key.removeprefix("config."), inputs["config"])
     ]
     if changed:

@@ -222,6 +222,8 @@ def test_a_stage_is_not_resumed_upon_another_than_it_was_begun_with(tmp_path: Pa
     model.write_bytes(b"two")
     with pytest.raises(RunError, match=r"\(builds_on.first .* --stage second --run"):
         _context(tmp_path, resume=True).begin("second", Config(), store_fingerprint="abc", builds_on=("first",))
+    model.unlink()
+    _context(tmp_path, resume=True).begin("second", Config(), store_fingerprint="abc", builds_on=("first",))
 
 
 def test_what_auto_chose_is_what_auto_asks_for(tmp_path: Path) -> None:
