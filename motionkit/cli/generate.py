@@ -13,97 +13,80 @@ from motionkit.core.progress import task
 
 FORMATS = "bvh, amass, joints-npy, npz, csv, robot-csv, gltf, humanml3d"
 
-Texts = Annotated[list[str] | None, typer.Argument(help="What the person does; give several for a batch.")]
-Actions = Annotated[list[str] | None, typer.Option(help="An action the model knows; may be repeated.")]
-Unconditional = Annotated[bool, typer.Option("--unconditional", help="Motions without a text or action.")]
-PromptsFile = Annotated[
-    Path | None, typer.Option(help="A .txt with a text per line, or a .csv or .jsonl of text, action, seconds.")
-]
-Framerate = Annotated[
-    str | None,
-    typer.Option(help="Any framerate: 144, 23.976, 24000/1001 (else the highest trained; 20 for humanml3d)."),
-]
-Seconds = Annotated[
-    float | None, typer.Option(help="Length of each motion; drawn from the training data's by default.")
-]
-Join = Annotated[
-    bool, typer.Option("--join", help="One motion of all texts or actions in sequence, --seconds of each.")
-]
-Overlap = Annotated[float, typer.Option(help="Seconds of overlap between the pieces of a joined or long motion.")]
-PathFile = Annotated[
-    Path | None, typer.Option(help="The body's path: a CSV of x, z in metres, optionally seconds and heading_degrees.")
-]
-PoseFiles = Annotated[
-    list[str] | None,
-    typer.Option(metavar="S=FILE[@S]", help="A pose at a time in seconds (2.0=clip.bvh@1.5); may be repeated."),
-]
-JointPlaces = Annotated[
-    list[str] | None,
-    typer.Option(metavar="NAME@S[-S]=X,Y,Z", help="A joint at a place in metres: left_foot@1=0,0,1. May be repeated."),
-]
-PoseJoints = Annotated[
-    str | None, typer.Option(metavar="NAME,NAME,…", help="The constrained joints of poses (default: all).")
-]
-PosePlaced = Annotated[
-    bool,
-    typer.Option(
-        "--pose-placed", help="Poses keep the position and heading of their files, instead of any on the floor."
-    ),
-]
-Times = Annotated[str | None, typer.Option(metavar="S,S,…", help="Poses at these seconds only, instead of --fps.")]
-Count = Annotated[int, typer.Option("-n", "--count", min=1, help="Motions per text or action.")]
-OutFolder = Annotated[Path, typer.Option(help="New or empty folder for the files.")]
-FileFormat = Annotated[str, typer.Option("--format", help=f"{FORMATS}.")]
-Guidance = Annotated[float | None, typer.Option(help="Guidance scale r of Eq. 6 (else the recipe's).")]
-Sampler = Annotated[str | None, typer.Option(help="ddim or ddpm (else the recipe's).")]
-SamplingSteps = Annotated[
-    int | None, typer.Option(min=1, help="Diffusion steps visited (else the recipe's; ddpm likes more).")
-]
-Plant = Annotated[bool, typer.Option("--plant/--no-plant", help="Make sliding feet stand, on bones of one length.")]
-WithDetail = Annotated[bool, typer.Option("--detail", help="Add what captures hold above 10 Hz (docs/detail.md).")]
-Seed = Annotated[int, typer.Option(min=0, help="The same seed gives the same motions at every framerate.")]
-Resume = Annotated[bool, typer.Option("--resume", help="Continue a stopped call.")]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an earlier call's files.")]
-ModelName = Annotated[str | None, typer.Option(help="Installed model.", show_default="the one that the run holds")]
-RunName = Annotated[str, typer.Option(help="Name of the run.")]
-RunsFolder = Annotated[Path | None, typer.Option(help="Folder of all runs.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")]
-
 
 if TYPE_CHECKING:
     from motionkit.generate.job import Job
 
 
 def generate(
-    texts: Texts = None,
-    action: Actions = None,
-    unconditional: Unconditional = False,
-    prompts: PromptsFile = None,
-    fps: Framerate = None,
-    seconds: Seconds = None,
-    join: Join = False,
-    overlap: Overlap = 0.5,
-    times: Times = None,
-    path: PathFile = None,
-    pose: PoseFiles = None,
-    joint: JointPlaces = None,
-    pose_joints: PoseJoints = None,
-    pose_placed: PosePlaced = False,
-    count: Count = 1,
-    out: OutFolder = Path("generated"),
-    file_format: FileFormat = "npz",
-    guidance: Guidance = None,
-    sampler: Sampler = None,
-    sampling_steps: SamplingSteps = None,
-    plant: Plant = True,
-    detail: WithDetail = False,
-    seed: Seed = 0,
-    resume: Resume = False,
-    overwrite: Overwrite = False,
-    model: ModelName = None,
-    run: RunName = "nano",
-    runs: RunsFolder = None,
-    as_json: AsJson = False,
+    texts: Annotated[list[str] | None, typer.Argument(help="What the person does; give several for a batch.")] = None,
+    action: Annotated[list[str] | None, typer.Option(help="An action the model knows; may be repeated.")] = None,
+    unconditional: Annotated[bool, typer.Option("--unconditional", help="Motions without a text or action.")] = False,
+    prompts: Annotated[
+        Path | None, typer.Option(help="A .txt with a text per line, or a .csv or .jsonl of text, action, seconds.")
+    ] = None,
+    fps: Annotated[
+        str | None,
+        typer.Option(help="Any framerate: 144, 23.976, 24000/1001 (else the highest trained; 20 for humanml3d)."),
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option(help="Length of each motion; drawn from the training data's by default.")
+    ] = None,
+    join: Annotated[
+        bool, typer.Option("--join", help="One motion of all texts or actions in sequence, --seconds of each.")
+    ] = False,
+    overlap: Annotated[
+        float, typer.Option(help="Seconds of overlap between the pieces of a joined or long motion.")
+    ] = 0.5,
+    times: Annotated[
+        str | None, typer.Option(metavar="S,S,…", help="Poses at these seconds only, instead of --fps.")
+    ] = None,
+    path: Annotated[
+        Path | None,
+        typer.Option(help="The body's path: a CSV of x, z in metres, optionally seconds and heading_degrees."),
+    ] = None,
+    pose: Annotated[
+        list[str] | None,
+        typer.Option(metavar="S=FILE[@S]", help="A pose at a time in seconds (2.0=clip.bvh@1.5); may be repeated."),
+    ] = None,
+    joint: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME@S[-S]=X,Y,Z", help="A joint at a place in metres: left_foot@1=0,0,1. May be repeated."
+        ),
+    ] = None,
+    pose_joints: Annotated[
+        str | None, typer.Option(metavar="NAME,NAME,…", help="The constrained joints of poses (default: all).")
+    ] = None,
+    pose_placed: Annotated[
+        bool,
+        typer.Option(
+            "--pose-placed", help="Poses keep the position and heading of their files, instead of any on the floor."
+        ),
+    ] = False,
+    count: Annotated[int, typer.Option("-n", "--count", min=1, help="Motions per text or action.")] = 1,
+    out: Annotated[Path, typer.Option(help="New or empty folder for the files.")] = Path("generated"),
+    file_format: Annotated[str, typer.Option("--format", help=f"{FORMATS}.")] = "npz",
+    guidance: Annotated[float | None, typer.Option(help="Guidance scale r of Eq. 6 (else the recipe's).")] = None,
+    sampler: Annotated[str | None, typer.Option(help="ddim or ddpm (else the recipe's).")] = None,
+    sampling_steps: Annotated[
+        int | None, typer.Option(min=1, help="Diffusion steps visited (else the recipe's; ddpm likes more).")
+    ] = None,
+    plant: Annotated[
+        bool, typer.Option("--plant/--no-plant", help="Make sliding feet stand, on bones of one length.")
+    ] = True,
+    detail: Annotated[
+        bool, typer.Option("--detail", help="Add what captures hold above 10 Hz (docs/detail.md).")
+    ] = False,
+    seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same motions at every framerate.")] = 0,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue a stopped call.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier call's files.")] = False,
+    model: Annotated[
+        str | None, typer.Option(help="Installed model.", show_default="the one that the run holds")
+    ] = None,
+    run: Annotated[str, typer.Option(help="Name of the run.")] = "nano",
+    runs: Annotated[Path | None, typer.Option(help="Folder of all runs.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")] = False,
 ) -> None:
     """Generate motions from texts, actions or nothing: any framerate, or poses at arbitrary instants.
 
