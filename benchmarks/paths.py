@@ -56,7 +56,7 @@ def trace(command: list[str], until_step: bool) -> dict[str, Any]:
         if event == "call":
             called.add(frame.f_code)
 
-    from motionkit.cli.start import main
+    from motionkit.cli.app import main
 
     sys.argv = ["motionkit", *command]
     threading.setprofile(note)

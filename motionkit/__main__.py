@@ -15,6 +15,6 @@ def look_here_last() -> None:
 
 if __name__ == "__main__":
     look_here_last()
-    from motionkit.cli.start import main
+    from motionkit.cli.app import main
 
     main()

@@ -27,7 +27,7 @@ CHAINS = [
     *(("Hips", [f"{side}{bone}" for bone in LEG], (2 * sign, -30, 2)) for side, sign in (("Left", 1), ("Right", -1))),
 ]
 ROWS_AT_ONCE = 5000
-COMMAND = "import sys; from motionkit.cli.start import main; sys.exit(main())"
+COMMAND = "import sys; from motionkit.cli.app import main; sys.exit(main())"
 
 
 def hierarchy() -> str:

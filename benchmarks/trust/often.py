@@ -1,6 +1,6 @@
 """motionkit whose trainings save several times a second: `python -m benchmarks.trust.often train …`."""
 
-from motionkit.cli.start import main
+from motionkit.cli.app import main
 from motionkit.training.loop import train_loop
 
 SECONDS = 0.1

@@ -200,7 +200,7 @@ def exit_code(arguments: list[str]) -> int:
             module, _, name = arguments[0].removeprefix(CALL).partition(":")
             getattr(importlib.import_module(module), name)(*arguments[1:])
         else:
-            from motionkit.cli.start import main
+            from motionkit.cli.app import main
 
             sys.argv = ["motionkit", *arguments]
             main()

@@ -1,32 +1,37 @@
-"""The app, assembled from entry points: each `motionkit.commands` entry is one typer command.
+"""The command line, assembled from entry points: each `motionkit.commands` entry is one typer command.
 
 An entry point names a command (`ingest`, `train` …) and a function, or a typer app of several (`study`). Nothing heavy
 may be imported by the module that holds it, so that `motionkit --help` stays light. Anybody's package can add a command
-the same way.
+the same way. The imports of this module are few, since every worker process loads it.
 """
 
+import gc
 import os
+import signal
 import sys
-from importlib.metadata import EntryPoint, entry_points
-from importlib.util import find_spec
-from inspect import getdoc
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
-from motionkit.cli.console import show_warnings, stderr, stdout
-from motionkit.cli.start import was_stopped
-from motionkit.core.errors import MotionkitError, UsageError, describe
+    import typer
 
 # The exit code after Ctrl-C.
 INTERRUPTED = 130
+SIGNALS = (signal.SIGTERM, signal.SIGINT)
+_received: list[int] = []
 
 
-def build_app(only: str = "") -> typer.Typer:
+def build_app(only: str = "") -> "typer.Typer":
     """A typer app with every registered command in alphabetical order, or only the one of this name if it exists.
 
     Loading all of them takes a tenth of a second.
     """
+    from importlib.metadata import entry_points
+    from inspect import getdoc
+
+    import typer
+
     app = typer.Typer(
         name="motionkit",
         help="Human motion at native framerates: a corpus, continuous-time models, one evaluator suite.",
@@ -34,24 +39,40 @@ def build_app(only: str = "") -> typer.Typer:
         invoke_without_command=True,
         pretty_exceptions_enable=False,
     )
-    app.callback()(_options)
+
+    @app.callback()
+    def print_version(
+        version: Annotated[bool, typer.Option("--version", help="Print motionkit's version.")] = False,
+        verbose: Annotated[
+            bool, typer.Option("--verbose", help="With --version: packages, device, threads and extras too.")
+        ] = False,
+    ) -> None:
+        # Options of `motionkit` itself.
+        if version or verbose:
+            from motionkit.cli.versions import version_lines
+
+            for line in version_lines(verbose):
+                print(line)
+            raise typer.Exit
+
     entries = entry_points(group="motionkit.commands")
     for entry in sorted(entries.select(name=only) or entries, key=lambda entry: entry.name):
-        loaded = _loaded(entry)
-        if isinstance(loaded, typer.Typer):
-            app.add_typer(loaded, name=entry.name)
+        command = _loaded(entry)
+        if isinstance(command, typer.Typer):
+            app.add_typer(command, name=entry.name)
         else:
-            app.command(name=entry.name, help=_paragraphs(loaded))(loaded)
+            # Each paragraph in one line: the terminal breaks it at its own width.
+            paragraphs = (" ".join(text.split()) for text in (getdoc(command) or "").split("\n\n"))
+            app.command(name=entry.name, help="\n\n".join(paragraphs))(command)
     return app
 
 
-def _paragraphs(command: Any) -> str:
-    """A command's docstring, each paragraph in one line: the terminal breaks it at its own width."""
-    return "\n\n".join(" ".join(paragraph.split()) for paragraph in (getdoc(command) or "").split("\n\n"))
-
-
-def _loaded(entry: EntryPoint) -> Any:
+def _loaded(entry: "EntryPoint") -> Any:
     """Load an entry point; raises `MotionkitError`, since a repository's own package may shadow the installed one."""
+    from importlib.util import find_spec
+
+    from motionkit.core.errors import MotionkitError, describe
+
     try:
         return entry.load()
     except Exception as error:
@@ -63,29 +84,11 @@ def _loaded(entry: EntryPoint) -> Any:
         ) from error
 
 
-def _options(
-    version: Annotated[bool, typer.Option("--version", help="Print motionkit's version.")] = False,
-    verbose: Annotated[
-        bool, typer.Option("--verbose", help="With --version: packages, device, threads and extras too.")
-    ] = False,
-) -> None:
-    # Options of `motionkit` itself.
-    if version or verbose:
-        from motionkit.cli.versions import version_lines
-
-        for line in version_lines(verbose):
-            stdout.print(line)
-        raise typer.Exit
-
-
-def _resumes(app: typer.Typer, names: list[str]) -> bool:
-    """Whether the command of this name has --resume."""
-    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
-    return any("--resume" in each.opts for name in names if name in commands for each in commands[name].params)
-
-
-def main() -> None:
+def run() -> None:
     """Run the app; motionkit's errors and the system's become one line on stderr and exit code 1 (2 for usage)."""
+    from motionkit.cli.console import show_warnings, stderr
+    from motionkit.core.errors import MotionkitError, UsageError, describe
+
     # OpenMP reads it when torch is loaded. Threads that spin while they wait take the processor from those waited for:
     # beside other processes on all processors a training step then takes ten times as long.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -95,16 +98,56 @@ def main() -> None:
         app = build_app(*names)
         app()
     except (MotionkitError, OSError) as error:
-        if was_stopped():
+        if _received:
             raise  # not an interrupt that a library converted
-        if isinstance(error, UsageError):
-            stderr.print(f"motionkit: {error}")
-            sys.exit(2)
         # Such as missing permissions or a full disk: the system names the file and the reason.
         stderr.print(f"motionkit: {describe(error)}")
-        sys.exit(1)
+        sys.exit(2 if isinstance(error, UsageError) else 1)
     except SystemExit as ended:
         # What typer raises for an interrupt.
         if ended.code == INTERRUPTED:
             stderr.print("motionkit: stopped: --resume goes on" if _resumes(app, names) else "motionkit: stopped")
         raise
+
+
+def _resumes(app: "typer.Typer", names: list[str]) -> bool:
+    """Whether the command of this name has --resume."""
+    from typer.main import get_command
+
+    commands = get_command(app).commands  # type: ignore[attr-defined]
+    return any("--resume" in each.opts for name in names if name in commands for each in commands[name].params)
+
+
+def stop_by_signals() -> None:
+    """Let Ctrl-C and SIGTERM raise `KeyboardInterrupt`, so that cleanup runs."""
+
+    def stop(number: int, frame: object) -> None:
+        _received.append(number)
+        # Where the exception cannot be raised, Python would print it.
+        sys.unraisablehook = lambda unraisable: None
+        raise KeyboardInterrupt
+
+    for number in SIGNALS:
+        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
+            signal.signal(number, stop)
+
+
+def main() -> None:
+    """The script `motionkit`: run the command line, then exit at once."""
+    try:
+        stop_by_signals()
+        run()
+    except SystemExit:
+        raise  # the reason has been printed
+    except BaseException:
+        if not _received:  # a library may have converted the exception
+            raise
+        print("motionkit: stopped", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+    finally:
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+        # What is left goes with the process: Python's last search for cycles in it takes a tenth of a second, a whole
+        # one with torch. Without it duckdb's library would tell of leaks.
+        if "duckdb" not in sys.modules:
+            gc.freeze()

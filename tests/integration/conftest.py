@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from motionkit.cli.app import main
+from motionkit.cli.app import run as main
 from tests.helpers.outcome import Outcome
 from tests.helpers.small_bvh import bvh_text
 from tests.helpers.small_tables import make_tables_small

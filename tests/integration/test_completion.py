@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-COMMAND = (sys.executable, "-c", "import sys; sys.argv[0] = 'motionkit'; from motionkit.cli.start import main; main()")
+COMMAND = (sys.executable, "-c", "import sys; sys.argv[0] = 'motionkit'; from motionkit.cli.app import main; main()")
 
 
 def asked(environment: dict[str, str], *arguments: str) -> str:

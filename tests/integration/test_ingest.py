@@ -291,7 +291,7 @@ def test_a_disk_that_cannot_be_written(motionkit, takes, tmp_path, monkeypatch):
 DEADLY_INGEST = textwrap.dedent(
     """
     import os, sys
-    from motionkit.cli.app import main
+    from motionkit.cli.app import run as main
     from motionkit.store import chunks
 
     read = chunks.read
@@ -322,7 +322,7 @@ def test_a_file_that_its_reader_dies_of(takes, tmp_path):
 SLOW_INGEST = textwrap.dedent(
     """
     import sys, time
-    from motionkit.cli.app import main
+    from motionkit.cli.app import run as main
     from motionkit.store import writer
 
     add = writer.StoreWriter.add_row

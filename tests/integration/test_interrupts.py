@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from motionkit.cli import app, start
+from motionkit.cli import app
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.store import Store
 from tests.helpers.outcome import Outcome
@@ -23,18 +23,18 @@ STOPPED = "motionkit: stopped\n"
 # What the installed script does; it says when a signal would no longer meet Python alone.
 SCRIPT = """
 import sys
-from motionkit.cli import start
+from motionkit.cli import app
 
-prepare = start.stop_by_signals
-start.stop_by_signals = lambda: (prepare(), print("begun", flush=True))
-sys.exit(start.main())
+prepare = app.stop_by_signals
+app.stop_by_signals = lambda: (prepare(), print("begun", flush=True))
+sys.exit(app.main())
 """
 NUM_TAKES = 24
 
 
 @pytest.fixture(autouse=True)
 def same_handlers() -> Iterator[None]:
-    """`start.main` is for a process of its own: it changes what signals do."""
+    """`app.main` is for a process of its own: it changes what signals do."""
     previous = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     yield
     for number, handler in previous.items():
@@ -73,10 +73,10 @@ def test_so_does_one_that_is_being_loaded(
             raise raised from None  # a library may turn one into the other
 
     monkeypatch.setattr(app, "build_app", loading)
-    monkeypatch.setattr(start, "_received", [])
+    monkeypatch.setattr(app, "_received", [])
     monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
     with pytest.raises(SystemExit) as ended:
-        start.main()
+        app.main()
     assert ended.value.code == 130 and capsys.readouterr().err == STOPPED
 
 
@@ -86,7 +86,7 @@ def test_other_errors_of_loading_stay_what_they_are(monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(app, "build_app", loading)
     with pytest.raises(RuntimeError, match="a fault of a library"):
-        start.main()
+        app.main()
 
 
 @pytest.fixture(scope="module")
