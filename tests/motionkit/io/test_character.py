@@ -20,6 +20,7 @@ from motionkit.io.gltf import GlbBuffer
 from motionkit.io.registry import ReadOptions
 from motionkit.io.smpl_body import mean_shape_skeleton
 from tests.helpers.analytic import analytic_motion
+from tests.motionkit.io.test_gltf import Played
 from tests.motionkit.io.test_retargeting import directions
 
 NAMES = {"pelvis": "Hips", "spine1": "Spine", "spine2": "Spine1", "spine3": "Spine2", "neck": "Neck", "head": "Head"}
@@ -158,35 +159,9 @@ def write_glb(path: Path, document: dict[str, object], binary: bytes) -> None:
 
 def world_places(path: Path) -> np.ndarray:
     """Where the nodes are in the world in every frame of a file's animation, by matrices."""
-    document, binary = read_glb(path)
-    nodes, animation = document["nodes"], document["animations"][0]
-
-    def values(number: int) -> np.ndarray:
-        accessor = document["accessors"][number]
-        start = document["bufferViews"][accessor["bufferView"]]["byteOffset"]
-        width = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[accessor["type"]]
-        return np.frombuffer(binary, "<f4", accessor["count"] * width, start).reshape(-1, width)
-
-    keys = values(animation["samplers"][0]["input"])
-    moved = {
-        (each["target"]["node"], each["target"]["path"]): values(animation["samplers"][each["sampler"]]["output"])
-        for each in animation["channels"]
-    }
-    places = np.zeros((len(keys), len(nodes), 3))
-
-    def visit(node: int, above: np.ndarray) -> None:
-        local = np.tile(np.eye(4), (len(keys), 1, 1))
-        turn = moved.get((node, "rotation"), np.tile(nodes[node].get("rotation", [0, 0, 0, 1]), (len(keys), 1)))
-        matrices = kinematics.quaternion_to_matrix(turn[:, [3, 0, 1, 2]].astype(np.float64))
-        local[:, :3, :3] = matrices * np.array(nodes[node].get("scale", [1, 1, 1]))
-        local[:, :3, 3] = moved.get((node, "translation"), np.array(nodes[node].get("translation", [0, 0, 0])))
-        world = above @ local
-        places[:, node] = world[:, :3, 3]
-        for child in nodes[node].get("children", []):
-            visit(child, world)
-
-    visit(0, np.eye(4))
-    return places
+    file = Played(path)
+    frames = [file.world(frame) for frame in range(len(file.seconds))]
+    return np.array([[world[node][:3, 3] for node in sorted(world)] for world in frames])
 
 
 def test_a_glb_keeps_its_nodes_and_moves_as_the_source(walk: mk.Motion, rig: Skeleton, tmp_path: Path) -> None:

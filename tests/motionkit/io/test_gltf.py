@@ -16,7 +16,7 @@ pygltflib = pytest.importorskip("pygltflib")
 
 NUM_COMPONENTS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 DTYPES = {5126: "<f4", 5123: "<u2", 5125: "<u4"}
-STATIC = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0)}
+STATIC = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0), "scale": (1.0, 1.0, 1.0)}
 
 
 class Played:
@@ -53,6 +53,7 @@ class Played:
             [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
+        matrix[:3, :3] *= value("scale")
         matrix[:3, 3] = value("translation")
         return matrix
 
