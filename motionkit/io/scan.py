@@ -118,7 +118,7 @@ def walk(
         yield folder, files
 
 
-class _Beside:
+class _SideFiles:
     """Annotation tables and licence files, folder by folder; owns what it has read."""
 
     def __init__(self, root: Path, top: Path, given: AnnotationTable | None) -> None:
@@ -159,7 +159,7 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
     root, is_folder = _root(source), source.is_dir()
     # A single file may be described by a table higher up: not only by one of its folder.
     top = root if is_folder else [root, *root.parents][:LEVELS_ABOVE_A_FILE][-1]
-    beside = _Beside(root, top, given)
+    side_files = _SideFiles(root, top, given)
     items: list[SourceItem] = []
     problems: list[FormatError] = []
     warnings: list[FormatError] = []
@@ -168,7 +168,7 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
     data_set = cache(lambda folder: recognise_folder(folder, options.format))
     folders = walk(root, lambda folder: data_set(folder) is not None, problems.append)
     for folder, files in folders if is_folder else [(root, [root / source.name])]:
-        licence, tables = beside.of(folder)
+        licence, tables = side_files.of(folder)
         heads = [FileHead(path) for path in files]
         is_known = not is_folder and recognise(heads[0], options.format) is not None
         kind = None if is_known else data_set(folder)
@@ -190,27 +190,19 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
             else:
                 of_file = _items_of_file(kind, head, root, licence)
                 items += (annotated(each, tables) for each in of_file) if tables else of_file
-    problems += beside.problems
+    problems += side_files.problems
     if is_folder and items:  # of a single file, other rows are not expected
-        problems += _without_motion(beside.tables, {item.path for item in items})
+        problems += _without_motion(side_files.tables, {item.path for item in items})
     if not items and not problems:
         problems.append(_no_motion(source, others, options))
-    warnings += (warning for table in beside.tables for warning in table.warnings)
+    warnings += (warning for table in side_files.tables for warning in table.warnings)
     if derived:
         which = derived[0].name + (" …" if len(derived) > 1 else "")
         message = f"{len(derived):,} of its files ({which}) were made by 'motionkit complete' or 'motionkit plant' and "
         message += "are left out: name such files one by one to store them"
         warnings.append(FormatError(message, path=root, reason="made"))
-    warned = {warning.path for warning in warnings}
-    for item in items:
-        if (
-            not item.captions
-            and item.path not in warned
-            and any(t.has_captions for t in beside.of(item.path.parent)[1])
-        ):
-            message = "has no caption in a source that has captions; kept without one"
-            warnings.append(FormatError(message, path=item.path, reason="no-caption"))
-    known = {problem.path for problem in problems} | {table.path for table in beside.tables}
+    warnings += _without_caption(items, side_files, {warning.path for warning in warnings})
+    known = {problem.path for problem in problems} | {table.path for table in side_files.tables}
     known |= set() if given is None else {given.path.parent.resolve() / given.path.name}
     formats = {item.format for item in items}
     ignored = [path for path in others if is_folder and path not in known and not _belongs(path, formats)]
@@ -247,6 +239,16 @@ def _without_motion(tables: Sequence[AnnotationTable], known: set[Path]) -> Iter
             message = f"describes {path.name}, but there is no such motion in the source"
             message += f" (did you mean {meant.name}?)" if meant else ""
             yield FormatError(message, path=table.path, reason="caption-without-motion", line=row["line"])
+
+
+def _without_caption(items: Iterable[SourceItem], side_files: _SideFiles, reported: set[Path]) -> Iterator[FormatError]:
+    for item in items:
+        if item.captions or item.path in reported:
+            continue
+        _, tables = side_files.of(item.path.parent)
+        if any(table.has_captions for table in tables):
+            message = "has no caption in a source that has captions; kept without one"
+            yield FormatError(message, path=item.path, reason="no-caption")
 
 
 def derived_folder(fps: str, made: str = COMPLETED) -> str:
@@ -312,24 +314,24 @@ def _scan_indexes(sources: Sequence[Path], options: ReadOptions) -> ScanResult:
     from motionkit.io.indexes import scan_indexes
 
     assert options.index is not None
-    roots: dict[Path, _Beside] = {}
+    roots: dict[Path, _SideFiles] = {}
 
     def item_of(path: Path, root: Path) -> SourceItem | None:
         head = FileHead(path)
         kind = recognise(head, options.format)
         if kind is None or kind.keys(head):  # an index does not say which of several
             return None
-        licence, tables = roots.setdefault(root, _Beside(root, root, None)).of(path.parent)
+        licence, tables = roots.setdefault(root, _SideFiles(root, root, None)).of(path.parent)
         (item,) = _items_of_file(kind, head, root, licence)
         return replace(annotated(item, tables), captions=(), split="")
 
     found = scan_indexes(sources, options.index, item_of)
     return replace(
         found,
-        problems=(*found.problems, *(problem for beside in roots.values() for problem in beside.problems)),
+        problems=(*found.problems, *(problem for side_files in roots.values() for problem in side_files.problems)),
         warnings=(
             *found.warnings,
-            *(w for beside in roots.values() for table in beside.tables for w in table.warnings),
+            *(w for side_files in roots.values() for table in side_files.tables for w in table.warnings),
         ),
     )
 
