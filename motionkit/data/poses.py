@@ -11,6 +11,9 @@ from motionkit.core.timegrid import normalise_seconds
 from motionkit.data.corpus import FrameValues
 from motionkit.data.windows import Windows
 
+Batch = Int64[np.ndarray, "batch"]
+BatchPoses = Int64[np.ndarray, "batch poses"]
+
 Uniform = Callable[..., np.ndarray]
 
 
@@ -22,7 +25,7 @@ class PoseBatch:
     taken; `vectors` are pose vectors in their own units (`field` vectors: metres).
     """
 
-    window: Int64[np.ndarray, "batch"]
+    window: Batch
     coordinates: Float64[np.ndarray, "batch poses"]
     fps: Float64[np.ndarray, "batch"]
     vectors: Float32[np.ndarray, "batch poses features"]
@@ -39,21 +42,14 @@ class WindowPoses:
     frames: FrameValues
     fixed_fps: Fraction | None = None
 
-    def at_frames(
-        self,
-        window: Int64[np.ndarray, "batch"],
-        frame: Int64[np.ndarray, "batch poses"],
-        keep_every: Int64[np.ndarray, "batch"] | None = None,
-    ) -> PoseBatch:
+    def at_frames(self, window: Batch, frame: BatchPoses, keep_every: Batch | None = None) -> PoseBatch:
         """A batch of poses at native frames; with `keep_every`, at frames of the sequence of every n-th frame."""
         fps = self.windows.fps[window]
         if keep_every is not None:
             fps, frame = fps / keep_every, frame * keep_every[:, None]
         return self._batch(window, frame / self.windows.fps[window][:, None], fps, self._gathered(window, frame))
 
-    def at_rate(
-        self, window: Int64[np.ndarray, "batch"], tick: Int64[np.ndarray, "batch poses"], fps: Fraction
-    ) -> PoseBatch:
+    def at_rate(self, window: Batch, tick: BatchPoses, fps: Fraction) -> PoseBatch:
         """A batch of poses at tick / fps seconds; between native frames they are interpolated (positions linearly)."""
         numerator = self.windows.fps_numerator[window][:, None] * fps.denominator
         denominator = self.windows.fps_denominator[window][:, None] * fps.numerator
@@ -67,7 +63,7 @@ class WindowPoses:
 
     def draw(
         self,
-        window: Int64[np.ndarray, "batch"],
+        window: Batch,
         num_poses: int,
         uniform: Uniform,
         *,
@@ -102,7 +98,7 @@ class WindowPoses:
             window, chosen, keep_every = window[rows], chosen[rows], keep_every[rows]
         return self.at_frames(window, chosen, keep_every) if fps is None else self.at_rate(window, chosen, fps)
 
-    def evenly(self, window: Int64[np.ndarray, "batch"], num_poses: int) -> PoseBatch:
+    def evenly(self, window: Batch, num_poses: int) -> PoseBatch:
         """`num_poses` poses, native or at `fixed_fps`, spread evenly over each window, its first and last included."""
         spread = np.linspace(0.0, 1.0, num_poses)
         if self.fixed_fps is not None:
@@ -111,19 +107,17 @@ class WindowPoses:
         last = self.windows.num_frames[window][:, None] - 1
         return self.at_frames(window, np.round(spread * last).astype(np.int64))
 
-    def _last_tick(self, window: Int64[np.ndarray, "batch"], fps: Fraction) -> Int64[np.ndarray, "batch"]:
+    def _last_tick(self, window: Batch, fps: Fraction) -> Batch:
         """The last k for which k / fps seconds lie inside each window."""
         rate = self.windows.fps[window] / float(fps)
         return np.asarray(np.floor((self.windows.num_frames[window] - 1) / rate + 1e-6), dtype=np.int64)
 
-    def _gathered(
-        self, window: Int64[np.ndarray, "batch"], frame: Int64[np.ndarray, "batch poses"]
-    ) -> Float32[np.ndarray, "batch poses *row"]:
+    def _gathered(self, window: Batch, frame: BatchPoses) -> Float32[np.ndarray, "batch poses *row"]:
         return self.frames.gather(self.windows.start_row[window][:, None] + frame, self.windows.mirrored[window])
 
     def _batch(
         self,
-        window: Int64[np.ndarray, "batch"],
+        window: Batch,
         seconds: Float64[np.ndarray, "batch poses"],
         fps: Float64[np.ndarray, "batch"],
         gathered: Float32[np.ndarray, "batch poses *row"],

@@ -15,6 +15,9 @@ from motionkit.fields.motion_field import Poses
 from motionkit.store.cache import PositionCache, open_cache
 from motionkit.store.reader import Store
 
+Batch = Int64[np.ndarray, "batch"]
+PerTake = Int64[np.ndarray, "takes"]
+
 
 @dataclass(frozen=True, eq=False)
 class Takes:
@@ -28,11 +31,11 @@ class Takes:
     fps: Fraction
     rows: Float32[np.ndarray, "total_frames numbers"]
     skeleton: Skeleton
-    sequence_index: Int64[np.ndarray, "takes"]
-    source: Int64[np.ndarray, "takes"]
-    start_row: Int64[np.ndarray, "takes"]
-    num_frames: Int64[np.ndarray, "takes"]
-    keep_every: Int64[np.ndarray, "takes"]
+    sequence_index: PerTake
+    source: PerTake
+    start_row: PerTake
+    num_frames: PerTake
+    keep_every: PerTake
     skipped: int
 
     @property
@@ -41,20 +44,14 @@ class Takes:
         return int(self.rows.shape[1])
 
     def read(
-        self,
-        take: Int64[np.ndarray, "batch"],
-        first_native: Int64[np.ndarray, "batch"],
-        stride: Int64[np.ndarray, "batch"],
-        frames: Int64[np.ndarray, "batch frames"],
+        self, take: Batch, first_native: Batch, stride: Batch, frames: Int64[np.ndarray, "batch frames"]
     ) -> Float32[np.ndarray, "batch frames numbers"]:
         """World rows of every `stride`-th native frame, counted by `frames` from a native frame of their take."""
         row = self.start_row[take] + first_native
         world: Float32[np.ndarray, "batch frames numbers"] = self.rows[row[:, None] + frames * stride[:, None]]
         return world
 
-    def seconds_between(
-        self, take: Int64[np.ndarray, "batch"], stride: Int64[np.ndarray, "batch"]
-    ) -> Float64[np.ndarray, "batch"]:
+    def seconds_between(self, take: Batch, stride: Batch) -> Float64[np.ndarray, "batch"]:
         """Seconds from one to the next of every `stride`-th native frame."""
         return np.asarray(stride / (self.keep_every[take] * float(self.fps)))
 

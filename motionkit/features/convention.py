@@ -8,11 +8,22 @@ from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from motionkit.core.shapes import Float32, Float64
+from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import Skeleton
-from motionkit.fields.motion_field import Poses
+from motionkit.fields.motion_field import Poses, Times
 
 PoseVectorsName = Literal["field", "native", "rotations"]
+
+Values = Float32[np.ndarray, "windows poses *row"]
+"""What is kept of each frame."""
+Weight = Float32[np.ndarray, "windows poses"]
+Yaw = Float[np.ndarray, "windows"]
+"""Radians, of windows in the world."""
+Origin = Float[np.ndarray, "windows 2"]
+"""x and z in metres, of windows in the world."""
+Vectors = Float32[np.ndarray, "windows poses features"]
+Instants = Float64[np.ndarray, "instants"]
+InstantVectors = Float32[np.ndarray, "instants features"]
 
 
 @runtime_checkable
@@ -38,33 +49,18 @@ class PoseVectors(Protocol):
         """The values of the mirrored motion."""
         ...
 
-    def between(
-        self,
-        before: Float32[np.ndarray, "windows poses *row"],
-        after: Float32[np.ndarray, "windows poses *row"],
-        weight: Float32[np.ndarray, "windows poses"],
-    ) -> Float32[np.ndarray, "windows poses *row"]:
+    def between(self, before: Values, after: Values, weight: Weight) -> Values:
         """Interpolate between the values of two frames."""
         ...
 
-    def encode(
-        self,
-        values: Float32[np.ndarray, "windows poses *row"],
-        yaw: Float32[np.ndarray, "windows"],
-        origin: Float32[np.ndarray, "windows 2"],
-    ) -> Float32[np.ndarray, "windows poses features"]:
+    def encode(self, values: Values, yaw: Yaw, origin: Origin) -> Vectors:
         """Pose vectors in the frames of windows: yaw in radians, origin (x, z) in metres."""
         ...
 
-    def instants(self, seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "instants"]:
+    def instants(self, seconds: Times) -> Instants:
         """The ascending instants at which decoding needs vectors: `seconds`, or more than those."""
         ...
 
-    def decode(
-        self,
-        vectors: Float32[np.ndarray, "instants features"],
-        instants: Float64[np.ndarray, "instants"],
-        seconds: Float64[np.ndarray, "times"],
-    ) -> Poses:
+    def decode(self, vectors: InstantVectors, instants: Instants, seconds: Times) -> Poses:
         """Poses at `seconds` in the window's frame, from vectors at `instants(seconds)`."""
         ...

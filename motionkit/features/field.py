@@ -10,10 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from motionkit.core.mirror import mirror_positions
-from motionkit.core.shapes import Float, Float32, Float64
+from motionkit.core.shapes import Float, Float32
 from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.features.convention import Instants, InstantVectors, Origin, Values, Vectors, Weight, Yaw
 from motionkit.features.layout import FacingJoints, facing_direction, layout_of
-from motionkit.fields.motion_field import Poses
+from motionkit.fields.motion_field import Poses, Times
+
+Positions = Float[np.ndarray, "windows poses joints 3"]
 
 CONVENTION = "field"
 
@@ -44,11 +47,7 @@ def window_frame(
     return yaw.astype(np.float32), first_pose[:, 0, (0, 2)].astype(np.float32)
 
 
-def to_window(
-    joint_positions: Float[np.ndarray, "windows poses joints 3"],
-    yaw: Float[np.ndarray, "windows"],
-    origin: Float[np.ndarray, "windows 2"],
-) -> Float32[np.ndarray, "windows poses joints 3"]:
+def to_window(joint_positions: Positions, yaw: Yaw, origin: Origin) -> Float32[np.ndarray, "windows poses joints 3"]:
     """World positions → positions in each window's frame, metres."""
     # Sines of float32 angles differ in their last digit between processors.
     angle, dtype = yaw.astype(np.float64)[:, None, None], joint_positions.dtype
@@ -62,11 +61,7 @@ def to_window(
     return local
 
 
-def to_world(
-    window_positions: Float[np.ndarray, "windows poses joints 3"],
-    yaw: Float[np.ndarray, "windows"],
-    origin: Float[np.ndarray, "windows 2"],
-) -> Float32[np.ndarray, "windows poses joints 3"]:
+def to_world(window_positions: Positions, yaw: Yaw, origin: Origin) -> Float32[np.ndarray, "windows poses joints 3"]:
     """Positions in each window's frame → world positions, metres; the inverse of `to_window`."""
     sine, cosine = np.sin(yaw)[:, None, None], np.cos(yaw)[:, None, None]
     x, z = window_positions[..., 0], window_positions[..., 2]
@@ -77,11 +72,7 @@ def to_world(
     return world
 
 
-def encode(
-    joint_positions: Float[np.ndarray, "windows poses joints 3"],
-    yaw: Float[np.ndarray, "windows"],
-    origin: Float[np.ndarray, "windows 2"],
-) -> Float32[np.ndarray, "windows poses numbers"]:
+def encode(joint_positions: Positions, yaw: Yaw, origin: Origin) -> Float32[np.ndarray, "windows poses numbers"]:
     """World positions in metres → `field` vectors in the frames of `window_frame`."""
     local = to_window(joint_positions, yaw, origin)
     local[:, :, 1:] -= local[:, :, :1]
@@ -120,34 +111,19 @@ class FieldVectors:
         """x negated, left and right joints exchanged."""
         return mirror_positions(values, SMPL22.left_right_pairs)
 
-    def between(
-        self,
-        before: Float32[np.ndarray, "windows poses joints 3"],
-        after: Float32[np.ndarray, "windows poses joints 3"],
-        weight: Float32[np.ndarray, "windows poses"],
-    ) -> Float32[np.ndarray, "windows poses joints 3"]:
+    def between(self, before: Values, after: Values, weight: Weight) -> Values:
         """On straight lines."""
         return np.asarray(before + weight[..., None, None] * (after - before))
 
-    def encode(
-        self,
-        values: Float32[np.ndarray, "windows poses joints 3"],
-        yaw: Float32[np.ndarray, "windows"],
-        origin: Float32[np.ndarray, "windows 2"],
-    ) -> Float32[np.ndarray, "windows poses features"]:
+    def encode(self, values: Values, yaw: Yaw, origin: Origin) -> Vectors:
         """Root path in the window's frame, joints relative to the root."""
         return encode(values, yaw, origin)
 
-    def instants(self, seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times"]:
+    def instants(self, seconds: Times) -> Times:
         """`seconds` themselves: nothing is integrated."""
         return seconds
 
-    def decode(
-        self,
-        vectors: Float32[np.ndarray, "times features"],
-        instants: Float64[np.ndarray, "times"],
-        seconds: Float64[np.ndarray, "times"],
-    ) -> Poses:
+    def decode(self, vectors: InstantVectors, instants: Instants, seconds: Times) -> Poses:
         """Adds the root to the other joints."""
         return Poses(decode(vectors))
 

@@ -18,28 +18,24 @@ from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.features import field
 from motionkit.features.bones import bone_tree, rotations_6d
+from motionkit.features.convention import Instants, InstantVectors, Origin, Values, Vectors, Weight, Yaw
 from motionkit.features.layout import SMPL22_LAYOUT, PoseLayout, VectorLayout, pose_layout, smooth, to_z_half_angle
-from motionkit.fields.motion_field import Poses
+from motionkit.fields.motion_field import Poses, Times
+
+Joints = Float32[np.ndarray, "3 joints rows"]
+PerRow = Float32[np.ndarray, "rows"]
+RowsOut = Float32[np.ndarray, "numbers rows"]
 
 
 def turn(
-    vectors: Float32[np.ndarray, "3 *rest"],
-    cosine: Float32[np.ndarray, "rows"],
-    sine: Float32[np.ndarray, "rows"],
-    out: Float32[np.ndarray, "2 *rest"],
+    vectors: Float32[np.ndarray, "3 *rest"], cosine: PerRow, sine: PerRow, out: Float32[np.ndarray, "2 *rest"]
 ) -> None:
     """Write the x and z of vectors [x, y, z] rotated about Y by the angle of the given cosine and sine."""
     np.add(cosine * vectors[0], sine * vectors[2], out=out[0])
     np.subtract(cosine * vectors[2], sine * vectors[0], out=out[1])
 
 
-def fill_positions(
-    rows: Float32[np.ndarray, "numbers rows"],
-    joints: Float32[np.ndarray, "3 joints rows"],
-    cosine: Float32[np.ndarray, "rows"],
-    sine: Float32[np.ndarray, "rows"],
-    part: VectorLayout,
-) -> None:
+def fill_positions(rows: RowsOut, joints: Joints, cosine: PerRow, sine: PerRow, part: VectorLayout) -> None:
     """Write root height and root-relative joint positions, rotated so that each pose faces Z+."""
     num_rows = joints.shape[2]
     rows[part.root_height] = joints[1, 0]
@@ -50,13 +46,7 @@ def fill_positions(
     np.subtract(cosine * z, sine * x, out=relative[:, 2])
 
 
-def fill_joint_velocities(
-    rows: Float32[np.ndarray, "numbers rows"],
-    change: Float32[np.ndarray, "3 joints rows"],
-    cosine: Float32[np.ndarray, "rows"],
-    sine: Float32[np.ndarray, "rows"],
-    part: VectorLayout,
-) -> None:
+def fill_joint_velocities(rows: RowsOut, change: Joints, cosine: PerRow, sine: PerRow, part: VectorLayout) -> None:
     """Write the joints' displacements or velocities in the heading frame."""
     velocities = rows[part.joint_velocities].reshape(part.num_joints, 3, change.shape[2])
     turn(change, cosine, sine, out=velocities[:, ::2].transpose(1, 0, 2))
@@ -171,13 +161,13 @@ def _angle_to_z(
 
 
 def _block(
-    joints: Float32[np.ndarray, "3 joints rows"],
-    velocity: Float32[np.ndarray, "3 joints rows"],
+    joints: Joints,
+    velocity: Joints,
     angle: Float64[np.ndarray, "rows"],
-    rate: Float32[np.ndarray, "rows"],
+    rate: PerRow,
     body: PoseLayout,
     contact_speed: float,
-) -> Float32[np.ndarray, "numbers rows"]:
+) -> RowsOut:
     part = body.vector
     result = np.empty((part.size, len(angle)), dtype=np.float32)
     result[part.root_yaw_velocity] = rate
@@ -255,35 +245,20 @@ class NativeVectors:
         """The vectors of the mirrored motion."""
         return mirrored(values, SMPL22.name)
 
-    def between(
-        self,
-        before: Float32[np.ndarray, "windows poses features"],
-        after: Float32[np.ndarray, "windows poses features"],
-        weight: Float32[np.ndarray, "windows poses"],
-    ) -> Float32[np.ndarray, "windows poses features"]:
+    def between(self, before: Values, after: Values, weight: Weight) -> Values:
         """Linear, number by number."""
         return np.asarray(before + weight[..., None] * (after - before))
 
-    def encode(
-        self,
-        values: Float32[np.ndarray, "windows poses features"],
-        yaw: Float32[np.ndarray, "windows"],
-        origin: Float32[np.ndarray, "windows 2"],
-    ) -> Float32[np.ndarray, "windows poses features"]:
+    def encode(self, values: Values, yaw: Yaw, origin: Origin) -> Vectors:
         """Unchanged: they are vectors already."""
         return values
 
-    def instants(self, seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "instants"]:
+    def instants(self, seconds: Times) -> Instants:
         """All from the window's start, no more than 1/120 s apart: the path is integrated over them."""
         end = float(seconds.max(initial=0.0))
         return np.union1d(np.arange(0.0, end, SECONDS_BETWEEN_STEPS), seconds)
 
-    def decode(
-        self,
-        vectors: Float32[np.ndarray, "instants features"],
-        instants: Float64[np.ndarray, "instants"],
-        seconds: Float64[np.ndarray, "times"],
-    ) -> Poses:
+    def decode(self, vectors: InstantVectors, instants: Instants, seconds: Times) -> Poses:
         """Heading and path integrated over the time stamps; then into the frame in which the first pose faces Z+."""
         world = positions_at(vectors, SMPL22.name, instants)
         yaw, origin = field.window_frame(world[:1])

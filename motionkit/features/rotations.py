@@ -21,8 +21,11 @@ from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.features import field
+from motionkit.features.convention import Instants, InstantVectors, Origin, Values, Vectors, Weight, Yaw
 from motionkit.fields.joints import Joints
-from motionkit.fields.motion_field import Poses
+from motionkit.fields.motion_field import Poses, Times
+
+Rows = Float[np.ndarray, "windows poses numbers"]
 
 NAMES = (*SMPL22.joint_names, "left_hand", "right_hand")
 PARENTS = (*SMPL22.parents, SMPL22.index("left_wrist"), SMPL22.index("right_wrist"))
@@ -96,11 +99,7 @@ def two_columns(quaternions: Float[np.ndarray, "*poses joints 4"]) -> Float[np.n
     return np.ascontiguousarray(columns).reshape(*quaternions.shape[:-2], 6 * quaternions.shape[-2])
 
 
-def to_window(
-    vectors: Float[np.ndarray, "windows poses numbers"],
-    yaw: Float[np.ndarray, "windows"],
-    origin: Float[np.ndarray, "windows 2"],
-) -> Float32[np.ndarray, "windows poses numbers"]:
+def to_window(vectors: Rows, yaw: Yaw, origin: Origin) -> Float32[np.ndarray, "windows poses numbers"]:
     """World → window: subtract the origin (x, z in metres), then rotate the root by −yaw about +Y."""
     result = vectors.astype(np.float32)
     result[..., 0] -= origin[:, None, 0]
@@ -109,11 +108,7 @@ def to_window(
     return result
 
 
-def to_world(
-    vectors: Float[np.ndarray, "windows poses numbers"],
-    yaw: Float[np.ndarray, "windows"],
-    origin: Float[np.ndarray, "windows 2"],
-) -> Float32[np.ndarray, "windows poses numbers"]:
+def to_world(vectors: Rows, yaw: Yaw, origin: Origin) -> Float32[np.ndarray, "windows poses numbers"]:
     """Window → world: the inverse of `to_window`."""
     result = vectors.astype(np.float32)
     _turn(result, yaw)
@@ -148,7 +143,7 @@ def mirrored(
     return result
 
 
-def _turn(vectors: Float32[np.ndarray, "windows poses numbers"], yaw: Float[np.ndarray, "windows"]) -> None:
+def _turn(vectors: Float32[np.ndarray, "windows poses numbers"], yaw: Yaw) -> None:
     # The root's position and the two columns of its rotation, in place.
     sine, cosine = np.sin(yaw)[:, None, None], np.cos(yaw)[:, None, None]
     three = vectors[..., :9].reshape(*vectors.shape[:-1], 3, 3)
@@ -192,23 +187,13 @@ class RotationVectors:
         rotations = _quaternions(values)[..., partners, :] * TURN_BACK
         return np.concatenate((values[..., :3] * FLIP, rotations.reshape(values[..., 3:].shape)), axis=-1)
 
-    def between(
-        self,
-        before: Float32[np.ndarray, "windows poses row"],
-        after: Float32[np.ndarray, "windows poses row"],
-        weight: Float32[np.ndarray, "windows poses"],
-    ) -> Float32[np.ndarray, "windows poses row"]:
+    def between(self, before: Values, after: Values, weight: Weight) -> Values:
         """The root on a straight line, rotations on great arcs."""
         root = before[..., :3] + weight[..., None] * (after[..., :3] - before[..., :3])
         rotations = kinematics.quaternion_slerp(_quaternions(before), _quaternions(after), weight[..., None])
         return np.concatenate((root, rotations.reshape(before[..., 3:].shape)), axis=-1).astype(np.float32)
 
-    def encode(
-        self,
-        values: Float32[np.ndarray, "windows poses row"],
-        yaw: Float32[np.ndarray, "windows"],
-        origin: Float32[np.ndarray, "windows 2"],
-    ) -> Float32[np.ndarray, "windows poses features"]:
+    def encode(self, values: Values, yaw: Yaw, origin: Origin) -> Vectors:
         """Root position and rotation into the window's frame, quaternions into two columns."""
         root = field.to_window(values[..., None, :3], yaw, origin)[..., 0, :]
         rotations = _quaternions(values).copy()
@@ -217,16 +202,11 @@ class RotationVectors:
         rotations[..., 0, :] = kinematics.quaternion_multiply(back[:, None], rotations[..., 0, :])
         return np.concatenate((root, two_columns(rotations)), axis=-1).astype(np.float32)
 
-    def instants(self, seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times"]:
+    def instants(self, seconds: Times) -> Times:
         """`seconds` themselves: nothing is integrated."""
         return seconds
 
-    def decode(
-        self,
-        vectors: Float32[np.ndarray, "times features"],
-        instants: Float64[np.ndarray, "times"],
-        seconds: Float64[np.ndarray, "times"],
-    ) -> Poses:
+    def decode(self, vectors: InstantVectors, instants: Instants, seconds: Times) -> Poses:
         """The closest rotations to the two columns (Gram-Schmidt), and positions by forward kinematics."""
         rotations = kinematics.matrix_to_quaternion(kinematics.closest_rotations(vectors[:, 3:])).astype(np.float32)
         root = np.ascontiguousarray(vectors[:, :3], dtype=np.float32)

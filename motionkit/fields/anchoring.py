@@ -21,6 +21,7 @@ from motionkit.fields.motion_field import (
     MotionField,
     Observation,
     Poses,
+    Times,
     check_times,
 )
 
@@ -80,7 +81,7 @@ def anchored(field: MotionField, observation: Observation) -> DerivedField:
         knots = np.concatenate(([times[0] - 1.0], times, [times[-1] + 1.0]))
         return PchipInterpolator(knots, np.concatenate((missed[:1], missed, missed[-1:])))
 
-    def corrected(times: Float64[np.ndarray, "times"]) -> Poses:
+    def corrected(times: Times) -> Poses:
         poses = field.query(times)
         steps = np.asarray(offsets()(np.clip(times, *offsets().x[[0, -1]])))
         if on_rotations(poses):

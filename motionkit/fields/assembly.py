@@ -16,7 +16,7 @@ from motionkit.core.kinematics import quaternion_multiply, quaternion_rotate, qu
 from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.joints import Joints
-from motionkit.fields.motion_field import MotionField, Poses, at_fps, check_times, contacts_of
+from motionkit.fields.motion_field import MotionField, Poses, Times, at_fps, check_times, contacts_of
 
 SHORTEST_OVERLAP_SECONDS = 1e-3
 _TIMES_TO_FIT = 16
@@ -40,12 +40,12 @@ class Piece:
         """End time in the longer motion."""
         return self.start_seconds + self.field.end_seconds - self.field.start_seconds
 
-    def own_seconds(self, times_seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times"]:
+    def own_seconds(self, times_seconds: Times) -> Times:
         """Converts times of the longer motion to times of the field."""
         own = times_seconds - self.start_seconds + self.field.start_seconds
         return np.clip(own, self.field.start_seconds, self.field.end_seconds)
 
-    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
+    def query(self, times_seconds: Times) -> Poses:
         """Poses in the world at times of the longer motion."""
         poses = self.field.query(self.own_seconds(times_seconds))
         if self.yaw == 0.0 and self.origin == (0.0, 0.0):
@@ -96,7 +96,7 @@ class AssembledField:
         """The same motion, all pieces sampled at this framerate."""
         return replace(self, pieces=tuple(replace(piece, field=at_fps(piece.field, fps)) for piece in self.pieces))
 
-    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
+    def query(self, times_seconds: Times) -> Poses:
         """Poses at any times inside the domain, in any order; raises `ValueError` outside it.
 
         Each piece is evaluated once, at its own times only.
@@ -121,7 +121,7 @@ class AssembledField:
         assert result is not None
         return result
 
-    def contacts(self, times_seconds: Float64[np.ndarray, "times"]) -> Float32[np.ndarray, "times 2 2"] | None:
+    def contacts(self, times_seconds: Times) -> Float32[np.ndarray, "times 2 2"] | None:
         """Contact probabilities (`PredictsContacts`): the more confident of two pieces where they overlap.
 
         None if a piece doesn't predict contacts.
@@ -136,9 +136,7 @@ class AssembledField:
             result[rows] = np.maximum(result[rows], probabilities)
         return result
 
-    def _fades(
-        self, times: Float64[np.ndarray, "times"]
-    ) -> tuple[Int64[np.ndarray, "times"], Float64[np.ndarray, "times"]]:
+    def _fades(self, times: Times) -> tuple[Int64[np.ndarray, "times"], Times]:
         """The first piece at each time, and the weight of the one after it: 0 outside their fade."""
         first = np.searchsorted(self.fade_end, times, side="right")
         start = np.append(self.fade_start, np.inf)[first]
@@ -147,7 +145,7 @@ class AssembledField:
         return first.astype(np.int64), u**3 * (u * (6.0 * u - 15.0) + 10.0)
 
     def _rows_of_pieces(
-        self, first: Int64[np.ndarray, "times"], weight: Float64[np.ndarray, "times"]
+        self, first: Int64[np.ndarray, "times"], weight: Times
     ) -> Iterator[tuple[int, Int64[np.ndarray, "rows"]]]:
         """The pieces that are needed, in order, and at which of the times."""
         fading = weight > 0.0
@@ -253,7 +251,7 @@ def _laid_over(
     return yaw, (float(x), float(z))
 
 
-def _mixed(a: Poses, b: Poses, weight: Float64[np.ndarray, "times"], skeleton: Skeleton) -> Poses:
+def _mixed(a: Poses, b: Poses, weight: Times, skeleton: Skeleton) -> Poses:
     one = weight[:, None]
 
     def lerp(

@@ -17,7 +17,7 @@ from motionkit.core.kinematics import quaternion_between, quaternion_rotate, rot
 from motionkit.core.shapes import Float, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.fields.joints import turned_rotations
-from motionkit.fields.motion_field import MotionField, Poses, at_fps, check_times, query_in_blocks
+from motionkit.fields.motion_field import MotionField, Poses, Times, at_fps, check_times, query_in_blocks
 from motionkit.fields.resample import kernel_matrix, kernel_shape
 
 GRID_FPS = 120
@@ -364,7 +364,7 @@ class DetailedField:
         """The same motion for this framerate, without frequencies above its Nyquist frequency."""
         return replace(self, field=at_fps(self.field, fps), fps=fps)
 
-    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
+    def query(self, times_seconds: Times) -> Poses:
         """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
         check_times(self, times_seconds)
         if self.fps is not None and self.fps <= 2 * EDGES_HZ[0]:
@@ -373,7 +373,7 @@ class DetailedField:
             lambda times: displaced(self.field.query(times), self.steps(times), self.skeleton), times_seconds
         )
 
-    def steps(self, times_seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times joints 3"]:
+    def steps(self, times_seconds: Times) -> Float64[np.ndarray, "times joints 3"]:
         """Joint displacements before projection onto bones, metres."""
         reach, cutoff = kernel_shape(max(Fraction(1), Fraction(GRID_FPS) / (self.fps or GRID_FPS)))
         # Nothing is added beyond both ends.

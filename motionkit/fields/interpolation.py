@@ -32,6 +32,7 @@ from motionkit.fields.motion_field import (
     DerivedField,
     Observation,
     Poses,
+    Times,
     check_observed_alike,
     check_times,
     continuous_rotations,
@@ -44,6 +45,11 @@ if TYPE_CHECKING:
 Method = Literal["hold", "linear", "catmull-rom", "cubic", "slerp", "rotation-catmull-rom", "squad", "rotation-cubic"]
 CurveKind = Literal["linear", "catmull-rom", "cubic"]
 RotationKind = Literal["slerp", "catmull-rom", "squad", "cubic"]
+
+Knots = Float64[np.ndarray, "frames"]
+Quaternions = Float64[np.ndarray, "frames joints 4"]
+Segments = Int[np.ndarray, "times"]
+Fractions = Float64[np.ndarray, "times 1"]
 
 # An instant this close to an observed one is that one: time stamps are rounded to float64, frames are not.
 SNAP_SECONDS = 1e-8
@@ -58,7 +64,7 @@ class Curve:
     first_seconds: float
     last_seconds: float
 
-    def __call__(self, times_seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times *rest"]:
+    def __call__(self, times_seconds: Times) -> Float64[np.ndarray, "times *rest"]:
         """Values at any times, in any order."""
         values = self.clamped(times_seconds)
         ends = np.clip(times_seconds, self.first_seconds, self.last_seconds)
@@ -68,14 +74,12 @@ class Curve:
             values[outside] += beyond * np.asarray(self.polynomial(ends[outside], 1))
         return values
 
-    def clamped(self, times_seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times *rest"]:
+    def clamped(self, times_seconds: Times) -> Float64[np.ndarray, "times *rest"]:
         """Values at any times, the end values beyond both ends."""
         return np.asarray(self.polynomial(np.clip(times_seconds, self.first_seconds, self.last_seconds)))
 
 
-def curve(
-    kind: CurveKind, times_seconds: Float64[np.ndarray, "frames"], values: Float[np.ndarray, "frames *rest"]
-) -> Curve:
+def curve(kind: CurveKind, times_seconds: Knots, values: Float[np.ndarray, "frames *rest"]) -> Curve:
     """A curve through `values` at strictly increasing times; a single one is constant."""
     from scipy.interpolate import CubicHermiteSpline, CubicSpline, PPoly
 
@@ -102,7 +106,7 @@ def inner_rates(gaps: Any, slopes: Any) -> Any:
 
 
 def knot_rates(
-    times_seconds: Float64[np.ndarray, "frames"], steps: Float64[np.ndarray, "segments *rest"]
+    times_seconds: Knots, steps: Float64[np.ndarray, "segments *rest"]
 ) -> Float64[np.ndarray, "frames *rest"]:
     """Catmull-Rom rates per second at all knots, from the steps between them; at both ends those of the outer steps."""
     gaps = np.diff(times_seconds).reshape(-1, *(1,) * (steps.ndim - 1))
@@ -111,18 +115,18 @@ def knot_rates(
 
 
 # Rotations [times, joints, 4] inside segments [times], at a fraction of each [times, 1].
-Between = Callable[[Int[np.ndarray, "times"], Float64[np.ndarray, "times 1"]], np.ndarray]
+Between = Callable[[Segments, Fractions], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
 class RotationCurve:
     """Rotations between knots by `between(segment, fraction of it)`, and the end rates beyond."""
 
-    times_seconds: Float64[np.ndarray, "frames"]
+    times_seconds: Knots
     between: Between
     end_rates: Float64[np.ndarray, "2 joints 3"]
 
-    def __call__(self, times_seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times joints 4"]:
+    def __call__(self, times_seconds: Times) -> Float64[np.ndarray, "times joints 4"]:
         """Unit quaternions at any times, in any order."""
         knots = self.times_seconds
         inside = np.clip(times_seconds, knots[0], knots[-1])
@@ -138,9 +142,7 @@ class RotationCurve:
         return rotations
 
 
-def rotation_curve(
-    kind: RotationKind, times_seconds: Float64[np.ndarray, "frames"], rotations: Float64[np.ndarray, "frames joints 4"]
-) -> RotationCurve:
+def rotation_curve(kind: RotationKind, times_seconds: Knots, rotations: Quaternions) -> RotationCurve:
     """A curve through rotations at strictly increasing times; a single one is constant."""
     times = times_seconds
     if len(rotations) == 1:
@@ -161,13 +163,13 @@ def rotation_curve(
     return RotationCurve(times, between, rates[[0, -1]])
 
 
-def _turns(q: Float64[np.ndarray, "frames joints 4"]) -> Float64[np.ndarray, "segments joints 3"]:
+def _turns(q: Quaternions) -> Float64[np.ndarray, "segments joints 3"]:
     """log(q_i⁻¹·q_{i+1}): the shortest rotation from each one to the next, in the joint's own frame, radians."""
     return quaternion_to_rotation_vector(quaternion_multiply(quaternion_conjugate(q[:-1]), q[1:]))
 
 
 def _catmull_rom(
-    q: Float64[np.ndarray, "frames joints 4"],
+    q: Quaternions,
     turns: Float64[np.ndarray, "segments joints 3"],
     rates: Float64[np.ndarray, "frames joints 3"],
     gaps: Float64[np.ndarray, "segments"],
@@ -178,7 +180,7 @@ def _catmull_rom(
     middle = quaternion_multiply(quaternion_multiply(exp(-first), exp(turns)), exp(-third))
     second = quaternion_to_rotation_vector(middle)
 
-    def between(segment: Int[np.ndarray, "times"], fraction: Float64[np.ndarray, "times 1"]) -> np.ndarray:
+    def between(segment: Segments, fraction: Fractions) -> np.ndarray:
         u = fraction[..., None]
         result = quaternion_multiply(q[segment], exp(first[segment] * (1.0 - (1.0 - u) ** 3)))
         result = quaternion_multiply(result, exp(second[segment] * (u * u * (3.0 - 2.0 * u))))
@@ -188,7 +190,7 @@ def _catmull_rom(
 
 
 def _squad(
-    q: Float64[np.ndarray, "frames joints 4"],
+    q: Quaternions,
     turns: Float64[np.ndarray, "segments joints 3"],
     rates: Float64[np.ndarray, "frames joints 3"],
     gaps: Float64[np.ndarray, "segments"],
@@ -202,7 +204,7 @@ def _squad(
     leaving = quaternion_multiply(q[:-1], rotation_vector_to_quaternion((lengths * rates[:-1] - turns) / 2.0))
     reaching = quaternion_multiply(q[1:], rotation_vector_to_quaternion((turns - lengths * rates[1:]) / 2.0))
 
-    def between(segment: Int[np.ndarray, "times"], fraction: Float64[np.ndarray, "times 1"]) -> np.ndarray:
+    def between(segment: Segments, fraction: Fractions) -> np.ndarray:
         chord = quaternion_slerp(q[segment], q[segment + 1], fraction)
         inner = quaternion_slerp(leaving[segment], reaching[segment], fraction)
         return quaternion_slerp(chord, inner, 2.0 * fraction * (1.0 - fraction))
@@ -210,13 +212,13 @@ def _squad(
     return between
 
 
-def _rotation_spline(times: Float64[np.ndarray, "frames"], q: Float64[np.ndarray, "frames joints 4"]) -> RotationCurve:
+def _rotation_spline(times: Knots, q: Quaternions) -> RotationCurve:
     """scipy's cubic rotation spline: continuous angular velocity and acceleration."""
     from scipy.spatial.transform import Rotation, RotationSpline
 
     splines = [RotationSpline(times, Rotation.from_quat(q[:, joint], scalar_first=True)) for joint in range(q.shape[1])]
 
-    def between(segment: Int[np.ndarray, "times"], fraction: Float64[np.ndarray, "times 1"]) -> np.ndarray:
+    def between(segment: Segments, fraction: Fractions) -> np.ndarray:
         instants = times[segment] + fraction[:, 0] * (times[segment + 1] - times[segment])
         result = np.stack([spline(instants).as_quat(scalar_first=True) for spline in splines], axis=1)
         # scipy's signs are arbitrary: the knot's are continuous.
@@ -226,7 +228,7 @@ def _rotation_spline(times: Float64[np.ndarray, "frames"], q: Float64[np.ndarray
 
 
 # Poses of several motions at the same times, a `Poses` for each motion.
-PosesAt = Callable[[Float64[np.ndarray, "times"]], list[Poses]]
+PosesAt = Callable[[Times], list[Poses]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,7 +245,7 @@ class InterpolatedField:
         """The observation's skeleton."""
         return self.observation.skeleton
 
-    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
+    def query(self, times_seconds: Times) -> Poses:
         """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
         check_times(self, times_seconds)
         times = _snapped(times_seconds, self.observation.times_seconds)
@@ -273,9 +275,7 @@ class Interpolator:
         start, end = observation.start_seconds - before_seconds, observation.end_seconds + after_seconds
         return InterpolatedField(observation, self, start, end)
 
-    def query_many(
-        self, observations: Sequence[Observation], times_seconds: Float64[np.ndarray, "times"]
-    ) -> list[Poses]:
+    def query_many(self, observations: Sequence[Observation], times_seconds: Times) -> list[Poses]:
         """Poses of each motion at the same times, inside the observed span or beyond it, as its own field gives them.
 
         Raises `ValueError` for motions that are not observed at the same times, or have other joints.
@@ -301,7 +301,7 @@ def interpolator_of(method: Method) -> Interpolator:
 def _hold(observations: Sequence[Observation]) -> PosesAt:
     """Each pose until the next one (zero-order hold)."""
 
-    def poses_at(times: Float64[np.ndarray, "times"]) -> list[Poses]:
+    def poses_at(times: Times) -> list[Poses]:
         rows = np.maximum(np.searchsorted(observations[0].times_seconds, times, side="right") - 1, 0)
         return [observation.poses.rows(rows) for observation in observations]
 
@@ -313,7 +313,7 @@ def _on_positions(kind: CurveKind) -> Callable[[Sequence[Observation]], PosesAt]
         observed = np.stack([observation.poses.joint_positions for observation in observations], axis=1)
         positions = curve(kind, observations[0].times_seconds, observed)
 
-        def poses_at(times: Float64[np.ndarray, "times"]) -> list[Poses]:
+        def poses_at(times: Times) -> list[Poses]:
             found = positions(times).astype(np.float32)
             return [Poses(np.ascontiguousarray(found[:, motion])) for motion in range(len(observations))]
 
@@ -342,7 +342,7 @@ def _on_rotations(rotation_kind: RotationKind, root_kind: CurveKind) -> Callable
             for observation in observations
         ]
 
-        def poses_at(times: Float64[np.ndarray, "times"]) -> list[Poses]:
+        def poses_at(times: Times) -> list[Poses]:
             turned = rotations(times).reshape(len(times), *shape)
             bones_then = bones.clamped(times)
             if travels.any():
@@ -379,9 +379,7 @@ INTERPOLATORS: dict[Method, Interpolator] = {
 }
 
 
-def _snapped(
-    times: Float64[np.ndarray, "times"], observed: Float64[np.ndarray, "frames"]
-) -> Float64[np.ndarray, "times"]:
+def _snapped(times: Times, observed: Knots) -> Times:
     after = np.searchsorted(observed, times)
     above = observed[np.minimum(after, len(observed) - 1)]
     below = observed[np.maximum(after - 1, 0)]
@@ -419,7 +417,7 @@ class Settling:
             after_seconds=min(after_seconds, longest),
         )
 
-        def settling(times: Float64[np.ndarray, "times"]) -> Poses:
+        def settling(times: Times) -> Poses:
             inside = np.clip(times, observation.start_seconds, observation.end_seconds)
             outside = np.flatnonzero(inside != times)
             poses = between.query(inside)
@@ -433,13 +431,7 @@ class Settling:
             lambda _: self.encode(observation, before_seconds=before_seconds, after_seconds=after_seconds),
         )
 
-    def _settled(
-        self,
-        beyond: InterpolatedField,
-        ends: Float64[np.ndarray, "times"],
-        reach: Float64[np.ndarray, "times"],
-        like: Poses,
-    ) -> Poses:
+    def _settled(self, beyond: InterpolatedField, ends: Times, reach: Times, like: Poses) -> Poses:
         """Poses `reach` seconds beyond the ends: those of `beyond`, which has rotations, at slowed times."""
 
         def slowed(seconds: float) -> Poses:

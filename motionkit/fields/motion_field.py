@@ -18,6 +18,8 @@ from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid, num_frames_within
 
 TIMES_AT_ONCE = 4096
+Times = Float64[np.ndarray, "times"]
+"""Seconds, in any order."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +200,7 @@ class MotionField(Protocol):
         """Last instant of the domain."""
         ...
 
-    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
+    def query(self, times_seconds: Times) -> Poses:
         """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
         ...
 
@@ -226,9 +228,7 @@ class MotionEncoder(Protocol):
 class BatchEncoder(Protocol):
     """An encoder that can also evaluate a batch of motions that were observed at the same times."""
 
-    def query_many(
-        self, observations: Sequence[Observation], times_seconds: Float64[np.ndarray, "times"]
-    ) -> list[Poses]:
+    def query_many(self, observations: Sequence[Observation], times_seconds: Times) -> list[Poses]:
         """For each motion the poses that its own field, reaching as far as is asked, has at these times.
 
         Raises `ValueError` for motions that are not observed at the same times or differ in their joints, and where
@@ -250,14 +250,12 @@ class FramerateConditioned(Protocol):
 class PredictsContacts(Protocol):
     """A motion field whose model also predicts which feet touch the ground."""
 
-    def contacts(self, times_seconds: Float64[np.ndarray, "times"]) -> Float32[np.ndarray, "times 2 2"] | None:
+    def contacts(self, times_seconds: Times) -> Float32[np.ndarray, "times 2 2"] | None:
         """Contact probabilities of ankle and toe of left and right foot; None if not available."""
         ...
 
 
-def contacts_of(
-    field: MotionField, times_seconds: Float64[np.ndarray, "times"]
-) -> Float32[np.ndarray, "times 2 2"] | None:
+def contacts_of(field: MotionField, times_seconds: Times) -> Float32[np.ndarray, "times 2 2"] | None:
     """A field's predicted contacts; None if it has none."""
     return field.contacts(times_seconds) if isinstance(field, PredictsContacts) else None
 
@@ -271,7 +269,7 @@ class DerivedField:
     """
 
     field: MotionField
-    compute: Callable[[Float64[np.ndarray, "times"]], Poses]
+    compute: Callable[[Times], Poses]
     derive: Callable[[MotionField], MotionField]
 
     @property
@@ -293,19 +291,17 @@ class DerivedField:
         """Derived from the other field at this framerate."""
         return self.derive(at_fps(self.field, fps))
 
-    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
+    def query(self, times_seconds: Times) -> Poses:
         """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
         check_times(self, times_seconds)
         return self.compute(times_seconds)
 
-    def contacts(self, times_seconds: Float64[np.ndarray, "times"]) -> Float32[np.ndarray, "times 2 2"] | None:
+    def contacts(self, times_seconds: Times) -> Float32[np.ndarray, "times 2 2"] | None:
         """The other field's predicted contacts, if any."""
         return contacts_of(self.field, times_seconds)
 
 
-def query_in_blocks(
-    query: Callable[[Float64[np.ndarray, "times"]], Poses], times_seconds: Float64[np.ndarray, "times"]
-) -> Poses:
+def query_in_blocks(query: Callable[[Times], Poses], times_seconds: Times) -> Poses:
     """`query` for some thousand times at once, so that its intermediate arrays stay in the processor's cache."""
     if len(times_seconds) <= TIMES_AT_ONCE:
         return query(times_seconds)
@@ -318,7 +314,7 @@ def query_in_blocks(
     return result
 
 
-def check_times(field: MotionField, times_seconds: Float64[np.ndarray, "times"]) -> None:
+def check_times(field: MotionField, times_seconds: Times) -> None:
     """Raise `ValueError` for times outside the field's domain (a microsecond of rounding is allowed)."""
     inside = (times_seconds >= field.start_seconds - 1e-6) & (times_seconds <= field.end_seconds + 1e-6)
     if not inside.all():

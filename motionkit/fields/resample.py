@@ -18,7 +18,7 @@ from motionkit.core.timegrid import TimeGrid, num_frames_within
 from motionkit.fields.completion import upsample
 from motionkit.fields.interpolation import Method, interpolator_of
 from motionkit.fields.joints import Joints
-from motionkit.fields.motion_field import Poses
+from motionkit.fields.motion_field import Poses, Times
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -114,11 +114,7 @@ def _resample(
 
 
 def kernel_matrix(
-    sample: Int64[np.ndarray, "times"],
-    fraction: Float64[np.ndarray, "times"],
-    num_samples: int,
-    reach: int,
-    cutoff: float,
+    sample: Int64[np.ndarray, "times"], fraction: Times, num_samples: int, reach: int, cutoff: float
 ) -> "csr_array":
     """The sparse matrix [times, num_samples] that evaluates samples `fraction` of a sample after sample `sample`.
 

@@ -19,11 +19,11 @@ from motionkit.core.kinematics import (
     quaternion_multiply,
     quaternion_rotate,
 )
-from motionkit.core.shapes import Float32, Float64
+from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.interpolation import INTERPOLATORS, Settling
 from motionkit.fields.joints import Joints
-from motionkit.fields.motion_field import DerivedField, MotionField, Observation, Poses
+from motionkit.fields.motion_field import DerivedField, MotionField, Observation, Poses, Times
 
 _FRAMES_TO_ESTIMATE_FROM = 500
 _MOVING_METRES, _TURNING = 1e-4, 1e-6
@@ -87,7 +87,7 @@ def on_bones(field: MotionField, observation: Observation) -> MotionField:
     )
     rig = Rig.of(observation)
 
-    def on_rig(times: Float64[np.ndarray, "times"]) -> Poses:
+    def on_rig(times: Times) -> Poses:
         aims = field.query(times).joint_positions
         poses = own.query(np.clip(times, own.start_seconds, own.end_seconds))
         positions, rotations = _pointed(poses, aims, rig)

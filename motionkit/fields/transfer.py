@@ -21,7 +21,7 @@ from motionkit.core.skeletons.mapping import joint_map, map_joints
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.joints import Joints, with_rotations
-from motionkit.fields.motion_field import MotionEncoder, MotionField, Observation, Poses, at_fps, query_in_blocks
+from motionkit.fields.motion_field import MotionEncoder, MotionField, Observation, Poses, Times, at_fps, query_in_blocks
 from motionkit.fields.rig import Rig
 
 _SMALLEST_WEIGHT = 0.5
@@ -100,11 +100,11 @@ class TransferredField:
             self.own, at_fps(self.model, fps), self.base, self.counterparts, self.moved_joint, self.like
         )
 
-    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
+    def query(self, times_seconds: Times) -> Poses:
         """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
         return query_in_blocks(self._poses, times_seconds)
 
-    def _poses(self, times: Float64[np.ndarray, "times"]) -> Poses:
+    def _poses(self, times: Times) -> Poses:
         own, model, base = (field.query(times) for field in (self.own, self.model, self.base))
         skeleton = self.own.skeleton
         joints = Joints.of(own, skeleton)

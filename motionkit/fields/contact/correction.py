@@ -1,4 +1,5 @@
 """The foot-sliding correction as a function of time: offsets of the body and of both feet.
+from motionkit.fields.motion_field import Times
 
 The offsets are the solution of a banded least-squares problem along time, linear in its length. The unknowns at every
 sample of the grid are the body's offset r and each foot's additional offset f. The objective asks for velocities that
@@ -17,12 +18,17 @@ from motionkit.fields.contact.detection import (
     CAPTURED,
     GENERATED,
     Contacts,
+    EndMask,
+    FootPaths,
     Ground,
+    PerEnd,
+    PerFoot,
     find_contacts,
     ground_of,
     runs,
     smoothstep,
 )
+from motionkit.fields.motion_field import Times
 
 Path = Literal["near", "free", "kept"]
 """Whether the body returns to its path, may end elsewhere (where its planted feet carry it), or stays on its path.
@@ -85,7 +91,7 @@ class Correction:
     contacts: Contacts
     offsets: Float64[np.ndarray, "instants 3 3"]
 
-    def at(self, times_seconds: Float64[np.ndarray, "times"]) -> Float64[np.ndarray, "times 3 3"]:
+    def at(self, times_seconds: Times) -> Float64[np.ndarray, "times 3 3"]:
         """The offsets at any times, by C1 cubic interpolation; constant before the first sample and after the last."""
         values = self.offsets
         if len(values) == 1:
@@ -105,11 +111,7 @@ class Correction:
 
 
 def find_correction(
-    paths: Float64[np.ndarray, "instants feet ends 3"],
-    start_seconds: float,
-    fps: float,
-    path: Path,
-    predicted: Bool[np.ndarray, "instants feet ends"] | None = None,
+    paths: FootPaths, start_seconds: float, fps: float, path: Path, predicted: EndMask | None = None
 ) -> Correction:
     """The correction of a motion whose ankles and toes have these paths.
 
@@ -123,7 +125,7 @@ def find_correction(
 
 
 def offsets_of(
-    paths: Float64[np.ndarray, "instants feet ends 3"], contacts: Contacts, ground: Ground, fps: float, path: Path
+    paths: FootPaths, contacts: Contacts, ground: Ground, fps: float, path: Path
 ) -> Float64[np.ndarray, "instants 3 3"]:
     """The offsets of body, left and right foot at every sample of the grid, metres."""
     found = np.zeros((len(paths), 3, 3))
@@ -161,11 +163,7 @@ def _level_offsets(contacts: Contacts, fps: float, path: Path) -> Float64[np.nda
 
 
 def _carried(
-    wanted: Float64[np.ndarray, "steps feet 2"],
-    hold: Float64[np.ndarray, "instants feet"],
-    lead: Float64[np.ndarray, "instants feet"],
-    fps: float,
-    costs: Costs,
+    wanted: Float64[np.ndarray, "steps feet 2"], hold: PerFoot, lead: PerFoot, fps: float, costs: Costs
 ) -> Float64[np.ndarray, "instants 3 2"]:
     """Offsets that compensate these velocities while feet are held: the body's first, then the feet's again."""
     both = np.minimum(hold[1:], hold[:-1])
@@ -178,9 +176,7 @@ def _carried(
     return found
 
 
-def _within_reach(
-    feet: Float64[np.ndarray, "instants feet 2"], contacts: Contacts, path: Path
-) -> Float64[np.ndarray, "instants feet"]:
+def _within_reach(feet: Float64[np.ndarray, "instants feet 2"], contacts: Contacts, path: Path) -> PerFoot:
     """1 if a foot stays near its original offset from the body, 0 if far; per whole contact for captures."""
     distance = np.hypot(feet[..., 0], feet[..., 1])
     if path == "near":
@@ -188,9 +184,7 @@ def _within_reach(
     return 1.0 - smoothstep(distance, *REACH_METRES[path])
 
 
-def _largest(
-    values: Float64[np.ndarray, "instants feet"], during: Bool[np.ndarray, "instants feet"]
-) -> Float64[np.ndarray, "instants feet"]:
+def _largest(values: PerFoot, during: Bool[np.ndarray, "instants feet"]) -> PerFoot:
     """Each segment's maximum over the whole segment; 0 between."""
     found = np.zeros_like(values)
     for foot in range(2):
@@ -201,9 +195,7 @@ def _largest(
     return found
 
 
-def _lowest(
-    heights: Float64[np.ndarray, "instants feet ends"], contacts: Contacts, ground: Ground, path: Path
-) -> Float64[np.ndarray, "instants feet ends"]:
+def _lowest(heights: PerEnd, contacts: Contacts, ground: Ground, path: Path) -> PerEnd:
     """Lowest allowed foot height: the feet's level if the motion slides, the range of real feet otherwise.
 
     With a free path (generated motion) there is one floor, the lower foot's level. Captured feet may be far below
@@ -220,12 +212,8 @@ def _lowest(
 
 
 def _heights(
-    height: Float64[np.ndarray, "instants feet ends"],
-    raised: Float64[np.ndarray, "instants feet"],
-    lowest: Float64[np.ndarray, "instants feet ends"],
-    contacts: Contacts,
-    ground: Ground,
-) -> tuple[Float64[np.ndarray, "instants feet"], Float64[np.ndarray, "instants feet"]]:
+    height: PerEnd, raised: PerFoot, lowest: PerEnd, contacts: Contacts, ground: Ground
+) -> tuple[PerFoot, PerFoot]:
     """Target rise of each foot and its weight: for the lower end of a planted foot, and any end below the ground.
 
     Ends count as below the ground before or after they have been `raised`.
@@ -248,12 +236,10 @@ class Wishes:
     velocity: Float64[np.ndarray, "steps feet axes"]
     velocity_weight: Float64[np.ndarray, "steps feet"]
     place: Float64[np.ndarray, "instants feet axes"]
-    place_weight: Float64[np.ndarray, "instants feet"]
+    place_weight: PerFoot
 
 
-def solve_offsets(
-    wishes: Wishes, down: Float64[np.ndarray, "instants feet"], fps: float, costs: Costs
-) -> Float64[np.ndarray, "instants 3 axes"]:
+def solve_offsets(wishes: Wishes, down: PerFoot, fps: float, costs: Costs) -> Float64[np.ndarray, "instants 3 axes"]:
     """The least-cost offsets of body, left and right foot, metres; a foot's total offset is body plus foot."""
     from scipy.linalg import solveh_banded
 

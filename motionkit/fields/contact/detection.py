@@ -12,6 +12,11 @@ import numpy as np
 
 from motionkit.core.shapes import Bool, Float, Float64, Int64
 
+FootPaths = Float64[np.ndarray, "instants feet ends 3"]
+PerFoot = Float64[np.ndarray, "instants feet"]
+PerEnd = Float64[np.ndarray, "instants feet ends"]
+EndMask = Bool[np.ndarray, "instants feet ends"]
+
 LEVEL_QUANTILE, LEVEL_METRES = 0.05, 0.06
 MOST_BETWEEN_FEET_METRES = 0.04
 GROUND_METRES, GROUND_SECONDS = 0.12, 1.0
@@ -64,12 +69,12 @@ class Contacts:
     as real feet do: sliding is then possibly intended, as in dancing.
     """
 
-    down: Bool[np.ndarray, "instants feet ends"]
-    sliding: Float64[np.ndarray, "instants feet"]
+    down: EndMask
+    sliding: PerFoot
     velocity: Float64[np.ndarray, "instants feet 3"]
-    hold: Float64[np.ndarray, "instants feet"]
-    lead: Float64[np.ndarray, "instants feet"]
-    beside: Float64[np.ndarray, "instants feet"]
+    hold: PerFoot
+    lead: PerFoot
+    beside: PerFoot
 
     @classmethod
     def none(cls, count: int) -> "Contacts":
@@ -108,11 +113,7 @@ def ground_of(paths: Float[np.ndarray, "instants feet ends 3"], fps: float) -> G
 
 
 def find_contacts(
-    paths: Float64[np.ndarray, "instants feet ends 3"],
-    fps: float,
-    ground: Ground,
-    predicted: Bool[np.ndarray, "instants feet ends"] | None = None,
-    limits: Limits = CAPTURED,
+    paths: FootPaths, fps: float, ground: Ground, predicted: EndMask | None = None, limits: Limits = CAPTURED
 ) -> Contacts:
     """Contacts of foot joints sampled at `fps`: the `predicted` ones, else detected from their paths."""
     velocity = velocities(paths, fps)
@@ -138,9 +139,7 @@ def runs(mask: Bool[np.ndarray, "instants"]) -> tuple[Int64[np.ndarray, "runs"],
     return changes[::2], changes[1::2]
 
 
-def velocities(
-    paths: Float64[np.ndarray, "instants feet ends 3"], fps: float
-) -> Float64[np.ndarray, "instants feet ends 3"]:
+def velocities(paths: FootPaths, fps: float) -> FootPaths:
     """Central differences over about 0.05 s; at both ends the nearest such difference."""
     reach = max(1, round(SPEED_SECONDS * fps / 2))
     count = len(paths)
@@ -157,9 +156,7 @@ def _lengths(vectors: Float64[np.ndarray, "*shape 3"]) -> Float64[np.ndarray, "*
     return np.asarray(np.sqrt(np.einsum("...x,...x->...", vectors, vectors)))
 
 
-def _above_ground(
-    height: Float64[np.ndarray, "instants feet ends"], fps: float
-) -> Float64[np.ndarray, "instants feet ends"]:
+def _above_ground(height: PerEnd, fps: float) -> PerEnd:
     """Heights above the feet's lowest point within a second, if that is close to their level."""
     from scipy.ndimage import minimum_filter1d, uniform_filter1d
 
@@ -169,12 +166,7 @@ def _above_ground(
     return np.asarray(height - ground[:, None, None])
 
 
-def _down(
-    height: Float64[np.ndarray, "instants feet ends"],
-    speed: Float64[np.ndarray, "instants feet ends"],
-    fps: float,
-    kind: int,
-) -> Bool[np.ndarray, "instants feet ends"]:
+def _down(height: PerEnd, speed: PerEnd, fps: float, kind: int) -> EndMask:
     """Joints in contact, with the limits for standing (0) to sliding (1) feet.
 
     Hysteresis: while a joint stays within the wider limits, if it is within the narrower ones once.
@@ -188,7 +180,7 @@ def _down(
     return _cleaned(down, fps)
 
 
-def _cleaned(down: Bool[np.ndarray, "instants feet ends"], fps: float) -> Bool[np.ndarray, "instants feet ends"]:
+def _cleaned(down: EndMask, fps: float) -> EndMask:
     """Closes short gaps between contacts, then removes short contacts."""
     cleaned = down.copy()
     for foot, end in np.ndindex(2, 2):
@@ -201,11 +193,7 @@ def _cleaned(down: Bool[np.ndarray, "instants feet ends"], fps: float) -> Bool[n
     return cleaned
 
 
-def _steadiest(
-    down: Bool[np.ndarray, "instants feet ends"],
-    velocity: Float64[np.ndarray, "instants feet ends 3"],
-    speed: Float64[np.ndarray, "instants feet ends"],
-) -> Float64[np.ndarray, "instants feet 3"]:
+def _steadiest(down: EndMask, velocity: FootPaths, speed: PerEnd) -> Float64[np.ndarray, "instants feet 3"]:
     """Weighted mean velocity of both ends, favouring the steadier: the heel may rise over a resting toe."""
     weight = down / np.square(np.square(speed) + STEADY_SPEED**2)
     total = weight.sum(axis=-1, keepdims=True)
@@ -218,13 +206,11 @@ class Rests:
     """For every foot in contact: its slowest 0.1 s within 0.6 s, m/s, and the creep speed of real feet."""
 
     on_ground: Bool[np.ndarray, "instants feet"]
-    speed: Float64[np.ndarray, "instants feet"]
-    limit: Float64[np.ndarray, "instants feet"]
+    speed: PerFoot
+    limit: PerFoot
 
     @classmethod
-    def of(
-        cls, down: Bool[np.ndarray, "instants feet ends"], speed: Float64[np.ndarray, "instants feet ends"], fps: float
-    ) -> "Rests":
+    def of(cls, down: EndMask, speed: PerEnd, fps: float) -> "Rests":
         """Resting speeds of feet from their joints' horizontal speeds."""
         from scipy.ndimage import minimum_filter1d, uniform_filter1d
 
@@ -241,13 +227,11 @@ class Rests:
         return cls(on_ground, rests, limit)
 
     @property
-    def stands(self) -> Float64[np.ndarray, "instants feet"]:
+    def stands(self) -> PerFoot:
         """1 if a foot in contact rests as real feet do, 0 if it slides or is in the air."""
         return np.where(self.on_ground, 1.0 - smoothstep(self.speed / self.limit, *CAPTURED.around), 0.0)
 
-    def sliding(
-        self, fps: float, limits: Limits
-    ) -> tuple[Float64[np.ndarray, "instants feet"], Float64[np.ndarray, "instants"]]:
+    def sliding(self, fps: float, limits: Limits) -> tuple[PerFoot, Float64[np.ndarray, "instants"]]:
         """Sliding of every foot by itself, and of all feet within 10 s."""
         from scipy.ndimage import uniform_filter1d
 

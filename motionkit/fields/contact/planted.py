@@ -6,11 +6,12 @@ from fractions import Fraction
 import numpy as np
 
 from motionkit.core.kinematics import quaternion_rotate
-from motionkit.core.shapes import Bool, Float32, Float64
+from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.contact.bones import Bones
 from motionkit.fields.contact.correction import Correction, Path, find_correction
+from motionkit.fields.contact.detection import EndMask
 from motionkit.fields.contact.legs import BentLeg, Leg, Legs, bend, legs_of, turns
 from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.joints import turned_rotations
@@ -18,6 +19,7 @@ from motionkit.fields.motion_field import (
     MotionField,
     Observation,
     Poses,
+    Times,
     at_fps,
     check_times,
     contacts_of,
@@ -63,12 +65,12 @@ class PlantedField:
         """The field for this framerate with the same correction: contacts don't depend on the framerate."""
         return replace(self, field=at_fps(self.field, fps))
 
-    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
+    def query(self, times_seconds: Times) -> Poses:
         """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
         check_times(self, times_seconds)
         return query_in_blocks(self._poses, times_seconds)
 
-    def _poses(self, times: Float64[np.ndarray, "times"]) -> Poses:
+    def _poses(self, times: Times) -> Poses:
         poses = self.field.query(times)
         if self.bones is not None:
             poses = Poses(self.bones.applied(poses.joint_positions), None, poses.root_translation)
@@ -102,11 +104,7 @@ def planted_frames(observation: Observation, frames: TimeGrid, path: Path = "nea
 
 
 def _planted(
-    field: MotionField,
-    poses: Poses,
-    fps: float,
-    path: Path,
-    predicted: Bool[np.ndarray, "instants feet ends"] | None = None,
+    field: MotionField, poses: Poses, fps: float, path: Path, predicted: EndMask | None = None
 ) -> PlantedField:
     """A field planted by its poses at the samples of a grid."""
     legs, bones, positions = legs_of(field.skeleton), None, poses.joint_positions
