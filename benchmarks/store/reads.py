@@ -22,7 +22,7 @@ from rich.table import Table
 from benchmarks.command import arguments_parser, print_json
 from motionkit.cli.console import stdout
 from motionkit.store import Store
-from motionkit.store.life.rewrite import merge
+from motionkit.store.life import merge
 from motionkit.store.schema import FRAME_COLUMNS
 
 Fetch = Callable[[int], np.ndarray]

@@ -19,7 +19,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.store import Store, StoreWriter
-from motionkit.store.life.rewrite import compact, remove
+from motionkit.store.life import compact, remove
 from motionkit.store.validate import faults
 
 WRITTEN_ANEW = ("was written anew after it was opened", "was written to while it was checked")

@@ -94,7 +94,7 @@ def _page(results: "list[Result]", store: Path | None, runs: list[Path]) -> str:
 
 def _card(store: Path) -> str:
     from motionkit.store import Store
-    from motionkit.store.reports.summary import summarise
+    from motionkit.store.reports import summarise
     from motionkit.viz.corpus_card import corpus_card
 
     return corpus_card(summarise(Store.open(store)))

@@ -95,7 +95,7 @@ def _store_card(path: Path, repository: "HfUri") -> tuple[str, list[str]]:
     """The card of a store, and its licences."""
     from motionkit.store.hub import store_card
     from motionkit.store.reader import Store
-    from motionkit.store.reports.summary import summarise
+    from motionkit.store.reports import summarise
 
     summary = summarise(Store.open(path))
     return store_card(summary, repository.to_uri()), list(summary.licences)

@@ -14,10 +14,15 @@ from motionkit.core.files import default_path, is_store
 
 if TYPE_CHECKING:
     from motionkit.core.motion import Motion
-    from motionkit.store.reports.motion import MotionSummary
-    from motionkit.store.reports.quality import Offender, QualityReport, SourceQuality
-    from motionkit.store.reports.rig import RigTree
-    from motionkit.store.reports.summary import SourceSummary, StoreSummary
+    from motionkit.store.reports import (
+        MotionSummary,
+        Offender,
+        QualityReport,
+        RigTree,
+        SourceQuality,
+        SourceSummary,
+        StoreSummary,
+    )
 
 SHOWN_UPSAMPLED = 20
 
@@ -101,8 +106,7 @@ def info(
         raise UsageError("--init, --skeleton and --up are about a file: name a FILE")
     store = named_store(path, store)
     from motionkit.store import Store
-    from motionkit.store.reports.quality import report_quality
-    from motionkit.store.reports.summary import summarise
+    from motionkit.store.reports import report_quality, summarise
 
     if where and not quality:
         raise UsageError("--where goes with --quality; 'motionkit query' answers anything else")
@@ -131,8 +135,7 @@ def _show_store(summary: "StoreSummary", html: Path | None, as_json: bool) -> No
 def _show_file(path: Path, up: str, skeleton: bool, init: Path | None, as_json: bool) -> None:
     from motionkit.core.files import write_whole
     from motionkit.core.skeletons.mapping import draft_map
-    from motionkit.store.reports.motion import summarise_motion
-    from motionkit.store.reports.rig import rig_of
+    from motionkit.store.reports import rig_of, summarise_motion
 
     motion, has_framerate = _first_motion(path, up)
     text = None

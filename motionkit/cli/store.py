@@ -92,8 +92,8 @@ def split(
 
     Example: motionkit split --by sequence_id --shares train=0.6,test=0.4
     """
-    from motionkit.store.life.splits import PERFORMER
-    from motionkit.store.life.splits import split as split_store
+    from motionkit.store.splits import PERFORMER
+    from motionkit.store.splits import split as split_store
 
     store = named_store(path, store)
     arguments = (store or default_path("store"), parse_shares(shares))
@@ -151,8 +151,8 @@ def remove(
     Example: motionkit remove --where "duration_seconds > 1" --dry-run
     """
     from motionkit.store.commit import read_manifest
-    from motionkit.store.life.rewrite import plan_removal
-    from motionkit.store.life.rewrite import remove as remove_sequences
+    from motionkit.store.life import plan_removal
+    from motionkit.store.life import remove as remove_sequences
 
     if not ids and where is None:
         raise UsageError("name the sequences to remove, by their ids or with --where")
@@ -204,7 +204,7 @@ def merge(
 
     Example: motionkit merge tests store --where "split = 'test'"
     """
-    from motionkit.store.life.rewrite import merge as merge_stores
+    from motionkit.store.life import merge as merge_stores
 
     with progress() as show, task(show, "merge") as work:
         report = merge_stores(
@@ -239,8 +239,8 @@ def compact(store: ChangedStore = None, dry_run: DryRun = False, as_json: AsJson
     Example: motionkit compact --dry-run
     """
     from motionkit.store.commit import leftovers, read_manifest
-    from motionkit.store.life.rewrite import compact as compact_store
-    from motionkit.store.life.rewrite import plan_compaction
+    from motionkit.store.life import compact as compact_store
+    from motionkit.store.life import plan_compaction
 
     path = store or default_path("store")
     if dry_run:

@@ -25,7 +25,7 @@ from motionkit.store.commit import read_manifest
 if TYPE_CHECKING:
     from huggingface_hub import HfUri
 
-    from motionkit.store.reports.summary import StoreSummary
+    from motionkit.store.reports import StoreSummary
 
 # Patterns of a store's files.
 STORE_FILES = (MANIFEST_FILE, SEQUENCES_FILE, "skeletons.parquet", f"{MOTIONS_FOLDER}/part-*.parquet")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from motionkit.edit.export.files import render
 
 if TYPE_CHECKING:
-    from motionkit.store.reports.summary import SourceSummary, StoreSummary
+    from motionkit.store.reports import SourceSummary, StoreSummary
 
 
 def corpus_card(summary: "StoreSummary") -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from benchmarks.trust import load, store_users
 from benchmarks.trust.store_users import Log, batch_ids, log_of, motion_of
 from motionkit.store import Store, StoreWriter
-from motionkit.store.life.rewrite import remove
+from motionkit.store.life import remove
 
 CROWD_SECONDS = 3.0
 

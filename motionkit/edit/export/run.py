@@ -17,7 +17,7 @@ from motionkit.io.registry import writers
 from motionkit.store import Store, StoreWriter
 from motionkit.store.commit import LOCK_FILE
 from motionkit.store.hub import store_card
-from motionkit.store.reports.summary import summarise
+from motionkit.store.reports import summarise
 
 
 @dataclass(frozen=True)

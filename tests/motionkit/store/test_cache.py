@@ -21,7 +21,7 @@ from motionkit.core.skeleton import KIT21, Skeleton
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.store import Store, StoreWriter, cache
 from motionkit.store.cache import PositionCache, open_cache
-from motionkit.store.life.rewrite import compact
+from motionkit.store.life import compact
 
 CHAIN = Skeleton("chain", ("a", "b", "c"), (-1, 0, 1), np.eye(3, dtype=np.float32))
 

@@ -21,8 +21,8 @@ from motionkit.core import files
 from motionkit.core.errors import BusyError, StoreError
 from motionkit.store import Store, StoreWriter
 from motionkit.store.commit import LOCK_FILE
-from motionkit.store.life.rewrite import compact, merge, remove
-from motionkit.store.life.splits import split
+from motionkit.store.life import compact, merge, remove
+from motionkit.store.splits import split
 from motionkit.store.validate import faults
 from tests.helpers.signed_again import sign
 
@@ -124,7 +124,7 @@ REWRITER = textwrap.dedent(
     import os, signal, sys
     from pathlib import Path
     from motionkit.core import files
-    from motionkit.store.life.rewrite import compact, remove
+    from motionkit.store.life import compact, remove
 
     store, what, left = Path(sys.argv[1]), sys.argv[2], [int(sys.argv[3])]
     rename = files.replace

@@ -19,7 +19,7 @@ from motionkit.cli.ingest import ingest
 from motionkit.core.errors import DamagedFileError, MotionkitWarning, StoreError
 from motionkit.store.commit import read_manifest
 from motionkit.store.hub import HubError
-from motionkit.store.life.rewrite import compact, remove
+from motionkit.store.life import compact, remove
 from motionkit.training.run import RunFolder
 from motionkit.training.tensors import save_tensors
 from tests.helpers.hub import Hub, local_hub

@@ -11,8 +11,8 @@ import pytest
 from motionkit.core.errors import MotionkitError, StoreError
 from motionkit.store import Store, StoreWriter
 from motionkit.store.cache import open_cache
-from motionkit.store.life.rewrite import compact, merge, remove
-from motionkit.store.reports.summary import summarise
+from motionkit.store.life import compact, merge, remove
+from motionkit.store.reports import summarise
 from motionkit.store.validate import faults
 from tests.helpers.signed_again import describe, rewrite, sign, with_broken_text, with_column, with_number, with_value
 

@@ -4,7 +4,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 from motionkit.store.reader import Store
-from motionkit.store.reports.summary import summarise
+from motionkit.store.reports import summarise
 from motionkit.viz.corpus_card import corpus_card, corpus_page
 from tests.helpers.tiny import write_store
 

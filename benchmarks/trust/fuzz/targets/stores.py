@@ -20,8 +20,7 @@ from motionkit.core.skeleton import KIT21, SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.store import Store
 from motionkit.store.cache import open_cache
-from motionkit.store.reports.quality import report_quality
-from motionkit.store.reports.summary import summarise
+from motionkit.store.reports import report_quality, summarise
 from motionkit.store.schema import CACHE_FOLDER, MANIFEST_FILE, MOTIONS_FOLDER
 from motionkit.store.validate import faults
 from motionkit.store.writer import StoreWriter

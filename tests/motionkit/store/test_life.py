@@ -11,8 +11,8 @@ from motionkit.core.errors import StoreError, UsageError
 from motionkit.core.skeleton import KIT21
 from motionkit.store import Store, StoreWriter
 from motionkit.store.cache import open_cache
-from motionkit.store.life.rewrite import compact, merge, remove
-from motionkit.store.reports.quality import report_quality
+from motionkit.store.life import compact, merge, remove
+from motionkit.store.reports import report_quality
 from motionkit.store.validate import faults
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from motionkit.core.errors import StoreError, UsageError
 from motionkit.core.motion import Caption
 from motionkit.store import Store, StoreWriter
-from motionkit.store.life.splits import DEFAULT_SHARES, assign_groups, split
+from motionkit.store.splits import DEFAULT_SHARES, assign_groups, split
 from motionkit.store.validate import faults
 
 

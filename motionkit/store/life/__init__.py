@@ -1,1 +1,0 @@
-"""Operations on existing stores: remove, compact, merge, split."""

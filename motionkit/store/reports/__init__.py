@@ -1,1 +1,0 @@
-"""Summary statistics of stores."""
