@@ -162,13 +162,13 @@ def completed_motion(loaded: LoadedMotion, request: CompletionRequest, chosen: C
         field = anchored(planted(field), observation)
     if observation.poses.local_rotations is not None:
         field = on_bones(field, observation)
-    made = replace(completion, field=field).motion()
+    completed = replace(completion, field=field).motion()
     line = (
-        f"complete {motion.num_frames} frames at {motion.fps} fps -> {made.num_frames} at {made.fps}, "
-        f"{made.num_frames - len(completion.given_rows)} made"
+        f"complete {motion.num_frames} frames at {motion.fps} fps -> {completed.num_frames} at {completed.fps}, "
+        f"{completed.num_frames - len(completion.given_rows)} made"
     )
     frames = KnownFrames(known, observation.times_seconds, completion.given_rows, known[completion.given_poses])
-    edited = EditedMotion(made.annotated_like(motion).logged(line), frames)
+    edited = EditedMotion(completed.annotated_like(motion).logged(line), frames)
     gap = float(np.diff(loaded.seconds[observed]).max(initial=0.0))
     warnings = [replaced] if replaced else _warnings(chosen, gap, max(before, after), len(known))
     if not loaded.valid.all():
@@ -203,24 +203,24 @@ def _seconds(reach: Reach, fps: Fraction) -> float:
 
 
 def _warnings(chosen: ChosenEncoder, gap: float, reach: float, num_known: int) -> list[str]:
-    found = []
+    warnings = []
     if gap > chosen.longest_gap_seconds + 1e-6:
-        found.append(
+        warnings.append(
             f"a gap of {gap:.2f} s is longer than the {chosen.longest_gap_seconds:.2f} s that {chosen.name} has learnt "
             "to close"
         )
     if chosen.supports_continuation and reach > LONGEST_PLAUSIBLE_SECONDS:
-        found.append(
+        warnings.append(
             f"{chosen.name} goes on at constant velocity for {reach:g} s; beyond {LONGEST_PLAUSIBLE_SECONDS:g} s that "
             "is unrealistic (the model spline comes to rest)"
         )
     if reach > chosen.reach_seconds + 1e-6:
-        found.append(
+        warnings.append(
             f"{reach:g} s beyond an end is farther than the {chosen.reach_seconds:.2f} s that {chosen.name} has learnt"
         )
     if num_known == 1:
-        found.append("one frame is known, so the body stands still in it")
-    return found
+        warnings.append("one frame is known, so the body stands still in it")
+    return warnings
 
 
 def complete_file(
@@ -265,9 +265,9 @@ def _write_page(path: Path, title: str, loaded: LoadedMotion, versions: Sequence
     """Write a page of a motion and its completions by name, each at its own framerate."""
     observed = np.isin(np.arange(loaded.motion.num_frames), versions[0].edited.known.frames)
     source = replace(loaded.panel("the clip"), observed=None if observed.all() else observed, gap_label="left out")
-    made = [Version(each.encoder, each.edited.motion, each.edited.is_given) for each in versions]
+    completions = [Version(each.encoder, each.edited.motion, each.edited.is_given) for each in versions]
     note = "Dark are frames that were given, orange are those that were made."
-    write_comparison(path, title, source, made, others="made", note=note)
+    write_comparison(path, title, source, completions, others="made", note=note)
 
 
 def check_ranges(ranges: Sequence[FrameRange]) -> None:
@@ -310,16 +310,16 @@ def parse_keep(text: str) -> tuple[FrameRange, ...]:
 
     Raises `UsageError` for anything else.
     """
-    found: list[FrameRange] = []
-    for part in text.split(","):
-        match = _RANGE.fullmatch(part.strip())
-        if match is None or not (match["start"] or match["colon"]) or len(part) > 40:
-            raise UsageError(f"keep: {part.strip()[:40]!r} is not a range of frames such as 0:10, 40: or 7")
+    ranges: list[FrameRange] = []
+    for field in text.split(","):
+        match = _RANGE.fullmatch(field.strip())
+        if match is None or not (match["start"] or match["colon"]) or len(field) > 40:
+            raise UsageError(f"keep: {field.strip()[:40]!r} is not a range of frames such as 0:10, 40: or 7")
         start = int(match["start"] or 0)
         stop = (int(match["stop"]) if match["stop"] else None) if match["colon"] else start + 1
-        found.append((start, stop))
-    check_ranges(found)
-    return tuple(found)
+        ranges.append((start, stop))
+    check_ranges(ranges)
+    return tuple(ranges)
 
 
 def parse_extend(text: str) -> tuple[Reach, Reach]:
@@ -327,18 +327,18 @@ def parse_extend(text: str) -> tuple[Reach, Reach]:
 
     Raises `UsageError`.
     """
-    parts = [_parse_reach(part.strip(), text) for part in text.split(",")]
-    if len(parts) > 2:
-        raise UsageError(f"extend {text}: expected BEFORE,AFTER, not {len(parts)} numbers")
-    return (Reach(0.0), parts[0]) if len(parts) == 1 else (parts[0], parts[1])
+    reaches = [_parse_reach(reach.strip(), text) for reach in text.split(",")]
+    if len(reaches) > 2:
+        raise UsageError(f"extend {text}: expected BEFORE,AFTER, not {len(reaches)} numbers")
+    return (Reach(0.0), reaches[0]) if len(reaches) == 1 else (reaches[0], reaches[1])
 
 
-def _parse_reach(part: str, text: str) -> Reach:
-    number = part.removesuffix("f")
+def _parse_reach(reach: str, text: str) -> Reach:
+    number = reach.removesuffix("f")
     try:
         amount = float(number)
     except ValueError:
         amount = math.nan
-    if not 0 <= amount < math.inf or (part != number and amount % 1):
-        raise UsageError(f"extend {text}: {part!r} is neither seconds (0.5) nor a whole number of frames (15f)")
-    return Reach(amount, part != number)
+    if not 0 <= amount < math.inf or (reach != number and amount % 1):
+        raise UsageError(f"extend {text}: {reach!r} is neither seconds (0.5) nor a whole number of frames (15f)")
+    return Reach(amount, reach != number)

@@ -44,19 +44,19 @@ def trained_encoder_names() -> tuple[str, ...]:
 
 def installed_encoders(task: Task | None = None) -> dict[str, EncoderLoader]:
     """All installed trained encoders by name, or those for one task."""
-    found = installed_loaders(GROUP, EncoderLoader)
-    return {name: loader for name, loader in found.items() if task is None or task in loader.tasks}
+    loaders = installed_loaders(GROUP, EncoderLoader)
+    return {name: loader for name, loader in loaders.items() if task is None or task in loader.tasks}
 
 
 def encoder_loader(name: str) -> EncoderLoader:
     """The loader of a trained encoder; raises `UsageError` that lists the known ones."""
-    found = entry_points(group=GROUP, name=name)
-    if not found:
+    entries = entry_points(group=GROUP, name=name)
+    if not entries:
         trained = ", ".join(trained_encoder_names()) or "none is installed"
         raise UsageError(
             f"no encoder is called {name!r}; interpolators: {', '.join(INTERPOLATORS)}; trained: {trained}"
         )
-    return loader_of(next(iter(found)), EncoderLoader)
+    return loader_of(next(iter(entries)), EncoderLoader)
 
 
 def runs_with(name: str, runs: Path) -> tuple[Path, ...]:
@@ -150,13 +150,13 @@ def choose_encoder(name: str | None, run: str | None, runs: Path) -> ChosenEncod
 def _trained(name: str, run: str | None, runs: Path) -> ChosenEncoder:
     loader = encoder_loader(name)
     if run is None:
-        found = runs_with(name, runs)
-        if not found:
+        trained = runs_with(name, runs)
+        if not trained:
             raise UsageError(
                 f"no run in {runs} has a stage {loader.stages[-1]!r} that is complete: {loader.train_command()}, or "
                 "give the run"
             )
-        place = found[-1]
+        place = trained[-1]
     else:
         # A path if it exists, else a name in the folder of all runs, as everywhere.
         place = Path(run) if Path(run).is_dir() and not (runs / run).is_dir() else runs / run

@@ -107,22 +107,22 @@ def find_motions(
     The second list has the problems of files that cannot be read. Raises `UsageError` for a name that is none of these,
     and for a condition that no sequence satisfies.
     """
-    found: list[MotionSource] = []
+    sources: list[MotionSource] = []
     problems: list[FormatError] = []
     opened = cache(lambda: Store.open(store))
     for name in names:
         path = Path(name)
         if is_store(path):
-            found += _stored(Store.open(path), None)
+            sources += _stored(Store.open(path), None)
         elif path.exists():
             items, faults = sequences_at(path, options)
-            found += [_of_item(item, shown, options) for shown, item in items]
+            sources += [_of_item(item, item_path, options) for item_path, item in items]
             problems += faults
         else:
-            found.append(_stored_named(name, store, opened))
+            sources.append(_stored_named(name, store, opened))
     if where is not None:
-        found += _stored(opened(), where)
-    return found, problems
+        sources += _stored(opened(), where)
+    return sources, problems
 
 
 def load_motion(motion: Motion | str | Path, options: ReadOptions | None = None) -> LoadedMotion:
@@ -130,12 +130,12 @@ def load_motion(motion: Motion | str | Path, options: ReadOptions | None = None)
     if isinstance(motion, Motion):
         return LoadedMotion.of(motion)
     path = existing_path(motion)
-    found, problems = find_motions([str(path)], options or ReadOptions(), path)
-    if not found:
+    sources, problems = find_motions([str(path)], options or ReadOptions(), path)
+    if not sources:
         raise problems[0]
-    if len(found) > 1:
-        raise UsageError(f"{path} holds {len(found):,} motions: take them one by one, read_all(path) gives them")
-    return found[0].load()
+    if len(sources) > 1:
+        raise UsageError(f"{path} holds {len(sources):,} motions: read_all(path) reads them one by one")
+    return sources[0].load()
 
 
 def _of_item(item: SourceItem, path: Path, options: ReadOptions) -> MotionSource:

@@ -111,8 +111,8 @@ def planted_motion(loaded: LoadedMotion, path: BodyPath) -> tuple[EditedMotion, 
         f"plant {change.num_contacts} contacts, the body's path {path}: joints moved by up to "
         f"{1000 * change.largest_change:.1f} mm"
     )
-    made = poses.at(motion.timegrid, motion.skeleton).annotated_like(motion).logged(line)
-    return EditedMotion(made, KnownFrames(np.arange(len(moved)), seconds, unmoved, unmoved)), change
+    planted = poses.at(motion.timegrid, motion.skeleton).annotated_like(motion).logged(line)
+    return EditedMotion(planted, KnownFrames(np.arange(len(moved)), seconds, unmoved, unmoved)), change
 
 
 def plant_file(source: MotionSource, path_of_body: BodyPath, with_page: bool, paths: OutputPaths) -> WrittenMotion:

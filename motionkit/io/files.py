@@ -138,10 +138,10 @@ def existing_path(path: object) -> Path:
             f"expected a motion, or the path of its file, not {type(path).__name__}: Motion.from_joints makes a motion "
             "of an array"
         )
-    found = Path(path)
-    if not found.exists():
-        raise UsageError(str(dangling(found) or f"{found} does not exist"))
-    return found
+    existing = Path(path)
+    if not existing.exists():
+        raise UsageError(str(dangling(existing) or f"{existing} does not exist"))
+    return existing
 
 
 def sequences_at(path: Path, options: ReadOptions) -> tuple[list[tuple[Path, SourceItem]], list[FormatError]]:
@@ -153,8 +153,8 @@ def sequences_at(path: Path, options: ReadOptions) -> tuple[list[tuple[Path, Sou
     if path.is_dir() and path.name in (JOINTS_FOLDER, VECTORS_FOLDER):
         files = sorted(path.glob("*.npy"))
         if any(map(_of_pose_folder, files)):
-            found = [sequences_at(file, options) for file in files]
-            return [each for items, _ in found for each in items], [each for _, faults in found for each in faults]
+            scans = [sequences_at(file, options) for file in files]
+            return [each for items, _ in scans for each in items], [each for _, faults in scans for each in faults]
     if (published := _of_pose_folder(path)) is not None:
         return [(path, published)], []
     scanned = scan([path], options)
@@ -184,8 +184,8 @@ def _of_pose_folder(path: Path) -> SourceItem | None:
 def _items_at(path: Path, options: ReadOptions) -> tuple[list[SourceItem], list[FormatError]]:
     if is_store(path):
         raise UsageError(f"{path} is a store: Store.open({str(path)!r}) reads it")
-    found, problems = sequences_at(path, options)
-    return [item for _, item in found], list(map(_of_python, problems))
+    sequences, problems = sequences_at(path, options)
+    return [item for _, item in sequences], list(map(_of_python, problems))
 
 
 def _read_item(item: SourceItem, options: ReadOptions) -> Motion:

@@ -52,8 +52,8 @@ def view(*motions: Motion | str | Path, path: str | Path | None = None, open: bo
             sources.append(MotionSource.of(motion))
             continue
         named = existing_path(motion)
-        found, failed = find_motions([str(named)], ReadOptions(), named)
-        sources += found
+        more, failed = find_motions([str(named)], ReadOptions(), named)
+        sources += more
         problems += map(str, failed)
     if len(sources) > MOST_MOTIONS or not motions:
         raise UsageError(f"a page shows 1 to {MOST_MOTIONS} motions, not {len(sources):,}")
@@ -125,11 +125,9 @@ class Interval:
         return panel.frames(first, stop)
 
     def __str__(self) -> str:
-        parts = [
-            "" if self.from_seconds is None else f" from {self.from_seconds:g} s",
-            "" if self.to_seconds is None else f" to {self.to_seconds:g} s",
-        ]
-        return f"Shown{''.join(parts)}." if any(parts) else ""
+        begin = "" if self.from_seconds is None else f" from {self.from_seconds:g} s"
+        end = "" if self.to_seconds is None else f" to {self.to_seconds:g} s"
+        return f"Shown{begin}{end}." if begin or end else ""
 
 
 @dataclass(frozen=True)

@@ -87,10 +87,10 @@ def file_names(sequence_ids: Sequence[str], suffix: str = "", *, flat: bool = Fa
     """
     names = []
     for sequence_id in sequence_ids:
-        parts = PurePosixPath(sequence_id).parts
-        if not parts or parts[0] == "/" or ".." in parts or "\0" in sequence_id:
+        path = PurePosixPath(sequence_id)
+        if not path.parts or path.is_absolute() or ".." in path.parts or "\0" in sequence_id:
             raise UsageError(f"the id {sequence_id!r} cannot be a file's name: leave the sequence out with --where")
-        names.append(PurePosixPath(("_" if flat else "/").join(parts) + suffix))
+        names.append(PurePosixPath(("_" if flat else "/").join(path.parts) + suffix))
     repeated, count = Counter(names).most_common(1)[0] if names else (None, 0)
     if count > 1:
         ids = " and ".join(repr(one) for one, name in zip(sequence_ids, names, strict=True) if name == repeated)
