@@ -59,7 +59,6 @@ class BvhJoint:
     name: str
     parent: int
     offset: tuple[float, float, float] | None = None
-    has_channels: bool = False
     position_columns: dict[int, int] = field(default_factory=dict)
     rotation_columns: list[int] = field(default_factory=list)
     order: str = ""
@@ -288,9 +287,6 @@ def _up(skeleton: Skeleton, positions: Float32[np.ndarray, "frames joints 3"], g
     return up, up == rest
 
 
-# ---- The text before the numbers
-
-
 def split_text(data: bytes, path: Path) -> tuple[BvhHead, bytes]:
     """A file's head and its lines of numbers, without blank lines at the end. Lines must end in newlines.
 
@@ -414,18 +410,10 @@ class _HierarchyParser:
         self.pending: int | None = None  # what the next "{" opens
 
     def parse(self, text: str) -> BvhHierarchy:
-        """Feed all lines, then check for completeness."""
         for self.line, line in enumerate(text.splitlines(), start=1):
             for part in re.split(r"([{}])", line):
-                match part.strip():
-                    case "":
-                        continue
-                    case "{":
-                        self.open_brace()
-                    case "}":
-                        self.close_brace()
-                    case statement:
-                        self.statement(statement)
+                if part.strip():
+                    self.statement(part.strip())
         if self.open or self.pending is not None:
             raise self.fault("the hierarchy ends inside a joint, expected '}'")
         if not self.joints:
@@ -433,46 +421,39 @@ class _HierarchyParser:
         return BvhHierarchy(tuple(self.joints), self.num_channels)
 
     def fault(self, message: str, reason: str = "hierarchy") -> FormatError:
-        """An error at the current line."""
         return FormatError(message, path="", reason=reason, line=self.line)
 
-    def open_brace(self) -> None:
-        """Enter the joint or End Site that was just named."""
-        if self.pending is None:
-            raise self.fault("'{' without a joint before it")
-        self.open.append(self.pending)
-        self.pending = None
-
-    def close_brace(self) -> None:
-        """Leave a joint or End Site, which must be complete by now."""
-        if not self.open or self.pending is not None:
-            raise self.fault("'}' without a '{' before it")
-        joint = self.open.pop()
-        if joint >= 0 and self.joints[joint].offset is None:
-            raise self.fault(f"joint {self.joints[joint].name!r} has no OFFSET")
-
-    def statement(self, line: str) -> None:
-        """ROOT, JOINT, End Site, OFFSET or CHANNELS."""
-        keyword, _, rest = line.replace("\t", " ").partition(" ")
-        rest = rest.strip()
+    def statement(self, text: str) -> None:
+        keyword, *words = text.split()
         match keyword.upper():
             case "HIERARCHY" if not self.joints:
                 return
             case "ROOT" | "JOINT":
-                self.begin_joint(keyword.upper(), rest)
+                self.begin_joint(keyword.upper(), text[len(keyword) :].strip())
             case "END":
                 if not self.open or self.open[-1] < 0:
                     raise self.fault("an End Site outside a joint")
                 self.pending = -1
+            case "{":
+                if self.pending is None:
+                    raise self.fault("'{' without a joint before it")
+                self.open.append(self.pending)
+                self.pending = None
+            case "}":
+                if not self.open or self.pending is not None:
+                    raise self.fault("'}' without a '{' before it")
+                joint = self.open.pop()
+                if joint >= 0 and self.joints[joint].offset is None:
+                    raise self.fault(f"joint {self.joints[joint].name!r} has no OFFSET")
             case "OFFSET":
-                self.offset(rest.split())
+                self.offset(words)
             case "CHANNELS":
-                self.channels(rest.split())
+                self.channels(words)
             case _:
-                raise self.fault(f"{line[:40]!r}, expected ROOT, JOINT, End Site, OFFSET, CHANNELS, '{{' or '}}'")
+                raise self.fault(f"{text[:40]!r}, expected ROOT, JOINT, End Site, OFFSET, CHANNELS, '{{' or '}}'")
 
     def begin_joint(self, keyword: str, name: str) -> None:
-        """Start a joint; its name may hold spaces and colons."""
+        # A name may hold spaces and colons.
         if self.pending is not None or (keyword == "JOINT") != bool(self.open) or (self.open and self.open[-1] < 0):
             where = "inside the ROOT" if keyword == "JOINT" else "once, as the outermost joint"
             raise self.fault(f"{keyword} {name!r} is out of place: a {keyword} belongs {where}")
@@ -484,7 +465,6 @@ class _HierarchyParser:
         self.pending = len(self.joints) - 1
 
     def offset(self, words: list[str]) -> None:
-        """OFFSET of a joint or of an End Site."""
         if not self.open or self.pending is not None:
             raise self.fault("OFFSET outside a joint")
         if len(words) != 3:
@@ -497,17 +477,15 @@ class _HierarchyParser:
             owner.end_site = owner.end_site or (x, y, z)
 
     def channels(self, words: list[str]) -> None:
-        """CHANNELS n name…, in any order."""
         if not self.open or self.open[-1] < 0 or self.pending is not None:
             raise self.fault("CHANNELS outside a joint", "channels")
         joint = self.joints[self.open[-1]]
-        if joint.has_channels:
+        if joint.order or joint.position_columns:
             raise self.fault(f"joint {joint.name!r} has CHANNELS twice", "channels")
-        joint.has_channels = True
         if not words or whole_number(words[0]) != len(words) - 1:
             raise self.fault(f"CHANNELS {' '.join(words)[:60]!r}: expected a count and that many names", "channels")
         for word in words[1:]:
-            axis, kind = CHANNELS.get(word[:1].upper() + word[1:].lower(), ("", ""))
+            axis, kind = CHANNELS.get(word.capitalize(), ("", ""))
             if not axis or (kind == "position" and "XYZ".index(axis) in joint.position_columns):
                 raise self.fault(f"channel {word!r}: expected each of {', '.join(CHANNELS)} at most once", "channels")
             if kind == "position":
@@ -517,12 +495,8 @@ class _HierarchyParser:
                 joint.order += axis
             self.num_channels += 1
         if len(joint.order) > 3:
-            raise self.fault(
-                f"joint {joint.name!r} has {len(joint.order)} rotation channels, expected at most 3", "channels"
-            )
-
-
-# ---- From channels to rotations, a root path and bones, in file units
+            message = f"joint {joint.name!r} has {len(joint.order)} rotation channels, expected at most 3"
+            raise self.fault(message, "channels")
 
 
 @dataclass(frozen=True)

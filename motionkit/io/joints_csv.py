@@ -7,7 +7,6 @@ the first (tables have no bones). `frame` counts frames and needs a framerate fr
 import csv
 import io
 import re
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -157,23 +156,16 @@ def _clock(
             )
         return TimeGrid(options.fps, len(table)), "", []
     seconds = table[:, names.index(TIME)]
-    if options.fps is None:
-        grid = source_file.grid_of_seconds(seconds, path)
-        return grid, f"{TIME}: {format_fps(grid.fps)}", []
-    grid = TimeGrid(options.fps, len(seconds), float(seconds[0]))
-    stated = _fps_if_even(seconds, path)
-    return (
-        grid,
-        "" if stated is None else f"{TIME}: {format_fps(stated)}",
-        source_file.replaced_fps(options.fps, stated),
-    )
-
-
-def _fps_if_even(seconds: Float64[np.ndarray, "frames"], path: Path) -> Fraction | None:
+    stated = None
     try:
-        return source_file.grid_of_seconds(seconds, path).fps
+        stated = source_file.grid_of_seconds(seconds, path).fps
     except FormatError:
-        return None
+        if options.fps is None:
+            raise
+    fps = options.fps or stated
+    assert fps is not None
+    said = "" if stated is None else f"{TIME}: {format_fps(stated)}"
+    return TimeGrid(fps, len(seconds), float(seconds[0])), said, source_file.replaced_fps(fps, stated)
 
 
 def _skeleton(joints: tuple[str, ...]) -> tuple[Skeleton | None, tuple[str, ...]]:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
-from motionkit.core.plain_text import shown
+from motionkit.core.plain_text import shown, whole_number
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import source_file
 from motionkit.io.bvh import T_POSE_DROPPED, BvhDocument, read_bvh, read_document
@@ -37,8 +37,6 @@ ACTIONS = {
 }
 NAME = re.compile(rf"(?P<style>[A-Za-z0-9]+)_(?P<kind>{'|'.join(ACTIONS)})", re.IGNORECASE)
 ABSENT = ("", "n/a", "nan", "none")
-
-Cuts = Mapping[tuple[str, str], tuple[int, int]]
 
 
 def accepts(head: FileHead) -> bool:
@@ -81,7 +79,16 @@ def _kept_frames(motion: Motion, path: Path) -> tuple[int, int, str]:
         )
     dropped = int(T_POSE_DROPPED in motion.provenance.operations)
     total = motion.num_frames + dropped
-    start, stop = _cut(table, name["style"], name["kind"].upper(), path)
+    kind = name["kind"].upper()
+    cut = _cuts(table, table.stat().st_mtime_ns).get((name["style"].lower(), kind))
+    if cut is None:
+        raise FormatError(
+            f"{table.name} has no {kind}_START and {kind}_STOP for the style {name['style']}; add them, or remove the "
+            "table to read takes whole as BVH",
+            path=path,
+            reason="frame-cuts",
+        )
+    start, stop = cut
     if not dropped <= start < stop <= total:
         raise FormatError(
             f"{table.name} keeps frames [{start}, {stop}) of {total}; expected frames that the file has",
@@ -102,54 +109,30 @@ def _labelled(kept: Motion, path: Path, line: str) -> Motion:
     ).logged(line)
 
 
-def _cut(table: Path, style: str, kind: str, path: Path) -> tuple[int, int]:
-    cut = _cuts(table, table.stat().st_mtime_ns).get((style.lower(), kind))
-    if cut is None:
-        raise FormatError(
-            f"{table.name} has no {kind}_START and {kind}_STOP for the style {style}; add them, or take the table away "
-            "to read takes whole as BVH",
-            path=path,
-            reason="frame-cuts",
-        )
-    return cut
-
-
-@lru_cache(maxsize=8)
-def _cuts(table: Path, modified: int) -> Cuts:
-    # All cuts of a table by style (lower case) and kind; read once for the takes of a corpus.
+@lru_cache(maxsize=8)  # read once for the takes of a corpus
+def _cuts(table: Path, modified: int) -> Mapping[tuple[str, str], tuple[int, int]]:
+    """All cuts of a table by style (lower case) and kind."""
     text = source_file.decode(source_file.read_bytes(table), table)
-    reader = csv.DictReader(text.splitlines(), restkey="")
     cuts: dict[tuple[str, str], tuple[int, int]] = {}
     try:
+        reader = csv.DictReader(text.splitlines(), restkey="")
         if STYLE_COLUMN not in (reader.fieldnames or ()):
-            raise FormatError(
-                f"no column {STYLE_COLUMN!r}, expected it and {next(iter(ACTIONS))}_START, …_STOP",
-                path=table,
-                reason="frame-cuts",
-                line=1,
-            )
+            message = f"no column {STYLE_COLUMN!r}, expected it and {next(iter(ACTIONS))}_START, …_STOP"
+            raise FormatError(message, path=table, reason="frame-cuts", line=1)
         for row in reader:
             for kind in ACTIONS:
                 cells = [(row.get(f"{kind}_{end}") or "").strip() for end in ("START", "STOP")]
-                if not all(cell.lower() in ABSENT for cell in cells):
-                    cuts[((row[STYLE_COLUMN] or "").strip().lower(), kind)] = _numbers(cells, table, reader.line_num)
+                if all(cell.lower() in ABSENT for cell in cells):
+                    continue
+                # Tables saved by a spreadsheet or pandas have 120.0 for 120.
+                start, stop = (whole_number(cell.removesuffix(".0")) for cell in cells)
+                if start is None or stop is None:
+                    message = f"{' and '.join(map(shown, cells))}, expected two frame numbers or N/A"
+                    raise FormatError(message, path=table, reason="frame-cuts", line=reader.line_num)
+                cuts[(row[STYLE_COLUMN] or "").strip().lower(), kind] = start, stop
     except csv.Error as error:
         raise FormatError(f"not a CSV table ({error})", path=table, reason="frame-cuts") from None
     return cuts
-
-
-def _numbers(cells: list[str], table: Path, line: int) -> tuple[int, int]:
-    # Tables saved by a spreadsheet or pandas have 120.0 for 120.
-    values = [cell.removesuffix(".0") for cell in cells]
-    if not all(value.isascii() and value.isdecimal() and len(value) < 12 for value in values):
-        raise FormatError(
-            f"{' and '.join(map(shown, cells))}, expected two frame numbers or N/A",
-            path=table,
-            reason="frame-cuts",
-            line=line,
-        )
-    start, stop = (int(value) for value in values)
-    return start, stop
 
 
 FORMAT = Format(
