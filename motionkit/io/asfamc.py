@@ -25,7 +25,7 @@ from motionkit.io.number_table import INLINE_BYTES, Words, blocks, find_words, p
 from motionkit.io.registry import Format, ReadOptions, of_path
 
 ROTATIONS = {"rx": "X", "ry": "Y", "rz": "Z"}
-ROOT_CHANNELS = ("tx", "ty", "tz", "rx", "ry", "rz")
+ROOT_CHANNELS: tuple[str, ...] = ("tx", "ty", "tz", "rx", "ry", "rz")
 INCH = 0.0254
 LONGEST_MESSAGE = 400
 
@@ -234,8 +234,8 @@ def _bones(lines: list[Line], degrees: bool, path: Path) -> dict[str, AsfBone]:
         else:
             block[keyword] = line, words[1:]
     if block is not None or not bones:
-        line = lines[-1][0] if lines else None
-        raise _fault("the bone data ends early, expected begin … end blocks", path, line)
+        last_line = lines[-1][0] if lines else None
+        raise _fault("the bone data ends early, expected begin … end blocks", path, last_line)
     return bones
 
 

@@ -7,12 +7,52 @@ from scipy.spatial.transform import Rotation
 
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
-from motionkit.io.asfamc import read_asfamc
+from motionkit.io.asfamc import parse_amc, read_asf, read_asfamc
 from motionkit.io.bvh import read_bvh
 from motionkit.io.registry import ReadOptions
-from tests.helpers.format_samples import write_asfamc
+from tests.helpers.format_samples import ASF, amc_text, write_asfamc
 
 AT_120 = ReadOptions(fps=Fraction(120))
+TEXT = amc_text()
+
+BAD_MOTIONS: dict[str, tuple[str | bytes, str, int | None, int | None]] = {
+    "empty": ("", "empty", None, None),
+    "a BVH file": ("HIERARCHY\nROOT Hips\n{\n", "not-what-it-says", None, None),
+    "no frames": (":FULLY-SPECIFIED\n:DEGREES\n", "not-what-it-says", None, None),
+    "a frame without bones": ("#!OML:ASF test.ASF\n:FULLY-SPECIFIED\n:DEGREES\n1", "truncated", 4, 0),
+    "radians": (TEXT.replace(":DEGREES", ":RADIANS"), "radians", None, None),
+    "cut between bones": (TEXT[: TEXT.rindex("ltibia")], "truncated", 14, 2),
+    "cut in a line": (TEXT[: TEXT.rindex(" 2\nltibia")], "channel-count", 14, 2),
+    "a number too many": (TEXT.replace("ltibia 31", "ltibia 31 4"), "channel-count", 11, 1),
+    "a number moved to the next bone": (
+        TEXT.replace("lfemur 5 3.5e-015 2\nltibia 31", "lfemur 5 3.5e-015\nltibia 2 31"),
+        "channel-count",
+        10,
+        1,
+    ),
+    "nan": (TEXT.replace("ltibia 31", "ltibia nan"), "nan", 11, 1),
+    "a word": (TEXT.replace("ltibia 31", "ltibia x31"), "not-a-number", 11, 1),
+    "beyond reason": (TEXT.replace("ltibia 31", "ltibia 1e99"), "range", 11, 1),
+    "a bone twice": (TEXT.replace("ltibia 31", "lfemur 1 2 3"), "bones", 11, 1),
+    "bones in another order": (TEXT.replace("ltibia 31\n", "").replace("\n2\n", "\n2\nltibia 31\n"), "bones", 9, 1),
+    "a bone 60,000 times": (TEXT.replace("lfemur 0 3.5e-015 2\n", "lfemur 0 0 0\n" * 60_000), "bones", None, None),
+    "an unknown bone": (TEXT.replace("ltibia", "tail"), "bones", None, None),
+    "a frame number missing": (TEXT.replace("\n2\n", "\n4\n"), "frame-number", 8, 1),
+    "other degrees of freedom": (TEXT.replace("ltibia 3", "ltibia 0 3"), "channel-count", None, 0),
+}
+BAD_SKELETONS = {
+    "empty": ("", "empty"),
+    "not a skeleton": ("hello", "not-what-it-says"),
+    "a cut block": (ASF[: ASF.index("dof rx\n  end\n:hier")], "asf"),
+    "a bone apart": (ASF.replace("    lfemur ltibia\n", ""), "asf"),
+    "two parents": (ASF.replace("lfemur ltibia", "lfemur ltibia\n    root ltibia"), "asf"),
+    "a wordy length": (ASF.replace("length 7.5", "length long"), "not-a-number"),
+    "a bad unit": (ASF.replace("length 0.45", "length 0"), "asf"),
+    "a short direction": (ASF.replace("direction 0 -1 0", "direction 0 -1", 1), "asf"),
+    "a bad axis": (ASF.replace("10 20 30 XYZ", "10 20 30 XXZ"), "asf"),
+    "a sliding bone": (ASF.replace("dof rx\n", "dof tx\n"), "asf"),
+    "a root in circles": (ASF.replace("TX TY TZ RX RY RZ", "TX TX TX RX RY RZ"), "asf"),
+}
 
 
 def test_the_formula_of_the_format(tmp_path: Path) -> None:
@@ -30,16 +70,16 @@ def test_the_formula_of_the_format(tmp_path: Path) -> None:
     assert np.allclose(again, motion.joint_positions, atol=1e-6)
 
 
-def test_without_a_framerate_it_says_how_to_give_one(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match="--fps") as caught:
-        read_asfamc(write_asfamc(tmp_path))
-    assert caught.value.reason == "no-framerate"
-
-
 def test_frame_numbers_may_start_anywhere(tmp_path: Path) -> None:
     motion = read_asfamc(write_asfamc(tmp_path, first=120), AT_120)
     assert motion.num_frames == 3
     assert "AMC frame numbers start at 120" in motion.provenance.operations
+
+
+def test_without_a_framerate_it_says_how_to_give_one(tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match="--fps") as caught:
+        read_asfamc(write_asfamc(tmp_path))
+    assert caught.value.reason == "no-framerate"
 
 
 def test_one_subject_has_one_thigh_in_both_of_its_formats(captures: Path) -> None:
@@ -62,3 +102,72 @@ def test_every_real_take_is_an_upright_metre_sized_body_and_its_rotations_are_tr
         assert motion.local_rotations is not None and motion.root_translation is not None
         again = kinematics.forward_kinematics(motion.local_rotations, motion.root_translation, motion.skeleton)
         assert np.abs(again - motion.joint_positions).max() < 1e-5
+
+
+@pytest.mark.parametrize("name", BAD_MOTIONS)
+def test_bad_motions_are_explained_in_one_line(tmp_path: Path, name: str) -> None:
+    content, reason, line, frame = BAD_MOTIONS[name]
+    path = write_asfamc(tmp_path)
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    with pytest.raises(FormatError) as caught:
+        read_asfamc(path, AT_120)
+    error = caught.value
+    assert error.reason == reason, error
+    assert str(path) in str(error) and "\n" not in str(error)
+    assert (error.line, error.frame) == (line, frame), error
+
+
+@pytest.mark.parametrize("name", BAD_SKELETONS)
+def test_bad_skeletons_are_explained(tmp_path: Path, name: str) -> None:
+    content, reason = BAD_SKELETONS[name]
+    path = write_asfamc(tmp_path)
+    (tmp_path / "07.asf").write_text(content)
+    with pytest.raises(FormatError) as caught:
+        read_asfamc(path, AT_120)
+    assert caught.value.reason == reason and caught.value.path.name == "07.asf"
+
+
+def test_the_skeleton_is_found_or_asked_for(tmp_path: Path) -> None:
+    path = write_asfamc(tmp_path)
+    (tmp_path / "08.asf").write_text(ASF)
+    assert read_asfamc(path, AT_120).num_frames == 3  # 07.asf is named like the take
+    path = path.rename(tmp_path / "walk.amc")
+    with pytest.raises(FormatError) as caught:
+        read_asfamc(path, AT_120)
+    assert caught.value.reason == "two-skeletons"
+    for skeleton in tmp_path.glob("*.asf"):
+        skeleton.unlink()
+    with pytest.raises(FormatError) as caught:
+        read_asfamc(path, AT_120)
+    assert caught.value.reason == "no-skeleton"
+
+
+@pytest.mark.parametrize("variant", [TEXT.replace("\n", "\r\n"), TEXT.replace(" ", "\t"), TEXT + "\n\n", " \n" + TEXT])
+def test_fast_and_exact_parsers_agree(variant: str) -> None:
+    table = parse_amc(variant.encode(), Path("a.amc"))
+    assert table.bones == (("root", 6), ("lfemur", 3), ("ltibia", 1))
+    assert table.values[2].tolist() == [0, 18, 0, 0, 20, 0, 10, 3.5e-15, 2, 32]
+
+
+def bones_of(count: int, deep: bool) -> str:
+    """An ASF file of so many bones, in a row or all from the first."""
+    bones = "".join(
+        f"begin\nid {i}\nname b{i}\ndirection 0 1 0\nlength 1\naxis 0 0 0 XYZ\ndof rx\nend\n" for i in range(count)
+    )
+    hierarchy = "".join(f"b{i if deep else 0} b{i + 1}\n" for i in range(count - 1))
+    head, _ = ASF.split(":bonedata")
+    return f"{head}:bonedata\n{bones}:hierarchy\nbegin\nroot b0\n{hierarchy}end\n"
+
+
+@pytest.mark.parametrize("deep", [True, False])
+def test_a_skeleton_of_thousands_of_bones_is_read_or_refused(tmp_path: Path, deep: bool) -> None:
+    path = tmp_path / "07.asf"
+    path.write_text(bones_of(9_999, deep))
+    skeleton = read_asf(path).skeleton
+    assert skeleton.num_joints == 10_000 and skeleton.parents[-1] == (9_998 if deep else 1)
+    path.write_text(bones_of(10_000, deep))
+    with pytest.raises(FormatError, match="more than 10,000 bones"):
+        read_asf(path)
+    path.write_bytes(b"\n" * 1_000_000 + b"x")
+    with pytest.raises(FormatError, match="expected an ASF skeleton"):
+        read_asf(path)

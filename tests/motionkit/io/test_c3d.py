@@ -218,59 +218,40 @@ def damaged(content: bytes, at: int, *values: int) -> bytes:
     return content[:at] + bytes(values) + content[at + len(values) :]
 
 
-def test_bad_files_are_refused_with_their_reason(tmp_path: Path) -> None:
-    good = raw(points(), 84, -1.0)
-    cases = {
-        "not-what-it-says": b"HIERARCHY\n" + b" " * 600,
-        "empty": b"",
-        "truncated": good[:-1],
-        "parameters": damaged(good, 515, 83),
-        "no-markers": damaged(good, 2, 0, 0),
-        "no-frames": damaged(good, 8, 0, 0),
-        "frame-time": good.replace(struct.pack("<f", 100.0), struct.pack("<f", 0.0)),
-        "gaps": raw(np.full((30, 3, 3), np.nan), 84, -1.0),
-        "unit": good.replace(b"cm", b"xx"),
-        "range": raw(points() * 1e6, 84, -1.0),
-    }
-    path = tmp_path / "take.c3d"
-    for reason, content in cases.items():
-        path.write_bytes(content)
-        with pytest.raises(FormatError) as caught:
-            read_c3d(path)
-        assert caught.value.reason == reason, caught.value
+GOOD = raw(points(), 84, -1.0)
 
 
 @pytest.mark.parametrize(
-    ("content", "message"),
+    ("content", "reason", "message"),
     [
-        (b"\x02\x50", "2 bytes, expected a C3D file"),
-        (damaged(raw(points(), 84, -1.0), 0, 200), "the parameters begin at byte 101888, but the file has"),
-        (raw(points(), 84, -1.0)[:520], "the parameters end in the middle"),
-        (
-            damaged(raw(points(), 84, -1.0), 8, 255, 254),
-            "states 65279 frames of 3 points, 3133392 bytes from byte 1024",
-        ),
-        (damaged(raw(points(), 84, -1.0), 2, 255, 255), "states 30 frames of 65535 points"),
-        (damaged(raw(points(), 84, -1.0), 16, 0, 0), "states 30 frames of 3 points"),
-        (raw(points(), 84, -1.0).replace(struct.pack("<f", -1.0), struct.pack("<f", np.nan)), "POINT:SCALE is nan"),
-        (damaged(raw(points(), 84, -1.0), 1024 + 48, 0, 0, 128, 127), "frame 1: infinite"),
+        (b"HIERARCHY\n" + b" " * 600, "not-what-it-says", "looks like a BVH file"),
+        (b"", "empty", "empty"),
+        (b"\x02\x50", "truncated", "2 bytes, expected a C3D file"),
+        (GOOD[:-1], "truncated", "states 30 frames of 3 points"),
+        (GOOD[:520], "truncated", "the parameters end in the middle"),
+        (damaged(GOOD, 0, 200), "truncated", "the parameters begin at byte 101888, but the file has"),
+        (damaged(GOOD, 8, 255, 254), "truncated", "states 65279 frames of 3 points, 3133392 bytes from byte 1024"),
+        (damaged(GOOD, 2, 255, 255), "truncated", "states 30 frames of 65535 points"),
+        (damaged(GOOD, 16, 0, 0), "truncated", "states 30 frames of 3 points"),
+        (damaged(GOOD, 515, 83), "parameters", "processor type 83"),
+        (GOOD.replace(struct.pack("<f", -1.0), struct.pack("<f", np.nan)), "parameters", "POINT:SCALE is nan"),
+        (damaged(GOOD, 2, 0, 0), "no-markers", "0 points"),
+        (damaged(GOOD, 8, 0, 0), "no-frames", "0 frames"),
+        *[
+            (GOOD.replace(struct.pack("<f", 100.0), struct.pack("<f", rate)), "frame-time", "POINT:RATE .*--fps")
+            for rate in (0.0, -1.0, float("nan"), 1e9)
+        ],
+        (raw(np.full((30, 3, 3), np.nan), 84, -1.0), "gaps", "no marker is seen"),
+        (GOOD.replace(b"cm", b"xx"), "unit", "POINT:UNITS is 'xx'"),
+        (raw(points() * 1e6, 84, -1.0), "range", "m from the origin"),
+        (damaged(GOOD, 1024 + 48, 0, 0, 128, 127), "range", "frame 1: infinite"),
     ],
 )
-def test_sizes_are_compared_with_the_files_bytes(tmp_path: Path, content: bytes, message: str) -> None:
-    path = tmp_path / "take.c3d"
-    path.write_bytes(content)
-    with pytest.raises(FormatError, match=message):
-        read_c3d(path)
-
-
-@pytest.mark.parametrize("rate", [0.0, -1.0, float("nan"), 1e9])
-def test_bad_rates_are_refused(tmp_path: Path, rate: float) -> None:
-    path = write(tmp_path / "take.c3d", points())
-    content = path.read_bytes().replace(struct.pack("<f", 120.0), struct.pack("<f", rate))
-    path.write_bytes(content)
-    with pytest.raises(FormatError, match="POINT:RATE"):
-        read_c3d(path)
-    assert read_c3d(path, ReadOptions(fps=Fraction(100))).fps == 100
+def test_bad_files_are_refused_with_their_reason(tmp_path: Path, content: bytes, reason: str, message: str) -> None:
+    (tmp_path / "take.c3d").write_bytes(content)
+    with pytest.raises(FormatError, match=message) as caught:
+        read_c3d(tmp_path / "take.c3d")
+    assert caught.value.reason == reason
 
 
 @settings(max_examples=200, suppress_health_check=[HealthCheck.too_slow])

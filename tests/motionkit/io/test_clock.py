@@ -11,28 +11,7 @@ from motionkit.io.bvh import read_bvh
 from motionkit.io.npz import read_npz
 from motionkit.io.registry import ReadOptions
 from motionkit.io.source_file import fps_in_use, replaced_fps
-
-WALK = """HIERARCHY
-ROOT Hips
-{
-  OFFSET 0 0 0
-  CHANNELS 3 Zrotation Xrotation Yrotation
-  JOINT Chest
-  {
-    OFFSET 0 60 0
-    CHANNELS 3 Zrotation Xrotation Yrotation
-    End Site
-    {
-      OFFSET 0 60 0
-    }
-  }
-}
-MOTION
-Frames: 2
-Frame Time: %s
-0 0 0 0 0 0
-0 0 0 1 2 3
-"""
+from tests.helpers.format_samples import bvh_text
 
 
 def unusable() -> Fraction:
@@ -55,7 +34,7 @@ def test_what_is_given_goes_before_what_is_stated_and_the_log_says_so() -> None:
 def test_an_unusable_framerate_is_none_where_one_is_given(tmp_path: Path, stated: str) -> None:
     options = ReadOptions(fps=Fraction(25))
     walk = tmp_path / "walk.bvh"
-    walk.write_text(WALK % stated)
+    walk.write_text(bvh_text(frame_time=stated))
     array = tmp_path / "walk.npz"
     # 1e-9 s between frames are as many frames a second as nobody has, and so are 1e9 frames a second.
     np.savez(array, joint_positions=np.zeros((2, 22, 3), np.float32), fps=np.array(stated))

@@ -93,27 +93,6 @@ DAZ = [
 ]
 
 
-# In inches, as Second Life's viewer writes it.
-SECOND_LIFE = [
-    ("hip", "", (0.0, 0.0, 0.0)),
-    ("abdomen", "hip", (0.0, 3.42, 0.0)),
-    ("chest", "abdomen", (0.0, 8.49, -0.68)),
-    ("neck", "chest", (0.0, 10.27, -0.27)),
-    ("head", "neck", (0.0, 3.15, 0.0)),
-    *sided(
-        [
-            ("lCollar", "chest", (3.42, 6.71, -0.82)),
-            ("lShldr", "lCollar", (3.29, 0.0, 0.0)),
-            ("lForeArm", "lShldr", (10.13, 0.0, 0.0)),
-            ("lHand", "lForeArm", (8.49, 0.0, 0.0)),
-            ("lThigh", "hip", (5.34, -1.64, 1.37)),
-            ("lShin", "lThigh", (-2.05, -20.12, 0.0)),
-            ("lFoot", "lShin", (0.0, -19.3, -1.23)),
-        ]
-    ),
-]
-
-
 def bvh(joints: list[Joint], root_order: str, height: float, *, t_pose: bool) -> str:
     lines, order = ["HIERARCHY"], []
 
@@ -165,18 +144,6 @@ def test_daz_figures_have_their_pelvis_above_the_hips(tmp_path: Path) -> None:
     body = map_joints(take(tmp_path, "daz"), "smpl22")
     hips = body[:, [SMPL22.index("left_hip"), SMPL22.index("right_hip")]].mean(axis=1)
     assert np.allclose(body[:, 0, 1] - hips[:, 1], 0.09, atol=0.01)
-
-
-def test_second_life_writes_inches(tmp_path: Path) -> None:
-    path = tmp_path / "avatar.bvh"
-    path.write_text(bvh(SECOND_LIFE, "Xrotation Zrotation Yrotation", 42.0, t_pose=False))
-    motion = read_bvh(path)
-    assert "inch" in motion.provenance.operations[0] and joint_map(motion.skeleton, "smpl22").family == "daz"
-    body = map_joints(motion, "smpl22")
-    joints = [SMPL22.index(name) for name in ("left_hip", "pelvis", "spine1", "spine2", "spine3", "neck", "head")]
-    heights = body[0, joints, 1] - body[0, joints[0], 1]
-    # SMPL's mean body has 0.09, 0.20, 0.34, 0.39, 0.60, 0.67 m (formats.smpl.mean_shape), this figure is taller.
-    assert np.allclose(heights / heights[-2], np.array([0.0, 0.09, 0.20, 0.34, 0.39, 0.60, 0.67]) / 0.6, atol=0.06)
 
 
 def test_a_copy_that_says_30_fps_is_put_right(tmp_path: Path) -> None:

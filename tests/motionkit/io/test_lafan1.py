@@ -9,7 +9,7 @@ from motionkit.core.motion import Motion
 from motionkit.io.lafan1 import read_lafan1
 from motionkit.io.reading import read
 from motionkit.io.scan import scan
-from tests.helpers.format_samples import bvh_text, lafan1_text
+from tests.helpers.format_samples import lafan1_text
 from tests.motionkit.core.test_skeletons import check_body
 
 
@@ -52,10 +52,3 @@ def test_the_body_stands_in_metres_at_its_framerate(take: Motion, tmp_path: Path
     resolved = tmp_path / "walk1_subject2.bvh"
     resolved.write_text(lafan1_text(8, frame_time="0.016667"))
     assert read_lafan1(resolved).fps == Fraction(60)
-
-
-def test_any_bvh_of_that_name_is_read(tmp_path: Path) -> None:
-    (tmp_path / "dance1_subject9.bvh").write_text(bvh_text())
-    (item,) = scan([tmp_path]).items
-    motion = read(item)
-    assert (item.format, motion.split, motion.provenance.subject) == ("lafan1", "", "subject9")
