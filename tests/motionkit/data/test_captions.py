@@ -3,8 +3,6 @@
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from motionkit.data.captions import actions_of_windows, captions_of_windows, mirrored_text, overlapping_captions
 from motionkit.data.windows import Windows
@@ -69,19 +67,6 @@ def test_captions_of_a_window():
         overlapping_captions(rows, 3.0, 3.0)
 
 
-@given(
-    start=st.floats(0, 50),
-    length=st.floats(0.1, 20) | st.none(),
-    window=st.floats(0, 50),
-    duration=st.floats(0.1, 10),
-)
-def test_a_kept_caption_really_overlaps(start, length, window, duration):
-    end = None if length is None else start + length
-    if overlapping_captions(captions((start, end)), window, window + duration):
-        assert start < window + duration
-        assert end is None or window < end
-
-
 @pytest.mark.parametrize(
     ("text", "seen_in_a_mirror"),
     [
@@ -99,11 +84,3 @@ def test_a_kept_caption_really_overlaps(start, length, window, duration):
 )
 def test_mirrored_text(text, seen_in_a_mirror):
     assert mirrored_text(text) == seen_in_a_mirror
-
-
-@given(
-    st.lists(st.sampled_from(["left", "rightwards", "LEFTMOST", "clockwise", "counterclockwise", "walks", "bright"]))
-)
-def test_mirroring_twice_is_nothing(words):
-    text = " ".join(words)
-    assert mirrored_text(mirrored_text(text)) == text

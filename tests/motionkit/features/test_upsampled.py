@@ -77,16 +77,3 @@ def test_any_framerate_is_measured(fps):
     motion = capture(Fraction(60), "walk", 3.0, NOISE)
     odd = replace(motion, timegrid=TimeGrid(Fraction(fps), motion.num_frames))
     assert measure(odd).effective_fps is not None
-
-
-def test_a_frozen_stretch_alone_is_not_upsampling():
-    motion = capture(Fraction(120), "walk", 6.0, NOISE)
-    positions = motion.joint_positions.copy()
-    positions[100:300] = positions[100]
-    quality = measure(replace(motion, joint_positions=positions))
-    assert quality.effective_fps == 120.0
-    assert "frozen" in quality.flags
-
-
-def test_short_takes_are_not_judged():
-    assert measure(capture(Fraction(120)).frames(0, 59)).effective_fps is None

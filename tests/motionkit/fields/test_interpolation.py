@@ -4,8 +4,6 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline, Slerp
 
@@ -21,7 +19,6 @@ from motionkit.fields.motion_field import (
     to_motion,
 )
 from tests.helpers.turning_body import random_motion
-from tests.helpers.velocities import joint_velocities
 
 METHODS: list[Method] = list(INTERPOLATORS)
 SMOOTH: list[Method] = ["catmull-rom", "cubic", "rotation-catmull-rom", "squad", "rotation-cubic"]
@@ -79,20 +76,6 @@ def test_many_motions_at_once_are_each_as_alone(method: Method, rotations: bool)
         if expected.local_rotations is not None:
             assert found.local_rotations is not None
             assert turn_between(found.local_rotations, expected.local_rotations).max() < 1e-5
-
-
-@pytest.mark.parametrize("method", METHODS)
-@settings(max_examples=10)
-@given(seed=st.integers(0, 1000))
-def test_the_order_and_the_company_of_times_do_not_matter(method: Method, seed: int) -> None:
-    field = INTERPOLATORS[method].encode(uneven(random_motion(seed), seed), before_seconds=0.2, after_seconds=0.3)
-    rng = np.random.default_rng(seed)
-    times = rng.uniform(field.start_seconds, field.end_seconds, 40)
-    order = rng.permutation(40)
-    straight, shuffled = field.query(times), field.query(times[order])
-    assert np.allclose(straight.joint_positions[order], shuffled.joint_positions, atol=1e-6, rtol=0)
-    one_by_one = np.concatenate([field.query(times[[k]]).joint_positions for k in range(5)])
-    assert np.allclose(one_by_one, straight.joint_positions[:5], atol=1e-6, rtol=0)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -292,10 +275,3 @@ def test_arms_overhead_do_not_swing_between_positions(method: Method) -> None:
     grid = TimeGrid(Fraction(20), 41)
     found = to_motion(interpolate(Motion(overhead(grid.seconds()), SMPL22, grid), method), Fraction(160))
     assert np.abs(found.joint_positions - overhead(found.timegrid.seconds())).max() < 2e-4
-
-
-def test_velocities_are_those_of_the_motion() -> None:
-    motion, coefficients = polynomial_motion(2)
-    times = np.linspace(0, 1.1, 23)
-    slopes = coefficients[1] + 2 * coefficients[2] * times[:, None, None]
-    assert np.allclose(joint_velocities(interpolate(motion, "cubic"), times), slopes, atol=5e-3)

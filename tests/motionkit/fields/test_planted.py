@@ -12,7 +12,7 @@ from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError
 from motionkit.fields.contact import correction
 from motionkit.fields.contact.bones import Bones
-from motionkit.fields.contact.detection import Ground, find_contacts, ground_of
+from motionkit.fields.contact.detection import find_contacts, ground_of
 from motionkit.fields.contact.planted import PlantedField, planted
 from motionkit.fields.interpolation import interpolate
 from motionkit.fields.motion_field import MotionField, Poses, to_motion
@@ -209,18 +209,6 @@ def test_generated_bones_keep_their_length_exactly() -> None:
     assert drift["free"] < 5e-6 < 1e-3 < drift["near"]
 
 
-def test_joints_of_a_chest_that_is_bent_out_of_shape_do_not_jump() -> None:
-    """Neck and collars, each up to 10 cm from its place: the best turn changes smoothly."""
-    times = np.arange(600) / 120.0
-    pose = forward_kinematics(np.tile([1.0, 0, 0, 0], (1, 22, 1)), np.zeros((1, 3)), SMPL22)[0]
-    positions = np.tile(pose, (len(times), 1, 1)).astype(np.float32)
-    for joint, rate in zip((12, 13, 14), (0.31, 0.47, 0.73), strict=True):
-        turn = 2 * np.pi * rate * times[:, None] + np.arange(3) * joint
-        positions[:, joint] += 0.1 * np.sin(turn).astype(np.float32)
-    changed = Bones.of(positions, SMPL22).applied(positions) - positions
-    assert np.linalg.norm(np.diff(changed, axis=0), axis=-1).max() * 120 < 5.0
-
-
 def test_a_hand_does_not_turn_over_where_its_arm_shrinks() -> None:
     """Four fifths of an upper arm, and a tenth of a forearm: the elbow gives way, and the hand stays where it is."""
     shoulder, elbow, wrist = 16, 18, 20
@@ -234,39 +222,6 @@ def test_a_hand_does_not_turn_over_where_its_arm_shrinks() -> None:
     assert now < 3.0 * before
     assert np.linalg.norm(after[:, wrist] - positions[:, wrist], axis=-1).max() < 0.1
     assert np.ptp(np.linalg.norm(after[:, wrist] - after[:, elbow], axis=-1)) < 1e-5
-
-
-def test_generated_motion_has_one_floor_and_captures_may_have_steps() -> None:
-    """A toe that passes below the ground on which feet mostly are, its own level being as low."""
-    paths = np.zeros((240, 2, 2, 3))
-    paths[..., 0, 1], paths[..., 1, 1] = 0.1, 0.03
-    paths[100:140, 1, :, 1] -= 0.02 * np.hanning(40)[:, None]
-    ground = Ground(np.array([[0.1, 0.03], [0.1, 0.03]]), np.array([[0.1, 0.03], [0.08, 0.01]]), 0.03)
-    contacts = find_contacts(paths, 120.0, ground)
-    lowest = {}
-    kinds: tuple[correction.Path, ...] = ("near", "free")
-    for path in kinds:
-        offsets = correction.offsets_of(paths, contacts, ground, 120.0, path)
-        lowest[path] = float((paths[..., 1] + (offsets[:, :1, 1] + offsets[:, 1:, 1])[..., None])[..., 1].min())
-    assert lowest["near"] < 0.012
-    assert lowest["free"] > 0.025
-
-
-def feet_in_place() -> tuple[np.ndarray, Ground]:
-    """Where feet are that stand for four seconds at 120 instants a second, and their ground."""
-    paths = np.zeros((480, 2, 2, 3))
-    paths[..., 0, 1], paths[..., 1, 1] = 0.1, 0.03
-    level = np.array([[0.1, 0.03], [0.1, 0.03]])
-    return paths, Ground(level, level - 0.005, 0.03)
-
-
-@pytest.mark.parametrize(("depth", "raised"), [(0.06, 0.0), (0.015, 0.007)])
-def test_captured_feet_step_down_but_do_not_sink(depth: float, raised: float) -> None:
-    paths, ground = feet_in_place()
-    paths[200:280, 0, :, 1] -= depth * np.hanning(80)[:, None]
-    contacts = find_contacts(paths, 120.0, ground)
-    offsets = correction.offsets_of(paths, contacts, ground, 120.0, "near")
-    assert float((offsets[:, 0, 1] + offsets[:, 1, 1]).max()) == pytest.approx(raised, abs=0.002)
 
 
 def test_rotations_agree_with_positions() -> None:
