@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from fractions import Fraction
+from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -78,7 +79,7 @@ class Job:
         """How many motions are joined from several."""
         return sum(is_joined(script, self.model.max_duration_seconds) for script in self.request.motions)
 
-    @property
+    @cached_property
     def main_files(self) -> list[PurePosixPath]:
         """Each motion's main file below the folder."""
         return [self.output.files(motion_name(*each))[0] for each in enumerate(self.request.motions)]

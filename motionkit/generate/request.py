@@ -14,6 +14,7 @@ import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -71,7 +72,7 @@ class MotionsRequest:
         """The scripts: one prompt each, or all of them in sequence."""
         return (self.prompts,) if self.join else tuple((prompt,) for prompt in self.prompts)
 
-    @property
+    @cached_property
     def motions(self) -> list[Script]:
         """The script of each motion: motion i is of script i // count."""
         return [self.script_of(prompts) for prompts in self.scripts for _ in range(self.count)]
