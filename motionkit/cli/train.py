@@ -1,8 +1,8 @@
 """`motionkit train`: train the stages of a model, or all systems of a table, from a store into a run folder."""
 
 import shlex
-from collections.abc import Sequence
-from contextlib import ExitStack, nullcontext
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import entry_points
@@ -13,8 +13,7 @@ import typer
 
 from motionkit.cli.console import print_json, progress, say_next, stderr, stdout
 from motionkit.cli.options import StoreArgument, named_store, of_default, parse_duration
-from motionkit.cli.tracking import tensorboard_events
-from motionkit.core.errors import UsageError
+from motionkit.core.errors import MissingExtraError, UsageError
 from motionkit.core.files import default_path
 from motionkit.core.progress import ignore, task
 from motionkit.store.sql import conjunction
@@ -26,7 +25,7 @@ from motionkit.training.config import (
     to_plain,
     unknown_setting,
 )
-from motionkit.training.run import RunFolder, check_same, concerns
+from motionkit.training.run import OnMetrics, RunFolder, check_same, concerns, ignore_metrics
 from motionkit.training.stage import Stage, StageContext, StagePlan, choose_stages, registered_stages
 
 
@@ -118,7 +117,9 @@ class TrainRequest:
         """The stages that `--stage` or `--for` selects; raises `UsageError`."""
         if self.target is None:
             next_command = "motionkit eval --table 2" if self.stage == "all" else ""
-            return StagePlan(choose_stages(self.stage, registered_stages()), {self.stage: 1.0}, (), next_command)
+            return StagePlan(
+                choose_stages(self.stage, registered_stages(only=self.stage)), {self.stage: 1.0}, (), next_command
+            )
         if self.stage != "all":
             raise UsageError("--for trains what a table lacks, --stage one stage: give one of them")
         kind = self.target.partition(":")[0]
@@ -305,3 +306,34 @@ def _print_summary(summary: dict[str, Any]) -> None:
     figures = {name: f"{value:.4g}" if isinstance(value, float) else value for name, value in summary.items()}
     name = figures.pop("stage")
     stdout.print(f"{name}: {', '.join(f'{key} {value}' for key, value in figures.items())}")
+
+
+@contextmanager
+def tensorboard_events(folder: Path | None) -> Iterator[OnMetrics]:
+    """A callback that writes each stage's metrics as events to `folder/STAGE`; without a folder it does nothing.
+
+    When a stage is resumed, events of repeated steps are hidden. Raises `MissingExtraError` without the extra `track`.
+    """
+    if folder is None:
+        yield ignore_metrics
+        return
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:
+        raise MissingExtraError("tensorboard", "track") from None
+    writers: dict[str, Any] = {}
+
+    def write(stage: str, values: Mapping[str, float]) -> None:
+        step = int(values["step"])
+        if stage not in writers:
+            writers[stage] = SummaryWriter(str(folder / stage), purge_step=step)
+        for name, value in values.items():
+            if name != "step":
+                writers[stage].add_scalar(name, value, step)
+        writers[stage].flush()
+
+    try:
+        yield write
+    finally:
+        for writer in writers.values():
+            writer.close()

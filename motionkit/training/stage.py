@@ -173,9 +173,11 @@ class StagePlan:
     next_command: str = ""
 
 
-def registered_stages() -> dict[str, Stage[Any]]:
-    """All installed stages by name, in the order in which `--stage all` trains them."""
-    stages: list[Stage[Any]] = [entry.load() for entry in entry_points(group="motionkit.stages")]
+def registered_stages(only: str = "") -> dict[str, Stage[Any]]:
+    """All installed stages by name, in the order in which `--stage all` trains them, or `only` that of a name if it
+    exists."""
+    entries = entry_points(group="motionkit.stages")
+    stages: list[Stage[Any]] = [entry.load() for entry in entries.select(name=only) or entries]
     return {stage.name: stage for stage in sorted(stages, key=lambda stage: (stage.order, stage.name))}
 
 

@@ -100,7 +100,7 @@ class World:
         recipes = {"nano": Config} if name != "gan" else {"nano": Config, "big": Config}
         return Stage(name, order, f"trains {name}", recipes, train, builds_on=builds_on, share=share)
 
-    def stages(self) -> dict[str, Stage[Config]]:
+    def stages(self, only: str = "") -> dict[str, Stage[Config]]:
         def nothing(config: Config) -> tuple[str, ...]:
             return ()
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from motionkit.cli.tracking import tensorboard_events
+from motionkit.cli.train import tensorboard_events
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
 

@@ -45,9 +45,13 @@ def _train(name: str) -> Stage[Config]:
     return Stage(name, order, f"trains {name}", {"nano": Config}, train, builds_on=lambda config: builds_on)
 
 
+def _stages(only: str) -> dict[str, Stage[Config]]:
+    return {name: _train(name) for name in ("first", "second")}
+
+
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(train_module, "registered_stages", lambda: {name: _train(name) for name in ("first", "second")})
+    monkeypatch.setattr(train_module, "registered_stages", _stages)
     with StoreWriter.create(tmp_path / "store"):
         pass
     monkeypatch.chdir(tmp_path)
@@ -164,7 +168,7 @@ def test_a_stage_is_not_trained_twice_at_once(
             refused.append(caught.value)
 
     stages = {"first": replace(whole, train=train), "second": _train("second")}
-    monkeypatch.setattr(train_module, "registered_stages", lambda: stages)
+    monkeypatch.setattr(train_module, "registered_stages", lambda only: stages)
     assert [each["steps"] for each in _run("--overwrite")["stages"]] == [5, 5]  # type: ignore[attr-defined]
     assert len(refused) == 1
     _run("--stage", stage, "--overwrite")
