@@ -16,7 +16,7 @@ from benchmarks.trust.trees import copy, difference, tree
 
 ABSENT = "absent"
 # Names of temporary files.
-TEMPORARY = re.compile(r"(^|/)(\.|building-)")
+TEMPORARY = re.compile(r"(^|/)\.|\.partial/")
 # Permitted exit codes; 130 is Ctrl-C's.
 CODES: dict[str, tuple[int, ...]] = {
     "operation": (0, -signal.SIGKILL),

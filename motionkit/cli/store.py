@@ -1,5 +1,6 @@
 """Commands that check and change a store: validate, split, remove, merge, compact."""
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
@@ -157,13 +158,13 @@ def remove(
     if not ids and where is None:
         raise UsageError("name the sequences to remove, by their ids or with --where")
     path = store or default_path("store")
-    plan = plan_removal(path, ids or (), where=where)
-    if not plan.sequence_ids:
-        raise UsageError(f"no sequence of {path} satisfies {where!r}")
-    if dry_run and as_json:
-        sizes = {"bytes_at_once": plan.bytes_at_once, "bytes_with_compact": plan.bytes_later}
-        print_json({"store": str(path), "dry_run": True, "would_remove": plan.sequence_ids, **sizes})
-    elif dry_run:
+    if dry_run:
+        plan = plan_removal(path, ids or (), where=where)
+        _require_some(plan.sequence_ids, path, where)
+        if as_json:
+            sizes = {"bytes_at_once": plan.bytes_at_once, "bytes_with_compact": plan.bytes_later}
+            print_json({"store": str(path), "dry_run": True, "would_remove": plan.sequence_ids, **sizes})
+            return
         for sequence_id in plan.sequence_ids[:SHOWN_IDS]:
             stdout.print(f"  {sequence_id}")
         if len(plan.sequence_ids) > SHOWN_IDS:
@@ -173,9 +174,10 @@ def remove(
             f"{plan.bytes_at_once / MEGABYTE:,.1f} MB at once, {plan.bytes_later / MEGABYTE:,.1f} MB with "
             "'motionkit compact'"
         )
-    if dry_run:
         return
+    # Also where nothing is left to remove: it finishes what a killed removal has left.
     removed = remove_sequences(path, ids or (), where=where)
+    _require_some(removed, path, where)
     manifest = read_manifest(path)
     if as_json:
         counts = {"sequences_in_store": manifest.num_sequences, "sequences_to_compact": manifest.num_removed}
@@ -184,6 +186,11 @@ def remove(
     stdout.print(f"removed {len(removed):,} sequences from {path}, which holds {manifest.num_sequences:,}")
     if manifest.num_removed:
         stdout.print(f"their frames leave the disk with 'motionkit compact --store {path}'")
+
+
+def _require_some(sequence_ids: Sequence[str], path: Path, where: str | None) -> None:
+    if not sequence_ids:
+        raise UsageError(f"no sequence of {path} satisfies {where!r}")
 
 
 def merge(

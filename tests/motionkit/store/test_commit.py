@@ -17,8 +17,9 @@ from pathlib import Path
 
 import pytest
 
+from motionkit.cli import store as commands
 from motionkit.core import files
-from motionkit.core.errors import BusyError, StoreError
+from motionkit.core.errors import BusyError, StoreError, UsageError
 from motionkit.store import Store, StoreWriter
 from motionkit.store.commit import LOCK_FILE
 from motionkit.store.life import compact, merge, remove
@@ -504,3 +505,12 @@ def test_a_store_is_written_where_there_are_no_locks(small_store, tmp_path, miss
     done = subprocess.run(arguments, check=True, stderr=subprocess.PIPE, text=True)
     assert "lock" in done.stderr  # a warning
     assert Store.open(tmp_path / "new").num_sequences == 1
+
+
+def test_a_command_that_finds_nothing_left_to_remove_finishes_what_a_killed_one_left(small_store):
+    arguments = [sys.executable, "-c", REWRITER, str(small_store), "remove", "1"]
+    assert subprocess.run(arguments, check=False).returncode == -9
+    assert leftovers(small_store) != []
+    with pytest.raises(UsageError, match="no sequence of"):
+        commands.remove(where="sequence_id = 'take-3'", store=small_store)
+    assert leftovers(small_store) == []
