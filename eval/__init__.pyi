@@ -1,4 +1,5 @@
 from .clip_fid.motions import clip_fid as clip_fid
+from .detail import detail_profile as detail_profile
 from .torch_metrics.clips import ClipFID as ClipFID
 from .torch_metrics.means import L2P as L2P
 from .torch_metrics.means import L2Q as L2Q

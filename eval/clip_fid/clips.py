@@ -1,19 +1,16 @@
 """Random clips of a sample set, and the interface of the features computed on them."""
 
 import typing
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 
 import numpy as np
 
-from eval.metrics.gaussian import Gaussian, frechet_distance
 from eval.metrics.resampling import RESAMPLINGS
 from eval.sets.sets import Ragged, SampleSet
 from motionkit.core.errors import MotionkitError
 from motionkit.core.shapes import Float, Float64, Int64
 
-Distance = Callable[[Gaussian, Gaussian], float]
 REAL, OTHER = 0, 1
 """The two sides of a comparison: each draws its own sequences."""
 
@@ -44,25 +41,10 @@ class FeatureSet(typing.Protocol):
 
 @typing.runtime_checkable
 class MotionFeatures(FeatureSet, typing.Protocol):
-    """A feature set computed on whole motions before clips are cut, with its own score.
-
-    Clips are cut from the output of `frames`. Other feature sets use the Fréchet distance as the score.
-    """
-
-    @property
-    def num_distance(self) -> int:
-        """Number of leading features that are compared by their distribution; the others are for the score alone."""
-        ...
+    """A feature set computed on whole motions before clips are cut: clips are cut from the output of `frames`."""
 
     def frames(self, samples: SampleSet) -> Ragged:
         """One row of numbers for every row of the samples' sequences."""
-        ...
-
-    def score(self, real: Gaussian, other: Gaussian, distance: Distance = frechet_distance) -> float:
-        """The score of two sets from the means and covariances of their features; also computed by the bootstrap.
-
-        `distance` is the Fréchet distance, by `frechet_distance` or `quick_frechet_distance`.
-        """
         ...
 
 
@@ -198,14 +180,6 @@ def readable(samples: SampleSet, features: FeatureSet) -> SampleSet:
     if not isinstance(features, MotionFeatures) or samples.sequences.values.ndim != 3:  # or they are read already
         return samples
     return replace(samples, sequences=features.frames(samples), local_rotations=None)
-
-
-def num_features(features: FeatureSet, samples: SampleSet, num_poses: int) -> int:
-    """Number of features that are compared by their distribution."""
-    if isinstance(features, MotionFeatures):
-        return features.num_distance
-    described = features.describe(samples.sequences.clips(np.zeros(1, dtype=np.int64), num_poses), samples.fps)
-    return len(described[0])
 
 
 def describe_clips(

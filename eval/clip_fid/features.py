@@ -1,14 +1,11 @@
-"""The available feature sets: always the kinematic descriptor, and the learned evaluator of a run that has one."""
+"""The available feature sets: the kinematic descriptor, and Guo's evaluator where its files are given."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from fractions import Fraction
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from pathlib import Path
 
 import numpy as np
 
-from eval.clip_fid import kinematic1
 from eval.clip_fid.channels import channels
 from eval.clip_fid.clips import (
     REAL,
@@ -27,33 +24,34 @@ from eval.clip_fid.threads import in_threads
 from eval.sets.partial import PartialResult, collect
 from eval.sets.sets import Ragged, SampleSet
 from eval.text_motion.guo.kind import GuoFiles
-from motionkit.core.errors import MotionkitError, UsageError
+from motionkit.core.errors import UsageError
 
-OLD = "kinematic/1"
-"""Features that are computed only if requested by name."""
 FIT_CLIPS = 8192
 FIT_FRAMES = 100_000
-NATIVE_REPLICATIONS = 5
+GUO_REPLICATIONS = 5
 FIT_REPLICATION = 1_000_000
 """The seed of the descriptor's fit, different from those of all replications."""
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """The comparison of sample sets with the real set at one framerate.
-
-    `parts` names slices of the features whose own FID is computed too; `training` is the set that they were fitted on.
-    """
+    """The comparison of sample sets with the real set at one framerate; the features were fitted on `training`."""
 
     real: SampleSet
     features: FeatureSet
     protocol: Protocol
-    parts: Mapping[str, slice] = field(default_factory=dict)
     training: SampleSet | None = None
 
     @cached_property
     def _real(self) -> SampleSet:
         return readable(self.real, self.features)
+
+    @property
+    def num_features(self) -> int:
+        """Number of features of a clip."""
+        shortest = int(self.protocol.sizes.sizes(self.real.fps).min())
+        clip = self._real.sequences.clips(np.zeros(1, dtype=np.int64), shortest)
+        return int(self.features.describe(clip, self.real.fps).shape[1])
 
     def scores(
         self,
@@ -63,28 +61,25 @@ class Comparison:
     ) -> dict[RowKey, ClipFid]:
         """clip-FID of every row; takes and raises what `score_rows` does."""
         rows = {name: self._real if samples is self.real else samples for name, samples in rows.items()}
-        return score_rows(self._real, rows, self.features, self.protocol, self.parts, on_replication, subset_sizes)
+        return score_rows(self._real, rows, self.features, self.protocol, on_replication, subset_sizes)
 
     def disjoint_halves(self, on_replication: Callable[[], None] = lambda: None) -> ClipFid:
         """clip-FID between halves of the real takes; raises `ClipError` where there are too few."""
-        return score_disjoint_halves(self._real, self.features, self.protocol, self.parts, on_replication)
+        return score_disjoint_halves(self._real, self.features, self.protocol, on_replication)
 
 
 @dataclass(frozen=True)
 class FeatureSource:
     """A kind of features; `fit` returns the feature set for one framerate, fitted on the real training set.
 
-    `parts` are slices of its features whose own FID is printed beside the total; `max_replications` bounds the cost of
-    slow features; `remark_at` is a note for tables at a framerate, or empty.
+    `max_replications` bounds the cost of slow features.
     """
 
     name: str
     title: str
     fit: Callable[[SampleSet], FeatureSet]
-    parts: Mapping[str, slice] = field(default_factory=dict)
     note: str = ""
     max_replications: int | None = None
-    remark_at: Callable[[Fraction], str] = lambda fps: ""
 
     def protocol(self, asked: Protocol) -> Protocol:
         """The requested protocol, with at most `max_replications`."""
@@ -99,22 +94,16 @@ class FeatureSource:
         """
         protocol = self.protocol(asked)
         check_lengths(real, protocol)
-        return Comparison(real, self.fit(train), protocol, self.parts, train)
+        return Comparison(real, self.fit(train), protocol, train)
 
 
-def feature_sources(
-    run: Path | None, wanted: Sequence[str] | None, guo: GuoFiles | None = None
-) -> PartialResult[list[FeatureSource]]:
+def feature_sources(wanted: Sequence[str] | None, guo: GuoFiles | None = None) -> PartialResult[list[FeatureSource]]:
     """All available feature sets, or the `wanted` ones.
 
-    Guo's evaluator is available if its files are given. Raises `UsageError` for an unknown name and for `guo` without
-    files; if none of the `wanted` is available, raises the last one's error.
+    Raises `UsageError` for an unknown name and for `guo` without files; if none of the `wanted` is available, raises
+    the last one's error.
     """
-    known: dict[str, Callable[[], FeatureSource]] = {
-        "kinematic": kinematic_source,
-        OLD: kinematic1_source,
-        "native": partial(native_source, run),
-    }
+    known: dict[str, Callable[[], FeatureSource]] = {"kinematic": kinematic_source}
     if guo is not None:
         known["guo"] = partial(guo_source, guo)
     elif wanted is not None and "guo" in wanted:
@@ -122,7 +111,7 @@ def feature_sources(
     unknown = [name for name in wanted or () if name not in known]
     if unknown:
         raise UsageError(f"there is no feature set {unknown[0]!r}: {', '.join(known)}")
-    chosen = [name for name in known if (name != OLD if wanted is None else name in wanted)]
+    chosen = [name for name in known if wanted is None or name in wanted]
     found = collect(chosen, lambda name: known[name](), "features {!r}".format)
     if wanted and not found.value:
         known[chosen[-1]]()
@@ -136,46 +125,9 @@ def kinematic_source() -> FeatureSource:
         title=f"clip-FID on the kinematic descriptor ({VERSION})",
         fit=fit_on,
         note=(
-            "Slow motion is compared by its distribution, motion above 12 Hz by whether it comes when slow motion "
-            "predicts it: noise that does not follow motion wins nothing, noise that does wins "
-            "(docs/results/games.md). 1 is the variance of a block of features on real training clips."
+            "What bodies do below 8 Hz; finer motion is in the detail profile. 1 is the variance of a block of "
+            "features on real training clips."
         ),
-    )
-
-
-def kinematic1_source() -> FeatureSource:
-    """The first version of the descriptor, for comparison with old results."""
-    return FeatureSource(
-        name="kinematic/1",
-        title=f"clip-FID on the kinematic descriptor, version 1 ({kinematic1.VERSION})",
-        fit=fit_version_1_on,
-        parts={"slip": kinematic1.BLOCKS["slip"]},
-        note=(
-            "For comparison with old results: white noise of 0.3 mm hides from it that a motion was upsampled "
-            "(docs/results/games.md), so a low score is no proof of detail."
-        ),
-    )
-
-
-def native_source(run: Path | None) -> FeatureSource:
-    """The learned evaluator of a run. Raises `RunError` if the run has none."""
-    from eval.native_evaluator.evaluator import load_native
-
-    if run is None:
-        raise MotionkitError("the learned evaluator belongs to a run, and none was given")
-    evaluator = load_native(run)
-    return FeatureSource(
-        name="native",
-        title="clip-FID on the learned native-rate evaluator",
-        fit=lambda train: evaluator,
-        note=(
-            f"Features of the run's evaluator, a network trained on this store; at most {NATIVE_REPLICATIONS} "
-            "replications, for it costs several times the descriptor. Its numbers are its own: they compare with no "
-            "other evaluator's. Noise and borrowed texture win it (docs/results/calibration.md), so a low score is no "
-            "proof of detail."
-        ),
-        max_replications=NATIVE_REPLICATIONS,
-        remark_at=evaluator.remark_at,
     )
 
 
@@ -194,12 +146,12 @@ def guo_source(files: GuoFiles) -> FeatureSource:
         title=f"clip-FID on the {evaluator.name} evaluator of {evaluator.kind.dataset}",
         fit=at_its_framerate,
         note=(
-            f"At {float(evaluator.fps):g} fps alone, at most {NATIVE_REPLICATIONS} replications. This evaluator was "
+            f"At {float(evaluator.fps):g} fps alone, at most {GUO_REPLICATIONS} replications. This evaluator was "
             "trained to match motions with sentences: it scores upsampled and smoothed motion much like clean motion. "
             "Clips of m poses are m − 1 frames of pose vectors. These are not the FIDs of whole motions that papers "
             "print."
         ),
-        max_replications=NATIVE_REPLICATIONS,
+        max_replications=GUO_REPLICATIONS,
     )
 
 
@@ -212,15 +164,6 @@ def fit_on(train: SampleSet, seed: int = 0) -> KinematicDescriptor:
     fitted = fit_kinematic(motions, train.fps)
     rows = replace(some, sequences=Ragged.of(list(map(fitted.rows, motions))), local_rotations=None)
     return standardised(fitted, describe_clips(rows, _fit_places(rows, seed), fitted))
-
-
-def fit_version_1_on(train: SampleSet, seed: int = 0) -> kinematic1.KinematicDescriptor:
-    """Fit the first version of the kinematic descriptor on random clips of a training set."""
-    places = _fit_places(train, seed)
-    sizes = np.unique(places.num_poses).tolist()
-    return kinematic1.fit_kinematic(
-        (train.sequences.clips(places.first_row[places.num_poses == size], size) for size in sizes), train.fps
-    )
 
 
 def _fit_places(train: SampleSet, seed: int) -> ClipPlaces:

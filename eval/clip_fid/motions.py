@@ -1,13 +1,12 @@
 """clip-FID of two sets of motions in memory, in one call."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 
 from eval.clip_fid.clips import ClipError, Protocol
-from eval.clip_fid.features import Comparison, kinematic_source, native_source
+from eval.clip_fid.features import kinematic_source
 from eval.metrics.checks import Estimate
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.errors import UsageError
@@ -27,7 +26,6 @@ def clip_fid(
     *,
     fps: Framerate | None = None,
     train: Motions | None = None,
-    features: str | Path = "kinematic",
     clips: int = 4096,
     replications: int = 20,
     seed: int = 0,
@@ -35,12 +33,11 @@ def clip_fid(
     """Fréchet distance between random native-rate clips of two sets of motions at one framerate, with its interval.
 
     Motions are `Motion`s, brought to the 22 joints, or arrays [T, 22, 3] in metres, y up, at `fps`. Each replication
-    draws `clips` clips of 16 to 64 poses from either set. `features` is the kinematic descriptor, or a run whose
-    learned evaluator is used. The descriptor is fitted on `train`, by default on the real motions; tables fit it on the
-    training split and compare with the test split (docs/evaluators.md).
+    draws `clips` clips of 16 to 64 poses from either set. The kinematic descriptor is fitted on `train`, by default on
+    the real motions; tables fit it on the training split and compare with the test split (docs/evaluators.md).
 
     Lower is better, and 0 is not reached: the floor is what other real motions score. Scores compare only with the same
-    real motions, framerate, features and number of clips. Warns where both sets are one and the same motion: its clips
+    real motions, framerate and number of clips. Warns where both sets are one and the same motion: its clips
     are the same on both sides, and their distance is 0.
 
     Raises `UsageError` for motions of several framerates or of another one than `fps`, `ClipError` where no motion is
@@ -54,13 +51,8 @@ def clip_fid(
     >>> score.mean - score.ci95 > floor.mean + floor.ci95
     True
     """
-    given = None if fps is None else parse_fps(fps)
     sets = {"real": real, "generated": generated, "train": real if train is None else train}
-    rates = {rate for motions in sets.values() for rate in _framerates(motions, given)}
-    if len(rates) != 1:
-        found = ", ".join(format_fps(rate) for rate in sorted(rates)) or "none (arrays need fps=…)"
-        raise UsageError(f"motions at one framerate are compared, these have {found}: motion.resample(fps) changes it")
-    rate = rates.pop()
+    rate = common_framerate(sets.values(), fps)
     samples = {name: samples_of(name, motions, rate) for name, motions in sets.items()}
     if _are_one_motion(samples["real"], samples["generated"]):
         warn(
@@ -68,14 +60,8 @@ def clip_fid(
             "nothing; compare with other motions, or several real ones with themselves for the floor"
         )
     protocol = Protocol(num_clips=clips, replications=replications, detailed_replications=0, seed=seed)
-    comparison = comparison_with(samples["real"], samples["train"], protocol, features)
+    comparison = kinematic_source().comparison(samples["real"], samples["train"], protocol)
     return comparison.scores({"generated": samples["generated"]})["generated"].clip_fid
-
-
-def comparison_with(real: SampleSet, train: SampleSet, protocol: Protocol, features: str | Path) -> Comparison:
-    """The real side of `clip_fid`, fitted once for any number of sets; raises what it raises."""
-    source = kinematic_source() if features == "kinematic" else native_source(Path(features))
-    return source.comparison(real, train, protocol)
 
 
 def _are_one_motion(real: SampleSet, generated: SampleSet) -> bool:
@@ -83,9 +69,14 @@ def _are_one_motion(real: SampleSet, generated: SampleSet) -> bool:
     return single and np.array_equal(real.sequences.values, generated.sequences.values)
 
 
-def _framerates(motions: Motions, given: Fraction | None) -> set[Fraction]:
-    own = {motion.fps for motion in motions if isinstance(motion, Motion)}
-    return own if given is None else own | {given}
+def common_framerate(sets: Iterable[Motions], fps: Framerate | None) -> Fraction:
+    """The one framerate of sets of motions; raises `UsageError` for several, for another than `fps`, or for none."""
+    rates = set() if fps is None else {parse_fps(fps)}
+    rates |= {motion.fps for motions in sets for motion in motions if isinstance(motion, Motion)}
+    if len(rates) != 1:
+        found = ", ".join(format_fps(rate) for rate in sorted(rates)) or "none (arrays need fps=…)"
+        raise UsageError(f"motions at one framerate are compared, these have {found}: motion.resample(fps) changes it")
+    return rates.pop()
 
 
 def samples_of(name: str, motions: Motions, fps: Fraction) -> SampleSet:

@@ -9,7 +9,6 @@ clip-FID.
 from collections.abc import Callable, Hashable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -20,7 +19,6 @@ from eval.clip_fid.clips import (
     REAL,
     ClipError,
     FeatureSet,
-    MotionFeatures,
     Protocol,
     describe_clips,
     draw_clips,
@@ -30,7 +28,6 @@ from eval.clip_fid.clips import (
 from eval.clip_fid.threads import in_threads
 from eval.metrics.checks import Estimate, estimate
 from eval.metrics.gaussian import (
-    Gaussian,
     fid_infinity,
     fit_gaussian,
     frechet_distance,
@@ -43,7 +40,6 @@ from eval.metrics.resampling import (
     Difference,
     Resampled,
     Resampling,
-    Score,
     Units,
     UnitSums,
     blocks_for,
@@ -55,13 +51,12 @@ from eval.metrics.resampling import (
 from eval.sets.sets import SampleSet
 from motionkit.core.shapes import Float64, Int64
 
-VERSION = "clip-fid/2"
-PART = "part "
+VERSION = "clip-fid/3"
 
 
 @dataclass(frozen=True)
 class ClipFid:
-    """One comparison: clip-FID, the FID of named parts of the features, and further metrics on the same features.
+    """One comparison: clip-FID, and further metrics on the same features.
 
     The interval of `clip_fid` is over takes (and generations, if there are several) and includes clip sampling; that of
     `drawing` covers clip sampling alone. `resampled` are the scores of resampled takes: empty if the protocol has none,
@@ -73,7 +68,6 @@ class ClipFid:
 
     clip_fid: Estimate
     drawing: Estimate
-    parts: Mapping[str, Estimate]
     details: Mapping[str, Estimate]
     resampled: Resampled = ()
 
@@ -91,16 +85,15 @@ def score_rows(
     rows: Mapping[RowKey, SampleSet],
     features: FeatureSet,
     protocol: Protocol,
-    parts: Mapping[str, slice] | None = None,
     on_replication: Callable[[], None] = lambda: None,
     subset_sizes: Mapping[RowKey, int] | None = None,
 ) -> dict[RowKey, ClipFid]:
     """clip-FID of every row's sample set against the real one at the same framerate.
 
-    `parts` names slices of the features whose own FID is wanted; `on_replication` is called after each replication.
-    For rows in `subset_sizes` every replication takes another random subset of that many sequences; their interval is
-    1.96 standard deviations of single subsets, not of their mean. Raises `ClipError` if clips do not fit or the real
-    set's features are constant, and `ValueError` for different framerates.
+    `on_replication` is called after each replication. For rows in `subset_sizes` every replication takes another random
+    subset of that many sequences; their interval is 1.96 standard deviations of single subsets, not of their mean.
+    Raises `ClipError` if clips do not fit or the real set's features are constant, and `ValueError` for different
+    framerates.
     """
     subsets = subset_sizes or {}
     for samples in rows.values():
@@ -120,7 +113,7 @@ def score_rows(
             among = _subset(samples, subsets[name], protocol, replication) if name in subsets else None
             other = _features(samples, features, protocol, replication, OTHER, among)
             pair = (reference.features, other.features)
-            scores[name] = _compare(*pair, features, protocol, replication, parts or {})
+            scores[name] = _compare(*pair, protocol, replication)
             if among is None:
                 described.append(other)
         return _Replication(scores, described)
@@ -133,7 +126,7 @@ def score_rows(
         if takes is not None:
             takes.add(each.described)
         on_replication()
-    resampled = {} if takes is None else dict(zip(whole, takes.scores(features), strict=True))
+    resampled = {} if takes is None else dict(zip(whole, takes.scores(), strict=True))
     found = {}
     for name in rows:
         summary = _summarise([scores[name] for scores in replications], resampled.get(name, ()))
@@ -157,7 +150,6 @@ def score_disjoint_halves(
     real: SampleSet,
     features: FeatureSet,
     protocol: Protocol,
-    parts: Mapping[str, slice] | None = None,
     on_replication: Callable[[], None] = lambda: None,
 ) -> ClipFid:
     """clip-FID between random disjoint halves of the real takes (P2), one split per replication.
@@ -172,18 +164,13 @@ def score_disjoint_halves(
             _features(real, features, protocol, replication, side, half).features
             for side, half in zip((REAL, OTHER), halves, strict=True)
         )
-        return _compare(a, b, features, protocol, replication, parts or {})
+        return _compare(a, b, protocol, replication)
 
     replications = []
     for scores in in_threads(replicate, range(protocol.replications)):
         replications.append(scores)
         on_replication()
     return _of_single_sets(_summarise(replications))
-
-
-def score_of(features: FeatureSet) -> Callable[[Gaussian, Gaussian], float]:
-    """The score of two sets on these features: their own, or the Fréchet distance."""
-    return features.score if isinstance(features, MotionFeatures) else frechet_distance
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,18 +209,15 @@ class _Takes:
         for clips, units, sums in zip(described, self._units, self._sums, strict=True):
             sums.add(clips.features, units.unit[clips.sequence])
 
-    def scores(self, features: FeatureSet) -> list[Resampled]:
+    def scores(self) -> list[Resampled]:
         """Every row's bootstrap scores; empty if the real set or the row has a single take."""
         from threadpoolctl import threadpool_limits
 
-        score: Score = quick_frechet_distance
-        if isinstance(features, MotionFeatures):
-            score = partial(features.score, distance=quick_frechet_distance)
         real, *others = zip(self._sums, self._units, strict=True)
         several = [each.num_takes > 1 and self._sets[0].num_takes > 1 for each in self._sets[1:]]
         with threadpool_limits(1, "blas"):
             chosen = [other for other, enough in zip(others, several, strict=True) if enough]
-            found = iter(resampled_scores(*real, chosen, score, self._resampling))
+            found = iter(resampled_scores(*real, chosen, quick_frechet_distance, self._resampling))
         return [next(found) if enough else () for enough in several]
 
 
@@ -270,16 +254,10 @@ def _subset(samples: SampleSet, size: int, protocol: Protocol, replication: int)
 def _compare(
     real: Float64[np.ndarray, "clips features"],
     other: Float64[np.ndarray, "clips features"],
-    features: FeatureSet,
     protocol: Protocol,
     replication: int,
-    parts: Mapping[str, slice],
 ) -> Scores:
-    scores = {"clip_fid": score_of(features)(fit_gaussian(real), fit_gaussian(other))}
-    if isinstance(features, MotionFeatures):
-        real, other = real[:, : features.num_distance], other[:, : features.num_distance]
-    for name, part in parts.items():
-        scores[PART + name] = frechet_distance(fit_gaussian(real[:, part]), fit_gaussian(other[:, part]))
+    scores = {"clip_fid": frechet_distance(fit_gaussian(real), fit_gaussian(other))}
     if replication < protocol.detailed_replications:
         rng = np.random.default_rng((protocol.seed, replication, 4))
         neighbours = prdc(real, other, protocol.num_neighbours)
@@ -295,10 +273,9 @@ def _compare(
 def _summarise(replications: list[Scores], resampled: Resampled = ()) -> ClipFid:
     means = {key: estimate([scores[key] for scores in replications if key in scores]) for key in replications[0]}
     drawing = means.pop("clip_fid")
-    parts = {key.removeprefix(PART): means.pop(key) for key in list(means) if key.startswith(PART)}
     width = half_width(resampled)
     total = drawing if width is None else replace(drawing, ci95=float(np.hypot(width, drawing.ci95)))
-    return ClipFid(total, drawing, parts, means, resampled)
+    return ClipFid(total, drawing, means, resampled)
 
 
 def _of_single_sets(found: ClipFid) -> ClipFid:

@@ -115,20 +115,20 @@ def _decimals(value: float | int) -> int | None:
 
 
 def format_cell(cell: Cell | None, as_printed: bool = False) -> str:
-    """`0.123 ± 0.004` with as many decimals on both sides, or a dash; a paper's figure keeps its own digits."""
+    """`0.123 ± 0.004` with as many decimals on both sides, and its mark, or a dash; a paper's keeps its own digits."""
     if cell is None:
         return "–"
     if as_printed:
         return f"{cell.value:g}" if cell.ci95 is None else f"{cell.value:g} ± {cell.ci95:g}"
     if cell.ci95 is None:
-        return format_number(cell.value)
+        return f"{format_number(cell.value)}{cell.mark}"
     decimals = _decimals(cell.value)
     if decimals is None:
-        return f"{cell.value:.2e} ± {cell.ci95:.2e}"
+        return f"{cell.value:.2e} ± {cell.ci95:.2e}{cell.mark}"
     # At least one significant digit of the half-width, so that a nonzero one never shows as 0.
     leading = -math.floor(math.log10(cell.ci95)) if cell.ci95 > 0 else 0
     decimals = max(decimals, min(leading, MAX_DECIMALS))
-    return f"{cell.value:.{decimals}f} ± {cell.ci95:.{decimals}f}"
+    return f"{cell.value:.{decimals}f} ± {cell.ci95:.{decimals}f}{cell.mark}"
 
 
 def format_measure(measure: Measure) -> str:

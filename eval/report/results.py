@@ -37,12 +37,13 @@ class ResultError(MotionkitError):
 class Cell:
     """One number: `ci95` is half the width of its 95 % interval (None: unknown), `details` further metrics by name.
 
-    A count is an int, shown with all its digits.
+    A count is an int, shown with all its digits. `mark` is shown after it; the block's note explains it.
     """
 
     value: float | int
     ci95: float | None = None
     details: Mapping[str, float | int] = field(default_factory=dict)
+    mark: str = ""
 
 
 @dataclass(frozen=True)

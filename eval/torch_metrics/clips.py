@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,8 +10,8 @@ from torch import Tensor
 from torchmetrics import Metric
 
 from eval.clip_fid.clips import Protocol
-from eval.clip_fid.features import Comparison
-from eval.clip_fid.motions import Motions, comparison_with, samples_of
+from eval.clip_fid.features import Comparison, kinematic_source
+from eval.clip_fid.motions import Motions, samples_of
 from eval.torch_metrics.arrays import array_of, rows_of
 from motionkit.core.framerate import Framerate, parse_fps
 from motionkit.core.shapes import Float, Int
@@ -24,10 +23,9 @@ class ClipFID(Metric):
     """clip-FID of generated motions against real ones at one framerate, as `eval.clip_fid` computes it.
 
     `real` are the reference motions, and `train` those that the descriptor is fitted on (by default the real ones):
-    `Motion`s of `fps`, or arrays [frames, 22, 3] in metres, y up. `features` is the kinematic descriptor, or a run with
-    a learned evaluator. `update` takes motions of any lengths and keeps them, since clips are drawn in proportion to
-    the duration of all of them. The value is that of `eval.clip_fid` on the same motions in the same order. Scores are
-    comparable only for the same real motions, framerate, features, and number of clips.
+    `Motion`s of `fps`, or arrays [frames, 22, 3] in metres, y up. `update` takes motions of any lengths and keeps them,
+    since clips are drawn in proportion to the duration of all of them. The value is that of `eval.clip_fid` on the same
+    motions in the same order. Scores are comparable only for the same real motions, framerate and number of clips.
 
     Raises `UsageError`, `ClipError` and `MotionkitError` as `eval.clip_fid` does, for the real motions when the metric
     is first computed.
@@ -53,7 +51,6 @@ class ClipFID(Metric):
         real: Motions,
         *,
         train: Motions | None = None,
-        features: str | Path = "kinematic",
         clips: int = 4096,
         replications: int = 20,
         seed: int = 0,
@@ -63,7 +60,6 @@ class ClipFID(Metric):
         self.fps = parse_fps(fps)
         self._real = samples_of("real", real, self.fps)
         self._train = self._real if train is None else samples_of("train", train, self.fps)
-        self._features = features
         self._protocol = Protocol(num_clips=clips, replications=replications, detailed_replications=0, seed=seed)
         self.add_state("positions", [], dist_reduce_fx="cat")
         self.add_state("num_frames", [], dist_reduce_fx="cat")
@@ -94,4 +90,4 @@ class ClipFID(Metric):
 
     @cached_property
     def _comparison(self) -> Comparison:
-        return comparison_with(self._real, self._train, self._protocol, self._features)
+        return kinematic_source().comparison(self._real, self._train, self._protocol)

@@ -206,16 +206,15 @@ def score_column(
 
 
 def clip_fid_cell(score: ClipFid, samples: SampleSet, subset: int | None = None) -> Cell:
-    """A score as a cell; its parts, further metrics and the size of its sets are details.
+    """A score as a cell; further metrics and the size of its sets are details.
 
     It has no interval if takes cannot be resampled (a single take). `subset` is the number of sequences scored at once,
     if not all.
     """
-    parts = {f"FID of the {name} block alone": value.mean for name, value in score.parts.items()}
     further = {DETAIL_NAMES[name]: value.mean for name, value in score.details.items()}
     sizes = {MOTIONS: subset or samples.num_sequences, TAKES: subset or samples.num_takes}
     interval = score.clip_fid.ci95 if score.resampled or subset else None
-    return Cell(score.clip_fid.mean, interval, {**parts, **further, DRAWING: score.drawing.ci95, **sizes})
+    return Cell(score.clip_fid.mean, interval, {**further, DRAWING: score.drawing.ci95, **sizes})
 
 
 def samples_at(

@@ -10,7 +10,6 @@ import numpy as np
 
 from eval.clip_fid.clips import REAL, describe_clips, draw_clips, place_clips, readable
 from eval.clip_fid.features import Comparison, kinematic_source
-from eval.clip_fid.kinematic import NUM_TIMING
 from eval.clip_fid.kinematic import VERSION as KINEMATIC_VERSION
 from eval.clip_fid.score import VERSION as CLIP_FID_VERSION
 from eval.metrics.actions import diversity
@@ -254,7 +253,7 @@ def _diversity(samples: SampleSet, comparison: Comparison) -> Cell:
     for replication in range(protocol.replications):
         places = place_clips(draw_clips(protocol, samples.fps, replication, REAL), samples)
         rng = np.random.default_rng((protocol.seed, replication, 5))
-        values.append(diversity(describe_clips(samples, places, features)[:, :-NUM_TIMING], rng))
+        values.append(diversity(describe_clips(samples, places, features), rng))
     found = estimate(values)
     return Cell(found.mean, found.ci95)
 

@@ -6,21 +6,19 @@ from fractions import Fraction
 from itertools import chain
 from typing import Any
 
-from eval.clip_fid import kinematic, kinematic1
-from eval.clip_fid.clips import num_features
 from eval.clip_fid.features import Comparison, FeatureSource, feature_sources
+from eval.clip_fid.kinematic import KinematicDescriptor
 from eval.clip_fid.score import CLIP_FID, VERSION
 from eval.metrics.resampling import Difference
 from eval.report.differences import differences_block, of_interest
 from eval.report.results import Block, Cell, Result, Row, measure
 from eval.sample_folder import SampleFolder
 from eval.sample_folder.takes import takes_of_samples
-from eval.sets.copies import TrainingMotion
 from eval.sets.generated import sample_fields
-from eval.sets.memorisation import limits_of_store, set_remarks
 from eval.sets.partial import PartialResult, collect
 from eval.sets.planted import VARIANT_NOTES
 from eval.sets.real import NoRealMotionError, RealMotion, real_motion, training_motion
+from eval.sets.remarks import set_remarks
 from eval.sets.row_ids import RowId, Variant
 from eval.tables.models import generated_fields
 from eval.tables.nerm.clip_fid_column import (
@@ -42,12 +40,12 @@ from eval.tables.nerm.clip_fid_column import (
     score_column,
 )
 from eval.tables.nerm.copies import copies_block
+from eval.tables.nerm.detail_block import detail_block
 from eval.tables.parts import SOURCES, printed_rows, reported_figures
 from eval.tables.registry import Table, TableRequest
 from motionkit.core.errors import MotionkitError
 from motionkit.core.progress import task
 from motionkit.generate.models import installed_models
-from motionkit.store import Store
 
 COLUMNS = tuple(Fraction(rate) for rate in (20, 40, 60, 100, 120))
 ROW_NOTES = {
@@ -98,12 +96,13 @@ def build_table2(request: TableRequest) -> Result:
     generated = generated_fields(request, real.at(min(rates.value)))
     fields = generated.value.rows
     notes = _row_notes(fields, folders, generated.value.training)
-    sources = feature_sources(request.evaluated.run, request.evaluators.names, request.evaluators.guo)
+    sources = feature_sources(request.evaluators.names, request.evaluators.guo)
     sheets: list[dict[str, _Scored]] = [{} for _ in sources.value]
     absent: list[list[str]] = [[] for _ in sources.value]
     sizes: list[ColumnSize] = []
     remarks: list[str] = []
     slow: list[str] = []
+    details: list[Block | None] = []
     for fps in rates.value:
         # One column's motions at a time: all framerates together need three times the memory.
         samples = samples_at(folders, real, fps, request.on_progress)
@@ -116,20 +115,22 @@ def build_table2(request: TableRequest) -> Result:
             scored = _scored(source, column, request)
             sheet.update(scored.value)
             lines += scored.missing
+        with task(request.on_progress, f"detail, {column.label}"):
+            details.append(detail_block(column, notes, request.seed))
         del samples, made, column
         for motion in (real, train):
             motion.forget_all_but(LOW_FPS)
     by_source = zip(sources.value, sheets, strict=True)
     blocks = [block for source, sheet in by_source for block in _blocks(source, sheet, sizes, notes, request)]
     with task(request.on_progress, "copies of training motion"):
-        copies = _copies(store, real, train, request.real.split, fields, folders, notes)
+        copies = _copies(real, train, fields, folders, notes)
     missing = (*rates.missing, *generated.missing, *slow, *sources.missing, *chain(*absent), *copies.missing)
     return Result(
         task="nerm-table2",
         version=VERSION,
         title="Table 2: clip-FID by framerate",
         caption=_caption(sizes, request),
-        blocks=(*(block for block in (*blocks, *copies.value) if block.rows), _paper_block()),
+        blocks=(*(block for block in (*blocks, *details, *copies.value) if block and block.rows), _paper_block()),
         definition=_definition(sizes, request),
         notes=(*_notes(sizes, request), *_sample_notes(real, folders), *dict.fromkeys(remarks)),
         missing=tuple(dict.fromkeys(missing)),
@@ -141,7 +142,7 @@ def build_table2(request: TableRequest) -> Result:
     )
 
 
-TABLE = Table("nerm", "2", "clip-FID by framerate", build_table2, shown=installed_models, reads=("evaluator",))
+TABLE = Table("nerm", "2", "clip-FID by framerate", build_table2, shown=installed_models)
 
 
 def _usable_rates(rates: tuple[Fraction, ...], real: RealMotion) -> PartialResult[list[Fraction]]:
@@ -169,18 +170,13 @@ def _row_notes(
 
 
 def _copies(
-    store: Store,
     real: RealMotion,
     train: RealMotion,
-    split: str,
     fields: ModelFields,
     folders: Sequence[SampleFolder],
     notes: Mapping[RowId, str],
 ) -> PartialResult[tuple[Block, ...]]:
-    """The block on copies of training motion; none if there is no training split or it is too short.
-
-    Limits are from the validation split, unless it is among the compared motion.
-    """
+    """The block on copies of training motion; none if there is no training split or it is too short."""
     try:
         if train.name == real.name:
             raise NoRealMotionError("the compared motion is the training motion")
@@ -192,9 +188,7 @@ def _copies(
         }
         others = {row: samples for row, samples in generated.items() if samples is not None}
         others |= {RowId(folder.name): folder.at(LOW_FPS) for folder in folders}
-        indexed = TrainingMotion.of(training)
-        limits = limits_of_store(store, training, indexed, with_validation=split not in ("val", "all"))
-        return PartialResult((copies_block(held_out, indexed, limits, others, notes),))
+        return PartialResult((copies_block(held_out, training, others, notes),))
     except (NoRealMotionError, ValueError) as error:
         return PartialResult((), (f"copies of training motion: {error}",))
 
@@ -211,9 +205,9 @@ def _scored(source: FeatureSource, column: Column, request: TableRequest) -> Par
     except MotionkitError as error:
         return PartialResult({}, (f"{label}, {source.name}: {error}",))
     features = comparison.features
-    if isinstance(features, kinematic.KinematicDescriptor | kinematic1.KinematicDescriptor):
+    if isinstance(features, KinematicDescriptor):
         features.save(request.results / "features" / f"kinematic-{features.fingerprint}.npz")
-    warnings = tuple(filter(None, (*_too_few(column, comparison), source.remark_at(column.fps))))
+    warnings = tuple(_too_few(column, comparison))
     scores = found.value
     return PartialResult(
         {label: _Scored(scores.cells, scores.differences, features.fingerprint, warnings)}, found.missing
@@ -274,7 +268,7 @@ def _counted(cells: Mapping[str, Cell]) -> str:
 def _too_few(column: Column, comparison: Comparison) -> list[str]:
     """Remarks on columns with no more samples than features, whose covariances are singular."""
     protocol = comparison.protocol
-    size = num_features(comparison.features, column.real, int(protocol.sizes.sizes(column.fps).min()))
+    size = comparison.num_features
     advice = "quote KID, precision and recall (in the JSON's details), and give more"
     found = []
     if protocol.num_clips <= size:

@@ -107,9 +107,8 @@ def test_clip_sizes_in_seconds_grow_with_the_framerate() -> None:
 def test_a_copy_scores_the_floor_and_a_change_scores_more() -> None:
     real = ramps("real", [200] * 40)
     rows = {"copy": real, "moved": ramps("moved", [200] * 40, offset=8000.0)}
-    scores = score_rows(real, rows, FirstAndLastHeight(), SMALL, {"first": slice(0, 1)})
+    scores = score_rows(real, rows, FirstAndLastHeight(), SMALL)
     assert 0 < scores["copy"].clip_fid.mean < 0.05 * scores["moved"].clip_fid.mean
-    assert scores["moved"].parts["first"].mean == pytest.approx(8000.0**2, rel=0.5)
     assert scores["moved"].clip_fid.replications == 3
     assert scores["moved"].details["kid"].replications == 1
     assert scores["copy"].details["coverage"].mean > 0.9

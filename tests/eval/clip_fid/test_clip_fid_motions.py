@@ -87,5 +87,3 @@ def test_what_cannot_be_compared_is_reported(real: list[mk.Motion]) -> None:
         clip_fid(real, [])
     with pytest.raises(ClipError, match="16 poses"):
         clip_fid(real, [motion.frames(0, 10) for motion in real], **FEW)
-    with pytest.raises(mk.MotionkitError, match="not trained"):
-        clip_fid(real, real, features="runs/nowhere")

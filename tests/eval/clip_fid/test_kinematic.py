@@ -1,4 +1,4 @@
-"""The kinematic descriptor: its blocks, its timing, and that a score does not fall by noise that follows nothing."""
+"""The kinematic descriptor: its blocks, and that noise above 8 Hz neither wins nor loses."""
 
 from fractions import Fraction
 from pathlib import Path
@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from eval.clip_fid import features, kinematic
-from eval.clip_fid.clips import REAL, Protocol, describe_clips, draw_clips, num_features, place_clips, readable
-from eval.clip_fid.features import fit_on, fit_version_1_on
-from eval.clip_fid.kinematic import WEIGHTS, KinematicDescriptor, fit_kinematic, load_kinematic
-from eval.metrics.gaussian import Gaussian, fit_gaussian
+from eval.clip_fid.clips import REAL, Protocol, describe_clips, draw_clips, place_clips, readable
+from eval.clip_fid.features import fit_on
+from eval.clip_fid.kinematic import BLOCKS, NUM_FEATURES, WEIGHTS, KinematicDescriptor, fit_kinematic, load_kinematic
+from eval.metrics.gaussian import Gaussian, fit_gaussian, frechet_distance
+from eval.sets.corruptions import low_pass
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.errors import DamagedFileError
 from motionkit.core.skeleton import SMPL22
@@ -61,16 +62,16 @@ def gaussian(samples: SampleSet, descriptor: KinematicDescriptor) -> Gaussian:
 def test_blocks_have_the_variance_of_their_weights_on_training_clips(
     real: SampleSet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in ("LEAST_LOG_SPREAD", "LEAST_POSE_SPREAD"):
-        monkeypatch.setattr(kinematic, name, 1e-9)
+    monkeypatch.setattr(kinematic, "LEAST_LOG_SPREAD", 1e-9)
+    monkeypatch.setattr(kinematic, "LEAST_SPREADS", dict.fromkeys(kinematic.LEAST_SPREADS, 1e-9))
     monkeypatch.setattr(features, "FIT_CLIPS", 512)
     fitted = fit_on(real)
     order = np.random.default_rng((0, features.FIT_REPLICATION)).permutation(real.num_sequences)
     some = real.select(order)
     places = place_clips(draw_clips(Protocol(num_clips=512), FPS, features.FIT_REPLICATION, REAL), some)
     rows = describe_clips(readable(some, fitted), places, fitted)
-    assert rows.shape[1] == fitted.num_distance + 2 == num_features(fitted, real, 16) + 2
-    for name, block in fitted.blocks.items():
+    assert rows.shape[1] == NUM_FEATURES
+    for name, block in BLOCKS.items():
         assert rows[:, block].var(axis=0).sum() == pytest.approx(WEIGHTS[name]), name
         np.testing.assert_allclose(rows[:, block].mean(axis=0), 0.0, atol=1e-9)
 
@@ -82,36 +83,18 @@ def test_a_clip_has_the_same_features_in_any_set(real: SampleSet, descriptor: Ki
     np.testing.assert_allclose(descriptor.describe(clips[9:11], FPS), descriptor.describe(clips, FPS)[9:11], atol=1e-12)
 
 
-def test_real_motion_follows_itself_and_what_is_smooth_or_noisy_does_not(
-    real: SampleSet, descriptor: KinematicDescriptor
-) -> None:
-    from eval.sets.corruptions import low_pass
-
+def test_noise_above_eight_hertz_neither_wins_nor_loses(real: SampleSet, descriptor: KinematicDescriptor) -> None:
     rng = np.random.default_rng(3)
-    slow = real.with_positions("slow", FPS, [low_pass(take[None], 120.0, 8.0)[0] for take in real.sequences])
-    noisy = slow.with_positions(
-        "noisy", FPS, [(take + 0.001 * rng.standard_normal(take.shape)).astype(np.float32) for take in slow.sequences]
-    )
-    following = {each.name: descriptor.following(gaussian(each, descriptor)) for each in (real, slow, noisy)}
-    assert following["stamping"] == pytest.approx(1.0, abs=0.1)
-    assert abs(following["slow"]) < 0.1
-    assert abs(following["noisy"]) < 0.15
+    slow = [low_pass(take[None], 120.0, 8.0)[0] for take in real.sequences]
+    noise = [0.001 * rng.standard_normal(take.shape) for take in slow]
+    fast = [each - low_pass(each[None], 120.0, 20.0)[0] for each in noise]
+    sets = [
+        real.with_positions(name, FPS, [take.astype(np.float32) for take in takes])
+        for name, takes in {"slow": slow, "noisy": [a + b for a, b in zip(slow, fast, strict=True)]}.items()
+    ]
     reference = gaussian(real, descriptor)
-    honest, cheat = (descriptor.score(reference, gaussian(each, descriptor)) for each in (slow, noisy))
-    assert cheat > 0.8 * honest > 0.05
-
-
-def test_a_score_is_zero_for_itself_and_grows_one_way(real: SampleSet, descriptor: KinematicDescriptor) -> None:
-    """Fast motion that follows more closely than in real motion is not counted, less closely is."""
-    rows = described(real, descriptor)
-    reference = fit_gaussian(rows)
-    assert descriptor.score(reference, reference) == pytest.approx(0.0, abs=1e-9)
-    first = descriptor.num_distance
-    less, more = rows.copy(), rows.copy()
-    less[:, first] *= 0.5
-    more[:, first] *= 2.0
-    assert descriptor.score(reference, fit_gaussian(less)) == pytest.approx(kinematic.TIMING_WEIGHT / 4, rel=1e-6)
-    assert descriptor.score(reference, fit_gaussian(more)) == pytest.approx(0.0, abs=1e-9)
+    plain, noisy = (frechet_distance(reference, gaussian(each, descriptor)) for each in sets)
+    assert noisy == pytest.approx(plain, rel=0.02)
 
 
 def test_it_is_saved_without_pickle_and_read_back(descriptor: KinematicDescriptor, tmp_path: Path) -> None:
@@ -124,24 +107,8 @@ def test_it_is_saved_without_pickle_and_read_back(descriptor: KinematicDescripto
         load_kinematic(path)
 
 
-def test_a_file_of_the_first_version_is_refused(real: SampleSet, tmp_path: Path) -> None:
-    fit_version_1_on(real).save(tmp_path / "old.npz")
-    with pytest.raises(ValueError, match="kinematic/1"):
-        load_kinematic(tmp_path / "old.npz")
-
-
 def test_other_framerates_and_no_motion_are_refused(real: SampleSet, descriptor: KinematicDescriptor) -> None:
     with pytest.raises(ValueError, match="fitted at 120"):
         descriptor.frames(real.with_positions("60", Fraction(60), list(real.sequences)))
     with pytest.raises(ValueError, match="at least one motion"):
         fit_kinematic([], FPS)
-
-
-def test_twenty_frames_a_second_have_no_timing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(features, "FIT_CLIPS", 256)
-    slow = sample_set("slow", Fraction(20), [take[::6] for take in stamping().sequences], [str(i) for i in range(12)])
-    fitted = fit_on(slow)
-    places = place_clips(draw_clips(Protocol(num_clips=200), Fraction(20), 0, REAL), slow)
-    reference = fit_gaussian(describe_clips(readable(slow, fitted), places, fitted))
-    assert np.isfinite(fitted.score(reference, reference))
-    assert fitted.following(reference) == pytest.approx(0.0)

@@ -1,0 +1,113 @@
+"""The detail profile: known answers of each figure, and what does not change them."""
+
+from collections.abc import Callable
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import scipy.ndimage
+
+from eval.detail import RealDetail, bands_at, detail_profile, smoothed
+from eval.games import with_bones_of
+from eval.sets.corruptions import low_pass
+from eval.sets.sets import SampleSet, sample_set
+from motionkit.core.errors import UsageError
+from motionkit.core.skeleton import SMPL22
+
+FPS = Fraction(120)
+
+
+def stamping(num_takes: int = 16, seed: int = 0) -> SampleSet:
+    """Takes of a rigid body that stamps: above 12 Hz it shakes after each stamp and hardly between, with some noise."""
+    rng, rest = np.random.default_rng(seed), np.zeros((22, 3))
+    for joint, parent in enumerate(SMPL22.parents[1:], start=1):
+        rest[joint] = rest[parent] + SMPL22.offsets[joint]
+    takes, seconds = [], np.arange(480) / 120.0
+    for _ in range(num_takes):
+        phase = 2 * np.pi * (rng.uniform(1.0, 1.6) * seconds + rng.uniform())
+        sway = np.stack([0.2 * np.sin(phase), 0.1 * np.abs(np.sin(phase)), 0.05 * np.cos(phase)], axis=-1)
+        wave = np.sin(2 * np.pi * rng.uniform(16, 24) * seconds + rng.uniform(0, 6))
+        shake = np.exp(4 * (np.cos(2 * phase) - 1)) * wave
+        take = rest + rng.uniform(0.5, 1.5, (22, 1)) * sway[:, None] + 0.003 * shake[:, None, None]
+        noisy = take + 0.0002 * rng.standard_normal(take.shape)
+        takes.append(with_bones_of(noisy, np.broadcast_to(rest, noisy.shape)).astype(np.float32))
+    return sample_set("stamping", FPS, takes, [str(index) for index in range(num_takes)])
+
+
+@pytest.fixture(scope="module")
+def real() -> RealDetail:
+    return RealDetail.of(stamping(), stamping(seed=1))
+
+
+def changed(real: RealDetail, change: Callable[[np.ndarray], np.ndarray]) -> dict[str, float]:
+    takes = [change(take).astype(np.float32) for take in real.real.sequences]
+    figures = real.profile(real.real.with_positions("changed", FPS, takes)).figures
+    return {name: figure.value for name, figure in figures.items()}
+
+
+def test_real_motion_beside_itself_is_one_and_nought_and_within_its_own_range(real: RealDetail) -> None:
+    profile = real.profile(real.real)
+    assert profile.timing.value == 1.0
+    assert [each.value for each in profile.energy_db.values()] == [0.0] * 4
+    assert profile.rigidity_mm.value < 0.01
+    assert all(figure.is_real for figure in profile.figures.values())
+    assert 0.8 < real.real_slope < 1.6
+
+
+def test_smooth_motion_has_neither_timing_nor_energy(real: RealDetail) -> None:
+    found = changed(real, lambda take: low_pass(take[None], 120.0, 8.0)[0])
+    assert abs(found["T"]) < 0.1 and found["12–18 Hz"] < -6
+
+
+def test_white_noise_has_energy_without_timing_and_changes_bones(real: RealDetail) -> None:
+    rng = np.random.default_rng(0)
+    found = changed(real, lambda take: low_pass(take[None], 120.0, 8.0)[0] + 0.002 * rng.standard_normal(take.shape))
+    assert abs(found["T"]) < 0.15 and found["27–40 Hz"] > 6
+    # A bone's length has the noise of both of its ends along it, of which an 8 Hz high-pass leaves nearly all.
+    assert found["R"] == pytest.approx(2.0 * np.sqrt(2.0), rel=0.15)
+
+
+@pytest.mark.parametrize("gain", [0.5, 2.0])
+def test_louder_fast_motion_has_as_much_more_energy(real: RealDetail, gain: float) -> None:
+    def louder(take: np.ndarray) -> np.ndarray:
+        slow = low_pass(take[None].astype(np.float64), 120.0, 9.0)[0]
+        return slow + gain * (take - slow)
+
+    assert changed(real, louder)["18–27 Hz"] == pytest.approx(20 * np.log10(gain), abs=1.5)
+
+
+def test_where_a_body_stands_and_faces_changes_nothing(real: RealDetail) -> None:
+    turn = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    found = changed(real, lambda take: take @ turn + [3.0, 0.0, -2.0])
+    assert found["T"] == pytest.approx(1.0, abs=1e-3)
+    assert [found[f"{low:g}–{high:g} Hz"] for low, high in bands_at(FPS)] == pytest.approx([0.0] * 4, abs=1e-2)
+
+
+@pytest.mark.parametrize(("fps", "edges"), [(40, [12, 18]), (60, [12, 18, 27]), (100, [12, 18, 27, 40, 50])])
+def test_bands_are_those_that_a_framerate_holds(fps: int, edges: list[int]) -> None:
+    bands = bands_at(Fraction(fps))
+    assert [bands[0][0], *(high for _, high in bands)] == edges
+
+
+def test_few_takes_have_no_range_and_slow_motion_no_profile() -> None:
+    few = stamping(3)
+    assert RealDetail.of(few, few).profile(few).timing.real_range is None
+    slow = sample_set("slow", Fraction(30), [take[::4] for take in few.sequences], few.sequence_ids)
+    with pytest.raises(UsageError):
+        RealDetail.of(slow, slow)
+
+
+def test_arrays_of_anybody_have_a_profile() -> None:
+    walks = list(stamping().sequences)
+    smooth = [scipy.ndimage.gaussian_filter1d(walk, 4, axis=0) for walk in walks]
+    profile = detail_profile(walks, smooth, fps=120)
+    assert profile.timing.interval[0] <= profile.timing.value <= profile.timing.interval[1]
+    assert profile.energy_db[12.0, 18.0].value < -6 and "outside" in str(profile)
+
+
+def test_a_hann_window_keeps_constants_and_its_width_is_in_seconds() -> None:
+    np.testing.assert_allclose(smoothed(np.full((50, 2), 3.0), 0.1, 120.0), 3.0)
+    impulse = np.zeros((481, 1))
+    impulse[240] = 1.0
+    assert np.count_nonzero(smoothed(impulse, 0.1, 120.0) > 1e-12) == 13
+    assert np.count_nonzero(smoothed(impulse, 0.1, 60.0) > 1e-12) == 7
