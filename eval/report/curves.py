@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from eval.clip_fid.calibration import DISJOINT, FLAT, MAX_FLAT_RATIO, TASK, level_name
+from eval.calibration import DISJOINT, FLAT, MAX_FLAT_RATIO, TASK, level_name
 from eval.report.figures import BLUE, CURVE_COLOURS, FRAMERATE_LABEL, GREY, MARKERS, Curve, Panel, curves_figure
 from eval.report.results import Block, Cell, Result, ResultError, Row
-from eval.sets.corruptions import Family, families
+from eval.sets.corruptions import Family, damages
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ def calibration_figure(result: Result) -> Figure:
     blocks = [block for block in result.blocks if block.provenance.get("shows") == "scores" and block.columns]
     if not blocks:
         raise ResultError(f"{result.title}: there is no calibration to draw in this result")
-    kinds = families()
+    kinds = damages()
     width, height = PANEL_INCHES
     lines = -(-(len(kinds) + 1) // PANELS_A_LINE)
     size = (width * PANELS_A_LINE, height * lines * len(blocks) + 0.7)

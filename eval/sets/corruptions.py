@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 import scipy.fft
+import scipy.interpolate
 
 from motionkit.core.shapes import Float, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
@@ -22,6 +23,7 @@ Strength = float | Float64[np.ndarray, "*batch"]
 
 LOW_PASS_ORDER = 4
 SHIFT_REACH_FRAMES = 64
+FEET = [7, 8, 10, 11]
 KAISER_BETA = 7.857
 """80 dB of attenuation beside the passband (Kaiser's formula, 0.1102 · (80 − 8.7))."""
 
@@ -76,6 +78,19 @@ def families(skeleton: Skeleton = SMPL22) -> tuple[Family, ...]:
         Family("foot-sliding", "m/s", "amplitude", (0.01, 0.02, 0.05, 0.1, 0.2), 0.005, 0.3, 0.0, slide),
         Family("jitter", "m", "amplitude", (0.0005, 0.001, 0.002, 0.005, 0.01), 0.00025, 0.015, 0.0, jitter),
         Family("low-pass", "Hz", "rate", (20.0, 10.0, 5.0, 3.0), 30.0, 2.0, 0.5, _corrupt_low_pass),
+    )
+
+
+def damages(skeleton: Skeleton = SMPL22) -> tuple[Family, ...]:
+    """What calibration damages motion with: the families that the learned evaluator regresses, and further ones."""
+    rates = (60.0, 40.0, 30.0, 20.0, 15.0, 10.0)
+    return (
+        *families(skeleton),
+        Family("upsampling-cubic", "fps", "rate", rates, 100.0, 8.0, 1.0, _corrupt_cubic),
+        Family("floor-height", "m", "amplitude", (0.05, 0.1, 0.2, 0.3), 0.02, 0.5, 0.0, _lower),
+        Family("time-reversed", "of the frames", "amplitude", (1.0,), 0.5, 1.0, 0.0, _reverse),
+        Family("frozen-feet", "of the way", "amplitude", (0.25, 0.5, 1.0), 0.1, 1.0, 0.0, _freeze_feet),
+        Family("pops", "m", "amplitude", (0.02, 0.05, 0.1), 0.01, 0.2, 0.0, _pop),
     )
 
 
@@ -215,6 +230,57 @@ def _corrupt_low_pass(
     positions: Array, fps: float, strength: float | npt.NDArray[np.float64], rng: np.random.Generator
 ) -> Array:
     return low_pass(positions, fps, strength)
+
+
+def _corrupt_cubic(
+    positions: Array, fps: float, strength: float | npt.NDArray[np.float64], rng: np.random.Generator
+) -> Array:
+    """Keep only the poses at so many frames a second, and read the others from a cubic spline through them."""
+    flat, kept = _flatten(positions, strength)
+    last, result = flat.shape[1] - 1, flat.copy()
+    if last < 1:
+        return positions.copy()
+    for clip, spacing in enumerate(np.maximum(fps / kept, 1.0)):
+        phase = spacing * rng.uniform() * (spacing > 1.0)
+        knots, frames = np.unique(np.concatenate(([0.0], np.arange(phase, last, spacing), [last]))), np.arange(last + 1)
+        poses = scipy.interpolate.CubicSpline(frames, flat[clip])(knots)
+        result[clip] = scipy.interpolate.CubicSpline(knots, poses)(frames)
+    return _restore(result, positions)
+
+
+def _lower(positions: Array, fps: float, strength: float | npt.NDArray[np.float64], rng: np.random.Generator) -> Array:
+    """Sink the whole body by so many metres."""
+    flat, metres = _flatten(positions, strength)
+    return _restore(flat - metres[:, None, None, None] * np.array([0.0, 1.0, 0.0]), positions)
+
+
+def _reverse(
+    positions: Array, fps: float, strength: float | npt.NDArray[np.float64], rng: np.random.Generator
+) -> Array:
+    """Play the motion backwards."""
+    return positions[..., ::-1, :, :].copy()
+
+
+def _freeze_feet(
+    positions: Array, fps: float, strength: float | npt.NDArray[np.float64], rng: np.random.Generator
+) -> Array:
+    """Bring ankles and toes so far towards their mean places beside the root: with 1 they do not move beside it."""
+    flat, share = _flatten(positions, strength)
+    result = flat.copy()
+    beside = flat[:, :, FEET] - flat[:, :, :1]
+    result[:, :, FEET] += share[:, None, None, None] * (beside.mean(axis=1, keepdims=True) - beside)
+    return _restore(result, positions)
+
+
+def _pop(positions: Array, fps: float, strength: float | npt.NDArray[np.float64], rng: np.random.Generator) -> Array:
+    """Displace one joint for one frame, about once a second, by so many metres in a random direction."""
+    flat, metres = _flatten(positions, strength)
+    result, (num_clips, num_frames, num_joints, _) = flat.copy(), flat.shape
+    clip, frame = np.nonzero(rng.random((num_clips, num_frames)) < 1.0 / fps)
+    direction = rng.standard_normal((len(clip), 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    result[clip, frame, rng.integers(num_joints, size=len(clip))] += metres[clip, None] * direction
+    return _restore(result, positions)
 
 
 def _flatten(

@@ -1,7 +1,7 @@
-"""Attempts to game a score: corrupted motion, with noise or the fast part of other takes added.
+"""Games: attempts to hide from clip-FID and the detail profile that motion was upsampled or low-passed.
 
-A score that noise at any time lowers far below that of the plain corruption measures a capture's jitter. One that noise
-at the right time lowers does not see what fast motion is, only when it comes.
+Each adds something to the plain corruption: noise, at any time or at the right one, to positions or to rotations, or
+the fast motion of other takes. A game is won if no figure sees it.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -13,13 +13,18 @@ import scipy.fft
 
 from eval.sets.corruptions import low_pass, turn, upsample_slerp
 from eval.sets.sets import SampleSet
+from motionkit.core.shapes import Float, Float64
 from motionkit.core.skeleton import SMPL22
 from motionkit.features import field
 
+NUM_GAMES = 3
+"""Number of corruptions that `games` plays with."""
 KEPT_FPS = 20.0
 LOW_PASS_HZ = 8.0
 TEXTURE_HZ = 10.0
 NOISE_METRES = (0.0001, 0.0003, 0.001)
+LANDING_NOISE_METRES = (0.0001, 0.0003, 0.0005, 0.001, 0.002)
+TEXTURE_GAINS = (0.5, 1.0, 2.0)
 FAST_METRES_PER_SECOND = 0.5
 NUM_LENDERS = 4
 FEET = [SMPL22.index(name) for name in ("left_ankle", "right_ankle", "left_foot", "right_foot")]
@@ -49,7 +54,7 @@ class Games:
 def games(real: SampleSet, seed: int = 0, training: SampleSet | None = None) -> Iterator[Games]:
     """Upsampled and low-passed motion, each plain and disguised; one corruption at a time.
 
-    With `training` motion at the framerate of `real`, one disguise adds its fast part where its slow part is nearest.
+    With `training` motion at the framerate of `real`, some disguises add its fast part where its slow part is nearest.
     """
     fps = float(real.fps)
     rng = np.random.default_rng((seed, 7))
@@ -67,13 +72,19 @@ def games(real: SampleSet, seed: int = 0, training: SampleSet | None = None) -> 
 def _games(parent: str, honest: SampleSet, real: SampleSet, seed: int, windows: "_Windows | None") -> Games:
     cheats = {}
     for kind, noise in NOISES.items():
-        for metres in NOISE_METRES:
+        for metres in LANDING_NOISE_METRES if kind == LANDINGS else NOISE_METRES:
             rng = np.random.default_rng((seed, 8))
             noisy = [take + metres * noise(take, real, rng) for take in honest.sequences]
             cheats[f"{parent} + {kind}, {1000 * metres:g} mm"] = _with(honest, noisy)
+            if kind in TIMED:
+                rigid = [with_bones_of(each, take) for each, take in zip(noisy, honest.sequences, strict=True)]
+                cheats[f"{parent} + {kind}, {1000 * metres:g} mm, of rotations"] = _with(honest, rigid)
     cheats[f"{parent} + fast part of another take"] = _borrowed(honest, real, seed)
     if windows is not None:
-        cheats[f"{parent} + {ALIGNED}"] = _with(honest, [take + windows.fast_motion(take) for take in honest.sequences])
+        fast = [windows.fast_motion(take) for take in honest.sequences]
+        for gain in TEXTURE_GAINS:
+            takes = [take + gain * each for take, each in zip(honest.sequences, fast, strict=True)]
+            cheats[f"{parent} + {ALIGNED} × {gain:g}"] = _with(honest, takes)
     return Games(parent, honest, cheats)
 
 
@@ -122,17 +133,32 @@ def _by_vertical_acceleration(take: Take, like: SampleSet, rng: np.random.Genera
     return noise
 
 
+LANDINGS = "noise after landings"
 NOISES: dict[str, Callable[[Take, SampleSet, np.random.Generator], Noise]] = {
     "white noise": _white,
     "pink noise": _pink,
     "noise on fast joints": _on_fast_joints,
     "noise while joints are fast": _while_joints_are_fast,
-    "noise after landings": _after_landings,
+    LANDINGS: _after_landings,
     "noise by vertical acceleration": _by_vertical_acceleration,
 }
 ALIGNED = "fast part of the nearest training motion"
-TIMED = ("noise after landings", "noise by vertical acceleration", ALIGNED)
-"""Disguises that follow slow motion."""
+TIMED = (LANDINGS, "noise by vertical acceleration")
+"""Noises that follow slow motion."""
+
+
+def with_bones_of(
+    noisy: Float64[np.ndarray, "frames 22 3"], take: Float[np.ndarray, "frames 22 3"]
+) -> Float64[np.ndarray, "frames 22 3"]:
+    """The directions of a noisy motion's bones at the lengths that they have in another, built from its root."""
+    built = noisy.copy()
+    for joint, parent in enumerate(SMPL22.parents[1:], start=1):
+        bone = noisy[:, joint] - noisy[:, parent]
+        length = np.linalg.norm(take[:, joint] - take[:, parent], axis=-1, keepdims=True)
+        built[:, joint] = built[:, parent] + bone * length / np.maximum(
+            np.linalg.norm(bone, axis=-1, keepdims=True), 1e-9
+        )
+    return built
 
 
 def _speed(take: Take, like: SampleSet) -> Noise:

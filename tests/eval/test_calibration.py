@@ -1,0 +1,97 @@
+"""Calibration: what passes, what fails, what is visible first; a blind feature set is found out."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from eval.calibration import MIRRORED, Game, Graded, Scored, calibrate
+from eval.clip_fid import features
+from eval.clip_fid.clips import PoseRange, Protocol
+from eval.clip_fid.features import Comparison, fit_on
+from eval.games import NUM_GAMES
+from eval.metrics.checks import Estimate
+from eval.sets.sets import SampleSet, sample_set
+from motionkit.core.skeleton import SMPL22
+
+FPS = Fraction(40)
+PROTOCOL = Protocol(sizes=PoseRange(16, 32), num_clips=400, replications=2, detailed_replications=0)
+
+
+def scored(mean: float, ci95: float = 0.1) -> Scored:
+    return Scored(Estimate(mean, ci95, 3), None)
+
+
+def graded(*means: float, family: str = "jitter") -> Graded:
+    clean, *levels = map(scored, means)
+    return Graded(family, "m", tuple(0.001 * level for level in range(1, len(means))), clean, tuple(levels))
+
+
+def test_damage_passes_where_its_severest_level_is_seen() -> None:
+    rising = graded(1.0, 1.1, 2.0, 5.0)
+    assert rising.passes and rising.spearman == pytest.approx(1.0) and rising.first_seen == 0.002
+    assert graded(1.0, 3.0, 1.05).first_seen is None and not graded(1.0, 3.0, 1.05).passes
+
+
+def test_of_slow_damage_the_score_has_to_follow_the_severity() -> None:
+    falls_back = (1.0, 3.0, 2.0, 5.0, 4.0)
+    assert graded(*falls_back).passes
+    assert not graded(*falls_back, family="foot-sliding").passes
+
+
+def takes(noise_metres: float = 0.001) -> SampleSet:
+    rng = np.random.default_rng(0)
+    rest = np.zeros((22, 3))
+    for joint, parent in enumerate(SMPL22.parents[1:], start=1):
+        rest[joint] = rest[parent] + SMPL22.offsets[joint]
+    time = np.arange(200)[:, None, None] / float(FPS)
+    sequences = []
+    for _ in range(10):
+        rate, phase = rng.uniform(0.5, 4, (22, 3)), rng.uniform(0, 6, (22, 3))
+        swing = 0.05 * np.sin(2 * np.pi * rate * time + phase)
+        sequences.append((rest + swing + noise_metres * rng.normal(size=swing.shape)).astype(np.float32))
+    return sample_set("takes", FPS, sequences, [str(index) for index in range(10)])
+
+
+class MeanHeight:
+    """A feature set that is blind to everything but posture."""
+
+    name = "blind"
+    fingerprint = "blind/1"
+
+    def describe(self, clips: np.ndarray, fps: Fraction) -> np.ndarray:
+        return clips[:, :, :, 1].astype(np.float64).mean(axis=1)
+
+
+def test_a_game_is_won_where_nothing_sees_it() -> None:
+    game = Game("slow", scored(2.0), {"hidden": scored(2.05), "worse": scored(2.2), "better": scored(1.0)})
+    assert game.won == ["hidden", "better"]
+
+
+def test_the_descriptor_sees_jitter_and_a_blind_feature_set_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(features, "FIT_CLIPS", 512)
+    real = takes()
+    seen = calibrate(Comparison(real, fit_on(real), PROTOCOL), None)
+    families = {family.family: family for family in seen.graded}
+    assert families["jitter"].passes
+    assert families["foot-sliding"].passes
+    assert families["low-pass"].strengths == (10.0, 5.0, 3.0)
+    assert set(seen.flat) == {"yaw", "translation", MIRRORED, "sinc interpolation by half a frame"}
+    assert seen.games == () and seen.clean.detail is None  # no detail without training motion
+    blind = calibrate(Comparison(real, MeanHeight(), PROTOCOL), None)
+    assert not blind.passes
+
+
+def test_with_training_motion_every_game_is_played(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(features, "FIT_CLIPS", 512)
+    real = takes()
+    found = calibrate(Comparison(real, fit_on(real), PROTOCOL, training=real), None)
+    assert [game.parent for game in found.games] == [
+        "upsampled from 20 fps",
+        "low-passed at 8 Hz",
+        "low-passed at 10 Hz",
+    ]
+    assert len(found.games) == NUM_GAMES
+    low_passed = next(each for each in found.graded if each.family == "low-pass")
+    energies = [next(iter(each.detail.energy_db.values())).value for each in low_passed.scored if each.detail]
+    assert energies == sorted(energies, reverse=True) and energies[-1] < -3
