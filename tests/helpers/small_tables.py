@@ -3,12 +3,10 @@
 import pytest
 
 from eval.clip_fid import features
-from eval.sets import memorisation
 from eval.tables.nerm import copies
 
 
 def make_tables_small(patch: pytest.MonkeyPatch) -> None:
     """Search few motions for copies and fit clip-FID on few clips; tests/eval knows enough of both."""
-    patch.setattr(copies, "MOST_MOTIONS", 3)
-    patch.setattr(memorisation, "MOST_HELD_OUT", 3)
+    patch.setattr(copies, "MAX_MOTIONS", 3)
     patch.setattr(features, "FIT_CLIPS", 256)

@@ -14,10 +14,10 @@ from eval.metrics.replications import Scores
 from eval.report.results import Block, Result
 from eval.sample_folder import SampleFolder
 from eval.sets.generated import refusal
-from eval.sets.memorisation import size_remarks
 from eval.sets.partial import PartialResult, collect
 from eval.sets.planted import VARIANT_NOTES
 from eval.sets.real import NoRealMotionError
+from eval.sets.remarks import size_remarks
 from eval.sets.row_ids import REAL, RowId, check_sample_names
 from eval.tables.models import Trained, TrainedModel, trained_models, training_note
 from eval.tables.nerm.retrieval import RetrievalSets, retrieval_blocks, sentence_embeddings

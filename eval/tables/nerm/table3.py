@@ -18,10 +18,10 @@ from eval.metrics.resampling import half_width
 from eval.report.differences import DRAWING, differences_block, of_interest, score_differences
 from eval.report.results import Block, Cell, Origin, Result, Row, measure
 from eval.sets.generated import is_unconditional
-from eval.sets.memorisation import size_remarks
 from eval.sets.partial import PartialResult, collect
 from eval.sets.planted import VARIANT_NOTES
 from eval.sets.real import RealMotion, has_training, real_motion
+from eval.sets.remarks import size_remarks
 from eval.sets.row_ids import REAL, RowId, check_sample_names
 from eval.sets.sets import SampleSet
 from eval.tables.models import trained_models, training_note

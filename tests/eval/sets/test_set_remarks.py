@@ -7,7 +7,7 @@ import pytest
 
 from eval.clip_fid.clips import ClipError, PoseRange, Protocol
 from eval.clip_fid.score import score_rows
-from eval.sets.memorisation import set_remarks
+from eval.sets.remarks import set_remarks
 from eval.sets.sets import SampleSet, sample_set
 
 FPS = Fraction(30)
