@@ -3,8 +3,7 @@
     python -m benchmarks.fields.planted_takes STORE [--split test] [--fps 20,60,120] [--json]
 
 Takes are planted at their own framerates, as `motionkit plant` does it. clip-FID of the planted takes against the same
-takes, by the kinematic descriptor and by its first version, in multiples of the floor: of what the takes themselves
-score when clips are drawn from them once more.
+takes, in multiples of the floor: of what the takes themselves score when clips are drawn from them once more.
 """
 
 from fractions import Fraction
@@ -15,7 +14,7 @@ import numpy as np
 
 from benchmarks.command import arguments_parser, print_json
 from eval.clip_fid.clips import Protocol
-from eval.clip_fid.features import Comparison, kinematic1_source, kinematic_source
+from eval.clip_fid.features import kinematic_source
 from eval.sets.real import RealMotion, real_motion, training_motion
 from eval.sets.sets import Ragged
 from motionkit.core.motion import Motion
@@ -41,17 +40,16 @@ def planted_takes(real: RealMotion) -> tuple[RealMotion, list[Change]]:
 
 
 def scores(store: Store, split: str, framerates: list[Fraction]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """By framerate and version the floor, the score of planted takes, and the ratio; and the changes."""
+    """By framerate the floor, the score of planted takes, and the ratio; and the changes."""
     real = real_motion(store, split)
     train = training_motion(store, real)
     planted, changes = planted_takes(real)
     table: dict[str, Any] = {}
     for fps in framerates:
-        for source in (kinematic1_source(), kinematic_source()):
-            comparison = Comparison(real.at(fps), source.fit(train.at(fps)), PROTOCOL, {})
-            found = comparison.scores({"floor": real.at(fps), "planted": planted.at(fps)})
-            row = {name: float(score.clip_fid.mean) for name, score in found.items()}
-            table[f"{source.name} at {fps} fps"] = row | {"ratio": row["planted"] / row["floor"]}
+        comparison = kinematic_source().comparison(real.at(fps), train.at(fps), PROTOCOL)
+        found = comparison.scores({"floor": real.at(fps), "planted": planted.at(fps)})
+        row = {name: float(score.clip_fid.mean) for name, score in found.items()}
+        table[f"{fps} fps"] = row | {"ratio": row["planted"] / row["floor"]}
     order = sorted(range(len(changes)), key=lambda number: -changes[number].largest_change)
     largest = [(real.sequence_ids[number], 1000.0 * changes[number].largest_change) for number in order]
     means = 1000.0 * np.mean([each.mean_change for each in changes])

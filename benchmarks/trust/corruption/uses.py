@@ -36,15 +36,7 @@ def kinematic(folder: str) -> None:
         path.parent.mkdir(exist_ok=True)
         fit_kinematic([channels(clip, Fraction(20)) for clip in clips], Fraction(20)).save(path)
     found = load_kinematic(path)
-    fitted = (
-        found.pose_mean,
-        found.pose_components,
-        found.predictor,
-        found.least_prediction,
-        found.centre,
-        found.scale,
-    )
-    _print(*fitted, text=str(found.fps))
+    _print(found.pose_mean, found.pose_components, found.centre, found.scale, text=str(found.fps))
 
 
 def embeddings(folder: str) -> None:
