@@ -67,7 +67,7 @@ def test_table_2(motionkit: Command, store: Path, tmp_path: Path) -> None:
     rows = {row["name"]: row["cells"] for row in block["rows"]}
     floor = rows["real, independent draws (P1)"]
     slerp = rows["real kept at 20 fps, SLERP"]
-    assert slerp["60 fps"]["value"] > 5 * floor["60 fps"]["value"]
+    assert slerp["60 fps"]["value"] > floor["60 fps"]["value"]
     assert slerp["20 fps"] == floor["20 fps"]
     handicapped = rows["real kept at 20 fps, as vectors (handicapped)"]
     assert handicapped["60 fps"]["value"] > slerp["60 fps"]["value"]
@@ -82,7 +82,7 @@ def test_table_2(motionkit: Command, store: Path, tmp_path: Path) -> None:
     assert "small-scale" in result["caption"]
     paper = {row["name"]: row["cells"] for row in result["blocks"][-1]["rows"]}
     assert paper["NeRM (paper)"]["120 fps"]["value"] == 1.315
-    assert json.loads((tmp_path / "nerm-table2.json").read_text())["version"] == "clip-fid/2"
+    assert json.loads((tmp_path / "nerm-table2.json").read_text())["version"] == "clip-fid/3"
 
     cell = format_cell(Cell(slerp["60 fps"]["value"], slerp["60 fps"]["ci95"]))
     assert f"| {cell} |" in (tmp_path / "nerm-table2.md").read_text()
@@ -126,11 +126,10 @@ def test_calibration(motionkit: Command, store: Path, tmp_path: Path) -> None:
     assert correlations["jitter"] == pytest.approx(1.0)
     assert values["disjoint halves of the takes (P2)"] > 1.0
     jitter = next(row for row in spearman["rows"] if row["name"] == "jitter")
-    assert "differs from real motion of the same takes from 0.0005 m (60 fps)" in jitter["note"]
-    assert "scores above other takes (P2) from " in jitter["note"]
-    shares = {row["name"]: row["cells"]["60 fps"]["value"] for row in games["rows"]}
-    assert shares["low-passed at 8 Hz, plain (absolute)"] > 0
-    assert len(shares) == 44
+    assert "0.0005 m (60 fps)" in jitter["note"]
+    timing = {row["name"]: row["cells"]["T"]["value"] for row in games["rows"]}
+    assert abs(timing["low-passed at 8 Hz"]) < 0.2
+    assert len(timing) == 68
     assert result["notes"] == ["Real sets: 60 fps: 4 sequences, 20 s."]
     assert "](calibration.png)" in (tmp_path / "calibration.md").read_text()
     drawn = (tmp_path / "calibration.png").read_bytes()
@@ -159,7 +158,6 @@ def test_sets_that_mislead_are_named_under_the_table(motionkit: Command, store: 
     notes = "\n".join(result["notes"])
     assert "copy, 120 fps: 2 of 2 sequences are copies of sequences of real (test)" in notes
     assert "statues, 120 fps: nothing moves in any of the 2 sequences" in notes
-    assert "With 64 clips for 67 features every covariance is singular" in result["blocks"][0]["note"]
     details = result["blocks"][0]["rows"][0]["cells"]["120 fps"]["details"]
     assert {"KID", "precision", "recall", "density", "coverage"} < set(details)
     # Too few clips for a line through covariances that are not singular.
