@@ -36,7 +36,7 @@ TRUNK_AND_LEGS = (
 
 @dataclass(frozen=True)
 class Unit:
-    """Metres per file unit and how it was found."""
+    """Metres per file unit, and where the figure comes from."""
 
     metres: float
     reason: str
@@ -95,9 +95,9 @@ def is_plausible(metres: float) -> bool:
 
 
 def logged_unit(operations: Sequence[str]) -> tuple[float, str]:
-    """Metres per unit of a source by its motion's operation log, and how that was found; 1 where nothing was scaled."""
-    found = next(filter(None, (re.match(r"lengths × (\S+) to metres \((.+)\)", line) for line in operations)), None)
-    return (1.0, "metres") if found is None else (float(found[1]), found[2])
+    """Metres per unit of a source by its motion's operation log, and its reason; 1 where nothing was scaled."""
+    match = next(filter(None, (re.match(r"lengths × (\S+) to metres \((.+)\)", line) for line in operations)), None)
+    return (1.0, "metres") if match is None else (float(match[1]), match[2])
 
 
 def _chain_lengths(body: Float32[np.ndarray, "frames 22 3"]) -> Float32[np.ndarray, "frames"]:
@@ -232,10 +232,10 @@ def log_lines(up: str, given: str = "") -> list[str]:
 
 def logged_up(operations: Sequence[str]) -> str:
     """The up axis of a source by its motion's operation log."""
-    found = next(filter(None, (re.match(r"turned from (−?[xyz]) (up|down)", line) for line in operations)), None)
-    if found is None:
+    match = next(filter(None, (re.match(r"turned from (−?[xyz]) (up|down)", line) for line in operations)), None)
+    if match is None:
         return "y"
-    return f"-{found[1]}" if found[2] == "down" else found[1].replace("−", "-")
+    return f"-{match[1]}" if match[2] == "down" else match[1].replace("−", "-")
 
 
 def upright(

@@ -290,7 +290,7 @@ def _up(skeleton: Skeleton, positions: Float32[np.ndarray, "frames joints 3"], g
 def split_text(data: bytes, path: Path) -> tuple[BvhHead, bytes]:
     """A file's head and its lines of numbers, without blank lines at the end. Lines must end in newlines.
 
-    Raises `FormatError` naming the line of a missing part, or if it is not a BVH file.
+    Raises `FormatError` naming the line where something is missing, or if it is not a BVH file.
     """
     if not data[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()[:9].upper().startswith(b"HIERARCHY"):
         raise FormatError(
@@ -411,9 +411,9 @@ class _HierarchyParser:
 
     def parse(self, text: str) -> BvhHierarchy:
         for self.line, line in enumerate(text.splitlines(), start=1):
-            for part in re.split(r"([{}])", line):
-                if part.strip():
-                    self.statement(part.strip())
+            for statement in map(str.strip, re.split(r"([{}])", line)):
+                if statement:
+                    self.statement(statement)
         if self.open or self.pending is not None:
             raise self.fault("the hierarchy ends inside a joint, expected '}'")
         if not self.joints:

@@ -34,9 +34,9 @@ def write_bvh(motion: Motion, path: Path, *, unit_metres: float = 0.01) -> None:
     root has position channels (and joints are within that distance); else every joint has them. The frame time is
     written with all its digits.
     """
-    made = joint_channels(motion)
-    skeleton, translations = made.skeleton, made.translations
-    rotations = made.rotations.astype(np.float64)
+    animated = joint_channels(motion)
+    skeleton, translations = animated.skeleton, animated.translations
+    rotations = animated.rotations.astype(np.float64)
     # In gimbal lock angles are ratios of small numbers, which float32's deviations from unit length would decide.
     rotations /= np.linalg.norm(rotations, axis=-1, keepdims=True)
     angles = np.degrees(_zxy_angles(kinematics.quaternion_to_matrix(rotations)))

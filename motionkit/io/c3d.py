@@ -27,7 +27,7 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.io import source_file
 from motionkit.io.body_frame import AXES, log_lines, to_y_up
 from motionkit.io.bvh import unique_names
-from motionkit.io.markers import UNITS, Markers, checked_metres, marker_skeleton, some, without_gaps
+from motionkit.io.markers import UNITS, Markers, checked_metres, marker_skeleton, some, unit_of, without_gaps
 from motionkit.io.registry import Format, ReadOptions, of_path
 
 # Vicon's models store angles, forces and the like among the points, and list them.
@@ -77,7 +77,10 @@ def read_c3d(path: Path, options: ReadOptions | None = None) -> Motion:
     rate = stated[0] if stated else file.header_rate
     fps, log = source_file.fps_in_use(options.fps, lambda: _stated_fps(rate, path), words=f"{rate:g}")
     markers = without_gaps(_labelled(file, path), fps, path)
-    unit, why = _unit(file, options, path)
+    stated_unit = next(iter(file.texts("POINT:UNITS")), "")
+    unit, why = UNITS["mm"], "POINT:UNITS says nothing: mm, as is usual"
+    if stated_unit or options.unit_metres is not None:
+        unit, why = unit_of(stated_unit, "POINT:UNITS", options.unit_metres, path)
     up, axis_log = (options.up, log_lines(options.up, options.up)) if options.up else _up(file, markers, path)
     metres = to_y_up(markers.positions, up) * unit
     positions = checked_metres(markers, metres, path)
@@ -135,22 +138,6 @@ def _without_subject(labels: list[str]) -> list[str]:
     # "Anna:LFHD" → "LFHD", if all have the same subject.
     prefixes = {label.partition(":")[0] if ":" in label else "" for label in labels}
     return [label.partition(":")[2] for label in labels] if len(prefixes) == 1 and "" not in prefixes else labels
-
-
-def _unit(file: C3dFile, options: ReadOptions, path: Path) -> tuple[float, str]:
-    stated = file.texts("POINT:UNITS")
-    if options.unit_metres is not None:
-        return options.unit_metres, "given"
-    if not stated or not stated[0]:
-        return UNITS["mm"], "POINT:UNITS says nothing: mm, as is usual"
-    if stated[0].lower() not in UNITS:
-        raise FormatError(
-            f"POINT:UNITS is {stated[0][:20]!r}, expected one of {', '.join(UNITS)}; say how long a unit is with "
-            "--unit-metres",
-            path=path,
-            reason="unit",
-        )
-    return UNITS[stated[0].lower()], f"POINT:UNITS is {stated[0]}"
 
 
 def _up(file: C3dFile, markers: Markers, path: Path) -> tuple[str, list[str]]:
@@ -278,7 +265,7 @@ def _points(
     if num_frames == MAX_FRAME_WORD and available > needed + BLOCK:
         raise FormatError(
             f"the header can state no more than 65,535 frames and no TRIAL:ACTUAL_END_FIELD states more, but there are "
-            f"bytes for {available // (num_values * size)}; write the take again with that parameter, or in parts",
+            f"bytes for {available // (num_values * size)}; write it again with that parameter, or as several files",
             path=path,
             reason="frame-count",
         )

@@ -1,4 +1,4 @@
-"""Local rotations on rigid bones: read beside positions, or made for animation files by inverse kinematics."""
+"""Local rotations on rigid bones: read beside positions, or computed for animation files by inverse kinematics."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -93,8 +93,8 @@ def with_rotations(motion: Motion, local_matrices: Float[np.ndarray, "frames joi
     bones = kinematics.quaternion_rotate(kinematics.quaternion_conjugate(world), positions - positions[:, above])
     offsets = np.median(bones, axis=0).astype(np.float32)
     offsets[0] = 0.0
-    made = kinematics.quaternion_rotate(world, offsets) + positions[:, above]
-    error = float(np.linalg.norm(made - positions, axis=-1)[:, 1:].max(initial=0.0))
+    rigid = kinematics.quaternion_rotate(world, offsets) + positions[:, above]
+    error = float(np.linalg.norm(rigid - positions, axis=-1)[:, 1:].max(initial=0.0))
     if error > RIGID_METRES:
         return motion.logged(f"positions only: the rotations put joints {1000 * error:.0f} mm from where they are")
     return replace(

@@ -128,13 +128,13 @@ def _table(data: bytes, names: tuple[str, ...], path: Path) -> Float64[np.ndarra
 
 
 def _unreadable(message: str, names: tuple[str, ...], path: Path) -> FormatError:
-    if (found := NO_NUMBER.search(message)) is not None:
-        column, line, value = int(found[1]), int(found[2]), found[3]
+    if (match := NO_NUMBER.search(message)) is not None:
+        column, line, value = int(match[1]), int(match[2]), match[3]
         what = f"{value!r} in column {names[column]!r}, expected a number with a point (1.5, not 1,5)"
         return FormatError(what, path=path, reason="not-a-number", line=line)
-    if (found := OTHER_WIDTH.search(message)) is not None:
-        what = f"{found[3]} values, expected {found[2]}; numbers have points (1.5), not commas"
-        return FormatError(what, path=path, reason="channel-count", line=int(found[1]))
+    if (match := OTHER_WIDTH.search(message)) is not None:
+        what = f"{match[3]} values, expected {match[2]}; numbers have points (1.5), not commas"
+        return FormatError(what, path=path, reason="channel-count", line=int(match[1]))
     return FormatError(message[:160], path=path, reason="not-a-number")
 
 
@@ -164,8 +164,8 @@ def _clock(
             raise
     fps = options.fps or stated
     assert fps is not None
-    said = "" if stated is None else f"{TIME}: {format_fps(stated)}"
-    return TimeGrid(fps, len(seconds), float(seconds[0])), said, source_file.replaced_fps(fps, stated)
+    stated_words = "" if stated is None else f"{TIME}: {format_fps(stated)}"
+    return TimeGrid(fps, len(seconds), float(seconds[0])), stated_words, source_file.replaced_fps(fps, stated)
 
 
 def _skeleton(joints: tuple[str, ...]) -> tuple[Skeleton | None, tuple[str, ...]]:

@@ -101,8 +101,8 @@ def without_gaps(markers: Markers, fps: Fraction, path: Path) -> Markers:
         )
     operations = list(markers.operations)
     if block.stop - block.start < len(missing):
-        stretch = f"frames [{block.start}, {block.stop}) of {len(missing)}"
-        operations.append(f"{stretch} kept, throughout which most markers are seen")
+        frames = f"frames [{block.start}, {block.stop}) of {len(missing)}"
+        operations.append(f"{frames} kept, throughout which most markers are seen")
     stays = block.markers.tolist()
     lost = [name for name, kept in zip(markers.names, stays, strict=True) if not kept]
     if lost:
@@ -119,9 +119,9 @@ def _filled(
     kept = positions[block.start : block.stop].copy()
     gone = missing[block.start : block.stop]
     for marker in np.flatnonzero(gone.any(axis=0)):
-        frames, seen = np.flatnonzero(gone[:, marker]), np.flatnonzero(~missing[:, marker])
+        frames, visible = np.flatnonzero(gone[:, marker]), np.flatnonzero(~missing[:, marker])
         for axis in range(3):
-            kept[frames, marker, axis] = np.interp(frames + block.start, seen, positions[seen, marker, axis])
+            kept[frames, marker, axis] = np.interp(frames + block.start, visible, positions[visible, marker, axis])
     if not gone.any():
         return kept, []
     _, start, stop = runs_of(gone)
@@ -134,6 +134,16 @@ def _filled(
 def marker_skeleton(names: tuple[str, ...]) -> Skeleton:
     """A skeleton that only names the markers: the first is the root, all others its children, with offsets of zero."""
     return Skeleton("markers", names, (-1, *([0] * (len(names) - 1))), np.zeros((len(names), 3), np.float32))
+
+
+def unit_of(stated: str, name: str, unit_metres: float | None, path: Path) -> tuple[float, str]:
+    """Metres per unit, as given or as the file's entry `name` states it, and why; raises `FormatError` (`unit`)."""
+    if unit_metres is not None:
+        return unit_metres, "given"
+    if stated.lower() not in UNITS:
+        message = f"{name} is {stated[:20]!r}, expected one of {', '.join(UNITS)}; say how long a unit is with "
+        raise FormatError(message + "--unit-metres", path=path, reason="unit")
+    return UNITS[stated.lower()], f"{name} is {stated}"
 
 
 def checked_metres(

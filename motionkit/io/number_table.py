@@ -60,7 +60,7 @@ class Words:
 
 
 def find_words(text: bytes) -> Words:
-    """All words of a text, found with array operations."""
+    """All words of a text."""
     padded = b"".join((b"\n" * LENGTH_BYTES, text, b"\n" * (VIEW_BYTES + 1)))
     characters = np.frombuffer(padded, np.uint8)
     solid = characters > SPACE

@@ -171,10 +171,10 @@ def fps_in_use(
     if given is None:
         return stated(), []
     try:
-        said: Fraction | str = stated()
+        stated_fps: Fraction | str = stated()
     except FormatError:
-        said = words
-    return given, replaced_fps(given, said)
+        stated_fps = words
+    return given, replaced_fps(given, stated_fps)
 
 
 def replaced_fps(fps: Fraction, stated: Fraction | str | None, *, by: str = "", who: str = "the file") -> list[str]:

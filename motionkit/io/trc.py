@@ -19,7 +19,7 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.io import number_table, source_file
 from motionkit.io.body_frame import upright
 from motionkit.io.bvh import unique_names
-from motionkit.io.markers import UNITS, Markers, checked_metres, marker_skeleton, without_gaps
+from motionkit.io.markers import Markers, checked_metres, marker_skeleton, unit_of, without_gaps
 from motionkit.io.registry import Format, ReadOptions, of_path
 
 HEADER_LINES = 5
@@ -27,7 +27,7 @@ NOT_SEEN = ("", "nan")
 
 
 def read_trc(path: Path, options: ReadOptions | None = None) -> Motion:
-    """Read one table as positions in metres, y up, with gaps treated as in `formats.c3d`; raises `FormatError`.
+    """Read one table as positions in metres, y up, with gaps treated as in `io.c3d`; raises `FormatError`.
 
     If the markers are joints by their names, up is inferred from the body (`body_frame.infer_up`: y, z or −y); else it
     is y, as in OpenSim.
@@ -46,7 +46,7 @@ def read_trc(path: Path, options: ReadOptions | None = None) -> Motion:
     points[~points.any(axis=-1) | np.isnan(points).any(axis=-1)] = np.nan
     unique, renamed = unique_names(names)
     markers = without_gaps(Markers(unique, points, renamed), fps, path)
-    unit, why = _unit(stated.get("Units", ""), options, path)
+    unit, why = unit_of(stated.get("Units", ""), "Units", options.unit_metres, path)
     positions = checked_metres(markers, markers.positions * unit, path)
     skeleton = with_layout_map(marker_skeleton(markers.names), options.skeleton_maps)
     positions, turned = upright(skeleton, positions, options.up)
@@ -104,15 +104,6 @@ def _stated_fps(rate: str, seconds: Float64[np.ndarray, "frames"], path: Path) -
         message = f"DataRate {rate[:20]!r} ({error}); give --fps"
         raise FormatError(message, path=path, reason="frame-time", line=3) from None
     return source_file.grid_of_seconds(seconds, path, fps).fps
-
-
-def _unit(stated: str, options: ReadOptions, path: Path) -> tuple[float, str]:
-    if options.unit_metres is not None:
-        return options.unit_metres, "given"
-    if stated.lower() not in UNITS:
-        message = f"Units {stated[:20]!r}, expected one of {', '.join(UNITS)}; say how long one is with --unit-metres"
-        raise FormatError(message, path=path, reason="unit", line=3)
-    return UNITS[stated.lower()], f"Units are {stated}"
 
 
 FORMAT = Format(name="trc", read=of_path(read_trc), suffixes=(".trc",), begins=b"PATHFILETYPE", turns_up=True)
