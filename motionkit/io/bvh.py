@@ -22,7 +22,6 @@ from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
 from motionkit.core.framerate import parse_fps
 from motionkit.core.motion import Motion
-from motionkit.core.plain_text import whole_number
 from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64
 from motionkit.core.skeleton import MAX_JOINTS, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, body_axis, rest_positions, with_layout_map
@@ -482,7 +481,7 @@ class _HierarchyParser:
         joint = self.joints[self.open[-1]]
         if joint.order or joint.position_columns:
             raise self.fault(f"joint {joint.name!r} has CHANNELS twice", "channels")
-        if not words or whole_number(words[0]) != len(words) - 1:
+        if not words or words[0] != str(len(words) - 1):
             raise self.fault(f"CHANNELS {' '.join(words)[:60]!r}: expected a count and that many names", "channels")
         for word in words[1:]:
             axis, kind = CHANNELS.get(word.capitalize(), ("", ""))
