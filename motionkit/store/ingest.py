@@ -221,11 +221,7 @@ class _Ingest:
         # has the same bytes whoever writes it, whenever.
         numbers = count(self.writer.next_sequence_index)
         for chunk in chunks_of(items):
-            known = [self.writer.holds(item.sequence_id) for item in chunk]
-            yield [
-                NumberedItem(item, None if is_known else next(numbers))
-                for item, is_known in zip(chunk, known, strict=True)
-            ]
+            yield [NumberedItem(item, None if self.writer.holds(item.sequence_id) else next(numbers)) for item in chunk]
 
     def _again(self, workers: Workers, read: Callable[..., ReadChunk], chunk: Sequence[NumberedItem]) -> ReadChunk:
         """A chunk of which two workers died, without the files that they die of: these are found one by one."""

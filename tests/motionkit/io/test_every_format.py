@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.features.quality import measure
+from motionkit.io import registry
 from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions, readers
 from motionkit.io.scan import scan
@@ -46,6 +47,14 @@ def read_source(source: Path, options: ReadOptions = OPTIONS) -> tuple[list[Moti
 
 def test_there_is_a_source_of_every_format():
     assert set(SOURCES) == set(readers())
+
+
+@pytest.mark.parametrize("known", registry._BUILT_IN, ids=lambda known: known.name)
+def test_the_registry_knows_of_a_format_what_its_module_says(known):
+    loaded = known.load()
+    assert loaded.name == known.name
+    assert known.suffixes == (loaded.suffixes if loaded.read is not None and loaded.claims is None else ())
+    assert (known.writes, bool(known.holds)) == (loaded.write is not None, loaded.claims is not None)
 
 
 @pytest.mark.parametrize("name", SOURCES)
