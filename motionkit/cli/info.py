@@ -122,9 +122,9 @@ def info(
 def _show_store(summary: "StoreSummary", html: Path | None, as_json: bool) -> None:
     if html is not None:
         from motionkit.core.files import write_whole
-        from motionkit.viz.corpus_card import corpus_page
+        from motionkit.viz.corpus_card import corpus_card
 
-        write_whole(html, corpus_page(summary))
+        write_whole(html, corpus_card(summary, whole_page=True))
         stdout.print(str(html))
     elif as_json:
         print_json({**asdict(summary), "raw_bytes": summary.raw_bytes})

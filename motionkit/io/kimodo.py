@@ -19,45 +19,33 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.io import joint_rotations, npy, source_file
 from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
 
-Bones = tuple[tuple[str, str], ...]
-"""Joints, each with its parent."""
-
 FPS = Fraction(30)
 JOINTS, ROTATIONS = "posed_joints", "global_rot_mats"
-TRUNK = (("Hips", ""), ("Spine1", "Hips"), ("Spine2", "Spine1"), ("Chest", "Spine2"), ("Neck1", "Chest"))
-HEAD = (("Neck2", "Neck1"), ("Head", "Neck2"))
-FACE = (("Jaw", "Head"), ("LeftEye", "Head"), ("RightEye", "Head"))
-ARM = (("Shoulder", "Chest"), ("Arm", "Shoulder"), ("ForeArm", "Arm"), ("Hand", "ForeArm"))
-LEG = (("Leg", "Hips"), ("Shin", "Leg"), ("Foot", "Shin"), ("ToeBase", "Foot"))
-
-
-def _sided(side: str, bones: Bones) -> Bones:
-    return tuple((side + joint, above if above in ("Chest", "Hips") else side + above) for joint, above in bones)
-
-
-def _finger(name: str, bones: tuple[str, ...]) -> Bones:
-    chain = ("Hand", *(f"Hand{name}{bone}" for bone in bones))
-    return tuple(zip(chain[1:], chain[:-1], strict=True))
-
-
-_FINGERS = _finger("Thumb", ("1", "2", "3", "End")) + tuple(
-    bone for name in ("Index", "Middle", "Ring", "Pinky") for bone in _finger(name, ("1", "2", "3", "4", "End"))
+# Chains of joints, the first of which is the parent of the second; * is Left and then Right.
+SPINE = ("Hips Spine1 Spine2 Chest Neck1 Neck2 Head",)
+FACE = ("Head Jaw", "Head LeftEye", "Head RightEye")
+ARM, LEG = ("Chest *Shoulder *Arm *ForeArm *Hand",), ("Hips *Leg *Shin *Foot *ToeBase",)
+STUMPS = ("*Hand *HandThumbEnd", "*Hand *HandMiddleEnd")
+FINGERS = ("*Hand *HandThumb1 *HandThumb2 *HandThumb3 *HandThumbEnd",) + tuple(
+    f"*Hand *Hand{name}1 *Hand{name}2 *Hand{name}3 *Hand{name}4 *Hand{name}End"
+    for name in ("Index", "Middle", "Ring", "Pinky")
 )
-_STUMPS = (("HandThumbEnd", "Hand"), ("HandMiddleEnd", "Hand"))
 
 
-def _soma(name: str, head: Bones, arm: Bones, leg: Bones) -> Skeleton:
-    limbs = (each for limb in (arm, leg) for side in ("Left", "Right") for each in _sided(side, limb))
-    bones = (*TRUNK, *head, *limbs)
-    names = tuple(joint for joint, _ in bones)
+def _soma(name: str, trunk: tuple[str, ...], arm: tuple[str, ...], leg: tuple[str, ...]) -> Skeleton:
+    limbs = (chain.replace("*", side) for limb in (arm, leg) for side in ("Left", "Right") for chain in limb)
+    parent_of = {"Hips": ""}
+    for chain in (*trunk, *limbs):
+        joints = chain.split()
+        parent_of.update(zip(joints[1:], joints[:-1], strict=True))
+    names = tuple(parent_of)
+    lefts = [joint for joint in names if joint.startswith("Left")]
     return Skeleton(
         name=name,
         joint_names=names,
-        parents=tuple(names.index(above) if above else -1 for _, above in bones),
+        parents=tuple(names.index(parent) if parent else -1 for parent in parent_of.values()),
         offsets=np.zeros((len(names), 3), np.float32),
-        left_right_pairs=tuple(
-            (place, names.index(f"Right{joint[4:]}")) for place, joint in enumerate(names) if joint.startswith("Left")
-        ),
+        left_right_pairs=tuple((names.index(joint), names.index(f"Right{joint[4:]}")) for joint in lefts),
         feet=Feet(*(names.index(joint) for joint in ("LeftFoot", "LeftToeBase", "RightFoot", "RightToeBase"))),
     )
 
@@ -66,8 +54,8 @@ SKELETONS = {
     each.num_joints: each
     for each in (
         SMPL22,
-        _soma("somaskel30", (*HEAD, *FACE), (*ARM, *_STUMPS), LEG),
-        _soma("somaskel77", (*HEAD, ("HeadEnd", "Head"), *FACE), (*ARM, *_FINGERS), (*LEG, ("ToeEnd", "ToeBase"))),
+        _soma("somaskel30", (*SPINE, *FACE), (*ARM, *STUMPS), LEG),
+        _soma("somaskel77", (*SPINE, "Head HeadEnd", *FACE), (*ARM, *FINGERS), (*LEG, "*ToeBase *ToeEnd")),
     )
 }
 

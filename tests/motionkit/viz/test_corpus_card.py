@@ -5,7 +5,7 @@ from pathlib import Path
 
 from motionkit.store.reader import Store
 from motionkit.store.reports import summarise
-from motionkit.viz.corpus_card import corpus_card, corpus_page
+from motionkit.viz.corpus_card import corpus_card
 from tests.helpers.tiny import write_store
 
 
@@ -36,7 +36,7 @@ def test_every_count_is_drawn_and_a_strangers_names_are_text(tmp_path: Path) -> 
     write_store(store)
     summary = summarise(Store.open(store))
     (source,) = summary.sources
-    page, items = corpus_page(summary), Items()
+    page, items = corpus_card(summary, whole_page=True), Items()
     items.feed(page)
     assert not items.open and "<b>store" not in page and "&lt;b&gt;store" in page
     for counts in (source.framerates, source.durations, source.splits, source.formats):
