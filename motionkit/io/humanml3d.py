@@ -74,7 +74,9 @@ def claims(folder: Path, layout: Layout = HUMANML3D) -> bool:
 
 def find(folder: Path, root: Path, layout: Layout = HUMANML3D) -> ScanResult:
     """All sequences of a folder with their splits; captions without motion are problems, the reverse warnings."""
-    paths = _arrays(folder)
+    # Joints replace the vectors of the same name.
+    arrays = [path for name in (VECTORS_FOLDER, JOINTS_FOLDER) for path in (folder / name).glob("*.npy")]
+    paths = dict(sorted({path.stem: path for path in arrays}.items()))
     described = {path.stem: path for path in sorted((folder / TEXTS_FOLDER).glob("*.txt"))}
     splits, warnings = read_splits(folder, paths, "the folder")
     place = folder.relative_to(root).as_posix()
@@ -158,16 +160,16 @@ def recover_positions(
     angle[1:] = 2.0 * np.cumsum(values[:-1, 0])
     step = np.zeros((len(values), 3))
     step[1:, [0, 2]] = values[:-1, 1:3]
-    root = np.cumsum(_turned_back(step[:, None], angle)[:, 0], axis=0)
+    root = np.cumsum(_to_world(step[:, None], angle)[:, 0], axis=0)
     positions = np.empty((len(values), num_joints, 3))
     local = values[:, 4 : 4 + 3 * (num_joints - 1)].reshape(len(values), num_joints - 1, 3)
-    positions[:, 1:] = _turned_back(local, angle) + root[:, None]
+    positions[:, 1:] = _to_world(local, angle) + root[:, None]
     positions[:, 0] = root
     positions[:, 0, 1] = values[:, 3]
     return positions.astype(np.float32)
 
 
-def _turned_back(
+def _to_world(
     vectors: Float64[np.ndarray, "frames joints 3"], angle: Float64[np.ndarray, "frames"]
 ) -> Float64[np.ndarray, "frames joints 3"]:
     # The inverse of the heading quaternion (cos, 0, sin, 0): a rotation about y by −angle.
@@ -212,9 +214,9 @@ class FolderWriter:
         if entry.vectors is not None:
             _save(self._folder / VECTORS_FOLDER / f"{entry.name}.npy", entry.vectors)
             if len(entry.vectors):
-                trained, more = entry.split == "train", moments(entry.vectors)
-                known = self._moments.get(trained)
-                self._moments[trained] = more if known is None else merge(known, more)
+                is_training, own = entry.split == "train", moments(entry.vectors)
+                before = self._moments.get(is_training)
+                self._moments[is_training] = own if before is None else merge(before, own)
         if entry.captions:
             lines = texts.format_texts(entry.captions, len(entry.joint_positions) / float(self._layout.fps))
             path = self._folder / TEXTS_FOLDER / f"{entry.name}.txt"
@@ -233,11 +235,13 @@ class FolderWriter:
         members = {**self._members, "train_val": [*self._members["train"], *self._members["val"]]}
         for split, names in members.items():
             (self._folder / f"{split}.txt").write_text("".join(f"{name}\n" for name in names), encoding="utf-8")
-        chosen = self._moments.get(True, self._moments.get(False))
-        if chosen is not None:
-            mean, std = _block_averaged(chosen, self._layout)
-            _save(self._folder / "Mean.npy", mean)
-            _save(self._folder / "Std.npy", std)
+        training = self._moments.get(True, self._moments.get(False))
+        if training is not None:
+            std = training.std
+            for block in vector_blocks(self._layout.skeleton.num_joints):
+                std[block] = std[block].mean()
+            _save(self._folder / "Mean.npy", training.mean.astype(np.float32))
+            _save(self._folder / "Std.npy", std.astype(np.float32))
         return len(self._names)
 
 
@@ -252,22 +256,6 @@ def write_humanml3d(folder: Path, entries: Iterable[Entry], layout: Layout = HUM
     for entry in entries:
         writer.add(entry)
     return writer.finish()
-
-
-def _block_averaged(
-    vectors: Moments, layout: Layout
-) -> tuple[Float32[np.ndarray, "values"], Float32[np.ndarray, "values"]]:
-    """Mean, and the standard deviation averaged inside each block."""
-    std = vectors.std
-    for block in vector_blocks(layout.skeleton.num_joints):
-        std[block] = std[block].mean()
-    return vectors.mean.astype(np.float32), std.astype(np.float32)
-
-
-def _arrays(folder: Path) -> dict[str, Path]:
-    paths = {path.stem: path for path in sorted((folder / VECTORS_FOLDER).glob("*.npy"))}
-    paths.update({path.stem: path for path in sorted((folder / JOINTS_FOLDER).glob("*.npy"))})
-    return dict(sorted(paths.items()))
 
 
 FORMAT = Format(

@@ -26,9 +26,12 @@ SPINE = ("Hips Spine1 Spine2 Chest Neck1 Neck2 Head",)
 FACE = ("Head Jaw", "Head LeftEye", "Head RightEye")
 ARM, LEG = ("Chest *Shoulder *Arm *ForeArm *Hand",), ("Hips *Leg *Shin *Foot *ToeBase",)
 STUMPS = ("*Hand *HandThumbEnd", "*Hand *HandMiddleEnd")
-FINGERS = ("*Hand *HandThumb1 *HandThumb2 *HandThumb3 *HandThumbEnd",) + tuple(
-    f"*Hand *Hand{name}1 *Hand{name}2 *Hand{name}3 *Hand{name}4 *Hand{name}End"
-    for name in ("Index", "Middle", "Ring", "Pinky")
+FINGERS = (
+    "*Hand *HandThumb1 *HandThumb2 *HandThumb3 *HandThumbEnd",
+    "*Hand *HandIndex1 *HandIndex2 *HandIndex3 *HandIndex4 *HandIndexEnd",
+    "*Hand *HandMiddle1 *HandMiddle2 *HandMiddle3 *HandMiddle4 *HandMiddleEnd",
+    "*Hand *HandRing1 *HandRing2 *HandRing3 *HandRing4 *HandRingEnd",
+    "*Hand *HandPinky1 *HandPinky2 *HandPinky3 *HandPinky4 *HandPinkyEnd",
 )
 
 
