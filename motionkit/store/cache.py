@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from motionkit.core.errors import DamagedFileError, StoreError, UsageError
-from motionkit.core.files import exclusive_lock, whole_file, whole_folder, write_whole
+from motionkit.core.files import exclusive_lock, remove_entry, whole_file, write_whole
 from motionkit.core.progress import tracked, warn
 from motionkit.core.shapes import Float32, Int, Int32, Int64
 from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
@@ -295,10 +295,17 @@ def _build(
     motions = store.read_many(kept.index.tolist(), rotations=any(each.uses_tips for each in used))
     counted = tracked(store.on_progress, f"cache {layout}", motions, len(kept))
     sequences = {name: kept[name].tolist() for name in COLUMNS}
-    with whole_folder(path) as folder:
-        _write(folder / POSITIONS_FILE, shape, (map_joints(motion, layout) for motion in counted), num_frames)
-        facts = {**facts, "num_joints": counts[0], "sequences": sequences, "skipped": skipped}
-        write_whole(folder / FACTS_FILE, json.dumps(facts))
+    facts = {**facts, "num_joints": counts[0], "sequences": sequences, "skipped": skipped}
+    partial = path.with_name(f"{path.name}.partial")
+    remove_entry(partial)  # of a killed builder
+    try:
+        partial.mkdir()
+        positions = (map_joints(motion, layout) for motion in counted)
+        _write(partial / POSITIONS_FILE, shape, positions, num_frames)
+        write_whole(partial / FACTS_FILE, json.dumps(facts))
+        partial.rename(path)
+    finally:
+        remove_entry(partial)
 
 
 def _load(path: Path) -> PositionCache:

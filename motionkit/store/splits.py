@@ -5,9 +5,10 @@ the connected components of sequences that share any of them. Only the table of 
 """
 
 import re
-from collections.abc import Iterable, Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
@@ -19,6 +20,9 @@ from motionkit.core.shapes import Float, Int
 from motionkit.store.commit import changing, publish, read_manifest, write_pending
 from motionkit.store.reader import Store
 from motionkit.store.schema import SEQUENCES_FILE
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # HumanML3D's own shares.
 DEFAULT_SHARES = {"train": 0.8, "val": 0.05, "test": 0.15}
@@ -151,40 +155,40 @@ def _plan(
     store: Store, shares: Mapping[str, float], by: tuple[str, ...], where: str | None, seed: int
 ) -> tuple[SplitReport, pa.Array]:
     """The assignment of the chosen sequences, and the new column `split`."""
-    chosen = store.rows_of(store.select_some(where))
-    wordings = _wordings(store)
-    names, before = _groups(store, by, wordings), store.sequences_table["split"].to_pylist()
-    named = " and ".join(by)
-    _require_groups(store, names, chosen, named, shares)
+    captions = store.sequences_table["captions"].to_pylist()
+    wordings = [{wording(caption["text"]) for caption in each} - {""} for each in captions]
+    rows = store.columns("source", "duration_seconds", "split")
+    rows = rows.assign(wordings=wordings, group=_groups(store, by, wordings))
+    chosen = rows.loc[store.select_some(where)]
+    name_of_by = " and ".join(by)
+    if len(shares) > 1:  # else all of them have one split, with or without a group
+        _require_groups(store.path, chosen, name_of_by, len(shares))
     # By name, so that neither the order of the sequences nor what is left out moves a group.
-    groups = sorted({names[row] or "" for row in chosen})
-    place = {name: number for number, name in enumerate(groups)}
-    group = np.array([place[names[row] or ""] for row in chosen])
-    seconds = np.asarray(store.sequences_table["duration_seconds"])[chosen]
-    totals = np.bincount(group, weights=seconds, minlength=len(groups))
-    assigned = assign_groups(totals, list(shares.values()), seed)
-    splits = list(shares)
-    after = list(before)
-    for row, number in zip(chosen, assigned[group], strict=True):
-        after[row] = splits[number]
-    _require_whole_groups(names, after, set(groups), named)
-    taught = set().union(*(words for words, split in zip(wordings, after, strict=True) if split == "train"))
-    found = tuple(
-        SplitShare(
+    groups, group = np.unique(chosen["group"].fillna("").to_numpy(str), return_inverse=True)
+    seconds = np.bincount(group, weights=chosen["duration_seconds"], minlength=len(groups))
+    assigned = assign_groups(seconds, list(shares.values()), seed)
+    after = rows["split"].copy()
+    after[chosen.index] = np.array(list(shares), object)[assigned[group]]
+    _require_whole_groups(rows["group"], after, set(groups) - {""}, name_of_by)
+    training = set().union(*rows["wordings"][after == "train"])
+    splits = []
+    for number, name in enumerate(shares):
+        own = chosen["wordings"][assigned[group] == number]
+        own_seconds = float(seconds[assigned == number].sum())
+        share = SplitShare(
             split=name,
-            num_sequences=int((assigned[group] == number).sum()),
+            num_sequences=len(own),
             num_groups=int((assigned == number).sum()),
-            duration_seconds=float(totals[assigned == number].sum()),
+            duration_seconds=own_seconds,
             asked_share=shares[name],
-            share=float(totals[assigned == number].sum() / totals.sum()),
-            num_captioned=sum(bool(wordings[row]) for row in chosen[assigned[group] == number]),
-            num_seen=sum(bool(wordings[row] & taught) for row in chosen[assigned[group] == number]),
+            share=own_seconds / float(seconds.sum()),
+            num_captioned=sum(map(bool, own)),
+            num_seen=sum(bool(each & training) for each in own),
         )
-        for number, name in enumerate(splits)
-    )
-    num_changed = sum(one != other for one, other in zip(before, after, strict=True))
-    report = SplitReport(store.path, named, found, num_changed, store.fingerprint)
-    return report, pa.array(after, pa.string())
+        splits.append(share)
+    num_changed = int((after != rows["split"]).sum())
+    report = SplitReport(store.path, name_of_by, tuple(splits), num_changed, store.fingerprint)
+    return report, pa.array(after.to_numpy(), pa.string())
 
 
 def wording(caption: str) -> str:
@@ -192,81 +196,66 @@ def wording(caption: str) -> str:
     return " ".join(re.findall(r"[^\W_]+", caption.casefold()))
 
 
-def _wordings(store: Store) -> list[set[str]]:
-    """The wordings of each sequence's captions."""
-    rows = store.sequences_table["captions"].to_pylist()
-    return [{wording(caption["text"]) for caption in row or ()} - {""} for row in rows]
-
-
-def _groups(store: Store, by: Sequence[str], wordings: Sequence[Iterable[str]]) -> list[str | None]:
+def _groups(store: Store, by: Sequence[str], wordings: Sequence[Set[str]]) -> list[str | None]:
     """The group of each sequence of the store, named by its first value; None if it has none."""
-    values: list[list[tuple[str, str]]] = [[] for _ in wordings]
+    values: list[set[tuple[str, str]]] = [set() for _ in wordings]
     for each in by:
-        of_each = wordings if each == WORDING else _values(store, each)
-        for row, found in zip(values, of_each, strict=True):
-            row += [(each, value) for value in found]
-    # Rows and values are the two sides of a graph, whose connected parts are the groups.
-    number = {value: place for place, value in enumerate(sorted({value for row in values for value in row}))}
-    edges = np.array([(row, number[value]) for row, found in enumerate(values) for value in found], np.int64).reshape(
-        -1, 2
+        of_rows = wordings if each == WORDING else _values(store, each)
+        for row, some in zip(values, of_rows, strict=True):
+            row |= {(each, value) for value in some}
+    # Rows and values are the two sides of a graph, whose connected components are the groups.
+    number = {value: place for place, value in enumerate(sorted(set().union(*values)))}
+    edges = np.array(
+        [(row, len(values) + number[value]) for row, some in enumerate(values) for value in some], np.int64
     )
-    graph = coo_array(
-        (np.ones(len(edges)), (edges[:, 0], edges[:, 1] + len(values))), shape=2 * (len(values) + len(number),)
-    )
-    part = connected_components(graph, directed=False)[1]
+    size = len(values) + len(number)
+    rows, columns = edges.reshape(-1, 2).T
+    component = connected_components(coo_array((np.ones(len(rows)), (rows, columns)), shape=(size, size)))[1]
     first: dict[int, str] = {}
     for (_, value), place in number.items():
-        first.setdefault(int(part[len(values) + place]), value)
-    return [first[int(part[row])] if found else None for row, found in enumerate(values)]
+        first.setdefault(int(component[len(values) + place]), value)
+    return [first[int(component[row])] if some else None for row, some in enumerate(values)]
 
 
-def _values(store: Store, by: str) -> list[list[str]]:
-    """The value of a SQL expression for each sequence, as a list; empty if null."""
-    expression = SHORTHANDS.get(by, by)
+def _values(store: Store, by: str) -> list[set[str]]:
+    """The value of a SQL expression for each sequence, as a set; empty if null."""
+    expression = f"nullif(CAST(({SHORTHANDS.get(by, by)}) AS VARCHAR), '')"
     try:
-        asked = f"nullif(CAST(({expression}) AS VARCHAR), '') AS name_of_group"
-        table = store.query(f"SELECT {asked} FROM sequences ORDER BY sequence_index")
+        table = store.query(f"SELECT {expression} AS value FROM sequences ORDER BY sequence_index")
     except UsageError as error:
         raise UsageError(f"--by {by!r} is not a valid expression: {error}") from None
-    return [[] if name is None else [name] for name in table["name_of_group"].to_pylist()]
+    return [set() if value is None else {value} for value in table["value"].to_pylist()]
 
 
-def _require_groups(
-    store: Store, names: Sequence[str | None], chosen: Int[np.ndarray, "chosen"], by: str, shares: Mapping[str, float]
-) -> None:
-    groups = {names[row] for row in chosen}
-    if len(shares) == 1:
-        return  # all of them go one way, known or not
-    if None in groups:
-        nameless = [row for row in chosen if names[row] is None]
-        sources = sorted({store.sequences_table["source"][int(row)].as_py() or "unnamed" for row in nameless})
-        without = f"{len(nameless):,} of {len(chosen):,} sequences of {store.path} (sources: {_some(sources)}) "
+def _require_groups(store: Path, chosen: "pd.DataFrame", by: str, num_splits: int) -> None:
+    unnamed = chosen[chosen["group"].isna()]
+    if len(unnamed):
+        sources = sorted(set(unnamed["source"].replace("", "unnamed")))
+        without = f"{len(unnamed):,} of {len(chosen):,} sequences of {store} (sources: {_some(sources)}) "
         if by == PERFORMER:
             raise UsageError(
-                f"{without}have no performer: 'motionkit split --by sequence_id' holds out takes, whoever performs "
+                f"{without}have no performer: 'motionkit split --by sequence_id' holds out sequences, whoever performs "
                 f"them; or say who does in a column 'performer' of a table beside the files (docs/formats.md) and "
                 f"ingest again with --overwrite; or leave them out (--where \"subject <> ''\"), or hold out something "
                 f"else (--by source, or any SQL over their ids)"
             )
         raise UsageError(f"{without}have no value of {by!r}: leave them out with --where")
-    if len(groups) < len(shares):
+    if chosen["group"].nunique() < num_splits:
         raise UsageError(
-            f"{len(chosen):,} sequences of {store.path} have {len(groups)} different values of {by!r}, which cannot "
-            f"fill {len(shares)} splits: ask for fewer (motionkit split --shares train=0.8,test=0.2), or for another "
+            f"{len(chosen):,} sequences of {store} have {chosen['group'].nunique()} different values of {by!r}, which "
+            f"cannot fill {num_splits} splits: choose fewer (motionkit split --shares train=0.8,test=0.2), or another "
             "--by, such as --by sequence_id"
         )
 
 
-def _require_whole_groups(names: Sequence[str | None], splits: Sequence[str], chosen: Set[str], by: str) -> None:
-    of_group: dict[str, set[str]] = {name: set() for name in chosen if name}
-    for name, split in zip(names, splits, strict=True):
-        if name in of_group and split:
-            of_group[name].add(split)
-    torn = [name for name, found in of_group.items() if len(found) > 1]
-    if torn:
+def _require_whole_groups(group: "pd.Series[str]", splits: "pd.Series[str]", chosen: Set[str], by: str) -> None:
+    named = splits[group.isin(chosen) & (splits != "")]
+    counts = named.groupby(group).nunique()
+    divided = counts.index[counts > 1].tolist()
+    if divided:
         raise UsageError(
-            f"{len(torn):,} values of {by!r} would be in two splits, since --where leaves out a part of their "
-            f"sequences ({_some(torn)}): choose all of them, or split by something finer (--by sequence_id)"
+            f"{len(divided):,} values of {by!r} would be in two splits, since --where leaves out a part of their "
+            f"sequences ({_some(divided)}): choose all of them, or split by something finer (--by sequence_id)"
         )
 
 

@@ -10,9 +10,7 @@ import pytest
 from motionkit.core.errors import StoreError, UsageError
 from motionkit.core.skeleton import KIT21
 from motionkit.store import Store, StoreWriter
-from motionkit.store.cache import open_cache
 from motionkit.store.life import compact, merge, remove
-from motionkit.store.reports import report_quality
 from motionkit.store.validate import faults
 
 
@@ -87,13 +85,6 @@ def test_sql_sees_no_frames_of_removed_sequences(tmp_path, make_motion):
     assert counted.to_pylist() == [{"n": 39, "sequences": 39, "frames": frames}]
 
 
-def test_the_quality_report_counts_what_is_left(tmp_path, make_motion):
-    path = write(tmp_path / "store", motions(make_motion))
-    remove(path, ["take-0", "take-3"])
-    assert report_quality(Store.open(path)).num_sequences == 38
-    assert report_quality(Store.open(path), "sequence_id = 'take-39'").num_sequences == 1
-
-
 def test_a_number_is_not_given_twice(tmp_path, make_motion):
     """Neither a sequence's nor a part's, also where the last ones were removed: old readers must not see new frames."""
     path = write(tmp_path / "store", motions(make_motion, 20), pieces=2)
@@ -127,20 +118,6 @@ def test_a_removal_of_nothing_changes_nothing(small_store):
     assert Store.open(small_store).fingerprint == before
 
 
-def test_the_cache_is_made_of_what_is_left(tmp_path, make_motion):
-    made = motions(make_motion, 12)
-    path = write(tmp_path / "store", made)
-    remove(path, ["take-0", "take-4", "take-9"])
-    store = Store.open(path)
-    cache = open_cache(store)
-    kept = [i for i in range(12) if i not in (0, 4, 9)]
-    assert cache.sequence_index.tolist() == kept
-    np.testing.assert_array_equal(cache.sequence_positions(2), made[3].joint_positions)
-    assert store.sequences_table["sequence_id"].take(store.rows_of(cache.sequence_index)).to_pylist() == [
-        f"take-{i}" for i in kept
-    ]
-
-
 def test_a_compacted_store_is_that_of_one_ingest(tmp_path, make_motion):
     """But for the numbers of its parts, which go on."""
     made = motions(make_motion)
@@ -162,20 +139,6 @@ def test_a_compacted_store_is_that_of_one_ingest(tmp_path, make_motion):
         name.removeprefix("motions/") for name in store.manifest.parts
     ]
     assert not compact(path, part_bytes=2**18)
-
-
-@pytest.mark.parametrize("copy", [lambda path: compact(path), lambda path: merge(path.parent / "out", [path])])
-def test_damage_is_not_copied_under_a_new_checksum(tmp_path, make_motion, copy):
-    path = write(tmp_path / "store", motions(make_motion, 6), pieces=2)
-    part = path / Store.open(path).manifest.parts[1]
-    content = bytearray(part.read_bytes())
-    content[len(content) // 2] ^= 1
-    part.write_bytes(content)
-    fingerprint = Store.open(path).fingerprint
-    with pytest.raises(StoreError, match=r"part-00001\.parquet is damaged"):
-        copy(path)
-    assert Store.open(path).fingerprint == fingerprint
-    assert not (tmp_path / "out" / "manifest.json").exists()
 
 
 def test_reading_a_store_that_was_compacted_meanwhile_is_reported(tmp_path, make_motion):

@@ -6,7 +6,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from tests.motionkit.core.skeletons.test_skeleton_families import robot_map
 
 from benchmarks.trust.fuzz.target import Make, Target, named
 from motionkit.core.errors import FormatError, MotionkitError
@@ -24,6 +23,7 @@ from tests.helpers.amass_samples import smplh_fields, stageii_fields, write_amas
 from tests.helpers.every_format import SOURCES, bodies, write_arrays, write_text
 from tests.helpers.format_samples import bvh_text, write_asfamc
 from tests.helpers.side_files import BESIDE, RULES
+from tests.motionkit.core.test_skeletons import robot_map
 
 STATED = ReadOptions(fps=Fraction(30), unit_metres=1.0)
 # Formats whose files do not state the framerate or the unit.
