@@ -12,7 +12,7 @@ from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.kinematics import closest_rotations, matrix_to_quaternion
 from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22
-from motionkit.data.takes import open_takes
+from motionkit.data.rotation_sequences import open_rotation_sequences
 from motionkit.fields.motion_field import Observation, Poses
 from motionkit.store.cache import open_cache
 
@@ -165,7 +165,7 @@ def open_clips(
     """
     condition = of_split_and(split, where)
     try:
-        takes = open_takes(store, data_set.fps, where=condition)
+        takes = open_rotation_sequences(store, data_set.fps, where=condition)
     except UsageError as error:  # nothing of any data set
         raise NoTakesError(str(error)) from None
     belongs = data_set.holds(store, takes.sequence_index)

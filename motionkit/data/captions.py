@@ -26,15 +26,15 @@ def overlapping_captions(
     """
     if window_end <= window_start:
         raise ValueError(f"the window [{window_start}, {window_end}) s is empty")
-    found = []
+    result = []
     for caption in captions:
         start, end = float(caption["start_seconds"]), caption["end_seconds"]
         stop = math.inf if end is None or math.isnan(end) else float(end)
         overlap = min(stop, window_end) - max(start, window_start)
         shorter = min(stop - start, window_end - window_start)
         if overlap > 0 and overlap >= MINIMUM_OVERLAP * shorter and caption["text"]:
-            found.append(str(caption["text"]))
-    return tuple(found)
+            result.append(str(caption["text"]))
+    return tuple(result)
 
 
 def mirrored_text(text: str) -> str:
@@ -45,13 +45,13 @@ def mirrored_text(text: str) -> str:
     return SIDED_WORD.sub(_opposite, text)
 
 
-def _opposite(found: re.Match[str]) -> str:
-    side, ending, against = found.groups()
+def _opposite(match: re.Match[str]) -> str:
+    side, ending, against = match.groups()
     if side:
         other = {"left": "right", "right": "left"}[side.lower()] + (ending or "").lower()
     else:
         other = "clockwise" if against else "counterclockwise"
-    word = found.group()
+    word = match.group()
     return other.upper() if word.isupper() else other.capitalize() if word[0].isupper() else other
 
 
@@ -59,13 +59,13 @@ def captions_of_windows(windows: Windows, sequences: pd.DataFrame) -> list[tuple
     """Each window's captions, mirrored for mirrored windows."""
     captions: dict[Any, Sequence[Any]] = sequences["captions"].to_dict()
     ends = windows.start_seconds + windows.duration_seconds
-    found = []
+    result = []
     for sequence, start, end, mirrored in zip(
         windows.sequence_index, windows.start_seconds, ends, windows.mirrored, strict=True
     ):
         texts = overlapping_captions(captions[int(sequence)], float(start), float(end))
-        found.append(tuple(map(mirrored_text, texts)) if mirrored else texts)
-    return found
+        result.append(tuple(map(mirrored_text, texts)) if mirrored else texts)
+    return result
 
 
 def actions_of_windows(windows: Windows, sequences: pd.DataFrame) -> list[str]:

@@ -79,21 +79,21 @@ def _block(
     tree: BoneTree,
 ) -> Float32[np.ndarray, "numbers rows"]:
     """The rows of consecutive poses; the last pose is used only for displacements."""
-    part = body.vector
-    result = np.empty((part.size, joints.shape[2] - 1), dtype=np.float32)
+    slices = body.vector
+    result = np.empty((slices.size, joints.shape[2] - 1), dtype=np.float32)
     poses, change = joints[:, :, :-1], joints[:, :, 1:] - joints[:, :, :-1]
     angle = 2 * half_angle
     cosine, sine = np.cos(angle).astype(np.float32), np.sin(angle).astype(np.float32)
     # The published rate comes from quaternions: a heading beyond ±π is folded back by the arcsine.
-    result[part.root_yaw_velocity] = np.arcsin(np.sin(half_angle[1:] - half_angle[:-1]))
-    turn(change[:, 0], cosine[1:], sine[1:], out=result[part.root_velocity])
+    result[slices.root_yaw_velocity] = np.arcsin(np.sin(half_angle[1:] - half_angle[:-1]))
+    turn(change[:, 0], cosine[1:], sine[1:], out=result[slices.root_velocity])
     cosine, sine = cosine[:-1], sine[:-1]
-    fill_positions(result, poses, cosine, sine, part)
-    rotations = result[part.joint_rotations].reshape(body.num_joints - 1, 6, -1)
+    fill_positions(result, poses, cosine, sine, slices)
+    rotations = result[slices.joint_rotations].reshape(body.num_joints - 1, 6, -1)
     rotations_6d(poses, half_angle[:-1].astype(np.float32), tree, out=rotations)
-    fill_joint_velocities(result, change, cosine, sine, part)
+    fill_joint_velocities(result, change, cosine, sine, slices)
     x, y, z = change.take(body.contact_joints, axis=1)
-    result[part.contacts] = x * x + y * y + z * z < body.contact_threshold
+    result[slices.contacts] = x * x + y * y + z * z < body.contact_threshold
     return result
 
 

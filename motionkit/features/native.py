@@ -35,20 +35,20 @@ def turn(
     np.subtract(cosine * vectors[2], sine * vectors[0], out=out[1])
 
 
-def fill_positions(rows: RowsOut, joints: Joints, cosine: PerRow, sine: PerRow, part: VectorLayout) -> None:
+def fill_positions(rows: RowsOut, joints: Joints, cosine: PerRow, sine: PerRow, slices: VectorLayout) -> None:
     """Write root height and root-relative joint positions, rotated so that each pose faces Z+."""
     num_rows = joints.shape[2]
-    rows[part.root_height] = joints[1, 0]
-    relative = rows[part.joint_positions].reshape(part.num_joints - 1, 3, num_rows)
+    rows[slices.root_height] = joints[1, 0]
+    relative = rows[slices.joint_positions].reshape(slices.num_joints - 1, 3, num_rows)
     x, z = joints[0, 1:] - joints[0, 0], joints[2, 1:] - joints[2, 0]
     np.add(cosine * x, sine * z, out=relative[:, 0])
     relative[:, 1] = joints[1, 1:]
     np.subtract(cosine * z, sine * x, out=relative[:, 2])
 
 
-def fill_joint_velocities(rows: RowsOut, change: Joints, cosine: PerRow, sine: PerRow, part: VectorLayout) -> None:
+def fill_joint_velocities(rows: RowsOut, change: Joints, cosine: PerRow, sine: PerRow, slices: VectorLayout) -> None:
     """Write the joints' displacements or velocities in the heading frame."""
-    velocities = rows[part.joint_velocities].reshape(part.num_joints, 3, change.shape[2])
+    velocities = rows[slices.joint_velocities].reshape(slices.num_joints, 3, change.shape[2])
     turn(change, cosine, sine, out=velocities[:, ::2].transpose(1, 0, 2))
     velocities[:, 1] = change[1]
 
@@ -105,15 +105,15 @@ def positions_at(
 ) -> Float32[np.ndarray, "times joints 3"]:
     """`positions` for vectors at any ascending times in seconds; the first one's root is above the origin."""
     body = pose_layout(layout)
-    part = body.vector
-    if vectors.shape[1] != part.size:
-        raise ValueError(f"{layout} vectors have {part.size} numbers, these have {vectors.shape[1]}")
+    slices = body.vector
+    if vectors.shape[1] != slices.size:
+        raise ValueError(f"{layout} vectors have {slices.size} numbers, these have {vectors.shape[1]}")
     numbers = vectors.astype(np.float64)
-    angle = _integral(numbers[:, part.root_yaw_velocity], seconds)[:, 0]
-    path = _integral(_turned_back(numbers[:, part.root_velocity], angle), seconds)
-    relative = numbers[:, part.joint_positions].reshape(len(numbers), body.num_joints - 1, 3)
+    angle = _integral(numbers[:, slices.root_yaw_velocity], seconds)[:, 0]
+    path = _integral(_turned_back(numbers[:, slices.root_velocity], angle), seconds)
+    relative = numbers[:, slices.joint_positions].reshape(len(numbers), body.num_joints - 1, 3)
     result = np.empty((len(numbers), body.num_joints, 3))
-    result[:, 0, ::2], result[:, 0, 1] = path, numbers[:, part.root_height][:, 0]
+    result[:, 0, ::2], result[:, 0, 1] = path, numbers[:, slices.root_height][:, 0]
     result[:, 1:, ::2] = _turned_back(relative[..., ::2], angle[:, None]) + path[:, None]
     result[:, 1:, 1] = relative[..., 1]
     return result.astype(np.float32)
@@ -129,18 +129,18 @@ def mirrored(vectors: Float[np.ndarray, "*poses numbers"], layout: str) -> Float
 def _mirror_map(layout: str) -> tuple[Int[np.ndarray, "numbers"], Float32[np.ndarray, "numbers"]]:
     """Source index and sign of each element of a mirrored vector."""
     body = pose_layout(layout)
-    part, joints = body.vector, np.arange(body.num_joints)
+    slices, joints = body.vector, np.arange(body.num_joints)
     for left, right in body.skeleton.left_right_pairs:
         joints[left], joints[right] = right, left
-    source, sign = np.arange(part.size), np.ones(part.size, np.float32)
-    sign[part.root_yaw_velocity] = -1.0
-    sign[part.root_velocity] = (-1.0, 1.0)
+    source, sign = np.arange(slices.size), np.ones(slices.size, np.float32)
+    sign[slices.root_yaw_velocity] = -1.0
+    sign[slices.root_velocity] = (-1.0, 1.0)
     # The reflection M = diag(−1, 1, 1) maps a bone's rotation R to M·R·M; 6D numbers are R's first two columns.
     for block, order, signs in (
-        (part.joint_positions, joints[1:] - 1, (-1, 1, 1)),
-        (part.joint_rotations, joints[1:] - 1, (1, -1, -1, -1, 1, 1)),
-        (part.joint_velocities, joints, (-1, 1, 1)),
-        (part.contacts, np.array([2, 3, 0, 1]), (1,)),
+        (slices.joint_positions, joints[1:] - 1, (-1, 1, 1)),
+        (slices.joint_rotations, joints[1:] - 1, (1, -1, -1, -1, 1, 1)),
+        (slices.joint_velocities, joints, (-1, 1, 1)),
+        (slices.contacts, np.array([2, 3, 0, 1]), (1,)),
     ):
         source[block] = source[block].reshape(len(order), -1)[order].reshape(-1)
         sign[block] = np.tile(np.array(signs, np.float32), len(order))
@@ -168,20 +168,20 @@ def _block(
     body: PoseLayout,
     contact_speed: float,
 ) -> RowsOut:
-    part = body.vector
-    result = np.empty((part.size, len(angle)), dtype=np.float32)
-    result[part.root_yaw_velocity] = rate
+    slices = body.vector
+    result = np.empty((slices.size, len(angle)), dtype=np.float32)
+    result[slices.root_yaw_velocity] = rate
     cosine, sine = np.cos(angle).astype(np.float32), np.sin(angle).astype(np.float32)
-    turn(velocity[:, 0], cosine, sine, out=result[part.root_velocity])
-    fill_positions(result, joints, cosine, sine, part)
+    turn(velocity[:, 0], cosine, sine, out=result[slices.root_velocity])
+    fill_positions(result, joints, cosine, sine, slices)
     local = np.zeros_like(joints)
     local[1, 0] = joints[1, 0]
-    local[:, 1:] = result[part.joint_positions].reshape(body.num_joints - 1, 3, -1).transpose(1, 0, 2)
-    rotations = result[part.joint_rotations].reshape(body.num_joints - 1, 6, -1)
+    local[:, 1:] = result[slices.joint_positions].reshape(body.num_joints - 1, 3, -1).transpose(1, 0, 2)
+    rotations = result[slices.joint_rotations].reshape(body.num_joints - 1, 6, -1)
     rotations_6d(local, np.zeros(len(angle), np.float32), bone_tree(body.name), out=rotations)
-    fill_joint_velocities(result, velocity, cosine, sine, part)
+    fill_joint_velocities(result, velocity, cosine, sine, slices)
     x, y, z = velocity.take(body.contact_joints, axis=1)
-    result[part.contacts] = x * x + y * y + z * z < contact_speed**2
+    result[slices.contacts] = x * x + y * y + z * z < contact_speed**2
     return result
 
 

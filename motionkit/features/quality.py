@@ -433,14 +433,14 @@ def effective_fps(
     lines = _pulses(_log_energy(second, fps), 2, fps)
     curves = _pulses(_log_energy(np.diff(second, n=2, axis=0), fps), 4, fps)
     # Straight lines pulse in both, but only second differences tell which of two rates they join.
-    found = lines if _best(lines) >= LINES_RATHER * _best(curves) else curves
-    if _best(found) < MIN_EXPLAINED:
+    pulses = lines if _best(lines) >= LINES_RATHER * _best(curves) else curves
+    if _best(pulses) < MIN_EXPLAINED:
         return fps
-    return max(rate for share, rate in found if share > _best(found) - ALIKE)
+    return max(rate for share, rate in pulses if share > _best(pulses) - ALIKE)
 
 
-def _best(found: list[tuple[float, float]]) -> float:
-    return max((share for share, _ in found), default=0.0)
+def _best(pulses: list[tuple[float, float]]) -> float:
+    return max((share for share, _ in pulses), default=0.0)
 
 
 def _rate_of_held(moved: Float[np.ndarray, "steps"], fps: float) -> float | None:

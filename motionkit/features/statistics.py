@@ -38,7 +38,7 @@ class Statistics:
         return np.asarray(rows * self.std + self.mean, dtype=np.float32)
 
 
-def check_statistics(found: Statistics, num_joints: int, expected: Signature) -> None:
+def check_statistics(statistics: Statistics, num_joints: int, expected: Signature) -> None:
     """Raise `ValueError` unless statistics have the expected signature.
 
     `published` is Mean.npy and Std.npy of HumanML3D and KIT; `evaluator` is that of Guo's evaluators, with root and
@@ -46,15 +46,17 @@ def check_statistics(found: Statistics, num_joints: int, expected: Signature) ->
     The wrong file changes every FID without an error, so nothing is guessed.
     """
     layout = layout_of(num_joints).vector
-    if found.mean.size != layout.size:
-        raise ValueError(f"vectors of {num_joints} joints have {layout.size} numbers, these have {found.mean.size}")
-    uneven = [block for block in layout.blocks if np.ptp(found.std[block]) > 1e-4 * found.std[block].mean()]
+    if statistics.mean.size != layout.size:
+        raise ValueError(
+            f"vectors of {num_joints} joints have {layout.size} numbers, these have {statistics.mean.size}"
+        )
+    uneven = [block for block in layout.blocks if np.ptp(statistics.std[block]) > 1e-4 * statistics.std[block].mean()]
     if uneven:
         raise ValueError(
             f"the std varies inside numbers {uneven[0].start} to {uneven[0].stop - 1}, so this is not a file of "
             "HumanML3D's convention, which has one std per block"
         )
-    ratio = float(found.std[layout.root_velocity].mean() / found.std[layout.joint_velocities].mean())
+    ratio = float(statistics.std[layout.root_velocity].mean() / statistics.std[layout.joint_velocities].mean())
     signature: Signature = "published" if ratio > _ROOT_TO_JOINT_SPEED else "evaluator"
     if signature != expected:
         raise ValueError(

@@ -91,11 +91,11 @@ def anchored(field: MotionField, observation: Observation) -> DerivedField:
     return DerivedField(field, corrected, lambda other: anchored(other, observation))
 
 
-def _missed(made: Poses, given: Poses, skeleton: Skeleton) -> Float64[np.ndarray, "frames numbers"]:
-    mine, theirs = Joints.of(made, skeleton), Joints.of(given, skeleton)
+def _missed(poses: Poses, given: Poses, skeleton: Skeleton) -> Float64[np.ndarray, "frames numbers"]:
+    mine, theirs = Joints.of(poses, skeleton), Joints.of(given, skeleton)
     turns = quaternion_to_rotation_vector(quaternion_multiply(quaternion_conjugate(mine.rotations), theirs.rotations))
-    parts = (turns, theirs.bones - mine.bones, (theirs.root - mine.root)[:, None])
-    return np.concatenate(parts, axis=1).reshape(len(turns), -1)
+    missed = (turns, theirs.bones - mine.bones, (theirs.root - mine.root)[:, None])
+    return np.concatenate(missed, axis=1).reshape(len(turns), -1)
 
 
 def _with_offsets(poses: Poses, offsets: Float64[np.ndarray, "times numbers"], skeleton: Skeleton) -> Poses:

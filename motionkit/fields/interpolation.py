@@ -314,8 +314,8 @@ def _on_positions(kind: CurveKind) -> Callable[[Sequence[Observation]], PosesAt]
         positions = curve(kind, observations[0].times_seconds, observed)
 
         def poses_at(times: Times) -> list[Poses]:
-            found = positions(times).astype(np.float32)
-            return [Poses(np.ascontiguousarray(found[:, motion])) for motion in range(len(observations))]
+            sampled = positions(times).astype(np.float32)
+            return [Poses(np.ascontiguousarray(sampled[:, motion])) for motion in range(len(observations))]
 
         return poses_at
 

@@ -65,12 +65,12 @@ class Rig:
 
 @lru_cache(maxsize=4096)
 def _carried(rig: Rig, joint: int) -> tuple[int, ...]:
-    found, left = [], [joint]
+    carried_joints, left = [], [joint]
     while left:
         children = [child for child in rig.skeleton.children(left.pop()) if child not in rig.moving]
-        found += children
+        carried_joints += children
         left += [child for child in children if child in rig.still]
-    return tuple(found)
+    return tuple(carried_joints)
 
 
 def on_bones(field: MotionField, observation: Observation) -> MotionField:
@@ -100,12 +100,12 @@ def on_bones(field: MotionField, observation: Observation) -> MotionField:
 
 
 def _pointed(
-    poses: Poses, wanted: Float32[np.ndarray, "times joints 3"], rig: Rig
+    poses: Poses, targets: Float32[np.ndarray, "times joints 3"], rig: Rig
 ) -> tuple[Float32[np.ndarray, "times joints 3"], Float32[np.ndarray, "times joints 4"]]:
     assert poses.local_rotations is not None
     local, places = poses.local_rotations.astype(np.float64), poses.joint_positions.astype(np.float64)
     before = global_rotations(local, rig.skeleton)
-    reached, world = wanted.astype(np.float64), before.copy()
+    reached, world = targets.astype(np.float64), before.copy()
     turns = np.zeros_like(world)  # from the previous world rotation to the new one
     # Parents come before children, so that each bone is aimed from its joint's new position.
     for joint, parent in enumerate(rig.skeleton.parents):
@@ -115,7 +115,7 @@ def _pointed(
         held = [] if joint in rig.still else list(rig.carried(joint))
         bones = quaternion_rotate(turn[:, None], places[:, held] - places[:, [joint]])
         long = np.abs(bones).max(axis=(0, 2), initial=0.0) > _NO_LENGTH
-        bones, aims = bones[:, long], (wanted[:, held] - reached[:, [joint]])[:, long]
+        bones, aims = bones[:, long], (targets[:, held] - reached[:, [joint]])[:, long]
         if bones.shape[1] == 1:
             turn = quaternion_multiply(quaternion_between(bones[:, 0], aims[:, 0]), turn)
         elif bones.shape[1]:

@@ -125,8 +125,8 @@ class TransferredField:
         local /= np.linalg.norm(local, axis=-1, keepdims=True)
         turned = Joints(local, joints.bones, joints.root).positions(skeleton)
         pelvis = self.counterparts[_PELVIS]
-        wanted = own.joint_positions[:, pelvis] + (model.joint_positions - base.joint_positions)[:, _PELVIS]
-        move = (wanted - turned[:, pelvis])[:, None]
+        target = own.joint_positions[:, pelvis] + (model.joint_positions - base.joint_positions)[:, _PELVIS]
+        move = (target - turned[:, pelvis])[:, None]
         carried = np.isin(np.arange(skeleton.num_joints), _subtree(skeleton, self.moved_joint))
         positions = turned + np.where(carried[:, None], move, np.float32(0.0))
         translation = None
@@ -155,14 +155,14 @@ def _counterparts(skeleton: Skeleton) -> tuple[tuple[int, int], ...]:
         sources = np.flatnonzero(weights[joint] >= _SMALLEST_WEIGHT).tolist()
         if joint != _PELVIS and sources:
             wanting.setdefault(max(sources, key=lambda source: len(_path_to_root(skeleton, source))), []).append(joint)
-    found = {}
+    counterparts = {}
     for source, joints in wanting.items():
         spine = [joint for joint in joints if joint in _SPINE]
-        found[spine[-1] if spine else max(joints, key=lambda joint: float(weights[joint, source]))] = source
-    hips = [_path_to_root(skeleton, found[hip]) for hip in (_LEFT_HIP, _RIGHT_HIP) if hip in found]
+        counterparts[spine[-1] if spine else max(joints, key=lambda joint: float(weights[joint, source]))] = source
+    hips = [_path_to_root(skeleton, counterparts[hip]) for hip in (_LEFT_HIP, _RIGHT_HIP) if hip in counterparts]
     pelvis = next((joint for joint in hips[0] if all(joint in above for above in hips)), 0) if hips else 0
-    found = {joint: source for joint, source in found.items() if source != pelvis}
-    return tuple(sorted({**found, _PELVIS: pelvis}.items()))
+    counterparts = {joint: source for joint, source in counterparts.items() if source != pelvis}
+    return tuple(sorted({**counterparts, _PELVIS: pelvis}.items()))
 
 
 def canonical_observation(observation: Observation) -> Observation:

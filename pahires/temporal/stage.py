@@ -66,7 +66,9 @@ def _train(name: str, make: NetworkMaker[TemporalConfigT], context: StageContext
 
 def _check(context: StageContext, config: TemporalConfig) -> None:
     """Raise early what would stop the training: no take at the framerate."""
-    from motionkit.data.takes import open_takes
+    from motionkit.data.rotation_sequences import open_rotation_sequences
 
     settings = config.training
-    open_takes(context.open_store(), settings.framerate, where=settings.where or None, layout=settings.layout)
+    open_rotation_sequences(
+        context.open_store(), settings.framerate, where=settings.where or None, layout=settings.layout
+    )

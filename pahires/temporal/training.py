@@ -11,7 +11,7 @@ import torch
 
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import Feet, Skeleton
-from motionkit.data.takes import open_takes
+from motionkit.data.rotation_sequences import open_rotation_sequences
 from motionkit.training.config import from_plain, to_plain
 from motionkit.training.devices import autocast, float32_products, resolve_device
 from motionkit.training.loop import WeightAverage, dropout_from, scale_rates, seeded_initialisation, train_loop
@@ -156,11 +156,11 @@ def train_network(
 ) -> None:
     """Train the network built by `make` on the context's store; write RUN/STAGE/model.safetensors for `load_network`.
 
-    Raises what `open_takes` and `train_loop` raise.
+    Raises what `open_rotation_sequences` and `train_loop` raise.
     """
     started, settings = time.perf_counter(), config.training
     store, device = context.open_store(), resolve_device(context.device)
-    takes = open_takes(store, settings.framerate, where=settings.where or None, layout=settings.layout)
+    takes = open_rotation_sequences(store, settings.framerate, where=settings.where or None, layout=settings.layout)
     folder = context.begin(stage, config, store_fingerprint=store.fingerprint)
     with seeded_initialisation(context.seed, stage):
         network = make(config, takes.num_features)

@@ -13,7 +13,7 @@ import torch
 
 from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Bool, Float32, Float64, Int64
-from motionkit.data.takes import Takes
+from motionkit.data.rotation_sequences import RotationSequences
 from motionkit.features import rotations
 from pahires.temporal.base_curves import Scaling, WindowFrames, measure_scaling
 from pahires.temporal.network import ObservedWindow
@@ -143,7 +143,7 @@ class WindowSampler:
     Sources are weighted by `source_evenness` (`TemporalSettings`).
     """
 
-    takes: Takes
+    takes: RotationSequences
     settings: TemporalSettings
 
     def task(self, rng: np.random.Generator) -> Task:

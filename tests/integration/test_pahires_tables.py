@@ -89,7 +89,7 @@ def test_variants_are_trained_and_shown_by_two_commands(
     [
         (("--table", "1", "--encoder", "liif"), "--encoder liif: give NAME=RUN"),
         (("--table", "1", "--encoder", "liif=nobody"), "there is no run"),
-        (("--table", "2", "--fps", "29"), "motionkit: no chosen take of"),
+        (("--table", "2", "--fps", "29"), "motionkit: no chosen sequence of"),
         (("--table", "3", "--where", "fps = 50"), "CMU, 30 fps: no"),
         (("--table", "2", "--where", "speed > 1"), "the condition"),
         (("--table", "4"), "motionkit ablate 4 --paper pahires --run nano trains"),

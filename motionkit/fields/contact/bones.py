@@ -44,19 +44,19 @@ class Bones:
         moving = _moving(skeleton, middle, spread)
         offsets = np.zeros((skeleton.num_joints, 3))
         offsets[:, 1] = middle
-        found = cls(skeleton, offsets, moving, {})
+        result = cls(skeleton, offsets, moving, {})
         for joint in range(skeleton.num_joints):
-            children = found.children(joint)
+            children = result.children(joint)
             if len(children) > 1:
                 offsets[children] = _shape(bones[:, children], middle[children])
-        wanted = values.transpose(1, 0, 2)
-        for start, joint, end in found.limbs():
-            if (branch := found.branch(joint)) is not None:
-                children = found.children(branch)
-                turn = _turns(offsets[children], wanted[children] - wanted[branch])
-                bend = wanted[joint] - (wanted[start] + wanted[end]) / 2.0
-                found.bends[joint] = np.median(quaternion_rotate(quaternion_conjugate(turn), bend), axis=0)
-        return found
+        targets = values.transpose(1, 0, 2)
+        for start, joint, end in result.limbs():
+            if (branch := result.branch(joint)) is not None:
+                children = result.children(branch)
+                turn = _turns(offsets[children], targets[children] - targets[branch])
+                bend = targets[joint] - (targets[start] + targets[end]) / 2.0
+                result.bends[joint] = np.median(quaternion_rotate(quaternion_conjugate(turn), bend), axis=0)
+        return result
 
     def children(self, joint: int) -> list[int]:
         """A joint's children with a bone."""
@@ -77,15 +77,15 @@ class Bones:
 
     def limbs(self) -> list[tuple[int, int, int]]:
         """Start, middle and end of every pair of consecutive bones of similar length."""
-        found = []
+        result = []
         for joint in range(self.skeleton.num_joints):
             below, start = self.children(joint), self.skeleton.parents[joint]
             if start < 0 or joint in self.moving or len(below) != 1 or len(self.children(start)) != 1:
                 continue
             upper, lower = self.offsets[joint, 1], self.offsets[below[0], 1]
             if min(upper, lower) > LIMB_RATIO * max(upper, lower):
-                found.append((start, joint, below[0]))
-        return found
+                result.append((start, joint, below[0]))
+        return result
 
     @classmethod
     def lacking(
@@ -113,26 +113,26 @@ class Bones:
         needed = set(range(self.skeleton.num_joints))
         if joints is not None:
             needed = {above for joint in joints for above in self._path_to(joint)}
-        wanted = np.ascontiguousarray(positions.transpose(1, 0, 2), dtype=np.float64)
-        reached, turns, limbs = wanted.copy(), {}, {start: (joint, end) for start, joint, end in self.limbs()}
+        targets = np.ascontiguousarray(positions.transpose(1, 0, 2), dtype=np.float64)
+        reached, turns, limbs = targets.copy(), {}, {start: (joint, end) for start, joint, end in self.limbs()}
         for joint in range(self.skeleton.num_joints):
             children = self.children(joint)
             if needed.isdisjoint(children):
                 continue
             if len(children) > 1:
-                shape, wished = self.offsets[children], wanted[children] - reached[joint]
-                turns[joint] = _turns(shape, wished)
+                shape, aims = self.offsets[children], targets[children] - reached[joint]
+                turns[joint] = _turns(shape, aims)
                 reached[children] = reached[joint] + quaternion_rotate(turns[joint][:, None], shape).transpose(1, 0, 2)
             else:
-                bone, own = wanted[children[0]] - reached[joint], self.offsets[children[0], 1]
+                bone, own = targets[children[0]] - reached[joint], self.offsets[children[0], 1]
                 reached[children[0]] = reached[joint] + bone * (own / np.maximum(_lengths(bone), NO_LENGTH))[:, None]
                 if joint in limbs and children[0] in self.bends:
-                    self._bend(wanted, reached, turns, (joint, *limbs[joint]))
+                    self._bend(targets, reached, turns, (joint, *limbs[joint]))
         return reached.transpose(1, 0, 2).astype(np.float32)
 
     def _bend(
         self,
-        wanted: Float64[np.ndarray, "joints frames 3"],
+        targets: Float64[np.ndarray, "joints frames 3"],
         reached: Float64[np.ndarray, "joints frames 3"],
         turns: dict[int, Float64[np.ndarray, "frames 4"]],
         limb: tuple[int, int, int],
@@ -143,7 +143,7 @@ class Bones:
         """
         start, joint, end = limb
         upper, lower = self.offsets[joint, 1], self.offsets[end, 1]
-        share = _lengths(wanted[end] - reached[joint]) / lower
+        share = _lengths(targets[end] - reached[joint]) / lower
         gone = np.clip((SHRUNK_SHARE - share) / (SHRUNK_SHARE - GONE_SHARE), 0.0, 1.0)
         rows = np.flatnonzero(gone)
         if not len(rows):
@@ -151,10 +151,10 @@ class Bones:
         gone = np.square(gone[rows]) * (3.0 - 2.0 * gone[rows])
         branch = self.branch(joint)
         assert branch is not None
-        along, reach = _directions(wanted[end, rows] - reached[start, rows])
+        along, reach = _directions(targets[end, rows] - reached[start, rows])
         reach = np.clip(reach, abs(upper - lower) + LEAST_ROOM_METRES, LONGEST_SHARE * (upper + lower))
         usual, _ = _directions(_across(quaternion_rotate(turns[branch][rows], self.bends[joint]), along))
-        side = _across(wanted[joint, rows] - wanted[start, rows], along)
+        side = _across(targets[joint, rows] - targets[start, rows], along)
         side, _ = _directions(side + gone[:, None] * (upper * usual - side))
         forth = np.clip((upper**2 - lower**2 + np.square(reach)) / (2.0 * reach), -upper, upper)
         bent = along * forth + side * np.sqrt(upper**2 - np.square(forth))
@@ -191,10 +191,10 @@ def _shape(
 
 
 def _turns(
-    shape: Float64[np.ndarray, "bones 3"], wanted: Float64[np.ndarray, "bones frames 3"]
+    shape: Float64[np.ndarray, "bones 3"], targets: Float64[np.ndarray, "bones frames 3"]
 ) -> Float64[np.ndarray, "frames 4"]:
     """The rotations that align a shape with bones by least squares."""
-    bones = wanted.transpose(1, 0, 2)
+    bones = targets.transpose(1, 0, 2)
     return fit_rotation(np.broadcast_to(shape, bones.shape), bones)
 
 

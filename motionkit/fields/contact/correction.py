@@ -128,10 +128,10 @@ def offsets_of(
     paths: FootPaths, contacts: Contacts, ground: Ground, fps: float, path: Path
 ) -> Float64[np.ndarray, "instants 3 3"]:
     """The offsets of body, left and right foot at every sample of the grid, metres."""
-    found = np.zeros((len(paths), 3, 3))
+    offsets = np.zeros((len(paths), 3, 3))
     both = np.minimum(contacts.hold[1:], contacts.hold[:-1])
     if contacts.sliding.any():
-        found[..., [0, 2]] = _level_offsets(contacts, fps, path)
+        offsets[..., [0, 2]] = _level_offsets(contacts, fps, path)
     heights = paths[..., 1]
     lowest = _lowest(heights, contacts, ground, path)
     raised = np.zeros(contacts.hold.shape)
@@ -140,11 +140,11 @@ def offsets_of(
         if not height.any():
             break
         wishes = Wishes(np.zeros((*both.shape, 1)), STEADY_HEIGHT * both, height[..., None], weight)
-        found[..., [1]] = solve_offsets(wishes, contacts.hold, fps, HEIGHT_COSTS)
-        raised = found[:, 0, [1]] + found[:, 1:, 1]
+        offsets[..., [1]] = solve_offsets(wishes, contacts.hold, fps, HEIGHT_COSTS)
+        raised = offsets[:, 0, [1]] + offsets[:, 1:, 1]
         if (heights + raised[..., None] > lowest - TOLERATED_METRES).all():
             break
-    return found
+    return offsets
 
 
 def _level_offsets(contacts: Contacts, fps: float, path: Path) -> Float64[np.ndarray, "instants 3 2"]:
@@ -154,26 +154,26 @@ def _level_offsets(contacts: Contacts, fps: float, path: Path) -> Float64[np.nda
     """
     share = contacts.sliding * (1.0 - contacts.beside) if path == "near" else contacts.sliding
     slid = contacts.velocity[..., [0, 2]] * ((1.0 - KEPT_SHARE) * share)[..., None]
-    wanted = -0.5 * (slid[1:] + slid[:-1])
-    found = _carried(wanted, contacts.hold, contacts.lead, fps, LEVEL_COSTS[path])
-    within = _within_reach(found[:, 1:], contacts, path)
+    target = -0.5 * (slid[1:] + slid[:-1])
+    offsets = _carried(target, contacts.hold, contacts.lead, fps, LEVEL_COSTS[path])
+    within = _within_reach(offsets[:, 1:], contacts, path)
     if (within < 1.0).any():
-        found = _carried(wanted, contacts.hold * within, contacts.lead * within, fps, LEVEL_COSTS[path])
-    return found
+        offsets = _carried(target, contacts.hold * within, contacts.lead * within, fps, LEVEL_COSTS[path])
+    return offsets
 
 
 def _carried(
-    wanted: Float64[np.ndarray, "steps feet 2"], hold: PerFoot, lead: PerFoot, fps: float, costs: Costs
+    target: Float64[np.ndarray, "steps feet 2"], hold: PerFoot, lead: PerFoot, fps: float, costs: Costs
 ) -> Float64[np.ndarray, "instants 3 2"]:
     """Offsets that compensate these velocities while feet are held: the body's first, then the feet's again."""
     both = np.minimum(hold[1:], hold[:-1])
-    wishes = Wishes(wanted, both, np.zeros((*lead.shape, 2)), np.zeros(lead.shape))
-    found = solve_offsets(wishes, hold, fps, costs)
+    wishes = Wishes(target, both, np.zeros((*lead.shape, 2)), np.zeros(lead.shape))
+    offsets = solve_offsets(wishes, hold, fps, costs)
     # The feet again with the body fixed: legs absorb the velocities of feet in transition that the body ignored.
-    step = np.diff(found[:, :1], axis=0) * fps
-    wishes = replace(wishes, velocity=wanted - step, velocity_weight=np.minimum(lead[1:], lead[:-1]))
-    found[:, 1:] = solve_offsets(wishes, lead, fps, replace(costs, body=HELD))[:, 1:]
-    return found
+    step = np.diff(offsets[:, :1], axis=0) * fps
+    wishes = replace(wishes, velocity=target - step, velocity_weight=np.minimum(lead[1:], lead[:-1]))
+    offsets[:, 1:] = solve_offsets(wishes, lead, fps, replace(costs, body=HELD))[:, 1:]
+    return offsets
 
 
 def _within_reach(feet: Float64[np.ndarray, "instants feet 2"], contacts: Contacts, path: Path) -> PerFoot:
@@ -186,13 +186,13 @@ def _within_reach(feet: Float64[np.ndarray, "instants feet 2"], contacts: Contac
 
 def _largest(values: PerFoot, during: Bool[np.ndarray, "instants feet"]) -> PerFoot:
     """Each segment's maximum over the whole segment; 0 between."""
-    found = np.zeros_like(values)
+    offsets = np.zeros_like(values)
     for foot in range(2):
         starts, stops = runs(during[:, foot])
         if len(starts):
             largest = np.maximum.reduceat(np.where(during[:, foot], values[:, foot], 0.0), starts)
-            found[during[:, foot], foot] = np.repeat(largest, stops - starts)
-    return found
+            offsets[during[:, foot], foot] = np.repeat(largest, stops - starts)
+    return offsets
 
 
 def _lowest(heights: PerEnd, contacts: Contacts, ground: Ground, path: Path) -> PerEnd:

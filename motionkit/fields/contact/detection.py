@@ -145,11 +145,11 @@ def velocities(paths: FootPaths, fps: float) -> FootPaths:
     count = len(paths)
     if count <= 2 * reach:
         return np.gradient(paths, 1.0 / fps, axis=0) if count > 1 else np.zeros_like(paths)
-    found = np.empty_like(paths)
-    np.subtract(paths[2 * reach :], paths[: -2 * reach], out=found[reach:-reach])
-    found[reach:-reach] *= fps / (2 * reach)
-    found[:reach], found[-reach:] = found[reach], found[-reach - 1]
-    return found
+    result = np.empty_like(paths)
+    np.subtract(paths[2 * reach :], paths[: -2 * reach], out=result[reach:-reach])
+    result[reach:-reach] *= fps / (2 * reach)
+    result[:reach], result[-reach:] = result[reach], result[-reach - 1]
+    return result
 
 
 def _lengths(vectors: Float64[np.ndarray, "*shape 3"]) -> Float64[np.ndarray, "*shape"]:

@@ -114,10 +114,10 @@ def bend(hip: Vectors, knee: Vectors, ankle: Vectors, target: Vectors, forward: 
 
     `forward` is the horizontal facing direction of the body.
     """
-    thigh, old, wanted = knee - hip, ankle - hip, target - hip
+    thigh, old, aim = knee - hip, ankle - hip, target - hip
     upper, lower = _length(thigh), _length(ankle - knee)
-    old_reach, reach = _length(old), _length(wanted)
-    along, new_along = old / np.maximum(old_reach, TINY), wanted / np.maximum(reach, TINY)
+    old_reach, reach = _length(old), _length(aim)
+    along, new_along = old / np.maximum(old_reach, TINY), aim / np.maximum(reach, TINY)
     reach = _reachable(old_reach, reach, upper, lower)
     side = thigh - along * _dot(thigh, along)
     # `forward` counts for a straight leg in proportion to the ankle's motion: not at all if it doesn't move.
@@ -143,16 +143,16 @@ def turns(leg: BentLeg, hip: Vectors, knee: Vectors, ankle: Vectors) -> tuple[Fl
 
 def _reachable(
     old: Float64[np.ndarray, "frames 1"],
-    wanted: Float64[np.ndarray, "frames 1"],
+    aim: Float64[np.ndarray, "frames 1"],
     upper: Float64[np.ndarray, "frames 1"],
     lower: Float64[np.ndarray, "frames 1"],
 ) -> Float64[np.ndarray, "frames 1"]:
     """The distance from hip to ankle: the target's, softly limited near the leg's full reach."""
     room = np.maximum(LONGEST_SHARE * (upper + lower) - old, LEAST_ROOM_METRES)
-    farther = np.maximum(wanted - old, 0.0) / room
+    farther = np.maximum(aim - old, 0.0) / room
     farther = room * farther / np.sqrt(np.sqrt(1.0 + np.square(np.square(farther))))
     nearest = np.abs(upper - lower) + LEAST_ROOM_METRES
-    return np.asarray(np.maximum(np.minimum(wanted, old) + farther, np.minimum(nearest, old)))
+    return np.asarray(np.maximum(np.minimum(aim, old) + farther, np.minimum(nearest, old)))
 
 
 def _turned(vectors: Vectors, start: Vectors, stop: Vectors) -> Vectors:

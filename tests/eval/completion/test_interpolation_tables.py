@@ -291,7 +291,7 @@ def test_tables_over_windows(store: Path, tmp_path: Path) -> None:
 def test_what_cannot_be_asked_is_reported_in_a_line(store: Path, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="the condition"):
         TABLE_1.build(request(store, tmp_path, where="no_such_column = 1"))
-    with pytest.raises(NoTakesError, match=r"no chosen take of .* has a framerate that is a whole multiple of 7 fps"):
+    with pytest.raises(NoTakesError, match=r"no chosen sequence of .* a whole multiple of 7 fps"):
         TABLE_1.build(request(store, tmp_path, fps=(Fraction(7),)))
     with pytest.raises(UsageError, match="--encoder squid=nano: trained encoders are"):
         TABLE_1.build(request(store, tmp_path, encoders=(("squid", tmp_path / "runs" / "nano"),)))

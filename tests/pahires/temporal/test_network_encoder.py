@@ -12,7 +12,7 @@ import torch
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import KIT21, SMPL22
 from motionkit.core.timegrid import TimeGrid
-from motionkit.data.takes import open_takes
+from motionkit.data.rotation_sequences import open_rotation_sequences
 from motionkit.features.rotations import rows_of_poses
 from motionkit.fields.motion_field import (
     BatchEncoder,
@@ -192,7 +192,7 @@ def test_the_same_seed_gives_the_same_network(folder: Path, tmp_path: Path) -> N
 
 
 def test_a_training_that_was_interrupted_goes_on_as_if_it_was_not(folder: Path, tmp_path: Path) -> None:
-    takes = open_takes(
+    takes = open_rotation_sequences(
         Store.open(folder / "store"),
         EXACT.training.framerate,
         where=EXACT.training.where or None,

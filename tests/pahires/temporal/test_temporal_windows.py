@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motionkit.core.errors import UsageError
-from motionkit.data.takes import Takes, open_takes
+from motionkit.data.rotation_sequences import RotationSequences, open_rotation_sequences
 from motionkit.features.rotations import rotation_rows
 from motionkit.store.reader import Store
 from motionkit.training.config import apply_overrides
@@ -22,8 +22,8 @@ from tests.helpers.tiny import write_store
 SETTINGS = apply_overrides(TemporalSettings(tasks=SMALL_TASKS, mirrored=False), ["schedule.batch_size=16"])
 
 
-def takes_of(store: Store, settings: TemporalSettings) -> Takes:
-    return open_takes(store, settings.framerate, where=settings.where or None, layout=settings.layout)
+def takes_of(store: Store, settings: TemporalSettings) -> RotationSequences:
+    return open_rotation_sequences(store, settings.framerate, where=settings.where or None, layout=settings.layout)
 
 
 @pytest.fixture(scope="module")

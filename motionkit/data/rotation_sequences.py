@@ -1,4 +1,4 @@
-"""The takes of a store at a table's framerate: every k-th real frame, nothing interpolated, as rotation rows."""
+"""A store's sequences at one framerate as rotation rows: every k-th real frame, nothing interpolated."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,26 +16,25 @@ from motionkit.store.cache import PositionCache, open_cache
 from motionkit.store.reader import Store
 
 Batch = Int64[np.ndarray, "batch"]
-PerTake = Int64[np.ndarray, "takes"]
+PerSequence = Int64[np.ndarray, "sequences"]
 
 
 @dataclass(frozen=True, eq=False)
-class Takes:
-    """T takes: rows of native frames, of which every `keep_every`-th is one of the table's framerate.
+class RotationSequences:
+    """Rows of native frames, of which every `keep_every`-th is one at `fps`.
 
-    `source` is the index of each take's source. `num_frames` counts a take's frames at the table's framerate, from any
-    of its first `keep_every` native ones. `skipped` counts sequences whose framerate is no integer multiple of the
-    table's.
+    `source` is the index of each sequence's source. `num_frames` counts a sequence's frames at `fps`, from any of its
+    first `keep_every` native ones. `skipped` counts sequences whose framerate is no integer multiple of `fps`.
     """
 
     fps: Fraction
     rows: Float32[np.ndarray, "total_frames numbers"]
     skeleton: Skeleton
-    sequence_index: PerTake
-    source: PerTake
-    start_row: PerTake
-    num_frames: PerTake
-    keep_every: PerTake
+    sequence_index: PerSequence
+    source: PerSequence
+    start_row: PerSequence
+    num_frames: PerSequence
+    keep_every: PerSequence
     skipped: int
 
     @property
@@ -44,24 +43,24 @@ class Takes:
         return int(self.rows.shape[1])
 
     def read(
-        self, take: Batch, first_native: Batch, stride: Batch, frames: Int64[np.ndarray, "batch frames"]
+        self, sequence: Batch, first_native: Batch, stride: Batch, frames: Int64[np.ndarray, "batch frames"]
     ) -> Float32[np.ndarray, "batch frames numbers"]:
-        """World rows of every `stride`-th native frame, counted by `frames` from a native frame of their take."""
-        row = self.start_row[take] + first_native
+        """World rows of every `stride`-th native frame, counted by `frames` from a native frame of their sequence."""
+        row = self.start_row[sequence] + first_native
         world: Float32[np.ndarray, "batch frames numbers"] = self.rows[row[:, None] + frames * stride[:, None]]
         return world
 
-    def seconds_between(self, take: Batch, stride: Batch) -> Float64[np.ndarray, "batch"]:
+    def seconds_between(self, sequence: Batch, stride: Batch) -> Float64[np.ndarray, "batch"]:
         """Seconds from one to the next of every `stride`-th native frame."""
-        return np.asarray(stride / (self.keep_every[take] * float(self.fps)))
+        return np.asarray(stride / (self.keep_every[sequence] * float(self.fps)))
 
     def __repr__(self) -> str:
-        return f"Takes({len(self.start_row)} takes, {int(self.num_frames.sum())} frames, {self.skipped} skipped)"
+        return f"RotationSequences({len(self.start_row)}, {int(self.num_frames.sum())} frames, {self.skipped} skipped)"
 
 
-def open_takes(
+def open_rotation_sequences(
     store: Store, fps: Fraction, *, where: str | None = None, layout: Literal["smpl22", "native"] = "smpl22"
-) -> Takes:
+) -> RotationSequences:
     """The sequences that `where` selects at `fps`; their rows are computed once and cached beside the store's cache.
 
     Raises `UsageError` if there are none, or for sequences of several skeletons with the layout `native`.
@@ -72,16 +71,16 @@ def open_takes(
     keep_every, remainder = np.divmod(multiple, cache.fps_denominator * fps.numerator)
     chosen = (remainder == 0) & (keep_every > 0)
     if not chosen.any():
-        rates = sorted({f"{cache.exact_fps(take)}" for take in range(cache.num_sequences)})
+        rates = sorted({f"{cache.exact_fps(sequence)}" for sequence in range(cache.num_sequences)})
         raise UsageError(
-            f"no chosen take of {store.path} has a framerate that is a whole multiple of {fps} fps (they have "
+            f"no chosen sequence of {store.path} has a framerate that is a whole multiple of {fps} fps (they have "
             f"{', '.join(rates[:8])}): choose another fps, or another where"
         )
     size = num_features(skeleton.num_joints)
     rows = cache.derived_rows("rotation-rows-1", size, lambda: _vectors(store, cache, skeleton))
     keep_every = np.maximum(keep_every, 1)
     names = store.columns("source")["source"].loc[cache.sequence_index[chosen]].to_numpy(str)
-    return Takes(
+    return RotationSequences(
         fps=fps,
         rows=rows,
         skeleton=skeleton,
@@ -109,7 +108,7 @@ def _one_skeleton(store: Store, cache: PositionCache) -> Skeleton:
     for other in skeletons[1:]:
         if (other.joint_names, other.parents) != (first.joint_names, first.parents):
             raise UsageError(
-                f"layout=native learns one skeleton's own rotations, but the chosen takes have {first.name!r} and "
+                f"layout=native learns one skeleton's own rotations, but the chosen sequences have {first.name!r} and "
                 f"{other.name!r}: choose one with where (skeleton = '{first.fingerprint}'), or use layout=smpl22"
             )
     if not first.left_right_pairs:
