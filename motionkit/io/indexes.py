@@ -79,8 +79,8 @@ class Dataset:
 class Entry:
     """A sequence of an index: the file, the segment of it, and its annotations.
 
-    `parts` is the file's path as the index spells it. `cut` None takes the whole file; `place` is the entry's location
-    in the index, for messages, and `line` its line if there are lines.
+    `parts` is the file's path as the index spells it. `cut` None takes the whole file; `line` is the entry's line in an
+    index that has lines.
     """
 
     name: str
@@ -90,7 +90,6 @@ class Entry:
     action: str = ""
     split: str = ""
     mirrored: bool = False
-    place: str = ""
     line: int | None = None
 
     @property
@@ -195,13 +194,11 @@ def read_index(path: Path) -> Index:
         entries = _read_json(text, path)
         first = next(iter(entries.values()), None)
         if isinstance(first, dict) and {"path", "annotations"} <= first.keys():
-            return _index(
-                _name_of_tmr(path), path, ((name, None, name, entry) for name, entry in entries.items()), _tmr
-            )
+            return _index(_name_of_tmr(path), path, ((name, None, entry) for name, entry in entries.items()), _tmr)
         if isinstance(first, dict) and "feat_p" in first:
             named = re.search(r"train|val|test", path.stem)
             split = named[0] if named else ""
-            rows = ((name, None, name, (entry, split)) for name, entry in entries.items())
+            rows = ((name, None, (entry, split)) for name, entry in entries.items())
             return _index("babel", path, rows, _babel)
     raise FormatError(
         f"looks like {source_file.describe_content(data)}, expected an index: HumanML3D's index.csv (columns "
@@ -214,25 +211,25 @@ def read_index(path: Path) -> Index:
 def _index(
     name: str,
     path: Path,
-    rows: Iterable[tuple[str, int | None, str, Row]],
+    rows: Iterable[tuple[str, int | None, Row]],
     entry_of: Callable[[str, Row], Entry],
     *,
     in_published_frames: bool = False,
 ) -> Index:
-    """The index built from rows, each with its place, line and name; bad ones and repeated names become problems."""
+    """The index built from rows, each with its name and line; bad ones and repeated names become problems."""
     kept: dict[str, Entry] = {}
     problems: list[FormatError] = []
     repeated: list[FormatError] = []
-    for place, line, named, row in rows:
+    for sequence_name, line, row in rows:
         try:
-            entry = replace(entry_of(_sequence_name(named), row), place=place, line=line)
+            entry = replace(entry_of(_sequence_name(sequence_name), row), line=line)
         except _BadEntry as bad:
-            prefix = "" if line is not None else f"{place[:MAX_NAME]!r}: "
+            prefix = "" if line is not None else f"{sequence_name[:MAX_NAME]!r}: "
             problems.append(FormatError(f"{prefix}{bad}", path=path, reason=bad.reason, line=line))
             continue
         first = kept.setdefault(entry.name, entry)
         if first is not entry:
-            message = f"{entry.name!r} is named twice, first in {first.place}"
+            message = f"{entry.name!r} is named twice, first in line {first.line}"
             repeated.append(FormatError(message, path=path, reason="duplicate-id", line=line))
     return Index(name, path, tuple(kept.values()), (*problems, *repeated), in_published_frames)
 
@@ -268,9 +265,9 @@ def _seconds(value: object, what: str) -> float:
 def _read_humanml3d(text: str, path: Path) -> Index:
     reader = csv.DictReader(text.splitlines(keepends=True), restkey=EXTRA, strict=True)
 
-    def rows() -> Iterator[tuple[str, int, str, Mapping[str, str | None]]]:
+    def rows() -> Iterator[tuple[str, int, Mapping[str, str | None]]]:
         for row in reader:
-            yield f"line {reader.line_num}", reader.line_num, (row["new_name"] or "").strip().removesuffix(".npy"), row
+            yield (row["new_name"] or "").strip().removesuffix(".npy"), reader.line_num, row
 
     try:
         columns = [name.strip() for name in reader.fieldnames or ()]
