@@ -112,16 +112,15 @@ def read_table(
     # A number takes at least a digit and a separator.
     most_rows = len(text) // (2 * num_columns) + 1
     table = np.empty((min(num_rows, most_rows), num_columns))
-    row, line, read_bytes = 0, first_line, 0
+    row, line, num_read = 0, first_line, 0
     for block in blocks(text):
         if len(block) > LONGEST_LINE_BYTES:
             message = f"a line of more than {LONGEST_LINE_BYTES >> 20} MiB, expected lines of numbers"
             raise FormatError(message, path=path, reason="range", line=line)
-        read_bytes += len(block)
+        num_read += len(block)
         rows = _rows_of_block(block, num_columns)
         if rows is None or row + len(rows) > num_rows:
-            last_line = line + block.count(b"\n") if read_bytes == len(text) else None
-            rows = _rows_of_lines(block, num_columns, path, (line, last_line), (row, num_rows))
+            rows = _rows_of_lines(block, num_columns, path, line, row, num_rows, is_last=num_read == len(text))
         table[row : row + len(rows)] = rows
         row += len(rows)
         line += block.count(b"\n")
@@ -165,12 +164,13 @@ def _rows_of_block(block: bytes, num_columns: int) -> Float64[np.ndarray, "rows 
 
 
 def _rows_of_lines(
-    block: bytes, num_columns: int, path: Path, lines: tuple[int, int | None], rows: tuple[int, int]
+    block: bytes, num_columns: int, path: Path, first_line: int, first_row: int, num_rows: int, *, is_last: bool
 ) -> Float64[np.ndarray, "rows columns"]:
-    """`lines` are the block's first line, and the last one of the file if it is here; `rows` its first row and all."""
-    (first_line, last_line), (first_row, num_rows) = lines, rows
+    """The rows of a block, line by line; raises what `read_table` raises. `is_last`: the text ends with the block."""
     numbers: list[list[float]] = []
-    for line_number, line in enumerate(block.rstrip().split(b"\n"), start=first_line):
+    lines = block.rstrip().split(b"\n")
+    last_line = first_line + len(lines) - 1
+    for line_number, line in enumerate(lines, start=first_line):
         words = line.split()
         if not words:
             continue
@@ -182,7 +182,7 @@ def _rows_of_lines(
                 reason="frame-count",
                 line=line_number,
             )
-        if len(words) < num_columns and line_number == last_line:
+        if len(words) < num_columns and is_last and line_number == last_line:
             raise FormatError(
                 f"the file ends after {len(words)} of {num_columns} numbers, expected {num_rows} whole frames",
                 path=path,
