@@ -40,16 +40,17 @@ PLACES, TURNS = slice(8, 8 + 3 * JOINTS), slice(8 + 6 * JOINTS, 8 + 12 * JOINTS)
 SMALLEST_CROSS = 1e-6
 
 
-def _shape(head: FileHead) -> tuple[int, ...]:
-    # Without the batch axis of one that models save.
-    shape = head.array_shape or ()
-    return shape[1:] if len(shape) == 3 and shape[0] == 1 else shape
+def _width(head: FileHead) -> int:
+    """Numbers a row of [T, D], or of [1, T, D], the batch of one that models save; 0 for other arrays."""
+    match head.array_shape:
+        case (_, width) | (1, _, width):
+            return width
+    return 0
 
 
 def accepts(head: FileHead) -> bool:
     """Whether a .npy file holds rows of 263 or 251 numbers."""
-    shape = _shape(head)
-    return len(shape) == 2 and shape[1] in LAYOUT_BY_WIDTH
+    return _width(head) in LAYOUT_BY_WIDTH
 
 
 def accepts_interhuman(head: FileHead) -> bool:
@@ -58,8 +59,12 @@ def accepts_interhuman(head: FileHead) -> bool:
 
 
 def _is_interhuman(shape: tuple[int, ...]) -> bool:
-    widths = (INTERHUMAN_WIDTH, 2 * INTERHUMAN_WIDTH, INTERHUMAN_FILE_WIDTH)
-    return len(shape) in (2, 3) and (shape[1] in widths if len(shape) == 2 else shape[1:] == (2, INTERHUMAN_WIDTH))
+    match shape:
+        case (_, width):
+            return width in (INTERHUMAN_WIDTH, 2 * INTERHUMAN_WIDTH, INTERHUMAN_FILE_WIDTH)
+        case (_, 2, width):
+            return width == INTERHUMAN_WIDTH
+    return False
 
 
 def persons(head: FileHead) -> tuple[str, ...]:
@@ -70,8 +75,7 @@ def persons(head: FileHead) -> tuple[str, ...]:
 
 def accepts_motionstreamer(head: FileHead) -> bool:
     """Whether a .npy file holds rows of 272 numbers."""
-    shape = _shape(head)
-    return len(shape) == 2 and shape[1] == MOTIONSTREAMER_WIDTH
+    return _width(head) == MOTIONSTREAMER_WIDTH
 
 
 def read_pose_vectors(path: Path, options: ReadOptions | None = None) -> Motion:

@@ -9,7 +9,6 @@ from motionkit.core import kinematics
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io.registry import FileHead, recognise
 from motionkit.io.robot_csv import write_robot_csv
 from motionkit.io.smpl_body import mean_shape_skeleton
 
@@ -65,8 +64,3 @@ def test_feet_that_stand_are_in_contact_and_feet_that_fly_are_not(tmp_path):
     for foot in ("left_foot_contact", "right_foot_contact"):
         assert (standing[foot] == 1).all()
         assert (sliding[foot] == 0).all()
-
-
-def test_no_reader_takes_it_for_a_capture(tmp_path):
-    table(t_pose(), tmp_path)
-    assert recognise(FileHead(tmp_path / "walk.csv")) is None
