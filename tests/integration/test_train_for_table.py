@@ -17,7 +17,6 @@ TINY = (
     *("codebook.schedule.steps=3", "codebook.schedule.batch_size=4", "codebook.network.width=16"),
     *("field.schedule.steps=3", "field.schedule.batch_size=8", "field.contacts.steps=4", "field.decoder.width=32"),
     *("denoiser.schedule.steps=3", "denoiser.schedule.batch_size=8", "denoiser.conditions.text_encoder=none"),
-    *("training.steps=3", "training.batch_size=16"),
 )
 
 
