@@ -127,7 +127,7 @@ class TransferredField:
         pelvis = self.counterparts[_PELVIS]
         target = own.joint_positions[:, pelvis] + (model.joint_positions - base.joint_positions)[:, _PELVIS]
         move = (target - turned[:, pelvis])[:, None]
-        carried = np.isin(np.arange(skeleton.num_joints), _subtree(skeleton, self.moved_joint))
+        carried = np.isin(np.arange(skeleton.num_joints), subtree(skeleton, self.moved_joint))
         positions = turned + np.where(carried[:, None], move, np.float32(0.0))
         translation = None
         if self.like.root_translation is not None:
@@ -193,7 +193,8 @@ def _path_to_root(skeleton: Skeleton, joint: int) -> tuple[int, ...]:
     return tuple(chain)
 
 
-def _subtree(skeleton: Skeleton, joint: int) -> list[int]:
+def subtree(skeleton: Skeleton, joint: int) -> list[int]:
+    """A joint and all joints below it."""
     return [each for each in range(skeleton.num_joints) if joint in _path_to_root(skeleton, each)]
 
 

@@ -14,7 +14,7 @@ from motionkit.core.kinematics import quaternion_between, quaternion_multiply, q
 from motionkit.core.shapes import Float, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError
-from motionkit.fields.transfer import counterpart_joints
+from motionkit.fields.transfer import counterpart_joints, subtree
 
 Vectors = Float64[np.ndarray, "frames 3"]
 
@@ -76,7 +76,7 @@ def _leg(skeleton: Skeleton, own: dict[str, int], side: str) -> Leg:
     if missing:
         raise SkeletonMapError(skeleton, SMPL22.name, missing)
     hip, knee, ankle = (own[name] for name in names)
-    below = {joint: _below(skeleton, joint) for joint in (hip, knee, ankle)}
+    below = {joint: set(subtree(skeleton, joint)) - {joint} for joint in (hip, knee, ankle)}
     if knee not in below[hip] or ankle not in below[knee]:
         raise SkeletonMapError(skeleton, SMPL22.name, tuple(names))
     toe = own.get(f"{side}_foot", ankle)
@@ -91,14 +91,6 @@ def _leg(skeleton: Skeleton, own: dict[str, int], side: str) -> Leg:
         shank=tuple(sorted(below[knee] - below[ankle])),
         foot=tuple(sorted(below[ankle])),
     )
-
-
-def _below(skeleton: Skeleton, joint: int) -> frozenset[int]:
-    found = {joint}
-    for each, parent in enumerate(skeleton.parents):
-        if parent in found:
-            found.add(each)
-    return frozenset(found - {joint})
 
 
 @dataclass(frozen=True, eq=False)
