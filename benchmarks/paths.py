@@ -12,6 +12,7 @@ motionkit` has not loaded already. Each job runs in a process of its own, from t
 
 import inspect
 import json
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -104,6 +105,8 @@ def measure(folder: Path) -> dict[str, dict[str, Any]]:
     corpus, store, runs = folder / "corpus", folder / "store", folder / "runs"
     bvh = corpus / f"{write_demo_corpus(corpus)[0].sequence_id}.bvh"
     run(["ingest", str(corpus), "--store", str(store)])
+    walk = folder / "walk.bvh"
+    shutil.copy(bvh, walk)
 
     def train(stage: str, *options: str) -> list[str]:
         return ["train", str(store), "--runs", str(runs), "--stage", stage, "--recipe", "nano", *options]
@@ -114,7 +117,7 @@ def measure(folder: Path) -> dict[str, dict[str, Any]]:
         )
 
     table = ["eval", "--store", str(store), "--table", "2", "--runs", str(runs), "--results", str(folder / "results")]
-    manifest = trace_apart(["ingest", str(bvh), "--store", str(folder / "one")])
+    manifest = trace_apart(["ingest", str(walk), "--store", str(folder / "one")])
     run(one_step("codebook"))
     step = trace_apart(train("field"), until_step=True)
     for stage in ("field", "denoiser", "evaluator"):
