@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -29,8 +30,9 @@ class Character:
     write: Callable[[Motion, Path], None]
 
     def perform(self, motion: Motion, *, plant: bool = False) -> Motion:
-        """The motion retargeted to this rig, its path scaled by leg length; `plant` removes foot sliding. Raises as
-        `retarget` does.
+        """The motion retargeted to this rig, its path scaled by leg length; `plant` removes foot sliding.
+
+        Raises as `retarget` does.
         """
         retargeted = retarget(motion, self.skeleton, self.rest)
         if not plant:
@@ -42,18 +44,35 @@ class Character:
 
 
 def read_character(path: Path, options: ReadOptions) -> Character:
-    """Read a character's .bvh or .glb; raises `FormatError`, and `UsageError` for another file or a rig without a
-    standing pose.
+    """Read a character's .bvh or .glb; raises `FormatError`, and `UsageError` for another file.
+
+    The standing pose is the rest pose or, of a BVH file, else the first frame's; raises `MotionkitError` if neither
+    stands.
     """
-    if path.suffix.lower() == ".bvh":
+    suffix = path.suffix.lower()
+    if suffix == ".bvh":
         document = read_document(path, options)
         check_writable(document)
-        return Character(document.motion.skeleton, _standing_pose(document), ".bvh", _bvh_writer(document))
-    if path.suffix.lower() == ".glb":
+        skeleton = document.motion.skeleton
+        write: Callable[[Motion, Path], None] = partial(_write_bvh, document)
+        rest = None if stands(skeleton) else np.asarray(document.local_rotations[0], np.float64)
+    elif suffix == ".glb":
         rig = read_rig(path, options)
-        _check_stands(standing_skeleton(rig.skeleton, rig.rest), path)
-        return Character(rig.skeleton, rig.rest, ".glb", rig.write)
-    raise UsageError(f"{path}: a character is a .bvh or a .glb file (Blender exports both)")
+        skeleton, rest, write = rig.skeleton, rig.rest, rig.write
+    else:
+        raise UsageError(f"{path}: a character is a .bvh or a .glb file (Blender exports both)")
+    if rest is not None and not stands(standing_skeleton(skeleton, rest)):
+        raise MotionkitError(
+            f"{path}: neither its rest pose nor its first frame stands upright, as a T-pose or an A-pose does: put one "
+            "of these first"
+        )
+    return Character(skeleton, rest, suffix, write)
+
+
+def _write_bvh(document: BvhDocument, motion: Motion, path: Path) -> None:
+    first_frame, none = np.zeros(1, np.int64), np.zeros(0, np.int64)
+    known = KnownFrames(first_frame, np.array([motion.timegrid.start_seconds]), none, none)
+    rewrite_bvh(document, path, motion, known)
 
 
 def character_format(character: Character, plant: bool) -> Format:
@@ -63,29 +82,3 @@ def character_format(character: Character, plant: bool) -> Format:
         character.write(character.perform(motion, plant=plant), path)
 
     return Format(name=character.suffix[1:], suffixes=(character.suffix,), write=write)
-
-
-def _standing_pose(document: BvhDocument) -> Float64[np.ndarray, "joints 4"] | None:
-    """None if the rest pose stands; else the first frame's rotations, if that pose does."""
-    if stands(document.motion.skeleton):
-        return None
-    rest = np.asarray(document.local_rotations[0], np.float64)
-    _check_stands(standing_skeleton(document.motion.skeleton, rest), document.path)
-    return rest
-
-
-def _check_stands(skeleton: Skeleton, path: Path) -> None:
-    if not stands(skeleton):
-        raise MotionkitError(
-            f"{path}: neither its rest pose nor its first frame stands upright, as a T-pose or an A-pose does: put one "
-            "of these first"
-        )
-
-
-def _bvh_writer(document: BvhDocument) -> Callable[[Motion, Path], None]:
-    def write(motion: Motion, path: Path) -> None:
-        first_frame, none = np.zeros(1, np.int64), np.zeros(0, np.int64)
-        known = KnownFrames(first_frame, np.array([motion.timegrid.start_seconds]), none, none)
-        rewrite_bvh(document, path, motion, known)
-
-    return write
