@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -157,8 +157,8 @@ def _plan(
     """The assignment of the chosen sequences, and the new column `split`."""
     captions = store.sequences_table["captions"].to_pylist()
     wordings = [{wording(caption["text"]) for caption in each} - {""} for each in captions]
-    rows = store.columns("source", "duration_seconds", "split")
-    rows = rows.assign(wordings=wordings, group=_groups(store, by, wordings))
+    added: dict[str, Any] = {"wordings": wordings, "group": _groups(store, by, wordings)}
+    rows = store.columns("source", "duration_seconds", "split").assign(**added)
     chosen = rows.loc[store.select_some(where)]
     name_of_by = " and ".join(by)
     if len(shares) > 1:  # else all of them have one split, with or without a group
