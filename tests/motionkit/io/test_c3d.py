@@ -13,12 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from motionkit.core.errors import FormatError
-from motionkit.core.skeleton import SMPL22
-from motionkit.core.skeletons.mapping import map_joints, read_skeleton_map
 from motionkit.io.c3d import parse_c3d, read_c3d
-from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions
-from motionkit.io.scan import scan
 
 LABELS = ("LASI", "RASI", "SACR")
 
@@ -199,19 +195,6 @@ def test_a_take_longer_than_the_header_can_say(tmp_path: Path) -> None:
     file["data"]["meta_points"]["camera_masks"] = np.zeros((7, 3, 70_000), bool)
     file.write(str(tmp_path / "long.c3d"))
     assert read_c3d(tmp_path / "long.c3d").num_frames == 70_000
-
-
-def test_a_skeleton_map_makes_joints_of_markers(tmp_path: Path) -> None:
-    others = SMPL22.joint_names[3:]
-    rows = dict.fromkeys((name for name in others if "foot" not in name), '"SACR"')
-    rows |= {"pelvis": "{ LASI = 0.25, RASI = 0.25, SACR = 0.5 }", "left_hip": '"LASI"', "right_hip": '"RASI"'}
-    text = "\n".join(f"{name} = {row}" for name, row in rows.items())
-    table = tmp_path / "markers.toml"
-    table.write_text(f'name = "pelvis markers"\nrequires = ["LASI", "RASI", "SACR"]\n[smpl22]\n{text}\n')
-    (item,) = scan([write(tmp_path / "take.c3d", points())]).items
-    motion = read(item, ReadOptions(skeleton_maps=(read_skeleton_map(table),)))
-    pelvis = motion.joint_positions[:, :2].sum(axis=1) / 4 + motion.joint_positions[:, 2] / 2
-    assert np.allclose(map_joints(motion, "smpl22")[:, 0], pelvis, atol=1e-6)
 
 
 def damaged(content: bytes, at: int, *values: int) -> bytes:

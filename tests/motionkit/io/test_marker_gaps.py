@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from motionkit.io.markers import largest_block, runs_of
+from motionkit.io.markers import largest_block
 
 
 def longest_gap(missing: np.ndarray) -> int:
@@ -53,8 +53,3 @@ def test_long_takes_lose_at_most_a_step_of_the_grid() -> None:
     missing[99_000:, 10:20] = True
     block = largest_block(missing, 12)
     assert (block.start, block.stop, int(block.markers.sum())) == (12_345, 99_000, 60)
-
-
-def test_runs() -> None:
-    mask = np.array([[1, 0], [1, 1], [0, 1], [1, 0]], bool)
-    assert [part.tolist() for part in runs_of(mask)] == [[0, 0, 1], [0, 3, 1], [2, 4, 3]]

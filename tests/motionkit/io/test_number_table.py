@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motionkit.io import number_table
-from motionkit.io.number_table import find_words, format_table, read_table, to_numbers
+from motionkit.io.number_table import format_table, read_table
 
 NUMBERS = st.one_of(
     st.floats(-1e8, 1e8).map(repr),
@@ -34,13 +34,6 @@ def test_a_table_of_thousands_of_rows() -> None:
     text = format_table(table)
     assert len(text) > 3 * number_table.BLOCK_BYTES
     assert np.array_equal(table_of(text, 4000, 12), table)
-
-
-def test_words_know_which_of_them_open_a_line() -> None:
-    words = find_words(b"  one two\r\n\r\n three\t four-and-more-than-twelve \n5")
-    assert words.opens_line.tolist() == [True, False, True, False, True]
-    assert words.lengths.tolist() == [3, 3, 5, 25, 1]
-    assert to_numbers(words) is None
 
 
 def test_written_numbers_keep_every_digit() -> None:
