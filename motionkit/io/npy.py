@@ -19,7 +19,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from motionkit.core.errors import FormatError
-from motionkit.core.shapes import Float, Float32, Float64
+from motionkit.core.shapes import Float32, Float64
 from motionkit.io import source_file
 
 MAGIC = np.lib.format.MAGIC_PREFIX
@@ -29,8 +29,6 @@ NUMBERS, STRINGS = "fiu", "SU"
 LARGEST_CHARACTER = 0x10FFFF
 # A kilometre in millimetres.
 MAX_NUMBER = 1e6
-# Quaternions of float16 are off unit length by 1e-3.
-MAX_LENGTH_ERROR = 0.01
 # Deflate's ratio is at most 1,032, for constant bytes; measurements stay below 10. Small members may be constant.
 MAX_RATIO, HARMLESS_BYTES = 200, 1 << 26
 BROKEN_ZIP = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, ValueError, OverflowError, IndexError)
@@ -115,15 +113,6 @@ def checked_numbers(array: np.ndarray, path: Path, name: str = "") -> Float32[np
             message = f"{label}{rows[frame][bad[frame]][0]} where a number of a body was expected"
             raise FormatError(message, path=path, reason=reason, frame=frame)
     return np.asarray(array, dtype=np.float32, order="C")
-
-
-def checked_rotations(rotations: Float[np.ndarray, "frames joints 4"], path: Path, name: str) -> None:
-    """Raise `FormatError` (`range`) if the norm of a quaternion differs from 1 by more than 0.01."""
-    error = np.abs(np.linalg.norm(rotations, axis=-1) - 1.0).max(axis=1)
-    if error.max() > MAX_LENGTH_ERROR:
-        message = f"{name}: a quaternion's length is off 1 by {error.max():.3g}, expected unit quaternions"
-        frame = int(np.argmax(error > MAX_LENGTH_ERROR))
-        raise FormatError(message, path=path, reason="range", frame=frame)
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,6 +26,10 @@ from motionkit.io import npy, source_file
 from motionkit.io.body_frame import in_metres
 from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
 
+PROVENANCE = ("source", "subset", "licence", "subject")
+# Quaternions of float16 are off unit length by 1e-3.
+MAX_LENGTH_ERROR = 0.01
+
 
 def skeleton_arrays(skeleton: Skeleton) -> dict[str, Any]:
     """All fields of a skeleton: names, parents, offsets in metres; pairs, feet, end sites and map if it has them."""
@@ -56,7 +60,11 @@ def read_skeleton(archive: npy.Archive, joint_positions: Float32[np.ndarray, "fr
     """
     path, num_joints = archive.path, joint_positions.shape[1]
     if "joint_names" not in archive:
-        return unnamed_skeleton(num_joints, path)
+        for skeleton in STANDARD_SKELETONS.values():
+            if skeleton.num_joints == num_joints:
+                return skeleton
+        message = f"{num_joints} joints without joint_names; only 22 (SMPL's) and 21 (KIT's) are known without"
+        raise FormatError(message, path=path, reason="channel-count")
     names = archive.strings("joint_names")
     if len(names) != num_joints:
         message = f"{len(names)} joint_names for {num_joints} joints"
@@ -72,6 +80,12 @@ def read_skeleton(archive: npy.Archive, joint_positions: Float32[np.ndarray, "fr
         whole: list[Any] = indices.astype(np.int64).tolist()
         return whole
 
+    layout_map = "".join(archive.strings("layout_map"))
+    try:
+        if layout_map:
+            parse_layout_map(layout_map)
+    except MotionkitError as error:
+        raise FormatError(str(error), path=path, reason="skeleton-map") from None
     try:
         parents = (-1, *(0,) * (num_joints - 1))
         if "parents" in archive:
@@ -89,37 +103,15 @@ def read_skeleton(archive: npy.Archive, joint_positions: Float32[np.ndarray, "fr
             left_right_pairs=tuple((left, right) for left, right in pairs),
             feet=Feet(*joints("feet", (4,))) if "feet" in archive else None,
             end_sites=tuple((joint, (x, y, z)) for joint, (x, y, z) in zip(tips, tip_offsets, strict=True)),
-            layout_map=checked_layout_map("".join(archive.strings("layout_map")), path),
+            layout_map=layout_map,
         )
     except ValueError as error:
         raise FormatError(str(error), path=path, reason="bones") from None
 
 
-def unnamed_skeleton(num_joints: int, path: Path) -> Skeleton:
-    """The standard skeleton with `num_joints` joints; raises `FormatError` (`channel-count`) if there is none."""
-    for skeleton in STANDARD_SKELETONS.values():
-        if skeleton.num_joints == num_joints:
-            return skeleton
-    message = f"{num_joints} joints without joint_names; only 22 (SMPL's) and 21 (KIT's) are known without"
-    raise FormatError(message, path=path, reason="channel-count")
-
-
-def checked_layout_map(text: str, path: Path) -> str:
-    """A skeleton's own map, unchanged; raises `FormatError` (`skeleton-map`) if it is invalid."""
-    try:
-        if text:
-            parse_layout_map(text)
-    except MotionkitError as error:
-        raise FormatError(str(error), path=path, reason="skeleton-map") from None
-    return text
-
-
 def bones_of_pose(pose: Float32[np.ndarray, "joints 3"], parents: tuple[int, ...]) -> Float32[np.ndarray, "joints 3"]:
     """Offsets in metres that make a pose the rest pose; the root's is zero."""
     return np.asarray(pose - pose[np.maximum(parents, 0)], np.float32)
-
-
-PROVENANCE = ("source", "subset", "licence", "subject")
 
 
 def accepts(head: FileHead) -> bool:
@@ -141,7 +133,11 @@ def read_npz(path: Path, options: ReadOptions | None = None) -> Motion:
     rotations = root = None
     if "local_rotations" in archive:
         rotations = archive.numbers("local_rotations", (num_frames, num_joints, 4))
-        npy.checked_rotations(rotations, path, "local_rotations")
+        error = np.abs(np.linalg.norm(rotations, axis=-1) - 1.0).max(axis=1)
+        if error.max() > MAX_LENGTH_ERROR:
+            message = f"local_rotations: a quaternion's length is off 1 by {error.max():.3g}, expected unit quaternions"
+            frame = int(np.argmax(error > MAX_LENGTH_ERROR))
+            raise FormatError(message, path=path, reason="range", frame=frame)
     if "root_translation" in archive:
         root = archive.numbers("root_translation", (num_frames, 3))
     motion = Motion(
