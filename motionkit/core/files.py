@@ -55,8 +55,7 @@ def whole_file(path: Path) -> Iterator[Path]:
     `path`, also if the disk is full.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    if path.exists() and not path.is_file():
-        raise OSError(errno.EINVAL, "not a regular file", str(path))
+    require_regular(path)
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp{path.suffix}")
     with naming(path):
         try:
@@ -64,6 +63,12 @@ def whole_file(path: Path) -> Iterator[Path]:
             replace(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)
+
+
+def require_regular(path: Path) -> None:
+    """Raise `OSError` for a folder, a pipe or a device, which might never end."""
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
 
 
 def is_temporary(path: Path) -> bool:
@@ -87,6 +92,7 @@ def read_json(path: Path, hint: str) -> dict[str, Any]:
 
     Raises `DamagedFileError` for anything but a JSON object of finite numbers, `OSError` for an unreadable file.
     """
+    require_regular(path)
     try:
         with naming(path):
             document = json.loads(path.read_bytes(), parse_float=_finite, parse_constant=_finite)
@@ -152,6 +158,7 @@ def read_at_most(path: Path, num_bytes: int) -> bytes:
 
 def sha256_of(path: Path) -> str:
     """Hexadecimal sha256 of a file's content, read in pieces."""
+    require_regular(path)
     with naming(path), path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 

@@ -117,6 +117,7 @@ def read_manifest(store: Path) -> Manifest:
     """Read a store's manifest; raises `StoreError` where there is none, or it is damaged or of another version."""
     path = store / MANIFEST_FILE
     try:
+        files.require_regular(path)
         document = json.loads(path.read_bytes())
         if not isinstance(document, dict) or document.get("format") != FORMAT:
             raise ValueError(f"it is not the manifest of a store: its 'format' is not {FORMAT!r}")

@@ -12,6 +12,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from motionkit.core.errors import StoreError
+from motionkit.core.files import require_regular
 from motionkit.core.framerate import format_fps
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, Skeleton
@@ -157,6 +158,7 @@ def _column_sizes(store: Store, sequences: pa.Table) -> dict[str, ColumnSize]:
     disk = dict.fromkeys(FRAME_COLUMNS, 0)
     for name in store.manifest.parts:
         try:
+            require_regular(store.path / name)
             metadata = pq.read_metadata(store.path / name)
         except (pa.ArrowException, OSError) as error:
             raise StoreError(
