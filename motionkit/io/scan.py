@@ -34,6 +34,8 @@ from motionkit.io.source_file import dangling, unreadable
 SHOWN_KINDS, SHOWN_NAMES, MAX_LICENCE_LINE = 3, 8, 120
 # Folders above a single file whose tables may describe it.
 LEVELS_ABOVE_A_FILE = 3
+# Files that are never loaded; docs/formats.md has the lines that convert them.
+REFUSED_SUFFIXES = (".fbx", ".pt", ".pth", ".pkl", ".pickle")
 COMPLETED, PLANTED = "completed", "planted"
 DERIVED_FOLDER = re.compile(rf"({COMPLETED}|{PLANTED})-[\d.-]+fps")
 
@@ -292,6 +294,8 @@ def _belongs(path: Path, formats: Iterable[str]) -> bool:
 
 def _no_motion(source: Path, others: Sequence[Path], options: ReadOptions) -> FormatError:
     expected = options.format if options.format != "auto" else ", ".join(readers())
+    if any(path.suffix.lower() in REFUSED_SUFFIXES for path in (source, *others)):
+        expected += "; docs/formats.md#fbx-and-pickles converts FBX files and pickles"
     if source.is_file():
         message = f"of no known format{_arrays_of(FileHead(source))}, expected {expected}"
         return FormatError(message, path=source, reason="unknown-format")
