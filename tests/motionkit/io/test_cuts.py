@@ -88,14 +88,6 @@ def test_the_framerate_that_a_file_states(stated: str, fps: int, rate: float) ->
     assert stated_rate(stated, Fraction(fps)) == rate
 
 
-def test_published_frames_are_every_step_th_called_20_fps() -> None:
-    cut = StepCut(2, 6, trim_frames=1, published=True)
-    motion = crop(motion_of(100, "150"), cut, PATH)
-    assert frames_of(motion) == [21, 28, 35, 42]
-    assert (motion.fps, motion.num_frames, missed(motion, cut)) == (20, 4, 0.0)
-    assert "at 21.4286 fps, called 20 fps" in motion.provenance.operations[-1]
-
-
 def test_a_whole_file_that_was_published_as_it_is() -> None:
     # HumanAct12, which a rule puts at 15 fps: a caption's second is 20 of its frames.
     cut = StepCut(0, None, seen_fps=20.0)
@@ -132,6 +124,7 @@ def test_both_kinds_agree_with_slicing_as_published(
     native = crop(motion, cut, PATH)
     assert frames_of(thinned) == frames_of(native)[::step] == published
     assert native.num_frames <= length * step
+    assert (thinned.fps, native.fps) == (20, motion.fps)
     short = length - len(published)
     assert missed(native, cut) == pytest.approx(float(short * step / motion.fps))
     assert missed(thinned, replace(cut, published=True)) == pytest.approx(short / 20)
@@ -151,7 +144,10 @@ def test_seconds_are_half_open(fps: str, start: float, end: float | None, expect
     assert frames_of(crop(motion_of(60, fps, fps=parse_fps(fps)), TimeCut(start, end), PATH)) == expected
 
 
-def test_seconds_beyond_the_end_are_missed() -> None:
+def test_seconds_beyond_the_end_are_missed_and_framerates_below_20_have_no_step() -> None:
+    with pytest.raises(FormatError, match="15 frames a second") as caught:
+        crop(motion_of(50, "15"), StepCut(0, 5), PATH)
+    assert caught.value.reason == "step"
     motion = crop(motion_of(100, "100"), TimeCut(0.5, 1.5), PATH)
     assert motion.num_frames == 50
     assert missed(motion, TimeCut(0.5, 1.5)) == pytest.approx(0.5)
@@ -172,12 +168,6 @@ def test_a_whole_file_that_is_not_as_long_as_stated(num_frames: int, fps: int, s
     assert unlike_stated_seconds(TimeCut(file_seconds=stated), num_frames, Fraction(fps)) == unlike
     assert not unlike_stated_seconds(TimeCut(1.0, None, stated), num_frames, Fraction(fps))
     assert not unlike_stated_seconds(TimeCut(), num_frames, Fraction(fps))
-
-
-def test_framerates_below_20_have_no_step() -> None:
-    with pytest.raises(FormatError, match="15 frames a second") as caught:
-        crop(motion_of(50, "15"), StepCut(0, 5), PATH)
-    assert caught.value.reason == "step"
 
 
 @pytest.mark.parametrize(

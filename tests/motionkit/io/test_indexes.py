@@ -111,11 +111,9 @@ def test_what_a_spreadsheet_does_to_an_index(tmp_path):
     [
         ("../../etc/passwd,0,5,a.npy", "path", "could leave"),
         ("/etc/passwd,0,5,a.npy", "path", "could leave"),
-        ("KIT\\3\\x.npy,0,5,a.npy", "path", "could leave"),
         ("KIT/\0x.npy,0,5,a.npy", "path", "could leave"),
         (",0,5,a.npy", "path", "empty"),
         ("KIT/x.npy,0,5,../a.npy", "path", "plain file name"),
-        ("KIT/x.npy,0,5,a/b.npy", "path", "plain file name"),
         ("KIT/x.npy,-1,5,a.npy", "index-entry", "[-1, 5)"),
         ("KIT/x.npy,5,5,a.npy", "index-entry", "[5, 5)"),
         ("KIT/x.npy,0,nan,a.npy", "index-entry", "end_frame is 'nan'"),
@@ -123,6 +121,7 @@ def test_what_a_spreadsheet_does_to_an_index(tmp_path):
         ("KIT/x.npy,0", "path", "plain file name"),
         ("KIT/x.npy,0,,a.npy", "index-entry", "end_frame is ''"),
         ("KIT/x, y.npy,0,5,a.npy", "index-entry", "more cells than columns"),
+        ("KIT/x.npy,0,5,good.npy", "duplicate-id", "first in line 2"),
     ],
 )
 def test_a_bad_row_is_reported_and_the_others_are_kept(tmp_path, row, reason, message):
@@ -130,13 +129,6 @@ def test_a_bad_row_is_reported_and_the_others_are_kept(tmp_path, row, reason, me
     assert [entry.name for entry in index.entries] == ["good"]
     assert [(problem.reason, problem.line) for problem in index.problems] == [(reason, 3)]
     assert message in str(index.problems[0])
-
-
-def test_a_name_that_is_given_twice(tmp_path):
-    index = read(tmp_path, f"{HEADER}KIT/a.npy,0,5,x.npy\nKIT/b.npy,0,5,x.npy\n")
-    assert [entry.parts[-1] for entry in index.entries] == ["a.npy"]
-    assert [(problem.reason, problem.line) for problem in index.problems] == [("duplicate-id", 3)]
-    assert "first in line 2" in str(index.problems[0])
 
 
 @pytest.mark.parametrize(
@@ -150,7 +142,6 @@ def test_a_name_that_is_given_twice(tmp_path):
         (b"", "empty", "empty"),
         (HEADER.encode() + b'"KIT/x.npy,0,5,a.npy\n', "index", "not a CSV table"),
         (b"{}", "index", "expected an index"),
-        (b"[1, 2]", "index", "expected an index"),
         (b'{"a": 5}', "index", "expected an index"),
         (b'{"a": {"path": "x", "annotations": []}, ', "index", "not JSON"),
         (b'{"a": {"path": "x", "annotations": []}, "b": ' + b"[" * 100_000, "index", "not JSON"),
@@ -173,13 +164,6 @@ def test_annotations_of_parts(tmp_path):
     assert index.name == "mine"
     assert index.entries[0].cut == TimeCut(1.0, 3.0, 3.78)
     assert index.entries[0].captions == (Caption("turns", 0.0, 1.5), Caption("all of it", 0.0, None))
-
-
-def test_mirrored_annotations(tmp_path):
-    index = read(tmp_path, json.dumps({"a": tmr(), "Ma": tmr(path="M/KIT/4/walk01_poses")}))
-    plain, mirrored = index.entries
-    assert (plain.mirrored, mirrored.mirrored) == (False, True)
-    assert plain.key == mirrored.key == ("KIT", "4", "walk01")
 
 
 @pytest.mark.parametrize(
@@ -246,17 +230,13 @@ def test_babel(tmp_path):
     [
         ("KIT/3/kick_high_left02_poses.npy", "KIT/3/kick_high_left02_poses.npz"),
         ("KIT/3/kick_high_left02_poses.npy", "smplh/KIT/KIT/3/kick_high_left02_poses.npz"),
-        ("KIT/3/kick_high_left02_poses.npy", "KIT/3/kick_high_left02_stageii.npz"),
         ("CMU/01/01_01_poses.npy", "cmu/01/01_01.amc"),
         ("BioMotionLab_NTroje/rub110/0001_treadmill_fast_poses.npy", "BMLrub/rub110/0001_treadmill_fast_stageii.npz"),
         ("BMLrub/BioMotionLab_NTroje/rub110/0030_rom_poses.npz", "BMLrub/rub110/0030_rom_stageii.npz"),
         ("ACCAD/F1_c3d/C19 -  run to hop to walk_poses.npy", "ACCAD/F1_c3d/C19_-__run_to_hop_to_walk_stageii.npz"),
-        ("DFaust_67/50022/50022_punching_poses.npy", "DFaust/50022/50022_punching_stageii.npz"),
         ("MPI_HDM05/mm/HDM_mm_08-01_01_120_poses.npy", "HDM05/mm/HDM_mm_08-01_01_120_stageii.npz"),
         ("MPIHDM05/MPI_HDM05/dg/HDM_dg_03-05_01_120_poses.npz", "MPI_HDM05/dg/HDM_dg_03-05_01_120_poses.npz"),
         ("MPI_Limits/03099/op3_poses.npy", "PosePrior/03099/op3_stageii.npz"),
-        ("MPI_mosh/50020/ankles_poses.npy", "MoSh/50020/ankles_stageii.npz"),
-        ("SSM_synced/20161014_50033/ATUSquat_sync_poses.npy", "SSM/20161014_50033/ATUSquat_sync_stageii.npz"),
         ("Transitions_mocap/mazen_c3d/crawl_stand_poses.npy", "Transitions/mazen_c3d/crawl_stand_stageii.npz"),
         ("TCD_handMocap/ExperimentDatabase/a_poses.npy", "TCDHands/ExperimentDatabase/a_stageii.npz"),
         (
@@ -284,14 +264,6 @@ def test_files_that_differ(one, other):
     assert file_key(one.split("/")) != file_key(other.split("/"))
 
 
-def test_trims_are_those_of_the_published_code():
-    trims = {"Eyes_Japan_Dataset": 60, "MPI_HDM05": 60, "TotalCapture": 20, "MPI_Limits": 20, "Transitions_mocap": 10}
-    for name in (*trims, "KIT", "CMU", "BMLmovi", "HumanEva"):
-        found = dataset_of((name, "a", "b.npz"))
-        assert found is not None
-        assert found[0].trim_frames == trims.get(name, 0)
-
-
 @pytest.mark.parametrize(
     ("file", "fps"),
     [
@@ -306,8 +278,3 @@ def test_what_the_published_code_saw_where_files_may_say_otherwise(file, fps):
     parts = file.split("/")
     found = dataset_of(parts)
     assert found is not None and found[0].seen_fps_of(parts) == fps
-
-
-def test_a_file_is_no_dataset():
-    assert dataset_of(("a", "CMU")) is None
-    assert dataset_of(("CMU",)) is None

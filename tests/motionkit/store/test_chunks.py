@@ -166,18 +166,3 @@ def test_a_problem_under_stop_leaves_no_part_of_other_chunks(
     report = ingest([folder], tmp_path / "store", num_workers=workers, on_error="stop")
     assert (report.committed, len(report.problems)) == (False, 1)
     assert list((tmp_path / "store" / chunks.MOTIONS_FOLDER).iterdir()) == []
-
-
-def test_a_part_that_cannot_be_written_names_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As where the disk is full: a worker's fault is not its file's."""
-
-    def full(*arguments: object, **options: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("pyarrow.parquet.ParquetWriter.write_table", full)
-    monkeypatch.setattr("pyarrow.parquet.ParquetWriter.write_batch", full)
-    with pytest.raises(
-        StoreError, match=r"cannot be written .*No space left .*part-00000-.{8}\.parquet\.new.*as it was"
-    ):
-        ingest([folder_of(tmp_path, [20])], tmp_path / "store", num_workers=1)
-    assert list((tmp_path / "store" / chunks.MOTIONS_FOLDER).iterdir()) == []

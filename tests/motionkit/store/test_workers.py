@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -26,19 +27,16 @@ def ten_times(number: int) -> int:
     return 10 * number
 
 
-def ten_times_but_die_of_five(number: int) -> int:
-    return os._exit(1) if number == 5 else 10 * number
+@dataclass
+class DieOf:
+    """Multiplies by ten, and ends its process for 5: once if there is a marker, as where it is killed from outside."""
 
-
-class DieOnce:
-    """Dies the first time, as where a worker is killed from outside."""
-
-    def __init__(self, marker: Path) -> None:
-        self.marker = marker
+    marker: Path | None
 
     def __call__(self, number: int) -> int:
-        if number == 5 and not self.marker.exists():
-            self.marker.touch()
+        if number == 5 and not (self.marker is not None and self.marker.exists()):
+            if self.marker is not None:
+                self.marker.touch()
             os._exit(1)
         return 10 * number
 
@@ -47,43 +45,35 @@ def refuse(number: int) -> int:
     raise OSError(28, "No space left on device", "part.new")
 
 
-def test_outputs_come_in_order(started: Workers) -> None:
-    assert list(started.map(ten_times, range(40))) == [(number, 10 * number) for number in range(40)]
+def test_outputs_come_in_order_and_few_calls_are_in_flight(started: Workers) -> None:
+    submitted = []
+
+    def numbers() -> Iterator[int]:
+        for number in range(60):
+            submitted.append(number)
+            yield number
+
+    results = started.map(ten_times, numbers())
+    first = [next(results) for _ in range(10)]
+    assert len(submitted) <= 10 + CALLS_IN_FLIGHT_PER_WORKER * started.num_workers
+    assert [*first, *results] == [(number, 10 * number) for number in range(60)]
 
 
-def test_a_value_that_workers_die_of_costs_no_other(started: Workers) -> None:
+@pytest.mark.parametrize("once", [True, False])
+def test_a_call_whose_worker_died_is_tried_once_more_and_costs_no_other(
+    started: Workers, tmp_path: Path, once: bool
+) -> None:
     if started.num_workers == 1:
         pytest.skip("would end this process")
-    results = dict(started.map(ten_times_but_die_of_five, range(20)))
-    assert isinstance(results.pop(5), WorkerDied)
+    results = dict(started.map(DieOf(tmp_path / "marker" if once else None), range(20)))
+    assert isinstance(results.pop(5), int if once else WorkerDied)
     assert results == {number: 10 * number for number in range(20) if number != 5}
-
-
-def test_a_call_whose_worker_was_killed_is_tried_once_more(started: Workers, tmp_path: Path) -> None:
-    if started.num_workers == 1:
-        pytest.skip("would end this process")
-    results = list(started.map(DieOnce(tmp_path / "marker"), range(20)))
-    assert results == [(number, 10 * number) for number in range(20)]
 
 
 @pytest.mark.parametrize(("engine", "number"), [("local", 1), ("local", 2), ("ray", 2)])
 def test_what_a_worker_raises_is_raised(engine: str, number: int) -> None:
     with pytest.raises(OSError, match=r"No space left .*part\.new"), start_workers(engine, number) as running:
         list(running.map(refuse, [0]))
-
-
-def test_few_calls_are_in_flight(started: Workers) -> None:
-    taken = []
-
-    def numbers() -> Iterator[int]:
-        for number in range(1000):
-            taken.append(number)
-            yield number
-
-    results = started.map(ten_times, numbers())
-    for _ in range(10):
-        next(results)
-    assert len(taken) <= 10 + CALLS_IN_FLIGHT_PER_WORKER * started.num_workers
 
 
 STUCK = """
