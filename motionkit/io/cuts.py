@@ -70,10 +70,9 @@ def crop(motion: Motion, cut: Cut, path: Path) -> Motion:
         end = "the end" if cut.end_seconds is None else f"{cut.end_seconds:g} s"
         return _frames(motion, start, stop, f"{cut.start_seconds:g} s to {end}", path)
     stated = motion.provenance.stated_fps
-    step = published_step(cut, path, motion.fps, stated)
+    step = _published_step(cut, path, motion.fps, stated)
     if step < 1:
-        rate = _seen_rate(cut, path, motion.fps, stated)
-        message = f"{rate:g} frames a second; an index in HumanML3D's frames needs at least {PUBLISHED_FPS}"
+        message = f"{float(motion.fps):g} frames a second; an index in HumanML3D's frames needs {PUBLISHED_FPS} or more"
         raise FormatError(message, path=path, reason="step")
     if (cut.start_frame, cut.end_frame, cut.trim_frames) != (0, None, 0):
         start = (cut.trim_frames + cut.start_frame) * step
@@ -95,7 +94,7 @@ def missing_seconds(cut: Cut, path: Path, num_frames: int, fps: Fraction, stated
     if cut.published:
         return (expected - num_frames) / PUBLISHED_FPS
     # The last published frame represents `step` native ones, of which the file needs only the first.
-    step = published_step(cut, path, fps, stated_fps)
+    step = _published_step(cut, path, fps, stated_fps)
     return float((expected - math.ceil(num_frames / step)) * step / fps)
 
 
@@ -106,22 +105,19 @@ def unlike_stated_seconds(cut: Cut, num_frames: int, fps: Fraction) -> bool:
     return abs(float(num_frames / fps) - cut.file_seconds) > max(UNLIKE_SECONDS, UNLIKE_SHARE * cut.file_seconds)
 
 
-def published_step(cut: StepCut, path: Path, fps: Fraction, stated_fps: str) -> int:
+def _published_step(cut: StepCut, path: Path, fps: Fraction, stated_fps: str) -> int:
     """HumanML3D's step, int(fps / 20), from the exact framerate that its code read; 0 below 20 fps.
 
     Its code read SMPL+H files (NAME_poses), so these state that framerate themselves: a correction to `fps` changes a
     frame's time, not which frames were published. For other files the index may give it. SMPL-X files (NAME_stageii)
     state 120 for nearly all sequences; framerate_rules.toml corrects them to the SMPL+H files' framerates.
     """
-    return int(_seen_rate(cut, path, fps, stated_fps) / PUBLISHED_FPS)
-
-
-def _seen_rate(cut: StepCut, path: Path, fps: Fraction, stated_fps: str) -> float:
-    stated = stated_rate(stated_fps, fps)
+    rate = stated_rate(stated_fps, fps)
     if cut.seen_fps is not None and not path.stem.endswith("_poses"):
-        return cut.seen_fps
-    corrected = abs(stated - float(fps)) > SNAP_TOLERANCE * float(fps)
-    return float(fps) if corrected and path.stem.endswith("_stageii") else stated
+        rate = cut.seen_fps
+    elif path.stem.endswith("_stageii") and abs(rate - float(fps)) > SNAP_TOLERANCE * float(fps):
+        rate = float(fps)
+    return int(rate / PUBLISHED_FPS)
 
 
 def stated_rate(stated_fps: str, fps: Fraction) -> float:
@@ -147,10 +143,8 @@ def _first_frame_at(seconds: float, fps: Fraction) -> int:
 def _frames(motion: Motion, start: int, stop: int, segment: str, path: Path) -> Motion:
     end = min(stop, motion.num_frames)
     if start >= end:
-        message = (
-            f"the index names {segment} as {motion.sequence_id!r}, that is frames [{start}, {stop}), but the file "
-        )
-        message += f"has {motion.num_frames}; is it of another release?"
+        message = f"the index names {segment} as {motion.sequence_id!r}, that is frames [{start}, {stop}), but the "
+        message += f"file has {motion.num_frames}; is it of another release?"
         raise FormatError(message, path=path, reason="beyond-end")
     first, last = (float(frame / motion.fps) for frame in (start, end))
     line = f"frames [{start}, {end}) of {motion.num_frames}, {first:.6g} s to {last:.6g} s of the file ({segment})"

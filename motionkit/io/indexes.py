@@ -18,7 +18,6 @@ only the files of the index are read.
 """
 
 import csv
-import json
 import re
 import tomllib
 from collections import Counter
@@ -26,8 +25,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib import resources
+from json import JSONDecodeError
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from motionkit.core.errors import FormatError, UsageError
 from motionkit.core.motion import Caption
@@ -41,7 +41,6 @@ from motionkit.io.texts import SPLITS, read_splits, read_texts
 Key = tuple[str, ...]
 # The motion that a file holds, or None for a file of no known format.
 ItemOf = Callable[[Path, Path], SourceItem | None]
-Row = TypeVar("Row")
 
 # SMPL+H files are called NAME_poses, SMPL-X files NAME_stageii. HumanML3D and BABEL count in frames of the former.
 ENDINGS = ("_poses", "_stageii")
@@ -106,16 +105,12 @@ class Entry:
 
 @dataclass(frozen=True)
 class Index:
-    """An index: its name, a prefix of its sequences' ids; its entries; and the rows that could not be used.
-
-    `in_published_frames`: its segments are `StepCut`s, and each has a mirrored copy without a row.
-    """
+    """An index: its name, a prefix of its sequences' ids; its entries; and the rows that could not be used."""
 
     name: str
     path: Path
     entries: tuple[Entry, ...]
     problems: tuple[FormatError, ...] = ()
-    in_published_frames: bool = False
 
 
 class _BadEntry(ValueError):
@@ -191,14 +186,21 @@ def read_index(path: Path) -> Index:
     if "source_path" in header and "new_name" in header:
         return _read_humanml3d(text, path)
     if text.lstrip().startswith("{"):
-        entries = _read_json(text, path)
+        try:
+            entries = parse_json(text)
+        except ValueError as error:
+            line = error.lineno if isinstance(error, JSONDecodeError) else None
+            raise FormatError(f"not JSON ({error})", path=path, reason="index", line=line) from None
         first = next(iter(entries.values()), None)
         if isinstance(first, dict) and {"path", "annotations"} <= first.keys():
-            return _index(_name_of_tmr(path), path, ((name, None, entry) for name, entry in entries.items()), _tmr)
+            # `kitml` for kitml.json, kitml-annotations.json and kitml/annotations.json.
+            name = path.stem.removesuffix("annotations").rstrip("-_.") or path.resolve().parent.name
+            rows = ((each, None, entry) for each, entry in entries.items())
+            return _index(name.casefold() or "annotations", path, rows, _tmr)
         if isinstance(first, dict) and "feat_p" in first:
             named = re.search(r"train|val|test", path.stem)
             split = named[0] if named else ""
-            rows = ((name, None, (entry, split)) for name, entry in entries.items())
+            rows = ((each, None, (entry, split)) for each, entry in entries.items())
             return _index("babel", path, rows, _babel)
     raise FormatError(
         f"looks like {source_file.describe_content(data)}, expected an index: HumanML3D's index.csv (columns "
@@ -209,12 +211,7 @@ def read_index(path: Path) -> Index:
 
 
 def _index(
-    name: str,
-    path: Path,
-    rows: Iterable[tuple[str, int | None, Row]],
-    entry_of: Callable[[str, Row], Entry],
-    *,
-    in_published_frames: bool = False,
+    name: str, path: Path, rows: Iterable[tuple[str, int | None, Any]], entry_of: Callable[[str, Any], Entry]
 ) -> Index:
     """The index built from rows, each with its name and line; bad ones and repeated names become problems."""
     kept: dict[str, Entry] = {}
@@ -231,7 +228,7 @@ def _index(
         if first is not entry:
             message = f"{entry.name!r} is named twice, first in line {first.line}"
             repeated.append(FormatError(message, path=path, reason="duplicate-id", line=line))
-    return Index(name, path, tuple(kept.values()), (*problems, *repeated), in_published_frames)
+    return Index(name, path, tuple(kept.values()), (*problems, *repeated))
 
 
 def _source_parts(value: object) -> tuple[str, ...]:
@@ -276,7 +273,7 @@ def _read_humanml3d(text: str, path: Path) -> Index:
             message = f"no column {absent}; expected {','.join(HUMANML3D_COLUMNS)}, separated by commas"
             raise FormatError(message, path=path, reason="index", line=1)
         reader.fieldnames = columns
-        return _index("humanml3d", path, rows(), _humanml3d, in_published_frames=True)
+        return _index("humanml3d", path, rows(), _humanml3d)
     except csv.Error as error:
         raise FormatError(f"not a CSV table ({error})", path=path, reason="index", line=reader.line_num) from None
 
@@ -301,22 +298,6 @@ def _frame(row: Mapping[str, str | None], column: str) -> int:
     if re.fullmatch(r"-?\d{1,8}(\.0)?", cell, re.ASCII) and -1 <= int(float(cell)) <= MAX_FRAME:
         return int(float(cell))
     raise _BadEntry(f"{column} is {cell[:40]!r}, expected a whole number of frames")
-
-
-def _read_json(text: str, path: Path) -> Mapping[str, Any]:
-    try:
-        value: Mapping[str, Any] = parse_json(text)
-    except json.JSONDecodeError as error:
-        raise FormatError(f"not JSON ({error.msg})", path=path, reason="index", line=error.lineno) from None
-    except ValueError as error:
-        raise FormatError(f"not JSON that can be read ({error})", path=path, reason="index") from None
-    return value
-
-
-def _name_of_tmr(path: Path) -> str:
-    # `kitml` for kitml.json, kitml-annotations.json and kitml/annotations.json.
-    name = path.stem.removesuffix("annotations").rstrip("-_.") or path.resolve().parent.name
-    return name.casefold() or "annotations"
 
 
 def _tmr(name: str, value: Any) -> Entry:
@@ -421,9 +402,7 @@ def scan_indexes(sources: Sequence[Path], options: IndexOptions, item_of: ItemOf
                 found[entry.key] = next((item for item in places if item is not None), None)
             file = found[entry.key]
             if file is None:
-                message = (
-                    f"{entry.name}: there is no {'/'.join(entry.parts)} below {below}, in no spelling that is known"
-                )
+                message = f"{entry.name}: there is no {'/'.join(entry.parts)} below {below}, in any known spelling"
                 problems.append(FormatError(message, path=index.path, reason="missing-file", line=entry.line))
                 missing[entry.dataset] += 1
                 continue
@@ -443,12 +422,13 @@ def scan_indexes(sources: Sequence[Path], options: IndexOptions, item_of: ItemOf
 
 def _chosen(index: Index, options: IndexOptions) -> Index:
     """The index after applying the options: with or without mirrored sequences, and in which frames."""
-    if options.published and not index.in_published_frames:
+    in_published_frames = all(isinstance(entry.cut, StepCut) for entry in index.entries)
+    if options.published and not in_published_frames:
         raise UsageError(f"only HumanML3D's index.csv has frames at 20 fps to reproduce, {index.path} has none")
     entries = list(index.entries)
     if not options.mirrored:
         entries = [entry for entry in entries if not entry.mirrored]
-    elif index.in_published_frames:
+    elif in_published_frames:  # each sequence has a mirrored copy without a row
         copies = [replace(entry, name=MIRROR + entry.name, mirrored=True) for entry in entries]
         entries = [each for pair in zip(entries, copies, strict=True) for each in pair]
     elif not any(entry.mirrored for entry in entries):

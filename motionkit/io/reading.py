@@ -195,25 +195,21 @@ def _rule(table: Any, name: str, number: int) -> FramerateRule:
     if not isinstance(table, dict) or not {"files", "fps"} <= set(table) <= RULE_KEYS:
         raise UsageError(f"{where}: has {shown(table)}; expected files and fps, and any of stated, reason, source")
     globs = [table["files"]] if isinstance(table["files"], str) else table["files"]
-    if (
-        not isinstance(globs, list)
-        or not globs
-        or not all(isinstance(each, str) and each.strip("./") for each in globs)
-    ):
+    are_globs = isinstance(globs, list) and all(isinstance(each, str) and each.strip("./") for each in globs)
+    if not globs or not are_globs:
         raise UsageError(f"{where}: files must be a glob in quotes, or a list of them, not {shown(globs)}")
     for key in ("reason", "source"):
         if not isinstance(table.get(key, ""), str):
             raise UsageError(f"{where}: {key} must be text in quotes, not {shown(table[key])}")
     rates: dict[str, Fraction] = {}
-    for key in ("fps", "stated"):
-        value = table.get(key)
-        if value is not None:
-            if isinstance(value, bool) or not isinstance(value, str | int | float):
-                raise UsageError(f"{where}: {key} must be a framerate such as 120 or '30000/1001', not {shown(value)}")
-            try:
-                rates[key] = parse_fps(value)
-            except ValueError as error:
-                raise UsageError(f"{where}: {key}: {error}") from None
+    for key in table.keys() & {"fps", "stated"}:
+        value = table[key]
+        if isinstance(value, bool) or not isinstance(value, str | int | float):
+            raise UsageError(f"{where}: {key} must be a framerate such as 120 or '30000/1001', not {shown(value)}")
+        try:
+            rates[key] = parse_fps(value)
+        except ValueError as error:
+            raise UsageError(f"{where}: {key}: {error}") from None
     short = f"{Path(name).name}, rule {number}"
     return FramerateRule(tuple(globs), rates["fps"], rates.get("stated"), table.get("source", ""), short)
 

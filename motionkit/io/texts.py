@@ -39,15 +39,13 @@ def _caption(line: str, path: Path, number: int) -> Caption:
     if len(parts) == 1:
         return Caption(parts[0])
     if len(parts) != 4:
-        raise FormatError(
-            f"{len(parts)} parts between '#', expected caption#tokens#start#end", path=path, reason="text", line=number
-        )
+        message = f"{len(parts)} parts between '#', expected caption#tokens#start#end"
+        raise FormatError(message, path=path, reason="text", line=number)
     try:
         start, end = (float(part) for part in parts[2:])
     except ValueError:
-        raise FormatError(
-            f"segment {parts[2][:20]!r} to {parts[3][:20]!r}, expected seconds", path=path, reason="text", line=number
-        ) from None
+        message = f"segment {parts[2][:20]!r} to {parts[3][:20]!r}, expected seconds"
+        raise FormatError(message, path=path, reason="text", line=number) from None
     if not (math.isfinite(start) and math.isfinite(end)) or start == end == 0.0:
         return Caption(parts[0], tokens=parts[1])
     start, end = max(0.0, min(start, end)), max(start, end)
@@ -67,7 +65,11 @@ def read_splits(folder: Path, known: Collection[str], where: str) -> tuple[dict[
     warnings: list[FormatError] = []
     for split in SPLITS:
         path = folder / f"{split}.txt"
-        names = _lines(path)
+        try:
+            text = path.read_text(encoding="utf-8-sig", errors="replace") if path.is_file() else ""
+        except OSError as error:
+            raise source_file.unreadable(path, error) from None
+        names = [name for line in text.splitlines() if (name := line.strip())]
         splits |= dict.fromkeys(names, split)
         absent = [name for name in names if name not in known]
         if absent:
@@ -77,13 +79,3 @@ def read_splits(folder: Path, known: Collection[str], where: str) -> tuple[dict[
                 message += f"{where} has {next(iter(known))[:40]!r}; so nothing is of the split {split}"
             warnings.append(FormatError(message, path=path, reason="split-without-motion"))
     return splits, warnings
-
-
-def _lines(path: Path) -> list[str]:
-    if not path.is_file():
-        return []
-    try:
-        lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
-    except OSError as error:
-        raise source_file.unreadable(path, error) from None
-    return [line.strip() for line in lines if line.strip()]
