@@ -1,7 +1,7 @@
 """`motionkit ingest`: read sources into a store."""
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from enum import StrEnum
@@ -122,11 +122,13 @@ def ingest(
 
     Example: motionkit ingest takes"""
     from motionkit.io.reading import read_rules
+    from motionkit.io.registry import IndexOptions
     from motionkit.store.ingest import ingest as ingest_sources
 
+    of_index = IndexOptions(tuple(index or ()), texts, splits, mirrored, published=compat is not None)
     options = replace(
         read_options(parse_rate(fps), skeleton_map, format, unit_metres, captions, up),
-        index=_index_options(index, texts, splits, mirrored, compat, captions, skip_frames),
+        index=_index_options(of_index, captions, skip_frames),
         fps_rules=tuple(rule for path in fps_rules or () for rule in read_rules(path)),
         body_models=body_models,
         skip_frames=skip_frames,
@@ -162,28 +164,19 @@ def ingest(
         raise MotionkitError(f"nothing was stored; the store {report.store} is as it was")
 
 
-def _index_options(
-    index: list[Path] | None,
-    texts: Path | None,
-    splits: Path | None,
-    mirrored: bool,
-    compat: Compat | None,
-    captions: Path | None,
-    skip_frames: int,
-) -> "IndexOptions | None":
-    from motionkit.io.registry import IndexOptions
-
-    if not index:
-        given = {"--texts": texts, "--splits": splits, "--mirrored": mirrored, "--compat": compat}
-        for name, value in given.items():
+def _index_options(index: "IndexOptions", captions: Path | None, skip_frames: int) -> "IndexOptions | None":
+    """The options if there is an index; raises `UsageError` for options that need one or that it excludes."""
+    if not index.paths:
+        given = {"--texts": index.texts, "--splits": index.splits, "--mirrored": index.mirrored}
+        for name, value in {**given, "--compat": index.published}.items():
             if value:
                 raise UsageError(f"{name} is about an index: give one with --index")
         return None
     if skip_frames:
-        raise UsageError("--skip-frames is about whole files; an index counts the frames of its stretches itself")
+        raise UsageError("--skip-frames is about whole files; an index counts the frames of its segments itself")
     if captions is not None:
         raise UsageError("--captions describes whole files; the captions of an index are its own or those of --texts")
-    return IndexOptions(tuple(index), texts, splits, mirrored, published=compat is not None)
+    return index
 
 
 def _fault_printer() -> Callable[..., None]:
@@ -214,10 +207,11 @@ def _print_summary(report: "IngestReport", of_store: str) -> None:
         )
     for name, faults in (("failed", report.problems), ("warnings", report.warnings)):
         if faults:
-            reasons = ", ".join(f"{count:,} {reason}" for reason, count in _by_reason(faults).items())
-            stdout.print(f"{name}: {len(faults):,} ({reasons})")
+            reasons = [f"{count:,} {reason}" for reason, count in _counts(each.reason for each in faults).items()]
+            stdout.print(f"{name}: {len(faults):,} ({', '.join(reasons)})")
     if report.ignored:
-        kinds = [f"{count:,} {kind}" for kind, count in _by_suffix(report.ignored).items()]
+        suffixes = _counts(path.suffix.lower() or path.name for path in report.ignored)
+        kinds = [f"{count:,} {suffix}" for suffix, count in suffixes.items()]
         listed = ", ".join(kinds[:SHOWN_KINDS]) + (", …" if len(kinds) > SHOWN_KINDS else "")
         stdout.print(f"ignored: {len(report.ignored):,} ({listed}; the first: {report.ignored[0]})")
     if report.datasets:
@@ -240,12 +234,8 @@ def _counted(number: int, noun: str) -> str:
     return f"{number:,} {noun}" if number == 1 else f"{number:,} {noun}s"
 
 
-def _by_reason(faults: Sequence[FormatError]) -> dict[str, int]:
-    return dict(Counter(fault.reason for fault in faults).most_common())
-
-
-def _by_suffix(paths: Sequence[Path]) -> dict[str, int]:
-    return dict(Counter(path.suffix.lower() or path.name for path in paths).most_common())
+def _counts(words: Iterable[str]) -> dict[str, int]:
+    return dict(Counter(words).most_common())
 
 
 def _dataset_table(counts: "Sequence[DatasetCount]") -> str:
@@ -265,14 +255,14 @@ def _as_json(report: "IngestReport") -> dict[str, Any]:
         "hours": report.stored.duration_seconds / 3600,
         "already_stored": report.num_already_stored,
         "sequences_in_store": report.num_in_store,
-        "failed": _by_reason(report.problems),
-        "warnings": _by_reason(report.warnings),
+        "failed": _counts(each.reason for each in report.problems),
+        "warnings": _counts(each.reason for each in report.warnings),
         "quality_flags": dict(report.stored.flags.most_common()),
         "datasets": {
             count.dataset: {"found": count.num_found, "missing": count.num_missing, "failed": count.num_failed}
             for count in report.datasets
         },
-        "ignored": _by_suffix(report.ignored),
+        "ignored": _counts(path.suffix.lower() or path.name for path in report.ignored),
         "ignored_paths": [str(path) for path in report.ignored],
         "problems": [{"reason": each.reason, "message": str(each)} for each in report.problems],
         "warned": [{"reason": each.reason, "message": str(each)} for each in report.warnings],

@@ -130,27 +130,18 @@ class _SideFiles:
         self.problems: list[FormatError] = []
 
     def of(self, folder: Path) -> tuple[str, tuple[AnnotationTable, ...]]:
-        """The licence of a folder, and the tables that may describe its files: its own last, and the given one."""
-        if folder not in self._of_folder:
-            self._of_folder[folder] = self._read(folder)
-        licence, tables = self._of_folder[folder]
-        return licence, (tables if self._given is None else (*tables, self._given))
-
-    def _read(self, folder: Path) -> tuple[str, tuple[AnnotationTable, ...]]:
-        above: tuple[AnnotationTable, ...] = ()
-        licence = ""
-        if folder != self._top:
-            self.of(folder.parent)
-            licence, above = self._of_folder[folder.parent]
-        tables: list[AnnotationTable] = []
-        problems: list[FormatError] = []
-        if next(folder.glob("*.csv"), None) is not None:
-            tables, problems = tables_in(folder, None if self._given is None else self._given.path)
+        """The licence of a folder, and the tables that may describe its files: the given one last, its own before."""
+        if folder in self._of_folder:
+            return self._of_folder[folder]
+        given = () if self._given is None else (self._given,)
+        licence, above = ("", given) if folder == self._top else self.of(folder.parent)
+        tables, problems = tables_in(folder, None if self._given is None else self._given.path)
         if folder.is_relative_to(self._root):
             licence = find_licence(folder) or licence
             self.tables += tables
             self.problems += (*problems, *(problem for table in tables for problem in table.problems))
-        return licence, (*above, *tables)
+        self._of_folder[folder] = licence, (*above[: len(above) - len(given)], *tables, *given)
+        return self._of_folder[folder]
 
 
 def _root(source: Path) -> Path:
@@ -264,14 +255,9 @@ def is_derived(path: Path) -> bool:
     return name.endswith((f".{COMPLETED}", f".{PLANTED}")) or DERIVED_FOLDER.fullmatch(path.parent.name) is not None
 
 
-def licence_files(folder: Path) -> list[Path]:
-    """The licence files of a folder, by their names."""
-    return sorted(entry for entry in folder.iterdir() if entry.name.upper().startswith(("LICENSE", "LICENCE")))
-
-
 def find_licence(folder: Path) -> str:
     """First line of the folder's licence file (the files' names if there are several); empty if there is none."""
-    files = licence_files(folder)
+    files = sorted(entry for entry in folder.iterdir() if entry.name.upper().startswith(("LICENSE", "LICENCE")))
     lines = dict.fromkeys(line for entry in files if entry.is_file() if (line := _first_line(entry)))
     return next(iter(lines)) if len(lines) == 1 else ", ".join(entry.name for entry in files)
 
@@ -330,14 +316,11 @@ def _scan_indexes(sources: Sequence[Path], options: ReadOptions) -> ScanResult:
         return replace(annotated(item, tables), captions=(), split="")
 
     found = scan_indexes(sources, options.index, item_of)
-    return replace(
-        found,
-        problems=(*found.problems, *(problem for side_files in roots.values() for problem in side_files.problems)),
-        warnings=(
-            *found.warnings,
-            *(w for side_files in roots.values() for table in side_files.tables for w in table.warnings),
-        ),
-    )
+    problems, warnings = list(found.problems), list(found.warnings)
+    for side_files in roots.values():
+        problems += side_files.problems
+        warnings += (warning for table in side_files.tables for warning in table.warnings)
+    return replace(found, problems=tuple(problems), warnings=tuple(warnings))
 
 
 def _unique(found: ScanResult) -> ScanResult:
@@ -347,8 +330,6 @@ def _unique(found: ScanResult) -> ScanResult:
     for item in found.items:
         first = kept.setdefault(item.sequence_id, item)
         if first is not item:
-            message = (
-                f"its id {item.sequence_id!r} is already taken by {first.path.name}; rename the file or its folder"
-            )
+            message = f"its id {item.sequence_id!r} is already taken by {first.path.name}; rename it or its folder"
             problems.append(FormatError(message, path=item.path, reason="duplicate-id"))
     return replace(found, items=tuple(kept.values()), problems=tuple(problems))

@@ -122,10 +122,8 @@ def read_or_fault(item: SourceItem, options: ReadOptions) -> EncodedMotion | For
     except FormatError as problem:
         if os.path.lexists(item.path):
             return problem
-        message = (
-            f"there is no such file on {socket.gethostname()}, but there was when the source was scanned: removed "
-        )
-        message += "since, or not in a folder that all machines share"
+        message = f"there is no such file on {socket.gethostname()}, but there was when the source was scanned: "
+        message += "removed since, or not in a folder that all machines share"
         return FormatError(message, path=item.path, reason="not-visible")
     except RefusedMotion as refused:
         return FormatError(str(refused), path=item.path, reason=refused.reason)

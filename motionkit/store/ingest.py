@@ -22,14 +22,7 @@ from motionkit.io.body_frame import standing_metres
 from motionkit.io.cuts import missing_seconds, unlike_stated_seconds
 from motionkit.io.registry import ReadOptions, ScanResult, SourceItem
 from motionkit.io.scan import scan
-from motionkit.store.chunks import (
-    NumberedItem,
-    ReadChunk,
-    ReadSequence,
-    chunks_of,
-    read_chunk,
-    worker_died,
-)
+from motionkit.store.chunks import NumberedItem, ReadChunk, ReadSequence, chunks_of, read_chunk, worker_died
 from motionkit.store.commit import read_manifest
 from motionkit.store.schema import RefusedMotion, Row
 from motionkit.store.workers import LOCAL, WorkerDied, Workers, check_engine, start_workers, usable_cores
@@ -137,8 +130,7 @@ def ingest(
         work.set_total(len(found.items))
         run = _Ingest(writer, options, on_error == "stop", work, on_problem, on_warning)
         try:
-            run.report_scan(found)
-            run.store_all(found.items, engine, num_workers)
+            run.store_all(found, engine, num_workers)
             committed = True
         except _Stopped:
             committed = False
@@ -189,15 +181,13 @@ class _Ingest:
     rigs: set[tuple[tuple[str, ...], str]] = field(default_factory=set)
     body_sizes: dict[tuple[str, ...], tuple[float, str]] = field(default_factory=dict)
 
-    def report_scan(self, found: ScanResult) -> None:
-        """Report the faults of a scan."""
+    def store_all(self, found: ScanResult, engine: str, num_workers: int | None) -> None:
+        """Report the faults of a scan, read its items and commit them; raises `_Stopped` if there is none to commit."""
         for warning in found.warnings:
             self._warn(warning)
         for problem in found.problems:
             self._fail(problem)
-
-    def store_all(self, items: Sequence[SourceItem], engine: str, num_workers: int | None) -> None:
-        """Read all items and commit them; raises `_Stopped` where nothing is to be committed."""
+        items = found.items
         if not items:
             raise _Stopped
         if engine == LOCAL:
@@ -258,8 +248,7 @@ class _Ingest:
         except RefusedMotion as refused:
             self._fail(FormatError(str(refused), path=item.path, reason=refused.reason), item)
             return
-        size = body_size_warning(read.skeleton, self.body_sizes) if is_new_skeleton else ""
-        if size:
+        if is_new_skeleton and (size := body_size_warning(read.skeleton, self.body_sizes)):
             self._warn(FormatError(size, path=item.path, reason="body-size"))
         for warning in _warnings_of(item, read.row):
             self._warn(warning)
@@ -282,9 +271,8 @@ class _Ingest:
         for text in self.options.skeleton_maps:
             if text not in used:
                 family = parse_layout_map(text)
-                message = (
-                    f"fits no skeleton of the sources; it requires the joints {', '.join(sorted(family.requires))}"
-                )
+                required = ", ".join(sorted(family.requires))
+                message = f"fits no skeleton of the sources; it requires the joints {required}"
                 self._warn(FormatError(message, path=f"skeleton map {family.name!r}", reason="unused-skeleton-map"))
 
     def _warn(self, warning: FormatError) -> None:
