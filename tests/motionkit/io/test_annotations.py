@@ -11,7 +11,7 @@ import pytest
 from motionkit.core.errors import FormatError
 from motionkit.io.annotations import tables_in
 from motionkit.io.reading import read, read_document
-from motionkit.io.registry import IndexOptions, ReadOptions, SourceItem
+from motionkit.io.registry import ReadOptions, SourceItem
 from motionkit.io.scan import scan
 from tests.helpers.format_samples import bvh_text, write_asfamc
 
@@ -103,17 +103,6 @@ def test_a_given_table_may_describe_several_sources(tmp_path: Path) -> None:
     assert [item.captions[0].text for item in found.items] == ["a", "b"]
     assert [(problem.reason, problem.line) for problem in found.problems] == [("caption-without-motion", 4)]
     assert [warning.reason for warning in found.warnings] == ["unknown-column"]
-
-
-def test_tables_beside_the_files_of_an_index(tmp_path: Path) -> None:
-    (tmp_path / "source").mkdir()
-    (tmp_path / "source" / "a.bvh").write_text(bvh_text())
-    (tmp_path / "source" / "table.csv").write_text("file,fps,fsp\na.bvh,60,60\nb.bvh,0,\n")
-    (tmp_path / "index.csv").write_text("source_path,start_frame,end_frame,new_name\na.npy,0,2,000000\n")
-    found = scan([tmp_path / "source"], ReadOptions(index=IndexOptions((tmp_path / "index.csv",))))
-    assert [item.fps for item in found.items] == [60]
-    assert [warning.reason for warning in found.warnings] == ["unknown-column"]
-    assert [problem.reason for problem in found.problems] == ["frame-time"]
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,6 @@ def frames_of(motion: Motion) -> list[int]:
         ("120.0", None, StepCut(10, 20), PATH, 60, 120),
         ("120.00004577636719", None, StepCut(10, 20), PATH, 60, 120),
         ("150.0", None, StepCut(10, 20), PATH, 70, 140),
-        ("250.0", None, StepCut(10, 20), PATH, 120, 240),
         ("20", None, StepCut(10, 20), PATH, 10, 20),
         # A trim is counted in published frames: 60 of every 7th at 150 fps are 420 native ones, 2.8 s and not 3.
         ("150", None, StepCut(3, 5, trim_frames=60), PATH, 441, 455),
@@ -75,30 +74,15 @@ def test_native_frames_of_published_ones(
     ("stated", "fps", "rate"),
     [
         ("", 120, 120.0),
-        ("Frame Time: .0083333", 120, 120.0),
         ("Frame Time: 0.00833334", 120, 120.0),
         ("Frame Time: 0", 30, 30.0),
         ("nan", 50, 50.0),
-        ("-1", 50, 50.0),
         ("about sixty", 60, 60.0),
         ("59.9999885", 60, 59.9999885),
     ],
 )
 def test_the_framerate_that_a_file_states(stated: str, fps: int, rate: float) -> None:
     assert stated_rate(stated, Fraction(fps)) == rate
-
-
-def test_a_whole_file_that_was_published_as_it_is() -> None:
-    # HumanAct12, which a rule puts at 15 fps: a caption's second is 20 of its frames.
-    cut = StepCut(0, None, seen_fps=20.0)
-    published = replace(cut, published=True)
-    motion = replace(motion_of(8, "20", fps=Fraction(15)), captions=(Caption("a part", 0.15, 0.3),))
-    native, thinned = crop(motion, cut, PATH), crop(motion, published, PATH)
-    assert frames_of(native) == frames_of(thinned) == list(range(8))
-    assert (native.fps, thinned.fps) == (15, 20)
-    assert (native.captions[0].start_seconds, native.captions[0].end_seconds) == pytest.approx((0.2, 0.4))
-    assert thinned.captions == motion.captions
-    assert missed(native, cut) == missed(thinned, published) == 0.0
 
 
 @given(
@@ -172,7 +156,7 @@ def test_a_whole_file_that_is_not_as_long_as_stated(num_frames: int, fps: int, s
 
 @pytest.mark.parametrize(
     ("stated", "fps", "factor"),
-    [("120", 120, 1.0), ("59.9999885", 60, 2 / 3), ("150", 150, 14 / 15), ("250", 250, 0.96), ("60", 120, 0.5)],
+    [("20", 15, 4 / 3), ("120", 120, 1.0), ("59.9999885", 60, 2 / 3), ("150", 150, 14 / 15), ("60", 120, 0.5)],
 )
 def test_seconds_of_captions_become_true_ones(stated: str, fps: int, factor: float) -> None:
     # The second published second begins at published frame 20, native frame 20·step.

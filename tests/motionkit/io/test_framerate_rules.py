@@ -31,7 +31,6 @@ def read_file(root: Path, path: Path, options: ReadOptions | None = None) -> Mot
         ("SSM_synced/20160330_03333/jumping_poses.npz", 120.0, 120),
         ("SSM/20161014_50033/dance_sync_stageii.npz", 120.0, 60),
         ("KIT/3/walk_stageii.npz", 120.0, 100),
-        ("EKUT/3/walk_stageii.npz", 120.0, 120),
         ("CMU/62/62_11_stageii.npz", 120.0, 60),
         ("CMU/CMU/80/80_63_stageii.npz", 120.0, 60),
         ("CMU/63/63_01_stageii.npz", 120.0, 120),
@@ -120,7 +119,6 @@ def test_globs_fit_the_end_of_a_path(glob: str, fits: list[str], does_not: list[
         ("[[rule]]\nfiles = [7]\nfps = 60", "files must be a glob"),
         ('[[rule]]\nfiles = "a"\nfps = 60\n[[rule]]\nfiles = "b"\nfps = nan', "rule 2: fps"),
         ('[[rule]]\nfiles = "a"\nfps = true', "must be a framerate such as"),
-        ('[[rule]]\nfiles = "a"\nfps = 60\nsource = 3', "source must be text"),
         (None, "cannot be read"),
     ],
 )

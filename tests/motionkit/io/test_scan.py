@@ -91,14 +91,6 @@ def test_licences_are_found(source: Path) -> None:
     }
 
 
-def test_of_sequences_of_one_id_the_first_is_read(tmp_path: Path) -> None:
-    for name in ("bvh", "c3d", "npz"):
-        SOURCES[name](tmp_path)
-    found = scan([tmp_path, tmp_path])
-    assert [item.path.name for item in found.items] == ["take.bvh"]
-    assert reasons(found.problems) == ["duplicate-id"] * 5
-
-
 # Links
 
 

@@ -42,16 +42,14 @@ def posed(root: np.ndarray, turns: np.ndarray, swing: float, axis: int = 0) -> M
     return Motion(positions, BODY, TimeGrid(FPS, len(root)), rotations, root)
 
 
-def standing(
-    heading: float = 0.0, speed: float = 0.0, at: tuple[float, float] = (0.0, 0.0), swing: float = 0.1
-) -> Motion:
+def standing(heading: float = 0.0, speed: float = 0.0, at: tuple[float, float] = (0.0, 0.0)) -> Motion:
     """A body on its feet, y up, that walks at a speed in m/s or stands at a place of the floor."""
     seconds = np.arange(90) / float(FPS)
     root = np.empty((90, 3))
     root[:, 0] = at[0] + speed * seconds * np.sin(heading)
     root[:, 1] = 0.96
     root[:, 2] = at[1] + speed * seconds * np.cos(heading)
-    return posed(root, np.tile(about(1, np.array([heading])), (90, 1)), swing)
+    return posed(root, np.tile(about(1, np.array([heading])), (90, 1)), swing=0.1)
 
 
 def lying(face: str, at: tuple[float, float] = (0.0, 0.0), swing: float = 0.4) -> Motion:
@@ -121,6 +119,11 @@ LYING = {
 }
 
 
+def assert_joints(motion: Motion, positions: np.ndarray) -> None:
+    order = [motion.skeleton.index(joint) for joint in BODY.joint_names]
+    np.testing.assert_allclose(motion.joint_positions[:, order], positions, atol=1e-4)
+
+
 @pytest.mark.parametrize("write", [bvh, amass, joints])
 @pytest.mark.parametrize("turn", [None, TO_Z_UP], ids=["y up", "z up"])
 @pytest.mark.parametrize("name", STANDING)
@@ -130,8 +133,7 @@ def test_who_stands_is_read_upright_whatever_the_axes(
     expected = STANDING[name]
     motion = mk.read(write(expected if turn is None else turned(expected, turn), tmp_path))
     assert motion.fps == FPS
-    order = [motion.skeleton.index(joint) for joint in BODY.joint_names]
-    np.testing.assert_allclose(motion.joint_positions[:, order], expected.joint_positions, atol=1e-4)
+    assert_joints(motion, expected.joint_positions)
     assert "lying" not in measure(motion).flags
 
 
@@ -143,8 +145,7 @@ def test_who_lies_on_the_floor_stays_there_and_is_flagged(
     """With the head along the axis that points up in other files: +z of a BVH file that rests y up, +y of AMASS's."""
     expected = LYING[name] if turn is None else turned(LYING[name], about(1, np.array([np.pi]))[0])
     motion = mk.read(write(expected if turn is None else turned(expected, turn), tmp_path))
-    order = [motion.skeleton.index(joint) for joint in BODY.joint_names]
-    np.testing.assert_allclose(motion.joint_positions[:, order], expected.joint_positions, atol=1e-4)
+    assert_joints(motion, expected.joint_positions)
     assert "lying" in measure(motion).flags
 
 
@@ -160,8 +161,7 @@ def test_a_given_axis_is_taken_as_it_is(
     own = STANDING["walks along z"]
     expected = np.stack(coordinates(*np.moveaxis(own.joint_positions, -1, 0)), axis=-1)
     motion = mk.read(write(own, tmp_path), up=up)
-    order = [motion.skeleton.index(joint) for joint in BODY.joint_names]
-    np.testing.assert_allclose(motion.joint_positions[:, order], expected, atol=1e-4)
+    assert_joints(motion, expected)
     assert any("(given)" in line for line in motion.provenance.operations)
     assert ("lying" in measure(motion).flags) == (up != "y")
     if motion.local_rotations is not None and motion.root_translation is not None:
