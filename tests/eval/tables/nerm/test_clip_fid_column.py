@@ -12,7 +12,7 @@ from eval.clip_fid.score import score_rows
 from eval.sets.row_ids import RowId
 from eval.sets.sets import SampleSet, sample_set
 from eval.tables.nerm.clip_fid_column import MOTIONS, P1, P2, SLERP, TAKES, TRAINING, score_column
-from tests.eval.clip_fid.test_calibration import MeanHeight
+from tests.eval.test_calibration import MeanHeight
 
 FPS = Fraction(20)
 PROTOCOL = Protocol(PoseRange(8, 16), num_clips=64, replications=2, detailed_replications=0)
