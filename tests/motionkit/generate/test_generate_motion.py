@@ -1,7 +1,7 @@
 """A generative model in Python: what is asked for in words and numbers becomes motions, by the code of `generate`."""
 
+from collections.abc import Callable
 from fractions import Fraction
-from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +9,7 @@ import pytest
 
 import motionkit as mk
 from motionkit.generate import models
-from motionkit.training import run as run_module
+from motionkit.training.run import RunFolder
 from tests.helpers.scripted_model import ScriptedModel
 
 
@@ -100,41 +100,58 @@ def test_all_is_checked_before_the_first_is_made(model: mk.MotionModel) -> None:
     assert model.model.asked == 0  # type: ignore[attr-defined]
 
 
-def loads(run: Path) -> Drawing:
-    """What an entry point of this group names: a loader."""
-    if "damaged" in run.name:
-        raise mk.MotionkitError(f"{run} is damaged")
+MODELS = """
+from motionkit.core.errors import MotionkitError
+from motionkit.generate.models import ModelLoader
+from tests.motionkit.generate.test_generate_motion import Drawing, script
+
+def load(run):
+    if run.name == "damaged":
+        raise MotionkitError(f"{run} is damaged")
     return Drawing(script)
+
+FULL = ModelLoader("Full", ("first", "second"), lambda run: Drawing(script, 2.0), order=1)
+"""
 
 
 @pytest.fixture
-def installed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two models, each of one stage of its own name."""
-    entries = EntryPoints(EntryPoint(name, f"{__name__}:loads", "motionkit.models") for name in ("first", "other"))
-    for module in (models, run_module):
-        monkeypatch.setattr(module, "entry_points", lambda **chosen: entries.select(**chosen))
+def installed(install: Callable[..., None], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A model that a plain function loads, and one with a loader of two stages."""
+    install("two_models", MODELS, {"motionkit.two": "plain = two_models:load\nfull = two_models:FULL"})
+    monkeypatch.setattr(models, "GROUP", "motionkit.two")
 
 
 @pytest.mark.usefixtures("installed")
 def test_the_model_that_a_run_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    for run, stages in {"held": ["first"], "both": ["first", "other"], "damaged": ["other"], "empty": []}.items():
+    stages = {"held": ["plain"], "half": ["first"], "both": ["plain", "first", "second"], "damaged": ["plain"]}
+    for run, names in {**stages, "empty": []}.items():
         (tmp_path / "runs" / run).mkdir(parents=True)
-        for name in stages:
-            (tmp_path / "runs" / run / name).mkdir()
-            (tmp_path / "runs" / run / name / "summary.json").write_text("{}")
+        for stage in names:
+            folder = RunFolder(tmp_path / "runs" / run).stage(stage)
+            folder.path.mkdir()
+            folder.finish({"loss": 1.0})
+    full, plain = models.installed_models().values()
+    assert list(models.installed_models()) == ["full", "plain"]
+    assert full.begun_in(Path("runs/half")) and not full.complete_in(Path("runs/half"))
+    assert full.complete_in(Path("runs/both")) and not plain.begun_in(Path("runs/half"))
     for run in ("runs/held", Path("runs/held"), "held"):
         model = mk.load_model(run)
         assert model.run == Path("runs/held") and model.name == "NeRM"
     assert mk.generate("walk", run="held", seconds=1, fps=20).num_frames == 20
-    with pytest.raises(mk.UsageError, match="several models, first and other"):
-        mk.load_model("both")
-    assert mk.load_model("both", "other").run == Path("runs/both")
-    with pytest.raises(mk.MotionkitError, match="is damaged"):
-        mk.load_model("damaged")
-    with pytest.raises(mk.UsageError, match="holds none of the installed models"):
-        mk.load_model("empty")
-    with pytest.raises(mk.UsageError, match="no model is called 'third'"):
-        mk.load_model("held", "third")
-    with pytest.raises(mk.UsageError, match="no run 'nowhere'"):
-        mk.load_model("nowhere")
+    assert mk.load_model("both", "full").model.max_duration_seconds == 2.0
+    refused = {
+        ("both", None): "several models, full and plain",
+        ("damaged", None): "is damaged",
+        ("empty", None): "holds none of the installed models",
+        ("held", "third"): "no model is called 'third'; installed models: full, plain",
+        ("nowhere", None): "no run 'nowhere'",
+    }
+    for (run, name), message in refused.items():
+        with pytest.raises(mk.MotionkitError, match=message):
+            mk.load_model(run, name)
+
+
+def test_a_run_without_a_model_names_the_command_that_trains_one(tmp_path: Path) -> None:
+    with pytest.raises(mk.UsageError, match="motionkit train --stage denoiser --run nothing trains NeRM"):
+        models.model_of(tmp_path / "nothing")

@@ -51,22 +51,17 @@ def test_motions_and_files_side_by_side(motion: mk.Motion) -> None:
     assert [take["numFrames"] for take in whole] == [61, 61]
 
 
-def test_it_is_called_by_what_it_shows_and_replaces_what_was_there(motion: mk.Motion) -> None:
+def test_it_is_called_by_what_it_shows_and_opened_if_asked(motion: mk.Motion, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[str] = []
+    monkeypatch.setattr(webbrowser, "open", opened.append)
     motion.save("walk.npz")
     assert mk.view("walk.npz") == Path("walk.view.html")
     assert mk.view(mk.read("walk.npz")).name == f"{Path.cwd().name}_walk.view.html"
     assert mk.view(motion) == mk.view(motion, motion.resample(10), path=".").with_name("motion.view.html")
     assert mk.view("walk.npz", motion).name == "walk-and-1-more.view.html"
     odd = dataclasses.replace(motion, sequence_id="a\0b\x1b[31m")
-    assert mk.view(odd).name == r"a\x00b\x1b[31m.view.html"
-
-
-def test_it_opens_the_page_where_asked(motion: mk.Motion, monkeypatch: pytest.MonkeyPatch) -> None:
-    opened: list[str] = []
-    monkeypatch.setattr(webbrowser, "open", opened.append)
-    path = mk.view(motion)
-    assert not opened
-    mk.view(motion, open=True)
+    assert mk.view(odd).name == r"a\x00b\x1b[31m.view.html" and not opened
+    path = mk.view(motion, open=True)
     assert opened == [path.absolute().as_uri()]
 
 
@@ -90,18 +85,15 @@ def inside(shown: str) -> str:
     return html.unescape(found[1])
 
 
-def test_a_notebook_shows_the_player(motion: mk.Motion) -> None:
-    page = inside(motion._repr_html_())
-    assert page.startswith("<!doctype html>") and page.endswith("</html>\n")
-    (take,) = takes_of(page)
-    np.testing.assert_allclose(unpack(take["positions"]), motion.joint_positions, atol=HALF_STEP)
-
-
-def test_texts_of_strangers_stay_inside(motion: mk.Motion) -> None:
+def test_a_notebook_shows_the_player_and_texts_of_strangers_stay_inside(motion: mk.Motion) -> None:
     wild = '"></iframe><script>alert(1)</script>&quot;'
     shown = dataclasses.replace(motion, sequence_id=wild, captions=(mk.Caption(wild),))._repr_html_()
     assert shown.count("<iframe") == 1
-    assert takes_of(inside(shown))[0]["captions"][0][0] == wild
+    page = inside(shown)
+    assert page.startswith("<!doctype html>") and page.endswith("</html>\n")
+    (take,) = takes_of(page)
+    assert take["captions"][0][0] == wild
+    np.testing.assert_allclose(unpack(take["positions"]), motion.joint_positions, atol=HALF_STEP)
 
 
 def test_a_long_motion_is_shown_in_part(motion: mk.Motion) -> None:
