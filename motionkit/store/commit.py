@@ -6,16 +6,17 @@ them. A reader sees the manifest before or after that rename, and the files that
 
 import hashlib
 import json
+import math
 import os
 import re
 import secrets
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
@@ -246,8 +247,9 @@ def check_sequences(sequences: pa.Table, manifest: Manifest, skeletons: Mapping[
     Indices ascend below the manifest's next one, ids are unique, framerates positive, and every row has frames, a part
     that the manifest names, and one of the skeletons.
     """
-    index = np.asarray(sequences["sequence_index"], np.int64)
-    if (np.diff(index, prepend=-1, append=manifest.next_sequence_index) < 1).any():
+    # Not by numpy: what Arrow converts to arrays or from numbers imports pandas, which takes longer than all of this.
+    index = sequences["sequence_index"].to_pylist()
+    if any(after <= before for before, after in pairwise([-1, *index, manifest.next_sequence_index])):
         raise ValueError(
             f"{SEQUENCES_FILE}: sequence_index does not ascend from 0 to below {manifest.next_sequence_index}"
         )
@@ -256,23 +258,23 @@ def check_sequences(sequences: pa.Table, manifest: Manifest, skeletons: Mapping[
         counts = pc.value_counts(ids)
         repeated = counts.filter(pc.greater(counts.field("counts"), 1))[0]["values"]
         raise ValueError(f"{SEQUENCES_FILE}: the id {repeated.as_py()!r} occurs more than once")
-    numbers = {name: np.asarray(sequences[name], np.float64) for name in ("fps_numerator", "fps_denominator")}
-    joints = pa.array([each.num_joints for each in skeletons.values()], pa.int16())
-    place = pc.index_in(sequences["skeleton"], pa.array(list(skeletons), pa.string()))
-    parts = [part_number(name) for name in manifest.parts]
-    wrong = {
-        "its framerate is not positive": (numbers["fps_numerator"] <= 0) | (numbers["fps_denominator"] <= 0),
-        "it has no frames": np.asarray(sequences["num_frames"]) < 1,
-        "its start_seconds are not finite": ~np.isfinite(np.asarray(sequences["start_seconds"])),
-        "the manifest does not name its part": ~np.isin(np.asarray(sequences["part"]), parts),
-        f"its skeleton is not in {SKELETONS_FILE}": np.asarray(pc.is_null(place)),
-        "num_joints is not its skeleton's": np.asarray(
-            pc.fill_null(pc.not_equal(joints.take(place.combine_chunks()), sequences["num_joints"]), False)
-        ),
+    parts = set(map(part_number, manifest.parts))
+    rules: dict[str, tuple[Callable[[Any], bool], str]] = {
+        "fps_numerator": (lambda number: number > 0, "its framerate is not positive"),
+        "fps_denominator": (lambda number: number > 0, "its framerate is not positive"),
+        "num_frames": (lambda number: number > 0, "it has no frames"),
+        "start_seconds": (math.isfinite, "its start_seconds are not finite"),
+        "part": (parts.__contains__, "the manifest does not name its part"),
+        "skeleton": (skeletons.__contains__, f"its skeleton is not in {SKELETONS_FILE}"),
     }
-    for fault, rows in wrong.items():
-        if rows.any():
-            raise ValueError(f"{SEQUENCES_FILE}: sequence {ids[int(np.argmax(rows))].as_py()!r}: {fault}")
+    for column, (is_valid, fault) in rules.items():
+        if not all(map(is_valid, pc.unique(sequences[column]).to_pylist())):
+            row = next(row for row, value in enumerate(sequences[column].to_pylist()) if not is_valid(value))
+            raise ValueError(f"{SEQUENCES_FILE}: sequence {ids[row].as_py()!r}: {fault}")
+    bodies = zip(sequences["skeleton"].to_pylist(), sequences["num_joints"].to_pylist(), strict=True)
+    for row, (skeleton, num_joints) in enumerate(bodies):
+        if num_joints != skeletons[skeleton].num_joints:
+            raise ValueError(f"{SEQUENCES_FILE}: sequence {ids[row].as_py()!r}: num_joints is not its skeleton's")
 
 
 def not_committed(store: Path) -> StoreError:
