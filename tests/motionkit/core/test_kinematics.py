@@ -22,14 +22,17 @@ def test_quaternion_algebra_agrees_with_scipy() -> None:
     assert np.allclose(kinematics.quaternion_to_matrix(kinematics.matrix_to_quaternion(ra.as_matrix())), ra.as_matrix())
 
 
-def test_rotation_vectors_agree_with_scipy() -> None:
-    vectors = np.random.default_rng(2).normal(0, 3, size=(40, 3, 3)).astype(np.float32)
+@pytest.mark.parametrize(("dtype", "tolerance"), [(np.float64, 1e-12), (np.float32, 1e-5)])
+def test_rotation_vectors_agree_with_scipy_and_come_back(dtype: type, tolerance: float) -> None:
+    vectors = np.random.default_rng(8).uniform(-1.8, 1.8, (50, 3)).astype(dtype)
     vectors[0] = 0.0
     vectors[1] *= 1e-8
-    found = kinematics.rotation_vector_to_quaternion(vectors)
-    assert np.array_equal(found[0], np.tile(np.float32([1, 0, 0, 0]), (3, 1)))
-    expected = Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix().reshape(40, 3, 3, 3)
-    assert np.allclose(kinematics.quaternion_to_matrix(found), expected, atol=1e-5)
+    turns = kinematics.rotation_vector_to_quaternion(vectors)
+    again = kinematics.quaternion_to_rotation_vector(turns)
+    assert turns.dtype == again.dtype == dtype and turns[0].tolist() == [1, 0, 0, 0]
+    assert np.allclose(again, vectors, atol=tolerance)
+    expected = Rotation.from_rotvec(vectors).as_matrix()
+    assert np.allclose(kinematics.quaternion_to_matrix(turns), expected, atol=tolerance)
 
 
 def test_the_shortest_rotation_between_directions() -> None:
@@ -92,14 +95,6 @@ def test_along_time_a_bone_that_vanishes_for_a_frame_points_again_afterwards() -
     assert np.allclose(cosine, np.linalg.norm(SMPL22.offsets[20]), atol=1e-5)
 
 
-def test_bone_lengths_are_kept() -> None:
-    rng = np.random.default_rng(4)
-    rotations = random_quaternions(rng, 5, SMPL22.num_joints).astype(np.float32)
-    positions = kinematics.forward_kinematics(rotations, np.zeros((5, 3), np.float32), SMPL22)
-    lengths = np.linalg.norm(positions[:, 1:] - positions[:, list(SMPL22.parents[1:])], axis=-1)
-    assert np.allclose(lengths, np.linalg.norm(SMPL22.offsets[1:], axis=-1), atol=1e-6)
-
-
 def test_forward_kinematics_with_offsets_that_move_agrees_with_the_plain_recursion() -> None:
     rng = np.random.default_rng(5)
     rotations = random_quaternions(rng, 6, SMPL22.num_joints)
@@ -135,16 +130,6 @@ def test_quaternions_never_jump() -> None:
     smooth = kinematics.continuous_quaternions(q)
     assert np.all(np.sum(smooth[1:] * smooth[:-1], axis=-1) >= 0)
     assert np.allclose(np.abs(np.sum(smooth * q, axis=-1)), 1.0)
-
-
-def test_rotation_vectors_round_trip_in_both_precisions() -> None:
-    vectors = np.random.default_rng(8).uniform(-1.8, 1.8, (50, 3))
-    vectors[0] = 0.0
-    for dtype, tolerance in ((np.float64, 1e-12), (np.float32, 1e-6)):
-        q = kinematics.rotation_vector_to_quaternion(vectors.astype(dtype))
-        again = kinematics.quaternion_to_rotation_vector(q)
-        assert q.dtype == again.dtype == dtype
-        assert np.allclose(again, vectors, atol=tolerance)
 
 
 @pytest.mark.parametrize("bones", [2, 3, 5])

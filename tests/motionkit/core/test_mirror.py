@@ -50,17 +50,14 @@ def test_mirroring_twice_is_nothing():
     assert twice.skeleton == motion.skeleton
 
 
-def test_a_symmetric_skeleton_stays_itself():
+def test_a_symmetric_skeleton_and_that_of_positions_alone_stay():
     offsets = SMPL22.offsets.copy()
     for left, right in SMPL22.left_right_pairs:
         offsets[right] = offsets[left] * np.float32([-1, 1, 1]) + np.float32(0)
     skeleton = replace(SMPL22, offsets=offsets)
     assert mirror(random_motion(skeleton)).skeleton == skeleton
-
-
-def test_positions_alone_keep_the_skeleton():
-    motion = replace(random_motion(SMPL22), local_rotations=None, root_translation=None)
-    assert mirror(motion).skeleton is SMPL22
+    positions = replace(random_motion(SMPL22), local_rotations=None, root_translation=None)
+    assert mirror(positions).skeleton is SMPL22
 
 
 @pytest.mark.parametrize(

@@ -26,11 +26,14 @@ def test_a_task_reports_its_state_after_every_change() -> None:
     ]
 
 
-def test_a_task_that_fails_is_finished() -> None:
+def test_a_task_that_fails_or_is_left_is_finished() -> None:
     reports: list[Progress] = []
     with pytest.raises(KeyError), task(reports.append, "read", 2):
         raise KeyError
     assert [report.finished for report in reports] == [False, True]
+    for _ in tracked(reports.append, "read", "ab", 2):
+        break
+    assert reports[-1] == Progress("read", 0, 2, finished=True)
 
 
 def test_tracked_items_count_when_the_next_is_asked_for() -> None:
@@ -38,14 +41,6 @@ def test_tracked_items_count_when_the_next_is_asked_for() -> None:
     seen = [(item, reports[-1].done) for item in tracked(reports.append, "read", "ab", 2)]
     assert seen == [("a", 0), ("b", 1)]
     assert reports[-1] == Progress("read", 2, 2, finished=True)
-
-
-def test_items_left_over_finish_the_task_too() -> None:
-    reports: list[Progress] = []
-    items = tracked(reports.append, "read", "ab", 2)
-    assert next(items) == "a"
-    items.close()  # type: ignore[attr-defined]
-    assert reports[-1] == Progress("read", 0, 2, finished=True)
 
 
 def test_nothing_is_printed(capsys: pytest.CaptureFixture[str]) -> None:

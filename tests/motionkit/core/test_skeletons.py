@@ -2,12 +2,13 @@
 
 import copy
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from motionkit.core.errors import FormatError, MotionkitError
+from motionkit.core.errors import FormatError
 from motionkit.core.framerate import parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, Skeleton
@@ -19,7 +20,6 @@ from motionkit.core.skeletons.mapping import (
     parse_layout_map,
     read_skeleton_map,
     rest_positions,
-    shipped_families,
     with_layout_map,
 )
 from motionkit.core.timegrid import TimeGrid
@@ -157,23 +157,16 @@ def rows_of_smpl22() -> str:
     return "{" + ",".join(f'"{name}":"{name}"' for name in SMPL22.joint_names) + "}"
 
 
-def test_toes_that_a_map_leaves_out_are_made_up(tmp_path: Path) -> None:
-    text = robot_map(left_foot="", right_foot="")
-    layout_map = read_skeleton_map(write_map(tmp_path, text))
+def test_joints_that_a_map_does_not_reach(tmp_path: Path) -> None:
+    """Toes are made up; any other is an error that names it."""
     names = tuple(ROBOT.values())
     skeleton = Skeleton("robot", names, (-1, *([0] * (len(names) - 1))), np.zeros((len(names), 3), np.float32))
-    assert joint_map(with_layout_map(skeleton, (layout_map,)), "smpl22").made_up == ("left_foot", "right_foot")
-
-
-def test_a_map_that_names_joints_which_are_not_there_says_so(tmp_path: Path) -> None:
-    layout_map = read_skeleton_map(write_map(tmp_path, robot_map(left_wrist='"L-hand"', neck='["gullet", "gorge"]')))
-    names = tuple(ROBOT.values())
-    skeleton = Skeleton("robot", names, (-1, *([0] * (len(names) - 1))), np.zeros((len(names), 3), np.float32))
-    with pytest.raises(
-        SkeletonMapError, match=r"its own map 'robot' names nothing for neck, left_wrist among"
-    ) as caught:
-        joint_map(with_layout_map(skeleton, (layout_map,)), "smpl22")
-    assert caught.value.missing == ("neck", "left_wrist")
+    toeless = read_skeleton_map(write_map(tmp_path, robot_map(left_foot="", right_foot="")))
+    assert joint_map(with_layout_map(skeleton, (toeless,)), "smpl22").made_up == ("left_foot", "right_foot")
+    other = read_skeleton_map(write_map(tmp_path, robot_map(left_wrist='"L-hand"', neck='["gullet", "gorge"]')))
+    with pytest.raises(SkeletonMapError, match="its own map 'robot' names nothing for neck, left_wrist among") as error:
+        joint_map(with_layout_map(skeleton, (other,)), "smpl22")
+    assert error.value.missing == ("neck", "left_wrist")
 
 
 def test_a_map_travels_in_an_npz_file(tmp_path: Path) -> None:
@@ -190,14 +183,6 @@ def test_a_map_travels_in_an_npz_file(tmp_path: Path) -> None:
         read_npz(tmp_path / "bad.npz")
 
 
-def test_every_shipped_table_is_a_valid_map() -> None:
-    families = shipped_families()
-    assert {"smpl", "cmu", "motionbuilder", "deepmimic-humanoid3d"} <= {family.name for family in families}
-    assert [len(family.requires) for family in families] == sorted(
-        (len(family.requires) for family in families), reverse=True
-    )
-
-
 BAD = {
     'name = "robot"\nrequires = [': r"my-rig.toml, line 2: no TOML",
     robot_map() + 'tail = "sole"\n': r"'tail', which is no joint of the layout: pelvis, left_hip",
@@ -205,17 +190,11 @@ BAD = {
     robot_map(spine1="{ base = 0.5, torso_mid = 0.6 }"): r"weights of spine1 sum to 1.1, expected 1",
     robot_map(spine1="{ base = nan }"): r"spine1 = ",
     robot_map(spine1="3"): r"spine1 = 3, expected a joint's name",
-    robot_map(spine1='{ base = "half" }'): r"spine1 = ",
-    robot_map(spine1="{ base = true }"): r"spine1 = ",
     robot_map().replace("requires", "require"): r"unknown key 'require', expected name",
-    robot_map().replace('requires = ["base", "torso_mid", "skull"]\n', ""): r"requires is missing",
     robot_map().replace('["base", "torso_mid", "skull"]', "[]"): r"requires is missing",
     robot_map().replace('"robot"', '"smpl22"'): r"name = 'smpl22', expected a text other than",
-    robot_map().replace("[smpl22]", "[kit21]"): r"unknown key 'kit21'",
     'name = "robot"\nrequires = ["base"]\n': r"no table \[smpl22\]",
     "units_per_metre = -1\n" + robot_map(): r"units_per_metre = -1, expected a positive number",
-    "units_per_metre = " + "9" * 5000 + "\n" + robot_map(): r"no TOML",
-    "source = 1979-05-27\n" + robot_map(): r"source is not a text",
     "aliases = { a = 1 }\n" + robot_map(): r"\[aliases\] holds lines",
 }
 
@@ -227,44 +206,23 @@ def test_a_bad_map_says_what_to_mend(tmp_path: Path, text: str) -> None:
     assert caught.value.reason == "skeleton-map"
 
 
-def test_files_that_are_no_text_are_refused(tmp_path: Path) -> None:
+def test_marks_and_line_ends_of_windows_and_bytes_that_are_no_text(tmp_path: Path) -> None:
     path = tmp_path / "my-rig.toml"
-    with pytest.raises(FormatError, match="cannot be read"):
-        read_skeleton_map(path)
+    path.write_bytes(b"\xef\xbb\xbf" + robot_map().replace("\n", "\r\n").encode())
+    assert parse_layout_map(read_skeleton_map(path)).name == "robot"
     path.write_bytes(b"name = '\xff'")
     with pytest.raises(FormatError, match="not UTF-8"):
         read_skeleton_map(path)
-    path.write_bytes(b"\xef\xbb\xbf" + robot_map().replace("\n", "\r\n").encode())
-    assert parse_layout_map(read_skeleton_map(path)).name == "robot"
-
-
-@pytest.mark.parametrize("text", ["", "[1]", "{", "[" * 100_000])
-def test_a_damaged_map_in_a_store_is_explained(text: str) -> None:
-    with pytest.raises(MotionkitError, match="the layout map of a skeleton cannot be read"):
-        parse_layout_map(text)
 
 
 def test_spines_without_a_neck_or_a_second_joint() -> None:
     """Hips, Spine, Head and arms alone: the missing joints lie between the spine and the shoulders."""
-    sides = [
-        f"{side}{joint}" for side in ("Left", "Right") for joint in ("UpLeg", "Leg", "Foot", "Arm", "ForeArm", "Hand")
-    ]
-    names = ("Hips", "Spine", "Head", *sides)
-    above = {"Spine": "Hips", "Head": "Spine", "UpLeg": "Hips", "Leg": "UpLeg", "Foot": "Leg", "Arm": "Spine"}
-    above |= {"ForeArm": "Arm", "Hand": "ForeArm"}
-    parents = [-1]
-    for name in names[1:]:
-        side = next((word for word in ("Left", "Right") if name.startswith(word)), "")
-        parent = above[name.removeprefix(side)]
-        parents.append(names.index(parent if parent in names else side + parent))
-    offsets = np.zeros((len(names), 3), np.float32)
-    offsets[1:] = (0.0, 0.2, 0.0)
-    skeleton = Skeleton("short", names, tuple(parents), offsets)
-    mapping = joint_map(skeleton, "smpl22")
+    rig = body(("Left", "Right"), "Hips *UpLeg *Leg *Foot", "Hips Spine *Arm *ForeArm *Hand", "Spine Head")
+    mapping = joint_map(rig, "smpl22")
     weights = dict(zip(SMPL22.joint_names, mapping.weights, strict=True))
-    assert mapping.family == "motionbuilder" and set(mapping.made_up) == {"left_foot", "right_foot"}
-    heights = [float(weights[name] @ np.arange(len(names), dtype=np.float32)) for name in ("pelvis", "head")]
-    assert heights == [0.0, 2.0] and weights["neck"][names.index("LeftArm")] == 0.5
+    assert mapping.family == "motionbuilder" and mapping.made_up == ("left_foot", "right_foot")
+    assert weights["pelvis"][rig.index("Hips")] == weights["head"][rig.index("Head")] == 1.0
+    assert weights["neck"][rig.index("LeftArm")] == 0.5
     assert all(np.isclose(weights[name].sum(), 1.0) for name in weights.keys() - set(mapping.made_up))
 
 
@@ -342,7 +300,8 @@ def test_an_unknown_skeleton_names_what_is_missing() -> None:
     rope = Skeleton("rope", ("a", "b"), (-1, 0), np.zeros((2, 3), np.float32))
     with pytest.raises(SkeletonMapError, match="pelvis") as caught:
         joint_map(rope, "smpl22")
-    assert "left_knee" in caught.value.missing
+    again = copy.copy(caught.value)  # as pickle copies it between processes
+    assert "left_knee" in again.missing and str(again) == str(caught.value)
 
 
 def test_weights_sum_to_one_and_the_layout_maps_to_itself() -> None:
@@ -352,22 +311,12 @@ def test_weights_sum_to_one_and_the_layout_maps_to_itself() -> None:
 
 
 def test_names_are_compared_without_namespace_prefix_and_case() -> None:
-    names = ("Hips", "LeftUpLeg", "LeftLeg", "LeftFoot", "RightUpLeg", "RightLeg", "RightFoot", "Spine", "Neck", "Head")
-    names += ("LeftArm", "LeftForeArm", "LeftHand", "RightArm", "RightForeArm", "RightHand")
-    parents = (-1, 0, 1, 2, 0, 4, 5, 0, 7, 8, 7, 10, 11, 7, 13, 14)
-    offsets = np.zeros((16, 3), np.float32)
-    plain = joint_map(Skeleton("plain", names, parents, offsets), "smpl22")
-    for rename in ("mixamorig:{}", "Character1_{}", "rig:{}"):
-        renamed = Skeleton("other", tuple(rename.format(name) for name in names), parents, offsets)
+    rig = body(("Left", "Right"), "Hips *UpLeg *Leg *Foot", "Hips Spine *Arm *ForeArm *Hand", "Spine Neck Head")
+    plain = joint_map(rig, "smpl22")
+    for rename in ("mixamorig:{}", "Character1_{}", "RIG:{}"):
+        renamed = replace(rig, joint_names=tuple(rename.format(name) for name in rig.joint_names))
         assert np.array_equal(joint_map(renamed, "smpl22").weights, plain.weights)
     assert plain.made_up == ("left_foot", "right_foot") and plain.family == "motionbuilder"
-
-
-def test_errors_travel_between_processes() -> None:
-    rope = Skeleton("rope", ("a", "b"), (-1, 0), np.zeros((2, 3), np.float32))
-    error = SkeletonMapError(rope, "smpl22", ("pelvis",))
-    again = copy.copy(error)  # by what pickle calls
-    assert str(again) == str(error) and again.missing == ("pelvis",)
 
 
 def test_made_up_toes_lie_ahead_of_the_ankles() -> None:
@@ -393,51 +342,35 @@ def test_a_tip_stands_in_for_a_toe(captures: Path) -> None:
     assert bone(body, "left_ankle", "left_foot") == pytest.approx(float(np.linalg.norm(tip)), abs=1e-4)
 
 
-def test_a_body_that_faces_z_has_its_left_at_positive_x(captures: Path) -> None:
-    # Subject 07 walks along +z from the first frame on.
-    items = {item.key or item.path.stem: item for item in scan([captures / "cmu" / "asfamc" / "07"]).items}
-    motion = read(items["07_01"], ReadOptions(fps=parse_fps(120)))
-    body = map_joints(motion, "smpl22")
-    path = body[-1, 0] - body[0, 0]
-    assert abs(path[2]) > 5 * abs(path[0])
-    sign = np.sign(path[2])
-    across = body[:, SMPL22.index("left_shoulder")] - body[:, SMPL22.index("right_shoulder")]
-    assert (np.sign(across[:, 0]) == sign).all()
-    assert 1.35 < np.median(body[:, SMPL22.index("head"), 1]) < 1.75
-
-
 def bone(body: np.ndarray, one: str, other: str) -> float:
     return float(np.linalg.norm(body[:, SMPL22.index(one)] - body[:, SMPL22.index(other)], axis=-1).mean())
+
+
+# Lengths of bones of a person, metres.
+BONES = {
+    **{(f"{side}_{one}", f"{side}_{other}"): limits for side in ("left", "right") for one, other, limits in (
+        ("hip", "knee", (0.34, 0.52)), ("knee", "ankle", (0.36, 0.50)), ("ankle", "foot", (0.08, 0.22)),
+        ("shoulder", "elbow", (0.22, 0.35)), ("elbow", "wrist", (0.19, 0.32)),
+    )},
+    ("left_shoulder", "right_shoulder"): (0.15, 0.45),
+    ("left_hip", "right_hip"): (0.10, 0.25),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("source", ["cmu", "bandai-namco", "mixed-bvh"])
 def test_every_real_skeleton_becomes_a_human_body(captures: Path, source: str) -> None:
     # `animated_drawings` holds cartoon-sized characters in no unit at all.
     items = [item for item in scan([captures / source]).items if "animated_drawings" not in item.sequence_id]
-    step = max(1, len(items) // 40)
-    for item in items[::step]:
+    for item in items[:: max(1, len(items) // 40)]:
         motion = read(item, ReadOptions(fps=parse_fps(120)))
-        check_body(motion)
-
-
-def check_body(motion: Motion) -> None:
-    body = map_joints(motion, "smpl22")
-    for side in ("left", "right"):
-        assert 0.34 < bone(body, f"{side}_hip", f"{side}_knee") < 0.52, motion
-        assert 0.36 < bone(body, f"{side}_knee", f"{side}_ankle") < 0.50, motion
-        assert 0.22 < bone(body, f"{side}_shoulder", f"{side}_elbow") < 0.35, motion
-        assert 0.19 < bone(body, f"{side}_elbow", f"{side}_wrist") < 0.32, motion
-        assert 0.08 < bone(body, f"{side}_ankle", f"{side}_foot") < 0.22, motion
-    assert 0.15 < bone(body, "left_shoulder", "right_shoulder") < 0.45
-    assert 0.10 < bone(body, "left_hip", "right_hip") < 0.25
-    assert (
-        1.15
-        < bone(body, "left_hip", "left_knee") + bone(body, "left_knee", "left_ankle") + bone(body, "pelvis", "head")
-        < 1.7
-    )
-    # Forward is where the toes point; seen from there, +x of the body is its left.
-    across = body[:, SMPL22.index("left_hip")] - body[:, SMPL22.index("right_hip")]
-    up = body[:, SMPL22.index("neck")] - body[:, SMPL22.index("pelvis")]
-    toes = body[:, SMPL22.index("left_foot")] - body[:, SMPL22.index("left_ankle")]
-    assert np.median(np.sum(np.cross(across, up) * toes, axis=-1)) > 0, motion
-    assert map_joints(motion, "kit21").shape[1] == 21
+        body = map_joints(motion, "smpl22")
+        for (one, other), (least, most) in BONES.items():
+            assert least < bone(body, one, other) < most, (motion, one, other)
+        leg = bone(body, "left_hip", "left_knee") + bone(body, "left_knee", "left_ankle")
+        assert 1.15 < leg + bone(body, "pelvis", "head") < 1.7, motion
+        # Forward is where the toes point; seen from there, +x of the body is its left.
+        across = body[:, SMPL22.index("left_hip")] - body[:, SMPL22.index("right_hip")]
+        up = body[:, SMPL22.index("neck")] - body[:, SMPL22.index("pelvis")]
+        toes = body[:, SMPL22.index("left_foot")] - body[:, SMPL22.index("left_ankle")]
+        assert np.median(np.sum(np.cross(across, up) * toes, axis=-1)) > 0, motion
+        assert map_joints(motion, "kit21").shape[1] == 21

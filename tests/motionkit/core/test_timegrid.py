@@ -26,16 +26,16 @@ def test_framerates_are_read_exactly(value: object, fps: Fraction) -> None:
     assert parse_fps(value) == fps  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("value", [0, -1, float("nan"), float("inf"), 1e9, "0"])
-def test_impossible_framerates_are_refused(value: object) -> None:
-    with pytest.raises(ValueError, match="framerate"):
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        *((value, "framerate") for value in (0, -1, float("nan"), float("inf"), 1e9, "0")),
+        *((value, f"such as 120, 59.94 or 30000/1001, not '{value}'") for value in ("fast", "1/0", "30/x", "")),
+    ],
+)
+def test_impossible_framerates_are_refused(value: object, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         parse_fps(value)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("value", ["fast", "1/0", "30/x", ""])
-def test_what_is_no_number_is_refused_with_examples_of_one(value: str) -> None:
-    with pytest.raises(ValueError, match=f"such as 120, 59.94 or 30000/1001, not '{value}'"):
-        parse_fps(value)
 
 
 def test_time_stamps_do_not_drift() -> None:
