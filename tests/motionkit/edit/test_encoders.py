@@ -44,6 +44,9 @@ def package(install: Callable[..., None]) -> None:
 
 def test_a_registered_encoder_is_loaded_from_the_run(tmp_path: Path, package: None) -> None:
     assert "borrowed" in trained_encoder_names()
+    loader = installed_encoders()["borrowed"]
+    assert (loader.title, loader.stages, loader.preferred) == ("borrowed", ("borrowed",), False)
+    assert "borrowed" in installed_encoders("extrapolation") and "borrowed" not in installed_encoders("reconstruction")
     (tmp_path / "wanted.txt").write_text("linear", encoding="utf-8")
     encoder = encoder_loader("borrowed").load(tmp_path)
     assert isinstance(encoder, MotionEncoder)
@@ -60,12 +63,6 @@ def test_tables_find_encoders_by_their_task() -> None:
     assert list(installed_encoders("inbetweening"))[:3] == ["pahires", "delta-interp", "ts-former"]
     assert list(installed_encoders("extrapolation")) == ["pahires"]
     assert list(installed_encoders("reconstruction")) == ["nerm"]
-
-
-def test_a_plain_function_is_for_completion_and_trained_by_the_stage_of_its_name(package: None) -> None:
-    loader = installed_encoders()["borrowed"]
-    assert (loader.title, loader.stages, loader.preferred) == ("borrowed", ("borrowed",), False)
-    assert "borrowed" in installed_encoders("extrapolation") and "borrowed" not in installed_encoders("reconstruction")
 
 
 def test_clips_are_completed_by_the_preferred_encoder_that_is_trained(
