@@ -1,6 +1,7 @@
 """`motionkit export`: a store's motions as files again."""
 
 from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -84,13 +85,14 @@ def _kind(format: str | None) -> "Export":
 
 
 def _character(path: Path, format: str | None, plant: bool, skeleton_maps: list[Path] | None) -> "Export":
-    from motionkit.edit.export.run import character_kind
-    from motionkit.io.character import read_character
+    from motionkit.edit.export.files import export_files
+    from motionkit.edit.export.run import Export
+    from motionkit.io.character import character_format, read_character
 
     character = read_character(path, read_options(None, skeleton_maps))
     if format not in (None, {".glb": "gltf"}.get(character.suffix, character.suffix[1:])):
         raise UsageError(f"--onto {path} writes files like it: leave --format {format} out")
-    return character_kind(character, plant)
+    return Export(character.suffix[1:], partial(export_files, format=character_format(character, plant)))
 
 
 def _print_remarks(report: "ExportReport", store: Path) -> None:

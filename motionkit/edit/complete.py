@@ -126,8 +126,16 @@ class CompletionRequest:
                 "nothing to complete: give fps (120), the frames to keep (0:10,40:50), or the seconds to extend it by "
                 "(0.5,1)"
             )
-        if self.keep is not None and not isinstance(self.keep, np.ndarray):
-            check_ranges(self.keep)
+        if self.keep is None or isinstance(self.keep, np.ndarray):
+            return
+        if not self.keep:
+            raise UsageError("keep is empty: keep at least one frame")
+        for start, stop in self.keep:
+            if stop is not None and stop <= start:
+                raise UsageError(f"keep: {_shown(start, stop)} holds no frame; it ends before its second number")
+        for first, second in pairwise(sorted(self.keep, key=lambda each: each[0])):
+            if first[1] is None or first[1] > second[0]:
+                raise UsageError(f"keep: {_shown(*first)} and {_shown(*second)} overlap")
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,8 +252,13 @@ def complete_file(
     with whole_file(path) as temporary:
         write_edited(completed.edited, loaded, temporary)
         if page is not None:
-            others = [completed_motion(loaded, request, each) for each in compared]
-            _write_page(page, source.name, loaded, [completed, *others])
+            observed = np.isin(np.arange(loaded.motion.num_frames), completed.edited.known.frames)
+            panel = loaded.panel("the clip")
+            panel = replace(panel, observed=None if observed.all() else observed, gap_label="left out")
+            all_completed = [completed, *(completed_motion(loaded, request, each) for each in compared)]
+            versions = [Version(each.encoder, each.edited.motion, each.edited.is_given) for each in all_completed]
+            page_note = "Dark are frames that were given, orange are those that were made."
+            write_comparison(page, source.name, panel, versions, others="made", note=page_note)
     warnings = [*completed.warnings, *filter(None, [loaded.note])]
     details = {
         "encoder": completed.encoder,
@@ -259,27 +272,6 @@ def complete_file(
         "warnings": warnings,
     }
     return WrittenMotion(source.name, path, page, details, [f"warning: {source.name}: {each}" for each in warnings])
-
-
-def _write_page(path: Path, title: str, loaded: LoadedMotion, versions: Sequence[CompletedMotion]) -> None:
-    """Write a page of a motion and its completions by name, each at its own framerate."""
-    observed = np.isin(np.arange(loaded.motion.num_frames), versions[0].edited.known.frames)
-    source = replace(loaded.panel("the clip"), observed=None if observed.all() else observed, gap_label="left out")
-    completions = [Version(each.encoder, each.edited.motion, each.edited.is_given) for each in versions]
-    note = "Dark are frames that were given, orange are those that were made."
-    write_comparison(path, title, source, completions, others="made", note=note)
-
-
-def check_ranges(ranges: Sequence[FrameRange]) -> None:
-    """Raise `UsageError` for no range, and for ranges that are empty or overlap."""
-    if not ranges:
-        raise UsageError("keep is empty: keep at least one frame")
-    for start, stop in ranges:
-        if stop is not None and stop <= start:
-            raise UsageError(f"keep: {_shown(start, stop)} holds no frame; it ends before its second number")
-    for first, second in pairwise(sorted(ranges, key=lambda each: each[0])):
-        if first[1] is None or first[1] > second[0]:
-            raise UsageError(f"keep: {_shown(*first)} and {_shown(*second)} overlap")
 
 
 def kept_frames(keep: Sequence[FrameRange] | Frames | None, num_frames: int) -> Frames:
@@ -318,7 +310,6 @@ def parse_keep(text: str) -> tuple[FrameRange, ...]:
         start = int(match["start"] or 0)
         stop = (int(match["stop"]) if match["stop"] else None) if match["colon"] else start + 1
         ranges.append((start, stop))
-    check_ranges(ranges)
     return tuple(ranges)
 
 
@@ -327,18 +318,16 @@ def parse_extend(text: str) -> tuple[Reach, Reach]:
 
     Raises `UsageError`.
     """
-    reaches = [_parse_reach(reach.strip(), text) for reach in text.split(",")]
+    reaches = []
+    for reach in map(str.strip, text.split(",")):
+        number = reach.removesuffix("f")
+        try:
+            amount = float(number)
+        except ValueError:
+            amount = math.nan
+        if not 0 <= amount < math.inf or (reach != number and amount % 1):
+            raise UsageError(f"extend {text}: {reach!r} is neither seconds (0.5) nor a whole number of frames (15f)")
+        reaches.append(Reach(amount, reach != number))
     if len(reaches) > 2:
         raise UsageError(f"extend {text}: expected BEFORE,AFTER, not {len(reaches)} numbers")
     return (Reach(0.0), reaches[0]) if len(reaches) == 1 else (reaches[0], reaches[1])
-
-
-def _parse_reach(reach: str, text: str) -> Reach:
-    number = reach.removesuffix("f")
-    try:
-        amount = float(number)
-    except ValueError:
-        amount = math.nan
-    if not 0 <= amount < math.inf or (reach != number and amount % 1):
-        raise UsageError(f"extend {text}: {reach!r} is neither seconds (0.5) nor a whole number of frames (15f)")
-    return Reach(amount, reach != number)

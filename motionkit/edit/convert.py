@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from motionkit.core.errors import MotionkitError, UsageError
+from motionkit.core.errors import UsageError
 from motionkit.core.files import whole_file
 from motionkit.core.framerate import Framerate, format_fps, parse_fps
 from motionkit.core.motion import Motion
@@ -51,29 +51,20 @@ def convert(
     if isinstance(motion, Motion):
         if up is not None and up not in GIVEN_AXES:
             raise UsageError(f"up is {up!r}, expected the axis x, y or z that points up")
-        loaded = LoadedMotion.of(_turned(motion, up or "y"))
+        motion = turned(motion, up or "y")
+        for line in log_lines(up or "y"):
+            motion = motion.logged(line)
+        loaded = LoadedMotion.of(motion)
     else:
         loaded = load_motion(motion, read_options(up=up))
     character = None if rig is None else read_character(Path(rig), ReadOptions())
     return converted_motion(loaded, None if fps is None else parse_fps(fps), character)
 
 
-def _turned(motion: Motion, up: str) -> Motion:
-    motion = turned(motion, up)
-    for line in log_lines(up):
-        motion = motion.logged(line)
-    return motion
-
-
 def converted_motion(loaded: LoadedMotion, fps: Fraction | None, character: Character | None) -> Motion:
     """The motion at a framerate, on a character's rig; None keeps its own. Raises `MotionkitError`."""
-    motion, num_lost = loaded.motion, int((~loaded.valid).sum())
-    if num_lost:
-        raise MotionkitError(f"{num_lost:,} of its {len(loaded.valid):,} frames hold nan: complete it first")
-    if loaded.uneven_seconds is not None:
-        raise MotionkitError("its frames are uneven in time: complete it first, with --fps")
-    if fps is not None:
-        motion = resample(motion, fps)
+    loaded.check_complete()
+    motion = loaded.motion if fps is None else resample(loaded.motion, fps)
     return motion if character is None else character.perform(motion)
 
 

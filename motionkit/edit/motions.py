@@ -53,6 +53,14 @@ class LoadedMotion:
         """A motion in memory, all of whose frames are valid."""
         return LoadedMotion(motion, np.ones(motion.num_frames, bool))
 
+    def check_complete(self) -> None:
+        """Raise `MotionkitError` for frames that hold nan or are uneven in time."""
+        if not self.valid.all():
+            lost = int((~self.valid).sum())
+            raise MotionkitError(f"{lost:,} of its {len(self.valid):,} frames hold nan: complete it first")
+        if self.uneven_seconds is not None:
+            raise MotionkitError("its frames are uneven in time: complete it first, with --fps")
+
     @property
     def seconds(self) -> Float64[np.ndarray, "frames"]:
         """Times of the frames."""

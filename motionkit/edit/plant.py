@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from motionkit.core.errors import MotionkitError
 from motionkit.core.files import whole_file
 from motionkit.core.framerate import format_fps
 from motionkit.core.motion import Motion
@@ -19,7 +18,6 @@ from motionkit.edit.motions import (
     load_motion,
     write_edited,
 )
-from motionkit.fields.contact.correction import Correction
 from motionkit.fields.contact.correction import Path as BodyPath
 from motionkit.fields.contact.detection import runs
 from motionkit.fields.contact.planted import PlantedField, planted_frames
@@ -97,12 +95,9 @@ def planted_motion(loaded: LoadedMotion, path: BodyPath) -> tuple[EditedMotion, 
 
     Raises `MotionkitError` for frames that hold nan or are uneven in time.
     """
-    motion, valid = loaded.motion, loaded.valid
-    if not valid.all():
-        raise MotionkitError(f"{int((~valid).sum()):,} of its {len(valid):,} frames hold nan: complete it first")
-    if loaded.uneven_seconds is not None:
-        raise MotionkitError("its frames are uneven in time: complete it first, with --fps")
-    field, seconds = planted_frames(loaded.observation(valid), motion.timegrid, path), loaded.seconds
+    loaded.check_complete()
+    motion, seconds = loaded.motion, loaded.seconds
+    field = planted_frames(loaded.observation(loaded.valid), motion.timegrid, path)
     change, moved = measure_change(field, seconds)
     poses, unmoved = loaded.poses.copy(), np.flatnonzero(~moved)
     if moved.any():
@@ -153,18 +148,23 @@ def measure_change(
         float((field.correction.ground.floor - field.legs.foot_paths(positions)[..., 1]).max(initial=0.0))
         for positions in (before, after)
     ]
-    contacts, seconds, speeds = _contacts(field.correction)
-    level_shift, height_shift = _shifts(field.correction)
+    contacts, fps = field.correction.contacts, field.correction.fps
+    feet = field.correction.offsets[:, :1] + field.correction.offsets[:, 1:]
+    down = np.asarray(contacts.down.any(axis=-1))
+    sliding: list[float | None] = [None, None]
+    if down.any():
+        velocities = (contacts.velocity, contacts.velocity + np.gradient(feet, axis=0) * fps)
+        sliding = [float(np.hypot(each[..., 0], each[..., 2])[down].mean()) for each in velocities]
     moved = distance.max(axis=1) > MOVED_METRES
     change = Change(
-        num_contacts=contacts,
-        contact_seconds=seconds,
-        sliding_before=speeds[0],
-        sliding_after=speeds[1],
+        num_contacts=sum(len(runs(down[:, foot])[0]) for foot in range(2)),
+        contact_seconds=int(down.sum()) / fps,
+        sliding_before=sliding[0],
+        sliding_after=sliding[1],
         below_ground_before=depth[0],
         below_ground_after=depth[1],
-        largest_level_shift=level_shift,
-        largest_height_shift=height_shift,
+        largest_level_shift=float(np.hypot(feet[..., 0], feet[..., 2]).max()),
+        largest_height_shift=float(np.abs(feet[..., 1]).max()),
         has_fixed_bones=field.bones is not None,
         largest_change=float(distance.max()),
         largest_pose_change=float(np.linalg.norm(step - step[:, :1], axis=-1).max()),
@@ -172,20 +172,3 @@ def measure_change(
         moved_share=float(moved.mean()),
     )
     return change, moved
-
-
-def _contacts(correction: Correction) -> tuple[int, float, tuple[float | None, float | None]]:
-    """Number and seconds of a foot's contacts, and its speed there without and with the correction."""
-    if not correction.contacts.down.any():
-        return 0, 0.0, (None, None)
-    down, velocity = np.asarray(correction.contacts.down.any(axis=-1)), correction.contacts.velocity
-    moves = np.gradient(correction.offsets[:, :1] + correction.offsets[:, 1:], axis=0) * correction.fps
-    before, after = (float(np.hypot(each[..., 0], each[..., 2])[down].mean()) for each in (velocity, velocity + moves))
-    count = sum(len(runs(down[:, foot])[0]) for foot in range(2))
-    return count, int(down.sum()) / correction.fps, (before, after)
-
-
-def _shifts(correction: Correction) -> tuple[float, float]:
-    """The largest offset of a foot along the ground, and up or down."""
-    feet = correction.offsets[:, :1] + correction.offsets[:, 1:]
-    return float(np.hypot(feet[..., 0], feet[..., 2]).max()), float(np.abs(feet[..., 1]).max())

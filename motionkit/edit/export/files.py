@@ -117,18 +117,18 @@ def export_files(selection: Selection, folder: Path, format: Format) -> Iterator
         for motion, name in zip(selection.motions(), names, strict=True):
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
+            written = motion
             try:
+                if is_shared:
+                    joints = map_joints(motion, SMPL22.name)
+                    written = Motion(joints, SMPL22, motion.timegrid, sequence_id=motion.sequence_id)
                 with naming(path):
-                    format.write(_with_22_joints(motion) if is_shared else motion, path)
+                    format.write(written, path)
             except SkeletonMapError as error:
                 yield Outcome(motion.sequence_id, "skeleton", str(error))
                 continue
             add_row(motion, name)
             yield Outcome(motion.sequence_id)
-
-
-def _with_22_joints(motion: Motion) -> Motion:
-    return Motion(map_joints(motion, SMPL22.name), SMPL22, motion.timegrid, sequence_id=motion.sequence_id)
 
 
 @contextmanager

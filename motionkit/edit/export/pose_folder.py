@@ -20,15 +20,7 @@ from motionkit.core.skeletons.mapping import SkeletonMapError, map_joints
 from motionkit.edit.export.files import Outcome, Selection, file_names, motion_table, render
 from motionkit.features import humanml3d
 from motionkit.io import joints_npy
-from motionkit.io.humanml3d import (
-    HUMANML3D,
-    JOINTS_FOLDER,
-    KIT,
-    LAYOUTS,
-    Entry,
-    FolderWriter,
-    Layout,
-)
+from motionkit.io.humanml3d import HUMANML3D, JOINTS_FOLDER, KIT, LAYOUTS, Entry, FolderWriter, Layout
 from motionkit.io.texts import SPLITS
 
 README = "README.md"
@@ -58,22 +50,13 @@ class Kind:
         return replace(self, layout=replace(self.layout, fps=fps))
 
 
-# KIT21 is in units of the body's height, KIT-ML's files in thousandths of it.
+# 22 joints in metres and vectors of 263 numbers; 21 joints in thousandths of the body's height and vectors of 251.
 HUMANML3D_KIND = Kind(HUMANML3D, 1.0, 40)
 KIT_KIND = Kind(KIT, 1000.0, 24)
 
 
-def export_humanml3d(selection: Selection, folder: Path) -> Iterator[Outcome]:
-    """Write a folder of HumanML3D's form: 22 joints in metres, vectors of 263 numbers, at the selection's framerate."""
-    return _export(selection, folder, HUMANML3D_KIND)
-
-
-def export_kit(selection: Selection, folder: Path) -> Iterator[Outcome]:
-    """Write a folder of KIT-ML's form: 21 joints in thousandths of a body's height, vectors of 251 numbers."""
-    return _export(selection, folder, KIT_KIND)
-
-
-def _export(selection: Selection, folder: Path, kind: Kind) -> Iterator[Outcome]:
+def export_pose_folder(selection: Selection, folder: Path, kind: Kind) -> Iterator[Outcome]:
+    """Write a folder of the published form at the selection's framerate; yields the outcome of each sequence."""
     (fps,) = selection.framerates
     kind = kind.at(fps)
     names = [name.name for name in file_names(selection.sequence_ids)]
@@ -97,7 +80,20 @@ def _export(selection: Selection, folder: Path, kind: Kind) -> Iterator[Outcome]
             outcome = Outcome(motion.sequence_id, lacks=tuple(what for what, missing in is_missing.items() if missing))
             lacks.update(outcome.lacks)
             yield outcome
-    _describe(folder, kind, writer.finish(), lacks)
+    num_sequences, layout, published = writer.finish(), kind.layout, LAYOUTS[kind.layout.name].fps
+    write_folder_manifest(folder, layout)
+    text = render(
+        "pose_folder.md.j2",
+        layout=layout,
+        fps=f"{float(layout.fps):.6g}",
+        published_fps=f"{float(published):.6g}",
+        is_published=layout.fps == published,
+        smoothing_seconds=float(Fraction(humanml3d.SMOOTHING_FRAMES) / layout.fps),
+        num_sequences=num_sequences,
+        loader_min_frames=kind.loader_min_frames,
+        lacks=lacks,
+    )
+    (folder / README).write_text(text, encoding="utf-8")
 
 
 def pose_entry(motion: Motion, name: str, kind: Kind) -> Entry | Outcome:
@@ -128,22 +124,3 @@ def write_folder_manifest(folder: Path, layout: Layout) -> None:
         "published_fps": format_fps(LAYOUTS[layout.name].fps),
     }
     write_json(folder / joints_npy.MANIFEST, manifest)
-
-
-def _describe(folder: Path, kind: Kind, num_sequences: int, lacks: Counter[str]) -> None:
-    """Describe the folder, for readers (`motions.json`) and for people (`README.md`)."""
-    layout = kind.layout
-    published = LAYOUTS[layout.name].fps
-    write_folder_manifest(folder, layout)
-    text = render(
-        "pose_folder.md.j2",
-        layout=layout,
-        fps=f"{float(layout.fps):.6g}",
-        published_fps=f"{float(published):.6g}",
-        is_published=layout.fps == published,
-        smoothing_seconds=float(Fraction(humanml3d.SMOOTHING_FRAMES) / layout.fps),
-        num_sequences=num_sequences,
-        loader_min_frames=kind.loader_min_frames,
-        lacks=lacks,
-    )
-    (folder / README).write_text(text, encoding="utf-8")

@@ -10,9 +10,7 @@ from typing import Any
 from motionkit.core.errors import MotionkitError
 from motionkit.core.files import require_empty, whole_folder
 from motionkit.edit.export.files import Outcome, Selection, export_files
-from motionkit.edit.export.pose_folder import export_humanml3d, export_kit
-from motionkit.io.character import Character, character_format
-from motionkit.io.humanml3d import HUMANML3D, KIT
+from motionkit.edit.export.pose_folder import HUMANML3D_KIND, KIT_KIND, export_pose_folder
 from motionkit.io.registry import writers
 from motionkit.store import Store, StoreWriter
 from motionkit.store.commit import LOCK_FILE
@@ -37,8 +35,8 @@ def export_kinds() -> Mapping[str, Export]:
     """All output formats: a file per motion in every writable format, and data sets."""
     kinds = (
         *(Export(name, partial(export_files, format=each)) for name, each in writers().items()),
-        Export("humanml3d", export_humanml3d, HUMANML3D.fps),
-        Export("kit", export_kit, KIT.fps),
+        Export("humanml3d", partial(export_pose_folder, kind=HUMANML3D_KIND), HUMANML3D_KIND.layout.fps),
+        Export("kit", partial(export_pose_folder, kind=KIT_KIND), KIT_KIND.layout.fps),
         Export("parquet", export_parquet),
     )
     return {kind.name: kind for kind in kinds}
@@ -52,11 +50,6 @@ def export_parquet(selection: Selection, folder: Path) -> Iterator[Outcome]:
             yield Outcome(motion.sequence_id)
     (folder / LOCK_FILE).unlink()
     (folder / "README.md").write_text(store_card(summarise(Store.open(folder)), "OUT"), encoding="utf-8")
-
-
-def character_kind(character: Character, plant: bool) -> Export:
-    """Motions on a character's rig, in files of the character's format."""
-    return Export(character.suffix[1:], partial(export_files, format=character_format(character, plant)))
 
 
 @dataclass(frozen=True)
