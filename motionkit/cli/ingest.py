@@ -4,10 +4,9 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -16,20 +15,6 @@ from motionkit.cli.options import SkeletonMaps, Up, of_default, parse_rate, read
 from motionkit.core.errors import FormatError, MotionkitError, UsageError
 from motionkit.core.files import default_path
 from motionkit.core.plain_text import printable
-
-
-class Compat(StrEnum):
-    """The frame convention to reproduce."""
-
-    HUMANML3D_20FPS = "humanml3d-20fps"
-
-
-class OnError(StrEnum):
-    """What to do about a bad file."""
-
-    SKIP = "skip"
-    STOP = "stop"
-
 
 Sources = Annotated[
     list[str],
@@ -51,7 +36,8 @@ SplitsFolder = Annotated[
 ]
 Mirrored = Annotated[bool, typer.Option("--mirrored", help="The index's mirrored sequences too, M000000 …")]
 Published = Annotated[
-    Compat | None, typer.Option(help="Only the frames that HumanML3D published, not every native one.")
+    Literal["humanml3d-20fps"] | None,
+    typer.Option(help="Only the frames that HumanML3D published, not every native one."),
 ]
 GivenFps = Annotated[str | None, typer.Option(help="Framerate that replaces what files say: 120, 30000/1001.")]
 FpsRules = Annotated[
@@ -74,7 +60,8 @@ SkipFrames = Annotated[
     int, typer.Option(min=0, help="Frames to skip at the start of every file; a column skip_frames sets it for one.")
 ]
 OnErrorChoice = Annotated[
-    OnError, typer.Option(help="skip: bad sequences are reported. stop: the first one leaves the store as it was.")
+    Literal["skip", "stop"],
+    typer.Option(help="skip: bad sequences are reported. stop: the first one leaves the store as it was."),
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the store instead of adding to it.")]
 Workers = Annotated[
@@ -109,7 +96,7 @@ def ingest(
     skeleton_map: SkeletonMaps = None,
     body_models: BodyModels = None,
     skip_frames: SkipFrames = 0,
-    on_error: OnErrorChoice = OnError.SKIP,
+    on_error: OnErrorChoice = "skip",
     overwrite: Overwrite = False,
     workers: Workers = None,
     engine: EngineName = "local",
@@ -147,7 +134,7 @@ def ingest(
         report = ingest_sources(
             *(paths, store or default_path("store")),
             options=options,
-            on_error=on_error.value,
+            on_error=on_error,
             overwrite=overwrite,
             num_workers=workers,
             engine=engine,
@@ -156,7 +143,7 @@ def ingest(
             on_warning=partial(print_fault, prefix="warning: "),
         )
     print_json(_as_json(report)) if as_json else _print_summary(report, of_default("--store", store))
-    if report.problems and on_error is OnError.STOP:
+    if report.problems and on_error == "stop":
         raise MotionkitError(f"stopped at the first problem; the store {report.store} is as it was")
     if not report.num_in_store:
         raise MotionkitError(f"nothing could be stored in {report.store}")
