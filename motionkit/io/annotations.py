@@ -135,23 +135,23 @@ def annotated(item: SourceItem, tables: Iterable[AnnotationTable]) -> SourceItem
 def _unknown_columns(names: Sequence[str], path: Path) -> Iterator[FormatError]:
     unknown = [name for name in names if name not in COLUMNS | OTHER_COLUMNS]
     if unknown:
-        listed = ", ".join(f"{shown(name)}{suggestion(name, COLUMNS)}" for name in unknown[:SHOWN])
-        more = f" and {len(unknown) - SHOWN:,} more" if len(unknown) > SHOWN else ""
-        message = f"{'columns that are' if len(unknown) > 1 else 'a column that is'} not read: {listed}{more}"
+        listed = _listed([f"{shown(name)}{suggestion(name, COLUMNS)}" for name in unknown])
+        message = f"{'columns that are' if len(unknown) > 1 else 'a column that is'} not read: {listed}"
         yield FormatError(message, path=path, reason="unknown-column", line=1)
 
 
 def _unknown_splits(rows: Iterable[Annotation], path: Path) -> Iterator[FormatError]:
     unknown = [row for row in rows if row.get("split", SPLITS[0]) not in SPLITS]
     if unknown:
-        counts = Counter(row["split"] for row in unknown)
-        listed = ", ".join(
-            f"{shown(split)}{suggestion(split, SPLITS)} in {count:,} row{'s'[: count > 1]}"
-            for split, count in counts.most_common(SHOWN)
-        )
-        more = f" and {len(counts) - SHOWN:,} more" if len(counts) > SHOWN else ""
-        message = f"split {listed}{more}; commands know {', '.join(SPLITS)}"
+        counts = Counter(f"{shown(row['split'])}{suggestion(row['split'], SPLITS)}" for row in unknown)
+        listed = _listed([f"{split} in {count:,} row{'s'[: count > 1]}" for split, count in counts.most_common()])
+        message = f"split {listed}; commands know {', '.join(SPLITS)}"
         yield FormatError(message, path=path, reason="unknown-split", line=unknown[0]["line"])
+
+
+def _listed(words: Sequence[str]) -> str:
+    more = f" and {len(words) - SHOWN:,} more" if len(words) > SHOWN else ""
+    return ", ".join(words[:SHOWN]) + more
 
 
 def _inside(name: str | None, folder: Path, path: Path, line: int) -> Path:
