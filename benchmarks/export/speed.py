@@ -19,8 +19,7 @@ from rich.table import Table
 from benchmarks.command import arguments_parser, print_table_and_json
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Motion
-from motionkit.edit.export.files import Outcome, Selection
-from motionkit.edit.export.run import export, export_kinds
+from motionkit.edit.export import Outcome, Selection, export, export_kinds
 from motionkit.store import Store
 
 PAGE_BYTES = 4096

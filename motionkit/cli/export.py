@@ -14,7 +14,7 @@ from motionkit.core.files import default_path
 from motionkit.core.progress import task
 
 if TYPE_CHECKING:
-    from motionkit.edit.export.run import Export, ExportReport
+    from motionkit.edit.export import Export, ExportReport
 
 MEGABYTE = 1e6
 FORMATS = "bvh, amass, joints-npy, npz, csv, robot-csv, gltf, humanml3d, kit, parquet"
@@ -51,8 +51,8 @@ def export(
 
     Example: motionkit export out --format npz --where "split = 'test'"
     """
-    from motionkit.edit.export.files import Selection
-    from motionkit.edit.export.run import export as export_selection
+    from motionkit.edit.export import Selection
+    from motionkit.edit.export import export as export_selection
     from motionkit.store import Store
 
     rate = parse_rate(fps)
@@ -76,7 +76,7 @@ def export(
 
 
 def _kind(format: str | None) -> "Export":
-    from motionkit.edit.export.run import export_kinds
+    from motionkit.edit.export import export_kinds
 
     kinds = export_kinds()
     if (format or "bvh") not in kinds:
@@ -85,8 +85,7 @@ def _kind(format: str | None) -> "Export":
 
 
 def _character(path: Path, format: str | None, plant: bool, skeleton_maps: list[Path] | None) -> "Export":
-    from motionkit.edit.export.files import export_files
-    from motionkit.edit.export.run import Export
+    from motionkit.edit.export import Export, export_files
     from motionkit.io.character import character_format, read_character
 
     character = read_character(path, read_options(None, skeleton_maps))
@@ -97,7 +96,7 @@ def _character(path: Path, format: str | None, plant: bool, skeleton_maps: list[
 
 def _print_remarks(report: "ExportReport", store: Path) -> None:
     """Print which sequences are left out, and what the others lack."""
-    from motionkit.edit.export.pose_folder import MISSING
+    from motionkit.edit.export import MISSING
 
     for outcome in report.left_out[:SHOWN_LEFT_OUT]:
         stderr.print(f"left out {outcome.sequence_id}: {outcome.message}")

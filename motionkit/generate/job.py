@@ -21,7 +21,7 @@ import numpy as np
 from motionkit.core.errors import UsageError
 from motionkit.core.files import LOCK, is_temporary, locked_folder, read_json, write_json, write_whole
 from motionkit.core.framerate import format_fps
-from motionkit.edit.export.files import TABLE, captions_json
+from motionkit.edit.export import TABLE, captions_json
 from motionkit.fields.detail import Detail, detailed
 from motionkit.fields.motion_field import MotionField
 from motionkit.generate.constraints import followed

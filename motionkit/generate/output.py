@@ -16,8 +16,7 @@ from motionkit.core.progress import warn
 from motionkit.core.shapes import Float64
 from motionkit.core.skeletons.mapping import SkeletonMapError
 from motionkit.core.timegrid import TimeGrid
-from motionkit.edit.export.files import Outcome
-from motionkit.edit.export.pose_folder import HUMANML3D_KIND, pose_entry, write_folder_manifest
+from motionkit.edit.export import HUMANML3D_KIND, Outcome, pose_entry, write_folder_manifest
 from motionkit.fields.contact.planted import planted
 from motionkit.fields.motion_field import MotionField, at_fps
 from motionkit.generate.long_motions import Script, captions_of

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from motionkit.edit.export.files import render
+from motionkit.edit.export import render
 
 if TYPE_CHECKING:
     from motionkit.store.reports import StoreSummary

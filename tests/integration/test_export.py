@@ -18,7 +18,7 @@ from motionkit.core.kinematics import forward_kinematics
 from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
-from motionkit.edit.export.run import export_kinds
+from motionkit.edit.export import export_kinds
 from motionkit.io.bvh_writing import write_bvh
 from motionkit.io.registry import writers
 from motionkit.io.smpl_body import mean_shape_skeleton
@@ -110,7 +110,7 @@ def test_what_a_folder_of_humanml3d_s_form_is_without_is_reported(motionkit, bod
 
 def patch_writer(monkeypatch, write):
     """BVH files are written by `write`."""
-    monkeypatch.setattr("motionkit.edit.export.run.writers", lambda: {"bvh": replace(writers()["bvh"], write=write)})
+    monkeypatch.setattr("motionkit.edit.export.writers", lambda: {"bvh": replace(writers()["bvh"], write=write)})
 
 
 def test_a_fault_half_way_leaves_nothing(motionkit, bodies, tmp_path, monkeypatch):

@@ -7,8 +7,7 @@ import pytest
 
 from motionkit.core.kinematics import forward_kinematics
 from motionkit.core.motion import Motion
-from motionkit.edit.export.files import Selection
-from motionkit.edit.export.run import export, export_kinds
+from motionkit.edit.export import Selection, export, export_kinds
 from motionkit.features import humanml3d
 from motionkit.io.amass import read_amass
 from motionkit.io.reading import read

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from motionkit.core.motion import Caption, Motion, Provenance
-from motionkit.edit.export.files import Selection
-from motionkit.edit.export.run import ExportReport, export, export_kinds
+from motionkit.edit.export import ExportReport, Selection, export, export_kinds
 from motionkit.fields.motion_field import to_motion
 from motionkit.store import Store, StoreWriter
 from motionkit.store.ingest import ingest

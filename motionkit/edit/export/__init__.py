@@ -1,1 +1,0 @@
-"""Export from a store: one module per output format, and the atomic output folder."""
