@@ -1,4 +1,4 @@
-"""The page: one file without anything to load, whatever names hold; too much of it is refused with a way out."""
+"""The player: what is drawn of a skeleton, positions as text and back, and the page, one file that loads nothing."""
 
 import json
 import re
@@ -6,18 +6,161 @@ import shutil
 import subprocess
 from dataclasses import replace
 from fractions import Fraction
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from motionkit.core.errors import MotionkitError
+from motionkit.core.kinematics import quaternion_rotate
 from motionkit.core.motion import Caption
-from motionkit.core.skeleton import SMPL22
+from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import rest_positions
-from motionkit.viz.player import Panel, write_page
+from motionkit.fields.motion_field import to_motion
+from motionkit.viz.player import Packed, Panel, drawing_of, pack, packed_bytes, write_page
+from tests.helpers.analytic import analytic_motion
 from tests.helpers.packed import unpack
+
+
+def test_bones_sides_and_ends_of_the_22_joints() -> None:
+    drawing = drawing_of(SMPL22, rest_positions(SMPL22)[None])
+    assert drawing.bones == SMPL22.parents
+    assert [SMPL22.joint_names[joint] for joint in drawing.ends] == [
+        *("left_foot", "right_foot", "left_wrist", "right_wrist"),
+    ]
+    sides = {"left": -1, "right": 1}
+    assert drawing.sides == tuple(sides.get(name.split("_")[0], 0) for name in SMPL22.joint_names)
+    assert SMPL22.joint_names[drawing.head] == "head"
+
+
+@pytest.mark.parametrize("turned", [-2.5, -0.4, 0.0, 1.2, 3.0])
+@pytest.mark.parametrize("skeleton", [SMPL22, KIT21])
+def test_the_front_is_where_the_body_was_turned_to(skeleton: Skeleton, turned: float) -> None:
+    turn = np.array([np.cos(turned / 2), 0, np.sin(turned / 2), 0], np.float32)
+    positions = rest_positions(skeleton)
+    drawing = drawing_of(skeleton, quaternion_rotate(np.broadcast_to(turn, (len(positions), 4)), positions)[None])
+    # KIT's hips are at the other side of X: its bodies face Z- at rest.
+    faces = turned if skeleton is SMPL22 else turned + np.pi
+    np.testing.assert_allclose(np.exp(1j * drawing.yaw), np.exp(1j * faces), atol=1e-2)
+
+
+def test_a_joint_that_travels_hangs_on_no_bone() -> None:
+    motion = to_motion(analytic_motion("walk", 2.0), Fraction(30))
+    still = Skeleton(
+        "on-the-floor",
+        ("reference", *motion.skeleton.joint_names),
+        (-1, *(parent + 1 for parent in motion.skeleton.parents)),
+        np.concatenate([np.zeros((1, 3), np.float32), motion.skeleton.offsets]),
+    )
+    positions = np.concatenate([np.zeros((motion.num_frames, 1, 3), np.float32), motion.joint_positions], axis=1)
+    bones = drawing_of(still, positions).bones
+    assert bones[:2] == (-1, -1) and bones[2:] == still.parents[2:]
+
+
+def test_what_no_table_knows_is_drawn_all_the_same() -> None:
+    names = ("body", "leg", "paw", "tail")
+    dog = Skeleton("dog", names, (-1, 0, 1, 0), np.eye(4, 3, dtype=np.float32))
+    drawing = drawing_of(dog, rest_positions(dog)[None])
+    assert drawing.ends == (2, 3) and drawing.head == -1 and drawing.yaw == 0 and drawing.sides == (0, 0, 0, 0)
+
+
+def test_markers_are_points() -> None:
+    markers = Skeleton("markers", ("LFHD", "RFHD", "C7"), (-1, 0, 0), np.zeros((3, 3), np.float32))
+    drawing = drawing_of(markers, np.ones((2, 3, 3), np.float32))
+    assert drawing.bones == (-1, -1, -1) and drawing.ends == ()
+
+
+@st.composite
+def bodies(draw: st.DrawFn) -> np.ndarray:
+    """Positions of a few joints, some of them far from the first and from the origin."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    shape = (draw(st.integers(1, 6)), draw(st.integers(1, 8)), 3)
+    reach, away = draw(st.sampled_from([0.5, 3.0, 400.0])), draw(st.sampled_from([0.0, 400.0]))
+    return (rng.uniform(-reach, reach, shape) + away).astype(np.float32)
+
+
+@given(bodies())
+def test_positions_come_back_to_half_a_step(positions: np.ndarray) -> None:
+    packed = pack(positions)
+    reach = np.abs(positions - positions[:, :1]).max()
+    assert packed["stepMetres"] == pytest.approx(max(1e-4, reach / 32767))
+    # What float32 adds at 400 m is 15 µm.
+    error = np.abs(unpack(packed) - positions).max()
+    assert error <= packed["stepMetres"] / 2 + 2 * np.spacing(np.float32(np.abs(positions).max()))
+
+
+def test_a_minute_at_120_fps_is_two_megabytes() -> None:
+    size = len(json.dumps(pack(np.zeros((7200, 31, 3), np.float32))))
+    assert size == pytest.approx(packed_bytes(7200, 31), rel=1e-3) and 1e6 < size < 2e6
+
+
+@pytest.fixture(scope="module")
+def node() -> str:
+    found = shutil.which("node")
+    if found is None:
+        pytest.skip("needs node, to run the page's script")
+    return found
+
+
+def in_script(node: str, scripts: list[str], expression: str, data: object) -> object:
+    """What an expression of `data` is to the page's own scripts."""
+    parts = resources.files("motionkit.viz") / "player_page"
+    code = "\n".join(parts.joinpath(name).read_text(encoding="utf-8") for name in scripts)
+    code += f'\nconst data = JSON.parse(require("fs").readFileSync(0));\nconsole.log(JSON.stringify({expression}));'
+    ran = subprocess.run([node, "-e", code], input=json.dumps(data), capture_output=True, text=True, check=True)
+    return json.loads(ran.stdout)
+
+
+def test_the_script_unpacks_the_same(node: str) -> None:
+    examples: list[Packed] = []
+
+    @settings(max_examples=60)
+    @given(bodies())
+    def collect(positions: np.ndarray) -> None:
+        examples.append(pack(positions))
+
+    collect()
+    answer = in_script(node, ["packing.js"], "data.map((each) => Array.from(unpack(each)))", examples)
+    assert isinstance(answer, list) and len(answer) == len(examples)
+    for numbers, packed in zip(answer, examples, strict=True):
+        np.testing.assert_allclose(np.float32(numbers), unpack(packed).ravel(), rtol=1e-6)
+
+
+def test_a_frame_is_held_until_the_next(node: str) -> None:
+    """At every framerate the frame at an instant is the last that has begun; steps land on frames exactly."""
+    takes = [
+        {"fps": fps, "startSeconds": start, "numFrames": 50, "unevenSeconds": None}
+        for fps in ([30, 1], [120, 1], [24000, 1001], [25, 2])
+        for start in (0, -0.2, 7.3)
+    ]
+    uneven = np.cumsum(np.random.default_rng(0).uniform(0.001, 0.2, 50))
+    takes.append({"fps": [10, 1], "startSeconds": uneven[0], "numFrames": 50, "unevenSeconds": uneven.tolist()})
+    asked = [{"take": take, "at": [0, 0.4, 0.99]} for take in takes]
+    answer = in_script(
+        node,
+        ["clock.js"],
+        """data.map(({ take, at }) => Array.from({ length: 50 }, (_, frame) => at.map((part) => {
+            const next = frame < 49 ? secondsOf(take, frame + 1) : endOf(take), here = secondsOf(take, frame);
+            const held = frameAt(take, here + part * (next - here));
+            return [held.frame, held.part, held.state];
+        })))""",
+        asked,
+    )
+    answers = np.array(answer)
+    np.testing.assert_array_equal(answers[..., 0], np.broadcast_to(np.arange(50)[:, None], answers.shape[:3]))
+    np.testing.assert_allclose(answers[:, :49, :, 1], np.broadcast_to([0, 0.4, 0.99], (len(takes), 49, 3)), atol=2e-3)
+    assert not answers[:, 49, :, 1].any() and not answers[..., 2].any()
+    ends = in_script(
+        node,
+        ["clock.js"],
+        "data.map(({ take }) => [frameAt(take, endOf(take)), frameAt(take, secondsOf(take, 0) - 0.01)])",
+        asked,
+    )
+    assert ends == [[{"frame": 49, "part": 0, "state": 1}, {"frame": 0, "part": 0, "state": -1}]] * len(takes)
 
 
 def standing(name: str, num_frames: int, fps: int, **more: Any) -> Panel:
