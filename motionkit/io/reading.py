@@ -202,7 +202,7 @@ def _rule(table: Any, name: str, number: int) -> FramerateRule:
         if not isinstance(table.get(key, ""), str):
             raise UsageError(f"{where}: {key} must be text in quotes, not {shown(table[key])}")
     rates: dict[str, Fraction] = {}
-    for key in table.keys() & {"fps", "stated"}:
+    for key in ("fps", "stated") if "stated" in table else ("fps",):
         value = table[key]
         if isinstance(value, bool) or not isinstance(value, str | int | float):
             raise UsageError(f"{where}: {key} must be a framerate such as 120 or '30000/1001', not {shown(value)}")

@@ -28,7 +28,6 @@ from motionkit.store.schema import RefusedMotion, Row
 from motionkit.store.workers import LOCAL, WorkerDied, Workers, check_engine, start_workers, usable_cores
 from motionkit.store.writer import StoreWriter
 
-OnError = Literal["skip", "stop"]
 # Before its second frame a jump may be seen one frame late.
 FIRST_FRAMES = 2
 # Grown people differ by a third, a child from a grown man by less than 2; an inch is 2.54 cm, CMU's unit 2.2 inches.
@@ -102,7 +101,7 @@ def ingest(
     store: Path,
     *,
     options: ReadOptions | None = None,
-    on_error: OnError = "skip",
+    on_error: Literal["skip", "stop"] = "skip",
     overwrite: bool = False,
     num_workers: int | None = None,
     engine: str = LOCAL,
@@ -187,17 +186,16 @@ class _Ingest:
             self._warn(warning)
         for problem in found.problems:
             self._fail(problem)
-        items = found.items
-        if not items:
+        if not found.items:
             raise _Stopped
         if engine == LOCAL:
-            num_workers = num_workers or sum(1 for _ in islice(chunks_of(items), usable_cores()))
+            num_workers = num_workers or sum(1 for _ in islice(chunks_of(found.items), usable_cores()))
         # Arrow loads pandas to convert a row.
         with self.writer, start_workers(engine, num_workers, preload=["motionkit.store.chunks", "pandas"]) as workers:
             for skeleton in self.writer.skeletons:
                 body_size_warning(skeleton, self.body_sizes)
             read = partial(read_chunk, store=self.writer.path.absolute(), options=self.options)
-            with closing(workers.map(read, self._numbered_chunks(items))) as results:
+            with closing(workers.map(read, self._numbered_chunks(found.items))) as results:
                 for chunk, result in results:
                     if isinstance(result, WorkerDied):
                         result = self._again(workers, read, chunk)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from motionkit.core import __version__
@@ -178,10 +179,9 @@ def _ray_workers(address: str | None, num_workers: int | None) -> Iterator[Worke
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # before Ray is imported: nothing is reported to anyone
     try:
-        import ray as installed
+        ray: Any = import_module("ray")
     except ImportError:
         raise MissingExtraError("ray", "ray") from None
-    ray: Any = installed
     exceptions = ray.exceptions
     is_connected = ray.is_initialized()
     if not is_connected:
