@@ -1,6 +1,5 @@
 """Files, folders, locks and records: whole or absent, one writer at a time, damage noticed."""
 
-import errno
 import multiprocessing
 import os
 import re
@@ -63,18 +62,6 @@ def test_permissions_follow_the_umask(tmp_path: Path) -> None:
     finally:
         os.umask(before)
     assert stat.S_IMODE((tmp_path / "weights").stat().st_mode) == 0o640
-
-
-@pytest.mark.parametrize(
-    ("error", "message"),
-    [
-        (OSError(errno.ENOSPC, "Error writing bytes. Detail: [errno 28]"), r"\[Errno 28\] No space left.*walk\.json"),
-        (OSError("corrupt"), r"walk\.json cannot be written whole, perhaps the disk is full \(corrupt\)"),
-    ],
-)
-def test_an_error_of_the_disk_names_the_file(tmp_path: Path, error: OSError, message: str) -> None:
-    with pytest.raises(OSError, match=message), whole_file(tmp_path / "walk.json"):
-        raise error
 
 
 @pytest.mark.skipif(not Path("/proc/self/mem").exists(), reason="needs a file that opens and cannot be read")

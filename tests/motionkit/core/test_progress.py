@@ -5,8 +5,7 @@ import sys
 
 import pytest
 
-from motionkit.core.errors import MotionkitWarning
-from motionkit.core.progress import Progress, ignore, task, tracked, warn
+from motionkit.core.progress import Progress, task, tracked
 
 
 def test_a_task_reports_its_state_after_every_change() -> None:
@@ -41,13 +40,6 @@ def test_tracked_items_count_when_the_next_is_asked_for() -> None:
     seen = [(item, reports[-1].done) for item in tracked(reports.append, "read", "ab", 2)]
     assert seen == [("a", 0), ("b", 1)]
     assert reports[-1] == Progress("read", 2, 2, finished=True)
-
-
-def test_nothing_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert list(tracked(ignore, "read", "ab", 2)) == ["a", "b"]
-    with pytest.warns(MotionkitWarning, match="100 % of the cache is damaged"):
-        warn("100 % of the cache is damaged")
-    assert capsys.readouterr().out == ""
 
 
 def test_a_warning_names_the_line_that_led_to_it() -> None:

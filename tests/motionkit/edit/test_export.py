@@ -133,11 +133,6 @@ def test_it_is_a_store_of_what_was_chosen(store, folder):
     assert exported["lab/take 1"].fps == Fraction(60000, 1001)
 
 
-def test_resampled(store, export_as):
-    exported = Store.open(export_as(store, "parquet", Fraction(20), "fps > 100").folder)
-    assert [motion.fps for motion in exported.read_many(exported.select())] == [Fraction(20)]
-
-
 def test_datasets_reads_the_folder_by_its_card(store, folder, tmp_path, monkeypatch):
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
     datasets = pytest.importorskip("datasets")
