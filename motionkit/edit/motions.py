@@ -126,8 +126,16 @@ def find_motions(
             items, faults = sequences_at(path, options)
             sources += [_of_item(item, item_path, options) for item_path, item in items]
             problems += faults
+        elif not store.exists():
+            raise UsageError(
+                f"there is no file or folder {name}, and no store at {store} that could hold a sequence of that id"
+            )
         else:
-            sources.append(_stored_named(name, store, opened))
+            try:
+                opened().index_of(name)
+            except StoreError as error:
+                raise UsageError(f"there is no file or folder {name}, and {error}") from None
+            sources.append(_of_store(name, opened()))
     if where is not None:
         sources += _stored(opened(), where)
     return sources, problems
@@ -171,17 +179,6 @@ def _stored(store: Store, where: str | None) -> list[MotionSource]:
     rows = store.rows_of(store.select_some(where))
     ids: list[str] = store.sequences_table["sequence_id"].take(rows).to_pylist()
     return [_of_store(sequence_id, store) for sequence_id in ids]
-
-
-def _stored_named(sequence_id: str, path: Path, opened: Callable[[], Store]) -> MotionSource:
-    nowhere = f"there is no file or folder {sequence_id}"
-    if not path.exists():
-        raise UsageError(f"{nowhere}, and no store at {path} that could hold a sequence of that id")
-    try:
-        opened().index_of(sequence_id)
-    except StoreError as error:
-        raise UsageError(f"{nowhere}, and {error}") from None
-    return _of_store(sequence_id, opened())
 
 
 def _of_store(sequence_id: str, store: Store) -> MotionSource:
@@ -295,7 +292,17 @@ class OutputPaths:
 
         Raises `MotionkitError` for a file that exists, unless it may be overwritten, and for that of another source.
         """
-        path = self._path(source, self._suffix or loaded.suffix, format_fps(fps))
+        stem, suffix = source.beside.name, self._suffix or loaded.suffix
+        if self._out is not None and self._is_file:
+            path = self._out
+        elif self._out is not None:
+            folder = next((each for each in self._folders if source.beside.is_relative_to(each)), None)
+            path = self._out / (source.beside.relative_to(folder).parent if folder else "") / f"{stem}{suffix}"
+        elif suffix == ".npy":
+            # A motions.json states the framerate of all arrays beside it, so new ones need their own folder.
+            path = source.beside.with_name(derived_folder(format_fps(fps), self._edit)) / f"{stem}.npy"
+        else:
+            path = source.beside.with_name(f"{stem}.{self._edit}{suffix}")
         other = self._source_of.setdefault(path.absolute(), source.name)
         if other != source.name:
             raise MotionkitError(f"its result would be {path}, as that of {other}: name them one by one with --out")
@@ -306,14 +313,3 @@ class OutputPaths:
         """Raise `MotionkitError` for a file that exists, unless it may be overwritten."""
         if path.exists() and not self._overwrite:
             raise MotionkitError(f"{path} exists: --overwrite replaces it, --out writes elsewhere")
-
-    def _path(self, source: MotionSource, suffix: str, fps: str) -> Path:
-        stem = source.beside.name
-        folder = next((folder for folder in self._folders if source.beside.is_relative_to(folder)), None)
-        if self._out is not None:
-            below = source.beside.relative_to(folder).parent if folder else Path()
-            return self._out if self._is_file else self._out / below / f"{stem}{suffix}"
-        if suffix != ".npy":
-            return source.beside.with_name(f"{stem}.{self._edit}{suffix}")
-        # A motions.json states the framerate of all arrays beside it, so new ones need their own folder.
-        return source.beside.with_name(derived_folder(fps, self._edit)) / f"{stem}.npy"

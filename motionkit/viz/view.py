@@ -19,7 +19,7 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.edit.motions import MotionSource, find_motions
 from motionkit.features.field import heading, to_world
 from motionkit.features.layout import SMPL22_LAYOUT
-from motionkit.generate.constraint_files import PathTable, parse_pose, read_path
+from motionkit.generate.constraint_files import parse_pose, read_path
 from motionkit.generate.constraints import Constraint
 from motionkit.io.files import existing_path
 from motionkit.io.registry import ReadOptions
@@ -203,25 +203,25 @@ def write_view(path: Path, panels: Sequence[Panel], interval: Interval) -> Viewe
 
 
 def constraint_drawing(path: Path | None, poses: Sequence[str], placed: bool) -> Callable[[Panel], Panel]:
-    """`with_constraints` for options of `motionkit generate`: a path's file, and poses; raises what reading raises."""
-    table, parsed = None if path is None else read_path(path), [parse_pose(each, placed=placed) for each in poses]
-    return lambda panel: with_constraints(panel, table, parsed)
+    """A function that draws a panel's constraints, for options of `motionkit generate`: a path's file, and poses.
 
-
-def with_constraints(panel: Panel, path: PathTable | None, poses: Sequence[Constraint]) -> Panel:
-    """Add lines to a panel: the path, on the floor, and the bones of poses.
-
-    A pose without a position is drawn where the motion is at its time. Raises `UsageError` for a path point beyond the
-    motion's end, and for such a pose if the motion does not have the 22 joints.
+    The path is a line on the floor, a pose its bones; one without a position is drawn where the motion is at its time.
+    Raises what reading raises; the function raises `UsageError` for a path point beyond the motion's end, and for such
+    a pose if the motion does not have the 22 joints.
     """
-    lines: list[Line] = []
-    if path is not None:
-        lines.append(path.constraint(panel.duration_seconds).positions[:, 0])
-    for pose in poses:
-        placed = _placed(panel, pose)
-        bones = [placed[[parent, joint]] for joint, parent in enumerate(SMPL22.parents) if parent >= 0]
-        lines += [bone for bone in bones if np.isfinite(bone).all()]
-    return replace(panel, lines=tuple(lines))
+    table, parsed = None if path is None else read_path(path), [parse_pose(each, placed=placed) for each in poses]
+
+    def drawn(panel: Panel) -> Panel:
+        lines: list[Line] = []
+        if table is not None:
+            lines.append(table.constraint(panel.duration_seconds).positions[:, 0])
+        for pose in parsed:
+            joints = _placed(panel, pose)
+            bones = [joints[[parent, joint]] for joint, parent in enumerate(SMPL22.parents) if parent >= 0]
+            lines += [bone for bone in bones if np.isfinite(bone).all()]
+        return replace(panel, lines=tuple(lines))
+
+    return drawn
 
 
 def _placed(panel: Panel, pose: Constraint) -> Float64[np.ndarray, "22 3"]:
