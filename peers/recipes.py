@@ -18,11 +18,11 @@ from motionkit.training.config import Schedule
 from pahires.temporal.settings import (
     AnswerSettings,
     TaskSettings,
+    TemporalConfig,
     TemporalSettings,
     base_training,
     nano_training,
 )
-from pahires.temporal.stage import TemporalConfig
 from peers.settings import (
     ALiifNetworkConfig,
     DeltaInterpNetworkConfig,

@@ -6,31 +6,13 @@ A model of this kind is a configuration with the parts `network` and `training`,
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, Any
 
-from motionkit.training.config import ConfigLike
 from motionkit.training.stage import Stage, StageContext
-from pahires.temporal.settings import TemporalSettings
+from pahires.temporal.settings import NetworkMaker, TemporalConfig, TemporalConfigT
 
 if TYPE_CHECKING:
-    import torch
-
     from pahires.temporal.encoder import NetworkEncoder
-
-
-@runtime_checkable
-class TemporalConfig(ConfigLike, Protocol):
-    """A model's configuration, a dataclass; its other part, `network`, is the model's own."""
-
-    @property
-    def training(self) -> TemporalSettings:
-        """The training settings."""
-        ...
-
-
-TemporalConfigT = TypeVar("TemporalConfigT", bound=TemporalConfig)
-# (configuration, numbers per row) → network, initialised by torch's global generator.
-NetworkMaker = Callable[[TemporalConfigT, int], "torch.nn.Module"]
 
 
 def temporal_stage(

@@ -29,8 +29,7 @@ from motionkit.training.tensors import (
 )
 from pahires.temporal.base_curves import Scaling, interpolated
 from pahires.temporal.prediction import Predictor
-from pahires.temporal.settings import Distance, TemporalSettings
-from pahires.temporal.stage import NetworkMaker, TemporalConfigT
+from pahires.temporal.settings import Distance, NetworkMaker, TemporalConfigT, TemporalSettings
 from pahires.temporal.windows import TrainingBatch, WindowSampler
 
 _Rows = Float32[torch.Tensor, "batch queries numbers"]
