@@ -182,22 +182,6 @@ def read_record(folder: Path, hint: str) -> dict[str, str]:
     return {match[2]: match[1] for match in matches if match}
 
 
-def verify_record(folder: Path, hint: str) -> dict[str, str]:
-    """Compare a folder's files with its record, and return the record; `hint` tells how to repair a damaged file.
-
-    Raises `DamagedFileError` for a file that is missing or has another content.
-    """
-    record = read_record(folder, hint)
-    for name, sha256 in record.items():
-        try:
-            is_same = sha256_of(folder / name) == sha256
-        except FileNotFoundError:
-            raise DamagedFileError(folder / name, "it is missing", hint) from None
-        if not is_same:
-            raise DamagedFileError(folder / name, f"its content is not what {RECORD} says", hint)
-    return record
-
-
 def require_empty(folder: Path) -> None:
     """Raise `UsageError` for a folder that is not empty, or a file."""
     if folder.exists() and not folder.is_dir():

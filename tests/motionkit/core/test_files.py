@@ -24,10 +24,10 @@ from motionkit.core.files import (
     locked_folder,
     read_at_most,
     read_json,
+    read_record,
     remove_entry,
     replace,
     sha256_of,
-    verify_record,
     whole_file,
     whole_folder,
     write_json,
@@ -151,29 +151,16 @@ def recorded(tmp_path: Path) -> Path:
 
 
 def test_a_record_is_what_sha256sum_reads(recorded: Path) -> None:
-    assert verify_record(recorded, "") == {name: sha256_of(recorded / name) for name in ("a b.json", "inner/é")}
+    assert read_record(recorded, "") == {name: sha256_of(recorded / name) for name in ("a b.json", "inner/é")}
     check = subprocess.run(["sha256sum", "--check", "--strict", "SHA256SUMS"], cwd=recorded, capture_output=True)
     assert check.returncode == 0
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "fault"),
-    [
-        ("inner/é", b"\1", r"é is damaged \(its content is not what SHA256SUMS says\): repair it"),
-        ("a b.json", None, r"a b\.json is damaged \(it is missing\): repair it"),
-        ("SHA256SUMS", b"\xff", r"SHA256SUMS is damaged \(it is not UTF-8\)"),
-        ("SHA256SUMS", b"0" * 64 + b"  a b.json\nabc  e\n", r"SHA256SUMS is damaged \(line 2 is not a sha256"),
-    ],
-)
-def test_a_folder_that_is_not_as_recorded_is_damaged(
-    recorded: Path, name: str, content: bytes | None, fault: str
-) -> None:
-    if content is None:
-        (recorded / name).unlink()
-    else:
-        (recorded / name).write_bytes(content)
-    with pytest.raises(DamagedFileError, match=fault):
-        verify_record(recorded, "repair it")
+@pytest.mark.parametrize("content", [b"\xff", b"0" * 64 + b"  a b.json\nabc  e\n"])
+def test_a_record_that_is_none_is_damaged(recorded: Path, content: bytes) -> None:
+    (recorded / "SHA256SUMS").write_bytes(content)
+    with pytest.raises(DamagedFileError, match="repair it"):
+        read_record(recorded, "repair it")
 
 
 def test_a_folder_appears_with_all_that_is_in_it_or_not_at_all(tmp_path: Path) -> None:
