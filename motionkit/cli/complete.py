@@ -68,13 +68,12 @@ def complete(
     Example: motionkit complete takes/walk.bvh --fps 120 --model cubic
     """
     from motionkit.edit.complete import CompletionRequest, complete_file, parse_extend, parse_keep
-
-    before, after = parse_extend(extend or "0")
-    request = CompletionRequest(parse_rate(fps), parse_keep(keep) if keep else None, before, after, plant)
     from motionkit.edit.encoders import choose_encoder
     from motionkit.edit.motions import OutputPaths, find_motions
     from motionkit.io.scan import COMPLETED
 
+    before, after = parse_extend(extend or "0")
+    request = CompletionRequest(parse_rate(fps), parse_keep(keep) if keep else None, before, after, plant)
     options = read_options(parse_rate(source_fps, "--source-fps"), skeleton_map, skip_derived=True)
     sources, problems = find_motions(clips, options, store or default_path("store"))
     paths = OutputPaths(COMPLETED, clips, len(sources), out=out, file_format=file_format, overwrite=overwrite)

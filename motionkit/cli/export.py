@@ -51,8 +51,7 @@ def export(
 
     Example: motionkit export out --format npz --where "split = 'test'"
     """
-    from motionkit.edit.export import Selection
-    from motionkit.edit.export import export as export_selection
+    from motionkit.edit import export as exports
     from motionkit.store import Store
 
     rate = parse_rate(fps)
@@ -60,9 +59,9 @@ def export(
         raise UsageError("--plant and --skeleton-map go with --onto; 'motionkit plant' plants any motion")
     kind = _kind(format) if onto is None else _character(onto, format, plant, skeleton_map)
     opened = Store.open(store or default_path("store"))
-    selection = Selection(opened, opened.select_some(where), rate or kind.fps)
+    selection = exports.Selection(opened, opened.select_some(where), rate or kind.fps)
     with progress() as show, task(show, "export", len(selection.indices)) as work:
-        report = export_selection(selection, out, kind, on_outcome=lambda outcome: work.advance())
+        report = exports.export(selection, out, kind, on_outcome=lambda outcome: work.advance())
     _print_remarks(report, opened.path)
     if as_json:
         print_json(report.plain())
