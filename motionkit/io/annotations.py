@@ -85,6 +85,10 @@ def tables_in(folder: Path, given: Path | None = None) -> tuple[list[AnnotationT
             is_given = bool(names) and given is not None and path.samefile(given)
             if "file" in names and COLUMNS & set(names) and not is_given:
                 tables.append(read_annotations(path))
+            elif "file" not in names and "filename" in names and not is_given:
+                message = "not read, for its column 'filename', which has to be called 'file'"
+                warning = FormatError(message, path=path, reason="unknown-column", line=1)
+                tables.append(AnnotationTable(path, {}, has_captions=False, warnings=(warning,)))
         except FormatError as problem:
             problems.append(problem)
     return tables, problems

@@ -22,7 +22,6 @@ OF_STORES = (
     *(
         "validate",
         "query",
-        "recipe",
         "view",
         "complete",
         "plant",
@@ -35,8 +34,8 @@ OF_STORES = (
     *("push", "remove", "compact"),
 )
 # These train first: test_from_takes_to_a_table runs such commands out of README, test_front_door the demo. What is
-# pulled has to be pushed: test_publish.
-ELSEWHERE = ("train", "generate", "eval", "report", "demo", "pull")
+# pulled has to be pushed: test_hub. test_convert converts.
+ELSEWHERE = ("train", "generate", "eval", "report", "demo", "pull", "convert")
 
 
 def examples() -> dict[str, list[str]]:

@@ -307,7 +307,7 @@ CASES = (
     Case(
         "an overlap of most of a motion", f"{GENERATE} 'a walk' --seconds 8 --overlap 2", 2, ("up to 1.5 s, not by 2",)
     ),
-    Case("texts in a row without lengths", f"{GENERATE} 'a walk' 'a jump' --join", 2, ("how long each part lasts",)),
+    Case("texts in a row without lengths", f"{GENERATE} 'a walk' 'a jump' --join", 2, ("how long each text lasts",)),
     Case("a length that is no number", f"{GENERATE} 'a walk' --seconds nan", 2, ("not nan s",)),
 )
 
