@@ -108,7 +108,7 @@ def split(
     for each in report.splits:
         hours, seen = each.duration_seconds / 3600, f"{each.num_seen:,} of {each.num_captioned:,}"
         stdout.print(
-            f"{each.split:8}{each.share:8.3f}{each.asked_share:8.3f}{hours:10.2f}{each.num_groups:10,}"
+            f"{each.split:8}{each.share:8.3f}{each.requested_share:8.3f}{hours:10.2f}{each.num_groups:10,}"
             f"{each.num_sequences:12,}{seen:>16}",
         )
     doing = "would change" if dry_run else "changed"

@@ -42,7 +42,7 @@ SHOWN = 3
 
 @dataclass(frozen=True)
 class SplitShare:
-    """One split after the assignment: its part of the chosen sequences, and the share of their seconds asked for.
+    """One split after the assignment: its part of the chosen sequences, and the requested share of their seconds.
 
     `num_captioned` sequences have captions, of which those of `num_seen` have a wording of the training split too.
     """
@@ -51,7 +51,7 @@ class SplitShare:
     num_sequences: int
     num_groups: int
     duration_seconds: float
-    asked_share: float
+    requested_share: float
     share: float
     num_captioned: int
     num_seen: int
@@ -87,13 +87,13 @@ def split(
     group, fewer groups than splits, and a group that would be in two splits because `where` leaves out a part of it;
     `StoreError` for a store that is missing or of an earlier version; `BusyError` while another process writes to it.
     """
-    asked, wanted = _checked(shares), (by,) if isinstance(by, str) else tuple(by)
+    target, columns = _checked(shares), (by,) if isinstance(by, str) else tuple(by)
     if dry_run:
         store = Store.open(path)
-        return _plan(store, asked, wanted, where, seed)[0]
+        return _plan(store, target, columns, where, seed)[0]
     with changing(path, must_exist=True) as previous:
         store = Store.open(path)
-        report, column = _plan(store, asked, wanted, where, seed)
+        report, column = _plan(store, target, columns, where, seed)
         if not report.num_changed:
             return report
         place = store.sequences_table.schema.get_field_index("split")
@@ -117,22 +117,22 @@ def assign_groups(
     """
     if len(seconds) < len(shares):
         raise ValueError(f"{len(seconds)} groups cannot fill {len(shares)} splits")
-    asked = np.asarray(shares) / np.sum(shares) * seconds.sum()
+    target = np.asarray(shares) / np.sum(shares) * seconds.sum()
     generator = np.random.default_rng(seed)
     num_orders = max(1, min(MOST_ORDERS, GROUPS_TRIED // len(seconds)))
-    tried = [_in_order(seconds, asked, generator.permutation(len(seconds))) for _ in range(num_orders)]
-    return min(tried, key=lambda split: np.abs(np.bincount(split, seconds, len(shares)) - asked).max())
+    tried = [_in_order(seconds, target, generator.permutation(len(seconds))) for _ in range(num_orders)]
+    return min(tried, key=lambda split: np.abs(np.bincount(split, seconds, len(shares)) - target).max())
 
 
 def _in_order(
-    seconds: Float[np.ndarray, "groups"], asked: Float[np.ndarray, "splits"], order: Int[np.ndarray, "groups"]
+    seconds: Float[np.ndarray, "groups"], target: Float[np.ndarray, "splits"], order: Int[np.ndarray, "groups"]
 ) -> Int[np.ndarray, "groups"]:
-    lacking = asked.copy()
+    lacking = target.copy()
     split = np.empty(len(seconds), dtype=np.int64)
-    empty = set(range(len(asked)))
+    empty = set(range(len(target)))
     for num_left, group in zip(range(len(order), 0, -1), order, strict=True):
         # The last groups go to splits that would otherwise stay empty.
-        open_to = sorted(empty) if num_left == len(empty) else range(len(asked))
+        open_to = sorted(empty) if num_left == len(empty) else range(len(target))
         chosen = max(open_to, key=lambda place: lacking[place])
         split[group] = chosen
         lacking[chosen] -= seconds[group]
@@ -180,7 +180,7 @@ def _plan(
             num_sequences=len(own),
             num_groups=int((assigned == number).sum()),
             duration_seconds=own_seconds,
-            asked_share=shares[name],
+            requested_share=shares[name],
             share=own_seconds / float(seconds.sum()),
             num_captioned=sum(map(bool, own)),
             num_seen=sum(bool(each & training) for each in own),

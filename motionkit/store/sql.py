@@ -74,8 +74,8 @@ def _query(connection: "duckdb.DuckDBPyConnection", views: Views, sql: str) -> "
             raise OSError(said) from None
         if isinstance(error, duckdb.CatalogException) and said.startswith("Catalog Error: Table with name"):
             # What duckdb suggests are tables of its own.
-            wanted = said.removeprefix("Catalog Error: Table with name ").split(" ")[0]
-            raise UnknownTable(f"there is no table {wanted}") from None
+            missing = said.removeprefix("Catalog Error: Table with name ").split(" ")[0]
+            raise UnknownTable(f"there is no table {missing}") from None
         raise UsageError(f"duckdb: {said}") from None
     finally:
         connection.rollback()

@@ -121,7 +121,7 @@ def test_a_whole_source_is_held_out(many):
     split(many, {"test": 1.0}, where="source = 'second'")
     assert splits_of(many, "source") == {("first",): {"train"}, ("second",): {"test"}}
     report = split(many, {"train": 1.0, "test": 1.0}, by="source")
-    assert [(each.num_groups, each.asked_share) for each in report.splits] == [(1, 0.5), (1, 0.5)]
+    assert [(each.num_groups, each.requested_share) for each in report.splits] == [(1, 0.5), (1, 0.5)]
 
 
 def test_one_performer_in_two_folders_of_a_source_is_one(tmp_path, make_motion):
