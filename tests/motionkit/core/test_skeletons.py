@@ -27,6 +27,7 @@ from motionkit.io.npz import read_npz, write_npz
 from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import scan
+from tests.helpers.bones import bone, check_body
 from tests.helpers.format_samples import bvh_text
 
 
@@ -342,35 +343,9 @@ def test_a_tip_stands_in_for_a_toe(captures: Path) -> None:
     assert bone(body, "left_ankle", "left_foot") == pytest.approx(float(np.linalg.norm(tip)), abs=1e-4)
 
 
-def bone(body: np.ndarray, one: str, other: str) -> float:
-    return float(np.linalg.norm(body[:, SMPL22.index(one)] - body[:, SMPL22.index(other)], axis=-1).mean())
-
-
-# Lengths of bones of a person, metres.
-BONES = {
-    **{(f"{side}_{one}", f"{side}_{other}"): limits for side in ("left", "right") for one, other, limits in (
-        ("hip", "knee", (0.34, 0.52)), ("knee", "ankle", (0.36, 0.50)), ("ankle", "foot", (0.08, 0.22)),
-        ("shoulder", "elbow", (0.22, 0.35)), ("elbow", "wrist", (0.19, 0.32)),
-    )},
-    ("left_shoulder", "right_shoulder"): (0.15, 0.45),
-    ("left_hip", "right_hip"): (0.10, 0.25),
-}  # fmt: skip
-
-
 @pytest.mark.parametrize("source", ["cmu", "bandai-namco", "mixed-bvh"])
 def test_every_real_skeleton_becomes_a_human_body(captures: Path, source: str) -> None:
     # `animated_drawings` holds cartoon-sized characters in no unit at all.
     items = [item for item in scan([captures / source]).items if "animated_drawings" not in item.sequence_id]
     for item in items[:: max(1, len(items) // 40)]:
-        motion = read(item, ReadOptions(fps=parse_fps(120)))
-        body = map_joints(motion, "smpl22")
-        for (one, other), (least, most) in BONES.items():
-            assert least < bone(body, one, other) < most, (motion, one, other)
-        leg = bone(body, "left_hip", "left_knee") + bone(body, "left_knee", "left_ankle")
-        assert 1.15 < leg + bone(body, "pelvis", "head") < 1.7, motion
-        # Forward is where the toes point; seen from there, +x of the body is its left.
-        across = body[:, SMPL22.index("left_hip")] - body[:, SMPL22.index("right_hip")]
-        up = body[:, SMPL22.index("neck")] - body[:, SMPL22.index("pelvis")]
-        toes = body[:, SMPL22.index("left_foot")] - body[:, SMPL22.index("left_ankle")]
-        assert np.median(np.sum(np.cross(across, up) * toes, axis=-1)) > 0, motion
-        assert map_joints(motion, "kit21").shape[1] == 21
+        check_body(read(item, ReadOptions(fps=parse_fps(120))))

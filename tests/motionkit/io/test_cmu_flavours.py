@@ -11,7 +11,7 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import joint_map, map_joints
 from motionkit.io.bvh import T_POSE_DROPPED, read_bvh
 from motionkit.io.registry import ReadOptions
-from tests.motionkit.core.test_skeletons import check_body
+from tests.helpers.bones import check_body
 
 Joint = tuple[str, str, tuple[float, float, float]]
 

@@ -13,7 +13,7 @@ from motionkit.io.deepmimic import humanoid3d, read_deepmimic
 from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import scan
-from tests.motionkit.core.test_skeletons import check_body
+from tests.helpers.bones import check_body
 
 REAL_FRAMERATES = {"16": 2, "24": 4, "30": 5, "60": 9, "120": 53}
 

@@ -19,8 +19,8 @@ from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import scan
 from motionkit.io.smpl_body import SMPL
 from motionkit.io.uestc import ACTIONS, TRAIN_SUBJECTS, read_uestc
+from tests.helpers.bones import check_body
 from tests.helpers.repository import REPOSITORY
-from tests.motionkit.core.test_skeletons import check_body
 from tests.motionkit.io.test_body_models import write_body_model
 
 
