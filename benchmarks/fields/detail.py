@@ -33,7 +33,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.fields.detail import GRID_FPS, Detail, SlowMotion, detailed, fit_detail
 from motionkit.fields.interpolation import interpolate
-from motionkit.fields.motion_field import MotionField, to_motion
+from motionkit.fields.motion_field import MotionField, at_fps, to_motion
 from motionkit.fields.resample import resample_positions
 from motionkit.store import Store
 
@@ -68,7 +68,7 @@ def smooth_rows(takes: list[Positions], reference: SampleSet, detail: Detail) ->
         own: Iterable[MotionField] = (interpolate(motion, "cubic") for motion in motions)
         if added is not None:
             own = (detailed(field, added, seed=0, number=n) for n, field in enumerate(own))
-        made = [to_motion(field.at_fps(reference.fps), reference.fps).joint_positions for field in own]
+        made = [to_motion(at_fps(field, reference.fps), reference.fps).joint_positions for field in own]
         return reference.with_positions("", reference.fps, made)
 
     return {
