@@ -4,7 +4,7 @@ clip-FID must rise with damage of slow motion and stay flat under harmless trans
 or by a figure of the profile; and no game may hide from all of them that motion was upsampled or low-passed.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from eval.clip_fid.features import Comparison
 from eval.detail import LEAST_FPS, DetailProfile, RealDetail
-from eval.games import Games, games
+from eval.games import games
 from eval.metrics.checks import Estimate
 from eval.sets.corruptions import Family, damages, shift_between_frames, translate, turn
 from eval.sets.sets import SampleSet
@@ -124,10 +124,10 @@ class Calibration:
     @property
     def passes(self) -> bool:
         """Whether every damage is seen, no harmless transform is, and no game is won."""
-        same_people = {MIRRORED: self.disjoint_floor.mean}
+        ceilings = {MIRRORED: self.disjoint_floor.mean}
         ceiling = MAX_FLAT_RATIO * self.clean.clip_fid.mean
         steady = all(
-            each.clip_fid.mean <= same_people.get(name, ceiling) and each.has_real_detail
+            each.clip_fid.mean <= ceilings.get(name, ceiling) and each.has_real_detail
             for name, each in self.flat.items()
         )
         return steady and all(each.passes for each in self.graded) and not any(each.won for each in self.games)
@@ -164,6 +164,10 @@ def calibrate(
         found = scored({str(strength): _damaged(real, family, strength, seed) for strength in strengths})
         if strengths:
             graded.append(Graded(family.name, family.unit, strengths, clean, tuple(found.values())))
+    played = []
+    for each in games(real, seed, comparison.training) if detail else ():
+        found = scored({each.parent: each.honest, **each.cheats})
+        played.append(Game(each.parent, found.pop(each.parent), found))
     return Calibration(
         fps=real.fps,
         features=comparison.features.name,
@@ -174,14 +178,8 @@ def calibrate(
         disjoint_floor=plain.disjoint_halves().drawing,
         graded=tuple(graded),
         flat=flat,
-        games=tuple(_played(games(real, seed, comparison.training), scored)) if detail else (),
+        games=tuple(played),
     )
-
-
-def _played(rounds: Iterable[Games], scored: Callable[[Mapping[str, SampleSet]], dict[str, Scored]]) -> Iterable[Game]:
-    for each in rounds:
-        found = scored({each.parent: each.honest, **each.cheats})
-        yield Game(each.parent, found.pop(each.parent), found)
 
 
 def level_name(family: Family, strength: float) -> str:

@@ -25,6 +25,7 @@ from eval.clip_fid.channels import (
     noise_power,
     rate_of_change,
 )
+from eval.clip_fid.clips import ClipError
 from eval.clip_fid.motions import Motions, common_framerate, samples_of
 from eval.clip_fid.threads import in_threads
 from eval.metrics.resampling import Resampling, units_of
@@ -302,11 +303,16 @@ class RealDetail:
 
     @classmethod
     def of(cls, real: SampleSet, train: SampleSet, seed: int = 0) -> "RealDetail":
-        """With the predictor fitted on the training set. Raises `UsageError` below 40 fps."""
+        """With the predictor fitted on the training set.
+
+        Raises `UsageError` below 40 fps, and `ClipError` for real motion that has no timing to compare with.
+        """
         if real.fps < LEAST_FPS:
             raise UsageError(f"the detail profile needs {LEAST_FPS} fps or more, these motions have {real.fps} fps")
         predictor = fit_predictor(train)
         figures = measure(real, predictor)
+        if not figures.timing[:, 0].sum():
+            raise ClipError(f"{real.name} at {real.fps} fps: no fast motion follows slow motion; is it frozen?")
         return cls(predictor, real, figures, _ranges_of_halves(figures, real, seed), Resampling(seed=seed))
 
     @property
@@ -324,7 +330,7 @@ class RealDetail:
         weights, real_weights = self._weights(samples), self._weights(self.real)
         drawn = weights.any(axis=1) & real_weights.any(axis=1)
         draws = _relative(figures.averages(weights[drawn]), self.figures.averages(real_weights[drawn]))
-        intervals = np.percentile(draws, (2.5, 97.5), axis=0)
+        intervals = np.nanpercentile(draws, (2.5, 97.5), axis=0)
         timing, *energy, rigidity = (
             Figure(
                 float(value[index]),
@@ -345,8 +351,8 @@ class RealDetail:
 def _relative(
     figures: Float64[np.ndarray, "draws figures"], real: Float64[np.ndarray, "draws figures"]
 ) -> Float64[np.ndarray, "draws figures"]:
-    """Timing as a share of the real one, energy as a difference, rigidity as it is."""
-    share = figures[:, :1] / real[:, :1]
+    """Timing as a share of the real one (nan where that is 0), energy as a difference, rigidity as it is."""
+    share = np.divide(figures[:, :1], real[:, :1], out=np.full((len(figures), 1), np.nan), where=real[:, :1] != 0)
     return np.concatenate((share, figures[:, 1:-1] - real[:, 1:-1], figures[:, -1:]), axis=1)
 
 
@@ -358,7 +364,7 @@ def _ranges_of_halves(figures: MotionFigures, real: SampleSet, seed: int) -> Flo
     rng = np.random.default_rng((seed, 10))
     halves = np.stack([rng.permutation(len(takes)) < len(takes) // 2 for _ in range(HALVINGS)])[:, take].astype(float)
     both = _relative(figures.averages(halves), figures.averages(1.0 - halves))
-    ranges: Float64[np.ndarray, "2 figures"] = np.percentile(both, (2.5, 97.5), axis=0)
+    ranges: Float64[np.ndarray, "2 figures"] = np.nanpercentile(both, (2.5, 97.5), axis=0)
     ranges[:, -1] = 0.0, max(ranges[1, -1], LEAST_SEEN_MM)
     return ranges
 
@@ -371,8 +377,8 @@ def detail_profile(
     Motions are `Motion`s, brought to the 22 joints, or arrays [T, 22, 3] in metres, y up, at `fps`. The predictor of
     timing is fitted on `train`, by default on the real motions; tables fit it on the training split.
 
-    Raises `UsageError` for motions of several framerates or below 40 fps, and `MotionkitError` for a skeleton that
-    cannot be brought to the 22 joints.
+    Raises `UsageError` for motions of several framerates or below 40 fps, `ClipError` for frozen real motions, and
+    `MotionkitError` for a skeleton that cannot be brought to the 22 joints.
 
     >>> walks = [np.random.default_rng(n).normal(size=(240, 22, 3)).cumsum(axis=0) / 100 for n in range(6)]
     >>> half_as_lively = [0.5 * walk for walk in walks]

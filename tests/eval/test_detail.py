@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import scipy.ndimage
 
+from eval.clip_fid.clips import ClipError
 from eval.detail import RealDetail, bands_at, detail_profile, smoothed
 from eval.games import with_bones_of
 from eval.sets.corruptions import low_pass
@@ -95,6 +96,16 @@ def test_few_takes_have_no_range_and_slow_motion_no_profile() -> None:
     slow = sample_set("slow", Fraction(30), [take[::4] for take in few.sequences], few.sequence_ids)
     with pytest.raises(UsageError):
         RealDetail.of(slow, slow)
+
+
+def test_frozen_motion_has_no_timing_and_cannot_be_compared_with(real: RealDetail) -> None:
+    frozen = real.real.with_positions("frozen", FPS, [np.repeat(take[:1], 200, axis=0) for take in real.real.sequences])
+    profile = real.profile(frozen)
+    assert profile.timing.value == 0.0 and not profile.timing.is_real
+    with pytest.raises(ClipError):
+        RealDetail.of(frozen, real.real)
+    with pytest.raises(ClipError):
+        RealDetail.of(frozen, frozen)
 
 
 def test_arrays_of_anybody_have_a_profile() -> None:

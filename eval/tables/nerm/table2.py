@@ -6,6 +6,7 @@ from fractions import Fraction
 from itertools import chain
 from typing import Any
 
+from eval.clip_fid.clips import ClipError
 from eval.clip_fid.features import Comparison, FeatureSource, feature_sources
 from eval.clip_fid.kinematic import KinematicDescriptor
 from eval.clip_fid.score import CLIP_FID, VERSION
@@ -116,7 +117,10 @@ def build_table2(request: TableRequest) -> Result:
             sheet.update(scored.value)
             lines += scored.missing
         with task(request.on_progress, f"detail, {column.label}"):
-            details.append(detail_block(column, notes, request.seed))
+            try:
+                details.append(detail_block(column, notes, request.seed))
+            except ClipError as error:
+                slow.append(f"detail, {column.label}: {error}")
         del samples, made, column
         for motion in (real, train):
             motion.forget_all_but(LOW_FPS)
