@@ -31,9 +31,9 @@ from eval.clip_fid.threads import in_threads
 from eval.metrics.resampling import Resampling, units_of
 from eval.sets.sets import SampleSet
 from motionkit.core.errors import UsageError
-from motionkit.core.framerate import Framerate, format_fps
 from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import Framerate
 
 VERSION = "detail/1"
 LEAST_FPS = Fraction(40)
@@ -279,7 +279,7 @@ class DetailProfile:
         return {"T": self.timing, **energy, "R": self.rigidity_mm}
 
     def __str__(self) -> str:
-        lines = [f"detail profile ({VERSION}) at {format_fps(self.fps)} fps, [95 % over takes], real takes"]
+        lines = [f"detail profile ({VERSION}) at {self.fps} fps, [95 % over takes], real takes"]
         for name, each in self.figures.items():
             low, high = each.interval
             floor = "" if each.real_range is None else f"{each.real_range[0]:7.2f} … {each.real_range[1]:.2f}"

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Literal
 
-from motionkit.core.framerate import parse_fps
+from motionkit.core.timegrid import parse_fps
 from motionkit.features.convention import PoseVectorsName
 from motionkit.training.config import Precision, Schedule, require_positive
 from motionkit.training.diffusion.settings import DiffusionConfig

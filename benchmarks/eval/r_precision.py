@@ -18,7 +18,7 @@ from eval.metrics.checks import estimate
 from eval.metrics.r_precision import REFERENCE_POOL, r_precision
 from eval.native_evaluator.evaluator import NativeEvaluator, load_native
 from eval.report.results import provenance
-from motionkit.core.framerate import parse_fps
+from motionkit.core.timegrid import parse_fps
 from motionkit.fields.resample import resample_positions
 from motionkit.store import Store
 from motionkit.store.cache import open_cache

@@ -10,12 +10,12 @@ from eval.clip_fid.features import kinematic_source
 from eval.metrics.checks import Estimate
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.errors import UsageError
-from motionkit.core.framerate import Framerate, format_fps, parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.progress import warn
 from motionkit.core.shapes import Float
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints
+from motionkit.core.timegrid import Framerate, parse_fps
 
 Motions = Sequence[Motion] | Sequence[Float[np.ndarray, "_frames 22 3"]]
 
@@ -74,7 +74,7 @@ def common_framerate(sets: Iterable[Motions], fps: Framerate | None) -> Fraction
     rates = set() if fps is None else {parse_fps(fps)}
     rates |= {motion.fps for motions in sets for motion in motions if isinstance(motion, Motion)}
     if len(rates) != 1:
-        found = ", ".join(format_fps(rate) for rate in sorted(rates)) or "none (arrays need fps=…)"
+        found = ", ".join(str(rate) for rate in sorted(rates)) or "none (arrays need fps=…)"
         raise UsageError(f"motions at one framerate are compared, these have {found}: motion.resample(fps) changes it")
     return rates.pop()
 

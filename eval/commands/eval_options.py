@@ -255,7 +255,7 @@ class ClipOptions:
 
     def framerates(self) -> "tuple[Fraction, ...] | None":
         """The framerates; None for the table's own."""
-        from motionkit.core.framerate import parse_fps
+        from motionkit.core.timegrid import parse_fps
 
         if self.fps is None:
             return None
@@ -337,7 +337,7 @@ def in_groups(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def _framerate(text: str | None, option: str) -> "Fraction | None":
-    from motionkit.core.framerate import parse_fps
+    from motionkit.core.timegrid import parse_fps
 
     try:
         return None if text is None else parse_fps(text)

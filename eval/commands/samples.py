@@ -39,7 +39,7 @@ def samples(
 
     from eval.sample_folder import SampleFolderError, SampleOptions, read_sample_folder
     from eval.sample_folder.findings import lines, summarise
-    from motionkit.core.framerate import parse_fps
+    from motionkit.core.timegrid import parse_fps
 
     try:
         framerate = None if fps is None else parse_fps(fps)

@@ -14,9 +14,9 @@ import numpy as np
 
 from eval.metrics.checks import checked_features
 from eval.metrics.metric import Arguments, Metric
-from motionkit.core.framerate import Framerate, parse_fps
 from motionkit.core.shapes import Bool, Float, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.core.timegrid import Framerate, parse_fps
 from motionkit.fields.resample import resample_positions
 
 Positions = Float[np.ndarray, "frames joints 3"]

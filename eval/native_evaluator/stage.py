@@ -22,7 +22,7 @@ def train_evaluator(context: StageContext, config: NativeConfig) -> None:
     from eval.native_evaluator.bank import build_banks
     from eval.native_evaluator.evaluator import STAGE_NAME, describe_training
     from eval.native_evaluator.training import NativeTraining, collect_sentences
-    from motionkit.core.framerate import parse_fps
+    from motionkit.core.timegrid import parse_fps
     from motionkit.store.cache import cache_root, open_cache
     from motionkit.training.config import to_plain
     from motionkit.training.devices import resolve_device

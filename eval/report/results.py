@@ -13,9 +13,8 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from eval.metrics.metric import Metric, find_metric
-from motionkit.core.errors import MotionkitError
+from motionkit.core.errors import MotionkitError, shown
 from motionkit.core.files import read_json, write_json
-from motionkit.core.plain_text import shown
 from motionkit.store.commit import read_manifest
 from motionkit.training.run import RunFolder, commit, versions
 

@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from motionkit.core.errors import FormatError
-from motionkit.core.framerate import parse_fps
-from motionkit.core.plain_text import shown
+from motionkit.core.errors import FormatError, shown
+from motionkit.core.timegrid import parse_fps
 from motionkit.io import npy, source_file
 
 JOINTS = frozenset({21, 22, 24, 52})

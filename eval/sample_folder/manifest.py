@@ -9,9 +9,9 @@ from fractions import Fraction
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from motionkit.core.errors import FormatError, describe
-from motionkit.core.framerate import parse_fps
-from motionkit.core.plain_text import parse_toml, shown
+from motionkit.core.errors import FormatError, describe, shown
+from motionkit.core.files import parse_toml
+from motionkit.core.timegrid import parse_fps
 from motionkit.io import source_file
 from motionkit.io.body_frame import GIVEN_AXES
 

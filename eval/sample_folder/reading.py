@@ -16,8 +16,8 @@ from eval.sample_folder.manifest import MANIFEST, NamedParts, SampleOptions, nam
 from eval.sample_folder.vectors import JOINTS_BY_WIDTH, check_vectors, load_statistics, positions_of
 from eval.text_motion.guo.kind import REACH_FRAMES
 from motionkit.core.errors import FormatError, MotionkitError
+from motionkit.core.files import whole_number
 from motionkit.core.motion import Motion
-from motionkit.core.plain_text import whole_number
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import KIT21, SMPL22
 from motionkit.core.skeletons.mapping import map_joints

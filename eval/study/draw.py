@@ -9,7 +9,6 @@ import numpy as np
 from eval.sets.partial import PartialResult
 from eval.study.systems import System
 from motionkit.core.errors import MotionkitError
-from motionkit.core.framerate import format_fps
 
 REALISTIC, CONSISTENT = "realistic", "consistent"
 QUESTIONS = {
@@ -74,7 +73,7 @@ def _of_pair(
         there = [each for each in matched if first.has(each[0], fps) and second.has(each[1], fps)]
         questions = tuple(QUESTIONS) if captioned else (REALISTIC,)
         if len(there) < design.cases * len(questions):
-            few = f"{len(there)} pairs of motions at {format_fps(fps)} fps for {design.cases * len(questions)} cases"
+            few = f"{len(there)} pairs of motions at {fps} fps for {design.cases * len(questions)} cases"
             missing.append(f"{pair}: {few}" + (", some are shown twice" if there else ", none is shown"))
         for question in questions if there else ():
             sides = rng.permutation(np.arange(design.cases) % 2).tolist()

@@ -16,7 +16,6 @@ from eval.study.draw import QUESTIONS, Design, Trial
 from eval.study.systems import Positions, System
 from motionkit.core.errors import MotionkitError
 from motionkit.core.files import write_json, write_whole
-from motionkit.core.framerate import format_fps
 from motionkit.core.progress import OnProgress, task
 from motionkit.core.skeleton import SMPL22
 from motionkit.viz.player import MOST_PAGE_BYTES, Panel, data_of, player
@@ -83,7 +82,7 @@ def _key(systems: Sequence[System], trials: Sequence[Trial], design: Design) -> 
         "trials": [
             {
                 "question": trial.question,
-                "fps": format_fps(trial.fps),
+                "fps": str(trial.fps),
                 "caption": trial.caption,
                 "systems": [systems[system].name for system in trial.systems],
                 "motions": [

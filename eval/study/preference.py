@@ -11,10 +11,9 @@ from scipy.stats import binomtest
 from eval.sets.partial import PartialResult
 from eval.study.draw import QUESTIONS
 from eval.study.page import ANSWERS_FORMAT, KEY_FORMAT
-from motionkit.core.errors import MotionkitError
+from motionkit.core.errors import MotionkitError, shown
 from motionkit.core.files import read_json
-from motionkit.core.framerate import parse_fps
-from motionkit.core.plain_text import shown
+from motionkit.core.timegrid import parse_fps
 
 RESTORE = "restore it from a copy, without it the sides are unknown"
 ASK_AGAIN = "ask for the file again"

@@ -19,7 +19,7 @@ def train_tmr(context: StageContext, config: TmrConfig) -> None:
     from eval.tmr.evaluator import STAGE_NAME, VERSION
     from eval.tmr.training import TmrTraining
     from motionkit.core.errors import UsageError
-    from motionkit.core.framerate import parse_fps
+    from motionkit.core.timegrid import parse_fps
     from motionkit.store.cache import cache_root, open_cache
     from motionkit.training.config import to_plain
     from motionkit.training.devices import resolve_device

@@ -13,8 +13,8 @@ from eval.clip_fid.clips import Protocol
 from eval.clip_fid.features import Comparison, kinematic_source
 from eval.clip_fid.motions import Motions, samples_of
 from eval.torch_metrics.arrays import array_of, rows_of
-from motionkit.core.framerate import Framerate, parse_fps
 from motionkit.core.shapes import Float, Int
+from motionkit.core.timegrid import Framerate, parse_fps
 
 Some = Sequence[Float[Tensor, "_frames 22 3"]] | Float[Tensor, "motions frames 22 3"]
 

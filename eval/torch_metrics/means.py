@@ -12,8 +12,8 @@ from torchmetrics import Metric
 from eval.metrics.metric import MeanSums, find_metric
 from eval.metrics.physical import ground_height
 from eval.torch_metrics.arrays import array_of
-from motionkit.core.framerate import Framerate, parse_fps
 from motionkit.core.shapes import Float
+from motionkit.core.timegrid import Framerate, parse_fps
 
 
 class DeclaredMean(Metric):

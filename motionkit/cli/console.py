@@ -10,8 +10,7 @@ from typing import Any
 
 from rich.console import Console
 
-from motionkit.core.errors import MotionkitWarning
-from motionkit.core.plain_text import UNSAFE_LETTERS, printable, shortened
+from motionkit.core.errors import UNSAFE_LETTERS, MotionkitWarning, printable, shortened
 from motionkit.core.progress import OnProgress, Progress
 
 # Messages quote files' content, which may be long.

@@ -12,9 +12,8 @@ import typer
 
 from motionkit.cli.console import print_json, print_text, progress, say_next, stderr, stdout
 from motionkit.cli.options import SkeletonMaps, Up, of_default, parse_rate, read_options
-from motionkit.core.errors import FormatError, MotionkitError, UsageError
+from motionkit.core.errors import FormatError, MotionkitError, UsageError, printable
 from motionkit.core.files import default_path
-from motionkit.core.plain_text import printable
 
 Sources = Annotated[
     list[str],

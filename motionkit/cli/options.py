@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from motionkit.core.errors import FormatError, UsageError
-from motionkit.core.framerate import parse_fps
 
 if TYPE_CHECKING:
     from motionkit.io.registry import ReadOptions
@@ -81,6 +80,8 @@ def of_default(option: str, given: Path | None) -> str:
 
 def parse_rate(text: str | None, option: str = "--fps") -> Fraction | None:
     """Parse an option's framerate; raises `UsageError` that names the option."""
+    from motionkit.core.timegrid import parse_fps  # deferred: numpy
+
     try:
         return None if text is None else parse_fps(text)
     except ValueError as error:

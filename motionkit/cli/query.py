@@ -12,9 +12,8 @@ from typing import Annotated, Any
 import typer
 
 from motionkit.cli.console import print_json, print_text, stdout
-from motionkit.core.errors import UsageError
+from motionkit.core.errors import UsageError, printable
 from motionkit.core.files import default_path
-from motionkit.core.plain_text import printable
 
 LONG_LIST = 6
 WIDEST = 100_000

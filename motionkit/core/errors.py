@@ -1,7 +1,14 @@
-"""The project's errors: each states the place, what was found and what was expected."""
+"""The project's errors, each with the place, what is there and what was expected; and how they show untrusted text."""
 
+import re
+import reprlib
+from collections.abc import Iterable
 from os import PathLike
 from pathlib import Path
+
+SHOWN_LETTERS = 80
+# C0 and C1 controls, direction marks and overrides, line separators, zero-width characters, lone surrogates.
+UNSAFE_LETTERS = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u2069\ufeff\ud800-\udfff]")
 
 
 class MotionkitError(Exception):
@@ -80,3 +87,44 @@ class MissingExtraError(MotionkitError):
 
     def __init__(self, package: str, extra: str) -> None:
         super().__init__(f"this needs the package {package!r}: in a checkout of motionkit, pip install '.[{extra}]'")
+
+
+def shown(value: object, limit: int = SHOWN_LETTERS) -> str:
+    """A value for a message: its `repr`, cut to `limit` letters and some items."""
+    short = reprlib.Repr()
+    short.maxstring = short.maxlong = short.maxother = limit
+    try:
+        text = short.repr(value)
+    except ValueError:
+        text = "a number of thousands of digits"
+    return text if len(text) <= limit else f"{text[:limit]}…"
+
+
+def suggestion(word: str, known: Iterable[str]) -> str:
+    """` (did you mean fps?)` if a word is close to a known one, or begins with one; else empty."""
+    import difflib
+
+    plain, words = word.strip().casefold(), sorted(known)
+    begun = [each for each in words if each == plain or (len(each) > 2 and plain.startswith(each))]
+    near = begun or difflib.get_close_matches(plain, words, 1)
+    return f" (did you mean {near[0]}?)" if near else ""
+
+
+def printable(text: str) -> str:
+    """A text as one line that is safe on a terminal: control characters as escapes (`\\x1b`, `\\n`).
+
+    Also direction marks, and bytes of a file name that are not UTF-8.
+    """
+    return UNSAFE_LETTERS.sub(lambda found: found[0].encode("unicode_escape", "surrogatepass").decode("ascii"), text)
+
+
+def markdown_text(text: str) -> str:
+    """A text as one line of Markdown that shows it as it is: characters with a meaning there are escaped."""
+    return re.sub(r"[\\`*_\[\]<>|~&!$]", r"\\\g<0>", printable(text))
+
+
+def shortened(text: str, limit: int) -> str:
+    """A text of at most about `limit` characters, shortened in the middle, since the end has the advice."""
+    if len(text) <= limit:
+        return text
+    return f"{text[: limit // 2]} … ({len(text) - limit:,} letters left out) … {text[-(limit - limit // 2) :]}"

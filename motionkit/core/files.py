@@ -14,7 +14,8 @@ import secrets
 import shutil
 import signal
 import threading
-from collections.abc import Iterable, Iterator, Mapping
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,9 @@ RECORD = "SHA256SUMS"
 _RECORD_LINE = re.compile(r"([0-9a-f]{64})  (.+)")
 _TEMPORARY = re.compile(r"\..+\.[0-9a-f]{8}\.tmp(\.[^.]*)?")
 STOPPING_SIGNALS = (signal.SIGTERM, signal.SIGINT)
+# Integers of more digits are beyond 64 bits; Python itself reads no more than thousands of them.
+MOST_DIGITS = 18
+LONGEST_TOML = 1_000_000
 _NO_LOCKS = (errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOLCK)
 
 # The files and the folder by which a store is known.
@@ -101,6 +105,39 @@ def read_json(path: Path, hint: str) -> dict[str, Any]:
     if not isinstance(document, dict):
         raise DamagedFileError(path, "it is not a JSON object", hint)
     return document
+
+
+def whole_number(text: str) -> int | None:
+    """The integer of 1 to 18 decimal digits; None for any other text, including signs."""
+    return int(text) if text.isdecimal() and len(text) <= MOST_DIGITS else None
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Parse TOML; raises `ValueError` for anything else, also if it is nested too deep."""
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ValueError("nested too deep") from None
+
+
+def parse_json(text: str, object_pairs_hook: Callable[[list[tuple[str, Any]]], Any] | None = None) -> Any:
+    """Parse JSON, with integers beyond 64 bits as floats; the hook is that of `json.loads`.
+
+    Raises `json.JSONDecodeError` with the position, or another `ValueError`: nested too deep, or a lone surrogate.
+    """
+    try:
+        value = json.loads(text, parse_int=_bounded, object_pairs_hook=object_pairs_hook)
+        if "\\ud" in text or "\\uD" in text:
+            json.dumps(value, ensure_ascii=False).encode("utf-8")
+    except RecursionError:
+        raise ValueError("nested too deep") from None
+    except UnicodeEncodeError as error:
+        raise ValueError(f"{error.object[error.start]!r} is half a character") from None
+    return value
+
+
+def _bounded(digits: str) -> int | float:
+    return int(digits) if len(digits) <= MOST_DIGITS else float(digits)
 
 
 def _finite(text: str) -> float:

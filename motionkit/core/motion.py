@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 
 import motionkit
-from motionkit.core.framerate import Framerate, parse_fps
 from motionkit.core.shapes import Float, Float32
 from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
-from motionkit.core.timegrid import SAME_SECONDS, TimeGrid
+from motionkit.core.timegrid import SAME_SECONDS, Framerate, TimeGrid, parse_fps
 
 
 @dataclass(frozen=True)

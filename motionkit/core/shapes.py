@@ -1,11 +1,12 @@
 """Annotations of arrays with their dtype and axes: `Float32[np.ndarray, "frames joints 3"]`.
 
-They are jaxtyping's, which the tests check at every call. Where nothing has imported jaxtyping they are bare arrays, as
+They are jaxtyping's, which the tests check at every call. Where nothing has imported jaxtyping they only describe, as
 importing it and building its types is a noticeable part of a short command.
 """
 
 import sys
-from typing import TYPE_CHECKING, Any
+from types import GenericAlias
+from typing import TYPE_CHECKING
 
 __all__ = [
     "Bool",
@@ -28,7 +29,6 @@ else:
     class Shaped:
         """An array of any dtype."""
 
-        def __class_getitem__(cls, arguments: tuple[Any, str]) -> Any:
-            return arguments[0]
+        __class_getitem__ = classmethod(GenericAlias)
 
     Bool = Complex64 = Float = Float32 = Float64 = Int = Int32 = Int64 = UInt8 = UInt16 = Shaped

@@ -12,10 +12,10 @@ import numpy as np
 
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.files import default_path, whole_file
-from motionkit.core.framerate import Framerate, format_fps, parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.progress import warn
 from motionkit.core.shapes import Bool
+from motionkit.core.timegrid import Framerate, parse_fps
 from motionkit.edit.encoders import ChosenEncoder, choose_encoder
 from motionkit.edit.motions import (
     EditedMotion,
@@ -192,9 +192,9 @@ def observed_frames(loaded: LoadedMotion, request: CompletionRequest) -> Frames:
             f"its frames are uneven in time, about {float(own):.4g} a second: give the fps of the result"
         )
     if request.fps is not None and request.fps < own:
-        fps = format_fps(request.fps)
+        fps = str(request.fps)
         raise MotionkitError(
-            f"{fps} fps is less than its {format_fps(own)}: frames would be dropped, not made; filter it down instead: "
+            f"{fps} fps is less than its {own}: frames would be dropped, not made; filter it down instead: "
             f"motionkit convert --fps {fps}, in Python motion.resample({fps})"
         )
     observed = np.asarray(loaded.valid & kept_frames(request.keep, loaded.motion.num_frames))
@@ -262,8 +262,8 @@ def complete_file(
     warnings = [*completed.warnings, *filter(None, [loaded.note])]
     details = {
         "encoder": completed.encoder,
-        "fps": format_fps(loaded.motion.fps),
-        "completed_fps": format_fps(motion.fps),
+        "fps": str(loaded.motion.fps),
+        "completed_fps": str(motion.fps),
         "num_frames": loaded.motion.num_frames,
         "num_completed_frames": motion.num_frames,
         "num_given_frames": num_given,

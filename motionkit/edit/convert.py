@@ -8,8 +8,8 @@ import numpy as np
 
 from motionkit.core.errors import UsageError
 from motionkit.core.files import whole_file
-from motionkit.core.framerate import Framerate, format_fps, parse_fps
 from motionkit.core.motion import Motion
+from motionkit.core.timegrid import Framerate, parse_fps
 from motionkit.edit.motions import (
     EditedMotion,
     LoadedMotion,
@@ -91,8 +91,8 @@ def convert_file(
         else:
             write_edited(EditedMotion(motion, known), loaded, temporary)
     details = {
-        "fps": format_fps(loaded.motion.fps),
-        "converted_fps": format_fps(motion.fps),
+        "fps": str(loaded.motion.fps),
+        "converted_fps": str(motion.fps),
         "num_frames": loaded.motion.num_frames,
         "num_converted_frames": motion.num_frames,
         "num_joints": motion.skeleton.num_joints,

@@ -20,11 +20,9 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from motionkit.core.errors import MotionkitError, UsageError
+from motionkit.core.errors import MotionkitError, UsageError, markdown_text
 from motionkit.core.files import naming, require_empty, whole_folder, write_json
-from motionkit.core.framerate import format_fps
 from motionkit.core.motion import Caption, Motion
-from motionkit.core.plain_text import markdown_text, spreadsheet_text
 from motionkit.core.shapes import Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import SkeletonMapError, map_joints
@@ -120,7 +118,7 @@ def export_files(selection: Selection, folder: Path, format: Format) -> Iterator
     assert format.write is not None
     is_shared = bool(format.shared_file)
     if is_shared and len(selection.framerates) > 1:
-        *most, last = [format_fps(fps) for fps in selection.framerates]
+        *most, last = [str(fps) for fps in selection.framerates]
         raise UsageError(
             f"a folder of joints has one framerate, the sequences have {', '.join(most)} and {last}: give one with "
             "--fps"
@@ -163,16 +161,17 @@ def _row(motion: Motion, name: PurePosixPath) -> dict[str, str]:
         "style": motion.style,
         "subject": provenance.subject,
         "split": motion.split,
-        "fps": format_fps(motion.fps),
+        "fps": str(motion.fps),
         "stated_fps": provenance.stated_fps,
         "licence": provenance.licence,
         "source": provenance.source,
         "subset": provenance.subset,
     }
     file = name.as_posix()
-    # A path is read again, and stays the same with ./ before it.
-    file = file if spreadsheet_text(file) == file else f"./{file}"
-    return {"file": file, **{column: spreadsheet_text(cell) for column, cell in cells.items()}}
+    # A spreadsheet would run these as formulas; a path is read again, and stays the same with ./ before it.
+    formula = ("=", "+", "-", "@", "\t", "\r")
+    file = f"./{file}" if file.startswith(formula) else file
+    return {"file": file, **{name: f"'{cell}" if cell.startswith(formula) else cell for name, cell in cells.items()}}
 
 
 def captions_json(captions: Sequence[Caption]) -> str:
@@ -287,7 +286,7 @@ def pose_entry(motion: Motion, name: str, kind: Kind) -> Entry | Outcome:
     """A motion's processed joints and pose vectors at its own framerate, T − 1 rows each, or the reason for none."""
     layout = kind.layout.skeleton.name
     if motion.num_frames < MIN_POSES:
-        message = f"{motion.num_frames} pose at {format_fps(motion.fps)} fps; pose vectors need at least {MIN_POSES}"
+        message = f"{motion.num_frames} pose at {motion.fps} fps; pose vectors need at least {MIN_POSES}"
         return Outcome(motion.sequence_id, "too-short", message)
     try:
         joints = map_joints(motion, layout)
@@ -304,11 +303,11 @@ def pose_entry(motion: Motion, name: str, kind: Kind) -> Entry | Outcome:
 def write_folder_manifest(folder: Path, layout: Layout) -> None:
     """Write motions.json: framerate, layout and unit for readers, the convention and its published framerate."""
     manifest = {
-        "fps": format_fps(layout.fps),
+        "fps": str(layout.fps),
         "layout": layout.skeleton.name,
         "unit_metres": layout.unit_metres,
         "vectors": humanml3d.CONVENTION,
-        "published_fps": format_fps(LAYOUTS[layout.name].fps),
+        "published_fps": str(LAYOUTS[layout.name].fps),
     }
     write_json(folder / joints_npy.MANIFEST, manifest)
 

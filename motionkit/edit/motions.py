@@ -11,7 +11,6 @@ import numpy as np
 
 from motionkit.core.errors import FormatError, MotionkitError, StoreError, UsageError
 from motionkit.core.files import is_store, write_json
-from motionkit.core.framerate import format_fps
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Bool, Float64
 from motionkit.core.skeleton import STANDARD_SKELETONS
@@ -253,7 +252,7 @@ def _write_pose_vectors(motion: Motion, path: Path) -> None:
     if joints_npy.read_manifest(manifest).fps not in (None, motion.fps):
         raise MotionkitError(f"{manifest} says another framerate than {motion.fps}: one folder holds one, use --out")
     np.save(path, humanml3d.vectors(positions, name), allow_pickle=False)
-    write_json(manifest, {"fps": format_fps(motion.fps), "layout": name, "vectors": humanml3d.CONVENTION})
+    write_json(manifest, {"fps": str(motion.fps), "layout": name, "vectors": humanml3d.CONVENTION})
 
 
 class OutputPaths:
@@ -300,7 +299,7 @@ class OutputPaths:
             path = self._out / (source.beside.relative_to(folder).parent if folder else "") / f"{stem}{suffix}"
         elif suffix == ".npy":
             # A motions.json states the framerate of all arrays beside it, so new ones need their own folder.
-            path = source.beside.with_name(derived_folder(format_fps(fps), self._edit)) / f"{stem}.npy"
+            path = source.beside.with_name(derived_folder(str(fps), self._edit)) / f"{stem}.npy"
         else:
             path = source.beside.with_name(f"{stem}.{self._edit}{suffix}")
         other = self._source_of.setdefault(path.absolute(), source.name)

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 
 from motionkit.core.files import whole_file
-from motionkit.core.framerate import format_fps
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Bool, Float64
 from motionkit.edit.motions import (
@@ -128,7 +127,7 @@ def plant_file(source: MotionSource, path_of_body: BodyPath, with_page: bool, pa
             note = "Dark are frames that stayed, orange are those that moved."
             write_comparison(page, source.name, loaded.panel("before"), [version], others="moved", note=note)
     details = {
-        "fps": format_fps(loaded.motion.fps),
+        "fps": str(loaded.motion.fps),
         "num_frames": loaded.motion.num_frames,
         **asdict(change),
         "note": loaded.note,

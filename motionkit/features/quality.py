@@ -10,11 +10,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from motionkit.core.framerate import COMMON_FPS
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, body_axis, joint_map
+from motionkit.core.timegrid import COMMON_FPS
 
 # Above these a sequence is flagged, not refused: real captures hold glitches and floors that are off, and the reader
 # decides. docs/quality.md says where each figure comes from, docs/results/quality.md what it hits in real captures.

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from motionkit.core.errors import suggestion
 from motionkit.core.kinematics import (
     continuous_quaternions,
     quaternion_conjugate,
@@ -24,7 +25,6 @@ from motionkit.core.kinematics import (
     rotation_vector_to_quaternion,
 )
 from motionkit.core.motion import Motion
-from motionkit.core.plain_text import suggestion
 from motionkit.core.shapes import Float, Float64, Int
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.joints import Joints, with_rotations

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from motionkit.core.framerate import Framerate, parse_fps
 from motionkit.core.kinematics import continuous_quaternions
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float, Float64, Int64
-from motionkit.core.timegrid import TimeGrid, num_frames_within
+from motionkit.core.timegrid import Framerate, TimeGrid, num_frames_within, parse_fps
 from motionkit.fields.completion import upsample
 from motionkit.fields.interpolation import Method, interpolator_of
 from motionkit.fields.joints import Joints

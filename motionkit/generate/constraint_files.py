@@ -12,8 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from motionkit.core.errors import MotionkitError, UsageError
-from motionkit.core.plain_text import shown
+from motionkit.core.errors import MotionkitError, UsageError, shown
 from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints

@@ -20,7 +20,6 @@ import numpy as np
 
 from motionkit.core.errors import UsageError
 from motionkit.core.files import LOCK, is_temporary, locked_folder, read_json, write_json, write_whole
-from motionkit.core.framerate import format_fps
 from motionkit.edit.export import TABLE, captions_json
 from motionkit.fields.detail import Detail, detailed
 from motionkit.fields.motion_field import MotionField
@@ -99,9 +98,9 @@ class Job:
             "planted": self.plant,
             "with_detail": self.detail is not None,
             "file_format": self.output.name,
-            "fps": None if request.times else format_fps(self.fps),
+            "fps": None if request.times else str(self.fps),
             "times_seconds": list(request.times) or None,
-            "max_training_fps": format_fps(self.model.max_training_fps),
+            "max_training_fps": str(self.model.max_training_fps),
             "count": request.count,
             "conditions": [
                 {"text": each.text, "action": each.action, "seconds": each.duration_seconds} for each in conditions
@@ -169,7 +168,7 @@ class Job:
         text = io.StringIO(newline="")
         table = csv.writer(text, lineterminator="\n")
         table.writerow(("file", "captions", "action", "fps"))
-        fps = "" if self.request.times else format_fps(self.fps)
+        fps = "" if self.request.times else str(self.fps)
         for number in sorted(self.complete_in(folder)):
             script = self.request.motions[number]
             table.writerow((self.main_files[number], captions_json(captions_of(script)), action_of(script), fps))

@@ -6,12 +6,11 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TypedDict, Unpack, overload
 
-from motionkit.core.errors import UsageError
+from motionkit.core.errors import UsageError, shown
 from motionkit.core.files import default_path
-from motionkit.core.framerate import Framerate, format_fps, parse_fps
 from motionkit.core.motion import Motion
-from motionkit.core.plain_text import shown
 from motionkit.core.skeleton import Skeleton
+from motionkit.core.timegrid import Framerate, parse_fps
 from motionkit.fields.motion_field import MotionField
 from motionkit.generate import models
 from motionkit.generate.constraints import Constraint
@@ -109,7 +108,7 @@ class MotionModel:
         drawn = self._drawn(text, action, seconds, n, seed, sampling, plant)
         motions = [
             sample_motion(field, motion_name(number, script), script, rate).logged(
-                f"generate motion {number} of seed {seed} at {format_fps(rate)} fps ({self.name}, {self.run})"
+                f"generate motion {number} of seed {seed} at {rate} fps ({self.name}, {self.run})"
             )
             for number, (script, field) in enumerate(drawn)
         ]
@@ -164,7 +163,7 @@ class MotionModel:
     def __repr__(self) -> str:
         return (
             f"MotionModel({self.name!r}, {str(self.run)!r}, {self.skeleton.num_joints} joints, up to "
-            f"{self.max_duration_seconds:g} s at once, trained at up to {format_fps(self.max_training_fps)} fps)"
+            f"{self.max_duration_seconds:g} s at once, trained at up to {self.max_training_fps} fps)"
         )
 
 

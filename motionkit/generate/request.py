@@ -18,8 +18,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from motionkit.core.errors import UsageError
-from motionkit.core.plain_text import parse_json, shown
+from motionkit.core.errors import UsageError, shown
+from motionkit.core.files import parse_json
 from motionkit.generate.constraints import Constraint
 from motionkit.generate.long_motions import OVERLAP_SECONDS, Script
 from motionkit.generate.models import GenerationRequest

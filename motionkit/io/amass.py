@@ -16,11 +16,10 @@ import numpy as np
 
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
-from motionkit.core.framerate import parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.core.timegrid import TimeGrid
+from motionkit.core.timegrid import TimeGrid, parse_fps
 from motionkit.io import body_frame, npy, source_file
 from motionkit.io.registry import FileHead, Format, ReadOptions, SourceItem
 from motionkit.io.retargeting import retarget

@@ -18,10 +18,10 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, TypedDict, cast
 
-from motionkit.core.errors import FormatError
-from motionkit.core.framerate import parse_fps
+from motionkit.core.errors import FormatError, shown, suggestion
+from motionkit.core.files import parse_json, whole_number
 from motionkit.core.motion import Caption
-from motionkit.core.plain_text import parse_json, shown, suggestion, whole_number
+from motionkit.core.timegrid import parse_fps
 from motionkit.io import source_file
 from motionkit.io.registry import SourceItem
 from motionkit.io.texts import SPLITS

@@ -20,12 +20,11 @@ import numpy as np
 
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
-from motionkit.core.framerate import parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64
 from motionkit.core.skeleton import MAX_JOINTS, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, body_axis, rest_positions, with_layout_map
-from motionkit.core.timegrid import TimeGrid
+from motionkit.core.timegrid import TimeGrid, parse_fps
 from motionkit.io import body_frame, number_table, source_file
 from motionkit.io.body_frame import infer_up, log_lines, skeleton_to_y_up, to_y_up, turn_of
 from motionkit.io.number_table import parse_number

@@ -20,10 +20,9 @@ from pathlib import Path
 import numpy as np
 
 from motionkit.core.errors import FormatError
-from motionkit.core.framerate import parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float64
-from motionkit.core.timegrid import TimeGrid
+from motionkit.core.timegrid import TimeGrid, parse_fps
 from motionkit.io import source_file
 from motionkit.io.body_frame import AXES, log_lines, to_y_up
 from motionkit.io.bvh import unique_names

@@ -12,9 +12,8 @@ from fractions import Fraction
 from pathlib import Path
 
 from motionkit.core.errors import FormatError
-from motionkit.core.framerate import SNAP_TOLERANCE, parse_fps
 from motionkit.core.motion import Motion
-from motionkit.core.timegrid import SAME_SECONDS, TimeGrid
+from motionkit.core.timegrid import SAME_SECONDS, SNAP_TOLERANCE, TimeGrid, parse_fps
 
 PUBLISHED_FPS = 20
 # AMASS' releases differ by some frames at the ends of files; wrong framerates differ by a fifth or more.

@@ -18,12 +18,11 @@ import numpy as np
 
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
-from motionkit.core.framerate import SNAP_TOLERANCE, parse_fps
+from motionkit.core.files import parse_json
 from motionkit.core.motion import Motion
-from motionkit.core.plain_text import parse_json
 from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import Feet, Skeleton
-from motionkit.core.timegrid import TimeGrid
+from motionkit.core.timegrid import SNAP_TOLERANCE, TimeGrid, parse_fps
 from motionkit.io import npy, source_file
 from motionkit.io.body_frame import in_metres
 from motionkit.io.registry import FileHead, Format, ReadOptions, of_path

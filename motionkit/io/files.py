@@ -8,10 +8,10 @@ from typing import Literal
 
 from motionkit.core.errors import FormatError, UsageError
 from motionkit.core.files import is_store
-from motionkit.core.framerate import Framerate, parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.progress import warn
 from motionkit.core.skeletons.mapping import read_skeleton_map
+from motionkit.core.timegrid import Framerate, parse_fps
 from motionkit.io import joints_npy, npy, reading
 from motionkit.io.body_frame import GIVEN_AXES
 from motionkit.io.humanml3d import JOINTS_FOLDER, LAYOUTS, VECTORS_FOLDER

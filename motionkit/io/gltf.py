@@ -17,10 +17,8 @@ import numpy as np
 
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
-from motionkit.core.files import read_at_most
-from motionkit.core.framerate import format_fps
+from motionkit.core.files import parse_json, read_at_most
 from motionkit.core.motion import Motion
-from motionkit.core.plain_text import parse_json
 from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import MAX_JOINTS, SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, rest_positions, with_layout_map
@@ -230,7 +228,7 @@ def _extras(motion: Motion) -> dict[str, Any]:
     provenance = motion.provenance
     extras = {
         "sequence_id": motion.sequence_id,
-        "fps": format_fps(motion.fps),
+        "fps": str(motion.fps),
         "start_seconds": motion.timegrid.start_seconds,
         "action": motion.action,
         "style": motion.style,

@@ -30,8 +30,8 @@ from pathlib import Path
 from typing import Any
 
 from motionkit.core.errors import FormatError, UsageError
+from motionkit.core.files import parse_json
 from motionkit.core.motion import Caption
-from motionkit.core.plain_text import parse_json
 from motionkit.io import source_file
 from motionkit.io.cuts import Cut, StepCut, TimeCut
 from motionkit.io.registry import IndexOptions, ScanResult, SourceItem

@@ -14,7 +14,6 @@ import pyarrow as pa
 import pyarrow.csv as pc
 
 from motionkit.core.errors import FormatError
-from motionkit.core.framerate import format_fps
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
@@ -164,7 +163,7 @@ def _clock(
             raise
     fps = options.fps or stated
     assert fps is not None
-    stated_words = "" if stated is None else f"{TIME}: {format_fps(stated)}"
+    stated_words = "" if stated is None else f"{TIME}: {stated}"
     return TimeGrid(fps, len(seconds), float(seconds[0])), stated_words, source_file.replaced_fps(fps, stated)
 
 

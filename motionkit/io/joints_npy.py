@@ -15,14 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
-from motionkit.core.errors import FormatError
-from motionkit.core.files import write_json
-from motionkit.core.framerate import format_fps, parse_fps
+from motionkit.core.errors import FormatError, shown
+from motionkit.core.files import parse_json, write_json
 from motionkit.core.motion import Motion
-from motionkit.core.plain_text import parse_json, shown
 from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS, Skeleton
 from motionkit.core.skeletons.mapping import map_joints
-from motionkit.core.timegrid import TimeGrid
+from motionkit.core.timegrid import TimeGrid, parse_fps
 from motionkit.io import npy, source_file
 from motionkit.io.body_frame import upright
 from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
@@ -93,7 +91,7 @@ def read_joints_npy(path: Path, options: ReadOptions | None = None) -> Motion:
         timegrid=TimeGrid(fps, len(positions)),
         sequence_id=path.stem,
         provenance=source_file.provenance(
-            path, data, "joints-npy", operations, stated_fps="" if manifest.fps is None else format_fps(manifest.fps)
+            path, data, "joints-npy", operations, stated_fps="" if manifest.fps is None else str(manifest.fps)
         ),
     )
 
@@ -137,7 +135,7 @@ def write_joints_npy(motion: Motion, path: Path) -> None:
         if (folder.fps, folder.layout) != (motion.fps, motion.skeleton.name):
             raise ValueError(f"{manifest} says {folder.fps} fps and {folder.layout}; one folder holds one of each")
     else:
-        write_json(manifest, {"fps": format_fps(motion.fps), "layout": motion.skeleton.name})
+        write_json(manifest, {"fps": str(motion.fps), "layout": motion.skeleton.name})
     np.save(path, motion.joint_positions, allow_pickle=False)
 
 

@@ -12,10 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from motionkit.core.errors import FormatError
-from motionkit.core.framerate import parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, Feet, Skeleton
-from motionkit.core.timegrid import TimeGrid
+from motionkit.core.timegrid import TimeGrid, parse_fps
 from motionkit.io import joint_rotations, npy, source_file
 from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
 

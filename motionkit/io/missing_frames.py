@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from motionkit.core.errors import FormatError
-from motionkit.core.framerate import parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Bool, Float64
+from motionkit.core.timegrid import parse_fps
 from motionkit.io import joints_npy, npy, reading, source_file
 from motionkit.io.registry import ReadOptions, SourceItem
 

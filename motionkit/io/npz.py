@@ -16,12 +16,11 @@ from typing import Any
 import numpy as np
 
 from motionkit.core.errors import FormatError, MotionkitError
-from motionkit.core.framerate import format_fps, parse_fps
 from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import STANDARD_SKELETONS, Feet, Skeleton
 from motionkit.core.skeletons.mapping import parse_layout_map
-from motionkit.core.timegrid import TimeGrid
+from motionkit.core.timegrid import TimeGrid, parse_fps
 from motionkit.io import npy, source_file
 from motionkit.io.body_frame import in_metres
 from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
@@ -225,7 +224,7 @@ def _clock(archive: npy.Archive, num_frames: int, options: ReadOptions) -> tuple
         start = float(seconds[0]) if np.isfinite(seconds[0]) else 0.0
         if options.fps is None:
             stated = source_file.grid_of_seconds(seconds, archive.path, stated).fps
-            words = words or f"time_seconds: {format_fps(stated)}"
+            words = words or f"time_seconds: {stated}"
     fps = options.fps or stated
     if fps is None:
         raise FormatError(
@@ -242,7 +241,7 @@ def _stated_fps(archive: npy.Archive) -> tuple[Fraction | None, str]:
         if "fps_numerator" in archive and "fps_denominator" in archive:
             pair = [int(archive.exact(key, ())) for key in ("fps_numerator", "fps_denominator")]
             fps = parse_fps(Fraction(*pair))
-            return fps, f"fps: {format_fps(fps)}"
+            return fps, f"fps: {fps}"
         if "fps" in archive:
             value = archive.scalar("fps")
             if value is None:

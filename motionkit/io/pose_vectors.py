@@ -17,7 +17,6 @@ import numpy as np
 
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
-from motionkit.core.framerate import format_fps
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
@@ -165,7 +164,7 @@ def _motion(
         skeleton,
         TimeGrid(fps, len(positions)),
         sequence_id=path.stem,
-        provenance=source_file.provenance(path, data, source_format, lines, stated_fps=format_fps(stated)),
+        provenance=source_file.provenance(path, data, source_format, lines, stated_fps=str(stated)),
     )
 
 

@@ -13,14 +13,12 @@ from importlib import resources
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
-from motionkit.core.errors import FormatError, UsageError
-from motionkit.core.files import read_at_most
-from motionkit.core.framerate import parse_fps
+from motionkit.core.errors import FormatError, UsageError, shown
+from motionkit.core.files import LONGEST_TOML, parse_toml, read_at_most
 from motionkit.core.mirror import mirror
 from motionkit.core.motion import Motion, captions_within
-from motionkit.core.plain_text import LONGEST_TOML, parse_toml, shown
 from motionkit.core.skeletons.mapping import with_layout_map
-from motionkit.core.timegrid import TimeGrid
+from motionkit.core.timegrid import TimeGrid, parse_fps
 from motionkit.io.body_frame import check_unit, log_lines, turned
 from motionkit.io.cuts import crop
 from motionkit.io.registry import FramerateRule, Reader, ReadOptions, SourceItem, reader_of

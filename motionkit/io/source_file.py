@@ -14,10 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from motionkit.core.errors import FormatError
-from motionkit.core.framerate import parse_fps
 from motionkit.core.motion import Provenance
 from motionkit.core.shapes import Float64
-from motionkit.core.timegrid import TimeGrid
+from motionkit.core.timegrid import TimeGrid, parse_fps
 
 MAX_BYTES = 4 << 30
 HEADER_BYTES = 1 << 20

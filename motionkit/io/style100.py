@@ -13,9 +13,9 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
-from motionkit.core.errors import FormatError
+from motionkit.core.errors import FormatError, shown
+from motionkit.core.files import whole_number
 from motionkit.core.motion import Motion
-from motionkit.core.plain_text import shown, whole_number
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import source_file
 from motionkit.io.bvh import T_POSE_DROPPED, BvhDocument, read_bvh, read_document

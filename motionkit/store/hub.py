@@ -16,9 +16,8 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from motionkit.core import __version__
-from motionkit.core.errors import MissingExtraError, MotionkitError, StoreError, UsageError
+from motionkit.core.errors import MissingExtraError, MotionkitError, StoreError, UsageError, markdown_text
 from motionkit.core.files import MANIFEST_FILE, MOTIONS_FOLDER, SEQUENCES_FILE
-from motionkit.core.plain_text import markdown_text
 from motionkit.core.progress import warn
 from motionkit.store.commit import read_manifest
 

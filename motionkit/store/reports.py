@@ -13,7 +13,6 @@ import pyarrow.parquet as pq
 
 from motionkit.core.errors import StoreError
 from motionkit.core.files import require_regular
-from motionkit.core.framerate import format_fps
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map
@@ -119,7 +118,7 @@ def _summarise_source(source: str, rows: pa.Table) -> SourceSummary:
         num_sequences=rows.num_rows,
         hours=_hours(rows),
         num_frames=_total(rows["num_frames"]),
-        framerates={format_fps(each): fps[each] for each in sorted(fps)},
+        framerates={str(each): fps[each] for each in sorted(fps)},
         splits=_counts(rows["split"]),
         formats=_counts(rows["source_format"]),
         licences=_counts(rows["licence"]),
@@ -373,7 +372,7 @@ def summarise_motion(motion: Motion, *, has_framerate: bool = True) -> MotionSum
     return MotionSummary(
         sequence_id=motion.sequence_id,
         format=source.source_format,
-        fps=format_fps(motion.fps) if has_framerate else None,
+        fps=str(motion.fps) if has_framerate else None,
         stated_fps=source.stated_fps,
         num_frames=motion.num_frames,
         duration_seconds=motion.duration_seconds if has_framerate else None,

@@ -18,7 +18,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
+from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError, shown
 from motionkit.core.files import (
     LOCK,
     RECORD,
@@ -34,7 +34,6 @@ from motionkit.core.files import (
     write_record,
     write_whole,
 )
-from motionkit.core.plain_text import shown
 
 # A pattern. Without a hyphen first, as options have.
 STAGE_NAME = r"\w[\w-]*"

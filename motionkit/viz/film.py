@@ -20,7 +20,6 @@ from PIL import Image
 
 from motionkit.core.errors import MissingExtraError, MotionkitError
 from motionkit.core.files import whole_file
-from motionkit.core.framerate import format_fps
 from motionkit.core.shapes import Float64
 from motionkit.viz.player import Panel, drawing_of
 
@@ -121,7 +120,7 @@ class _Scene:
             axes.add_collection(lines)
         self._clock = axes.text(0.03, 0.03, "", transform=axes.transAxes, fontsize=9, color="#666666")
         if titled:
-            title = f"{panel.name}, {format_fps(panel.fps)} fps"
+            title = f"{panel.name}, {panel.fps} fps"
             axes.text(0.03, 0.95, title, transform=axes.transAxes, fontsize=9, parse_math=False)
 
     def draw(self, instant: float) -> None:

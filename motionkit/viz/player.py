@@ -15,7 +15,6 @@ import numpy as np
 
 from motionkit.core.errors import MotionkitError
 from motionkit.core.files import write_whole
-from motionkit.core.framerate import format_fps
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.shapes import Bool, Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
@@ -106,7 +105,7 @@ def panel_of(motion: Motion, name: str) -> Panel:
     rotations = "with rotations" if motion.local_rotations is not None else "positions only"
     details = {
         "skeleton": f"{motion.skeleton.name or 'unnamed'}, {motion.skeleton.num_joints} joints, {rotations}",
-        "framerate": f"{format_fps(motion.fps)} fps",
+        "framerate": f"{motion.fps} fps",
         "the file says": known.stated_fps,
         "format": known.source_format,
         "source": "/".join(filter(None, (known.source, known.source_path))),

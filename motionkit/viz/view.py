@@ -9,10 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from motionkit.core.errors import MotionkitError, UsageError, describe
-from motionkit.core.framerate import format_fps
+from motionkit.core.errors import MotionkitError, UsageError, describe, printable
 from motionkit.core.motion import Motion
-from motionkit.core.plain_text import printable
 from motionkit.core.progress import warn
 from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import SMPL22
@@ -146,7 +144,7 @@ class Viewed:
             "motions": [
                 {
                     "name": panel.name,
-                    "fps": format_fps(panel.fps),
+                    "fps": str(panel.fps),
                     "first_frame": panel.first_frame,
                     "num_frames": panel.num_frames,
                     "start_seconds": panel.start_seconds,

@@ -14,8 +14,7 @@ from urllib.request import getproxies
 from safetensors import SafetensorError
 
 from motionkit.core.errors import MotionkitError
-from motionkit.core.files import sha256_of
-from motionkit.core.plain_text import parse_json
+from motionkit.core.files import parse_json, sha256_of
 from motionkit.core.progress import warn
 
 SENTENCES_PER_BATCH = 64

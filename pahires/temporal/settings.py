@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, Literal, Protocol, TypeVar, runtime_checkable
 
-from motionkit.core.framerate import parse_fps
+from motionkit.core.timegrid import parse_fps
 from motionkit.training.config import ConfigLike, Precision, Schedule, require_positive
 
 if TYPE_CHECKING:

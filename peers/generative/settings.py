@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Literal, Protocol, runtime_checkable
 
-from motionkit.core.framerate import parse_fps
+from motionkit.core.timegrid import parse_fps
 from motionkit.features.convention import PoseVectorsName
 from motionkit.training.config import ConfigLike, Precision, Schedule, require_positive
 from motionkit.training.diffusion.settings import DiffusionConfig

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motionkit.core.plain_text import printable
+from motionkit.core.errors import printable
 from tests.helpers.format_samples import bvh_text
 from tests.helpers.outcome import Outcome
 

@@ -1,4 +1,4 @@
-"""Names that packages give without having imported them: quick to import, known to type checkers, never a module."""
+"""Names that packages give without having imported them: quick to import known to type checkers, never a module."""
 
 import pickle
 import subprocess

@@ -20,10 +20,9 @@ from typing import Any
 import numpy as np
 
 from motionkit.core import kinematics
-from motionkit.core.errors import FormatError, MotionkitError
-from motionkit.core.files import read_at_most
+from motionkit.core.errors import FormatError, MotionkitError, shortened, shown
+from motionkit.core.files import LONGEST_TOML, parse_json, parse_toml, read_at_most
 from motionkit.core.motion import Motion
-from motionkit.core.plain_text import LONGEST_TOML, parse_json, parse_toml, shortened, shown
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import KIT21, SMPL22, STANDARD_SKELETONS, Skeleton
 

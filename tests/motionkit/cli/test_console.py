@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from motionkit.cli import console
 from motionkit.cli.console import LineConsole, print_json, print_table, print_text
-from motionkit.core.errors import MotionkitError, describe
-from motionkit.core.plain_text import printable
+from motionkit.core.errors import MotionkitError, describe, printable
 from motionkit.core.progress import Progress, task, warn
 
 HOSTILE = {

@@ -2,7 +2,8 @@ import json
 
 import pytest
 
-from motionkit.core.plain_text import parse_json, parse_toml, shown, whole_number
+from motionkit.core.errors import shown
+from motionkit.core.files import parse_json, parse_toml, whole_number
 
 DIGITS = "9" * 5000
 

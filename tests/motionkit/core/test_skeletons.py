@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from motionkit.core.errors import FormatError
-from motionkit.core.framerate import parse_fps
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import (
@@ -22,7 +21,7 @@ from motionkit.core.skeletons.mapping import (
     rest_positions,
     with_layout_map,
 )
-from motionkit.core.timegrid import TimeGrid
+from motionkit.core.timegrid import TimeGrid, parse_fps
 from motionkit.io.npz import read_npz, write_npz
 from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions

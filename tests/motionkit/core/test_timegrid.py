@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motionkit.core.framerate import parse_fps
-from motionkit.core.timegrid import TimeGrid, num_frames_within
+from motionkit.core.timegrid import TimeGrid, num_frames_within, parse_fps
 
 
 @pytest.mark.parametrize(

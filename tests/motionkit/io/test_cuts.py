@@ -10,10 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motionkit.core.errors import FormatError
-from motionkit.core.framerate import parse_fps
 from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.skeleton import SMPL22
-from motionkit.core.timegrid import TimeGrid
+from motionkit.core.timegrid import TimeGrid, parse_fps
 from motionkit.io.cuts import Cut, StepCut, TimeCut, crop, missing_seconds, stated_rate, unlike_stated_seconds
 
 PATH = Path("walk.npz")
