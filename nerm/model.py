@@ -251,7 +251,7 @@ def framerate_shift(fields: Iterable[MotionField], rates: Sequence[Fraction] = R
 
 
 def load(run: Path) -> NermModel:
-    """Load a run's field and denoiser (entry point `nerm` of `motionkit.models`), onto a GPU if there is one.
+    """Load a run's field and denoiser, onto a GPU if there is one.
 
     Raises `RunError` if a stage is missing, or if the field was trained again after the denoiser.
     """

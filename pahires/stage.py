@@ -1,12 +1,14 @@
-"""PA-HiRes as a trainable stage (`motionkit.stages`)."""
+"""PA-HiRes as a trainable stage and as a motion encoder."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pahires.recipes import RECIPES, PaHiResConfig
-from pahires.temporal.stage import temporal_stage
+from pahires.temporal.stage import load_encoder, temporal_stage
 
 if TYPE_CHECKING:
     from pahires.model import PaHiRes
+    from pahires.temporal.encoder import NetworkEncoder
 
 
 def make_network(config: PaHiResConfig, num_features: int) -> "PaHiRes":
@@ -19,8 +21,12 @@ def make_network(config: PaHiResConfig, num_features: int) -> "PaHiRes":
 
 STAGE = temporal_stage(
     "pahires",
-    60,
     "continuous completion of observed frames: interpolation, in-betweening, extrapolation (PA-HiRes)",
     RECIPES,
     make_network,
 )
+
+
+def load(run: Path) -> "NetworkEncoder":
+    """Load a run's trained PA-HiRes; raises `RunError` or `CheckpointError` if there is none."""
+    return load_encoder(run, STAGE.name, PaHiResConfig, make_network, "PA-HiRes")

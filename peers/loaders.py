@@ -1,4 +1,4 @@
-"""The peers as motion encoders for their tasks, registered under `motionkit.encoders`; imports nothing heavy."""
+"""The peers as motion encoders for their tasks; imports nothing heavy."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ def _loader(peer: Peer) -> EncoderLoader:
     def load(run: Path) -> MotionEncoder:
         return load_encoder(run, peer.name, peer.config_type, peer.make_network, peer.title)
 
-    return EncoderLoader(peer.title, (peer.name,), load, order=peer.order, tasks=(peer.task,))
+    return EncoderLoader(peer.title, (peer.name,), load, tasks=(peer.task,))
 
 
 LIIF_ENCODER, META_SR_ENCODER, A_LIIF_ENCODER, LMF_ENCODER, DELTA_INTERP_ENCODER, TS_FORMER_ENCODER = (

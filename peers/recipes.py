@@ -13,8 +13,8 @@ from functools import cached_property, partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from motionkit.edit.encoders import Task
 from motionkit.training.config import Schedule
+from motionkit.training.run import Task
 from pahires.temporal.settings import (
     AnswerSettings,
     TaskSettings,

@@ -3,7 +3,7 @@
 import os
 import signal
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import jaxtyping
@@ -63,17 +63,16 @@ def golden_humanml3d(captures: Path) -> Path:
 
 
 @pytest.fixture
-def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str, Mapping[str, str]], None]:
-    """`install(module, source, {"GROUP": "NAME = MODULE:ATTRIBUTE"})`: a package as an installer would leave it."""
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str], None]:
+    """`install(module, source)`: a package with a plugin module, as an installer would leave it."""
 
-    def bring(module: str, source: str, entries: Mapping[str, str]) -> None:
+    def bring(module: str, source: str) -> None:
         site = tmp_path / f"site-{module}"
         metadata = site / f"{module}-1.0.dist-info"
         metadata.mkdir(parents=True)
         (site / f"{module}.py").write_text(source, encoding="utf-8")
         (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {module}\nVersion: 1.0\n", encoding="utf-8")
-        groups = "\n".join(f"[{group}]\n{entry}\n" for group, entry in entries.items())
-        (metadata / "entry_points.txt").write_text(groups, encoding="utf-8")
+        (metadata / "entry_points.txt").write_text(f"[motionkit.plugins]\n{module} = {module}\n", encoding="utf-8")
         monkeypatch.syspath_prepend(str(site))
 
     return bring

@@ -17,8 +17,8 @@ PATH = re.compile(rf"`((?:{'|'.join(FOLDERS)})/[\w/.-]*)`")
 SCRIPT = re.compile(r"(?<![\w/.])(?:[\w-]+/)*[\w-]+\.py\b")
 NAME = re.compile(r"`([A-Za-z_]\w*(?:\.\w+)+)(?:\([^`]*\))?`")
 RUN = re.compile(r"python -m ([\w.]+)")
-# Groups of entry points, and what stands in text for any name.
-NOT_MODULES = re.compile(r"motionkit\.(commands|stages|models|encoders|text_encoders|tables|ablations|plans|recipes)$")
+# The group of entry points, and what stands in text for any name.
+NOT_MODULES = re.compile(r"motionkit\.(plugins|recipes)$")
 # Scripts of other projects, and of the example package.
 FOREIGN = re.compile(
     r"(standstill|kimodo|utils|sample)/|(smplx_to_robot|csv_to_npz|convert_amass_to_proto|batch_gmr_pkl_to_csv|test|"

@@ -39,15 +39,16 @@ def test_what_is_loaded_would_be_seen() -> None:
     assert loaded(["--help"], extra="[__import__('scipy').__name__]") == ["scipy"]
 
 
-def test_stages_are_listed_without_loading_anything_heavy() -> None:
+def test_what_is_installed_is_listed_without_loading_anything_heavy() -> None:
     script = (
-        "import sys; from motionkit.training.stage import registered_stages; names = list(registered_stages()); "
-        f"print(*names); print('loaded:', *sorted(set(sys.modules) & set({HEAVY!r})))"
+        "import sys; from motionkit.core import plugins; from motionkit.generate.models import installed_models\n"
+        "print(*plugins.names('STAGES'), *plugins.names('TABLES'), *installed_models())\n"
+        f"print('loaded:', *sorted(set(sys.modules) & set({HEAVY!r})))"
     )
     result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
     names, heavy = result.stdout.splitlines()
-    assert "evaluator" in names.split()
+    assert {"evaluator", "nerm-2", "mdm"} <= set(names.split())
     assert heavy == "loaded:"
 
 

@@ -23,7 +23,7 @@ from motionkit.io.bvh import read_bvh
 from motionkit.io.registry import ReadOptions
 from motionkit.store.reader import Store
 from motionkit.training.config import flatten
-from motionkit.training.stage import registered_stages
+from motionkit.training.stage import choose_stages
 from motionkit.training.text import load_text_encoder
 
 RECIPE = "demo"
@@ -81,7 +81,7 @@ def run_demo(folder: DemoFolder, size: DemoSize, seed: int) -> DemoOutcome:
     The steps print what their commands print. Raises `UsageError` for a folder with other content, and
     `MissingExtraError` without the extra `text`.
     """
-    settings = flatten(registered_stages()["denoiser"].recipe(RECIPE))
+    settings = flatten(choose_stages("denoiser")[0].recipe(RECIPE))
     load_text_encoder(str(settings["denoiser.conditions.text_encoder"]))  # fail now, not after minutes of training
     _prepare(folder)
     seconds: dict[str, float] = {}

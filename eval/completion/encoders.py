@@ -16,7 +16,6 @@ from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.edit.encoders import (
     EncoderLoader,
-    Task,
     encoder_loader,
     installed_encoders,
     runs_with,
@@ -26,7 +25,7 @@ from motionkit.features.rotations import two_columns
 from motionkit.fields.interpolation import INTERPOLATORS, CurveKind, curve
 from motionkit.fields.joints import Joints
 from motionkit.fields.motion_field import MotionEncoder, Observation, Poses, check_observed_alike, check_times
-from motionkit.training.run import RunFolder, commit, versions
+from motionkit.training.run import RunFolder, Task, commit, versions
 from motionkit.training.stage import recorded_settings
 
 

@@ -82,7 +82,6 @@ def takes_of_cache(store: "Store", cache: "PositionCache") -> "Takes":
 
 STAGE = Stage(
     name="evaluator",
-    order=90,
     description="the native-rate evaluator: corruption strengths and captions of clips at every framerate",
     recipes={"nano": nano, "small": nano, "demo": demo, "base": base, "paper": paper},
     train=train_evaluator,

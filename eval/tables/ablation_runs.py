@@ -4,29 +4,27 @@ import time
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from importlib.metadata import entry_points
 from typing import Any
 
+from motionkit.core import plugins
 from motionkit.core.errors import UsageError
 from motionkit.training.ablations import Ablation, Ablations, Variant
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
 
-GROUP = "motionkit.ablations"
-
 
 def papers_with_ablations() -> tuple[str, ...]:
     """The papers of all installed ablations, sorted."""
-    return tuple(sorted({entry.name for entry in entry_points(group=GROUP)}))
+    return plugins.names("ABLATIONS")
 
 
 def find_ablations(paper: str | None = None) -> Ablations:
     """The ablations of a paper's model, or the default ones; raises `UsageError` that lists the known papers."""
-    entries = entry_points(group=GROUP) if paper is None else entry_points(group=GROUP, name=paper)
-    installed: list[Ablations] = [entry.load() for entry in entries]
-    for ablations in installed:
-        if paper is not None or ablations.is_default:
-            return ablations
+    for name in papers_with_ablations():
+        if paper in (None, name):
+            ablations: Ablations = plugins.load("ABLATIONS", name)
+            if paper is not None or ablations.is_default:
+                return ablations
     problem = f"there are no ablations of {paper!r}" if paper else "name a paper with --paper"
     raise UsageError(f"{problem}; of: {', '.join(papers_with_ablations()) or 'none'}")
 

@@ -1,13 +1,9 @@
-"""The tables that `motionkit eval` can build: entry points of group `motionkit.tables`, each naming a `Table`.
-
-A package adds its own table the same way; the entry point's name is `PAPER-NUMBER`.
-"""
+"""The tables of `motionkit eval`: a package lists its own in `TABLES`, by PAPER-NUMBER (`motionkit.core.plugins`)."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +12,7 @@ from eval.report.results import Result, provenance
 from eval.sample_folder import SampleFolder, SampleOptions, read_sample_folder
 from eval.sets.real import of_split_and
 from eval.text_motion.guo.kind import GuoFiles
+from motionkit.core import plugins
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import OnProgress, ignore, task
 from motionkit.training.run import Loader
@@ -152,16 +149,14 @@ class Table:
         return self.paper == "nerm"
 
 
-def installed_tables() -> dict[str, str]:
-    """Names of all installed tables (`PAPER-NUMBER`) with the objects that build them."""
-    return {entry.name: entry.value for entry in sorted(entry_points(group="motionkit.tables"), key=lambda e: e.name)}
+def installed_tables() -> tuple[str, ...]:
+    """Names of all installed tables (`PAPER-NUMBER`)."""
+    return plugins.names("TABLES")
 
 
 def find_table(paper: str, number: str) -> Table:
     """Load one table. Raises `UsageError` that lists the tables."""
-    found = entry_points(group="motionkit.tables", name=f"{paper}-{number}")
-    if not found:
-        known = ", ".join(installed_tables()) or "none"
-        raise UsageError(f"there is no table {number} of {paper!r}; installed tables: {known}")
-    table: Table = next(iter(found)).load()
+    if f"{paper}-{number}" not in (known := installed_tables()):
+        raise UsageError(f"there is no table {number} of {paper!r}; installed tables: {', '.join(known) or 'none'}")
+    table: Table = plugins.load("TABLES", f"{paper}-{number}")
     return table

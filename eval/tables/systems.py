@@ -4,9 +4,9 @@ A system is a model or encoder that tables load from runs (`motionkit.training.s
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from importlib.metadata import entry_points
 
-from eval.tables.registry import Table
+from eval.tables.registry import Table, installed_tables
+from motionkit.core import plugins
 from motionkit.core.errors import UsageError
 from motionkit.training.stage import StageContext, StagePlan, registered_stages
 
@@ -14,7 +14,7 @@ KINDS = {"table": "", "figure": "figure"}
 
 
 def plan(target: str, paper: str | None, context: StageContext, overrides: Sequence[str]) -> StagePlan:
-    """The stages that a table's systems need ("table:2", "figure:8"), as entry points of `motionkit.plans` give it.
+    """The stages that a table's systems need ("table:2", "figure:8"), as `PLANS` of `motionkit.core.plugins` has it.
 
     A complete stage of the run is kept, unless the context overwrites: it needs no earlier ones, and its system's
     shares are unchanged. Raises `UsageError` for an unknown table, and for a stage that is not installed.
@@ -45,10 +45,9 @@ def plan(target: str, paper: str | None, context: StageContext, overrides: Seque
         for name in own:
             # A stage of two systems gets the larger share.
             shares[name] = max(shares.get(name, 0.0), stages[name].share / whole)
-    ordered = sorted(needed, key=lambda name: (stages[name].order, name))
     of_paper = "" if paper is None else f" --paper {paper}"
     return StagePlan(
-        tuple(stages[name] for name in ordered),
+        tuple(stage for name, stage in stages.items() if name in needed),
         shares,
         settings=table.settings,
         next_command=f"motionkit eval --{target.replace(':', ' ')}{of_paper}",
@@ -63,14 +62,13 @@ def table_that_shows(paper: str | None, target: str) -> Table:
     kind, _, number = target.partition(":")
     if not number or kind not in KINDS:
         raise UsageError(f"--for {target}: table:NUMBER or figure:NUMBER, such as table:2")
-    installed = sorted(entry_points(group="motionkit.tables"), key=lambda entry: entry.name)
     tables: list[Table] = [
-        entry.load()
-        for entry in installed
-        if entry.name.endswith(f"-{KINDS[kind]}{number}") and (paper is None or entry.name.startswith(f"{paper}-"))
+        plugins.load("TABLES", name)
+        for name in installed_tables()
+        if name.endswith(f"-{KINDS[kind]}{number}") and (paper is None or name.startswith(f"{paper}-"))
     ]
     if not tables:
-        names = ", ".join(entry.name for entry in installed)
+        names = ", ".join(installed_tables())
         raise UsageError(f"--for {target}: there is no such table; installed tables: {names or 'none'}")
     table = next((each for each in tables if each.is_default), tables[0])
     if not table.shown():

@@ -46,7 +46,6 @@ def train_tmr(context: StageContext, config: TmrConfig) -> None:
 
 STAGE = Stage(
     name="tmr",
-    order=95,
     description="a small evaluator of text-motion retrieval, after TMR",
     recipes={"nano": nano, "small": nano, "demo": demo, "base": base},
     train=train_tmr,

@@ -1,19 +1,16 @@
-"""The command line, assembled from entry points: each `motionkit.commands` entry is one typer command.
+"""The command line, assembled from the `COMMANDS` of all installed packages (`motionkit.core.plugins`).
 
-An entry point names a command (`ingest`, `train` …) and a function, or a typer app of several (`study`). Nothing heavy
-may be imported by the module that holds it, so that `motionkit --help` stays light. Anybody's package can add a command
-the same way. The imports of this module are few, since every worker process loads it.
+A command is a function, or a typer app of several (`study`). Nothing heavy may be imported by the module that holds it,
+so that `motionkit --help` stays light. The imports of this module are few, since every worker process loads it.
 """
 
 import gc
 import os
 import signal
 import sys
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
-
     import typer
 
 # The exit code after Ctrl-C.
@@ -27,10 +24,11 @@ def build_app(only: str = "") -> "typer.Typer":
 
     Loading all of them takes a tenth of a second.
     """
-    from importlib.metadata import entry_points
     from inspect import getdoc
 
     import typer
+
+    from motionkit.core import plugins
 
     app = typer.Typer(
         name="motionkit",
@@ -55,33 +53,18 @@ def build_app(only: str = "") -> "typer.Typer":
                 print(line)
             raise typer.Exit
 
-    entries = entry_points(group="motionkit.commands")
-    for entry in sorted(entries.select(name=only) or entries, key=lambda entry: entry.name):
-        command = _loaded(entry)
+    try:
+        commands = {only: plugins.load("COMMANDS", only)}
+    except KeyError:
+        commands = plugins.load_all("COMMANDS")
+    for name, command in sorted(commands.items()):
         if isinstance(command, typer.Typer):
-            app.add_typer(command, name=entry.name)
+            app.add_typer(command, name=name)
         else:
             # Each paragraph in one line: the terminal breaks it at its own width.
             paragraphs = (" ".join(text.split()) for text in (getdoc(command) or "").split("\n\n"))
-            app.command(name=entry.name, help="\n\n".join(paragraphs))(command)
+            app.command(name=name, help="\n\n".join(paragraphs))(command)
     return app
-
-
-def _loaded(entry: "EntryPoint") -> Any:
-    """Load an entry point; raises `MotionkitError`, since a repository's own package may shadow the installed one."""
-    from importlib.util import find_spec
-
-    from motionkit.core.errors import MotionkitError, describe
-
-    try:
-        return entry.load()
-    except Exception as error:
-        package = entry.module.partition(".")[0]
-        found = find_spec(package)
-        raise MotionkitError(
-            f"the command {entry.name!r} cannot be loaded ({describe(error)}): Python finds {package!r} in "
-            f"{found.origin if found else 'no folder'}; another project's? Leave its folder out of PYTHONPATH"
-        ) from error
 
 
 def run() -> None:

@@ -17,10 +17,10 @@ from motionkit.cli.options import (
     parse_rate,
     read_options,
 )
+from motionkit.core import plugins
 from motionkit.core.files import default_path
-from motionkit.training.run import loader_names
 
-TRAINED = ", ".join(loader_names("motionkit.encoders"))
+TRAINED = ", ".join(plugins.names("ENCODERS"))
 
 
 def complete(

@@ -5,7 +5,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,6 +12,7 @@ import typer
 
 from motionkit.cli.console import print_json, progress, say_next, stderr, stdout
 from motionkit.cli.options import StoreArgument, named_store, of_default, parse_duration
+from motionkit.core import plugins
 from motionkit.core.errors import MissingExtraError, UsageError
 from motionkit.core.files import default_path
 from motionkit.core.progress import ignore, task
@@ -26,7 +26,7 @@ from motionkit.training.config import (
     unknown_setting,
 )
 from motionkit.training.run import OnMetrics, RunFolder, check_same, concerns, ignore_metrics
-from motionkit.training.stage import Stage, StageContext, StagePlan, choose_stages, registered_stages
+from motionkit.training.stage import Stage, StageContext, StagePlan, choose_stages
 
 
 def train(
@@ -117,16 +117,13 @@ class TrainRequest:
         """The stages that `--stage` or `--for` selects; raises `UsageError`."""
         if self.target is None:
             next_command = "motionkit eval --table 2" if self.stage == "all" else ""
-            return StagePlan(
-                choose_stages(self.stage, registered_stages(only=self.stage)), {self.stage: 1.0}, (), next_command
-            )
+            return StagePlan(choose_stages(self.stage), {self.stage: 1.0}, (), next_command)
         if self.stage != "all":
             raise UsageError("--for trains what a table lacks, --stage one stage: give one of them")
         kind = self.target.partition(":")[0]
-        plans = entry_points(group="motionkit.plans")
-        if kind not in plans.names:
-            raise UsageError(f"--for {self.target}: {' or '.join(f'{name}:NUMBER' for name in sorted(plans.names))}")
-        plan: StagePlan = plans[kind].load()(self.target, self.paper, context, self.overrides)
+        if kind not in (kinds := plugins.names("PLANS")):
+            raise UsageError(f"--for {self.target}: {' or '.join(f'{name}:NUMBER' for name in kinds)}")
+        plan: StagePlan = plugins.load("PLANS", kind)(self.target, self.paper, context, self.overrides)
         return plan
 
     def budgets(self, plan: StagePlan) -> dict[str, float]:

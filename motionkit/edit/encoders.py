@@ -1,15 +1,15 @@
-"""Trained encoders by name: entry points of the group `motionkit.encoders`, each a loader from a run to an encoder.
+"""Trained encoders by name, each with a loader from a run to an encoder.
 
-An entry point names an `EncoderLoader`, or a plain function `load(run: Path) -> MotionEncoder` that has the name of the
-stage that trains it. Interpolators need no run and are found by their names beside them.
+A package lists its encoders in `ENCODERS` (`motionkit.core.plugins`), each an `EncoderLoader`, or a plain function
+`load(run: Path) -> MotionEncoder` that has the name of the stage that trains it. Interpolators need no run and are
+found by their names beside them.
 """
 
 import math
 from dataclasses import dataclass
-from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Literal
 
+from motionkit.core import plugins
 from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError
@@ -17,46 +17,30 @@ from motionkit.fields.anchoring import Anchored
 from motionkit.fields.interpolation import INTERPOLATORS, Settling
 from motionkit.fields.motion_field import MotionEncoder
 from motionkit.fields.transfer import Transferred, counterpart_joints
-from motionkit.training.run import Loader, RunFolder, installed_loaders, loader_names, loader_of
+from motionkit.training.run import Loader, RunFolder, Task, installed_loaders, loader_named
 
-GROUP = "motionkit.encoders"
-
-# Tasks of encoders: frames between given ones; gaps and ends; reconstruction of windows.
-Task = Literal["interpolation", "inbetweening", "extrapolation", "reconstruction"]
-COMPLETION: tuple[Task, ...] = ("interpolation", "inbetweening", "extrapolation")
-
-
-@dataclass(frozen=True)
-class EncoderLoader(Loader[MotionEncoder]):
-    """A trained encoder of a package, registered as an entry point of `motionkit.encoders`.
-
-    Tables use the encoders of their task. The `preferred` one is the default for completing clips.
-    """
-
-    tasks: tuple[Task, ...] = COMPLETION
-    preferred: bool = False
+EncoderLoader = Loader[MotionEncoder]
 
 
 def trained_encoder_names() -> tuple[str, ...]:
-    """Names of all installed trained encoders, sorted, whether or not a run has them."""
-    return loader_names(GROUP)
+    """Names of all installed trained encoders, whether or not a run has them."""
+    return plugins.names("ENCODERS")
 
 
 def installed_encoders(task: Task | None = None) -> dict[str, EncoderLoader]:
     """All installed trained encoders by name, or those for one task."""
-    loaders = installed_loaders(GROUP, EncoderLoader)
+    loaders: dict[str, EncoderLoader] = installed_loaders("ENCODERS")
     return {name: loader for name, loader in loaders.items() if task is None or task in loader.tasks}
 
 
 def encoder_loader(name: str) -> EncoderLoader:
     """The loader of a trained encoder; raises `UsageError` that lists the known ones."""
-    entries = entry_points(group=GROUP, name=name)
-    if not entries:
+    if name not in trained_encoder_names():
         trained = ", ".join(trained_encoder_names()) or "none is installed"
         raise UsageError(
             f"no encoder is called {name!r}; interpolators: {', '.join(INTERPOLATORS)}; trained: {trained}"
         )
-    return loader_of(next(iter(entries)), EncoderLoader)
+    return loader_named("ENCODERS", name)
 
 
 def runs_with(name: str, runs: Path) -> tuple[Path, ...]:

@@ -1,22 +1,22 @@
 """The interface of generative models: requests in, motion fields out.
 
-Models register a `ModelLoader`, or a plain function from a run folder, under the entry point group
-`motionkit.models`; the table code and `motionkit generate` know only this interface.
+A package lists its models in `MODELS` (`motionkit.core.plugins`), each a `ModelLoader` or a plain function from a run
+folder; the table code and `motionkit generate` know only this interface.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
+from motionkit.core import plugins
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import warn
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.motion_field import MotionField
 from motionkit.generate.constraints import Constraint, ConstraintKind
-from motionkit.training.run import Loader, installed_loaders, loader_names, loader_of
+from motionkit.training.run import Loader, installed_loaders, loader_named
 
 
 @dataclass(frozen=True)
@@ -132,36 +132,23 @@ class DescribesMotions(Protocol):
         ...
 
 
-GROUP = "motionkit.models"
-
-
-@dataclass(frozen=True)
-class ModelLoader(Loader[GenerativeModel]):
-    """A generative model of a package, registered as an entry point of `motionkit.models`.
-
-    `fixed_fps_setting` is the setting that trains it at a single framerate, for comparison in some tables; empty if it
-    has none.
-    """
-
-    fixed_fps_setting: str = ""
+ModelLoader = Loader[GenerativeModel]
 
 
 def installed_models() -> dict[str, ModelLoader]:
     """All installed models by name."""
-    return installed_loaders(GROUP, ModelLoader)
+    return installed_loaders("MODELS")
 
 
 def model_loader(name: str) -> ModelLoader:
     """The loader of a model; raises `UsageError` that lists the known ones."""
-    entries = entry_points(group=GROUP, name=name)
-    if not entries:
-        known = ", ".join(loader_names(GROUP)) or "none"
-        raise UsageError(f"no model is called {name!r}; installed models: {known}")
-    return loader_of(next(iter(entries)), ModelLoader)
+    if name not in (known := plugins.names("MODELS")):
+        raise UsageError(f"no model is called {name!r}; installed models: {', '.join(known) or 'none'}")
+    return loader_named("MODELS", name)
 
 
 def load_model(name: str, run: Path) -> GenerativeModel:
-    """Load a model by the name of its entry point in the group `motionkit.models`, from a run folder."""
+    """Load an installed model by its name, from a run folder."""
     return model_loader(name).load(run)
 
 

@@ -1,6 +1,7 @@
 """What a file format is, and which formats there are: recognising files, finding readers, writing motions.
 
-Motionkit's own formats are loaded when a file may be of them, those of the entry point group `motionkit.io` at once.
+Motionkit's own formats are loaded when a file may be of them, those that a package lists in `FORMATS`
+(`motionkit.core.plugins`) at once.
 """
 
 import re
@@ -9,17 +10,15 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cache, cached_property
 from importlib import import_module
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
+from motionkit.core import plugins
 from motionkit.core.errors import FormatError, UsageError
 from motionkit.core.files import whole_file
 from motionkit.core.motion import Caption, Motion
 from motionkit.io import npy, source_file
 from motionkit.io.cuts import Cut
-
-GROUP = "motionkit.io"
 
 
 @dataclass(frozen=True)
@@ -257,7 +256,8 @@ _BUILT_IN = (
 
 @cache
 def _installed() -> tuple[Format, ...]:
-    return tuple(entry.load() for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name))
+    # Ours are built in.
+    return tuple(plugins.load_all("FORMATS", foreign=True).values())
 
 
 @cache

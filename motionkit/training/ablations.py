@@ -1,7 +1,7 @@
 """Ablations: tables whose rows are runs that differ from a recipe in a few settings.
 
-A model declares its own under the entry point group `motionkit.ablations`: PAPER = "module:ATTRIBUTE", an `Ablations`.
-That module must import lightly. `motionkit ablate` trains the runs; the tables are those of `motionkit.tables`.
+A package lists its own in `ABLATIONS` (`motionkit.core.plugins`) by the paper, from a module that imports lightly.
+`motionkit ablate` trains the runs; the tables are listed in `TABLES`.
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -102,7 +102,6 @@ def load_detail(run: Path) -> "Detail":
 
 STAGE = Stage(
     name=NAME,
-    order=90,
     description="captured motion above 10 Hz, for motionkit generate --detail",
     recipes=dict.fromkeys(("demo", "nano", "small", "base", "paper"), DetailConfig),
     train=train_detail,

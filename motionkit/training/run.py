@@ -2,9 +2,6 @@
 
 `config.json` records settings and inputs (recipe values, seed, store fingerprint, versions); `summary.json` marks the
 stage as complete. SHA256SUMS is then the record of these files, and each is compared with it when it is read.
-
-Models and encoders of runs are entry points that name a `Loader`, or a plain function from a run folder, whose title
-and stage are then the entry point's name. Their modules must import lightly, since titles are listed without loading.
 """
 
 import importlib.metadata
@@ -14,10 +11,10 @@ import subprocess
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
+from motionkit.core import plugins
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError, shown
 from motionkit.core.files import (
     LOCK,
@@ -226,17 +223,26 @@ def weights_sha256(run: Path) -> dict[str, str]:
     return {path.parent.name: sha256_of(path) for path in paths}
 
 
+# Tasks of motion encoders: frames between given ones; gaps and ends; reconstruction of windows.
+Task = Literal["interpolation", "inbetweening", "extrapolation", "reconstruction"]
+COMPLETION: tuple[Task, ...] = ("interpolation", "inbetweening", "extrapolation")
+
+
 @dataclass(frozen=True)
 class Loader(Generic[T]):
-    """A loader from the stages of a run.
+    """A model or a motion encoder of a package: what loads it from the stages of a run.
 
-    `title` is its name in tables and messages; `stages` are those it needs; loaders are sorted by `order`.
+    `title` is its name in tables and messages; `stages` are those it needs. Of a model, `fixed_fps_setting` is the
+    setting that trains it at a single framerate, for comparison in some tables (empty if it has none). Tables use the
+    encoders of their `tasks`; the `preferred` one is the default for completing clips.
     """
 
     title: str
     stages: tuple[str, ...]
     load: Callable[[Path], T]
-    order: int = 100
+    fixed_fps_setting: str = ""
+    tasks: tuple[Task, ...] = COMPLETION
+    preferred: bool = False
 
     def begun_in(self, run: Path) -> bool:
         """Whether a run holds at least one trained stage of it."""
@@ -254,24 +260,15 @@ class Loader(Generic[T]):
         return " && ".join(f"motionkit train --stage {name}{named}" for name in lacking or self.stages[-1:])
 
 
-LoaderT = TypeVar("LoaderT", bound=Loader[Any])
+def installed_loaders(kind: Literal["MODELS", "ENCODERS"]) -> dict[str, Loader[Any]]:
+    """All installed models or encoders by name."""
+    return {name: loader_named(kind, name) for name in plugins.names(kind)}
 
 
-def loader_names(group: str) -> tuple[str, ...]:
-    """Names of all loaders of an entry point group, sorted; nothing is imported."""
-    return tuple(sorted({entry.name for entry in entry_points(group=group)}))
-
-
-def installed_loaders(group: str, kind: type[LoaderT]) -> dict[str, LoaderT]:
-    """All loaders of an entry point group by name, sorted by `order`; plain functions are wrapped in `kind`."""
-    loaders = {entry.name: loader_of(entry, kind) for entry in entry_points(group=group)}
-    return dict(sorted(loaders.items(), key=lambda named: (named[1].order, named[0])))
-
-
-def loader_of(entry: EntryPoint, kind: type[LoaderT]) -> LoaderT:
-    """The loader that an entry point names."""
-    named = entry.load()
-    return named if isinstance(named, kind) else kind(entry.name, (entry.name,), named)
+def loader_named(kind: Literal["MODELS", "ENCODERS"], name: str) -> Loader[Any]:
+    """The loader of an installed model or encoder; a plain function gets its name as title and stage."""
+    found = plugins.load(kind, name)
+    return found if isinstance(found, Loader) else Loader(name, (name,), found)
 
 
 def begin_stage(folder: StageFolder, inputs: Mapping[str, Any], *, resume: bool, overwrite: bool) -> None:

@@ -1,18 +1,13 @@
-"""Trainable stages, registered under the entry point group `motionkit.stages`.
-
-An entry point names a module attribute that is a `Stage`. That module must import lightly (no torch at module level):
-`motionkit train --help` reads every stage.
-"""
+"""Trainable stages; a package lists its own in `STAGES` (`motionkit.core.plugins`)."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from importlib import import_module
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic
 
+from motionkit.core import plugins
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import OnProgress, ignore
 from motionkit.training.config import ConfigLike, ConfigT, apply_overrides, flatten, parse_override, to_plain
@@ -117,16 +112,15 @@ class Stage(Generic[ConfigT]):
     """A trainable stage: `train(context, config)` writes RUN/NAME/ and ends with `StageFolder.finish`.
 
     `builds_on(config)` names the stages whose results it reads; `train` passes the same to `StageContext.begin`.
-    `check(context, config)` raises errors that can be found before any training, without other stages' results. `order`
-    sorts the stages of `--stage all` (low first), `in_all`: whether this one is included; `recipes` maps names to
-    functions that make a configuration. Stages of one model may share a configuration whose parts are named after the
-    stages: a change of another stage's part doesn't prevent `--resume`. Under torchrun every rank calls the `train` of
-    a `shared` stage (`motionkit.training.devices`); others are trained by the first rank alone. `share` is its share of
-    its system's time budget, relative to the system's other stages (`StagePlan`).
+    `check(context, config)` raises errors that can be found before any training, without other stages' results.
+    `in_all`: whether `--stage all` includes it; `recipes` maps names to functions that make a configuration. Stages of
+    one model may share a configuration whose parts are named after the stages: a change of another stage's part doesn't
+    prevent `--resume`. Under torchrun every rank calls the `train` of a `shared` stage (`motionkit.training.devices`);
+    others are trained by the first rank alone. `share` is its share of its system's time budget, relative to the
+    system's other stages (`StagePlan`).
     """
 
     name: str
-    order: int
     description: str
     recipes: Mapping[str, Callable[[], ConfigT]]
     train: Callable[[StageContext, ConfigT], None]
@@ -160,9 +154,9 @@ class Stage(Generic[ConfigT]):
 
 @dataclass(frozen=True)
 class StagePlan:
-    """Stages to train for one purpose, in order: what `--stage` selects, or an entry point of `motionkit.plans`.
+    """Stages to train for one purpose, in order: what `--stage` selects, or a function that a package lists in `PLANS`.
 
-    A function of that group is called with the value of `--for`, `--paper`, the `StageContext` and the overrides.
+    Such a function is called with the value of `--for`, `--paper`, the `StageContext` and the overrides.
     `shares` are the shares of a system's time budget by stage; they sum to 1 for each system, and evaluators have none.
     `settings` are overrides that apply before the user's; `next_command` uses what was trained.
     """
@@ -173,22 +167,9 @@ class StagePlan:
     next_command: str = ""
 
 
-def registered_stages(only: str = "") -> dict[str, Stage[Any]]:
-    """All installed stages by name, in the order in which `--stage all` trains them, or `only` that of a name if it
-    exists."""
-    entries = entry_points(group="motionkit.stages")
-    stages: list[Stage[Any]] = [entry.load() for entry in entries.select(name=only) or entries]
-    return {stage.name: stage for stage in sorted(stages, key=lambda stage: (stage.order, stage.name))}
-
-
-def lazily(place: str) -> Callable[..., Any]:
-    """The function "module:name", imported when it is called, so that listing stages and loaders stays light."""
-
-    def call(*arguments: Any, **options: Any) -> Any:
-        module, _, name = place.partition(":")
-        return getattr(import_module(module), name)(*arguments, **options)
-
-    return call
+def registered_stages() -> dict[str, Stage[Any]]:
+    """All installed stages by name, in the order in which `--stage all` trains them."""
+    return plugins.load_all("STAGES")
 
 
 def recorded_settings(run: RunFolder, stage: str) -> dict[str, Any]:
@@ -197,10 +178,10 @@ def recorded_settings(run: RunFolder, stage: str) -> dict[str, Any]:
     return recorded
 
 
-def choose_stages(name: str, stages: Mapping[str, Stage[Any]]) -> tuple[Stage[Any], ...]:
+def choose_stages(name: str) -> tuple[Stage[Any], ...]:
     """The stages that `--stage NAME` selects; raises `UsageError` that lists the known ones."""
     if name == "all":
-        return tuple(stage for stage in stages.values() if stage.in_all)
-    if name not in stages:
-        raise UsageError(f"no stage is called {name!r}; there are: {', '.join([*stages, 'all'])}")
-    return (stages[name],)
+        return tuple(stage for stage in registered_stages().values() if stage.in_all)
+    if name not in (known := plugins.names("STAGES")):
+        raise UsageError(f"no stage is called {name!r}; there are: {', '.join([*known, 'all'])}")
+    return (plugins.load("STAGES", name),)

@@ -1,13 +1,12 @@
 """Frozen text encoders by name, and a cache of their embeddings.
 
-Encoders are entry points of the group `motionkit.text_encoders`: NAME = "module:load", `load(name) -> TextEncoder`.
-Folders and hub names go to the entry point `transformers`. Embeddings are cached in a file per encoder, with rows keyed
+A package lists functions `load(name) -> TextEncoder` in `TEXT_ENCODERS` (`motionkit.core.plugins`); folders and hub
+names go to the one called `transformers`. Embeddings are cached in a file per encoder, with rows keyed
 by the sha256 of their text.
 """
 
 import hashlib
-from collections.abc import Callable, Sequence
-from importlib.metadata import entry_points
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -15,13 +14,13 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
+from motionkit.core import plugins
 from motionkit.core.errors import UsageError
 from motionkit.core.files import whole_file
 from motionkit.core.progress import warn
 from motionkit.core.shapes import Float32
 from motionkit.store.cache import writable
 
-GROUP = "motionkit.text_encoders"
 FOLDERS_AND_HUB = "transformers"
 
 
@@ -50,16 +49,16 @@ class TextEncoder(Protocol):
 
 
 def load_text_encoder(name: str) -> TextEncoder:
-    """Load an encoder by the name of an entry point, a local folder or a hub name.
+    """Load an installed encoder by its name, or one of a local folder or a hub name.
 
-    Raises `UsageError` for an unknown name, and what the entry point's loader raises.
+    Raises `UsageError` for an unknown name, and what the package's function raises.
     """
-    installed = {entry.name: entry for entry in entry_points(group=GROUP)}
-    entry = installed.get(name) or installed.get(FOLDERS_AND_HUB)
-    if entry is None:
+    installed = plugins.names("TEXT_ENCODERS")
+    listed = name if name in installed else FOLDERS_AND_HUB
+    if listed not in installed:
         raise UsageError(f"no text encoder is called {name!r}; installed: {', '.join(sorted(installed)) or 'none'}")
-    load: Callable[[str], TextEncoder] = entry.load()
-    return load(name)
+    encoder: TextEncoder = plugins.load("TEXT_ENCODERS", listed)(name)
+    return encoder
 
 
 def embed_texts(encoder: TextEncoder, texts: Sequence[str], folder: Path) -> Float32[np.ndarray, "texts dimension"]:

@@ -169,7 +169,7 @@ def encode_windows(
 
 
 def load(run: Path) -> NermEncoder:
-    """The encoder of a run whose stage `field` is trained (the entry point `nerm` of `motionkit.encoders`).
+    """The encoder of a run whose stage `field` is trained.
 
     Raises what `load_field` raises.
     """

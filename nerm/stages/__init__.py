@@ -1,6 +1,7 @@
-"""NeRM's trainable stages, registered under `motionkit.stages`."""
+"""NeRM's trainable stages."""
 
-from motionkit.training.stage import Stage, lazily
+from motionkit.core.plugins import lazily
+from motionkit.training.stage import Stage
 from nerm.recipes import RECIPES, NermConfig
 
 
@@ -14,7 +15,6 @@ def _field(config: NermConfig) -> tuple[str, ...]:
 
 CODEBOOK = Stage(
     "codebook",
-    10,
     "VQ-VAE codebook of poses at 20 fps (NeRM's prior for coordinates)",
     RECIPES,
     lazily("nerm.stages.codebook:train_codebook"),
@@ -24,7 +24,6 @@ CODEBOOK = Stage(
 )
 FIELD = Stage(
     "field",
-    20,
     "variational implicit motion field with one latent per window (NeRM, stage 1)",
     RECIPES,
     lazily("nerm.stages.field:train_field"),
@@ -35,7 +34,6 @@ FIELD = Stage(
 )
 DENOISER = Stage(
     "denoiser",
-    30,
     "latent diffusion conditioned on a text, an action or nothing (NeRM, stage 2)",
     RECIPES,
     lazily("nerm.stages.denoiser:train_denoiser"),

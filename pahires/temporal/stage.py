@@ -17,13 +17,12 @@ if TYPE_CHECKING:
 
 def temporal_stage(
     name: str,
-    order: int,
     description: str,
     recipes: Mapping[str, Callable[[], TemporalConfigT]],
     make: NetworkMaker[TemporalConfigT],
 ) -> Stage[TemporalConfigT]:
     """The stage that trains the network built by `make`; not part of `--stage all`."""
-    return Stage(name, order, description, recipes, partial(_train, name, make), in_all=False, check=_check)
+    return Stage(name, description, recipes, partial(_train, name, make), in_all=False, check=_check)
 
 
 def load_encoder(

@@ -1,9 +1,10 @@
-"""The generative peers as trainable stages, registered under `motionkit.stages`; imports nothing heavy."""
+"""The generative peers as trainable stages; imports nothing heavy."""
 
 from functools import partial
 from typing import Any
 
-from motionkit.training.stage import Stage, lazily
+from motionkit.core.plugins import lazily
+from motionkit.training.stage import Stage
 from peers.generative.peer import GenerativePeer, PeerStage
 from peers.generative.recipes import PEERS
 
@@ -11,7 +12,6 @@ from peers.generative.recipes import PEERS
 def _stage(peer: GenerativePeer, stage: PeerStage) -> Stage[Any]:
     return Stage(
         stage.name,
-        stage.order,
         stage.description,
         stage.configs,
         partial(lazily("peers.generative.training:train_stage"), peer, stage),

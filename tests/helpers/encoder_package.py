@@ -15,6 +15,8 @@ class Learnt:
 def load(run):
     (run / "learnt" / "summary.json").read_text()
     return Learnt()
+
+ENCODERS = {"learnt": load}
 """
 
 
@@ -27,7 +29,7 @@ def write_encoder_package(folder: Path) -> tuple[Path, Path]:
     metadata.mkdir(parents=True)
     (folder / "site" / "learnt_encoder.py").write_text(LEARNT, encoding="utf-8")
     (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: learnt\nVersion: 1.0\n", encoding="utf-8")
-    (metadata / "entry_points.txt").write_text("[motionkit.encoders]\nlearnt = learnt_encoder:load\n", encoding="utf-8")
+    (metadata / "entry_points.txt").write_text("[motionkit.plugins]\nlearnt = learnt_encoder\n", encoding="utf-8")
     (folder / "runs" / "nano" / "learnt").mkdir(parents=True)
     (folder / "runs" / "nano" / "learnt" / "summary.json").write_text("{}", encoding="utf-8")
     return folder / "site", folder / "runs"

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from pahires.loaders import load
 
 from motionkit.fields.motion_field import MotionEncoder
 from motionkit.training.config import apply_overrides
 from motionkit.training.loop import seeded_initialisation
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
-from pahires.loaders import load
 from pahires.model import PaHiRes
 from pahires.recipes import RECIPES, NetworkSettings, nano
 from pahires.stage import STAGE

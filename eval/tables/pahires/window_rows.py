@@ -17,7 +17,7 @@ from eval.tables.pahires.measured import find_scores, keep_scores
 from eval.tables.registry import TableRequest
 from motionkit.core.errors import MotionkitError
 from motionkit.core.progress import task
-from motionkit.edit.encoders import Task
+from motionkit.training.run import Task
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store

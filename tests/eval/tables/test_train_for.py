@@ -24,6 +24,7 @@ from motionkit.training.loop import plan_steps, train_loop
 from motionkit.training.run import Loader, StageFolder
 from motionkit.training.stage import Stage, StageContext
 from motionkit.training.tensors import load_tensors, save_tensors
+from tests.helpers.plugin_lists import install_only
 
 SECONDS_A_STEP = 2.0
 
@@ -83,9 +84,7 @@ class World:
     trained: list[str] = field(default_factory=list)
     num_threads: list[int] = field(default_factory=list)
 
-    def stage(
-        self, name: str, order: int, builds_on: Callable[[Config], tuple[str, ...]], share: float = 1.0
-    ) -> Stage[Config]:
+    def stage(self, name: str, builds_on: Callable[[Config], tuple[str, ...]], share: float = 1.0) -> Stage[Config]:
         def train(context: StageContext, config: Config) -> None:
             self.trained.append(name)
             fingerprint = read_manifest(context.store).fingerprint
@@ -98,23 +97,23 @@ class World:
             folder.finish({"steps": training.steps})
 
         recipes = {"nano": Config} if name != "gan" else {"nano": Config, "big": Config}
-        return Stage(name, order, f"trains {name}", recipes, train, builds_on=builds_on, share=share)
+        return Stage(name, f"trains {name}", recipes, train, builds_on=builds_on, share=share)
 
-    def stages(self, only: str = "") -> dict[str, Stage[Config]]:
+    def stages(self) -> dict[str, Stage[Config]]:
         def nothing(config: Config) -> tuple[str, ...]:
             return ()
 
         made = (
-            self.stage("codes", 1, nothing),
-            self.stage("field", 2, lambda config: ("codes",) if config.codes else (), 3.0),
-            self.stage("denoiser", 3, lambda config: ("field",)),
-            self.stage("judge", 9, nothing),
-            self.stage("latents", 7, lambda config: ("vae",)),
-            self.stage("vae", 6, nothing),
-            self.stage("gan", 8, nothing),
-            self.stage("unwanted", 5, nothing),
+            self.stage("codes", nothing),
+            self.stage("field", lambda config: ("codes",) if config.codes else (), 3.0),
+            self.stage("denoiser", lambda config: ("field",)),
+            self.stage("unwanted", nothing),
+            self.stage("vae", nothing),
+            self.stage("latents", lambda config: ("vae",)),
+            self.stage("gan", nothing),
+            self.stage("judge", nothing),
         )
-        return {stage.name: stage for stage in sorted(made, key=lambda stage: stage.order)}
+        return {stage.name: stage for stage in made}
 
 
 # Of a stage that is complete nothing before it is asked for: "codes" stays out.
@@ -125,8 +124,7 @@ ORDER = ["codes", "field", "denoiser", "vae", "latents", "gan", "judge"]
 @pytest.fixture
 def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[World]:
     world = World()
-    for module in (train_module, systems):
-        monkeypatch.setattr(module, "registered_stages", world.stages)
+    install_only(monkeypatch, STAGES=world.stages())
     monkeypatch.setattr(systems, "table_that_shows", lambda paper, target: TABLE)
     monkeypatch.setattr(loop_module, "seconds_spent", lambda device: world.clock)
     with StoreWriter.create(tmp_path / "store"):

@@ -9,8 +9,8 @@ import pytest
 
 from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import SMPL22
-from motionkit.edit import encoders
 from motionkit.edit.encoders import (
+    EncoderLoader,
     choose_encoder,
     encoder_loader,
     installed_encoders,
@@ -20,6 +20,7 @@ from motionkit.edit.encoders import (
 from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.motion_field import MotionEncoder, Observation, Poses
 from motionkit.training.run import RunFolder
+from tests.helpers.plugin_lists import install_only
 
 MODULE = '''
 """An encoder that a package brings: the named interpolator that its run folder's file asks for."""
@@ -27,19 +28,14 @@ from motionkit.fields.interpolation import INTERPOLATORS
 
 def load(run):
     return INTERPOLATORS[(run / "wanted.txt").read_text()]
+
+ENCODERS = {"borrowed": load}
 '''
-
-PREFERRED = """
-from motionkit.edit.encoders import EncoderLoader
-from motionkit.fields.interpolation import INTERPOLATORS
-
-OWN = EncoderLoader("Own", ("halves",), lambda run: INTERPOLATORS["linear"], preferred=True)
-"""
 
 
 @pytest.fixture
 def package(install: Callable[..., None]) -> None:
-    install("borrowed_encoder", MODULE, {"motionkit.encoders": "borrowed = borrowed_encoder:load"})
+    install("borrowed_encoder", MODULE)
 
 
 def test_a_registered_encoder_is_loaded_from_the_run(tmp_path: Path, package: None) -> None:
@@ -66,10 +62,10 @@ def test_tables_find_encoders_by_their_task() -> None:
 
 
 def test_clips_are_completed_by_the_preferred_encoder_that_is_trained(
-    tmp_path: Path, install: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    install("own_encoder", PREFERRED, {"motionkit.own": "own = own_encoder:OWN"})
-    monkeypatch.setattr(encoders, "GROUP", "motionkit.own")
+    own = EncoderLoader("Own", ("halves",), lambda run: INTERPOLATORS["linear"], preferred=True)
+    install_only(monkeypatch, ENCODERS={"own": own})
     before = choose_encoder(None, None, tmp_path)
     assert not before.is_trained and "motionkit train --stage halves trains one" in before.explanation
     folder = RunFolder(tmp_path / "run").stage("halves")

@@ -1,6 +1,5 @@
 """A generative model in Python: what is asked for in words and numbers becomes motions, by the code of `generate`."""
 
-from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 
@@ -8,8 +7,10 @@ import numpy as np
 import pytest
 
 import motionkit as mk
+from motionkit.core.errors import MotionkitError
 from motionkit.generate import models
 from motionkit.training.run import RunFolder
+from tests.helpers.plugin_lists import install_only
 from tests.helpers.scripted_model import ScriptedModel
 
 
@@ -101,25 +102,17 @@ def test_all_is_checked_before_the_first_is_made(model: mk.MotionModel, given: d
     assert model.model.asked == 0  # type: ignore[attr-defined]
 
 
-MODELS = """
-from motionkit.core.errors import MotionkitError
-from motionkit.generate.models import ModelLoader
-from tests.motionkit.generate.test_generate_motion import Drawing, script
-
-def load(run):
+def load_plain(run: Path) -> "Drawing":
     if run.name == "damaged":
         raise MotionkitError(f"{run} is damaged")
     return Drawing(script)
 
-FULL = ModelLoader("Full", ("first", "second"), lambda run: Drawing(script, 2.0), order=1)
-"""
-
 
 @pytest.fixture
-def installed(install: Callable[..., None], monkeypatch: pytest.MonkeyPatch) -> None:
+def installed(monkeypatch: pytest.MonkeyPatch) -> None:
     """A model that a plain function loads, and one with a loader of two stages."""
-    install("two_models", MODELS, {"motionkit.two": "plain = two_models:load\nfull = two_models:FULL"})
-    monkeypatch.setattr(models, "GROUP", "motionkit.two")
+    full = models.ModelLoader("Full", ("first", "second"), lambda run: Drawing(script, 2.0))
+    install_only(monkeypatch, MODELS={"full": full, "plain": load_plain})
 
 
 @pytest.mark.usefixtures("installed")

@@ -11,6 +11,7 @@ from motionkit.core.files import remove_entry, write_json, write_whole
 from motionkit.training.devices import resolve_device
 from motionkit.training.run import RunError, RunFolder, commit, copy_stage
 from motionkit.training.stage import Stage, StageContext, choose_stages
+from tests.helpers.plugin_lists import install_only
 
 
 @dataclass(frozen=True)
@@ -245,17 +246,17 @@ def test_an_untrained_stage_is_named_with_the_command_that_trains_it(tmp_path: P
         RunFolder(tmp_path / "nano").stage("field").read_config()
 
 
-def test_stages_are_chosen_by_name_or_all_of_the_model() -> None:
-    def stage(name: str, order: int, in_all: bool = True) -> Stage[Config]:
-        return Stage(name, order, "", {"nano": Config}, lambda context, config: None, in_all)
+def test_stages_are_chosen_by_name_or_all_of_the_model(monkeypatch: pytest.MonkeyPatch) -> None:
+    def stage(name: str, in_all: bool = True) -> Stage[Config]:
+        return Stage(name, "", {"nano": Config}, lambda context, config: None, in_all)
 
-    stages = {stage.name: stage for stage in (stage("a", 1), stage("b", 2), stage("extra", 3, False))}
-    assert [chosen.name for chosen in choose_stages("all", stages)] == ["a", "b"]
-    assert [chosen.name for chosen in choose_stages("extra", stages)] == ["extra"]
-    with pytest.raises(UsageError, match="no stage is called 'c'; there are: a, b, extra, all"):
-        choose_stages("c", stages)
-    with pytest.raises(UsageError, match="stage 'a' has no recipe 'huge'; it has: nano"):
-        stages["a"].recipe("huge")
+    install_only(monkeypatch, STAGES={"a": stage("a"), "b": stage("b"), "extra": stage("extra", False)})
+    assert [chosen.name for chosen in choose_stages("all")] == ["a", "b"]
+    assert [chosen.name for chosen in choose_stages("extra")] == ["extra"]
+    with pytest.raises(UsageError, match=r"'c'.*: a, b, extra, all"):
+        choose_stages("c")
+    with pytest.raises(UsageError, match="'a' has no recipe 'huge'"):
+        stage("a").recipe("huge")
 
 
 def test_a_device_that_is_not_there_is_a_usage_error() -> None:
@@ -284,4 +285,4 @@ def test_the_commit_is_that_of_this_code_and_of_no_checkout_around_it(tmp_path: 
 @pytest.mark.parametrize("name", ["", "-rf", "a/b", "..", "two words"])
 def test_a_stage_has_a_name_that_is_a_folder_and_no_option(name: str) -> None:
     with pytest.raises(UsageError, match=re.escape(repr(name))):
-        Stage(name, 1, "", {"nano": Config}, lambda context, config: None)
+        Stage(name, "", {"nano": Config}, lambda context, config: None)

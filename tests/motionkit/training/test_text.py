@@ -7,8 +7,8 @@ import pytest
 from safetensors.numpy import load_file, save_file
 
 from motionkit.core.errors import UsageError
-from motionkit.training import text as text_encoders
 from motionkit.training.text import TextEncoder, embed_texts, load_text_encoder
+from tests.helpers.plugin_lists import install_only
 
 LENGTHS = '''
 """An encoder that a package brings: a text's length."""
@@ -22,32 +22,17 @@ class Lengths:
 
     def encode(self, texts):
         return np.array([[len(text)] for text in texts], dtype=np.float32).reshape(-1, 1)
+
+TEXT_ENCODERS = {"lengths": Lengths}
 '''
 
 
 def test_an_encoder_that_a_package_brings_is_loaded_by_its_name(install: Callable[..., None]) -> None:
-    install("length_encoder", LENGTHS, {"motionkit.text_encoders": "lengths = length_encoder:Lengths"})
+    install("length_encoder", LENGTHS)
     encoder = load_text_encoder("lengths")
     assert isinstance(encoder, TextEncoder)
     assert encoder.name == "lengths"
     np.testing.assert_array_equal(encoder.encode(["walk", "a"]), [[4], [1]])
-
-
-def test_folders_and_hub_names_go_to_the_entry_point_for_them(
-    install: Callable[..., None], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    install("length_encoder", LENGTHS, {"motionkit.texts": "transformers = length_encoder:Lengths"})
-    monkeypatch.setattr(text_encoders, "GROUP", "motionkit.texts")
-    assert load_text_encoder("./a-folder").name == "./a-folder"
-
-
-def test_a_name_that_nobody_takes_is_a_usage_error(
-    install: Callable[..., None], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    install("length_encoder", LENGTHS, {"motionkit.texts": "lengths = length_encoder:Lengths"})
-    monkeypatch.setattr(text_encoders, "GROUP", "motionkit.texts")
-    with pytest.raises(UsageError, match="no text encoder is called 'minilm'; installed: lengths"):
-        load_text_encoder("minilm")
 
 
 class CountingEncoder:
@@ -91,3 +76,12 @@ def test_a_damaged_cache_is_computed_anew_and_that_is_said(damage, tmp_path, rec
     assert encoder.asked == ["walk", "jump"]
     assert any("anew" in str(each.message) for each in recwarn)
     assert file.read_bytes() == whole
+
+
+def test_folders_and_hub_names_go_to_the_encoder_for_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    encoder = CountingEncoder()
+    install_only(monkeypatch, TEXT_ENCODERS={"transformers": lambda name: encoder})
+    assert load_text_encoder("./a-folder") is encoder
+    install_only(monkeypatch, TEXT_ENCODERS={"lengths": print})
+    with pytest.raises(UsageError, match=r"'minilm'.*lengths"):
+        load_text_encoder("minilm")

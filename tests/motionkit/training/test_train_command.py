@@ -17,7 +17,8 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.store import StoreWriter
 from motionkit.store.commit import read_manifest
 from motionkit.training.run import RunError
-from motionkit.training.stage import Stage, StageContext, choose_stages, registered_stages
+from motionkit.training.stage import Stage, StageContext, choose_stages
+from tests.helpers.plugin_lists import install_only
 
 MOTION = Motion(np.zeros((2, 22, 3), np.float32), SMPL22, TimeGrid(Fraction(30), 2), sequence_id="one")
 
@@ -41,17 +42,12 @@ def _train(name: str) -> Stage[Config]:
         folder.finish({"steps": getattr(config, name).steps, "seed": context.seed})
 
     builds_on = ("first",) if name == "second" else ()
-    order = 2 if builds_on else 1
-    return Stage(name, order, f"trains {name}", {"nano": Config}, train, builds_on=lambda config: builds_on)
-
-
-def _stages(only: str) -> dict[str, Stage[Config]]:
-    return {name: _train(name) for name in ("first", "second")}
+    return Stage(name, f"trains {name}", {"nano": Config}, train, builds_on=lambda config: builds_on)
 
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(train_module, "registered_stages", _stages)
+    install_only(monkeypatch, STAGES={name: _train(name) for name in ("first", "second")})
     with StoreWriter.create(tmp_path / "store"):
         pass
     monkeypatch.chdir(tmp_path)
@@ -146,7 +142,7 @@ def test_the_settings_that_would_be_trained_are_shown(folder: Path) -> None:
 @pytest.mark.parametrize("stage", ["all", "evaluator"])
 def test_shown_settings_make_the_recipe_of_another(stage: str) -> None:
     shown = CliRunner().invoke(_app(), ["--show", "--stage", stage], catch_exceptions=False)
-    stages = choose_stages(stage, registered_stages())
+    stages = choose_stages(stage)
     nano, paper = (train_module.configure(stages, recipe, []) for recipe in ("nano", "paper"))
     assert train_module.configure(stages, "paper", shown.stdout.splitlines()) == nano != paper
 
@@ -167,8 +163,7 @@ def test_a_stage_is_not_trained_twice_at_once(
                 CliRunner().invoke(_app(), ["--stage", stage, option], catch_exceptions=False)
             refused.append(caught.value)
 
-    stages = {"first": replace(whole, train=train), "second": _train("second")}
-    monkeypatch.setattr(train_module, "registered_stages", lambda only: stages)
+    install_only(monkeypatch, STAGES={"first": replace(whole, train=train), "second": _train("second")})
     assert [each["steps"] for each in _run("--overwrite")["stages"]] == [5, 5]  # type: ignore[attr-defined]
     assert len(refused) == 1
     _run("--stage", stage, "--overwrite")

@@ -1,4 +1,4 @@
-"""Readers of motion files: every entry of `motionkit.io`, and the files beside them."""
+"""Readers of motion files: every format, and the files beside them."""
 
 from collections.abc import Iterator
 from fractions import Fraction

@@ -1,0 +1,35 @@
+"""The commands, stages and tables of the evaluation (`motionkit.core.plugins`)."""
+
+COMMANDS = {
+    "ablate": "eval.commands.ablate:ablate",
+    "demo": "eval.commands.demo:demo",
+    "eval": "eval.commands.eval:evaluate",
+    "report": "eval.commands.report:report",
+    "samples": "eval.commands.samples:samples",
+    "study": "eval.commands.study:STUDY",
+}
+STAGES = {"evaluator": "eval.native_evaluator.stage:STAGE", "tmr": "eval.tmr.stage:STAGE"}
+TABLES = {
+    "nerm-1": "eval.tables.nerm.table1:TABLE",
+    "nerm-2": "eval.tables.nerm.table2:TABLE",
+    "nerm-3": "eval.tables.nerm.table3:TABLE",
+    "nerm-4": "eval.tables.nerm.table4:TABLE",
+    "nerm-5": "eval.tables.nerm.ablations:TABLE_5",
+    "nerm-6": "eval.tables.nerm.ablations:TABLE_6",
+    "nerm-7": "eval.tables.nerm.ablations:TABLE_7",
+    "nerm-8": "eval.tables.nerm.ablations:TABLE_8",
+    "nerm-9": "eval.tables.nerm.ablations:TABLE_9",
+    "nerm-figure5": "eval.tables.nerm.figure5:TABLE",
+    "nerm-figure8": "eval.tables.nerm.figure8:TABLE",
+    "nerm-ours": "eval.tables.nerm.ablations:TABLE_OURS",
+    "nerm-physical": "eval.tables.physical:TABLE",
+    "pahires-1": "eval.tables.pahires.interpolation:TABLE_1",
+    "pahires-2": "eval.tables.pahires.interpolation:TABLE_2",
+    "pahires-3": "eval.tables.pahires.inbetweening:TABLE",
+    "pahires-4": "eval.tables.pahires.ablations:TABLE_4",
+    "pahires-extrapolation": "eval.tables.pahires.extrapolation:TABLE",
+    "pahires-figure5": "eval.tables.pahires.ablations:FIGURE_5",
+    "pahires-figure6": "eval.tables.pahires.ablations:FIGURE_6",
+}
+# What `motionkit train --for KIND:NAME` trains, by KIND.
+PLANS = dict.fromkeys(("table", "figure"), "eval.tables.systems:plan")

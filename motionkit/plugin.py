@@ -1,0 +1,22 @@
+"""motionkit's own commands and stages (`motionkit.core.plugins`)."""
+
+COMMANDS = {
+    "compact": "motionkit.cli.store:compact",
+    "complete": "motionkit.cli.complete:complete",
+    "convert": "motionkit.cli.convert:convert",
+    "export": "motionkit.cli.export:export",
+    "generate": "motionkit.cli.generate:generate",
+    "info": "motionkit.cli.info:info",
+    "ingest": "motionkit.cli.ingest:ingest",
+    "merge": "motionkit.cli.store:merge",
+    "plant": "motionkit.cli.plant:plant",
+    "pull": "motionkit.cli.hub:pull",
+    "push": "motionkit.cli.hub:push",
+    "query": "motionkit.cli.query:query",
+    "remove": "motionkit.cli.store:remove",
+    "split": "motionkit.cli.store:split",
+    "train": "motionkit.cli.train:train",
+    "validate": "motionkit.cli.store:validate",
+    "view": "motionkit.cli.view:view",
+}
+STAGES = {"detail": "motionkit.training.detail:STAGE"}

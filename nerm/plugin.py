@@ -1,0 +1,16 @@
+"""NeRM's stages, its model and motion encoder, text encoders and ablations (`motionkit.core.plugins`)."""
+
+from motionkit.core.plugins import lazily
+from motionkit.training.run import Loader
+
+STAGES = {"codebook": "nerm.stages:CODEBOOK", "field": "nerm.stages:FIELD", "denoiser": "nerm.stages:DENOISER"}
+MODELS = {
+    "nerm": Loader("NeRM", ("field", "denoiser"), lazily("nerm.model:load"), fixed_fps_setting="field.clips.fixed_fps")
+}
+ENCODERS = {"nerm": Loader("NeRM", ("field",), lazily("nerm.field.motion_encoder:load"), tasks=("reconstruction",))}
+TEXT_ENCODERS = {
+    "minilm": "nerm.text.encoders:load_minilm",
+    "clip": "nerm.text.encoders:load_clip",
+    "transformers": "nerm.text.encoders:load_transformers",
+}
+ABLATIONS = {"nerm": "nerm.ablations:NERM"}

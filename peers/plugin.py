@@ -1,0 +1,45 @@
+"""The stages, models and motion encoders of other people's systems (`motionkit.core.plugins`)."""
+
+STAGES = {
+    "liif": "peers.stages:LIIF",
+    "meta-sr": "peers.stages:META_SR",
+    "a-liif": "peers.stages:A_LIIF",
+    "lmf": "peers.stages:LMF",
+    "delta-interp": "peers.stages:DELTA_INTERP",
+    "ts-former": "peers.stages:TS_FORMER",
+    "mdm": "peers.generative.stages:MDM",
+    "mdm-50": "peers.generative.stages:MDM_50",
+    "mld-vae": "peers.generative.stages:MLD_VAE",
+    "mld": "peers.generative.stages:MLD",
+    "inr-mlp": "peers.generative.stages:INR_MLP",
+    "actor": "peers.generative.stages:ACTOR",
+    "t2m-autoencoder": "peers.generative.stages:T2M_AUTOENCODER",
+    "t2m": "peers.generative.stages:T2M",
+    "camdm": "peers.generative.stages:CAMDM",
+    "flow": "peers.generative.stages:FLOW",
+    "jl2p": "peers.generative.stages:JL2P",
+    "hier": "peers.generative.stages:HIER",
+    "nemf-path": "peers.generative.stages:NEMF_PATH",
+    "nemf": "peers.generative.stages:NEMF",
+}
+MODELS = {
+    "mdm": "peers.generative.loaders:MDM",
+    "mdm-50": "peers.generative.loaders:MDM_50",
+    "mld": "peers.generative.loaders:MLD",
+    "inr-mlp": "peers.generative.loaders:INR_MLP",
+    "actor": "peers.generative.loaders:ACTOR",
+    "t2m": "peers.generative.loaders:T2M",
+    "camdm": "peers.generative.loaders:CAMDM",
+    "flow": "peers.generative.loaders:FLOW",
+    "jl2p": "peers.generative.loaders:JL2P",
+    "hier": "peers.generative.loaders:HIER",
+    "nemf": "peers.generative.loaders:NEMF",
+}
+ENCODERS = {
+    "liif": "peers.loaders:LIIF_ENCODER",
+    "meta-sr": "peers.loaders:META_SR_ENCODER",
+    "a-liif": "peers.loaders:A_LIIF_ENCODER",
+    "lmf": "peers.loaders:LMF_ENCODER",
+    "delta-interp": "peers.loaders:DELTA_INTERP_ENCODER",
+    "ts-former": "peers.loaders:TS_FORMER_ENCODER",
+}
