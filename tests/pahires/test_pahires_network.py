@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from pahires.loaders import load
 
 from motionkit.fields.motion_field import MotionEncoder
 from motionkit.training.config import apply_overrides
@@ -15,7 +14,7 @@ from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
 from pahires.model import PaHiRes
 from pahires.recipes import RECIPES, NetworkSettings, nano
-from pahires.stage import STAGE
+from pahires.stage import STAGE, load
 from pahires.temporal.encoder import NetworkEncoder
 from pahires.temporal.network import ObservedWindow, TemporalNetwork
 from pahires.temporal.settings import AnswerSettings
