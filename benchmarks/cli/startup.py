@@ -1,6 +1,6 @@
-"""Startup time of `motionkit --help`, against an empty Python program and importing torch.
+"""P13: Startup time of `motionkit --help`, against an empty Python program and importing torch.
 
-    python benchmarks/cli/startup.py [--repeats 10] [--json]
+    python -m benchmarks.cli.startup [--repeats 10] [--json]
 
 Each program runs in a fresh process; wall and CPU seconds (user and system) are medians. The first run of each is
 dropped: it reads the files from disk.

@@ -1,6 +1,6 @@
-"""`motionkit complete` from file to file: seconds and memory of clips of a minute to three hours.
+"""P12: `motionkit complete` from file to file: seconds and memory of clips of a minute to three hours.
 
-    python benchmarks/complete/file_to_file.py [--minutes 1 10 60 180] [--fps 120] [--arguments "--run RUN"] [--json]
+    python -m benchmarks.complete.file_to_file [--minutes 1 10 60 180] [--fps 120] [--arguments "--run RUN"] [--json]
 
 The clip is an analytic motion of the 22 joints at 30 fps, as BVH. Each figure is of a process of its own: wall seconds,
 CPU seconds (user and system), peak resident memory. The baseline is a process that reads the clip's numbers and writes

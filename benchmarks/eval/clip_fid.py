@@ -1,110 +1,82 @@
-"""Cost of a column of Table 2: features of 4,096 clips, FID, KID, PRDC, and a whole replication.
+"""P14: what clip-FID costs: a column of Table 2 at each framerate, and its distances beside scipy's matrix root.
 
-    python benchmarks/eval/clip_fid.py [--clips 4096] [--fps 60] [--json]
-    python benchmarks/eval/clip_fid.py --row    a model's whole row: 5 framerates × 20 replications, fits and details
+    python -m benchmarks.eval.clip_fid [--clips 4096] [--replications 20] [--json]
 
-Clips are cut from random smooth motion; times are CPU seconds of this process, medians of `--repeats`; `--row` is run
-once, on as many threads as there are processors, and its wall time is given too. The peers are formulas that published
-evaluators use: FID by scipy.linalg.sqrtm, PRDC by a full distance matrix.
+A column is `eval.clip_fid` of two sets of sixty smooth motions of 10 s. The peer computes FID as published evaluators
+do, with scipy.linalg.sqrtm, of as many samples of as many features. CPU seconds of this process.
 """
 
-import argparse
-import json
-import statistics
-import sys
 import time
 from collections.abc import Callable
-from fractions import Fraction
 
 import numpy as np
 import scipy.linalg
 
-from eval.clip_fid.clips import Protocol, describe_clips, draw_clips, place_clips
-from eval.clip_fid.features import fit_on, kinematic_source
-from eval.clip_fid.score import score_rows
-from eval.metrics.gaussian import fid, fid_infinity, kid
+from benchmarks.command import arguments_parser, best_cpu_seconds, print_json
+from eval import clip_fid
+from eval.metrics.gaussian import fid, kid
 from eval.metrics.neighbours import prdc
-from eval.report.results import provenance
-from eval.sets.sets import SampleSet, sample_set
+
+RATES = (20, 40, 60, 100, 120)
+NUM_FEATURES = 49
 
 
-def smooth_motion(fps: Fraction, num_sequences: int = 60, seconds: float = 10.0) -> SampleSet:
+def smooth_motions(
+    fps: int, generator: np.random.Generator, count: int = 60, seconds: float = 10.0
+) -> list[np.ndarray]:
     """Joints on sums of slow sines."""
-    rng = np.random.default_rng(0)
-    time_seconds = np.arange(int(seconds * float(fps)))[:, None, None] / float(fps)
-    sequences = []
-    for _ in range(num_sequences):
-        phase, rate = rng.uniform(0, 6, (22, 3)), rng.uniform(1, 9, (22, 3))
-        sequences.append((0.2 * np.sin(rate * time_seconds + phase)).astype(np.float32))
-    return sample_set("smooth", fps, sequences, [str(index) for index in range(num_sequences)])
+    instants = np.arange(int(seconds * fps))[:, None, None] / fps
+    motions = []
+    for _ in range(count):
+        phase, rate = generator.uniform(0, 6, (22, 3)), generator.uniform(1, 9, (22, 3))
+        motions.append((0.2 * np.sin(rate * instants + phase)).astype(np.float32))
+    return motions
 
 
 def fid_by_square_root(x: np.ndarray, y: np.ndarray) -> float:
+    """FID as published evaluators compute it."""
     a, b = np.cov(x, rowvar=False), np.cov(y, rowvar=False)
     root = scipy.linalg.sqrtm(a @ b).real
     return float(((x.mean(0) - y.mean(0)) ** 2).sum() + np.trace(a + b - 2 * root))
 
 
-def cpu_seconds(work: Callable[[], object], repeats: int) -> float:
-    times = []
-    for _ in range(repeats):
-        started = time.process_time()
-        work()
-        times.append(time.process_time() - started)
-    return statistics.median(times)
-
-
-def whole_row(clips: int) -> dict[str, float]:
-    """CPU and wall seconds of one model's row of Table 2 once its motions exist, framerate by framerate."""
-    figures: dict[str, float] = {"all, CPU": 0.0, "all, wall": 0.0}
-    for rate in (20, 40, 60, 100, 120):
-        samples, source = smooth_motion(Fraction(rate)), kinematic_source()
-        wall, cpu = time.perf_counter(), time.process_time()
-        score_rows(samples, {"model": samples}, source.fit(samples), Protocol(num_clips=clips), source.parts)
-        figures[f"{rate} fps, CPU"] = time.process_time() - cpu
-        figures[f"{rate} fps, wall"] = time.perf_counter() - wall
-        for clock in ("CPU", "wall"):
-            figures[f"all, {clock}"] += figures[f"{rate} fps, {clock}"]
-        print(f"{rate} fps: {figures[f'{rate} fps, wall']:.1f} s", file=sys.stderr, flush=True)
+def columns(clips: int, replications: int) -> dict[str, float]:
+    """CPU seconds of a column at each framerate."""
+    figures = {}
+    for fps in RATES:
+        real, generated = (smooth_motions(fps, np.random.default_rng(seed)) for seed in (0, 1))
+        begun = time.process_time()
+        clip_fid(real, generated, fps=fps, clips=clips, replications=replications)
+        figures[f"column, {fps} fps"] = time.process_time() - begun
     return figures
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--clips", type=int, default=4096)
-    parser.add_argument("--fps", type=int, default=60)
-    parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--json", action="store_true")
-    parser.add_argument("--row", action="store_true")
-    arguments = parser.parse_args()
-    if arguments.row:
-        show(whole_row(arguments.clips), f"5 framerates × 20 replications of {arguments.clips} clips", arguments.json)
-        return
-    fps = Fraction(arguments.fps)
-    samples = smooth_motion(fps)
-    descriptor = fit_on(samples)
-    protocol = Protocol(num_clips=arguments.clips)
-    real, other = (place_clips(draw_clips(protocol, fps, 0, side), samples) for side in (0, 1))
-    x, y = (describe_clips(samples, places, descriptor) for places in (real, other))
+def distances(clips: int) -> dict[str, float]:
+    """CPU seconds of distances between two sets of features."""
+    generator = np.random.default_rng(0)
+    x, y = generator.standard_normal((2, clips, NUM_FEATURES))
+    np.testing.assert_allclose(fid(x, y), fid_by_square_root(x, y), rtol=1e-6)
     work: dict[str, Callable[[], object]] = {
-        "describe the clips": lambda: describe_clips(samples, real, descriptor),
         "FID": lambda: fid(x, y),
-        "FID by scipy.linalg.sqrtm": lambda: fid_by_square_root(x, y),
-        "FID_infinity": lambda: fid_infinity(x, y, np.random.default_rng(0)),
+        "peer: FID by scipy.linalg.sqrtm": lambda: fid_by_square_root(x, y),
         "KID": lambda: kid(x, y),
-        "PRDC": lambda: prdc(x, y),
+        "precision, recall, density, coverage": lambda: prdc(x, y),
     }
-    figures = {name: cpu_seconds(each, arguments.repeats) for name, each in work.items()}
-    show(figures, f"{arguments.clips} clips at {arguments.fps} fps, CPU", arguments.json)
+    return {name: best_cpu_seconds(each, 5) for name, each in work.items()}
 
 
-def show(figures: dict[str, float], title: str, as_json: bool) -> None:
-    if as_json:
-        print(json.dumps({"title": title, "seconds": figures, "provenance": provenance()}, indent=2))
+def main() -> None:
+    parser = arguments_parser(__doc__)
+    parser.add_argument("--clips", type=int, default=4096)
+    parser.add_argument("--replications", type=int, default=20)
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    figures = columns(arguments.clips, arguments.replications) | distances(arguments.clips)
+    if arguments.json:
+        print_json({"clips": arguments.clips, "cpu_seconds": figures})
         return
-    print(f"{title}, seconds")
     for name, seconds in figures.items():
-        print(f"{name:28} {seconds:8.4f}")
+        print(f"{name:38} {seconds:8.4f} CPU s")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""Frames per second of the `humanml3d` pose vectors, on one core, beside HumanML3D's own code where a clone is given.
+"""P6: frames a second of the `humanml3d` pose vectors on one core, beside HumanML3D's own code if a clone is given.
 
-    python benchmarks/features/humanml3d.py [--peer CLONE] [--json]
+    python -m benchmarks.features.humanml3d [--peer CLONE] [--json]
 
 Both sides take the same raw joints through uniform skeleton, floor, origin, facing and vectors. The peer's functions
 are read from its notebook and run in this process; the inputs are walks of 10,000 and of 170 frames.

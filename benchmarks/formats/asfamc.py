@@ -1,4 +1,4 @@
-"""AMC parsing: motionkit beside a plain Python line parser, in one process, on the same bytes.
+"""P2: AMC parsing: motionkit beside a plain Python line parser, in one process, on the same bytes.
 
     python -m benchmarks.formats.asfamc FOLDER [--files 12] [--repeats 3]
 

@@ -1,4 +1,4 @@
-"""BVH file → joint positions: motionkit, upc-pymotion, numpy with scipy, and pyarrow's CSV reader, in one process.
+"""P1: BVH file → joint positions: motionkit, upc-pymotion, numpy with scipy, and pyarrow's CSV reader, in one process.
 
     python -m benchmarks.formats.bvh FILE_OR_FOLDER… [--files 20] [--repeats 3]
 

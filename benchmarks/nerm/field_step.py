@@ -1,11 +1,9 @@
-"""A stage-1 step with the coordinate branch once per distinct coordinate, beside the same step with it per clip.
+"""P8: a step of stage field with the coordinate branch once per distinct coordinate, beside once per pose.
 
-Per clip is the whole branch for every clip, as it stands in the equations; between the two, the prototypes (which
-depend on θ alone) are shared, but each pose of each clip attends to them.
+    python -m benchmarks.nerm.field_step [--clips 128] [--poses 32] [--hidden 256] [--repeats 3] [--json]
 
-    python benchmarks/nerm/field_step.py [--clips 256] [--poses 32] [--hidden 256] [--repeats 3] [--json]
-
-All sides compute the same loss (checked before timing); clips are contiguous, at 20, 30, 60 and 120 fps.
+Per pose, the prototypes (which depend on θ alone) are computed once, and each pose of each clip attends to them. Both
+compute the same loss (checked before timing); clips are contiguous, at 20, 30, 60 and 120 fps.
 CPU seconds of a whole step (forward, backward), one thread; the best of the repeats.
 """
 
@@ -31,14 +29,6 @@ def draw_clips(clips: int, poses: int, seconds: float) -> tuple[torch.Tensor, to
     return -1.0 + 2.0 * frames / fps[:, None] / seconds, fps
 
 
-def per_clip(network: FieldNetwork, coordinates: torch.Tensor) -> EncodedCoordinates:
-    """The coordinate branch without sharing: every clip's features on their own."""
-    assert network.fourier is not None
-    assert network.attention is not None
-    features = torch.cat([network.attention(network.fourier(clip)) for clip in coordinates])
-    return EncodedCoordinates(features, None, torch.arange(coordinates.numel()).reshape(coordinates.shape))
-
-
 def per_pose(network: FieldNetwork, coordinates: torch.Tensor) -> EncodedCoordinates:
     """Prototypes once, then every pose of every clip on its own."""
     assert network.fourier is not None
@@ -49,7 +39,7 @@ def per_pose(network: FieldNetwork, coordinates: torch.Tensor) -> EncodedCoordin
 
 def main() -> None:
     parser = arguments_parser(__doc__)
-    parser.add_argument("--clips", type=int, default=256)
+    parser.add_argument("--clips", type=int, default=128)
     parser.add_argument("--poses", type=int, default=32)
     parser.add_argument("--hidden", type=int, default=256)
     parser.add_argument("--repeats", type=int, default=3)
@@ -71,8 +61,7 @@ def main() -> None:
 
     sides: dict[str, Callable[[], EncodedCoordinates]] = {
         "per distinct coordinate": lambda: network.encode_coordinates(coordinates, fps),
-        "per pose, shared prototypes": lambda: per_pose(network, coordinates),
-        "per clip": lambda: per_clip(network, coordinates),
+        "per pose": lambda: per_pose(network, coordinates),
     }
     losses = [loss_of(encode) for encode in sides.values()]
     for loss in losses[1:]:

@@ -1,6 +1,6 @@
-"""Cost of generation: 9.8 s at 20 and at 120 fps, and the decoder's rate against the machine's matrix products.
+"""P7: generating 9.8 s at 20 and at 120 fps, and the decoder's rate beside the machine's matrix products.
 
-    python benchmarks/nerm/generate.py [--recipe nano] [--run runs/nano] [--motions 1] [--json]
+    python -m benchmarks.nerm.generate [--recipe nano] [--run runs/nano] [--motions 1] [--json]
 
 Generation is what `NermModel` does for unconditional motions: diffusion, coordinate branch, decoding to joint positions
 (files are left out). Weights are those of a run, or random ones of a recipe's sizes (what it costs does not depend on
@@ -9,12 +9,9 @@ their values). The field's cached grids are cleared before each repeat, so that 
 The peak is measured: torch.mm at the decoder's own shapes, [poses × hidden] · [hidden × hidden], one after another. The
 decoder's rate counts the multiplications and additions of its matrix products alone, over all the time it takes.
 
-CPU seconds, one thread; the best of the repeats. `--memory FPS` decodes 9.8 s at that framerate instead and
-says how far the process's peak of resident memory rises.
+CPU seconds, one thread; the best of the repeats.
 """
 
-import json
-import resource
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
@@ -146,30 +143,15 @@ def decoding_rate(model: NermModel, repeats: int) -> dict[str, object]:
     }
 
 
-def decode_very_fast(recipe: str, run: str, fps: int) -> dict[str, object]:
-    """9.8 s at a framerate: how much the resident memory's peak rises over a decoding at 120 fps, in MB."""
-    model = load(Path(run)) if run else random_model(recipe)
-    [motion] = model.generate([GenerationRequest(SECONDS)], seed=0)
-    motion.at_fps(Fraction(120)).query(np.arange(1176) / 120)
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    positions = motion.at_fps(Fraction(fps)).query(np.arange(round(SECONDS * fps)) / fps).joint_positions
-    rise = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
-    return {"fps": fps, "poses": len(positions), "peak_rises_mb": rise, "answer_mb": positions.nbytes / 2**20}
-
-
 def main() -> None:
     parser = arguments_parser(__doc__)
     parser.add_argument("--recipe", default="nano", choices=sorted(RECIPES))
     parser.add_argument("--run", default="", help="a trained run; without it random weights of the recipe")
     parser.add_argument("--motions", type=int, default=1)
     parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--memory", type=int, default=0, metavar="FPS", help="only decode at this framerate")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    if arguments.memory:
-        print(json.dumps(decode_very_fast(arguments.recipe, arguments.run, arguments.memory)))
-        return
     model = load(Path(arguments.run)) if arguments.run else random_model(arguments.recipe)
     costs = generation_costs(model, arguments.motions, arguments.repeats)
     rates = decoding_rate(model, arguments.repeats)

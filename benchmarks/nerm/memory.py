@@ -1,6 +1,6 @@
-"""Peak memory of stage-1 training on a 20 fps and on a 250 fps corpus of the same motions (the paper's E.4).
+"""P9: peak memory of training the field on the same motions at 20 and at 250 fps (the paper's E.4).
 
-    python benchmarks/nerm/memory.py [--minutes 10] [--steps 40] [--set KEY=VALUE …] [--json]
+    python -m benchmarks.nerm.memory [--minutes 10] [--steps 40] [--set KEY=VALUE …] [--json]
 
 Two stores hold the same seconds of the same analytic motions at either framerate. Each is trained on by the stage
 `field` (recipe `nano`, Fourier features) in a process of its own, after its cache was built in another. Three figures

@@ -1,20 +1,17 @@
-"""Layouts of float columns in Parquet: size against raw float32, encoding and decoding speed, on real captures.
+"""P4: a store's size on disk against raw float32, beside `.npz`, channel-major zstd and zstd of the source text.
 
-Every variant holds the same sequences, a plain list of float32 each, as any Parquet reader takes them;
-what comes out is compared, bit by bit, with what went in (or with what was rounded, where the variant rounds).
+    python -m benchmarks.store.size SOURCE… [--every 10] [--json]
 
-    python benchmarks/store/size.py captures/cmu captures/bandai-namco captures/mixed-bvh [--every 5] [--json]
+Every tenth sequence of the sources is stored by motionkit, and its positions and rotations are written by each peer.
+The peers keep every bit; the store rounds to 2^-22 (0.24 µm).
 """
 
-import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+import io
+import tempfile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from rich.table import Table
 
 from benchmarks.command import arguments_parser, print_json
@@ -22,140 +19,67 @@ from motionkit.cli.console import stdout
 from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import scan
-from motionkit.store.schema import FLOAT_LIST, ROW_GROUP_FRAMES
+from motionkit.store import StoreWriter
 
-# One sequence of one column, channels by frames.
-Block = np.ndarray
-Blocks = list[Block]
-STORE_OPTIONS = {"compression": "zstd", "compression_level": 3, "use_dictionary": False}
+ZSTD = pa.Codec("zstd", compression_level=3)
 
 
-@dataclass(frozen=True)
-class Variant:
-    """One way to write the blocks; `prepare` changes them first, `order` flattens one."""
-
-    name: str
-    options: dict[str, Any] = field(default_factory=lambda: dict(STORE_OPTIONS))
-    split_bytes: bool = True
-    row_group_frames: int = ROW_GROUP_FRAMES
-    order: str = "C"
-    prepare: Callable[[Blocks], Blocks] = lambda blocks: blocks
+def compressed(data: bytes) -> int:
+    """Bytes after zstd 3."""
+    return len(ZSTD.compress(data, asbytes=True))
 
 
-@dataclass(frozen=True)
-class Figures:
-    """Bytes on disk against raw float32, and megabytes of raw float32 per second of processor time."""
-
-    ratio: float
-    encode_mb_per_second: float
-    decode_mb_per_second: float
+def npz(arrays: list[np.ndarray]) -> int:
+    """Bytes of `np.savez_compressed`."""
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, *arrays)
+    return buffer.tell()
 
 
-def on_grid(bits: int) -> Callable[[Blocks], Blocks]:
-    scale = np.float32(2.0**bits)
-    return lambda blocks: [np.rint(block * scale) / scale for block in blocks]
+def shuffled(array: np.ndarray) -> int:
+    """Bytes of all frames of a channel after another, bytes of equal significance together, zstd 3."""
+    channels = np.ascontiguousarray(array.reshape(len(array), -1).T, np.float32).view(np.uint8)
+    return compressed(np.ascontiguousarray(channels.reshape(-1, 4).T).tobytes())
 
 
-def continuous_signs(blocks: Blocks) -> Blocks:
-    """q and −q are the same rotation: each frame gets the sign nearer to the previous frame."""
-    made = []
-    for block in blocks:
-        turns = block.reshape(-1, 4, block.shape[1])
-        flips = np.where(np.einsum("jct,jct->jt", turns[..., 1:], turns[..., :-1]) < 0, -1, 1)
-        signs = np.cumprod(np.insert(flips, 0, 1, axis=1), axis=1)
-        made.append((turns * signs[:, None]).reshape(block.shape).astype(np.float32))
-    return made
-
-
-def variants(rotations: bool) -> list[Variant]:
-    zstd = {"compression": "zstd", "use_dictionary": False}
-    signs = [Variant("continuous signs of quaternions", prepare=continuous_signs)] if rotations else []
-    return [
-        Variant("pyarrow's defaults: snappy, dictionary", {}, split_bytes=False),
-        Variant("zstd 3", {**zstd, "compression_level": 3}, split_bytes=False),
-        Variant("zstd 3, bytes split, frame after frame", order="F"),
-        Variant("zstd 3, bytes split, channel after channel, row groups of 65,536 frames", row_group_frames=65_536),
-        Variant("the same, 2,048 frames"),
-        *signs,
-        Variant("zstd 1", {**zstd, "compression_level": 1}),
-        Variant("zstd 9", {**zstd, "compression_level": 9}),
-        Variant("pages of 8 MiB", {**STORE_OPTIONS, "data_page_size": 2**23}),
-        *(
-            Variant(f"on a grid of 2^-{bits}{' (the store, but for its pages)' * (bits == 22)}", prepare=on_grid(bits))
-            for bits in (24, 22, 20)
-        ),
-    ]
-
-
-def measure(variant: Variant, blocks: Blocks) -> Figures:
-    blocks = variant.prepare(blocks)
-    flat = [block.ravel(order="F" if variant.order == "F" else "C") for block in blocks]
-    num_bytes = sum(values.nbytes for values in flat)
-    schema = pa.schema([pa.field("values", FLOAT_LIST, nullable=False)])
-    split = {"use_byte_stream_split": ["values.list.element"]} if variant.split_bytes else {}
-    sink = pa.BufferOutputStream()
-    begun = time.process_time()
-    with pq.ParquetWriter(sink, schema, write_statistics=False, **variant.options, **split) as writer:
-        ends = np.cumsum([block.shape[1] for block in blocks]) // variant.row_group_frames
-        for group in np.split(np.arange(len(flat)), np.flatnonzero(np.diff(ends)) + 1):
-            writer.write_table(_table([flat[number] for number in group], schema))
-    encoded = time.process_time() - begun
-    content = sink.getvalue()
-    file = pq.ParquetFile(pa.BufferReader(content))
-    begun = time.process_time()
-    for group in range(file.num_row_groups):
-        file.read_row_group(group, use_threads=False)
-    decoded = time.process_time() - begun
-    found = file.read()["values"].combine_chunks().flatten().to_numpy()
-    np.testing.assert_array_equal(found, np.concatenate(flat))
-    return Figures(content.size / num_bytes, num_bytes / 1e6 / encoded, num_bytes / 1e6 / decoded)
-
-
-def _table(flat: Sequence[np.ndarray], schema: pa.Schema) -> pa.Table:
-    offsets = np.cumsum([0, *(values.size for values in flat)], dtype=np.int32)
-    lists = pa.ListArray.from_arrays(pa.array(offsets), pa.array(np.concatenate(flat)), type=FLOAT_LIST)
-    return pa.Table.from_arrays([lists], schema=schema)
-
-
-def blocks_of(sources: list[Path], every: int) -> dict[str, Blocks]:
-    """Every n-th sequence, unrounded."""
+def measure(sources: list[Path], every: int) -> dict[str, float]:
+    """Bytes of each way as a share of raw float32."""
     options = ReadOptions()
-    blocks: dict[str, Blocks] = {"joint_positions": [], "joint_rotations": []}
-    for item in scan(sources, options).items[::every]:
-        motion = read(item, options)
-        for column, frames in (
-            ("joint_positions", motion.joint_positions),
-            ("joint_rotations", motion.local_rotations),
-        ):
-            if frames is not None:
-                blocks[column].append(np.ascontiguousarray(frames.reshape(len(frames), -1).T))
-    return blocks
+    sizes = dict.fromkeys(("store", "npz", "channel-major, bytes shuffled, zstd 3", "source text, zstd 3"), 0)
+    raw, files = 0, set()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "store"
+        with StoreWriter.create(path) as writer:
+            for item in scan(sources, options).items[::every]:
+                motion = read(item, options)
+                writer.add(motion)
+                arrays = [motion.joint_positions]
+                if motion.local_rotations is not None and motion.root_translation is not None:
+                    arrays += [motion.local_rotations, motion.root_translation]
+                raw += 4 * sum(array.size for array in arrays)
+                sizes["npz"] += npz(arrays)
+                sizes["channel-major, bytes shuffled, zstd 3"] += sum(map(shuffled, arrays))
+                files.add(item.path)
+        sizes["store"] = sum(entry.stat().st_size for entry in path.rglob("*") if entry.is_file())
+    sizes["source text, zstd 3"] = sum(compressed(file.read_bytes()) for file in files)
+    return {name: size / raw for name, size in sizes.items()} | {"raw megabytes": raw / 1e6}
 
 
 def main() -> None:
     parser = arguments_parser(__doc__)
     parser.add_argument("sources", type=Path, nargs="+", help="files or folders, as for motionkit ingest")
-    parser.add_argument("--every", type=int, default=5, help="take every n-th sequence")
+    parser.add_argument("--every", type=int, default=10, help="take every n-th sequence")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    report: dict[str, Any] = {"every": arguments.every, "columns": {}}
-    for column, blocks in blocks_of(arguments.sources, arguments.every).items():
-        figures = {
-            variant.name: vars(measure(variant, blocks)) for variant in variants(rotations=column == "joint_rotations")
-        }
-        report["columns"][column] = {"raw_mb": sum(block.nbytes for block in blocks) / 1e6, "variants": figures}
+    figures = measure(arguments.sources, arguments.every)
     if arguments.json:
-        print_json(report)
+        print_json({"every": arguments.every, "of_raw": figures})
         return
-    for column, found in report["columns"].items():
-        table = Table(title=f"{column}: {found['raw_mb']:.0f} MB of float32, one core")
-        table.add_column("layout")
-        for heading in ("of raw", "encode MB/s", "decode MB/s"):
-            table.add_column(heading, justify="right")
-        for name, row in found["variants"].items():
-            numbers = (row["encode_mb_per_second"], row["decode_mb_per_second"])
-            table.add_row(name, f"{row['ratio']:.3f}", *(f"{number:,.0f}" for number in numbers))
-        stdout.print(table)
+    megabytes = figures.pop("raw megabytes")
+    table = Table("", "of raw float32", title=f"{megabytes:,.0f} MB of float32")
+    for name, share in figures.items():
+        table.add_row(name, f"{share:.3f}")
+    stdout.print(table)
 
 
 if __name__ == "__main__":

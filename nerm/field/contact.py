@@ -2,7 +2,7 @@
 
 A small network with the decoder's input, trained after it on noisy latents, with labels detected on the training
 takes (`motionkit.fields.contact.detection`). Feet of generated motions slide from residual noise, so their paths say
-little about contacts; z still does (docs/results/nerm-field-trials.md).
+little about contacts; z still does (docs/results/trials.md).
 """
 
 from collections.abc import Callable, Iterator
