@@ -8,7 +8,7 @@ COMMANDS = {
     "samples": "eval.commands.samples:samples",
     "study": "eval.commands.study:STUDY",
 }
-STAGES = {"evaluator": "eval.native_evaluator.stage:STAGE", "tmr": "eval.tmr.stage:STAGE"}
+STAGES = {"evaluator": "eval.native_evaluator.stage:STAGE", "tmr": "eval.native_evaluator.stage:TMR"}
 TABLES = {
     "nerm-1": "eval.tables.nerm.table1:TABLE",
     "nerm-2": "eval.tables.nerm.table2:TABLE",

@@ -50,7 +50,7 @@ SETTINGS: dict[str, tuple[str, ...]] = {
     ),
     "evaluator": (
         *("training.steps=8", "training.batch_size=4", "training.max_poses=24", "training.statistics_batches=1"),
-        *("training.whitening_batches=1", "training.bank_seconds=10", "training.text_encoder=", "network.shared=4"),
+        *("training.bank_seconds=10", "training.text_encoder=", "network.shared=4"),
         *("training.framerates=20,60", "network.convolution=8", "network.recurrent=8", "network.embedding=8"),
     ),
     "pahires": (

@@ -1,9 +1,13 @@
-"""Training of the native-rate evaluator: from damage of known strength, and from captions.
+"""Training of the native-rate evaluator: from damage of known strength and captions, or from captions alone (TMR).
 
-A step takes clips of one framerate and one length, corrupts most of them with one family of `eval.sets.corruptions` at
-a random strength, some with added noise, and regresses the strengths by linear heads on the embedding. Clean clips are
-matched with their captions (InfoNCE); pairs with the same caption are not negatives. Classifying the kind of damage
-saturates at its mildest level (measured), so its log strength is regressed.
+A step takes clips of one framerate and one length. The stage `evaluator` corrupts most of them with one family of
+`eval.sets.corruptions` at a random strength, some with added noise, and regresses the strengths by linear heads on the
+embedding. Clean clips are matched with their captions (InfoNCE); pairs with the same caption are not negatives.
+Classifying the kind of damage saturates at its mildest level (measured), so its log strength is regressed.
+
+The stage `tmr` has TMR's contrastive loss alone: InfoNCE on cosines, in which pairs with nearly the same sentence are
+not negatives of each other (Petrovich et al. 2023; src/model/losses.py of Mathux/TMR @ 6d74688). TMR's decoder,
+reconstruction loss and Gaussian latents are left out: they serve generation.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -14,10 +18,18 @@ import torch
 from torch import Tensor
 
 from eval.native_evaluator.bank import ClipBank, DrawnClips
-from eval.native_evaluator.evaluator import shrunk_whitening
-from eval.native_evaluator.network import TARGETS, NativeNetwork, TextProjection, prepare, rich_input, standardised
-from eval.native_evaluator.settings import NativeConfig
+from eval.native_evaluator.network import (
+    MIN_POSES,
+    TARGETS,
+    NativeNetwork,
+    TextProjection,
+    prepare,
+    rich_input,
+    standardised,
+)
+from eval.native_evaluator.settings import NativeConfig, NativeTrainingConfig, TmrConfig, TmrTrainingConfig
 from eval.sets.corruptions import Family, families
+from motionkit.core.errors import UsageError
 from motionkit.core.motion import Caption
 from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64
 from motionkit.training.config import rate_factor
@@ -32,6 +44,8 @@ TARGET_OF_FAMILY: Mapping[str, int] = {
     "low-pass": TARGETS.index("low-pass"),
 }
 MARGIN_SECONDS = 0.3
+MAX_DRAWS = 100
+"""Batches of the stage `tmr` that are drawn for two captioned clips before captions are reported as too rare."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,11 +67,19 @@ class Sentences:
         """Size of a sentence embedding; 0 if there is no text."""
         return int(self.embeddings.shape[1])
 
-    def about(self, take: int, seconds: float) -> Int64[np.ndarray, "found"]:
-        """Sentences that describe an instant of a take."""
-        rows = slice(*np.searchsorted(self.take, (take, take + 1)))
-        said = (self.start_seconds[rows] <= seconds) & (seconds < self.end_seconds[rows])
-        return self.sentence[rows][said]
+    def of_clips(
+        self, drawn: DrawnClips, num_clips: int, rng: np.random.Generator
+    ) -> tuple[list[int], Int64[np.ndarray, "described"]]:
+        """Which of the first clips are described by a sentence at their middle, and a random such sentence of each."""
+        rows, sentences = [], []
+        for row in range(num_clips):
+            utterances = slice(*np.searchsorted(self.take, (drawn.take[row], drawn.take[row] + 1)))
+            seconds = drawn.centre_seconds[row]
+            is_about = (self.start_seconds[utterances] <= seconds) & (seconds < self.end_seconds[utterances])
+            if is_about.any():
+                rows.append(row)
+                sentences.append(rng.choice(self.sentence[utterances][is_about]))
+        return rows, np.array(sentences, dtype=np.int64)
 
 
 def collect_sentences(
@@ -132,6 +154,20 @@ def matching_loss(
     return symmetric_cross_entropy(logits, ids[:, None] == ids[None])
 
 
+def retrieval_loss(
+    motions: Float[Tensor, "pairs shared"],
+    texts: Float[Tensor, "pairs shared"],
+    sentences: Float[Tensor, "pairs text"],
+    temperature: float,
+    same_above: float,
+) -> Float[Tensor, ""]:
+    """Symmetric InfoNCE on cosines (TMR); other pairs whose sentences score above `same_above` are excluded."""
+    normalize = torch.nn.functional.normalize
+    logits = normalize(texts, dim=1) @ normalize(motions, dim=1).T / temperature
+    unit = normalize(sentences, dim=1)
+    return symmetric_cross_entropy(logits, unit @ unit.T > 2.0 * same_above - 1.0)
+
+
 def symmetric_cross_entropy(
     logits: Float[Tensor, "pairs pairs"], same: Bool[Tensor, "pairs pairs"]
 ) -> Float[Tensor, ""]:
@@ -142,15 +178,21 @@ def symmetric_cross_entropy(
     return 0.5 * (cross_entropy(logits, own) + cross_entropy(logits.T, own))
 
 
-class NativeTraining:
-    """The evaluator in training; it owns the networks, the input statistics and the optimiser."""
+class EvaluatorTraining:
+    """An evaluator in training; it owns the networks, the input statistics and the optimiser."""
 
     def __init__(
-        self, config: NativeConfig, banks: Sequence[ClipBank], sentences: Sentences, seed: int, device: torch.device
+        self,
+        stage: str,
+        config: NativeConfig | TmrConfig,
+        banks: Sequence[ClipBank],
+        sentences: Sentences,
+        seed: int,
+        device: torch.device,
     ) -> None:
         self.config, self.banks, self.sentences, self.device = config, banks, sentences, device
         self.damage = families()
-        with seeded_initialisation(seed, "evaluator"):
+        with seeded_initialisation(seed, stage):
             self.network = NativeNetwork(config.network).to(device)
             self.text = TextProjection(max(sentences.dimension, 1), config.network).to(device)
         self.mean, self.scale = self._statistics(np.random.default_rng((seed, 1)))
@@ -161,36 +203,24 @@ class NativeTraining:
         """One batch of one framerate and one clip length."""
         training = self.config.training
         rng = np.random.default_rng(int(torch.randint(2**62, (), generator=generator)))
-        batch, drawn, fps = self._batch(rng)
-        embeddings = self.network(self._inputs(batch.positions, fps))
-        targets = torch.from_numpy(batch.targets).to(self.device)
-        strength = torch.nn.functional.smooth_l1_loss(self.network.strengths(embeddings), targets, beta=0.5)
-        matching = self._matching(embeddings, batch.num_clean, drawn, rng)
-        loss = training.strength_weight * strength + training.text_weight * matching
+        if isinstance(training, TmrTrainingConfig):
+            losses = self._retrieval(training, rng, generator)
+        else:
+            losses = self._damage_and_captions(training, rng)
         factor = rate_factor(step, training.steps, schedule="cosine", warmup_fraction=training.warmup_fraction)
         set_rate(self.optimizer, training.learning_rate * factor)
         self.optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
+        losses["loss"].backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), training.gradient_clip)
         self.optimizer.step()
-        return {"loss": loss, "strength": strength, "matching": matching}
-
-    def whitening(self, seed: int) -> Float32[np.ndarray, "features features"]:
-        """Scale of the embeddings, from clean clips of every framerate and of all lengths."""
-        rng = np.random.default_rng((seed, 2))
-        by_framerate = []
-        with torch.inference_mode():
-            for bank in self.banks:
-                rows = [self._embed_clean(bank, rng) for _ in range(self.config.training.whitening_batches)]
-                by_framerate.append(np.concatenate(rows))
-        return shrunk_whitening(by_framerate)
+        return losses
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Networks, statistics, optimiser."""
         return self.model_tensors() | prefixed("optimizer", optimizer_tensors(self.optimizer))
 
     def model_tensors(self) -> dict[str, Tensor]:
-        """Networks and statistics of inputs, which `load_native` reads besides the whitening."""
+        """Networks and statistics of inputs, which `load_native` and `load_tmr` read."""
         networks = prefixed("network", self.network.state_dict()) | prefixed("text", self.text.state_dict())
         return networks | {"statistics.mean": self.mean, "statistics.scale": self.scale}
 
@@ -202,10 +232,23 @@ class NativeTraining:
         self.scale = tensors["statistics.scale"].to(self.device)
         load_optimizer_tensors(self.optimizer, unprefixed("optimizer", tensors))
 
-    def _batch(self, rng: np.random.Generator) -> tuple[SpoiledClips, DrawnClips, float]:
-        training = self.config.training
+    def _damage_and_captions(self, training: NativeTrainingConfig, rng: np.random.Generator) -> dict[str, Tensor]:
+        """Losses of a batch of clean and damaged clips."""
+        batch, drawn, fps = self._damaged(training, rng)
+        embeddings = self.network(self._inputs(batch.positions, fps))
+        targets = torch.from_numpy(batch.targets).to(self.device)
+        strength = torch.nn.functional.smooth_l1_loss(self.network.strengths(embeddings), targets, beta=0.5)
+        matching = self._matching(training, embeddings, batch.num_clean, drawn, rng)
+        loss = training.strength_weight * strength + training.text_weight * matching
+        return {"loss": loss, "strength": strength, "matching": matching}
+
+    def _damaged(
+        self, training: NativeTrainingConfig, rng: np.random.Generator
+    ) -> tuple[SpoiledClips, DrawnClips, float]:
+        """A batch of one framerate and length, most of it damaged."""
         bank = self.banks[int(rng.integers(len(self.banks)))]
-        num_poses = self._draw_length(bank, rng)
+        longest = min(training.max_poses, int(bank.sequences.num_frames.max()) // 4 * 4)
+        num_poses = 4 * int(rng.integers(training.min_poses // 4, longest // 4 + 1))
         fps = float(bank.fps)
         margin = int(np.ceil(MARGIN_SECONDS * fps))
         drawn = bank.draw(rng, training.batch_size, num_poses, margin)
@@ -213,44 +256,69 @@ class NativeTraining:
         spoiled = spoil(drawn.positions, fps, margin, num_clean, self.damage, training.compound_fraction, rng)
         return spoiled, drawn, fps
 
-    def _draw_length(self, bank: ClipBank, rng: np.random.Generator) -> int:
-        """Number of poses of a batch's clips: a multiple of 4, at most the longest sequence of the bank."""
-        training = self.config.training
-        longest = min(training.max_poses, int(bank.sequences.num_frames.max()) // 4 * 4)
-        return 4 * int(rng.integers(training.min_poses // 4, longest // 4 + 1))
+    def _matching(
+        self,
+        training: NativeTrainingConfig,
+        embeddings: Float[Tensor, "clips features"],
+        num_clean: int,
+        drawn: DrawnClips,
+        rng: np.random.Generator,
+    ) -> Float[Tensor, ""]:
+        """Matching loss of the clean clips that have captions, one caption each."""
+        rows, sentence = self.sentences.of_clips(drawn, num_clean, rng)
+        if len(rows) < 2:
+            return embeddings.new_zeros(())
+        texts = self.text(torch.from_numpy(self.sentences.embeddings[sentence]).to(self.device))
+        motions = self.network.shared(embeddings[torch.tensor(rows, device=self.device)])
+        return matching_loss(motions, texts, sentence, training.text_temperature)
 
-    def _embed_clean(self, bank: ClipBank, rng: np.random.Generator) -> Float32[np.ndarray, "clips features"]:
-        drawn = bank.draw(rng, self.config.training.batch_size, self._draw_length(bank, rng))
-        fps = float(bank.fps)
-        embeddings: Float32[np.ndarray, "clips features"] = (
-            self.network(self._inputs(prepare(drawn.positions, fps), fps)).cpu().numpy()
+    def _retrieval(
+        self, training: TmrTrainingConfig, rng: np.random.Generator, generator: torch.Generator
+    ) -> dict[str, Tensor]:
+        """TMR's loss of a batch of captioned clips."""
+        positions, sentence, fps = self._captioned(training, rng)
+        inputs = self._inputs(positions, fps)
+        inputs = inputs + training.noise * torch.randn(inputs.shape, generator=generator).to(self.device)
+        embedded = torch.from_numpy(self.sentences.embeddings[sentence]).to(self.device)
+        motions, texts = self.network.shared(self.network(inputs)), self.text(embedded)
+        return {"loss": retrieval_loss(motions, texts, embedded, training.temperature, training.same_above)}
+
+    def _captioned(
+        self, training: TmrTrainingConfig, rng: np.random.Generator
+    ) -> tuple[Float32[np.ndarray, "pairs poses 22 3"], Int64[np.ndarray, "pairs"], float]:
+        """Captioned clips of one framerate and length, and a sentence about the middle of each.
+
+        Raises `UsageError` if many batches do not have two captioned clips.
+        """
+        for _ in range(MAX_DRAWS):
+            bank = self.banks[int(rng.integers(len(self.banks)))]
+            fps = float(bank.fps)
+            seconds = rng.uniform(training.min_seconds, training.max_seconds)
+            longest = min(training.max_poses, int(bank.sequences.num_frames.max()))
+            drawn = bank.draw(rng, training.batch_size, int(np.clip(round(seconds * fps), MIN_POSES, longest)))
+            rows, sentence = self.sentences.of_clips(drawn, training.batch_size, rng)
+            if len(rows) > 1:
+                return prepare(drawn.positions[rows], fps), sentence, fps
+        raise UsageError(
+            f"of {MAX_DRAWS} batches of {training.batch_size} clips none has two that a caption is about: caption more "
+            "of the training split, or raise training.batch_size"
         )
-        return embeddings
 
     def _inputs(self, positions: Float32[np.ndarray, "clips poses 22 3"], fps: float) -> Tensor:
         raw = rich_input(torch.from_numpy(positions).to(self.device), fps)
         return standardised(raw, self.mean, self.scale)
 
-    def _matching(
-        self, embeddings: Float[Tensor, "clips features"], num_clean: int, drawn: DrawnClips, rng: np.random.Generator
-    ) -> Float[Tensor, ""]:
-        """Matching loss of the clean clips that have captions, one caption each."""
-        takes, seconds = drawn.take[:num_clean].tolist(), drawn.centre_seconds[:num_clean].tolist()
-        about = [self.sentences.about(take, second) for take, second in zip(takes, seconds, strict=True)]
-        rows = [row for row, found in enumerate(about) if len(found)]
-        if len(rows) < 2:
-            return embeddings.new_zeros(())
-        sentence = np.array([rng.choice(about[row]) for row in rows], dtype=np.int64)
-        texts = self.text(torch.from_numpy(self.sentences.embeddings[sentence]).to(self.device))
-        motions = self.network.shared(embeddings[torch.tensor(rows, device=self.device)])
-        return matching_loss(motions, texts, sentence, self.config.training.text_temperature)
-
     def _statistics(self, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
-        """Mean and 1 / deviation of every channel over spoiled and clean clips of all framerates."""
+        """Mean and 1 / deviation of every channel over batches of all framerates."""
         rows = []
-        for _ in range(self.config.training.statistics_batches):
-            batch, _, fps = self._batch(rng)
-            inputs = rich_input(torch.from_numpy(batch.positions), fps)
+        training = self.config.training
+        for _ in range(training.statistics_batches):
+            if isinstance(training, TmrTrainingConfig):
+                positions, _, fps = self._captioned(training, rng)
+            else:
+                batch, _, fps = self._damaged(training, rng)
+                positions = batch.positions
+            inputs = rich_input(torch.from_numpy(positions), fps)
             rows.append(inputs.reshape(-1, inputs.shape[-1]).double())
         everything = torch.cat(rows)
         mean, deviation = everything.mean(dim=0), everything.std(dim=0)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eval.tmr.settings import TmrConfig
+from eval.native_evaluator.settings import TmrConfig
 from motionkit.training.config import apply_overrides
 from motionkit.training.detail import DetailConfig, load_detail
 from motionkit.training.run import RunFolder

@@ -57,8 +57,7 @@ def text_motion_evaluators(
 
 
 def _native(request: TableRequest) -> TextMotionEvaluator:
-    from eval.native_evaluator.evaluator import load_native
-    from eval.native_evaluator.text_motion import NativeTextMotion
+    from eval.native_evaluator.evaluator import NativeTextMotion, load_native
 
     if PADDING_LEAK.name in request.published.compat:
         raise UsageError(f"--compat {PADDING_LEAK.name} is a bug of Guo's evaluator: --evaluator guo --weights FILE")
@@ -88,7 +87,7 @@ def _motion_clip(request: TableRequest) -> TextMotionEvaluator:
 
 
 def _tmr(request: TableRequest) -> TextMotionEvaluator:
-    from eval.tmr.evaluator import load_tmr
+    from eval.native_evaluator.evaluator import load_tmr
 
     if request.evaluated.run is None:
         raise MotionkitError("it belongs to a run, and none was given (motionkit train --stage tmr)")
