@@ -24,7 +24,7 @@ def walking(num_frames: int, fps: float, seed: int = 0) -> np.ndarray:
     body = rng.normal(0, 0.3, (22, 3)) + np.array([0.0, 0.9, 0.0])
     swing = 0.1 * np.sin(2 * np.pi * rng.uniform(0.5, 3.0, (22, 3)) * seconds + rng.uniform(0, 6, (22, 3)))
     path = np.concatenate((np.sin(0.5 * seconds), 0 * seconds, 1.1 * seconds), -1)
-    return (body + swing + path).astype(np.float32)
+    return np.asarray(body + swing + path, dtype=np.float32)
 
 
 def takes_of(*sequences: tuple[np.ndarray, int], captions: tuple[tuple[Caption, ...], ...] | None = None) -> Takes:
