@@ -13,7 +13,7 @@ import numpy as np
 from eval.clip_fid.features import Comparison
 from eval.detail import LEAST_FPS, DetailProfile, RealDetail
 from eval.games import games
-from eval.metrics.checks import Estimate
+from eval.metrics.number import Number
 from eval.sets.corruptions import Family, damages, shift_between_frames, translate, turn
 from eval.sets.sets import SampleSet
 from motionkit.core.shapes import Float32
@@ -38,7 +38,7 @@ MAX_FLAT_RATIO = 1.5
 class Scored:
     """One set: its clip-FID, and its detail profile; None below 40 fps."""
 
-    clip_fid: Estimate
+    clip_fid: Number
     detail: DetailProfile | None
 
     @property
@@ -46,9 +46,9 @@ class Scored:
         """Whether no figure of the profile sees the set."""
         return self.detail is None or all(figure.is_real for figure in self.detail.figures.values())
 
-    def is_seen(self, floor: Estimate) -> bool:
+    def is_seen(self, floor: Number) -> bool:
         """Whether clip-FID lies above a floor's interval, or a figure of the profile outside of what is real."""
-        return self.clip_fid.mean > floor.mean + floor.ci95 or not self.has_real_detail
+        return self.clip_fid.value > floor.value + floor.ci95 or not self.has_real_detail
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Graded:
         """Rank correlation between severity (clean included) and mean clip-FID."""
         from scipy.stats import spearmanr
 
-        means = [each.clip_fid.mean for each in (self.clean, *self.scored)]
+        means = [each.clip_fid.value for each in (self.clean, *self.scored)]
         return float(spearmanr(range(len(means)), means).statistic)
 
     @property
@@ -116,7 +116,7 @@ class Calibration:
     num_sequences: int
     duration_seconds: float
     clean: Scored
-    disjoint_floor: Estimate
+    disjoint_floor: Number
     graded: tuple[Graded, ...]
     flat: Mapping[str, Scored]
     games: tuple[Game, ...] = ()
@@ -124,10 +124,10 @@ class Calibration:
     @property
     def passes(self) -> bool:
         """Whether every damage is seen, no harmless transform is, and no game is won."""
-        ceilings = {MIRRORED: self.disjoint_floor.mean}
-        ceiling = MAX_FLAT_RATIO * self.clean.clip_fid.mean
+        ceilings = {MIRRORED: self.disjoint_floor.value}
+        ceiling = MAX_FLAT_RATIO * self.clean.clip_fid.value
         steady = all(
-            each.clip_fid.mean <= ceilings.get(name, ceiling) and each.has_real_detail
+            each.clip_fid.value <= ceilings.get(name, ceiling) and each.has_real_detail
             for name, each in self.flat.items()
         )
         return steady and all(each.passes for each in self.graded) and not any(each.won for each in self.games)
@@ -152,9 +152,7 @@ def calibrate(
     def scored(sets: Mapping[str, SampleSet]) -> dict[str, Scored]:
         scores = plain.scores(sets)
         on_scored()
-        return {
-            name: Scored(scores[name].drawing, detail.profile(each) if detail else None) for name, each in sets.items()
-        }
+        return {name: Scored(scores[name], detail.profile(each) if detail else None) for name, each in sets.items()}
 
     flat = scored({CLEAN: real, **_harmless(real, seed), **({SHIFTED: shifted} if shifted is not None else {})})
     clean = flat.pop(CLEAN)
@@ -168,6 +166,7 @@ def calibrate(
     for each in games(real, seed, comparison.training) if detail else ():
         found = scored({each.parent: each.honest, **each.cheats})
         played.append(Game(each.parent, found.pop(each.parent), found))
+    disjoint = plain.disjoint_halves()
     return Calibration(
         fps=real.fps,
         features=comparison.features.name,
@@ -175,7 +174,7 @@ def calibrate(
         num_sequences=real.num_sequences,
         duration_seconds=real.duration_seconds,
         clean=clean,
-        disjoint_floor=plain.disjoint_halves().drawing,
+        disjoint_floor=replace(disjoint, ci95=disjoint.drawing),
         graded=tuple(graded),
         flat=flat,
         games=tuple(played),

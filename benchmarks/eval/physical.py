@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from eval.metrics.metric import Metric
-from eval.metrics.resampling import Resampling, half_width
+from eval.metrics.number import half_width
+from eval.metrics.resampling import Resampling
 from eval.report.render import to_markdown
 from eval.report.results import Block, Cell, Measure, Result, Row, measure, provenance, write_result
 from eval.sets.real import RealMotion, real_motion

@@ -48,7 +48,7 @@ def scores(store: Store, split: str, framerates: list[Fraction]) -> tuple[dict[s
     for fps in framerates:
         comparison = kinematic_source().comparison(real.at(fps), train.at(fps), PROTOCOL)
         found = comparison.scores({"floor": real.at(fps), "planted": planted.at(fps)})
-        row = {name: float(score.clip_fid.mean) for name, score in found.items()}
+        row = {name: float(score.value) for name, score in found.items()}
         table[f"{fps} fps"] = row | {"ratio": row["planted"] / row["floor"]}
     order = sorted(range(len(changes)), key=lambda number: -changes[number].largest_change)
     largest = [(real.sequence_ids[number], 1000.0 * changes[number].largest_change) for number in order]

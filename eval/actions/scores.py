@@ -17,9 +17,8 @@ from eval.metrics.actions import (
     shares_of_hits,
 )
 from eval.metrics.gaussian import fit_gaussian, frechet_distance
-from eval.metrics.replications import Scores, Tally
+from eval.metrics.number import Resampled, Scores
 from eval.metrics.resampling import (
-    Resampled,
     Resampling,
     Units,
     resampled_fid,
@@ -116,39 +115,40 @@ def score_actions(
         raise ValueError("there is no set of motions to score")
     if unknown := set(references) - {"", "train", "test"}:
         raise ValueError(f'references are named "", "train" or "test", not {sorted(unknown)}')
-    tally = Tally()
+    scores = Scores(remarks=list(protocol.remarks))
     # As in `fid`: one thread of the linear algebra library is the fastest for matrices of this size.
     with threadpool_limits(1, "blas"):
         gaussians = {name: fit_gaussian(features) for name, features in references.items()}
         for replication in range(protocol.replications):
             rng = np.random.default_rng((seed, replication))
-            motions = _chosen(draws[replication % len(draws)], protocol, rng, tally)
+            motions = _chosen(draws[replication % len(draws)], protocol, rng, scores)
             features, labels = motions.recognition.features, motions.labels
-            tally.add("accuracy", accuracy(motions.recognition.scores, labels))
+            scores.add("accuracy", accuracy(motions.recognition.scores, labels))
             fitted = fit_gaussian(features) if gaussians else None
             for name, gaussian in gaussians.items():
                 assert fitted is not None
-                tally.add(f"fid_{name}" if name else "fid", frechet_distance(gaussian, fitted))
+                scores.add(f"fid_{name}" if name else "fid", frechet_distance(gaussian, fitted))
             if protocol.pairs == "different":
-                tally.add("diversity", diversity(features, rng, protocol.diversity_pairs))
-                tally.add(
+                scores.add("diversity", diversity(features, rng, protocol.diversity_pairs))
+                scores.add(
                     "multimodality_by_class",
                     multimodality_by_class(features, labels, rng=rng, num_pairs=protocol.class_pairs),
                 )
             else:
-                tally.add(
+                scores.add(
                     "diversity_with_replacement", diversity_with_replacement(features, rng, protocol.diversity_pairs)
                 )
-                tally.add(
+                scores.add(
                     "multimodality_by_class_with_replacement",
                     multimodality_by_class_with_replacement(features, labels, rng=rng, num_pairs=protocol.class_pairs),
                 )
             on_replication()
-        tally.resampled |= _resampled(references, draws, protocol)
-    tally.remark_on_draws(len(draws), protocol.replications)
-    sizes = {f"real ({name})" if name else "real": len(features) for name, features in references.items()}
+        scores.resampled |= _resampled(references, draws, protocol)
+    scores.remark_on_draws(len(draws), protocol.replications)
+    scores.sizes = {f"real ({name})" if name else "real": len(features) for name, features in references.items()}
     counted = min(len(draws[0].labels), protocol.num_motions or len(draws[0].labels))
-    return tally.scores(protocol.name, sizes | {"generated": counted, "draws": len(draws)}, protocol.remarks)
+    scores.sizes |= {"generated": counted, "draws": len(draws)}
+    return scores
 
 
 def _resampled(
@@ -181,14 +181,14 @@ def _resampled(
 
 
 def _chosen(
-    draw: LabelledRecognition, protocol: ActionProtocol, rng: np.random.Generator, tally: Tally
+    draw: LabelledRecognition, protocol: ActionProtocol, rng: np.random.Generator, scores: Scores
 ) -> LabelledRecognition:
     """As many motions as the protocol counts."""
     wanted, there = protocol.num_motions, len(draw.labels)
     if wanted is None or there == wanted:
         return draw
     if there < wanted:
-        tally.remark(
+        scores.remark(
             f"protocol {protocol.name!r} counts {wanted:,} motions, here are {there:,}: "
             "FIDs of different N do not compare"
         )

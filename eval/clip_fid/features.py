@@ -19,8 +19,9 @@ from eval.clip_fid.clips import (
     readable,
 )
 from eval.clip_fid.kinematic import VERSION, KinematicDescriptor, fit_kinematic, standardised
-from eval.clip_fid.score import ClipFid, RowKey, score_disjoint_halves, score_rows
+from eval.clip_fid.score import RowKey, score_disjoint_halves, score_rows
 from eval.clip_fid.threads import in_threads
+from eval.metrics.number import Number
 from eval.sets.partial import PartialResult, collect
 from eval.sets.sets import Ragged, SampleSet
 from eval.text_motion.guo.kind import GuoFiles
@@ -58,12 +59,12 @@ class Comparison:
         rows: Mapping[RowKey, SampleSet],
         on_replication: Callable[[], None] = lambda: None,
         subset_sizes: Mapping[RowKey, int] | None = None,
-    ) -> dict[RowKey, ClipFid]:
+    ) -> dict[RowKey, Number]:
         """clip-FID of every row; takes and raises what `score_rows` does."""
         rows = {name: self._real if samples is self.real else samples for name, samples in rows.items()}
         return score_rows(self._real, rows, self.features, self.protocol, on_replication, subset_sizes)
 
-    def disjoint_halves(self, on_replication: Callable[[], None] = lambda: None) -> ClipFid:
+    def disjoint_halves(self, on_replication: Callable[[], None] = lambda: None) -> Number:
         """clip-FID between halves of the real takes; raises `ClipError` where there are too few."""
         return score_disjoint_halves(self._real, self.features, self.protocol, on_replication)
 

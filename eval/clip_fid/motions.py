@@ -7,7 +7,7 @@ import numpy as np
 
 from eval.clip_fid.clips import ClipError, Protocol
 from eval.clip_fid.features import kinematic_source
-from eval.metrics.checks import Estimate
+from eval.metrics.number import Number
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Motion
@@ -29,7 +29,7 @@ def clip_fid(
     clips: int = 4096,
     replications: int = 20,
     seed: int = 0,
-) -> Estimate:
+) -> Number:
     """Fréchet distance between random native-rate clips of two sets of motions at one framerate, with its interval.
 
     Motions are `Motion`s, brought to the 22 joints, or arrays [T, 22, 3] in metres, y up, at `fps`. Each replication
@@ -48,7 +48,7 @@ def clip_fid(
     >>> slowed = [mk.complete(motion.resample(10), fps=30, model="slerp") for motion in real]
     >>> floor = clip_fid(real, real, clips=256, replications=3)
     >>> score = clip_fid(real, slowed, clips=256, replications=3)
-    >>> score.mean - score.ci95 > floor.mean + floor.ci95
+    >>> score.value - score.ci95 > floor.value + floor.ci95
     True
     """
     sets = {"real": real, "generated": generated, "train": real if train is None else train}
@@ -61,7 +61,7 @@ def clip_fid(
         )
     protocol = Protocol(num_clips=clips, replications=replications, detailed_replications=0, seed=seed)
     comparison = kinematic_source().comparison(samples["real"], samples["train"], protocol)
-    return comparison.scores({"generated": samples["generated"]})["generated"].clip_fid
+    return comparison.scores({"generated": samples["generated"]})["generated"]
 
 
 def _are_one_motion(real: SampleSet, generated: SampleSet) -> bool:

@@ -26,7 +26,6 @@ from eval.clip_fid.clips import (
     readable,
 )
 from eval.clip_fid.threads import in_threads
-from eval.metrics.checks import Estimate, estimate
 from eval.metrics.gaussian import (
     fid_infinity,
     fit_gaussian,
@@ -36,15 +35,12 @@ from eval.metrics.gaussian import (
 )
 from eval.metrics.metric import Metric
 from eval.metrics.neighbours import prdc
+from eval.metrics.number import Number, Resampled, over_replications
 from eval.metrics.resampling import (
-    Difference,
-    Resampled,
     Resampling,
     Units,
     UnitSums,
     blocks_for,
-    half_width,
-    paired_difference,
     resampled_scores,
     units_of,
 )
@@ -54,29 +50,6 @@ from motionkit.core.shapes import Float64, Int64
 VERSION = "clip-fid/3"
 
 
-@dataclass(frozen=True)
-class ClipFid:
-    """One comparison: clip-FID, and further metrics on the same features.
-
-    The interval of `clip_fid` is over takes (and generations, if there are several) and includes clip sampling; that of
-    `drawing` covers clip sampling alone. `resampled` are the scores of resampled takes: empty if the protocol has none,
-    or either side has a single take.
-
-    `details` holds fid_infinity, kid, precision, recall, density and coverage; it is empty without detailed
-    replications, and has no fid_infinity with too few clips to extrapolate from.
-    """
-
-    clip_fid: Estimate
-    drawing: Estimate
-    details: Mapping[str, Estimate]
-    resampled: Resampled = ()
-
-    def less(self, other: "ClipFid") -> Difference | None:
-        """This score less another of the same comparison, by the same resampled takes; None without intervals."""
-        return paired_difference(self.clip_fid.mean, self.resampled, other.clip_fid.mean, other.resampled)
-
-
-Scores = dict[str, float]
 RowKey = TypeVar("RowKey", bound=Hashable)
 
 
@@ -87,8 +60,13 @@ def score_rows(
     protocol: Protocol,
     on_replication: Callable[[], None] = lambda: None,
     subset_sizes: Mapping[RowKey, int] | None = None,
-) -> dict[RowKey, ClipFid]:
+) -> dict[RowKey, Number]:
     """clip-FID of every row's sample set against the real one at the same framerate.
+
+    Intervals are over takes (and generations, if there are several) and the drawing of clips; `Number.drawing` is of
+    clips alone. `Number.details` has fid_infinity, kid, precision, recall, density and coverage: empty without detailed
+    replications, no fid_infinity with too few clips. There are no resamplings if the protocol has none, or either side
+    has a single take.
 
     `on_replication` is called after each replication. For rows in `subset_sizes` every replication takes another random
     subset of that many sequences; their interval is 1.96 standard deviations of single subsets, not of their mean.
@@ -130,7 +108,7 @@ def score_rows(
     found = {}
     for name in rows:
         summary = _summarise([scores[name] for scores in replications], resampled.get(name, ()))
-        found[name] = _of_single_sets(summary) if name in subsets else summary
+        found[name] = _of_single_sets(summary, protocol) if name in subsets else summary
     return found
 
 
@@ -151,14 +129,14 @@ def score_disjoint_halves(
     features: FeatureSet,
     protocol: Protocol,
     on_replication: Callable[[], None] = lambda: None,
-) -> ClipFid:
+) -> Number:
     """clip-FID between random disjoint halves of the real takes (P2), one split per replication.
 
     The interval is 1.96 standard deviations of single splits.
     """
     real = readable(real, features)
 
-    def replicate(replication: int) -> Scores:
+    def replicate(replication: int) -> dict[str, float]:
         halves = _split_takes(real, np.random.default_rng((protocol.seed, replication, 3)))
         a, b = (
             _features(real, features, protocol, replication, side, half).features
@@ -170,7 +148,7 @@ def score_disjoint_halves(
     for scores in in_threads(replicate, range(protocol.replications)):
         replications.append(scores)
         on_replication()
-    return _of_single_sets(_summarise(replications))
+    return _of_single_sets(_summarise(replications), protocol)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +163,7 @@ class _Described:
 class _Replication(Generic[RowKey]):
     """Scores of every row; the real set's clips, then every row's."""
 
-    scores: Mapping[RowKey, Scores]
+    scores: Mapping[RowKey, dict[str, float]]
     described: list[_Described]
 
 
@@ -256,7 +234,7 @@ def _compare(
     other: Float64[np.ndarray, "clips features"],
     protocol: Protocol,
     replication: int,
-) -> Scores:
+) -> dict[str, float]:
     scores = {"clip_fid": frechet_distance(fit_gaussian(real), fit_gaussian(other))}
     if replication < protocol.detailed_replications:
         rng = np.random.default_rng((protocol.seed, replication, 4))
@@ -270,15 +248,12 @@ def _compare(
     return scores
 
 
-def _summarise(replications: list[Scores], resampled: Resampled = ()) -> ClipFid:
-    means = {key: estimate([scores[key] for scores in replications if key in scores]) for key in replications[0]}
-    drawing = means.pop("clip_fid")
-    width = half_width(resampled)
-    total = drawing if width is None else replace(drawing, ci95=float(np.hypot(width, drawing.ci95)))
-    return ClipFid(total, drawing, means, resampled)
+def _summarise(replications: list[dict[str, float]], resampled: Resampled = ()) -> Number:
+    by_name = {key: [scores[key] for scores in replications if key in scores] for key in replications[0]}
+    clip_fid = over_replications(by_name.pop("clip_fid"), resampled)
+    return replace(clip_fid, details={name: over_replications(values).value for name, values in by_name.items()})
 
 
-def _of_single_sets(found: ClipFid) -> ClipFid:
+def _of_single_sets(found: Number, protocol: Protocol) -> Number:
     """With the interval of a single replication instead of the mean's: each had its own takes."""
-    width = found.drawing.ci95 * np.sqrt(found.drawing.replications)
-    return replace(found, clip_fid=replace(found.drawing, ci95=float(width)))
+    return replace(found, ci95=float(found.drawing * np.sqrt(protocol.replications)))

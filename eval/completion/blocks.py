@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from eval.completion.encoders import Completer
-from eval.completion.scores import Scores, pooled
+from eval.completion.scores import Scores, mean_over_takes, pooled
 from eval.metrics.metric import find_metric
-from eval.metrics.resampling import Difference, half_width, paired_difference
+from eval.metrics.number import Number
 from eval.report.differences import Differences, differences_block, pairs_of
-from eval.report.results import Block, Cell, Measure, Row, measure
+from eval.report.results import Block, Cell, Measure, Row, cell_of, measure
 from eval.sets.row_ids import RowId
 
 # Metrics shown in another unit than their own: the factor, and the unit's name.
@@ -94,12 +94,10 @@ def _by_form(completers: Sequence[Completer]) -> dict[str, list[Completer]]:
 
 def _cells(scores: Scores, metric: str, shown: Shown) -> dict[str, Cell]:
     further = shown.details.get(metric, {})
-    factor, _ = UNITS.get(metric, (1.0, ""))
     cells = {}
     for column in shown.columns:
-        width = half_width(scores[metric][column].resampled)
-        details = {title: value(scores, name, column) for name, title in further.items()}
-        cells[column] = Cell(value(scores, metric, column), None if width is None else factor * width, details)
+        details = {title: number(scores, name, column).value for name, title in further.items()}
+        cells[column] = cell_of(number(scores, metric, column), details)
     return cells
 
 
@@ -108,15 +106,12 @@ def _differences(scope: Scope, completers: Sequence[Completer], metric: str, sho
     trained = [each.name for each in completers if each.trained]
     untrained = [each.name for each in completers if not each.trained]
     best = [_best_of(untrained, scope, metric, shown.columns)] if untrained else []
-    factor, _ = UNITS.get(metric, (1.0, ""))
-    found: dict[tuple[RowId, RowId], dict[str, Difference]] = {}
-    for pair in pairs_of(map(RowId, trained), [*map(RowId, best)]):
+    found: dict[tuple[RowId, RowId], dict[str, Number]] = {}
+    for first, second in pairs_of(map(RowId, trained), [*map(RowId, best)]):
         for column in shown.columns:
-            a, b = (scope.rows[row.system][metric][column] for row in pair)
-            less = paired_difference(a.mean, a.resampled, b.mean, b.resampled)
-            if less is not None:
-                scaled = Difference(factor * less.value, factor * less.ci95)
-                found.setdefault(pair, {})[column] = scaled
+            numbers = (number(scope.rows[row.system], metric, column) for row in (first, second))
+            if (less := Number.less(*numbers)) is not None:
+                found.setdefault((first, second), {})[column] = less
     return found
 
 
@@ -124,16 +119,17 @@ def _best_of(names: Sequence[str], scope: Scope, metric: str, columns: Sequence[
     """The row that is best in most columns."""
     sign = -1.0 if find_metric(metric).higher_is_better else 1.0
     places = [
-        min((sign * value(scope.rows[name], metric, column), place) for place, name in enumerate(names))[1]
+        min((sign * number(scope.rows[name], metric, column).value, place) for place, name in enumerate(names))[1]
         for column in columns
     ]
     return names[Counter(places).most_common(1)[0][0]]
 
 
-def value(scores: Scores, metric: str, column: str) -> float:
-    """A value in the unit shown in tables."""
-    factor, _ = UNITS.get(metric, (1.0, ""))
-    return factor * scores[metric][column].mean
+def number(scores: Scores, metric: str, column: str) -> Number:
+    """A metric's number in the unit shown in tables."""
+    found, (factor, _) = mean_over_takes(scores[metric][column]), UNITS.get(metric, (1.0, ""))
+    resampled = tuple(None if each is None else factor * each for each in found.resampled)
+    return Number(factor * found.value, factor * found.ci95, resampled)
 
 
 def shown_measure(metric: str) -> Measure:

@@ -2,54 +2,38 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, reduce
+from functools import reduce
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from eval.completion.takes import TrueClips
 from eval.metrics.metric import MeanStream, MeanSums, find_metric
-from eval.metrics.resampling import Resampled, Resampling
+from eval.metrics.number import Number, with_takes
+from eval.metrics.resampling import Resampling
 from eval.metrics.signal import to_unit_range
 from motionkit.core.moments import stream
 from motionkit.core.shapes import Bool, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.features import rotations
 
+# Sums of every take, so that takes can be resampled, and pooled with those of other data sets.
+TakeSums = Mapping[str, MeanSums]
 
-@dataclass(frozen=True)
-class TakeMeans:
-    """A mean over clips, frames or true power as sums of every take, so that takes can be resampled and pooled."""
 
-    by_take: Mapping[str, MeanSums]
-
-    @property
-    def mean(self) -> float:
-        """The mean over everything that was measured."""
-        return reduce(MeanSums.merged, self.by_take.values()).mean
-
-    def merged(self, other: "TakeMeans") -> "TakeMeans":
-        """With the takes of another data set."""
-        found = dict(self.by_take)
-        for take, sums in other.by_take.items():
-            found[take] = found[take].merged(sums) if take in found else sums
-        return TakeMeans(found)
-
-    @cached_property
-    def resampled(self) -> Resampled:
-        """The mean with other takes; () for a single one."""
-        if len(self.by_take) < 2:
-            return ()
-        weights = Resampling().weights([f"take {take}" for take in self.by_take])
-        totals, sizes = (
-            weights @ [getattr(sums, name) for sums in self.by_take.values()] for name in ("total", "weight")
-        )
-        pairs = zip(totals.tolist(), sizes.tolist(), strict=True)
-        return tuple(total / size if size else None for total, size in pairs)
+def mean_over_takes(takes: TakeSums) -> Number:
+    """The mean over clips, frames or true power, with its interval over takes; none for a single take."""
+    mean = reduce(MeanSums.merged, takes.values()).mean
+    if len(takes) < 2:
+        return Number(mean)
+    weights = Resampling().weights([f"take {take}" for take in takes])
+    totals, sizes = (weights @ [getattr(sums, name) for sums in takes.values()] for name in ("total", "weight"))
+    pairs = zip(totals.tolist(), sizes.tolist(), strict=True)
+    return with_takes(mean, tuple(total / size if size else None for total, size in pairs))
 
 
 # By metric, then by column (a scale, a length).
-Scores = Mapping[str, Mapping[str, TakeMeans]]
+Scores = Mapping[str, Mapping[str, TakeSums]]
 
 
 class TakeStreams:
@@ -66,9 +50,9 @@ class TakeStreams:
                 self._of_take[take] = {name: MeanStream(find_metric(name)) for name in self._metrics}
             yield np.array([place for place, each in enumerate(takes) if each == take]), self._of_take[take]
 
-    def means(self, metric: str) -> TakeMeans:
+    def means(self, metric: str) -> TakeSums:
         """The accumulated sums of a metric."""
-        return TakeMeans({take: streams[metric].sums for take, streams in self._of_take.items()})
+        return {take: streams[metric].sums for take, streams in self._of_take.items()}
 
 
 def scores_of(streams: Mapping[str, TakeStreams], metrics: Sequence[str]) -> Scores:
@@ -88,9 +72,13 @@ def pooled(groups: Sequence[Mapping[str, Scores]]) -> dict[str, Scores]:
 
 def _joined(first: Scores, second: Scores) -> Scores:
     return {
-        metric: {column: sums.merged(second[metric][column]) for column, sums in columns.items()}
+        metric: {column: _with_takes_of(sums, second[metric][column]) for column, sums in columns.items()}
         for metric, columns in first.items()
     }
+
+
+def _with_takes_of(first: TakeSums, second: TakeSums) -> TakeSums:
+    return {**first, **{take: first[take].merged(sums) if take in first else sums for take, sums in second.items()}}
 
 
 ROOT_PATH, ROOT_HEIGHT, ROOT_ROTATION, JOINT_ROTATIONS = slice(0, 3, 2), slice(1, 2), slice(3, 9), slice(9, None)

@@ -1,7 +1,4 @@
-"""Input validation of the metrics, and confidence intervals over replications."""
-
-from collections.abc import Sequence
-from dataclasses import dataclass
+"""Input validation of the metrics."""
 
 import numpy as np
 
@@ -52,30 +49,3 @@ def checked_fps(fps: float) -> float:
     if not 0 < fps < np.inf:
         raise ValueError(f"fps must be positive and finite, not {fps}")
     return float(fps)
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A mean over replications; `ci95` is half the width of its 95 % interval, 0 for a single replication."""
-
-    mean: float
-    ci95: float
-    replications: int
-
-    def __str__(self) -> str:
-        return f"{self.mean:.4g} ± {self.ci95:.2g}"
-
-
-def estimate(values: Sequence[float]) -> Estimate:
-    """Mean ± 1.96·std(ddof 0)/√R over R replications (text-to-motion final_evaluations.py)."""
-    if not len(values):
-        raise ValueError("there are no replications to average")
-    array = np.asarray(values, dtype=np.float64)
-    if not np.isfinite(array).all():
-        raise ValueError(f"a replication is not finite: {array.tolist()}")
-    return Estimate(float(array.mean()), float(1.96 * array.std() / np.sqrt(array.size)), array.size)
-
-
-def variance_spread(values: Sequence[float]) -> float:
-    """1.96 · variance (ddof 0) over replications: what ACTOR prints after "±". It is not a confidence interval."""
-    return float(1.96 * np.var(np.asarray(values, dtype=np.float64)))

@@ -10,21 +10,18 @@ import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
 
 import numpy as np
 
 from eval.metrics.gaussian import Gaussian, quick_frechet_distance
+from eval.metrics.number import Resampled
 from motionkit.core.shapes import Float, Float64, Int64
 
 Weights = Float64[np.ndarray, "resamplings units"]
 Labels = Int64[np.ndarray, "labels"]
-Resampled = tuple[float | None, ...]
-"""A number in every resampling of the takes; None if a resampling drew none of its samples."""
 
 RESAMPLINGS = 200
 GAUSSIANS_AT_ONCE = 16
-NORMAL_95 = 1.96
 MOST_PRODUCTS = 1 << 25
 """Maximum number of elements of all takes' products; beyond it, takes are resampled in blocks."""
 FEWEST_BLOCKS, MOST_BLOCKS = 32, 1024
@@ -133,45 +130,6 @@ def weighted_means(
     counts = weights @ np.bincount(unit, minlength=num_units)
     sums = weights @ np.bincount(unit, values, minlength=num_units)
     return tuple(total / count if count else None for total, count in zip(sums.tolist(), counts.tolist(), strict=True))
-
-
-def half_width(resampled: Resampled) -> float | None:
-    """1.96 standard deviations of a number's resamplings; None if no two of them differ.
-
-    Not the quantiles: distances of distributions are larger for the fewer distinct takes of a resampling, so its
-    quantiles lie above the number itself (docs/deviations.md has the coverage).
-    """
-    values = [value for value in resampled if value is not None]
-    return float(NORMAL_95 * np.std(values, ddof=1)) if len(set(values)) > 1 else None
-
-
-Verdict = Literal["lower", "higher", "not told apart"]
-
-
-@dataclass(frozen=True)
-class Difference:
-    """One row's number minus another's; `ci95` is half the width of its paired 95 % interval."""
-
-    value: float
-    ci95: float
-
-    @property
-    def verdict(self) -> Verdict:
-        """Whether the interval excludes 0, and on which side it lies."""
-        if abs(self.value) <= self.ci95:
-            return "not told apart"
-        return "lower" if self.value < 0 else "higher"
-
-
-def paired_difference(
-    value: float, resampled: Resampled, other: float, other_resampled: Resampled
-) -> Difference | None:
-    """The difference of two rows' numbers with the same resampled takes; None if either has no interval."""
-    if len(resampled) != len(other_resampled):
-        return None
-    pairs = zip(resampled, other_resampled, strict=True)
-    width = half_width(tuple(None if a is None or b is None else a - b for a, b in pairs))
-    return None if width is None else Difference(value - other, width)
 
 
 Score = Callable[[Gaussian, Gaussian], float]

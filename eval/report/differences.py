@@ -3,8 +3,7 @@
 from collections.abc import Collection, Iterable, Mapping
 from itertools import combinations
 
-from eval.metrics.replications import Score
-from eval.metrics.resampling import Difference
+from eval.metrics.number import Number
 from eval.report.results import DIFFERENCES, Block, Cell, Measure, Row
 from eval.sets.row_ids import RowId
 
@@ -15,7 +14,7 @@ NOTE = (
 )
 DRAWING = "± over replications alone"
 # Differences of two rows (the first minus the second) by column.
-Differences = Mapping[tuple[RowId, RowId], Mapping[str, Difference]]
+Differences = Mapping[tuple[RowId, RowId], Mapping[str, Number]]
 
 
 def pairs_of(rows: Iterable[RowId], references: Collection[RowId] = ()) -> list[tuple[RowId, RowId]]:
@@ -24,9 +23,9 @@ def pairs_of(rows: Iterable[RowId], references: Collection[RowId] = ()) -> list[
     return [*combinations(own, 2), *((row, reference) for row in own for reference in references)]
 
 
-def score_differences(rows: Mapping[RowId, Mapping[str, Score]], column_of: Mapping[str, str]) -> Differences:
+def score_differences(rows: Mapping[RowId, Mapping[str, Number]], column_of: Mapping[str, str]) -> Differences:
     """Differences of all pairs of rows; `column_of` maps metrics to columns."""
-    found: dict[tuple[RowId, RowId], dict[str, Difference]] = {}
+    found: dict[tuple[RowId, RowId], dict[str, Number]] = {}
     for first, second in pairs_of(rows):
         for name, column in column_of.items():
             if name in rows[first] and name in rows[second]:
@@ -83,7 +82,7 @@ def _ranked(block: Block) -> dict[str, list[str]]:
     return found
 
 
-def said(found: Mapping[str, Difference], metrics: tuple[Measure, ...]) -> str:
+def said(found: Mapping[str, Number], metrics: tuple[Measure, ...]) -> str:
     """Columns in which the first row is better, worse, or no different; "lower" and "higher" if neither is better.
 
     A metric applies to the column that it names, or to all if it names none.

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from eval.metrics.metric import Metric, find_metric
+from eval.metrics.number import Number
 from motionkit.core.errors import MotionkitError, shown
 from motionkit.core.files import read_json, write_json
 from motionkit.store.commit import read_manifest
@@ -43,6 +44,11 @@ class Cell:
     ci95: float | None = None
     details: Mapping[str, float | int] = field(default_factory=dict)
     mark: str = ""
+
+
+def cell_of(number: Number, details: Mapping[str, float | int] = {}, mark: str = "") -> Cell:
+    """A number as a cell, without its interval if there is none."""
+    return Cell(number.value, number.ci95 or None, details, mark)
 
 
 @dataclass(frozen=True)

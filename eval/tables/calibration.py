@@ -94,9 +94,9 @@ def _blocks(source: FeatureSource, request: TableRequest, calibrations: list[Cal
     ratios: dict[str, dict[str, Cell]] = {CLEAN: {}, DISJOINT: {}}
     spearman: dict[str, dict[str, Cell]] = {}
     for column, each in by_column:
-        floor = each.clean.clip_fid.mean
+        floor = each.clean.clip_fid.value
         ratios[CLEAN][column] = Cell(floor, each.clean.clip_fid.ci95)
-        ratios[DISJOINT][column] = Cell(each.disjoint_floor.mean / floor, each.disjoint_floor.ci95 / floor)
+        ratios[DISJOINT][column] = Cell(each.disjoint_floor.value / floor, each.disjoint_floor.ci95 / floor)
         for name, score in each.flat.items():
             ratios.setdefault(FLAT + name, {})[column] = _ratio(score, floor)
         for graded in each.graded:
@@ -133,7 +133,7 @@ def _blocks(source: FeatureSource, request: TableRequest, calibrations: list[Cal
 
 
 def _ratio(scored: Scored, floor: float) -> Cell:
-    return Cell(scored.clip_fid.mean / floor, scored.clip_fid.ci95 / floor)
+    return Cell(scored.clip_fid.value / floor, scored.clip_fid.ci95 / floor)
 
 
 def _games_block(source: FeatureSource, calibration: Calibration, provenance: dict[str, Any]) -> Block:
@@ -155,8 +155,8 @@ def _games_block(source: FeatureSource, calibration: Calibration, provenance: di
 
 
 def _game_row(game: Game, name: str, scored: Scored) -> Row:
-    above = scored.clip_fid.mean > game.honest.clip_fid.mean + game.honest.clip_fid.ci95
-    cells = {CLIP_FID_COLUMN: Cell(scored.clip_fid.mean, mark="*" if above else "")}
+    above = scored.clip_fid.value > game.honest.clip_fid.value + game.honest.clip_fid.ci95
+    cells = {CLIP_FID_COLUMN: Cell(scored.clip_fid.value, mark="*" if above else "")}
     if scored.detail is not None:
         cells |= {
             figure: Cell(each.value, mark="" if each.is_real else "*") for figure, each in scored.detail.figures.items()

@@ -10,19 +10,12 @@ from fractions import Fraction
 import numpy as np
 
 from eval.metrics.metric import Metric, find_metric
+from eval.metrics.number import Number, with_takes
 from eval.metrics.physical import METRICS, ground_height
 from eval.metrics.physical_published import METRICS as PUBLISHED
-from eval.metrics.resampling import (
-    Difference,
-    Resampled,
-    Resampling,
-    Units,
-    half_width,
-    paired_difference,
-    units_of,
-)
+from eval.metrics.resampling import Resampling, Units, units_of
 from eval.report.differences import differences_block, of_interest, pairs_of
-from eval.report.results import Block, Cell, Result, Row, measure
+from eval.report.results import Block, Result, Row, cell_of, measure
 from eval.sets.generated import sample_fields
 from eval.sets.partial import PartialResult, collect
 from eval.sets.real import NoRealMotionError, RealMotion, real_motion
@@ -64,7 +57,7 @@ class Measured:
     seconds: Float64[np.ndarray, "motions"]
     units: Units
 
-    def mean(self, metric: Metric, resampling: Resampling) -> "Mean | None":
+    def mean(self, metric: Metric, resampling: Resampling) -> Number | None:
         """The mean over motions, weighted by seconds; None if none has the metric."""
         values = self.values[metric.name]
         seconds = np.where(np.isfinite(values), self.seconds, 0.0)
@@ -73,24 +66,7 @@ class Measured:
         sums = [np.bincount(self.units.unit, each) for each in (seconds * np.nan_to_num(values), seconds)]
         totals, counts = (self.units.weights(resampling) @ each for each in sums)
         resampled = tuple(float(total / count) if count else None for total, count in zip(totals, counts, strict=True))
-        return Mean(float(sums[0].sum() / sums[1].sum()), resampled)
-
-
-@dataclass(frozen=True)
-class Mean:
-    """A row's number, and its values in the bootstrap over takes."""
-
-    value: float
-    resampled: Resampled
-
-    @property
-    def cell(self) -> Cell:
-        """The number as a table's cell."""
-        return Cell(self.value, half_width(self.resampled))
-
-    def less(self, other: "Mean") -> Difference | None:
-        """This row's number minus another's with the same resampled takes."""
-        return paired_difference(self.value, self.resampled, other.value, other.resampled)
+        return with_takes(float(sums[0].sum() / sums[1].sum()), resampled)
 
 
 def floors_of(samples: SampleSet) -> list[float]:
@@ -207,7 +183,7 @@ def blocks_of(
         Row(
             str(row),
             "reference" if row == REAL else "ours",
-            {column: mean.cell for column, mean in by_column.items()},
+            {column: cell_of(mean) for column, mean in by_column.items()},
             notes[row],
         )
         for row, by_column in means.items()
@@ -226,14 +202,14 @@ def blocks_of(
     return [block, *([differences] if differences else [])]
 
 
-def _nearest(means: Mapping[RowId, Mapping[str, Mean]]) -> list[str]:
+def _nearest(means: Mapping[RowId, Mapping[str, Number]]) -> list[str]:
     """The row with the foot skating nearest to real motion's; none for blocks without that column."""
     speeds = {row: by_column[SKATING].value for row, by_column in means.items() if SKATING in by_column}
     real = speeds.pop(REAL, None)
     return [] if real is None else [str(row) for row in sorted(speeds, key=lambda row: abs(speeds[row] - real))[:1]]
 
 
-def _means(metrics: Sequence[Metric], row: Measured, resampling: Resampling) -> dict[str, Mean]:
+def _means(metrics: Sequence[Metric], row: Measured, resampling: Resampling) -> dict[str, Number]:
     """A row's means by column."""
     found = {metric.title: row.mean(metric, resampling) for metric in metrics}
     return {title: mean for title, mean in found.items() if mean is not None}

@@ -7,9 +7,9 @@ from functools import partial
 
 import numpy as np
 
+from eval.metrics.number import Resampled
 from eval.metrics.r_precision import RANKS, hits
 from eval.metrics.resampling import (
-    Resampled,
     Resampling,
     Units,
     resampled_fid,

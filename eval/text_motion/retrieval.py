@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from eval.metrics.checks import Estimate, estimate
+from eval.metrics.number import Number, over_replications
 from eval.metrics.retrieval import RECALL_RANKS, cosines, least_similar, retrieval
 from eval.text_motion.pairs import TextMotionPairs
 from eval.text_motion.protocol import RetrievalRule
@@ -27,7 +27,7 @@ def score_retrieval(
     sentences: Float[np.ndarray, "pairs numbers"],
     seed: int,
     distance: Callable[..., Float[np.ndarray, "queries candidates"]] = cdist,
-) -> dict[str, Estimate]:
+) -> dict[str, Number]:
     """Recalls and median ranks by their names in `eval.metrics.metric`, means over the draws (and over pools).
 
     Row i of every draw was generated for text i, whose real motion is row i of `real` and whose sentence embedding, of
@@ -50,7 +50,7 @@ def score_retrieval(
                 for rank, share in zip(RECALL_RANKS, ranked.recall.tolist(), strict=True):
                     found.setdefault(f"recall_at_{rank}{suffix}", []).append(share)
                 found.setdefault(f"median_rank{suffix}", []).append(ranked.median_rank)
-    return {name: estimate(values) for name, values in found.items()}
+    return {name: over_replications(values) for name, values in found.items()}
 
 
 def no_distance(

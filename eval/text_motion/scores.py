@@ -7,8 +7,8 @@ from threadpoolctl import threadpool_limits
 
 from eval.metrics.actions import diversity, multimodality, multimodality_shared_pairs
 from eval.metrics.gaussian import Gaussian, fid_infinity, fit_gaussian, frechet_distance, kid
+from eval.metrics.number import Scores
 from eval.metrics.r_precision import RANKS, BothWays, RPrecision, pool_distances, ranked_both_ways
-from eval.metrics.replications import Scores, Tally
 from eval.metrics.retrieval import clip_score, tmr_score
 from eval.text_motion.pairs import AddTerms, PairTerms, TextMotionPairs, resampled_multimodality
 from eval.text_motion.protocol import NAN_IS_BEST, KnownBug, TextMotionProtocol, chosen_bugs
@@ -90,7 +90,7 @@ def score_text_motion(
     bugs = chosen_bugs(protocol.name, protocol.known_bugs, compat)
     for draw in draws:
         _check(real, draw, protocol)
-    tally, fids, terms = Tally(), _Fids(real, draws, protocol), PairTerms(draws)
+    scores, fids, terms = Scores(remarks=list(protocol.remarks)), _Fids(real, draws, protocol), PairTerms(draws)
     # As in `fid`: a single BLAS thread is the fastest for matrices of this size.
     with threadpool_limits(1, "blas"):
         for replication in range(protocol.replications):
@@ -98,25 +98,27 @@ def score_text_motion(
             draw = draws[which]
             order = np.random.default_rng((seed, replication, GENERATED)).permutation(len(draw.motions))
             order = order[: _counted(len(order), protocol)]
-            _add_precision(draw, order, protocol, bugs, tally, terms.of_draw(which))
-            tally.add("fid", fids.value(which, order, seed, replication))
+            _add_precision(draw, order, protocol, bugs, scores, terms.of_draw(which))
+            scores.add("fid", fids.value(which, order, seed, replication))
             rng = np.random.default_rng((seed, replication, DIVERSITY))
             if pair_score:
-                tally.add(pair_score, PAIR_SCORES[pair_score](draw.texts[order], draw.motions[order]))
-            tally.add("diversity", diversity(draw.motions[order], rng, protocol.diversity_pairs))
+                scores.add(pair_score, PAIR_SCORES[pair_score](draw.texts[order], draw.motions[order]))
+            scores.add("diversity", diversity(draw.motions[order], rng, protocol.diversity_pairs))
             if repeated is not None and replication < protocol.multimodality.replications:
-                _add_multimodality(repeated, protocol, np.random.default_rng((seed, replication, MULTIMODALITY)), tally)
+                _add_multimodality(
+                    repeated, protocol, np.random.default_rng((seed, replication, MULTIMODALITY)), scores
+                )
             on_replication()
-        _add_details(real, draws[0], protocol, seed, tally)
+        _add_details(real, draws[0], protocol, seed, scores)
         if pair_score:
-            tally.resampled[pair_score] = terms.resampled_mean(PAIR_SCORES[pair_score])
-        tally.resampled |= terms.resampled(real) | resampled_multimodality(repeated, protocol.multimodality.metric)
-    tally.remark_on_draws(len(draws), protocol.replications)
-    sizes = {"real": fids.num_real, "generated": _counted(len(draws[0].motions), protocol), "draws": len(draws)}
-    _remark_on_sizes(sizes, real.motions.shape[1], protocol, tally)
+            scores.resampled[pair_score] = terms.resampled_mean(PAIR_SCORES[pair_score])
+        scores.resampled |= terms.resampled(real) | resampled_multimodality(repeated, protocol.multimodality.metric)
+    scores.remark_on_draws(len(draws), protocol.replications)
+    scores.sizes = {"real": fids.num_real, "generated": _counted(len(draws[0].motions), protocol), "draws": len(draws)}
+    _remark_on_sizes(real.motions.shape[1], protocol, scores)
     if repeated is not None:
-        sizes |= {"multimodality texts": len(repeated), "multimodality generations": repeated.shape[1]}
-    return tally.scores(protocol.name, sizes, protocol.remarks)
+        scores.sizes |= {"multimodality texts": len(repeated), "multimodality generations": repeated.shape[1]}
+    return scores
 
 
 def _check(real: TextMotionPairs, draw: TextMotionPairs, protocol: TextMotionProtocol) -> None:
@@ -152,7 +154,7 @@ def _add_precision(
     order: Order,
     protocol: TextMotionProtocol,
     bugs: tuple[KnownBug, ...],
-    tally: Tally,
+    scores: Scores,
     terms: AddTerms,
 ) -> None:
     names = [bug.name for bug in bugs if bug.part == "scores"]
@@ -164,11 +166,11 @@ def _add_precision(
         terms(distances, order)
     for suffix, direction in (("", found.text_asks), ("_motion_asks", found.motion_asks)):
         for rank, share in enumerate(direction.top.tolist(), start=1):
-            tally.add(f"r_precision_top{rank}{suffix}", share)
+            scores.add(f"r_precision_top{rank}{suffix}", share)
     if np.isfinite(found.text_asks.matching_distance):
-        tally.add("mm_dist", found.text_asks.matching_distance)
+        scores.add("mm_dist", found.text_asks.matching_distance)
     else:
-        tally.remark("MM-Dist is NaN in some replications, which are left out of it (--compat float32-distances)")
+        scores.remark("MM-Dist is NaN in some replications, which are left out of it (--compat float32-distances)")
 
 
 class _Fids:
@@ -221,20 +223,20 @@ def _add_multimodality(
     repeated: Float[np.ndarray, "texts generations features"],
     protocol: TextMotionProtocol,
     rng: np.random.Generator,
-    tally: Tally,
+    scores: Scores,
 ) -> None:
     rule = protocol.multimodality
     texts, generations = repeated.shape[:2]
     needed = 2 * rule.num_pairs if rule.pairs == "distinct" else rule.num_pairs
     if generations < needed:
-        tally.remark(
+        scores.remark(
             f"MultiModality is left out: {rule.num_pairs} pairs need {needed} motions of each text, "
             f"there are {generations}"
         )
         return
     if generations != rule.num_generations or (rule.num_texts is not None and texts < rule.num_texts):
         asked = "every text" if rule.num_texts is None else f"{rule.num_texts} texts"
-        tally.remark(
+        scores.remark(
             f"protocol {protocol.name!r} asks {rule.num_generations} motions of {asked} for MultiModality; here are "
             f"{generations} motions of {texts} texts"
         )
@@ -243,11 +245,11 @@ def _add_multimodality(
         chosen = repeated[rng.choice(texts, size=rule.num_texts, replace=False)]
     chosen = chosen[:, : rule.num_generations]
     function = multimodality if rule.pairs == "distinct" else multimodality_shared_pairs
-    tally.add(rule.metric, function(chosen, rng=rng, num_pairs=rule.num_pairs))
+    scores.add(rule.metric, function(chosen, rng=rng, num_pairs=rule.num_pairs))
 
 
 def _add_details(
-    real: TextMotionPairs, draw: TextMotionPairs, protocol: TextMotionProtocol, seed: int, tally: Tally
+    real: TextMotionPairs, draw: TextMotionPairs, protocol: TextMotionProtocol, seed: int, scores: Scores
 ) -> None:
     """FID_∞ and KID of the first draw only: they cost more than everything else, and draw no pools or pairs."""
     if real is draw:
@@ -255,23 +257,24 @@ def _add_details(
     if "fid_infinity" in protocol.details:
         try:
             rng = np.random.default_rng(seed)
-            tally.add("fid_infinity", fid_infinity(real.motions, draw.motions, rng).limit)
+            scores.add("fid_infinity", fid_infinity(real.motions, draw.motions, rng).limit)
         except ValueError as error:
-            tally.remark(f"FID∞ is left out: {error}")
+            scores.remark(f"FID∞ is left out: {error}")
     if "kid" in protocol.details:
-        tally.add("kid", kid(real.motions, draw.motions))
+        scores.add("kid", kid(real.motions, draw.motions))
 
 
-def _remark_on_sizes(sizes: dict[str, int], features: int, protocol: TextMotionProtocol, tally: Tally) -> None:
+def _remark_on_sizes(features: int, protocol: TextMotionProtocol, scores: Scores) -> None:
+    sizes = scores.sizes
     if protocol.num_motions is not None and sizes["generated"] < protocol.num_motions:
-        tally.remark(
+        scores.remark(
             f"protocol {protocol.name!r} counts {protocol.num_motions:,} generated motions, here are "
             f"{sizes['generated']:,}: FIDs of different N do not compare"
         )
     least = min(sizes["real"], sizes["generated"])
     if least <= features:
-        tally.remark(
+        scores.remark(
             f"N = {least} for {features} features: FID is that of two degenerate Gaussians and says little; read KID"
         )
     if sizes["generated"] < protocol.diversity_pairs:
-        tally.remark(f"Diversity pairs {sizes['generated']} motions, not {protocol.diversity_pairs}")
+        scores.remark(f"Diversity pairs {sizes['generated']} motions, not {protocol.diversity_pairs}")

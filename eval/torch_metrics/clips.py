@@ -84,8 +84,8 @@ class ClipFID(Metric):
         ends = np.cumsum(rows_of(self.num_frames, "motions"))
         generated = np.split(rows_of(self.positions, "motions"), ends[:-1])
         samples = samples_of("generated", generated, self.fps)
-        found = self._comparison.scores({"generated": samples})["generated"].clip_fid
-        values = {"clip_fid": found.mean, "clip_fid_ci95": found.ci95}
+        found = self._comparison.scores({"generated": samples})["generated"]
+        values = {"clip_fid": found.value, "clip_fid_ci95": found.ci95}
         return {name: torch.tensor(value, dtype=torch.float64, device=self.device) for name, value in values.items()}
 
     @cached_property

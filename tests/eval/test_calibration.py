@@ -10,7 +10,7 @@ from eval.clip_fid import features
 from eval.clip_fid.clips import PoseRange, Protocol
 from eval.clip_fid.features import Comparison, fit_on
 from eval.games import NUM_GAMES
-from eval.metrics.checks import Estimate
+from eval.metrics.number import Number
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.skeleton import SMPL22
 
@@ -19,7 +19,7 @@ PROTOCOL = Protocol(sizes=PoseRange(16, 32), num_clips=400, replications=2, deta
 
 
 def scored(mean: float, ci95: float = 0.1) -> Scored:
-    return Scored(Estimate(mean, ci95, 3), None)
+    return Scored(Number(mean, ci95), None)
 
 
 def graded(*means: float, family: str = "jitter") -> Graded:

@@ -6,8 +6,7 @@ from fractions import Fraction
 
 from eval.clip_fid.clips import ClipError, Protocol, check_lengths
 from eval.clip_fid.features import Comparison, FeatureSource
-from eval.clip_fid.score import ClipFid
-from eval.metrics.resampling import Difference
+from eval.metrics.number import Number
 from eval.report.differences import pairs_of
 from eval.report.results import Cell
 from eval.sample_folder import SampleFolder
@@ -170,7 +169,7 @@ class ColumnScores:
     """A cell for each row, and differences of two rows with paired intervals."""
 
     cells: Mapping[RowId, Cell]
-    differences: Mapping[tuple[RowId, RowId], Difference]
+    differences: Mapping[tuple[RowId, RowId], Number]
 
 
 def score_column(
@@ -205,16 +204,16 @@ def score_column(
     return PartialResult(ColumnScores(cells, differences), tuple(missing))
 
 
-def clip_fid_cell(score: ClipFid, samples: SampleSet, subset: int | None = None) -> Cell:
+def clip_fid_cell(score: Number, samples: SampleSet, subset: int | None = None) -> Cell:
     """A score as a cell; further metrics and the size of its sets are details.
 
     It has no interval if takes cannot be resampled (a single take). `subset` is the number of sequences scored at once,
     if not all.
     """
-    further = {DETAIL_NAMES[name]: value.mean for name, value in score.details.items()}
+    further = {DETAIL_NAMES[name]: value for name, value in score.details.items()}
     sizes = {MOTIONS: subset or samples.num_sequences, TAKES: subset or samples.num_takes}
-    interval = score.clip_fid.ci95 if score.resampled or subset else None
-    return Cell(score.clip_fid.mean, interval, {**further, DRAWING: score.drawing.ci95, **sizes})
+    interval = score.ci95 if score.resampled or subset else None
+    return Cell(score.value, interval, {**further, DRAWING: score.drawing, **sizes})
 
 
 def samples_at(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eval.metrics.checks import Estimate
+from eval.metrics.number import Number
 from eval.metrics.retrieval import RECALL_RANKS
 from eval.report.results import Block, Cell, Row, measure
 from eval.tables.nerm.text_motion import ORACLE, ScoredRow, title_of
@@ -50,7 +50,7 @@ def retrieval_blocks(
 
 def _block(
     rule: RetrievalRule,
-    rows: Sequence[tuple[ScoredRow, Mapping[str, Estimate]]],
+    rows: Sequence[tuple[ScoredRow, Mapping[str, Number]]],
     real: RetrievalSets,
     seed: int,
     head: str,
@@ -89,5 +89,5 @@ def _chosen_among(rule: RetrievalRule, number: int) -> int:
     return rule.pool or min(number, rule.least_similar or number)
 
 
-def _cells(values: Mapping[str, Estimate], names: Sequence[str]) -> dict[str, Cell]:
-    return {title_of(name): Cell(values[name].mean) for name in names}
+def _cells(values: Mapping[str, Number], names: Sequence[str]) -> dict[str, Cell]:
+    return {title_of(name): Cell(values[name].value) for name in names}

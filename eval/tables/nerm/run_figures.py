@@ -13,9 +13,9 @@ from eval.clip_fid.features import Comparison, kinematic_source
 from eval.clip_fid.kinematic import VERSION as KINEMATIC_VERSION
 from eval.clip_fid.score import VERSION as CLIP_FID_VERSION
 from eval.metrics.actions import diversity
-from eval.metrics.checks import estimate
+from eval.metrics.number import over_replications
 from eval.reconstruction.errors import mpjpe_cell, mre_cell, window_errors
-from eval.report.results import Cell
+from eval.report.results import Cell, cell_of
 from eval.sets.generated import Window, generate_fields, needs_a_condition, refusal, sample_fields, windows_of
 from eval.sets.partial import PartialResult, collect
 from eval.sets.planted import planted_fields
@@ -235,8 +235,8 @@ class Yardstick:
                 errors = [window_errors(window, fps) for window in sets.value[kind].reconstructed(every, fps)]
                 if not errors:
                     missing.append(f"{name} windows, {label(fps)}: no take is that fast")
-                for error, cell_of in ERRORS.items():
-                    cell = cell_of(errors)
+                for error, mean in ERRORS.items():
+                    cell = mean(errors)
                     if cell is not None:
                         rows.setdefault(error_of(name, error), {})[label(fps)] = cell
         return Part(rows, tuple(missing))
@@ -254,8 +254,7 @@ def _diversity(samples: SampleSet, comparison: Comparison) -> Cell:
         places = place_clips(draw_clips(protocol, samples.fps, replication, REAL), samples)
         rng = np.random.default_rng((protocol.seed, replication, 5))
         values.append(diversity(describe_clips(samples, places, features), rng))
-    found = estimate(values)
-    return Cell(found.mean, found.ci95)
+    return cell_of(over_replications(values))
 
 
 def error_of(windows: str, error: str) -> str:

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eval.metrics.checks import Estimate
-from eval.metrics.replications import Scores
+from eval.metrics.number import Number, Scores
 from eval.report.results import Block, Result
 from eval.sample_folder import SampleFolder
 from eval.sets.generated import refusal
@@ -257,8 +256,9 @@ def _real_row(job: _Job, pairs: TextMotionPairs, chosen: npt.NDArray[np.int64]) 
         return ScoredRow(
             REAL, "reference", scores, "its FID is what dropped remainders and the choice of motions leave"
         )
-    values = {name: score for name, score in scores.values.items() if name not in ("fid", "fid_infinity", "kid")}
-    return ScoredRow(REAL, "reference", replace(scores, values=values), retrieval=ranked)
+    for name in ("fid", "fid_infinity", "kid"):
+        scores.replications.pop(name, None)
+    return ScoredRow(REAL, "reference", scores, retrieval=ranked)
 
 
 def _model_rows(
@@ -305,7 +305,7 @@ def _retrieval(
     reference: TextMotionPairs,
     draws: list[TextMotionPairs],
     rows: npt.NDArray[np.int64] | None,
-) -> tuple[Mapping[str, Estimate], ...]:
+) -> tuple[Mapping[str, Number], ...]:
     """Retrieval with motions for the captions of some of the real ones, under each of the protocol's rules."""
     if job.sentences is None:
         return ()

@@ -10,7 +10,7 @@ from eval.clip_fid.clips import ClipError
 from eval.clip_fid.features import Comparison, FeatureSource, feature_sources
 from eval.clip_fid.kinematic import KinematicDescriptor
 from eval.clip_fid.score import CLIP_FID, VERSION
-from eval.metrics.resampling import Difference
+from eval.metrics.number import Number
 from eval.report.differences import differences_block, of_interest
 from eval.report.results import Block, Cell, Result, Row, measure
 from eval.sample_folder import SampleFolder
@@ -73,7 +73,7 @@ class _Scored:
     """One feature set's cells of one column by row, their differences and remarks."""
 
     cells: Mapping[RowId, Cell]
-    differences: Mapping[tuple[RowId, RowId], Difference]
+    differences: Mapping[tuple[RowId, RowId], Number]
     fingerprint: str
     warnings: tuple[str, ...]
 

@@ -13,8 +13,7 @@ from eval.actions.scores import ActionProtocol, LabelledRecognition, find_action
 from eval.actions.sets import ActionSet, NoActionsError, generated_like, known_actions, known_to_all, with_rotations
 from eval.metrics.actions import accuracy
 from eval.metrics.gaussian import kid
-from eval.metrics.replications import Score, Scores
-from eval.metrics.resampling import half_width
+from eval.metrics.number import Number, Scores, half_width
 from eval.report.differences import DRAWING, differences_block, of_interest, score_differences
 from eval.report.results import Block, Cell, Origin, Result, Row, measure
 from eval.sets.generated import is_unconditional
@@ -247,7 +246,7 @@ def _block(
     fids = {"fid_train": "FID (train)", "fid_test": f"FID ({request.real.split})"}
     rows, missing = [], []
     shown: dict[str, str] = {}
-    own: dict[RowId, Mapping[str, Score]] = {}
+    own: dict[RowId, Mapping[str, Number]] = {}
     for system in systems:
         against = {
             name: features for name, features in references.items() if not (system.is_reference and name == "test")
@@ -291,7 +290,7 @@ def _note(system: _System, scores: Scores, protocol: ActionProtocol) -> str:
 
 
 def _cells(scores: Scores, columns: dict[str, str]) -> dict[str, Cell]:
-    return {columns[metric]: _cell(score) for metric, score in scores.values.items()}
+    return {columns[metric]: _cell(number, scores.replications[metric]) for metric, number in scores.values.items()}
 
 
 def _with_kid(
@@ -305,13 +304,13 @@ def _with_kid(
     return cells
 
 
-def _cell(score: Score) -> Cell:
+def _cell(number: Number, replications: Sequence[float]) -> Cell:
     """Mean and interval over motions; details are interval and variance over replications, if these differ."""
-    width = half_width(score.resampled)
-    if np.ptp(score.values) <= 1e-9 * abs(score.values[0]):
-        return Cell(score.estimate.mean, width)
-    details = {VARIANCE: score.variance_spread} | ({} if width is None else {DRAWING: score.drawing.ci95})
-    return Cell(score.estimate.mean, score.estimate.ci95, details)
+    over_takes = number.ci95 != number.drawing
+    if np.ptp(replications) <= 1e-9 * abs(replications[0]):
+        return Cell(number.value, half_width(number.resampled))
+    details = {VARIANCE: 1.96 * float(np.var(replications))} | ({DRAWING: number.drawing} if over_takes else {})
+    return Cell(number.value, number.ci95, details)
 
 
 def _by_action(recogniser: ActionRecogniser, systems: Sequence[_System]) -> Block:

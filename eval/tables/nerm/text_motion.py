@@ -9,14 +9,12 @@ from functools import partial
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from eval.metrics.checks import Estimate, estimate
 from eval.metrics.gaussian import fit_gaussian, frechet_distance
 from eval.metrics.metric import find_metric
+from eval.metrics.number import Number, Scores, over_replications
 from eval.metrics.r_precision import pool_distances, ranked_both_ways
-from eval.metrics.replications import Score, Scores, Tally
-from eval.metrics.resampling import half_width
 from eval.report.differences import DRAWING, differences_block, of_interest, score_differences
-from eval.report.results import Block, Cell, Origin, Row, measure
+from eval.report.results import Block, Cell, Origin, Row, cell_of, measure
 from eval.sets.partial import PartialResult, collect
 from eval.sets.row_ids import RowId
 from eval.tables.parts import SOURCES, printed_rows, reported_figures
@@ -118,7 +116,7 @@ class ScoredRow:
     origin: Origin
     scores: Scores
     note: str = ""
-    retrieval: tuple[Mapping[str, Estimate], ...] = ()
+    retrieval: tuple[Mapping[str, Number], ...] = ()
 
 
 def title_of(name: str) -> str:
@@ -144,7 +142,7 @@ def scored_blocks(
     paired = [name for name in PAIR_SCORES if name in rows[0].scores.values]
     every = [*asked, "mm_dist", *paired, "fid", "diversity", protocol.multimodality.metric]
     oracle = _oracle(real, protocol, seed)
-    floor = {title_of("fid"): _cell(_halves(real, protocol, seed)), COUNT: Cell(len(real.motions) // 2)}
+    floor = {title_of("fid"): cell_of(_halves(real, protocol, seed)), COUNT: Cell(len(real.motions) // 2)}
     main = Block(
         f"Table 1: {head}",
         (*map(title_of, every), COUNT),
@@ -204,7 +202,7 @@ def _sentence(remark: str) -> str:
 def _row(row: ScoredRow, names: Sequence[str], leaving_out: Sequence[str] = ()) -> Row:
     values = row.scores.values
     cells = {title_of(name): _score_cell(values[name]) for name in names if name in values}
-    details = {find_metric(name).title: values[name].estimate.mean for name in DETAILS if name in values}
+    details = {find_metric(name).title: values[name].value for name in DETAILS if name in values}
     if "fid" in names and details:
         fid = cells[title_of("fid")]
         cells[title_of("fid")] = replace(fid, details={**fid.details, **details})
@@ -217,27 +215,20 @@ def _row(row: ScoredRow, names: Sequence[str], leaving_out: Sequence[str] = ()) 
     return Row(str(row.row), row.origin, cells, "; ".join((*([row.note] if row.note else []), counted, *remarks)))
 
 
-def _score_cell(score: Score) -> Cell:
-    """A metric of a row, with the interval over replications alone as a detail."""
-    if half_width(score.resampled) is None:
-        return _cell(score.drawing)
-    details = {DRAWING: score.drawing.ci95} if _is_drawn(score.drawing) else {}
-    return Cell(score.estimate.mean, score.estimate.ci95, details)
+def _score_cell(number: Number) -> Cell:
+    """A metric of a row, with the interval over replications as a detail if takes were resampled too.
 
-
-def _cell(value: Estimate) -> Cell:
-    """A cell, without interval if the replications do not differ."""
-    return Cell(value.mean, value.ci95 if _is_drawn(value) else None)
-
-
-def _is_drawn(value: Estimate) -> bool:
-    """Whether replications differ by more than rounding; FID of one set of motions does not."""
-    return value.replications > 1 and value.ci95 > 1e-9 * abs(value.mean)
+    Replications that differ by no more than rounding, as FID of one set of motions does, make no interval.
+    """
+    drawn = number.drawing > 1e-9 * abs(number.value)
+    if number.ci95 == number.drawing:
+        return Cell(number.value, number.ci95 if drawn else None)
+    return Cell(number.value, number.ci95, {DRAWING: number.drawing} if drawn else {})
 
 
 def _oracle(real: TextMotionPairs, protocol: TextMotionProtocol, seed: int) -> dict[str, Cell]:
     """R-Precision of an oracle that embeds motions as their texts."""
-    tally, own = Tally(), TextMotionPairs(real.texts, real.texts, real.takes)
+    scores, own = Scores(), TextMotionPairs(real.texts, real.texts, real.takes)
     terms = PairTerms([own])
     for replication in range(protocol.replications):
         order = np.random.default_rng((seed, replication, 5)).permutation(len(own.texts))
@@ -246,17 +237,17 @@ def _oracle(real: TextMotionPairs, protocol: TextMotionProtocol, seed: int) -> d
         both = ranked_both_ways(distances)
         for suffix, direction in (("", both.text_asks), ("_motion_asks", both.motion_asks)):
             for rank, share in enumerate(direction.top.tolist(), start=1):
-                tally.add(f"r_precision_top{rank}{suffix}", share)
-    tally.resampled |= terms.resampled_means()
-    return {name: _score_cell(score) for name, score in tally.scores(protocol.name, {}, ()).values.items()}
+                scores.add(f"r_precision_top{rank}{suffix}", share)
+    scores.resampled |= terms.resampled_means()
+    return {name: _score_cell(score) for name, score in scores.values.items()}
 
 
-def _halves(real: TextMotionPairs, protocol: TextMotionProtocol, seed: int) -> Estimate:
+def _halves(real: TextMotionPairs, protocol: TextMotionProtocol, seed: int) -> Number:
     values = []
     with threadpool_limits(1, "blas"):
         for replication in range(protocol.replications):
             order = np.random.default_rng((seed, replication, 6)).permutation(len(real.motions))
             first, second = order[: len(order) // 2], order[len(order) // 2 :]
             values.append(frechet_distance(fit_gaussian(real.motions[first]), fit_gaussian(real.motions[second])))
-    found = estimate(values)
-    return replace(found, ci95=found.ci95 * math.sqrt(found.replications))
+    found = over_replications(values)
+    return replace(found, ci95=found.drawing * math.sqrt(len(values)))

@@ -11,7 +11,7 @@ from fractions import Fraction
 from functools import partial
 from statistics import fmean
 
-from eval.completion.blocks import Scope, shown_measure, value, with_pools
+from eval.completion.blocks import Scope, number, shown_measure, with_pools
 from eval.completion.encoders import INTERPOLATION, completer_of
 from eval.completion.protocol import VERSION, InterpolationProtocol, scale_label
 from eval.completion.takes import NoTakesError, data_sets_of
@@ -194,7 +194,7 @@ def _starts(scopes: Sequence[Scope], trained: _Trained) -> list[Block]:
 
 def _by_seed(scope: Scope, runs: Mapping[int, RunFolder], metric: str) -> dict[int, float]:
     return {
-        seed: value(scope.rows[run.path.name], metric, scale_label(SCALE))
+        seed: number(scope.rows[run.path.name], metric, scale_label(SCALE)).value
         for seed, run in runs.items()
         if run.path.name in scope.rows
     }
@@ -202,7 +202,7 @@ def _by_seed(scope: Scope, runs: Mapping[int, RunFolder], metric: str) -> dict[i
 
 def _flat(scope: Scope, name: str, metric: str, columns: Sequence[str]) -> dict[str, Cell]:
     """The same number in every column, for rows that do not depend on the setting."""
-    return {column: Cell(value(scope.rows[name], metric, scale_label(SCALE))) for column in columns}
+    return {column: Cell(number(scope.rows[name], metric, scale_label(SCALE)).value) for column in columns}
 
 
 def _place(ablation: Ablation) -> str:

@@ -10,7 +10,7 @@ from eval.completion.blocks import Scope
 from eval.completion.encoders import Completer
 from eval.completion.interpolation import InterpolationTask, measure_interpolation, measured_metrics, num_batches
 from eval.completion.protocol import VERSION, InterpolationProtocol, scale_label
-from eval.completion.scores import Scores, TakeMeans, measure_scale, split_remark
+from eval.completion.scores import Scores, TakeSums, measure_scale, split_remark
 from eval.completion.takes import DataSet, NoTakesError, TrueClips, open_clips, shared_reason
 from eval.metrics.metric import MeanSums
 from eval.report.results import Cell
@@ -36,16 +36,14 @@ def find_scores(
         return None
 
 
-def _means(cells: Mapping[str, Cell]) -> TakeMeans:
-    return TakeMeans({take: MeanSums().added(cell.value, cell.details[WEIGHT]) for take, cell in cells.items()})
+def _means(cells: Mapping[str, Cell]) -> TakeSums:
+    return {take: MeanSums().added(cell.value, cell.details[WEIGHT]) for take, cell in cells.items()}
 
 
 def keep_scores(results: Path, name: str, terms: Mapping[str, Any], scores: Scores) -> None:
     """Write scores for `find_scores`: means of every take, and their weights."""
     rows = {
-        f"{metric} {column}": {
-            take: Cell(sums.mean, None, {WEIGHT: sums.weight}) for take, sums in means.by_take.items()
-        }
+        f"{metric} {column}": {take: Cell(sums.mean, None, {WEIGHT: sums.weight}) for take, sums in means.items()}
         for metric, columns in scores.items()
         for column, means in columns.items()
     }

@@ -79,9 +79,9 @@ def test_each_protocol(protocol) -> None:  # type: ignore[no-untyped-def]
         motions = draws[replication % 2]
         features = motions.recognition.features
         hits = motions.recognition.scores.argmax(axis=1) == motions.labels
-        assert found.values["accuracy"].values[replication] == pytest.approx(hits.mean())
-        assert found.values["fid_train"].values[replication] == pytest.approx(plain_fid(train, features), rel=1e-9)
-        assert found.values["fid_test"].values[replication] == pytest.approx(plain_fid(test, features), rel=1e-9)
+        assert found.replications["accuracy"][replication] == pytest.approx(hits.mean())
+        assert found.replications["fid_train"][replication] == pytest.approx(plain_fid(train, features), rel=1e-9)
+        assert found.replications["fid_test"][replication] == pytest.approx(plain_fid(test, features), rel=1e-9)
     replaced = protocol.name != "native"
     suffix = "_with_replacement" if replaced else ""
     # All pairs of the first draw, with and without a motion's distance to itself.
@@ -89,7 +89,7 @@ def test_each_protocol(protocol) -> None:  # type: ignore[no-untyped-def]
     expected = 2 * pdist(features).sum() / len(features) ** 2
     many = replace(protocol, replications=40, diversity_pairs=150)
     diversity = score_actions({}, draws[:1], many, seed=0).values["diversity" + suffix]
-    assert diversity.estimate.mean == pytest.approx(expected, rel=0.03)
+    assert diversity.value == pytest.approx(expected, rel=0.03)
     assert f"multimodality_by_class{suffix}" in found.values
     assert found.sizes == {"real (train)": 300, "real (test)": 200, "generated": counted or 160, "draws": 2}
     assert all(find_metric(name) for name in found.values)
@@ -99,10 +99,9 @@ def test_actors_spread_is_a_variance_and_no_interval() -> None:
     actor = find_action_protocol("actor")
     assert actor.spread == "1.96 · variance"
     found = score_actions({}, [recognised(80, seed) for seed in range(20)], actor, seed=0)
-    values = np.array(found.values["accuracy"].values)
-    assert found.values["accuracy"].variance_spread == pytest.approx(1.96 * ((values - values.mean()) ** 2).mean())
-    assert found.values["accuracy"].drawing.ci95 == pytest.approx(1.96 * values.std() / np.sqrt(20))
-    assert found.values["accuracy"].estimate.ci95 > found.values["accuracy"].drawing.ci95
+    values = np.array(found.replications["accuracy"])
+    assert found.values["accuracy"].drawing == pytest.approx(1.96 * values.std() / np.sqrt(20))
+    assert found.values["accuracy"].ci95 > found.values["accuracy"].drawing
     assert any("not an interval" in remark for remark in found.remarks)
     assert not any("there is one set" in remark for remark in found.remarks)
 
@@ -111,7 +110,7 @@ def test_more_motions_than_a_protocol_counts_are_thinned_and_fewer_are_reported(
     few = replace(find_action_protocol("mdm"), replications=3, num_motions=40)
     more = score_actions({"": recognised(90, 0).recognition.features}, [recognised(60, 1)], few, seed=0)
     assert more.sizes["generated"] == 40
-    assert len(set(more.values["fid"].values)) == 3
+    assert len(set(more.replications["fid"])) == 3
     fewer = score_actions({}, [recognised(20, 1)], few, seed=0)
     assert any("counts 40 motions, here are 20" in remark for remark in fewer.remarks)
     assert set(fewer.values) == {

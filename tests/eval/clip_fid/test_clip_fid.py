@@ -108,10 +108,8 @@ def test_a_copy_scores_the_floor_and_a_change_scores_more() -> None:
     real = ramps("real", [200] * 40)
     rows = {"copy": real, "moved": ramps("moved", [200] * 40, offset=8000.0)}
     scores = score_rows(real, rows, FirstAndLastHeight(), SMALL)
-    assert 0 < scores["copy"].clip_fid.mean < 0.05 * scores["moved"].clip_fid.mean
-    assert scores["moved"].clip_fid.replications == 3
-    assert scores["moved"].details["kid"].replications == 1
-    assert scores["copy"].details["coverage"].mean > 0.9
+    assert 0 < scores["copy"].value < 0.05 * scores["moved"].value
+    assert scores["copy"].details["coverage"] > 0.9
 
 
 def test_scores_repeat_and_do_not_depend_on_the_other_rows() -> None:
@@ -128,7 +126,7 @@ def test_disjoint_halves_score_more_than_independent_draws() -> None:
     real = sample_set("real", FPS, sequences, [str(i) for i in range(12)])
     independent = score_rows(real, {"P1": real}, FirstAndLastHeight(), SMALL)["P1"]
     halves = score_disjoint_halves(real, FirstAndLastHeight(), SMALL)
-    assert halves.clip_fid.mean > 5 * independent.clip_fid.mean
+    assert halves.value > 5 * independent.value
     with pytest.raises(ClipError, match="cannot be split"):
         score_disjoint_halves(real.select([0]), FirstAndLastHeight(), SMALL)
 

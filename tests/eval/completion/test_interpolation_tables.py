@@ -14,7 +14,7 @@ import eval.metrics
 from eval.completion.encoders import CUBIC, HOLD, LINEAR, Completer
 from eval.completion.interpolation import InterpolationTask, measure_interpolation
 from eval.completion.protocol import INTEGER_SCALES, OTHER_SCALES, InterpolationProtocol, scale_label
-from eval.completion.scores import measure_scale
+from eval.completion.scores import mean_over_takes, measure_scale
 from eval.completion.takes import NoTakesError, data_sets_of, open_clips
 from eval.metrics.metric import all_metrics
 from eval.report.render import to_html, to_markdown
@@ -115,7 +115,7 @@ def figures(store: Path, encoder: MotionEncoder, scale: str) -> dict[str, float]
     row = Completer("row", encoder, "", "")
     found, failed = measure_interpolation(task, (Fraction(scale),), [row])
     assert not failed
-    return {name: values[f"×{scale}"].mean for name, values in found["row"].items()}
+    return {name: mean_over_takes(values[f"×{scale}"]).value for name, values in found["row"].items()}
 
 
 def test_figures_of_held_poses_are_those_of_their_definition(store: Path) -> None:

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import procrustes
 from scipy.spatial.transform import Rotation
 
-from eval.metrics.checks import estimate
+from eval.metrics.number import over_replications
 from eval.metrics.reconstruction import mean_vector_distance, mpjpe_global, mpjpe_procrustes, mpjpe_root_aligned, mre
 
 
@@ -68,9 +68,9 @@ def test_refusals(poses: np.ndarray) -> None:
 
 def test_interval_is_the_reference_protocols() -> None:
     values = [1.0, 2.0, 4.0, 5.0]
-    result = estimate(values)
-    assert (result.mean, result.replications) == (3.0, 4)
+    result = over_replications(values)
+    assert result.value == 3.0
     assert result.ci95 == pytest.approx(1.96 * np.std(values) / 2)
-    assert estimate([3.0]).ci95 == 0.0
+    assert over_replications([3.0]).ci95 == 0.0
     with pytest.raises(ValueError, match="not finite"):
-        estimate([1.0, float("nan")])
+        over_replications([1.0, float("nan")])

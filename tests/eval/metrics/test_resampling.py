@@ -6,13 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eval.metrics.gaussian import fit_gaussian, frechet_distance, quick_frechet_distance
+from eval.metrics.number import Number, half_width, with_takes
 from eval.metrics.resampling import (
-    Difference,
     Resampling,
     UnitSums,
     blocks_for,
-    half_width,
-    paired_difference,
     resampled_scores,
     units_of,
     weighted_means,
@@ -100,13 +98,13 @@ def test_paired_rows_are_distinguished_where_unpaired_ones_are_not() -> None:
     weights = units_of(takes_of(list(range(50)))).weights(Resampling())
     resampled = [weighted_means(row, np.arange(50), weights) for row in rows]
     means = [float(row.mean()) for row in rows]
-    difference = paired_difference(means[1], resampled[1], means[0], resampled[0])
+    difference = with_takes(means[1], resampled[1]).less(with_takes(means[0], resampled[0]))
     assert difference is not None
     assert difference.verdict == "lower"
     widths = [half_width(values) for values in resampled]
     assert min(width for width in widths if width) > 4 * abs(difference.value)
-    assert paired_difference(1.0, (), 2.0, resampled[0]) is None
-    assert [Difference(value, 0.5).verdict for value in (0.5, 0.6, -0.6)] == ["not told apart", "higher", "lower"]
+    assert Number(1.0).less(with_takes(2.0, resampled[0])) is None
+    assert [Number(value, 0.5).verdict for value in (0.5, 0.6, -0.6)] == ["not told apart", "higher", "lower"]
 
 
 def test_a_set_made_of_the_same_takes_differs_less_than_one_of_others() -> None:

@@ -5,7 +5,6 @@ from typing import Any
 
 import pytest
 
-from eval.completion.scores import TakeMeans
 from eval.metrics.metric import MeanSums
 from eval.report.results import Cell
 from eval.tables.pahires.measured import find_scores, keep_scores
@@ -50,7 +49,7 @@ def test_a_part_of_anything_but_numbers_is_not_used(
 
 @pytest.mark.parametrize("rows", [{}, {"psnr": {}}, {"psnr": {"×2": {"value": 1.0}}}])
 def test_scores_that_are_not_whole_are_not_used(rows: object, tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
-    scores = {"psnr": {"×2": TakeMeans({"a": MeanSums().added(3.0, 2.0), "b": MeanSums().added(1.0, 4.0)})}}
+    scores = {"psnr": {"×2": {"a": MeanSums().added(3.0, 2.0), "b": MeanSums().added(1.0, 4.0)}}}
     keep_scores(tmp_path, "interpolation", TERMS, scores)
     assert find_scores(tmp_path, "interpolation", TERMS, ["psnr"], ["×2"]) == scores
     _signed_again(tmp_path, rows=rows)

@@ -32,9 +32,9 @@ def test_cells_are_the_scores_of_the_rows_that_fit() -> None:
     assert set(found.value.cells) == {P1, P2, own}
     (told,) = found.missing
     assert told.startswith("short, 20 fps: short: no sequence has the 16 poses")
-    expected = score_rows(real, {"other": other}, MeanHeight(), PROTOCOL)["other"].clip_fid
+    expected = score_rows(real, {"other": other}, MeanHeight(), PROTOCOL)["other"]
     cell = found.value.cells[own]
-    assert (cell.value, cell.ci95) == (expected.mean, expected.ci95)
+    assert (cell.value, cell.ci95) == (expected.value, expected.ci95)
     assert (cell.details[MOTIONS], cell.details[TAKES]) == (4, 4)
     assert (found.value.cells[P2].details[MOTIONS], found.value.differences) == (2, {})
 
