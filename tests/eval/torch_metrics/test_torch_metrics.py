@@ -176,7 +176,7 @@ def test_clip_fid_is_the_functions_in_lists_and_padded_batches() -> None:
         assert values == {"clip_fid": expected.value, "clip_fid_ci95": expected.ci95}
     padded.reset()
     padded.update([torch.from_numpy(motion) for motion in MOTIONS[:2]])
-    assert float(padded.compute()["clip_fid"]) == clip_fid(MOTIONS[:2], MOTIONS[:2], fps=60, **FEW).mean
+    assert float(padded.compute()["clip_fid"]) == clip_fid(MOTIONS[:2], MOTIONS[:2], fps=60, **FEW).value
 
 
 def test_clip_fid_refuses_what_cannot_be_compared() -> None:
