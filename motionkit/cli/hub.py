@@ -13,8 +13,6 @@ from motionkit.core.files import default_path, require_empty, whole_folder
 from motionkit.core.progress import task
 
 if TYPE_CHECKING:
-    from huggingface_hub import HfUri
-
     from motionkit.training.run import StageFolder
 
 RUN_TEXT = (
@@ -44,6 +42,8 @@ def push(
     Example: motionkit push hf://datasets/me/walks --dry-run
     """
     from motionkit.store import hub
+    from motionkit.store.reader import Store
+    from motionkit.store.reports import CARD, store_card, summarise
 
     repository = hub.parse_address(address)
     if repository.path_in_repo:
@@ -55,7 +55,8 @@ def push(
             raise UsageError(f"a run goes to hf://{repository.id}: hf://datasets/ is for stores")
         folder, patterns = store or default_path("store"), hub.STORE_FILES
         _require_intact(folder, f"'motionkit validate --store {folder}' says more")
-        card, licences = _store_card(folder, repository)
+        summary = summarise(Store.open(folder))
+        card, licences = store_card(summary, repository.to_uri()), list(summary.licences)
     else:
         if store is not None or run is None:
             raise UsageError(f"{address} is for a run: name one with --run; a store goes to hf://datasets/OWNER/NAME")
@@ -65,7 +66,7 @@ def push(
             raise UsageError(f"{folder} has no complete stage: motionkit train --run {run}")
         patterns = tuple(f"{stage.path.name}/{path.name}" for stage in stages for path in stage.result_paths)
         text = RUN_TEXT.format(", ".join(stage.path.name for stage in stages))
-        card = hub.card_of(text, f"motionkit pull {repository.to_uri()}")
+        card = CARD.format(head="", text=text, code=f"motionkit pull {repository.to_uri()}")
     url = "" if dry_run else hub.push(repository, folder, patterns, card, public=public)
     files = sorted(path for pattern in patterns for path in folder.glob(pattern))
     size = sum(path.stat().st_size for path in files)
@@ -89,16 +90,6 @@ def _require_intact(store: Path, hint: str) -> None:
         fault = next(faults(store, lambda _: work.advance()), None)
     if fault:
         raise StoreError(f"{store} is damaged ({fault}): {hint}")
-
-
-def _store_card(path: Path, repository: "HfUri") -> tuple[str, list[str]]:
-    """The card of a store, and its licences."""
-    from motionkit.store.hub import store_card
-    from motionkit.store.reader import Store
-    from motionkit.store.reports import summarise
-
-    summary = summarise(Store.open(path))
-    return store_card(summary, repository.to_uri()), list(summary.licences)
 
 
 def _complete_stages(run: Path) -> "list[StageFolder]":

@@ -1,9 +1,8 @@
 """`motionkit info`: a summary of a store or a file, a store's quality, a file's rig."""
 
-from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,54 +13,9 @@ from motionkit.core.files import default_path, is_store
 
 if TYPE_CHECKING:
     from motionkit.core.motion import Motion
-    from motionkit.store.reports import (
-        MotionSummary,
-        Offender,
-        QualityReport,
-        RigTree,
-        SourceQuality,
-        SourceSummary,
-        StoreSummary,
-    )
+    from motionkit.store.reports import SourceSummary, StoreSummary
 
 SHOWN_UPSAMPLED = 20
-
-
-def quality_lines(report: "QualityReport") -> Iterator[str]:
-    """The lines of a report: flags per source, the worst sequences of each flag, what seems upsampled."""
-    chosen = f" where {report.where}" if report.where else ""
-    yield f"{report.store}: {report.num_sequences:,} sequences{chosen}"
-    for source in report.sources:
-        yield ""
-        yield from _source_lines(source)
-    for worst in report.worst:
-        yield ""
-        yield f"worst {worst.flag} ({worst.column})"
-        for offender in worst.offenders:
-            yield f"  {_figure(offender.value)} {worst.unit}  {offender.sequence_id}{_place(offender)}"
-    if report.upsampled:
-        yield ""
-        yield "upsampled: captured at a lower framerate than stated"
-        for take in report.upsampled[:SHOWN_UPSAMPLED]:
-            stated = f" (stated as {take.stated_fps})" if take.stated_fps else ""
-            yield f"  {take.fps:g}{stated} → {take.effective_fps:g} fps  {take.sequence_id}"
-        if len(report.upsampled) > SHOWN_UPSAMPLED:
-            yield f"  and {len(report.upsampled) - SHOWN_UPSAMPLED:,} more: --json, or motionkit query"
-
-
-def _source_lines(source: "SourceQuality") -> Iterator[str]:
-    yield f"source {source.source or '(unnamed)'}: {source.num_sequences:,} sequences, {source.hours:.2f} h"
-    yield f"  {'no flag':14}{source.clean.num_sequences:>8,}  {source.clean.hours:8.2f} h"
-    for flag, count in source.flags.items():
-        yield f"  {flag:14}{count.num_sequences:>8,}  {count.hours:8.2f} h"
-
-
-def _figure(value: float) -> str:
-    return f"{value:10.0f}" if value == int(value) else f"{value:10.4g}"
-
-
-def _place(offender: "Offender") -> str:
-    return "" if offender.seconds is None else f", at {offender.seconds:.3f} s (frame {offender.frame})"
 
 
 MEGABYTE = 1e6
@@ -114,7 +68,8 @@ def info(
         raise UsageError("--html writes the whole card: leave out --quality and --json")
     opened = Store.open(store or default_path("store"))
     if quality:
-        _print_quality(report_quality(opened, where), as_json)
+        report = report_quality(opened, where)
+        print_json(report) if as_json else _print_quality(report)
         return
     _show_store(summarise(opened), html, as_json)
 
@@ -135,7 +90,7 @@ def _show_store(summary: "StoreSummary", html: Path | None, as_json: bool) -> No
 def _show_file(path: Path, up: str, skeleton: bool, init: Path | None, as_json: bool) -> None:
     from motionkit.core.files import write_whole
     from motionkit.core.skeletons.mapping import draft_map
-    from motionkit.store.reports import rig_of, summarise_motion
+    from motionkit.store.reports import describe_motion, describe_rig
 
     motion, has_framerate = _first_motion(path, up)
     text = None
@@ -143,15 +98,14 @@ def _show_file(path: Path, up: str, skeleton: bool, init: Path | None, as_json: 
         if init.exists():
             raise UsageError(f"{init} exists: name another file, or delete it")
         text = draft_map(motion.skeleton, init.stem)
-    found, rig = summarise_motion(motion, has_framerate=has_framerate), rig_of(motion.skeleton)
+    found = {**describe_motion(motion, has_framerate=has_framerate), **describe_rig(motion.skeleton)}
     if as_json:
-        print_json({"file": str(path), **asdict(found), **asdict(rig)})
+        print_json({"file": str(path), **found})
     else:
         stdout.print(str(path))
-        for name, value in _file_lines(found, rig):
-            stdout.print(f"{name:12}{value}")
+        _print_motion(found)
         if skeleton:
-            _print_rig(rig)
+            _print_rig(found)
     if text is not None and init is not None:
         write_whole(init, text)
         stderr.print(f"{init}: complete it; motionkit view {path} --skeleton-map {init} shows it")
@@ -171,40 +125,63 @@ def _first_motion(path: Path, up: str) -> "tuple[Motion, bool]":
         return next(read_all(path, fps=1, up=up or None)), False
 
 
-def _file_lines(found: "MotionSummary", rig: "RigTree") -> list[tuple[str, str]]:
-    stated = f" (the file says {found.stated_fps})" if found.stated_fps else ""
-    seconds = "" if found.duration_seconds is None else f", {found.duration_seconds:.6g} s"
-    height = "unknown" if found.height_metres is None else f"{found.height_metres:.3g} m from ankles to head"
-    maps = f"maps by {rig.family}" if rig.family else "no mapping; provide --skeleton-map"
-    rotations = "rotations" if found.has_rotations else "positions only"
-    lines = [
-        ("motion", f"{found.sequence_id} ({found.format})"),
-        ("fps", "nothing says it: use --fps" if found.fps is None else f"{found.fps}{stated}"),
-        ("frames", f"{found.num_frames:,}{seconds}"),
-        ("height", height),
-        ("unit", f"{found.unit_metres:g} m ({found.unit})"),
-        ("up", found.up),
-        ("skeleton", f"{found.skeleton}: {found.num_joints} joints, {rotations}, {maps}"),
-        ("captions", f"{found.num_captions:,}"),
-    ]
-    return [*lines, ("flags", ", ".join(found.quality_flags))] if found.quality_flags else lines
+def _print_motion(found: dict[str, Any]) -> None:
+    stated = f" (the file says {found['stated_fps']})" if found["stated_fps"] else ""
+    seconds = "" if found["duration_seconds"] is None else f", {found['duration_seconds']:.6g} s"
+    height = "unknown" if found["height_metres"] is None else f"{found['height_metres']:.3g} m from ankles to head"
+    maps = f"maps by {found['family']}" if found["family"] else "no mapping; provide --skeleton-map"
+    rotations = "rotations" if found["has_rotations"] else "positions only"
+    lines = {
+        "motion": f"{found['sequence_id']} ({found['format']})",
+        "fps": "nothing says it: use --fps" if found["fps"] is None else f"{found['fps']}{stated}",
+        "frames": f"{found['num_frames']:,}{seconds}",
+        "height": height,
+        "unit": f"{found['unit_metres']:g} m ({found['unit']})",
+        "up": found["up"],
+        "skeleton": f"{found['skeleton']}: {found['num_joints']} joints, {rotations}, {maps}",
+        "captions": f"{found['num_captions']:,}",
+        "flags": ", ".join(found["quality_flags"]),
+    }
+    for name, value in lines.items():
+        if value:
+            stdout.print(f"{name:12}{value}")
 
 
-def _print_rig(rig: "RigTree") -> None:
-    for joint in rig.joints:
-        x, y, z = joint.offset
-        name = f"{'  ' * joint.depth}{joint.name}"
-        stdout.print(f"{name:32} {x:7.3f} {y:7.3f} {z:7.3f}  {', '.join(joint.taken_for)}".rstrip())
-    if rig.missing:
-        stdout.print(f"missing: {', '.join(rig.missing)}")
+def _print_rig(rig: dict[str, Any]) -> None:
+    for joint in rig["joints"]:
+        x, y, z = joint["offset"]
+        name = f"{'  ' * joint['depth']}{joint['name']}"
+        stdout.print(f"{name:32} {x:7.3f} {y:7.3f} {z:7.3f}  {', '.join(joint['taken_for'])}".rstrip())
+    if rig["missing"]:
+        stdout.print(f"missing: {', '.join(rig['missing'])}")
 
 
-def _print_quality(report: "QualityReport", as_json: bool) -> None:
-    if as_json:
-        print_json(asdict(report))
-        return
-    for line in quality_lines(report):
-        stdout.print(line)
+def _print_quality(report: dict[str, Any]) -> None:
+    """Flags per source, the worst sequences of each flag, what seems upsampled."""
+    chosen = f" where {report['where']}" if report["where"] else ""
+    stdout.print(f"{report['store']}: {report['num_sequences']:,} sequences{chosen}")
+    for source in report["sources"]:
+        name = source["source"] or "(unnamed)"
+        stdout.print()
+        stdout.print(f"source {name}: {source['num_sequences']:,} sequences, {source['hours']:.2f} h")
+        for flag, count in {"no flag": source["clean"], **source["flags"]}.items():
+            stdout.print(f"  {flag:14}{count['num_sequences']:>8,}  {count['hours']:8.2f} h")
+    for worst in report["worst"]:
+        stdout.print()
+        stdout.print(f"worst {worst['flag']} ({worst['column']})")
+        for each in worst["offenders"]:
+            value = each["value"]
+            figure = f"{value:10.0f}" if value == int(value) else f"{value:10.4g}"
+            place = "" if each["seconds"] is None else f", at {each['seconds']:.3f} s (frame {each['frame']})"
+            stdout.print(f"  {figure} {worst['unit']}  {each['sequence_id']}{place}")
+    if report["upsampled"]:
+        stdout.print()
+        stdout.print("upsampled: captured at a lower framerate than stated")
+        for each in report["upsampled"][:SHOWN_UPSAMPLED]:
+            stated = f" (stated as {each['stated_fps']})" if each["stated_fps"] else ""
+            stdout.print(f"  {each['fps']:g}{stated} → {each['effective_fps']:g} fps  {each['sequence_id']}")
+        if len(report["upsampled"]) > SHOWN_UPSAMPLED:
+            stdout.print(f"  and {len(report['upsampled']) - SHOWN_UPSAMPLED:,} more: --json, or motionkit query")
 
 
 def _print_summary(summary: "StoreSummary") -> None:

@@ -93,8 +93,8 @@ def split(
 
     Example: motionkit split --by sequence_id --shares train=0.6,test=0.4
     """
-    from motionkit.store.splits import PERFORMER
-    from motionkit.store.splits import split as split_store
+    from motionkit.store.life import PERFORMER
+    from motionkit.store.life import split as split_store
 
     store = named_store(path, store)
     arguments = (store or default_path("store"), parse_shares(shares))
@@ -152,28 +152,22 @@ def remove(
     Example: motionkit remove --where "duration_seconds > 1" --dry-run
     """
     from motionkit.store.commit import read_manifest
-    from motionkit.store.life import plan_removal
     from motionkit.store.life import remove as remove_sequences
 
     if not ids and where is None:
         raise UsageError("name the sequences to remove, by their ids or with --where")
     path = store or default_path("store")
     if dry_run:
-        plan = plan_removal(path, ids or (), where=where)
-        _require_some(plan.sequence_ids, path, where)
+        chosen = remove_sequences(path, ids or (), where=where, dry_run=True)
+        _require_some(chosen, path, where)
         if as_json:
-            sizes = {"bytes_at_once": plan.bytes_at_once, "bytes_with_compact": plan.bytes_later}
-            print_json({"store": str(path), "dry_run": True, "would_remove": plan.sequence_ids, **sizes})
+            print_json({"store": str(path), "dry_run": True, "would_remove": chosen})
             return
-        for sequence_id in plan.sequence_ids[:SHOWN_IDS]:
+        for sequence_id in chosen[:SHOWN_IDS]:
             stdout.print(f"  {sequence_id}")
-        if len(plan.sequence_ids) > SHOWN_IDS:
-            stdout.print(f"  and {len(plan.sequence_ids) - SHOWN_IDS:,} more: --json names all")
-        stdout.print(
-            f"would remove {len(plan.sequence_ids):,} sequences from {path}: about "
-            f"{plan.bytes_at_once / MEGABYTE:,.1f} MB at once, {plan.bytes_later / MEGABYTE:,.1f} MB with "
-            "'motionkit compact'"
-        )
+        if len(chosen) > SHOWN_IDS:
+            stdout.print(f"  and {len(chosen) - SHOWN_IDS:,} more: --json names all")
+        stdout.print(f"would remove {len(chosen):,} sequences from {path}")
         return
     # Also where nothing is left to remove: it finishes what a killed removal has left.
     removed = remove_sequences(path, ids or (), where=where)
@@ -247,23 +241,22 @@ def compact(store: ChangedStore = None, dry_run: DryRun = False, as_json: AsJson
     """
     from motionkit.store.commit import leftovers, read_manifest
     from motionkit.store.life import compact as compact_store
-    from motionkit.store.life import plan_compaction
+    from motionkit.store.life import is_compact
 
     path = store or default_path("store")
+    before = read_manifest(path)
     if dry_run:
-        plan = plan_compaction(path)
+        plan = {"is_compact": is_compact(before), "num_parts": len(before.parts), "num_removed": before.num_removed}
         if as_json:
-            print_json({"store": str(path), "dry_run": True, **asdict(plan)})
-        elif plan.is_compact:
+            print_json({"store": str(path), "dry_run": True, **plan, "num_bytes": before.num_bytes})
+        elif plan["is_compact"]:
             stdout.print(f"{path} is compact already")
         else:
             stdout.print(
-                f"{path}: {plan.num_parts:,} parts, {plan.num_bytes / MEGABYTE:,.1f} MB, would become about "
-                f"{plan.bytes_after / MEGABYTE:,.1f} MB; the frames of {plan.num_removed:,} removed sequences would "
-                f"be gone for good; until it is done both need room"
+                f"{path}: would rewrite {len(before.parts):,} parts, {before.num_bytes / MEGABYTE:,.1f} MB; the frames "
+                f"of {before.num_removed:,} removed sequences would be gone for good; until it is done both need room"
             )
         return
-    before = read_manifest(path)
     num_left = len(leftovers(path, before))
     with progress() as show, task(show, "compact", before.num_sequences) as work:
         changed = compact_store(path, work.advance)

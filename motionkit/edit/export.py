@@ -34,8 +34,7 @@ from motionkit.io.registry import Format, writers
 from motionkit.io.texts import SPLITS
 from motionkit.store import Store, StoreWriter
 from motionkit.store.commit import LOCK_FILE
-from motionkit.store.hub import store_card
-from motionkit.store.reports import summarise
+from motionkit.store.reports import store_card, summarise
 
 TABLE = "motions.csv"
 # As motionkit.io.annotations reads them; sequence_id, the id in the store, is informative.

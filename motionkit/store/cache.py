@@ -9,13 +9,12 @@ are deleted when one is built. It may be deleted at any time.
 import errno
 import hashlib
 import json
-import math
 import os
 import re
 import shutil
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,7 @@ from motionkit.core.files import exclusive_lock, remove_entry, whole_file, write
 from motionkit.core.progress import tracked, warn
 from motionkit.core.shapes import Float32, Int, Int32, Int64
 from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
-from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, map_joints
+from motionkit.core.skeletons.mapping import JointMap, SkeletonMapError, joint_map, map_joints
 from motionkit.store.reader import Store
 from motionkit.store.schema import CACHE_FOLDER
 
@@ -154,15 +153,17 @@ def open_cache(store: Store, *, layout: str = "smpl22", where: str | None = None
 
     An incomplete cache is rebuilt with a warning. Layouts: `smpl22`, `kit21`, and `native` for stores (or filters) with
     one number of joints. If two processes call it at once, one builds and the other waits. Raises `UsageError` for an
-    unknown layout, bad SQL, or an empty or unsupported selection; `StoreError` if the disk is too small or not
-    writable.
+    unknown layout, bad SQL, or an empty or unsupported selection; `StoreError` if the folder is not writable.
     """
     if layout != NATIVE and layout not in STANDARD_SKELETONS:
         raise UsageError(f"there is no layout {layout!r}: {', '.join(STANDARD_SKELETONS)} or {NATIVE}")
-    maps = {fingerprint: _layout_map(skeleton, layout) for fingerprint, skeleton in store.skeletons.items()}
+    maps = {} if layout == NATIVE else {name: _map_or_fault(each, layout) for name, each in store.skeletons.items()}
     facts = {"version": VERSION, "layout": layout, "where": where, "store_fingerprint": store.fingerprint}
-    described = json.dumps({**facts, "maps": {name: each.digest for name, each in maps.items()}}, sort_keys=True)
-    key = hashlib.sha256(described.encode()).hexdigest()
+    described = hashlib.sha256(json.dumps(facts).encode())
+    for mapping in maps.values():
+        if isinstance(mapping, JointMap):
+            described.update(mapping.weights.tobytes() + mapping.tip_weights.tobytes() + repr(mapping.made_up).encode())
+    key = described.hexdigest()
     root = cache_root(store.path, store.fingerprint)
     path = root / f"{store.fingerprint[:16]}-{layout}-{key[:16]}"
     with suppress(DamagedFileError):
@@ -239,40 +240,32 @@ def _map(path: Path, shape: tuple[int, ...]) -> Float32[np.ndarray, "..."] | Non
     return rows if rows.dtype == np.float32 and rows.shape == shape else None
 
 
-@dataclass(frozen=True)
-class _LayoutMap:
-    """A skeleton's mapping to a layout: the reason why there is none, or what identifies it."""
-
-    fault: str
-    digest: str
-    num_joints: int
-    uses_tips: bool
-
-
-def _layout_map(skeleton: Skeleton, layout: str) -> _LayoutMap:
-    if layout == NATIVE:
-        return _LayoutMap("", NATIVE, skeleton.num_joints, False)
+def _map_or_fault(skeleton: Skeleton, layout: str) -> JointMap | SkeletonMapError:
     try:
-        mapping = joint_map(skeleton, layout)
+        return joint_map(skeleton, layout)
     except SkeletonMapError as error:
-        return _LayoutMap(str(error), "unmapped", 0, False)
-    digest = hashlib.sha256(repr(mapping.made_up).encode())
-    for array in (mapping.weights, mapping.tip_weights):
-        digest.update(repr(array.shape).encode() + array.tobytes())
-    return _LayoutMap("", digest.hexdigest(), len(mapping.weights), bool(mapping.tip_weights.any()))
+        return error
 
 
 def _build(
-    path: Path, store: Store, where: str | None, layout: str, maps: dict[str, _LayoutMap], facts: dict[str, object]
+    path: Path,
+    store: Store,
+    where: str | None,
+    layout: str,
+    maps: Mapping[str, JointMap | SkeletonMapError],
+    facts: Mapping[str, object],
 ) -> None:
-    columns = store.columns("sequence_id", "skeleton", *COLUMNS)
+    columns = store.columns("sequence_id", "skeleton", "num_joints", *COLUMNS)
     chosen = columns.loc[store.select_some(where)]
-    faults = chosen["skeleton"].map(lambda fingerprint: maps[fingerprint].fault)
-    kept, left_out = chosen[faults == ""], chosen[faults != ""]
+    faults = {name: str(each) for name, each in maps.items() if isinstance(each, SkeletonMapError)}
+    is_unknown = chosen["skeleton"].isin(faults)
+    kept, left_out = chosen[~is_unknown], chosen[is_unknown]
     if kept.empty:
-        raise UsageError(f"none of the {len(chosen)} chosen sequences can be brought to {layout}: {faults.iloc[0]}")
-    used = [maps[fingerprint] for fingerprint in kept["skeleton"].unique()]
-    counts = sorted({each.num_joints for each in used})
+        fault = faults[str(chosen["skeleton"].iloc[0])]
+        raise UsageError(f"none of the {len(chosen)} chosen sequences can be brought to {layout}: {fault}")
+    counts = sorted(set(kept["num_joints"].tolist()))
+    if layout != NATIVE:
+        counts = [STANDARD_SKELETONS[layout].num_joints]
     if len(counts) > 1:
         raise UsageError(
             f"the layout {layout!r} needs one number of joints, but the chosen sequences have "
@@ -280,19 +273,15 @@ def _build(
         )
     num_frames = kept["num_frames"].to_numpy()
     shape = (int(num_frames.sum(dtype=np.int64)), counts[0], 3)
-    needed, free = 4 * math.prod(shape), shutil.disk_usage(path.parent).free
-    if needed > free:
-        raise StoreError(
-            f"the cache needs {needed / 1e9:.1f} GB in {path.parent}, where {free / 1e9:.1f} GB are free: choose fewer "
-            "sequences with a condition, free some space, or name another folder with MOTIONKIT_CACHE"
-        )
-    identity = (left_out[name].tolist() for name in ("sequence_index", "sequence_id", "skeleton"))
+    identity = zip(*(left_out[name].tolist() for name in ("sequence_index", "sequence_id", "skeleton")), strict=True)
     skipped = [
-        asdict(Skipped(number, sequence_id, maps[fingerprint].fault))
-        for number, sequence_id, fingerprint in zip(*identity, strict=True)
+        {"sequence_index": index, "sequence_id": sequence_id, "reason": faults[skeleton]}
+        for index, sequence_id, skeleton in identity
     ]
     # Tips of bones are computed from rotations.
-    motions = store.read_many(kept.index.tolist(), rotations=any(each.uses_tips for each in used))
+    used = (maps.get(fingerprint) for fingerprint in kept["skeleton"].unique())
+    uses_tips = any(isinstance(each, JointMap) and bool(each.tip_weights.any()) for each in used)
+    motions = store.read_many(kept.index.tolist(), rotations=uses_tips)
     counted = tracked(store.on_progress, f"cache {layout}", motions, len(kept))
     sequences = {name: kept[name].tolist() for name in COLUMNS}
     facts = {**facts, "num_joints": counts[0], "sequences": sequences, "skipped": skipped}
@@ -300,8 +289,7 @@ def _build(
     remove_entry(partial)  # of a killed builder
     try:
         partial.mkdir()
-        positions = (map_joints(motion, layout) for motion in counted)
-        _write(partial / POSITIONS_FILE, shape, positions, num_frames)
+        _write(partial / POSITIONS_FILE, shape, (map_joints(motion, layout) for motion in counted), num_frames)
         write_whole(partial / FACTS_FILE, json.dumps(facts))
         partial.rename(path)
     finally:

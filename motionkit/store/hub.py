@@ -5,7 +5,6 @@ address and progress bars are those of `huggingface_hub` (`hf auth login`, HF_HO
 repository is run.
 """
 
-import json
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -16,33 +15,16 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from motionkit.core import __version__
-from motionkit.core.errors import MissingExtraError, MotionkitError, StoreError, UsageError, markdown_text
+from motionkit.core.errors import MissingExtraError, MotionkitError, UsageError
 from motionkit.core.files import MANIFEST_FILE, MOTIONS_FOLDER, SEQUENCES_FILE
 from motionkit.core.progress import warn
-from motionkit.store.commit import read_manifest
 
 if TYPE_CHECKING:
     from huggingface_hub import HfUri
 
-    from motionkit.store.reports import StoreSummary
-
 # Patterns of a store's files.
 STORE_FILES = (MANIFEST_FILE, SEQUENCES_FILE, "skeletons.parquet", f"{MOTIONS_FOLDER}/part-*.parquet")
 LONGEST_NAME_BYTES = 255
-STORE_TEXT = (
-    "{0.num_sequences:,} sequences, {0.hours:.2f} h: a store of motionkit, whose tables are Parquet; "
-    "`motionkit.Store.open({1!r})` reads it. `datasets`, pandas, polars and duckdb read the files as they are: "
-    "`sequences.parquet` has a row for each sequence, `motions/` its frames, joined by `sequence_index`. Every "
-    "sequence keeps the licence of its source (column `licence`), which says what it may be used for."
-)
-READ_STORE = """\
-row = load_dataset({!r}, "motions", split="train").with_format("numpy")[0]
-joints = row["joint_positions"].reshape(row["num_joints"], 3, row["num_frames"]).transpose(2, 0, 1)"""
-DATA_FILES = (
-    "- {config_name: motions, default: true, data_files: motions/*.parquet}",
-    "- {config_name: sequences, data_files: sequences.parquet}",
-    "- {config_name: skeletons, data_files: skeletons.parquet}",
-)
 
 
 class HubError(MotionkitError):
@@ -88,21 +70,14 @@ def fetch(repository: "HfUri", patterns: Sequence[str], ignored: Sequence[str] =
 
 
 def fetch_store(repository: "HfUri") -> Path:
-    """Download a store; returns its folder in the Hub's cache. Checksums are compared when its files are read.
-
-    Raises `HubError`, and `StoreError` for an upload that is not complete.
-    """
-    folder, address = fetch(repository, STORE_FILES), repository.to_uri()
+    """Download a store; returns its folder in the Hub's cache. Checksums are compared when its files are read."""
+    folder = fetch(repository, STORE_FILES)
     if not (folder / MANIFEST_FILE).is_file():
+        address = repository.to_uri()
         raise HubError(
             f"{address} holds no store (no {MANIFEST_FILE}); captures and exported Parquet come in with "
             f"'motionkit ingest {address}'"
         )
-    for name, entry in read_manifest(folder).files.items():
-        size = (folder / name).stat().st_size if (folder / name).is_file() else 0
-        if size != entry.num_bytes:
-            fault = f"{name} has {size:,} of {entry.num_bytes:,} bytes"
-            raise StoreError(f"{address}: {fault}: incomplete upload; ask its owner to push again")
     return folder
 
 
@@ -156,38 +131,6 @@ def push(repository: "HfUri", folder: Path, patterns: Sequence[str], card: str, 
     return str(commit.commit_url)
 
 
-def store_card(summary: "StoreSummary", address: str) -> str:
-    """The README.md of a store at an address of the Hub, or in a folder: its sources, and how to read it."""
-    table = [("source", "sequences", "hours", "framerates", "licences")]
-    for each in summary.sources:
-        names = ", ".join(name or "not stated" for name in each.licences)
-        row = (each.source, f"{each.num_sequences:,}", f"{each.hours:.2f}", ", ".join(each.framerates), names)
-        table.append(row)
-    return card_of(STORE_TEXT.format(summary, address), READ_STORE.format(address), summary.licences, table, DATA_FILES)
-
-
-def card_of(
-    text: str,
-    code: str,
-    licences: Sequence[str] = (),
-    table: Sequence[Sequence[str]] = (),
-    data_files: Sequence[str] = (),
-) -> str:
-    """A README.md for the Hub: a text, code that fetches or reads the files, a table with titles in row 0.
-
-    `data_files` are the configurations that `datasets` finds.
-    """
-    head = ["---", "library_name: motionkit", "tags: [human-motion, motion-capture]"]
-    if licences:
-        head += ["license: other", f"license_name: {json.dumps('; '.join(licences))}"]
-    if data_files:
-        head += ["configs:", *data_files]
-    rows = [f"| {' | '.join(map(markdown_text, row))} |" for row in table]
-    rows[1:1] = [f"|{'---|' * len(row)}" for row in table[:1]]
-    indented = [f"    {line}".rstrip() for line in code.splitlines()]
-    return "\n".join((*head, "---", "# Human motion at native framerates", "", text, "", *indented, "", *rows, ""))
-
-
 @contextmanager
 def _reporting(repository: "HfUri") -> Iterator[None]:
     """Convert huggingface_hub's exceptions to `HubError`."""
@@ -196,12 +139,10 @@ def _reporting(repository: "HfUri") -> Iterator[None]:
     address = repository.to_uri()
     try:
         yield
-    except errors.GatedRepoError:
-        raise HubError(f"{address} is gated; request access on its page") from None
-    except errors.RepositoryNotFoundError:
+    except errors.RepositoryNotFoundError:  # also of a gated one
         raise HubError(
-            f"{address} is not there, or is private and not yours: check the name (of data sets it begins with "
-            "hf://datasets/), and 'hf auth whoami'"
+            f"{address} is not there, private, or gated: check the name (of data sets it begins with hf://datasets/), "
+            "'hf auth whoami', and request access on its page"
         ) from None
     except (errors.HTTPError, errors.LocalEntryNotFoundError, ValueError) as error:  # type: ignore[attr-defined]
         reason = next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)

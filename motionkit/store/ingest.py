@@ -1,17 +1,17 @@
 """Sources → store: scan, read and write in chunks, commit; unreadable files are reported and counted."""
 
+import os
 import re
+import socket
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import partial
-from itertools import count, islice
+from itertools import count, groupby, islice
 from pathlib import Path
 from typing import Literal
-
-import numpy as np
 
 from motionkit.core.errors import FormatError, MotionkitError, StoreError
 from motionkit.core.files import is_store
@@ -20,22 +20,157 @@ from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, parse_layout_map, rest_positions
 from motionkit.io.body_frame import standing_metres
 from motionkit.io.cuts import missing_seconds, unlike_stated_seconds
+from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions, ScanResult, SourceItem
 from motionkit.io.scan import scan
-from motionkit.store.chunks import NumberedItem, ReadChunk, ReadSequence, chunks_of, read_chunk, worker_died
-from motionkit.store.commit import read_manifest
-from motionkit.store.schema import RefusedMotion, Row
+from motionkit.store.commit import pending_part, read_manifest
+from motionkit.store.schema import MOTIONS_FOLDER, EncodedMotion, RefusedMotion, Row, encode
 from motionkit.store.workers import LOCAL, WorkerDied, Workers, check_engine, start_workers, usable_cores
-from motionkit.store.writer import StoreWriter
+from motionkit.store.writer import PartWriter, PendingPart, StoreWriter
 
+# A second of reading, and a part of about 10 MB: keeps all workers busy for small corpora.
+CHUNK_BYTES, CHUNK_ITEMS = 32 << 20, 1024
+# Larger corpora are cut into this number of chunks, until their parts have the 128 MB and more that are read best. A
+# worker returns the rows of all items of a chunk at once.
+NUM_CHUNKS = 64
+MAX_CHUNK_BYTES, MAX_CHUNK_ITEMS = 512 << 20, 4096
 # Before its second frame a jump may be seen one frame late.
 FIRST_FRAMES = 2
-# Grown people differ by a third, a child from a grown man by less than 2; an inch is 2.54 cm, CMU's unit 2.2 inches.
-UNLIKE_FACTOR = 2.0
-# From ankle to head: nobody is so small or tall.
-SMALLEST_METRES, LARGEST_METRES = 0.5, 2.1
+# From ankle to head: nobody is so small or tall, but a grown body is whose inches or CMU's units were read as another.
+SMALLEST_METRES, LARGEST_METRES = 0.7, 2.1
 # The log line of a neutral body in place of the subject's gender.
 SUBSTITUTE = re.compile(r"joints: (?P<family>\w+) neutral \(the file's gender: (?P<gender>male|female)\)")
+
+
+@dataclass(frozen=True)
+class NumberedItem:
+    """A sequence to read and its index; None if the store has its id, so that it is read but not written."""
+
+    item: SourceItem
+    sequence_index: int | None
+
+
+@dataclass(frozen=True, eq=False)
+class ReadSequence:
+    """A sequence that was read: its row of the table without the part, its location, and its skeleton."""
+
+    row: Row
+    skeleton: Skeleton
+
+
+@dataclass(frozen=True, eq=False)
+class ReadChunk:
+    """Result of a chunk: the part, None if nothing was written, and an outcome per item."""
+
+    part: PendingPart | None
+    outcomes: tuple[ReadSequence | FormatError, ...]
+
+
+def chunks_of(items: Iterable[SourceItem]) -> Iterator[list[SourceItem]]:
+    """The items in order, in chunks of a 64th of all files' bytes; a larger file is a chunk of its own.
+
+    A chunk has 32 MiB at least and 512 MiB at most. It depends on the items alone. Sequences of one file come into one
+    chunk, so that it is read once, unless they are more than 1,024 for each 32 MiB, or 4,096.
+    """
+    files = [(_size(path), list(of_file)) for path, of_file in groupby(items, key=lambda item: item.path)]
+    share = sum(size for size, _ in files) // NUM_CHUNKS
+    max_bytes = min(max(CHUNK_BYTES, share), MAX_CHUNK_BYTES)
+    max_items = min(CHUNK_ITEMS * max_bytes // CHUNK_BYTES, MAX_CHUNK_ITEMS)
+    chunk: list[SourceItem] = []
+    num_bytes = 0
+    for size, of_file in files:
+        if chunk and num_bytes + size > max_bytes:
+            yield chunk
+            chunk, num_bytes = [], 0
+        num_bytes += size
+        for item in of_file:
+            if len(chunk) == max_items:
+                yield chunk
+                chunk, num_bytes = [], size
+            chunk.append(item)
+    if chunk:
+        yield chunk
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0
+
+
+def read_chunk(
+    items: Sequence[NumberedItem], store: Path, options: ReadOptions, deadly: Container[int] = ()
+) -> ReadChunk:
+    """Read sequences and write those that have an index into one part of the store, under a pending name.
+
+    A fault of a source is returned, so that it travels between processes like a result. The items at the positions
+    `deadly` are faults, unread. Raises `OSError` where the part cannot be written, and `StoreError` where there is no
+    such store.
+    """
+    if not (store / MOTIONS_FOLDER).is_dir():
+        raise StoreError(f"there is no store {store} on {socket.gethostname()}: it must be where all machines see it")
+    part = PartWriter(pending_part(store, items[0].sequence_index or 0))
+    skeletons: dict[str, Skeleton] = {}
+    outcomes: list[ReadSequence | FormatError] = []
+    try:
+        for position, each in enumerate(items):
+            motion = worker_died(each.item) if position in deadly else read_or_fault(each.item, options)
+            if isinstance(motion, FormatError):
+                outcomes.append(motion)
+                continue
+            row = motion.row
+            if each.sequence_index is not None:
+                part_row = part.add(each.sequence_index, motion)
+                row = {**row, "sequence_index": each.sequence_index, "part_row": part_row}
+            skeleton = skeletons.setdefault(motion.skeleton.fingerprint, motion.skeleton)
+            outcomes.append(ReadSequence(row, skeleton))
+        return ReadChunk(part.finish(), tuple(outcomes))
+    finally:
+        part.abandon()
+
+
+def read_or_fault(item: SourceItem, options: ReadOptions) -> EncodedMotion | FormatError:
+    """Reads and encodes one sequence, or returns its error.
+
+    Exceptions that readers don't handle are returned too (`unexpected`): one odd file must not end an ingest of a
+    million.
+    """
+    try:
+        return encode(read(item, options))
+    except FormatError as problem:
+        if os.path.lexists(item.path):
+            return problem
+        message = f"there is no such file on {socket.gethostname()}, but there was when the source was scanned: "
+        message += "removed since, or not in a folder that all machines share"
+        return FormatError(message, path=item.path, reason="not-visible")
+    except RefusedMotion as refused:
+        return FormatError(str(refused), path=item.path, reason=refused.reason)
+    except Exception as error:
+        text = f"{type(error).__name__}: {error}".splitlines()[0]
+        return FormatError(f"the {item.format} reader failed: {text}", path=item.path, reason="unexpected")
+
+
+def _read_again(workers: Workers, function: Callable[..., ReadChunk], chunk: Sequence[NumberedItem]) -> ReadChunk:
+    """A chunk whose worker died: once more, then without the files that workers die of, which are found one by one."""
+    with suppress(WorkerDied):
+        return workers.call(function, chunk)
+    deadly: set[int] = set()
+    for position, each in enumerate(chunk):
+        try:
+            workers.call(function, [NumberedItem(each.item, None)])
+        except WorkerDied:
+            deadly.add(position)
+    with suppress(WorkerDied):
+        if len(deadly) < len(chunk) or len(chunk) == 1:
+            return workers.call(partial(function, deadly=deadly), chunk)
+    raise MotionkitError("workers end whatever they read: killed, or out of memory? --workers 1 shows where")
+
+
+def worker_died(item: SourceItem) -> FormatError:
+    """The fault of a sequence whose reader ended its process."""
+    message = "the process that read it ended without a word (killed, or out of memory?): --workers 1 shows where"
+    return FormatError(message, path=item.path, reason="worker-died")
 
 
 @dataclass(frozen=True)
@@ -178,7 +313,7 @@ class _Ingest:
     warnings: list[FormatError] = field(default_factory=list)
     failed_by_dataset: Counter[str] = field(default_factory=Counter)
     rigs: set[tuple[tuple[str, ...], str]] = field(default_factory=set)
-    body_sizes: dict[tuple[str, ...], tuple[float, str]] = field(default_factory=dict)
+    bodies: set[Skeleton] = field(default_factory=set)
 
     def store_all(self, found: ScanResult, engine: str, num_workers: int | None) -> None:
         """Report the faults of a scan, read its items and commit them; raises `_Stopped` if there is none to commit."""
@@ -191,14 +326,11 @@ class _Ingest:
         if engine == LOCAL:
             num_workers = num_workers or sum(1 for _ in islice(chunks_of(found.items), usable_cores()))
         # Arrow loads pandas to convert a row.
-        with self.writer, start_workers(engine, num_workers, preload=["motionkit.store.chunks", "pandas"]) as workers:
-            for skeleton in self.writer.skeletons:
-                body_size_warning(skeleton, self.body_sizes)
-            read = partial(read_chunk, store=self.writer.path.absolute(), options=self.options)
-            with closing(workers.map(read, self._numbered_chunks(found.items))) as results:
+        with self.writer, start_workers(engine, num_workers, preload=["motionkit.store.ingest", "pandas"]) as workers:
+            function = partial(read_chunk, store=self.writer.path.absolute(), options=self.options)
+            chunks = self._numbered_chunks(found.items)
+            with closing(workers.map(function, chunks, partial(_read_again, workers, function))) as results:
                 for chunk, result in results:
-                    if isinstance(result, WorkerDied):
-                        result = self._again(workers, read, chunk)
                     self._add_chunk(chunk, result)
             if not self.stored.num_sequences:
                 raise _Stopped
@@ -211,21 +343,6 @@ class _Ingest:
         for chunk in chunks_of(items):
             yield [NumberedItem(item, None if self.writer.holds(item.sequence_id) else next(numbers)) for item in chunk]
 
-    def _again(self, workers: Workers, read: Callable[..., ReadChunk], chunk: Sequence[NumberedItem]) -> ReadChunk:
-        """A chunk of which two workers died, without the files that they die of: these are found one by one."""
-        deadly: set[int] = set()
-        for position, each in enumerate(chunk):
-            try:
-                workers.call(read, [NumberedItem(each.item, None)])
-            except WorkerDied:
-                deadly.add(position)
-        if len(deadly) == len(chunk) > 1:
-            raise MotionkitError("workers end whatever they read: killed, or out of memory? --workers 1 shows where")
-        try:
-            return workers.call(partial(read, deadly=deadly), chunk)
-        except WorkerDied:
-            return ReadChunk(None, tuple(worker_died(each.item) for each in chunk))
-
     def _add_chunk(self, chunk: Sequence[NumberedItem], result: ReadChunk) -> None:
         place = {} if result.part is None else {"part": self.writer.add_part(result.part)}
         for each, outcome in zip(chunk, result.outcomes, strict=True):
@@ -235,22 +352,22 @@ class _Ingest:
                 self._add(each.item, replace(outcome, row={**outcome.row, **place}))
             self.work.advance()
 
-    def _add(self, item: SourceItem, read: ReadSequence) -> None:
-        self._check_rig(item, read.skeleton)
-        if self.writer.holds_from(item.sequence_id, read.row["source_sha256"]):
+    def _add(self, item: SourceItem, sequence: ReadSequence) -> None:
+        self._check_rig(item, sequence.skeleton)
+        if self.writer.holds_from(item.sequence_id, sequence.row["source_sha256"]):
             self.num_already_stored += 1
             return
-        is_new_skeleton = not self.writer.knows_skeleton(read.skeleton)
         try:
-            self.writer.add_row(read.row, read.skeleton)
+            self.writer.add_row(sequence.row, sequence.skeleton)
         except RefusedMotion as refused:
             self._fail(FormatError(str(refused), path=item.path, reason=refused.reason), item)
             return
-        if is_new_skeleton and (size := body_size_warning(read.skeleton, self.body_sizes)):
+        if sequence.skeleton not in self.bodies and (size := body_size_warning(sequence.skeleton)):
             self._warn(FormatError(size, path=item.path, reason="body-size"))
-        for warning in _warnings_of(item, read.row):
+        self.bodies.add(sequence.skeleton)
+        for warning in _warnings_of(item, sequence.row):
             self._warn(warning)
-        self.stored.add(read.row)
+        self.stored.add(sequence.row)
 
     def _check_rig(self, item: SourceItem, skeleton: Skeleton) -> None:
         # Joints that no layout knows are reported once, whatever the lengths of their bones; the motions are kept.
@@ -319,26 +436,12 @@ def _warnings_of(item: SourceItem, row: Row) -> Iterator[FormatError]:
         yield FormatError(message, path=item.path, reason="duration")
 
 
-def body_size_warning(skeleton: Skeleton, first_sizes: dict[tuple[str, ...], tuple[float, str]]) -> str:
-    """A warning where a skeleton is of another size than the first with its joints, or nobody's; else empty.
-
-    `first_sizes` holds, by joint names, the total bone length in metres and the name of the first skeleton.
-    """
-    size = float(np.linalg.norm(skeleton.offsets[1:], axis=-1).sum())
-    if size == 0.0:  # markers
-        return ""
-    first, name = first_sizes.setdefault(skeleton.joint_names, (size, skeleton.name))
-    factor = max(size / first, first / size)
-    if factor >= UNLIKE_FACTOR:
-        return (
-            f"its body is {factor:.3g} times {'as large' if size > first else 'smaller'} as that of skeleton {name!r}, "
-            "which has the same joints: was the unit of one of them taken for another? The log says which it was; "
-            "--unit-metres sets it"
-        )
+def body_size_warning(skeleton: Skeleton) -> str:
+    """A warning where nobody is as small or as large as a skeleton; empty also for joints that are not known."""
     try:
         metres = standing_metres(skeleton, rest_positions(skeleton)[None])
     except SkeletonMapError:
         return ""
-    if SMALLEST_METRES < metres < LARGEST_METRES:
+    if SMALLEST_METRES < metres < LARGEST_METRES or metres == 0.0:  # markers
         return ""
     return f"its body is {metres:.3g} m from ankle to head: is that its unit? The log says which; --unit-metres sets it"

@@ -1,8 +1,9 @@
 """Reads a store: tables, single motions, many motions in order, SQL."""
 
 import operator
-from collections.abc import Iterable, Iterator
-from functools import cached_property
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,12 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.parquet as pq
 
+from motionkit.core import files
 from motionkit.core.errors import StoreError, UsageError
 from motionkit.core.motion import Motion
 from motionkit.core.progress import OnProgress, ignore
-from motionkit.core.shapes import Int, Int64
+from motionkit.core.shapes import Float32, Int, Int64
 from motionkit.store.commit import (
+    FileEntry,
     Manifest,
     check_sequences,
     damaged,
@@ -24,14 +28,17 @@ from motionkit.store.commit import (
     read_skeletons,
     read_table,
 )
-from motionkit.store.parts import PartReader, check_still_there
 from motionkit.store.schema import (
+    FRAME_COLUMNS,
+    KEY_COLUMNS,
     MOTIONS,
     SEQUENCES,
     SEQUENCES_FILE,
     SKELETONS_FILE,
     EncodedMotion,
+    frame_shapes,
     motion_from_row,
+    part_name,
 )
 from motionkit.store.sql import UnknownTable, query
 
@@ -39,10 +46,122 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+# An open part is its footer: about 500 bytes for each row group. A decoded row group is some megabytes.
+KEPT_PARTS = 32
+KEPT_ROW_GROUPS = 2
 OPEN_ATTEMPTS = 5
 ROWS_AT_ONCE = 1024
 # Where a sequence lies in its store: what changes when it is copied into another one.
 PLACE_COLUMNS = ("sequence_index", "part", "part_row")
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    file: pq.ParquetFile
+    row_group_starts: Int64[np.ndarray, "row_groups_and_end"]
+
+
+class PartReader:
+    """Owns the open parts and the decoded row groups of one committed state of a store."""
+
+    def __init__(self, store: Path, entries: Mapping[str, FileEntry]) -> None:
+        self._store = store
+        self._entries = entries
+        self._intact: set[str] = set()
+        # Not of methods: with a reader all that it keeps is freed at once.
+        self._opened = lru_cache(KEPT_PARTS)(_open)
+        self._decoded = lru_cache(KEPT_ROW_GROUPS)(_decode)
+
+    def read(
+        self, row: Mapping[str, Any], *, rotations: bool = True
+    ) -> dict[str, Float32[np.ndarray, "frames *channels"]]:
+        """The frame arrays [num_frames, …] of a row of SEQUENCES; of the positions alone without `rotations`.
+
+        Raises `StoreError` where the part is damaged, or gone since the store was opened.
+        """
+        try:
+            frames = self._row(row, FRAME_COLUMNS if rotations else FRAME_COLUMNS[:1])
+            return {
+                name: _frames(frames, name, row["num_frames"], shape)
+                for name, shape in frame_shapes(row, rotations=rotations).items()
+            }
+        except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
+            raise self._explained(row, error) from None
+
+    def read_encoded(self, row: Mapping[str, Any]) -> pa.RecordBatch:
+        """The row of MOTIONS of a row of SEQUENCES without its index, to be copied; raises as `read` does."""
+        try:
+            return self._row(row, FRAME_COLUMNS).drop_columns("sequence_index").to_batches()[0]
+        except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
+            raise self._explained(row, error) from None
+
+    def checked_path(self, name: str) -> Path:
+        """Path of a part, whose sha256 is compared with the manifest's the first time.
+
+        Raises `StoreError` if it is damaged, `OSError` if it cannot be read.
+        """
+        path, entry = self._store / name, self._entries[name]
+        if name in self._intact:
+            return path
+        if path.stat().st_size != entry.num_bytes or files.sha256_of(path) != entry.sha256:
+            raise StoreError(
+                f"{path} is damaged (it is not the file that the manifest names): 'motionkit validate --store "
+                f"{self._store}' says what is; restore it from a copy, or ingest the sources into a new store"
+            )
+        self._intact.add(name)
+        return path
+
+    def _row(self, row: Mapping[str, Any], columns: tuple[str, ...]) -> pa.Table:
+        part = self._opened(self.checked_path(part_name(row["part"])))
+        place, starts = row["part_row"], part.row_group_starts
+        if not 0 <= place < starts[-1]:
+            raise ValueError("the part has no such row")
+        group = int(np.searchsorted(starts, place, side="right")) - 1
+        frames = self._decoded(part.file, group, columns).slice(place - int(starts[group]), 1)
+        for name in KEY_COLUMNS:
+            if frames[name][0].as_py() != row[name]:
+                raise ValueError(f"its {name} is not what the table of sequences says")
+        return frames
+
+    def _explained(self, row: Mapping[str, Any], error: Exception) -> StoreError:
+        name = part_name(row["part"])
+        if isinstance(error, FileNotFoundError):
+            check_still_there(self._store, [name])
+        return StoreError(
+            f"the frames of sequence {row['sequence_id']!r} cannot be read from {name} "
+            f"({' '.join(str(error).split())}): 'motionkit validate --store {self._store}' says what is damaged"
+        )
+
+
+def check_still_there(store: Path, parts: Iterable[str]) -> None:
+    """Raise `StoreError` if a later state of the store doesn't use these parts, so that they were deleted."""
+    if not set(parts) <= set(read_manifest(store).files):
+        raise StoreError(
+            f"the store {store} was written anew after it was opened (compacted, overwritten, or sequences "
+            "removed): open it again"
+        )
+
+
+def _open(path: Path) -> _Part:
+    file = pq.ParquetFile(path)
+    if not file.schema_arrow.equals(MOTIONS):
+        raise ValueError("its columns are not those of a part")
+    counts = [file.metadata.row_group(group).num_rows for group in range(file.metadata.num_row_groups)]
+    return _Part(file, np.cumsum([0, *counts], dtype=np.int64))
+
+
+def _decode(file: pq.ParquetFile, group: int, columns: tuple[str, ...]) -> pa.Table:
+    return file.read_row_group(group, columns=[*KEY_COLUMNS, *columns]).combine_chunks()
+
+
+def _frames(
+    row: pa.Table, name: str, num_frames: int, shape: tuple[int, ...]
+) -> Float32[np.ndarray, "frames *channels"]:
+    """A frame array out of its channel-major list; raises `ValueError` for another number of values."""
+    values = row[name].combine_chunks().flatten().to_numpy()
+    if values.size != num_frames * np.prod(shape):
+        raise ValueError(f"{name} are {values.size} numbers, expected {num_frames} frames of {shape}")
+    return np.ascontiguousarray(values.reshape(-1, num_frames).T).reshape(num_frames, *shape)
 
 
 class Store:

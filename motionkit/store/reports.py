@@ -1,5 +1,6 @@
-"""What `motionkit info` says: of a store, its quality and its rigs; of one motion and its rig."""
+"""What `motionkit info` says of a store, its quality, one motion and its rig; and the card of a store on the Hub."""
 
+import json
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from motionkit.core.errors import StoreError
+from motionkit.core.errors import StoreError, markdown_text
 from motionkit.core.files import require_regular
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, Skeleton
@@ -20,8 +21,39 @@ from motionkit.features.quality import measure
 from motionkit.io.body_frame import logged_unit, logged_up, standing_metres
 from motionkit.store.cache import cache_bytes
 from motionkit.store.reader import Store
-from motionkit.store.schema import FRAME_COLUMNS
+from motionkit.store.schema import FRAME_COLUMNS, Row
 
+CARD = """\
+---
+library_name: motionkit
+tags: [human-motion, motion-capture]
+{head}---
+# Human motion at native framerates
+
+{text}
+
+    {code}
+"""
+STORE_HEAD = """\
+license: other
+license_name: {}
+configs:
+- {{config_name: motions, default: true, data_files: motions/*.parquet}}
+- {{config_name: sequences, data_files: sequences.parquet}}
+- {{config_name: skeletons, data_files: skeletons.parquet}}
+"""
+STORE_TEXT = """\
+{0.num_sequences:,} sequences, {0.hours:.2f} h: a store of motionkit, whose tables are Parquet; \
+`motionkit.Store.open({1!r})` reads it. `datasets`, pandas, polars and duckdb read the files as they are: \
+`sequences.parquet` has a row for each sequence, `motions/` its frames, joined by `sequence_index`. Every sequence \
+keeps the licence of its source (column `licence`), which says what it may be used for.
+
+| source | sequences | hours | framerates | licences |
+|---|---|---|---|---|
+{2}"""
+READ_STORE = """\
+row = load_dataset({!r}, "motions", split="train").with_format("numpy")[0]
+    joints = row["joint_positions"].reshape(row["num_joints"], 3, row["num_frames"]).transpose(2, 0, 1)"""
 DURATION_EDGES = (1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
 
 
@@ -110,6 +142,20 @@ def summarise(store: Store) -> StoreSummary:
     )
 
 
+def store_card(summary: StoreSummary, address: str) -> str:
+    """The README.md of a store at an address of the Hub, or in a folder: its sources, and how to read it."""
+    rows = []
+    for each in summary.sources:
+        names = ", ".join(name or "not stated" for name in each.licences)
+        cells = (each.source, f"{each.num_sequences:,}", f"{each.hours:.2f}", ", ".join(each.framerates), names)
+        rows.append(f"| {' | '.join(map(markdown_text, cells))} |")
+    return CARD.format(
+        head=STORE_HEAD.format(json.dumps("; ".join(summary.licences))),
+        text=STORE_TEXT.format(summary, address, "\n".join(rows)),
+        code=READ_STORE.format(address),
+    )
+
+
 def _summarise_source(source: str, rows: pa.Table) -> SourceSummary:
     num_captions = pc.list_value_length(rows["captions"])
     fps = Counter(map(Fraction, rows["fps_numerator"].to_pylist(), rows["fps_denominator"].to_pylist()))
@@ -179,67 +225,6 @@ def _column_sizes(store: Store, sequences: pa.Table) -> dict[str, ColumnSize]:
     return {name: ColumnSize(disk[name], raw[name]) for name in FRAME_COLUMNS}
 
 
-@dataclass(frozen=True)
-class FlagCount:
-    """Number of sequences with a flag, and their total duration."""
-
-    num_sequences: int
-    hours: float
-
-
-@dataclass(frozen=True)
-class SourceQuality:
-    """One source's sequences; `flags` most frequent first, `clean` those without any."""
-
-    source: str
-    num_sequences: int
-    hours: float
-    clean: FlagCount
-    flags: dict[str, FlagCount]
-
-
-@dataclass(frozen=True)
-class Offender:
-    """A flagged sequence: the figure that the flag is about, and where in the sequence (None: all of it)."""
-
-    sequence_id: str
-    value: float
-    seconds: float | None
-    frame: int | None
-
-
-@dataclass(frozen=True)
-class WorstOf:
-    """The worst sequences with a flag; `column` and `unit` describe their values."""
-
-    flag: str
-    column: str
-    unit: str
-    offenders: tuple[Offender, ...]
-
-
-@dataclass(frozen=True)
-class Upsampled:
-    """A sequence whose frames show a lower framerate than stated."""
-
-    sequence_id: str
-    stated_fps: str
-    fps: float
-    effective_fps: float
-
-
-@dataclass(frozen=True)
-class QualityReport:
-    """The report of `motionkit info --quality`."""
-
-    store: str
-    where: str | None
-    num_sequences: int
-    sources: tuple[SourceQuality, ...]
-    worst: tuple[WorstOf, ...]
-    upsampled: tuple[Upsampled, ...]
-
-
 # Each flag's column, its unit, how bad a value is (SQL), and the column that says where it is worst.
 FIGURES = {
     "teleport": ("num_teleports", "jumps", "num_teleports", "first_teleport_seconds"),
@@ -253,137 +238,103 @@ FIGURES = {
 SHOWN_WORST = 5
 
 
-def report_quality(store: Store, where: str | None = None) -> QualityReport:
-    """Add up the quality columns of the sequences for which `where` (SQL) holds; raises `UsageError` for bad SQL."""
+def report_quality(store: Store, where: str | None = None) -> Row:
+    """What looks odd in the sequences for which `where` (SQL) holds; raises `UsageError` for bad SQL.
+
+    `sources` counts the sequences of each source by flag, and those without any (`clean`); `worst` lists, by flag, the
+    sequences with the largest figures and where in them; `upsampled` those of a lower framerate than stated.
+    """
     store.select(where)  # an error names the condition
     chosen = f"(FROM sequences WHERE ({where or 'true'}))"
-    counted = store.query(
+    sources: dict[str, Row] = {}
+    for row in store.query(
         f"SELECT source, flag, count(*) AS n, sum(duration_seconds) / 3600 AS hours FROM (SELECT *, unnest(list_concat("
         f"if(len(quality_flags) = 0, [''], quality_flags), [NULL])) AS flag FROM {chosen}) "
         "GROUP BY ALL ORDER BY source, n DESC, flag"
-    ).to_pylist()
-    sources = []
-    for source in dict.fromkeys(row["source"] for row in counted):
-        counts = {row["flag"]: FlagCount(row["n"], row["hours"]) for row in counted if row["source"] == source}
-        every, clean = counts.pop(None), counts.pop("", FlagCount(0, 0.0))
-        sources.append(SourceQuality(source, every.num_sequences, every.hours, clean, counts))
+    ).to_pylist():
+        nothing = {"num_sequences": 0, "hours": 0.0}
+        source = sources.setdefault(row["source"], {"source": row["source"], **nothing, "clean": nothing, "flags": {}})
+        counts = {"num_sequences": row["n"], "hours": row["hours"]}
+        if row["flag"] is None:
+            source |= counts
+        elif row["flag"] == "":
+            source["clean"] = counts
+        else:
+            source["flags"][row["flag"]] = counts
     worst = []
     for flag, (column, unit, badness, place) in FIGURES.items():
-        rows = store.query(
+        offenders = store.query(
             f"SELECT sequence_id, CAST({column} AS DOUBLE) AS value, {place} AS seconds, "
             f"CAST(round({place} * fps) AS INT) AS frame FROM {chosen} WHERE list_contains(quality_flags, '{flag}') "
             f"ORDER BY {badness} DESC, sequence_index LIMIT {SHOWN_WORST}"
         ).to_pylist()
-        if rows:
-            worst.append(WorstOf(flag, column, unit, tuple(Offender(**row) for row in rows)))
+        if offenders:
+            worst.append({"flag": flag, "column": column, "unit": unit, "offenders": offenders})
     upsampled = store.query(
         f"SELECT sequence_id, stated_fps, fps, effective_fps FROM {chosen} "
         "WHERE list_contains(quality_flags, 'upsampled') ORDER BY sequence_index"
     ).to_pylist()
-    return QualityReport(
-        store=str(store.path),
-        where=where,
-        num_sequences=sum(source.num_sequences for source in sources),
-        sources=tuple(sources),
-        worst=tuple(worst),
-        upsampled=tuple(Upsampled(**row) for row in upsampled),
-    )
+    num_sequences = sum(source["num_sequences"] for source in sources.values())
+    return {
+        **{"store": str(store.path), "where": where, "num_sequences": num_sequences},
+        **{"sources": list(sources.values()), "worst": worst, "upsampled": upsampled},
+    }
 
 
-@dataclass(frozen=True)
-class RigJoint:
-    """A joint: how many are above it, its offset from the one above in metres, the layout's joints it is part of."""
-
-    name: str
-    parent: str
-    depth: int
-    offset: tuple[float, float, float]
-    taken_for: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class RigTree:
-    """A rig's joints; `family` is the map that fits it, empty where none does and joints are `missing`."""
-
-    family: str
-    missing: tuple[str, ...]
-    joints: tuple[RigJoint, ...]
-
-
-def rig_of(skeleton: Skeleton) -> RigTree:
-    """The mapping of a skeleton to the 22 joints."""
-    family = ""
-    missing: tuple[str, ...] = ()
-    used: dict[str, list[str]] = {name: [] for name in skeleton.joint_names}
-    try:
-        found = joint_map(skeleton, SMPL22.name)
-        family = found.family
-        for row, joint in zip(found.weights, SMPL22.joint_names, strict=True):
-            for column in row.nonzero()[0].tolist():
-                used[skeleton.joint_names[column]].append(joint)
-    except SkeletonMapError as error:
-        missing = error.missing
-    depths: list[int] = []
-    joints = []
-    for joint_name, parent, offset in zip(
-        skeleton.joint_names, skeleton.parents, skeleton.offsets.tolist(), strict=True
-    ):
-        depths.append(depths[parent] + 1 if parent >= 0 else 0)
-        above = skeleton.joint_names[parent] if parent >= 0 else ""
-        joints.append(RigJoint(joint_name, above, depths[-1], tuple(offset), tuple(used[joint_name])))
-    return RigTree(family, missing, tuple(joints))
-
-
-@dataclass(frozen=True)
-class MotionSummary:
-    """A motion in memory and the file that it comes from.
+def describe_motion(motion: Motion, *, has_framerate: bool = True) -> Row:
+    """What a motion in memory is, and the file that it comes from, as its reader returned it.
 
     `fps` is exact (30000/1001) and `stated_fps` what the file says; `fps` and `duration_seconds` are None if nothing
     says a framerate. `height_metres` is the length from the ankles along the bones to the base of the skull, None for
     joints that are not mapped to the 22. `unit_metres` and `up` are the file's; the motion is in metres, y up.
     """
-
-    sequence_id: str
-    format: str
-    fps: str | None
-    stated_fps: str
-    num_frames: int
-    duration_seconds: float | None
-    height_metres: float | None
-    unit_metres: float
-    unit: str
-    up: str
-    skeleton: str
-    num_joints: int
-    has_rotations: bool
-    num_captions: int
-    quality_flags: tuple[str, ...]
-    operations: tuple[str, ...]
-
-
-def summarise_motion(motion: Motion, *, has_framerate: bool = True) -> MotionSummary:
-    """Describe a motion as its reader returned it."""
     source = motion.provenance
     unit_metres, unit = logged_unit(source.operations)
     try:
         height = standing_metres(motion.skeleton, motion.joint_positions)
     except SkeletonMapError:
         height = None
-    return MotionSummary(
-        sequence_id=motion.sequence_id,
-        format=source.source_format,
-        fps=str(motion.fps) if has_framerate else None,
-        stated_fps=source.stated_fps,
-        num_frames=motion.num_frames,
-        duration_seconds=motion.duration_seconds if has_framerate else None,
-        height_metres=height,
-        unit_metres=unit_metres,
-        unit=unit,
-        up=logged_up(source.operations),
-        skeleton=motion.skeleton.name,
-        num_joints=motion.skeleton.num_joints,
-        has_rotations=motion.local_rotations is not None,
-        num_captions=len(motion.captions),
-        quality_flags=measure(motion).flags if has_framerate else (),
-        operations=source.operations,
-    )
+    return {
+        "sequence_id": motion.sequence_id,
+        "format": source.source_format,
+        "fps": str(motion.fps) if has_framerate else None,
+        "stated_fps": source.stated_fps,
+        "num_frames": motion.num_frames,
+        "duration_seconds": motion.duration_seconds if has_framerate else None,
+        "height_metres": height,
+        "unit_metres": unit_metres,
+        "unit": unit,
+        "up": logged_up(source.operations),
+        "skeleton": motion.skeleton.name,
+        "num_joints": motion.skeleton.num_joints,
+        "has_rotations": motion.local_rotations is not None,
+        "num_captions": len(motion.captions),
+        "quality_flags": list(measure(motion).flags) if has_framerate else [],
+        "operations": list(source.operations),
+    }
+
+
+def describe_rig(skeleton: Skeleton) -> Row:
+    """A skeleton's joints and its mapping to the 22.
+
+    `family` is the map that fits it, empty where none does and joints are `missing`. `joints` say how many are above
+    each, its offset from the one above in metres, and the joints of the layout that it is part of (`taken_for`).
+    """
+    family = ""
+    missing: tuple[str, ...] = ()
+    layout: dict[str, list[str]] = {name: [] for name in skeleton.joint_names}
+    try:
+        mapping = joint_map(skeleton, SMPL22.name)
+        family = mapping.family
+        for row, joint in zip(mapping.weights, SMPL22.joint_names, strict=True):
+            for column in row.nonzero()[0].tolist():
+                layout[skeleton.joint_names[column]].append(joint)
+    except SkeletonMapError as error:
+        missing = error.missing
+    joints: list[Row] = []
+    for name, parent, offset in zip(skeleton.joint_names, skeleton.parents, skeleton.offsets.tolist(), strict=True):
+        above = {"parent": "", "depth": 0}
+        if parent >= 0:
+            above = {"parent": skeleton.joint_names[parent], "depth": joints[parent]["depth"] + 1}
+        joints.append({"name": name, **above, "offset": offset, "taken_for": layout[name]})
+    return {"family": family, "missing": missing, "joints": joints}

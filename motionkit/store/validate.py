@@ -9,7 +9,7 @@ import pyarrow.compute as pc
 
 from motionkit.core.errors import StoreError
 from motionkit.store.commit import Manifest, check_sequences, read_manifest, read_skeletons, read_table
-from motionkit.store.parts import PartReader
+from motionkit.store.reader import PartReader
 from motionkit.store.schema import SEQUENCES_FILE, SKELETONS_FILE, part_number
 
 # People give captions' ends in tenths of seconds, and releases of a data set differ by some frames.

@@ -49,30 +49,30 @@ class Workers:
         return output
 
     def map(
-        self, function: Callable[[Input], Output], values: Iterable[Input]
-    ) -> Generator[tuple[Input, Output | WorkerDied]]:
+        self,
+        function: Callable[[Input], Output],
+        values: Iterable[Input],
+        after_death: Callable[[Input], Output],
+    ) -> Generator[tuple[Input, Output]]:
         """Pairs of a value and its output, in the order of the values; few calls are in flight.
 
-        A call whose worker died is tried once more while no other is started: `WorkerDied` if that worker dies too.
+        `after_death` is called for a value whose worker died, perhaps of another call.
         """
         in_flight: deque[tuple[Input, Future[Any]]] = deque()
+
+        def first() -> tuple[Input, Output]:
+            value, future = in_flight.popleft()
+            try:
+                return value, future.result()
+            except self.deaths:
+                return value, after_death(value)
+
         for value in values:
             in_flight.append((value, self.submit(function, value)))
             if len(in_flight) >= self.num_workers * CALLS_IN_FLIGHT_PER_WORKER:
-                yield self._result(function, *in_flight.popleft())
+                yield first()
         while in_flight:
-            yield self._result(function, *in_flight.popleft())
-
-    def _result(
-        self, function: Callable[[Input], Output], value: Input, future: Future[Any]
-    ) -> tuple[Input, Output | WorkerDied]:
-        try:
-            return value, future.result()
-        except self.deaths:
-            try:
-                return value, self.call(function, value)
-            except WorkerDied as died:
-                return value, died
+            yield first()
 
 
 def check_engine(name: str) -> None:
@@ -116,28 +116,23 @@ def _processes(num_workers: int, preload: Sequence[str]) -> Iterator[Workers]:
         context.set_forkserver_preload(["__main__", __name__, *preload])
         _start_server()
     watched, kept_open = Pipe(duplex=False)
-
-    def start_pool() -> ProcessPoolExecutor:
-        return ProcessPoolExecutor(num_workers, context, _end_with_parent, (watched,))
-
-    pool = start_pool()
+    pools = [ProcessPoolExecutor(num_workers, context, _end_with_parent, (watched,))]
 
     def submit(function: Callable[[Any], Any], value: Any) -> Future[Any]:
-        nonlocal pool
         # A worker that is just being started when this process gives up would look for semaphores that are gone.
         with defer_signals():
             try:
-                return pool.submit(function, value)
+                return pools[-1].submit(function, value)
             except BrokenProcessPool:
-                pool = start_pool()
-                return pool.submit(function, value)
+                pools.append(ProcessPoolExecutor(num_workers, context, _end_with_parent, (watched,)))
+                return pools[-1].submit(function, value)
 
     try:
         yield Workers(num_workers, submit, (BrokenProcessPool,))
     finally:
         with defer_signals():
             kept_open.close()  # ends the workers: unfinished calls are not waited for
-            pool.shutdown(cancel_futures=True)
+            pools[-1].shutdown(cancel_futures=True)
             watched.close()
 
 
@@ -183,30 +178,27 @@ def _ray_workers(address: str | None, num_workers: int | None) -> Iterator[Worke
     except ImportError:
         raise MissingExtraError("ray", "ray") from None
     exceptions = ray.exceptions
-    is_connected = ray.is_initialized()
-    if not is_connected:
-        options: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
-        if address is not None:
-            options["address"] = address
-        elif "RAY_ADDRESS" not in os.environ:
-            options |= {"num_cpus": num_workers or usable_cores(), "include_dashboard": False}
-        try:
-            ray.init(**options)
-        except (OSError, ValueError, RuntimeError) as error:
-            where = address or os.environ.get("RAY_ADDRESS", "on this machine")
-            reason = next(iter(str(error).splitlines()), type(error).__name__)
-            raise MotionkitError(f"Ray cannot be reached at {where} ({reason}): is it running there?") from None
-    # Ray's own repetition of a task whose worker died would hide which one it was.
-    remote = ray.remote(max_retries=0)(_call_of_version)
     deaths = (
         exceptions.WorkerCrashedError,
         exceptions.OutOfMemoryError,
         exceptions.NodeDiedError,
         exceptions.ObjectLostError,
     )
+    is_connected = ray.is_initialized()
+    starts_one = address is None and "RAY_ADDRESS" not in os.environ
+    options = {"num_cpus": num_workers or usable_cores(), "include_dashboard": False} if starts_one else {}
+    try:
+        if not is_connected:
+            ray.init(address, log_to_driver=False, logging_level="ERROR", **options)
+    except (OSError, ValueError, RuntimeError) as error:
+        where = address or os.environ.get("RAY_ADDRESS", "on this machine")
+        reason = next(iter(str(error).splitlines()), type(error).__name__)
+        raise MotionkitError(f"Ray cannot be reached at {where} ({reason}): is it running there?") from None
+    # Ray's own repetition of a task whose worker died would hide which one it was.
+    remote = ray.remote(max_retries=0)(lambda function, value: function(value))
     try:
         number = num_workers or max(1, int(ray.cluster_resources().get("CPU", 1)))
-        yield Workers(number, lambda function, value: remote.remote(function, value, __version__).future(), deaths)
+        yield Workers(number, lambda function, value: remote.remote(function, value).future(), deaths)
     except exceptions.RayError as error:
         cause = getattr(error, "cause", None)
         if isinstance(cause, (MotionkitError, OSError)):
@@ -217,9 +209,3 @@ def _ray_workers(address: str | None, num_workers: int | None) -> Iterator[Worke
     finally:
         if not is_connected:
             ray.shutdown()
-
-
-def _call_of_version(function: Callable[[Any], Any], value: Any, version: str) -> Any:
-    if version != __version__:
-        raise MotionkitError(f"Ray's workers have motionkit {__version__}, this is {version}: install the same one")
-    return function(value)

@@ -2,7 +2,8 @@
 
 import os
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
@@ -27,9 +28,10 @@ from motionkit.store.commit import (
     read_table,
     write_pending,
 )
-from motionkit.store.parts import PartWriter, PendingPart
 from motionkit.store.schema import (
+    MOTIONS,
     PART_BYTES,
+    ROW_GROUP_FRAMES,
     SEQUENCES,
     SEQUENCES_FILE,
     SEQUENCES_PER_ROW_GROUP,
@@ -40,10 +42,77 @@ from motionkit.store.schema import (
     Row,
     encode,
     part_name,
+    part_writer_options,
     same_body,
     skeleton_row,
     table_writer_options,
 )
+
+
+@dataclass(frozen=True)
+class PendingPart:
+    """A complete part on disk, under its pending name."""
+
+    path: Path
+    entry: FileEntry
+
+
+class PartWriter:
+    """Writes one part to `path`, which must not exist; the file is created with its first row group.
+
+    A row group ends with the sequence that brings it to 2,048 frames, so memory is bounded by one row group; a longer
+    sequence has one of its own.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.num_rows = 0
+        self._path = path
+        self._rows: list[pa.RecordBatch] = []
+        self._num_frames = 0
+        self._writer: pq.ParquetWriter | None = None
+
+    def add(self, sequence_index: int, motion: EncodedMotion) -> int:
+        """Append the frames of one sequence and return its row; raises `OSError` that names the file."""
+        if motion.num_frames >= ROW_GROUP_FRAMES:
+            self._write_row_group()
+        index = pa.array([sequence_index], pa.int32())
+        self._rows.append(pa.RecordBatch.from_arrays([index, *motion.frames.columns], schema=MOTIONS))
+        self._num_frames += motion.num_frames
+        self.num_rows += 1
+        if self._num_frames >= ROW_GROUP_FRAMES:
+            self._write_row_group()
+        return self.num_rows - 1
+
+    def reaches(self, num_bytes: int) -> bool:
+        """Whether the part has at least so many bytes and no open row group, so that it can be closed."""
+        return self._writer is not None and not self._rows and self._path.stat().st_size >= num_bytes
+
+    def finish(self) -> PendingPart | None:
+        """Complete the part and flush it to the disk; None if nothing was added."""
+        self._write_row_group()
+        if self._writer is None:
+            return None
+        with files.naming(self._path):
+            self._writer.close()
+        self._writer = None
+        return PendingPart(self._path, finished_entry(self._path, self.num_rows))
+
+    def abandon(self) -> None:
+        """Close the file as it is; it is deleted when the writer's lock is released."""
+        writer, self._writer, self._rows = self._writer, None, []
+        if writer is not None:
+            with suppress(OSError):  # the disk may be full
+                writer.close()
+
+    def _write_row_group(self) -> None:
+        if not self._rows:
+            return
+        with files.naming(self._path):
+            if self._writer is None:
+                files.create(self._path)
+                self._writer = pq.ParquetWriter(self._path, MOTIONS, **part_writer_options())
+            self._writer.write_table(pa.Table.from_batches(self._rows, MOTIONS).combine_chunks())
+        self._rows, self._num_frames = [], 0
 
 
 class StoreWriter:

@@ -11,7 +11,7 @@ from motionkit.core.errors import FormatError, UsageError
 from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import scan
-from motionkit.store.chunks import read_or_fault
+from motionkit.store.ingest import read_or_fault
 from tests.helpers.amass_samples import smplh_fields, write_amass
 from tests.helpers.every_format import SOURCES, bodies
 from tests.helpers.format_samples import bvh_text, write_asfamc

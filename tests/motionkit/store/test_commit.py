@@ -22,8 +22,7 @@ from motionkit.core import files
 from motionkit.core.errors import BusyError, StoreError, UsageError
 from motionkit.store import Store, StoreWriter
 from motionkit.store.commit import LOCK_FILE
-from motionkit.store.life import compact, merge, remove
-from motionkit.store.splits import split
+from motionkit.store.life import compact, merge, remove, split
 from motionkit.store.validate import faults
 from tests.helpers.signed_again import sign
 

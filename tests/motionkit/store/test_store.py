@@ -19,7 +19,8 @@ from motionkit.core.errors import StoreError
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import KIT21, SMPL22, Feet, Skeleton
 from motionkit.core.timegrid import TimeGrid
-from motionkit.store import RefusedMotion, Store, StoreWriter, parts, schema
+from motionkit.store import RefusedMotion, Store, StoreWriter, schema
+from motionkit.store import writer as writing
 from motionkit.store.schema import FRAME_COLUMNS, KEY_COLUMNS, MOTIONS, RESOLUTION_BITS, SEQUENCES, rounded
 from tests.helpers.repository import REPOSITORY
 
@@ -53,7 +54,7 @@ def assert_same(found: Motion, expected: Motion) -> None:
 )
 def test_any_lengths_come_back(counts, cut, rates, make_motion, monkeypatch):
     """Whatever the lengths, however they fall on row groups, parts and appends; also read by pyarrow and duckdb."""
-    monkeypatch.setattr(parts, "ROW_GROUP_FRAMES", 500)
+    monkeypatch.setattr(writing, "ROW_GROUP_FRAMES", 500)
     fps = rates.draw(st.fractions(min_value=1, max_value=1000, max_denominator=1001))
     motions = [
         make_motion(f"m{i}", count, fps=fps, rotations=i % 3 == 0, skeleton=KIT21 if i % 4 == 1 else SMPL22)

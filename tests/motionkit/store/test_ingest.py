@@ -1,17 +1,20 @@
-"""Chunks of the sources: how they are cut, what a worker returns for one, and workers that die of one."""
+"""Ingest: chunks of the sources, workers that die, and the same store, byte for byte, from all engines."""
 
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from motionkit.core.errors import FormatError, StoreError
+from motionkit.core.errors import FormatError, MissingExtraError, StoreError, UsageError
+from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.io.registry import ReadOptions, SourceItem
-from motionkit.store import Store, chunks
-from motionkit.store.chunks import NumberedItem, ReadSequence, chunks_of, read_chunk
-from motionkit.store.ingest import ingest
+from motionkit.store import Store
+from motionkit.store import ingest as module
+from motionkit.store.ingest import NumberedItem, ReadSequence, body_size_warning, chunks_of, ingest, read_chunk
+from motionkit.store.workers import CALLS_IN_FLIGHT_PER_WORKER, Workers, check_engine, start_workers
 from tests.helpers.small_bvh import two_joints_bvh
 
 
@@ -46,9 +49,9 @@ def test_bytes_and_items_of_a_chunk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sizes: list[int | tuple[int, int]], expected: list[int]
 ) -> None:
     for name, value in (("CHUNK_BYTES", 100), ("CHUNK_ITEMS", 5), ("MAX_CHUNK_BYTES", 1000), ("MAX_CHUNK_ITEMS", 5)):
-        monkeypatch.setattr(chunks, name, value)
+        monkeypatch.setattr(module, name, value)
     pairs = [size if isinstance(size, tuple) else (size, 1) for size in sizes]
-    monkeypatch.setattr(chunks, "_size", lambda path: pairs[int(path.stem)][0])
+    monkeypatch.setattr(module, "_size", lambda path: pairs[int(path.stem)][0])
     items = [
         SourceItem("bvh", tmp_path / f"{number}.bvh", tmp_path, f"take-{number}-{i}")
         for number, (_, num_items) in enumerate(pairs)
@@ -62,7 +65,7 @@ def test_bytes_and_items_of_a_chunk(
 def test_a_worker_writes_what_has_an_index_and_returns_what_it_read(tmp_path: Path) -> None:
     folder = folder_of(tmp_path, [300, 5, 7])
     (folder / "1.bvh").write_text("HIERARCHY\n")
-    (tmp_path / chunks.MOTIONS_FOLDER).mkdir()
+    (tmp_path / "motions").mkdir()
     items = [SourceItem("bvh", folder / f"{number}.bvh", folder, f"takes/{number}") for number in (0, 1, 2, 2, 3)]
     numbered = [NumberedItem(item, index) for item, index in zip(items, (4, 5, None, 6, 7), strict=True)]
     read, again = (read_chunk(numbered, tmp_path, ReadOptions()) for _ in range(2))
@@ -83,7 +86,7 @@ def test_a_worker_writes_what_has_an_index_and_returns_what_it_read(tmp_path: Pa
 @pytest.mark.parametrize("workers", [1, 2])
 def test_an_index_is_the_place_among_what_is_new(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workers: int) -> None:
     """Whatever failed and whatever is there already: so a part's bytes do not depend on other parts."""
-    monkeypatch.setattr(chunks, "CHUNK_BYTES", 2000)
+    monkeypatch.setattr(module, "CHUNK_BYTES", 2000)
     folder = folder_of(tmp_path, [20, 30, 40, 50, 60])
     broken = folder / "2.bvh"
     good = broken.read_text()
@@ -98,19 +101,18 @@ def test_an_index_is_the_place_among_what_is_new(tmp_path: Path, monkeypatch: py
     store = Store.open(tmp_path / "store")
     assert store.sequences["sequence_index"].tolist() == [0, 1, 3, 4, 5, 6]
     assert [store.read(index).num_frames for index in (0, 3, 5, 6)] == [20, 50, 40, 60]
-    names = sorted(f"{chunks.MOTIONS_FOLDER}/{path.name}" for path in (store.path / chunks.MOTIONS_FOLDER).iterdir())
+    names = sorted(f"motions/{path.name}" for path in (store.path / "motions").iterdir())
     assert names == list(store.manifest.parts)
 
 
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from motionkit.store import chunks
-from motionkit.store.ingest import ingest
+from motionkit.store import ingest as module
 
 folder, store, when = map(Path, sys.argv[1:])
-marker, finish, read = folder.parent / "died", chunks.PartWriter.finish, chunks.read
-chunks.CHUNK_BYTES = 12000
+marker, finish, read = folder.parent / "died", module.PartWriter.finish, module.read
+module.CHUNK_BYTES = 12000
 
 def die(once):
     if not (once and marker.exists()):
@@ -128,9 +130,9 @@ def finish_or_die(part):
         die(once=True)
     return written
 
-chunks.read, chunks.PartWriter.finish = deadly, finish_or_die
+module.read, module.PartWriter.finish = deadly, finish_or_die
 if __name__ == "__main__":
-    report = ingest([folder], store, num_workers=2)
+    report = module.ingest([folder], store, num_workers=2)
     reasons = [(problem.path.name, problem.reason) for problem in report.problems]
     assert reasons == ([("1.bvh", "worker-died")] if when.name == "always" else []), reasons
 """
@@ -140,19 +142,19 @@ if __name__ == "__main__":
 def test_a_worker_that_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, when: str) -> None:
     """Once: its chunk is done again, whole. Always: the file is named, and the others of its chunk are stored."""
     folder = folder_of(tmp_path, [20, 40, 300, 30, 600, 50])
-    monkeypatch.setattr(chunks, "CHUNK_BYTES", 12000)
+    monkeypatch.setattr(module, "CHUNK_BYTES", 12000)
     program = tmp_path / "program.py"
     program.write_text(KILLED)
     subprocess.run([sys.executable, program, folder, tmp_path / "store", when], check=True)
     assert (tmp_path / "died").exists()
     if when == "always":
-        monkeypatch.setattr(chunks, "_size", {path: path.stat().st_size for path in folder.iterdir()}.__getitem__)
+        monkeypatch.setattr(module, "_size", {path: path.stat().st_size for path in folder.iterdir()}.__getitem__)
         (folder / "1.bvh").write_text("HIERARCHY\n")  # a file that cannot be read leaves the same gap
     ingest([folder], tmp_path / "undisturbed", num_workers=1)
     stores = [Store.open(tmp_path / name) for name in ("undisturbed", "store")]
     assert len(stores[0].manifest.parts) > 2
     assert stores[0].fingerprint == stores[1].fingerprint
-    names = [sorted(path.name for path in (store.path / chunks.MOTIONS_FOLDER).iterdir()) for store in stores]
+    names = [sorted(path.name for path in (store.path / "motions").iterdir()) for store in stores]
     assert names[0] == names[1]
 
 
@@ -160,9 +162,115 @@ def test_a_worker_that_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def test_a_problem_under_stop_leaves_no_part_of_other_chunks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workers: int
 ) -> None:
-    monkeypatch.setattr(chunks, "CHUNK_BYTES", 1)
+    monkeypatch.setattr(module, "CHUNK_BYTES", 1)
     folder = folder_of(tmp_path, [20, 30, 40, 50, 60])
     (folder / "3.bvh").write_text("HIERARCHY\n")
     report = ingest([folder], tmp_path / "store", num_workers=workers, on_error="stop")
     assert (report.committed, len(report.problems)) == (False, 1)
-    assert list((tmp_path / "store" / chunks.MOTIONS_FOLDER).iterdir()) == []
+    assert list((tmp_path / "store" / "motions").iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("skeleton", "warns"),
+    [
+        (SMPL22, False),
+        (SMPL22.scaled(0.6), False),
+        (SMPL22.scaled(1 / 2.2), True),
+        (SMPL22.scaled(2.0), True),
+        (KIT21, False),
+    ],
+)
+def test_a_body_of_no_persons_size_is_reported(skeleton: Skeleton, warns: bool) -> None:
+    assert bool(body_size_warning(skeleton)) == warns
+
+
+@pytest.fixture(scope="module", params=["this process", "processes", "ray"])
+def started(request: pytest.FixtureRequest) -> Iterator[Workers]:
+    engine, number = {"this process": ("local", 1), "processes": ("local", 2), "ray": ("ray", 2)}[request.param]
+    with start_workers(engine, number) as running:
+        yield running
+
+
+def ten_times(number: int) -> int:
+    return 10 * number
+
+
+def refuse(number: int) -> int:
+    raise OSError(28, "No space left on device", "part.new")
+
+
+def test_outputs_come_in_order_and_few_calls_are_in_flight(started: Workers) -> None:
+    submitted = []
+
+    def numbers() -> Iterator[int]:
+        for number in range(60):
+            submitted.append(number)
+            yield number
+
+    results = started.map(ten_times, numbers(), ten_times)
+    first = [next(results) for _ in range(10)]
+    assert len(submitted) <= 10 + CALLS_IN_FLIGHT_PER_WORKER * started.num_workers
+    assert [*first, *results] == [(number, 10 * number) for number in range(60)]
+
+
+@pytest.mark.parametrize(("engine", "number"), [("local", 1), ("local", 2), ("ray", 2)])
+def test_what_a_worker_raises_is_raised(engine: str, number: int) -> None:
+    with pytest.raises(OSError, match=r"No space left .*part\.new"), start_workers(engine, number) as running:
+        list(running.map(refuse, [0], refuse))
+
+
+STUCK = """
+import time
+from motionkit.store.workers import start_workers
+
+def sleep(value):
+    print("asleep", flush=True)
+    time.sleep(3600)
+
+if __name__ == "__main__":
+    with start_workers("local", 2) as workers:
+        workers.submit(sleep, 0)
+        input()
+        raise KeyboardInterrupt
+"""
+
+
+def test_what_a_worker_is_at_is_not_waited_for(tmp_path: Path) -> None:
+    program = tmp_path / "stuck.py"
+    program.write_text(STUCK)
+    process = subprocess.Popen(
+        [sys.executable, program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    assert process.stdout is not None and process.stdout.readline() == b"asleep\n"
+    _, stderr = process.communicate(b"\n", timeout=60)
+    assert process.returncode != 0 and stderr.splitlines()[-1] == b"KeyboardInterrupt"
+
+
+def test_the_store_does_not_depend_on_the_engine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "captures"
+    folder.mkdir()
+    for number in range(70):
+        rows = [f"{frame} 90 0 {number} 0 {frame / 7:.6f} 0 {frame} 0" for frame in range(1, 20 + 9 * number)]
+        text = two_joints_bvh(rows)
+        (folder / f"walk-{number:02d}.bvh").write_text(text if number % 20 != 13 else text[:-200])
+    monkeypatch.setattr(module, "CHUNK_BYTES", 2**16)
+    reports = {
+        name: ingest([folder], tmp_path / name, engine=engine, num_workers=number)
+        for name, engine, number in (("alone", "local", 1), ("local", "local", 2), ("ray", "ray", 2))
+    }
+    assert {report.num_stored for report in reports.values()} == {67}
+    assert len({tuple(map(str, report.problems)) for report in reports.values()}) == 1
+    assert len({(tmp_path / name / "manifest.json").read_bytes() for name in reports}) == 1
+    assert len(Store.open(tmp_path / "ray").manifest.parts) > 3
+
+
+def test_without_ray(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(MissingExtraError, match=r"pip install '\.\[ray\]'"), start_workers("ray", 2):
+        pass
+
+
+@pytest.mark.parametrize("name", ["dask", "ray:", "ray://", "ray://host", "ray://:10001", "ray://host:port"])
+def test_unknown_engines(name: str) -> None:
+    with pytest.raises(UsageError, match="expected local, ray"):
+        check_engine(name)
