@@ -1,5 +1,6 @@
 """Files, folders, locks and records: whole or absent, one writer at a time, damage noticed."""
 
+import json
 import multiprocessing
 import os
 import re
@@ -7,7 +8,6 @@ import signal
 import stat
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable
 from functools import partial
@@ -22,6 +22,8 @@ from motionkit.core.files import (
     exclusive_lock,
     is_temporary,
     locked_folder,
+    parse_json,
+    parse_toml,
     read_at_most,
     read_json,
     read_record,
@@ -30,6 +32,7 @@ from motionkit.core.files import (
     sha256_of,
     whole_file,
     whole_folder,
+    whole_number,
     write_json,
     write_record,
     write_whole,
@@ -138,6 +141,32 @@ def test_what_is_no_json_object_is_damage(tmp_path: Path, content: bytes) -> Non
     (tmp_path / "a.json").write_bytes(content)
     with pytest.raises(DamagedFileError, match=r"a\.json is damaged .*: restore it"):
         read_json(tmp_path / "a.json", "restore it")
+
+
+@pytest.mark.parametrize(
+    ("parse", "text"),
+    [
+        (parse_toml, "a = "),
+        (parse_toml, f"a = {'9' * 5000}"),
+        (parse_toml, f"a = {'[' * 3000}"),
+        (parse_json, "[1"),
+        (parse_json, "[" * 100_000),
+        (parse_json, r'["\ud800"]'),
+        (parse_json, r'{"\uDfff": 1}'),
+    ],
+)
+def test_every_fault_of_a_text_is_a_value_error(parse: Callable[[str], object], text: str) -> None:
+    with pytest.raises(ValueError):
+        parse(text)
+
+
+def test_texts_are_read_as_python_reads_them_but_for_huge_whole_numbers() -> None:
+    assert parse_toml("a = [true, 1.5]") == {"a": [True, 1.5]}
+    text = r'{"a": [1, -2, 2.5, null, true, "\ud83d\ude00"], "b": {"c": 999999999999999999}}'
+    assert parse_json(text) == json.loads(text)
+    assert parse_json(f"[{'9' * 5000}]") == [float("inf")]
+    numbers = {"0": 0, "007": 7, "٣": 3, "9" * 18: 10**18 - 1, "9" * 19: None, "9" * 5000: None, "": None, "-1": None}
+    assert {each: whole_number(each) for each in numbers} == numbers
 
 
 @pytest.fixture
@@ -287,16 +316,3 @@ def test_a_signal_waits_for_the_end_of_all_blocks(number: signal.Signals) -> Non
         signal.signal(number, previous)
     assert done == ["inner", "outer"]
     assert isinstance(caught.value.__context__, ValueError)
-
-
-def test_in_another_thread_no_signal_waits() -> None:
-    handlers = []
-
-    def work() -> None:
-        with defer_signals():
-            handlers.append(signal.getsignal(signal.SIGINT))
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    thread.join()
-    assert handlers == [signal.getsignal(signal.SIGINT)]

@@ -1,4 +1,3 @@
-import pickle
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -7,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-from motionkit.core.errors import FormatError
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import KIT21, SMPL22, STANDARD_SKELETONS, Skeleton
 from motionkit.core.timegrid import TimeGrid
@@ -50,13 +48,6 @@ def test_equal_skeletons_share_a_fingerprint_whatever_their_name() -> None:
     twin = Skeleton("twin", SMPL22.joint_names, SMPL22.parents, SMPL22.offsets, SMPL22.left_right_pairs, SMPL22.feet)
     assert twin == SMPL22
     assert twin.fingerprint != KIT21.fingerprint
-
-
-def test_format_errors_survive_the_way_between_processes() -> None:
-    error = FormatError("expected 66 numbers, found 65", path="a.bvh", reason="channel-count", line=12, frame=3)
-    twin = pickle.loads(pickle.dumps(error))  # noqa: S301
-    assert str(twin) == str(error) == "a.bvh, line 12, frame 3: expected 66 numbers, found 65"
-    assert twin.reason == "channel-count"
 
 
 def captioned() -> Motion:

@@ -1,10 +1,12 @@
-"""Progress and warnings below the command line: reports to a callback, records of a logger, nothing on the terminal."""
+"""Progress, warnings and errors: reports to a callback, nothing on the terminal."""
 
+import pickle
 import subprocess
 import sys
 
 import pytest
 
+from motionkit.core.errors import FormatError, shown
 from motionkit.core.progress import Progress, task, tracked
 
 
@@ -46,3 +48,20 @@ def test_a_warning_names_the_line_that_led_to_it() -> None:
     code = "from motionkit.core import progress\n\nprogress.warn('a cache is damaged')"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stderr == "<string>:3: MotionkitWarning: a cache is damaged\n"
+
+
+def test_format_errors_survive_the_way_between_processes() -> None:
+    error = FormatError("expected 66 numbers, found 65", path="a.bvh", reason="channel-count", line=12, frame=3)
+    twin = pickle.loads(pickle.dumps(error))  # noqa: S301
+    assert str(twin) == str(error) == "a.bvh, line 12, frame 3: expected 66 numbers, found 65"
+    assert twin.reason == "channel-count"
+
+
+def test_values_in_messages_are_cut() -> None:
+    assert shown("a" * 20) == repr("a" * 20)
+    assert shown("a" * 2000) == f"'{'a' * 37}...{'a' * 38}'"
+    assert "digits" in shown(16**5000)  # Python 3.14 has words of its own
+    nested: list[object] = ["a"]
+    for _ in range(40):
+        nested = [nested] * 40  # whole, it would be 40 ** 40 letters
+    assert len(shown(nested)) <= 81
