@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from motionkit.core.skeleton import SMPL22
-from motionkit.store import Store, chunks
+from motionkit.store import Store
+from motionkit.store import ingest as ingesting
 from tests.helpers.humanml3d_checkout import (
     FPS,
     HEADER,
@@ -320,7 +321,7 @@ def test_an_index_that_is_none(motionkit, amass, tmp_path):
 
 
 def test_workers_make_the_same_store(motionkit, amass, humanml3d, tmp_path, monkeypatch):
-    monkeypatch.setattr(chunks, "CHUNK_BYTES", 1)  # each file for itself
+    monkeypatch.setattr(ingesting, "CHUNK_BYTES", 1)  # each file for itself
     contents = []
     for workers in (1, 2):
         store = tmp_path / f"s{workers}"
