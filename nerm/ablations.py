@@ -16,8 +16,6 @@ LAYOUTS: dict[LatentLayout, tuple[str, ...]] = {
     "global": (
         "field.latents.layout=global",
         "field.latents.dimension=256",
-        "field.latents.initialisation=normal",
-        "field.decoder.linear_path=false",
         "field.optimizer.latent_learning_rate=1e-1",
         "denoiser.network.latent_tokens=1",
     ),

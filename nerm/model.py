@@ -26,9 +26,9 @@ from motionkit.training.devices import resolve_device
 from motionkit.training.run import RunError, RunFolder
 from motionkit.training.text import TextEncoder, load_text_encoder
 from nerm.conditions import Conditions, unit_rows
-from nerm.denoiser.constrained import sample_constrained
-from nerm.denoiser.trained import TrainedDenoiser, load_denoiser
-from nerm.field.trained import TrainedField, load_field
+from nerm.constraints import sample_constrained
+from nerm.denoiser import TrainedDenoiser, load_denoiser
+from nerm.field import TrainedField, load_field
 from nerm.names import row_name
 
 BONE_SAMPLES = 200

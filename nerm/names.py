@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from motionkit.training.config import ConfigLike, flatten, from_plain
+from motionkit.training.config import ConfigLike, flatten
 from motionkit.training.run import RunFolder, StageFolder
-from nerm.settings import CodebookConfig, DenoiserConfig, FieldConfig
+from nerm.settings import CodebookConfig, DenoiserConfig, FieldConfig, from_recorded
 
 LOCAL = "NeRM, local latents (ours)"
 PUBLISHED = "NeRM as published"
@@ -72,7 +72,7 @@ def _codebook_differences(stage: StageFolder) -> list[str]:
         return []  # T2M-GPT's own weights, as in the paper
     if not summary:
         return ["unknown codebook"]
-    paper, codebook = CodebookConfig(), from_plain(CodebookConfig, stage.read_config()["config"]["codebook"])
+    paper, codebook = CodebookConfig(), from_recorded(CodebookConfig, stage.read_config()["config"]["codebook"])
     sizes, paper_sizes = ((each.network.num_codes, each.network.code_dimension) for each in (codebook, paper))
     if sizes != paper_sizes:
         return [f"codebook {sizes[0]} × {sizes[1]}"]

@@ -7,7 +7,7 @@ STAGES = {"codebook": "nerm.stages:CODEBOOK", "field": "nerm.stages:FIELD", "den
 MODELS = {
     "nerm": Loader("NeRM", ("field", "denoiser"), lazily("nerm.model:load"), fixed_fps_setting="field.clips.fixed_fps")
 }
-ENCODERS = {"nerm": Loader("NeRM", ("field",), lazily("nerm.field.motion_encoder:load"), tasks=("reconstruction",))}
+ENCODERS = {"nerm": Loader("NeRM", ("field",), lazily("nerm.encoding:load"), tasks=("reconstruction",))}
 TEXT_ENCODERS = {
     "minilm": "nerm.text.encoders:load_minilm",
     "clip": "nerm.text.encoders:load_clip",

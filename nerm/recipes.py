@@ -14,7 +14,6 @@ from nerm.settings import (
     CodebookNetworkConfig,
     CodebookScheduleConfig,
     ConditionsConfig,
-    ContactsConfig,
     DecoderConfig,
     DenoiserConfig,
     EncoderConfig,
@@ -22,7 +21,6 @@ from nerm.settings import (
     FieldLossConfig,
     FieldOptimizerConfig,
     LatentsConfig,
-    LatentSpaceConfig,
     TransformerConfig,
     WindowsConfig,
 )
@@ -44,7 +42,7 @@ def paper() -> NermConfig:
     """
     return NermConfig(
         field=FieldConfig(pose_vectors="native"),
-        denoiser=DenoiserConfig(conditions=ConditionsConfig(text_encoder="clip", text_dimension=768)),
+        denoiser=DenoiserConfig(conditions=ConditionsConfig(text_encoder="clip")),
     )
 
 
@@ -55,7 +53,7 @@ def nano() -> NermConfig:
             network=CodebookNetworkConfig(width=128, code_dimension=128, num_codes=256),
             schedule=CodebookScheduleConfig(steps=600, batch_size=48, learning_rate=1e-3, drop_at=480),
         ),
-        field=replace(_local_field(steps=8000), contacts=ContactsConfig(steps=800)),
+        field=replace(_local_field(steps=8000), contact_steps=800),
         denoiser=_knot_denoiser(steps=8000, paraphrases=12),
     )
 
@@ -127,11 +125,10 @@ def _local_field(*, steps: int, stride_seconds: float = 2.0) -> FieldConfig:
             radius=3.0,
             modes=3,
             initial_log_variance=-8.0,
-            initialisation="ridge",
             ridge=0.02,
         ),
         encoder=EncoderConfig(num_queries=64, framerate_scale=0.05),
-        decoder=DecoderConfig(width=256, activation="silu", linear_path=True),
+        decoder=DecoderConfig(width=256, activation="silu"),
         loss=FieldLossConfig(scaling="group", root_weight=4.0),
         schedule=Schedule(
             steps=steps,
@@ -150,7 +147,7 @@ def _knot_denoiser(*, steps: int, paraphrases: int = 0) -> DenoiserConfig:
     return DenoiserConfig(
         network=TransformerConfig(num_layers=5, width=192, ffn_width=512, dropout=0.0, latent_tokens=8),
         diffusion=DiffusionConfig(prediction="velocity", loss="velocity", sampling_steps=10, guidance_scale=2.0),
-        latents=LatentSpaceConfig(path="steps", scale="component"),
+        latent_scale="component",
         conditions=ConditionsConfig(paraphrases=paraphrases),
         schedule=Schedule(steps=steps, learning_rate=2e-3, kind="cosine", warmup_fraction=0.02),
         ema_decay=0.995,

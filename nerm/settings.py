@@ -1,46 +1,34 @@
 """Settings of the stages `codebook`, `field` and `denoiser`, nested as their parts are (no torch)."""
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Literal
+from functools import reduce
+from typing import Any, Literal, TypeVar
 
 from motionkit.core.timegrid import parse_fps
 from motionkit.features.convention import PoseVectorsName
-from motionkit.training.config import Precision, Schedule, require_positive
+from motionkit.training.config import Precision, Schedule, flatten, from_plain, require_positive
 from motionkit.training.diffusion.settings import DiffusionConfig
 
 
 @dataclass(frozen=True)
 class CodebookNetworkConfig:
-    """Sizes of the VQ-VAE; codes are moving averages of decay `ema_decay`, and one whose averaged count falls below
-    `reset_below` is reset."""
+    """Sizes of the VQ-VAE."""
 
     width: int = 512
     code_dimension: int = 512
     num_codes: int = 512
-    residual_layers: int = 3
-    ema_decay: float = 0.99
-    reset_below: float = 1.0
-
-
-@dataclass(frozen=True)
-class CodebookLossConfig:
-    """Weights of the joint position error and of the commitment loss, relative to the reconstruction error."""
-
-    position_weight: float = 0.5
-    commitment_weight: float = 0.02
 
 
 @dataclass(frozen=True)
 class CodebookScheduleConfig:
-    """Steps, windows per step, and the learning rate, which is multiplied by `drop` at step `drop_at`."""
+    """Steps, windows per step, and the learning rate, which falls to a twentieth at step `drop_at`."""
 
     steps: int = 300_000
     batch_size: int = 256
     learning_rate: float = 2e-4
     drop_at: int = 200_000
-    drop: float = 0.05
-    weight_decay: float = 0.0
 
     def __post_init__(self) -> None:
         require_positive(self, "steps", "batch_size")
@@ -48,11 +36,9 @@ class CodebookScheduleConfig:
 
 @dataclass(frozen=True)
 class PublishedConfig:
-    """`weights`: T2M-GPT's own checkpoint, used instead of training; overrides the sizes here.
-    `statistics`: the folder of its mean.npy and std.npy (the evaluator's), which the field doesn't need."""
+    """`weights`: T2M-GPT's own checkpoint, used instead of training, with its own sizes."""
 
     weights: str = ""
-    statistics: str = ""
 
 
 @dataclass(frozen=True)
@@ -60,22 +46,19 @@ class CodebookConfig:
     """The VQ-VAE whose codes enrich the coordinates: T2M-GPT's (Zhang et al. 2023a; appendix B.1)."""
 
     where: str = "split = 'train'"
-    fps: int = 20
     window_frames: int = 64
     network: CodebookNetworkConfig = field(default_factory=CodebookNetworkConfig)
-    loss: CodebookLossConfig = field(default_factory=CodebookLossConfig)
     schedule: CodebookScheduleConfig = field(default_factory=CodebookScheduleConfig)
     published: PublishedConfig = field(default_factory=PublishedConfig)
     precision: Precision = "float32"
 
     def __post_init__(self) -> None:
-        parse_fps(self.fps)
         require_positive(self, "window_frames")
 
 
 TimeEncoding = Literal["none", "raw", "fourier", "codebook"]
 LatentLayout = Literal["global", "local"]
-Activation = Literal["relu", "silu", "gelu"]
+Activation = Literal["relu", "silu"]
 
 
 @dataclass(frozen=True)
@@ -83,7 +66,6 @@ class WindowsConfig:
     """How sequences are cut into windows of at most `max_duration_seconds` (l_max), one every `stride_seconds`."""
 
     max_duration_seconds: float = 10.0
-    min_duration_seconds: float = 0.5
     stride_seconds: float = 10.0
     mirrored: bool = False
 
@@ -95,22 +77,21 @@ class WindowsConfig:
 class ClipsConfig:
     """Which poses of a window a training step samples.
 
-    During the first `warmup_fraction` of the steps poses are sampled at `warmup_fps`, then at native framerates or
-    integer fractions of them down to `lowest_fps`. `fixed_fps` is Table 1's "NeRM-fixed": all poses are sampled at that
+    During the first `warmup_fraction` of the steps poses are sampled at 20 fps, then at native framerates or integer
+    fractions of them down to `lowest_fps`. `fixed_fps` is Table 1's "NeRM-fixed": all poses are sampled at that
     framerate (an integer, a decimal or a fraction such as 30000/1001), and slower sequences are dropped.
     """
 
     num_poses: int = 32
     contiguous: bool = True
     seconds_per_visit: float = 10.0
-    warmup_fps: int = 20
     warmup_fraction: float = 0.5
     lowest_fps: float | None = None
     fixed_fps: str | None = None
 
     def __post_init__(self) -> None:
         require_positive(self, "num_poses")
-        for fps in (self.warmup_fps, self.lowest_fps, self.fixed_fps):
+        for fps in (self.lowest_fps, self.fixed_fps):
             if fps is not None:
                 parse_fps(fps)
 
@@ -124,9 +105,9 @@ class ClipsConfig:
 class LatentsConfig:
     """Latents N(μ, Σ) of the windows, of `dimension` numbers (d).
 
-    The layout `local` reads z as banks of knots along time (nerm/latents/local.py): bank i has knots[i] knots of
+    The layout `local` reads z as banks of knots along time (nerm/latents.py): bank i has knots[i] knots of
     knot_numbers[i] pose components each; `path_knots` knots hold the body's path (0: no such bank). `kernel`, `radius`
-    and `modes` define the basis functions. `initialisation` is that of μ, `ridge` is used in the linear model's fit.
+    and `modes` define the basis functions, `ridge` the fit of the linear model that local latents start from.
     """
 
     layout: LatentLayout = "global"
@@ -139,13 +120,10 @@ class LatentsConfig:
     modes: int = 2
     variational: bool = True
     initial_log_variance: float = -6.0
-    initialisation: Literal["normal", "ridge"] = "normal"
     ridge: float = 1e-2
 
     def __post_init__(self) -> None:
         if self.layout == "global":
-            if self.initialisation == "ridge":
-                raise ValueError("initialisation=ridge needs layout=local")
             return
         if len(self.knots) != len(self.knot_numbers) or not self.knots:
             raise ValueError(
@@ -190,16 +168,12 @@ class EncoderConfig:
 
 @dataclass(frozen=True)
 class DecoderConfig:
-    """The network from a latent and a coordinate to a pose; a transformer has as many heads as the encoder.
-
-    With `linear_path` it is initialised as the linear model of the local latents.
-    """
+    """The network from a latent and a coordinate to a pose."""
 
     kind: Literal["mlp", "transformer"] = "mlp"
     width: int = 1024
     num_layers: int = 9
     activation: Activation = "relu"
-    linear_path: bool = False
 
 
 @dataclass(frozen=True)
@@ -209,25 +183,6 @@ class FieldLossConfig:
     kl_weight: float = 1e-4
     scaling: Literal["number", "group"] = "number"
     root_weight: float = 1.0
-
-
-@dataclass(frozen=True)
-class ContactsConfig:
-    """Contact as an output of the field (`nerm.field.contact`), trained after it in `steps` steps; 0: no such output.
-
-    It needs local latents. Latents get noise of up to `noise` standard deviations of the denoiser's space.
-    """
-
-    steps: int = 0
-    batch_size: int = 256
-    learning_rate: float = 3e-3
-    width: int = 128
-    noise: float = 0.4
-
-    def __post_init__(self) -> None:
-        require_positive(self, "batch_size", "width")
-        if self.steps < 0:
-            raise ValueError(f"steps must be 0 or more, not {self.steps}")
 
 
 @dataclass(frozen=True)
@@ -243,8 +198,8 @@ class FieldOptimizerConfig:
 class FieldConfig:
     """The variational implicit representation (paper §3.1, B, D); lengths in seconds, rates in frames a second.
 
-    `pose_vectors` is the representation of a pose (motionkit/data/pose_vectors/): positions, the published 263
-    numbers, or SMPL's rotations.
+    `pose_vectors` is the representation of a pose (motionkit/features): positions, the published 263 numbers, or
+    SMPL's rotations. `contact_steps` are those of the contact head, which needs local latents (0: none).
     """
 
     where: str = "split = 'train'"
@@ -257,9 +212,8 @@ class FieldConfig:
     loss: FieldLossConfig = field(default_factory=FieldLossConfig)
     schedule: Schedule = field(default_factory=lambda: Schedule(epochs=20_000, batch_size=4096))
     optimizer: FieldOptimizerConfig = field(default_factory=FieldOptimizerConfig)
-    contacts: ContactsConfig = field(default_factory=ContactsConfig)
+    contact_steps: int = 0
     precision: Precision = "float32"
-    compile: bool = False
 
     def __post_init__(self) -> None:
         latents = self.latents
@@ -267,8 +221,8 @@ class FieldConfig:
             raise ValueError(
                 "local latents need normalised coordinates: frame numbers (Table 9) need latents.layout=global"
             )
-        if latents.layout == "global" and self.decoder.linear_path:
-            raise ValueError("decoder.linear_path needs latents.layout=local")
+        if self.contact_steps < 0:
+            raise ValueError(f"contact_steps must be 0 or more, not {self.contact_steps}")
         if latents.has_path and self.pose_vectors != "field":
             raise ValueError(
                 f"a path bank needs positions: pose_vectors={self.pose_vectors} needs latents.path_knots=0 and "
@@ -278,7 +232,6 @@ class FieldConfig:
             raise ValueError("a path bank rotates poses, so x and z need the same scale: loss.scaling=group")
 
 
-PathNumbers = Literal["places", "steps"]
 LatentScale = Literal["number", "component"]
 
 
@@ -305,55 +258,78 @@ class TransformerConfig:
 
 
 @dataclass(frozen=True)
-class LatentSpaceConfig:
-    """The space of the diffusion for local latents (`nerm.denoiser.latent_space`).
-
-    `path` represents the body's path as positions or as the steps between them; `scale` standardises each number of z
-    by itself, or each component over all knots.
-    """
-
-    path: PathNumbers = "places"
-    scale: LatentScale = "number"
-
-
-@dataclass(frozen=True)
 class ConditionsConfig:
-    """The conditions of the denoiser.
+    """The texts that condition the denoiser.
 
-    `text_encoder` is a name for `motionkit.training.text.load_text_encoder`, or "none" to train without texts;
-    `text_dimension` is the required size of its embeddings (None: any). Conditions are dropped with probability `drop`;
-    windows with a caption and an action get the action with probability `action_share`. Up to `paraphrases` rule-based
-    rewordings of each caption are drawn once (`nerm.text.paraphrases`) and stand for it in half of its uses.
+    `text_encoder` is a name for `motionkit.training.text.load_text_encoder`, or "none" to train without texts. Up to
+    `paraphrases` rule-based rewordings of each caption are drawn once and stand for it in half of its uses.
     """
 
     text_encoder: str = "minilm"
-    text_dimension: int | None = None
-    drop: float = 0.1
-    action_share: float = 0.25
     paraphrases: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("drop", "action_share"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ValueError(f"{name} must lie in [0, 1], not {getattr(self, name)}")
         if self.paraphrases < 0:
             raise ValueError(f"paraphrases must be 0 or more, not {self.paraphrases}")
 
 
 @dataclass(frozen=True)
 class DenoiserConfig:
-    """The stage `denoiser`; `ema_decay` is the decay of the weights' moving average (0: none)."""
+    """The stage `denoiser` (paper §3.2, D).
+
+    `latent_scale` standardises each number of z by itself, or each component over all knots of local latents;
+    `ema_decay` is the decay of the weights' moving average (0: none).
+    """
 
     network: TransformerConfig = field(default_factory=TransformerConfig)
     diffusion: DiffusionConfig = field(default_factory=DiffusionConfig)
-    latents: LatentSpaceConfig = field(default_factory=LatentSpaceConfig)
+    latent_scale: LatentScale = "number"
     conditions: ConditionsConfig = field(default_factory=ConditionsConfig)
     schedule: Schedule = field(default_factory=lambda: Schedule(epochs=3000))
-    weight_decay: float = 0.01
     ema_decay: float = 0.0
     precision: Precision = "float32"
-    compile: bool = False
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.ema_decay < 1.0:
             raise ValueError(f"ema_decay must lie in [0, 1), not {self.ema_decay}")
+
+
+# Settings that were renamed, and those that became constants, of runs trained before.
+_RENAMED = {"contacts.steps": "contact_steps", "latents.scale": "latent_scale"}
+_CONSTANTS: dict[str, tuple[Any, ...]] = {
+    **{"windows.min_duration_seconds": (0.5,), "clips.warmup_fps": (20,), "latents.path": ("steps", "places")},
+    **{"latents.initialisation": ("normal", "ridge"), "decoder.linear_path": (False, True), "compile": (False, True)},
+    **{"contacts.batch_size": (256,), "contacts.learning_rate": (3e-3,), "contacts.width": (128,)},
+    **{"contacts.noise": (0.4,), "conditions.text_dimension": (None, 768), "conditions.drop": (0.1,)},
+    **{"conditions.action_share": (0.25,), "weight_decay": (0.01,)},
+    **{"fps": (20,), "network.residual_layers": (3,), "network.ema_decay": (0.99,), "network.reset_below": (1.0,)},
+    **{"loss.position_weight": (0.5,), "loss.commitment_weight": (0.02,), "schedule.drop": (0.05,)},
+    **{"schedule.weight_decay": (0.0,), "published.statistics": ("",)},
+}
+
+
+StageConfig = TypeVar("StageConfig", CodebookConfig, FieldConfig, DenoiserConfig)
+
+
+def from_recorded(config_type: type[StageConfig], values: Mapping[str, Any]) -> StageConfig:
+    """A stage's settings as a run's file holds them.
+
+    Reads those of runs from before settings became constants too, if they had the constants' values; raises
+    `UsageError` for others, as `from_plain` does.
+    """
+    known, recorded = flatten(config_type()), dict(_leaves(values))
+    nested: dict[str, Any] = {}
+    for name, value in recorded.items():
+        key = _RENAMED.get(name, name)
+        if key in known or key not in _CONSTANTS or value not in _CONSTANTS[key]:
+            *parents, last = key.split(".")
+            reduce(lambda table, parent: table.setdefault(parent, {}), parents, nested)[last] = value
+    return from_plain(config_type, nested)
+
+
+def _leaves(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _leaves(value, f"{prefix}{name}.")
+        else:
+            yield prefix + name, value

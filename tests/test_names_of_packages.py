@@ -44,7 +44,7 @@ def test_no_string_names_a_package_above(package: str) -> None:
         ("motionkit", '"""A module for nerm."""'),
         ("motionkit", 'load_model("nerm", run)'),
         ("motionkit", 'print(f"motionkit train --stage pahires --run {run}")'),
-        ("eval", 'import_module("nerm.field.trained")'),
+        ("eval", 'import_module("nerm.field")'),
         ("eval", 'def f():\n    """A docstring."""\n    return "pahires.stage:load"'),
     ],
 )

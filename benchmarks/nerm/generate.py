@@ -25,14 +25,11 @@ from motionkit.data.windows import Windows
 from motionkit.generate.models import GenerationRequest
 from motionkit.training.pose_vectors import VectorScaling
 from nerm.conditions import ConditionLayout
-from nerm.denoiser.latent_space import LatentSpace
-from nerm.denoiser.network import Denoiser
-from nerm.denoiser.trained import TrainedDenoiser
-from nerm.field.network import FieldNetwork
-from nerm.field.trained import TrainedField
-from nerm.latents.local import local_latents
-from nerm.latents.posterior import first_read
+from nerm.denoiser import TrainedDenoiser
+from nerm.field import TrainedField
+from nerm.latents import LatentSpace, first_read, local_latents
 from nerm.model import NermModel, load
+from nerm.network import Denoiser, FieldNetwork
 from nerm.recipes import RECIPES
 
 SECONDS = 9.8
@@ -74,7 +71,7 @@ def random_model(recipe: str) -> NermModel:
     denoiser = TrainedDenoiser(
         config=config.denoiser,
         denoiser=Denoiser(config.denoiser.network, reach, layout).eval().requires_grad_(False),
-        space=LatentSpace(banks, config.denoiser.latents.path, torch.zeros(size), torch.ones(size)),
+        space=LatentSpace(banks, torch.zeros(size), torch.ones(size)),
         layout=layout,
         durations=torch.tensor([SECONDS / config.field.windows.max_duration_seconds]),
         text_encoder="",

@@ -50,8 +50,8 @@ def train_here(store: Path, runs: Path, settings: list[str]) -> dict[str, float]
     from motionkit.training.config import apply_overrides
     from motionkit.training.run import RunFolder
     from motionkit.training.stage import StageContext
+    from nerm.field_training import train_field
     from nerm.recipes import nano
-    from nerm.stages.field import train_field
 
     torch.set_num_threads(1)
     config = apply_overrides(nano(), settings)

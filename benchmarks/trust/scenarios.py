@@ -19,7 +19,7 @@ SETTINGS: dict[str, tuple[str, ...]] = {
             "codebook.network.width=8",
             "codebook.network.code_dimension=8",
         ),
-        *("codebook.network.num_codes=8", "codebook.window_frames=16", "codebook.network.residual_layers=1"),
+        *("codebook.network.num_codes=8", "codebook.window_frames=16"),
     ),
     "field": (
         *(

@@ -19,7 +19,7 @@ TINY = {
     "train": (
         *("codebook.schedule.steps=4", "codebook.schedule.batch_size=4", "codebook.network.width=16"),
         *("codebook.window_frames=16", "field.schedule.steps=4", "field.schedule.batch_size=4"),
-        *("field.decoder.width=16", "field.decoder.num_layers=2", "field.contacts.steps=4"),
+        *("field.decoder.width=16", "field.decoder.num_layers=2", "field.contact_steps=4"),
         "denoiser.schedule.steps=4",
         *("denoiser.schedule.batch_size=4", "denoiser.network.num_layers=1", "denoiser.network.width=16"),
         *("denoiser.network.ffn_width=16", "training.steps=4", "training.batch_size=4"),

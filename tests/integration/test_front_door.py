@@ -40,7 +40,7 @@ TINY = DemoSize(
     overrides=(
         *("codebook.schedule.steps=2", "codebook.schedule.batch_size=8", "field.precision=float32"),
         *("field.decoder.width=32", "field.decoder.num_layers=2", "field.schedule.steps=5"),
-        *("field.contacts.steps=10", "field.schedule.batch_size=16", "denoiser.schedule.steps=3"),
+        *("field.contact_steps=10", "field.schedule.batch_size=16", "denoiser.schedule.steps=3"),
         *("denoiser.schedule.batch_size=16", "denoiser.network.num_layers=3", "denoiser.network.width=16"),
         *("denoiser.network.ffn_width=32", "denoiser.diffusion.sampling_steps=5"),
     ),

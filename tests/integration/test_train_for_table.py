@@ -15,7 +15,7 @@ TINY = (
     *("motions.max_frames=130", "motions.min_seconds=1", "motions.mirrored=false", "network.transformer.inner=32"),
     *("network.diffusion.num_steps=4", "network.diffusion.sampling_steps=4"),
     *("codebook.schedule.steps=3", "codebook.schedule.batch_size=4", "codebook.network.width=16"),
-    *("field.schedule.steps=3", "field.schedule.batch_size=8", "field.contacts.steps=4", "field.decoder.width=32"),
+    *("field.schedule.steps=3", "field.schedule.batch_size=8", "field.contact_steps=4", "field.decoder.width=32"),
     *("denoiser.schedule.steps=3", "denoiser.schedule.batch_size=8", "denoiser.conditions.text_encoder=none"),
 )
 

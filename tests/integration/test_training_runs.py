@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 import torch
 
+import nerm.field_training as field_stage
 from motionkit.core.errors import DamagedFileError
 from motionkit.core.files import RECORD, write_json
 from motionkit.training import devices, loop
@@ -22,7 +23,6 @@ from motionkit.training.run import RunError, RunFolder, StageFolder
 from motionkit.training.stage import StageContext
 from motionkit.training.tensors import CheckpointError
 from nerm.stages import CODEBOOK, DENOISER, FIELD
-from nerm.stages import field as field_stage
 from tests.helpers.repository import REPOSITORY
 from tests.helpers.tiny import NERM, STAGES, train_stage, write_store
 
@@ -105,7 +105,7 @@ from pathlib import Path
 import torch
 from motionkit.training import loop
 from motionkit.training.loop import step_generator
-from nerm.stages import field as field_stage
+import nerm.field_training as field_stage
 from tests.helpers.tiny import train_stage
 
 def killing(seed, purpose, step):
@@ -194,7 +194,7 @@ def test_the_recipe_base_trains_with_narrow_networks_and_one_step(store: Path, t
         "field.encoder.num_queries=16",
         "field.decoder.width=32",
         "field.windows.stride_seconds=4",
-        "field.contacts.steps=1",
+        "field.contact_steps=1",
         "denoiser.network.width=64",
         "denoiser.network.ffn_width=32",
         "denoiser.conditions.text_encoder=none",

@@ -22,7 +22,7 @@ from tests.helpers.analytic import analytic_motion
 CLEAN = "NOT list_contains(quality_flags, 'teleport')"
 TINY = (
     "field.schedule.steps=3",
-    "field.contacts.steps=10",
+    "field.contact_steps=10",
     "field.schedule.batch_size=4",
     "field.decoder.width=32",
     "field.decoder.num_layers=2",

@@ -16,7 +16,7 @@ from motionkit.training.ablations import Variant
 from motionkit.training.config import apply_overrides, flatten, parse_override
 from motionkit.training.loop import step_generator
 from nerm.ablations import ABLATIONS, GLOBAL, LOCAL, NERM
-from nerm.field.training import FieldTraining, remarks, training_windows
+from nerm.field_training import FieldTraining, remarks, training_windows
 from nerm.recipes import RECIPES, NermConfig, nano, paper
 from nerm.settings import FieldConfig
 from tests.helpers.nerm_corpus import MemorySource, analytic_source
@@ -32,7 +32,7 @@ SMALLER = (
     "field.schedule.batch_size=8",
     "field.schedule.epochs=none",
     "field.schedule.steps=12",
-    "field.contacts.steps=10",
+    "field.contact_steps=10",
     "field.schedule.learning_rate=2e-3",
     "field.optimizer.latent_learning_rate=2e-2",
     "field.precision=float32",
@@ -193,20 +193,3 @@ def test_one_framerate_and_short_windows_are_reported() -> None:
     assert "every training sequence has 30 fps" in one
     assert "2 of 2 windows are shorter than a clip of field.clips.num_poses=32" in short
     assert remarks(analytic_source(), training_windows(analytic_source(), config), config) == []
-
-
-@pytest.mark.parametrize(
-    ("setting", "told"),
-    [
-        ("field.clips.warmup_fps=40", "1 of 4 windows are slower than field.clips.warmup_fps=40: during the warm-up"),
-        (
-            "field.clips.lowest_fps=500",
-            "field.clips.lowest_fps=500 has no effect: the fastest training sequence has 120 fps",
-        ),
-    ],
-)
-def test_framerates_that_the_windows_do_not_have_are_reported(setting: str, told: str) -> None:
-    config = _settings("nano", setting)
-    source = analytic_source()
-    (only,) = remarks(source, training_windows(source, config), config)
-    assert told in only

@@ -17,11 +17,10 @@ from motionkit.training.diffusion.settings import DiffusionConfig
 from motionkit.training.loop import seeded_initialisation
 from motionkit.training.run import RunError
 from nerm.conditions import ConditionLayout
-from nerm.denoiser.latent_space import LatentSpace
-from nerm.denoiser.network import Denoiser
-from nerm.denoiser.trained import TrainedDenoiser
-from nerm.latents.posterior import ALWAYS
+from nerm.denoiser import TrainedDenoiser
+from nerm.latents import ALWAYS, LatentSpace
 from nerm.model import NermModel
+from nerm.network import Denoiser
 from nerm.settings import DenoiserConfig, TransformerConfig
 
 NETWORK = TransformerConfig(num_layers=3, width=16, num_heads=2, ffn_width=32, dropout=0.0)
@@ -70,7 +69,7 @@ def known_model(text_fingerprint: str = "") -> NermModel:
             ["diffusion.guidance_scale=2.0"],
         ),
         denoiser=denoiser.eval(),
-        space=LatentSpace(None, "places", torch.full((4,), 5.0), torch.ones(4)),
+        space=LatentSpace(None, torch.full((4,), 5.0), torch.ones(4)),
         layout=layout,
         durations=torch.tensor([0.25, 0.5]),
         text_encoder="letters",

@@ -3,7 +3,6 @@
 import json
 import shutil
 import socket
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +12,7 @@ from safetensors.numpy import load_file, save_file
 
 import nerm.text.encoders
 from motionkit.core.errors import MissingExtraError, MotionkitError
-from motionkit.training.config import apply_overrides
-from motionkit.training.run import RunFolder
-from motionkit.training.stage import StageContext
 from motionkit.training.text import load_text_encoder
-from nerm.recipes import nano
-from nerm.stages import DENOISER
 from nerm.text.encoders import MINILM_SHA256, load_transformers, minilm_folder, verify_checksum
 from nerm.text.pretrained import folder_fingerprint
 
@@ -146,17 +140,6 @@ def test_a_sentence_encoder_from_a_folder(sentence_folder, no_network):
     expected = states.mean(axis=0) / np.linalg.norm(states.mean(axis=0))
     np.testing.assert_allclose(found[1], expected, atol=1e-5)
     assert encoder.fingerprint != load_text_encoder("minilm").fingerprint
-
-
-def test_the_dimension_is_checked(clip_folder, no_network):
-    settings = apply_overrides(
-        nano().denoiser, [f"conditions.text_encoder={clip_folder!s}", "conditions.text_dimension=768"]
-    )
-    context = StageContext(clip_folder, RunFolder(clip_folder), "nano")
-    with pytest.raises(
-        MotionkitError, match=r"has 12 dimensions, expected 768 .* denoiser\.conditions\.text_dimension=12"
-    ):
-        DENOISER.check(context, replace(nano(), denoiser=settings))
 
 
 def copied(folder: Path, place: Path, *without: str) -> Path:

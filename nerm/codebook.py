@@ -1,0 +1,503 @@
+"""The VQ-VAE whose codes enrich the coordinates: T2M-GPT's (Zhang et al. 2023a; appendix B.1).
+
+Encoder: Conv k3, then twice (Conv k4 stride 2, ResNet-1D with dilations 9, 3, 1), Conv k3: four-fold downsampling in
+time. The decoder mirrors it with nearest upsampling. ReLU, no norm. Codes are moving averages of what they encode.
+
+It is trained on the store at 20 fps, or read from T2M-GPT's own checkpoint. Its pose vectors have 6·J + 1 numbers, 133
+for 22 joints: yaw rate (rad/s), root velocity to the body's left and front (m/s), root height (m), joints 1 … J − 1
+relative to the root's ground point and facing Z+ (m, HumanML3D's "RIC" block), velocities of all joints in the same
+axes (m/s). The published vector's rotations and contacts are left out: both are functions of positions.
+"""
+
+import dataclasses
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import nn
+from torch.nn.functional import smooth_l1_loss
+
+from motionkit.core.errors import UsageError
+from motionkit.core.files import whole_file
+from motionkit.core.shapes import Float, Float32, Int64
+from motionkit.data.windows import PositionSource
+from motionkit.features import field
+from motionkit.fields.resample import resample_positions
+from motionkit.store.cache import open_cache
+from motionkit.training.devices import ALONE, Ranks, autocast, float32_products, resolve_device, with_precision_of
+from motionkit.training.loop import seeded_initialisation, set_rate, train_loop
+from motionkit.training.run import RunFolder
+from motionkit.training.stage import StageContext
+from motionkit.training.tensors import (
+    CheckpointError,
+    fill_checked,
+    foreign_tensors,
+    load_tensors,
+    load_training_tensors,
+    prefixed,
+    read_foreign,
+    save_tensors,
+    training_tensors,
+)
+from nerm.recipes import NermConfig
+from nerm.settings import CodebookConfig, CodebookNetworkConfig
+
+FPS = 20
+DOWNSAMPLINGS = 2
+RESIDUAL_LAYERS, DILATION_GROWTH = 3, 3
+EMA_DECAY, SMALLEST_COUNT = 0.99, 1.0
+POSITION_WEIGHT, COMMITMENT_WEIGHT = 0.5, 0.02
+RATE_DROP = 0.05
+
+
+class ResidualConvolution(nn.Module):
+    """x + Conv1(ReLU(Conv3(ReLU(x)))), the first convolution dilated."""
+
+    def __init__(self, width: int, dilation: int) -> None:
+        super().__init__()
+        self.dilated = nn.Conv1d(width, width, 3, padding=dilation, dilation=dilation)
+        self.pointwise = nn.Conv1d(width, width, 1)
+
+    def forward(self, x: Float[torch.Tensor, "batch width frames"]) -> Float[torch.Tensor, "batch width frames"]:
+        """One block."""
+        updated: torch.Tensor = x + self.pointwise(torch.relu(self.dilated(torch.relu(x))))
+        return updated
+
+
+def residual_stack(width: int) -> nn.Sequential:
+    """Residual convolutions of dilations 9, 3, 1."""
+    powers = reversed(range(RESIDUAL_LAYERS))
+    return nn.Sequential(*(ResidualConvolution(width, DILATION_GROWTH**power) for power in powers))
+
+
+def build_encoder(config: CodebookNetworkConfig, num_features: int) -> nn.Sequential:
+    """Pose vectors [batch, numbers, frames] → [batch, code, frames / 4]."""
+    width, layers = config.width, [nn.Conv1d(num_features, config.width, 3, padding=1), nn.ReLU()]
+    for _ in range(DOWNSAMPLINGS):
+        layers += [nn.Conv1d(width, width, 4, stride=2, padding=1), residual_stack(width)]
+    return nn.Sequential(*layers, nn.Conv1d(width, config.code_dimension, 3, padding=1))
+
+
+def build_decoder(config: CodebookNetworkConfig, num_features: int) -> nn.Sequential:
+    """[batch, code, frames / 4] → pose vectors [batch, numbers, frames]."""
+    width, layers = config.width, [nn.Conv1d(config.code_dimension, config.width, 3, padding=1), nn.ReLU()]
+    for _ in range(DOWNSAMPLINGS):
+        layers += [
+            residual_stack(width),
+            nn.Upsample(scale_factor=2, mode="nearest"),
+            nn.Conv1d(width, width, 3, padding=1),
+        ]
+    layers += [nn.Conv1d(width, width, 3, padding=1), nn.ReLU(), nn.Conv1d(width, num_features, 3, padding=1)]
+    return nn.Sequential(*layers)
+
+
+@dataclass(frozen=True, eq=False)
+class Quantised:
+    """Features with each vector replaced by its nearest code; `values` pass gradients straight to the features."""
+
+    values: Float[torch.Tensor, "batch code frames"]
+    which: Int64[torch.Tensor, "batch frames"]
+    commitment: Float[torch.Tensor, ""]
+
+
+class Quantiser(nn.Module):
+    """N codes, updated by exponential moving averages of the features nearest to them (van den Oord et al. 2017, A.1).
+
+    Codes are initialised with features of the first batch; a code whose averaged count falls below 1 is reset to one
+    of the current features (T2M-GPT, models/quantize_cnn.py).
+    """
+
+    codes: torch.Tensor
+    sums: torch.Tensor
+    counts: torch.Tensor
+    started: torch.Tensor
+
+    def __init__(self, config: CodebookNetworkConfig) -> None:
+        super().__init__()
+        self.register_buffer("codes", torch.zeros(config.num_codes, config.code_dimension))
+        self.register_buffer("sums", torch.zeros(config.num_codes, config.code_dimension))
+        self.register_buffer("counts", torch.ones(config.num_codes))
+        self.register_buffer("started", torch.tensor(False))
+
+    def nearest(self, vectors: Float[torch.Tensor, "vectors code"]) -> Int64[torch.Tensor, "vectors"]:
+        """Index of the code closest to each vector."""
+        distances = self.codes.square().sum(1) - 2.0 * vectors @ self.codes.T
+        return distances.argmin(dim=1)
+
+    def forward(self, features: Float[torch.Tensor, "batch code frames"]) -> Quantised:
+        """Quantise features."""
+        vectors = features.transpose(1, 2).reshape(-1, features.shape[1])
+        which = self.nearest(vectors.detach())
+        codes = self.codes[which].reshape(features.shape[0], features.shape[2], -1).transpose(1, 2)
+        commitment = (features - codes).square().mean()
+        return Quantised(features + (codes - features).detach(), which.reshape(len(features), -1), commitment)
+
+    @torch.no_grad()
+    def start(self, features: Float[torch.Tensor, "batch code frames"], generator: torch.Generator) -> None:
+        """Initialise the codes with a batch's features, repeated with a little noise if they are too few."""
+        if bool(self.started):
+            return
+        self.codes.copy_(self._random_features(features, generator))
+        self.sums.copy_(self.codes)
+        self.counts.fill_(1.0)
+        self.started.fill_(True)
+
+    @torch.no_grad()
+    def update(
+        self,
+        features: Float[torch.Tensor, "batch code frames"],
+        which: Int64[torch.Tensor, "batch frames"],
+        generator: torch.Generator,
+    ) -> None:
+        """Move the codes towards the features assigned to them, and reset rarely used ones."""
+        vectors = features.detach().transpose(1, 2).reshape(-1, features.shape[1])
+        chosen = which.reshape(-1)
+        counts = torch.bincount(chosen, minlength=len(self.codes)).to(self.counts.dtype)
+        sums = torch.zeros_like(self.sums).index_add_(0, chosen, vectors)
+        self.counts.lerp_(counts, 1.0 - EMA_DECAY)
+        self.sums.lerp_(sums, 1.0 - EMA_DECAY)
+        in_use = (self.counts >= SMALLEST_COUNT)[:, None]
+        replacements = self._random_features(features, generator)
+        self.codes.copy_(torch.where(in_use, self.sums / self.counts[:, None].clamp(min=1e-9), replacements))
+
+    def _random_features(
+        self, features: Float[torch.Tensor, "batch code frames"], generator: torch.Generator
+    ) -> Float[torch.Tensor, "codes code"]:
+        vectors = features.detach().transpose(1, 2).reshape(-1, features.shape[1])
+        num_codes, width = self.codes.shape
+        repeats = -(-num_codes // len(vectors))
+        order = torch.cat([torch.randperm(len(vectors), generator=generator) for _ in range(repeats)])[:num_codes]
+        chosen = vectors[order.to(vectors.device)]
+        if repeats > 1:
+            noise = torch.randn(num_codes, width, generator=generator).to(vectors.device)
+            chosen = chosen + 0.01 * width**-0.5 * noise
+        return chosen
+
+
+class CodebookNetwork(nn.Module):
+    """Encoder, quantiser and decoder on standardised pose vectors [batch, frames, numbers]."""
+
+    def __init__(self, config: CodebookNetworkConfig, num_features: int) -> None:
+        super().__init__()
+        self.encoder = build_encoder(config, num_features)
+        self.quantiser = Quantiser(config)
+        self.decoder = build_decoder(config, num_features)
+
+    def encode(
+        self, vectors: Float[torch.Tensor, "batch frames numbers"]
+    ) -> Float[torch.Tensor, "batch code short_frames"]:
+        """Features before quantisation; `frames` must be a multiple of 4."""
+        features: torch.Tensor = self.encoder(vectors.transpose(1, 2))
+        return features
+
+    def decode(
+        self, features: Float[torch.Tensor, "batch code short_frames"]
+    ) -> Float[torch.Tensor, "batch frames numbers"]:
+        """Pose vectors from (quantised) features."""
+        vectors: torch.Tensor = self.decoder(features).transpose(1, 2)
+        return vectors
+
+
+def joint_positions_block(num_joints: int) -> slice:
+    """The slice of joint positions in a vector (the RIC block)."""
+    return slice(4, 4 + 3 * (num_joints - 1))
+
+
+def codebook_vectors(
+    joint_positions: Float[np.ndarray, "frames joints 3"], fps: Fraction
+) -> Float32[np.ndarray, "rows numbers"]:
+    """T − 1 vectors of T poses in metres; raises `ValueError` for fewer than two poses."""
+    if len(joint_positions) < 2:
+        raise ValueError("pose vectors need two poses or more")
+    # Float32 rounds yaw to 1e-7 rad, its rate to 1e-5 rad/s at 120 fps, and differently on each processor.
+    joint_positions = joint_positions.astype(np.float64)
+    yaw = np.unwrap(field.heading(joint_positions))
+    rate = float(fps)
+    here, facing = joint_positions[:-1], yaw[:-1]
+    turned = field.to_window(here[:, None], facing, here[:, 0, (0, 2)])[:, 0]
+    velocities = (
+        field.to_window(np.diff(joint_positions, axis=0)[:, None], facing, np.zeros((len(here), 2)))[:, 0] * rate
+    )
+    parts = (
+        (np.diff(yaw) * rate)[:, None],
+        velocities[:, 0, (0, 2)],
+        turned[:, 0, 1:2],
+        turned[:, 1:].reshape(len(here), -1),
+        velocities.reshape(len(here), -1),
+    )
+    return np.concatenate(parts, axis=1).astype(np.float32)
+
+
+SMALLEST_SCALE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class VectorCorpus:
+    """Pose vectors of all sequences, concatenated, at 20 fps, as a memory map.
+
+    `first_rows` are the rows at which a training window may start; `mean` and `scale` standardise each number.
+    """
+
+    vectors: Float32[np.ndarray, "rows numbers"]
+    first_rows: Int64[np.ndarray, "starts"]
+    mean: Float32[torch.Tensor, "numbers"]
+    scale: Float32[torch.Tensor, "numbers"]
+
+    def windows(
+        self, starts: Int64[torch.Tensor, "batch"], frames: int
+    ) -> Float32[torch.Tensor, "batch frames numbers"]:
+        """Standardised windows from the n-th possible starts."""
+        rows = self.first_rows[starts.numpy()][:, None] + np.arange(frames)
+        return (torch.from_numpy(np.asarray(self.vectors[rows])) - self.mean) / self.scale
+
+
+def vector_corpus(source: PositionSource, config: CodebookConfig, path: Path) -> VectorCorpus:
+    """The pose vectors of a corpus, from the file that `write_vectors` wrote for it."""
+    size = 6 * source.positions.shape[1] + 1
+    lengths = _num_vectors(source)
+    lengths = lengths[lengths >= config.window_frames]
+    ends, frames = np.cumsum(lengths), config.window_frames
+    starts = [np.arange(end - length, end - frames + 1) for end, length in zip(ends, lengths, strict=True)]
+    vectors = np.memmap(path, dtype="<f4", mode="r", shape=(int(ends[-1]), size)).view(np.ndarray)
+    mean, scale = _statistics(vectors)
+    return VectorCorpus(vectors, np.concatenate(starts), mean, scale)
+
+
+def check_lengths(source: PositionSource, config: CodebookConfig) -> None:
+    """Raise `UsageError` if no sequence is as long as a training window."""
+    frames = config.window_frames
+    if not (_num_vectors(source) >= frames).any():
+        seconds = (source.num_frames - 1) * source.fps_denominator / source.fps_numerator
+        raise UsageError(
+            f"no sequence has {frames} poses at {FPS} fps ({frames / FPS:g} s), the codebook's windows; the longest "
+            f"lasts {seconds.max():.3g} s: set codebook.window_frames lower"
+        )
+
+
+def write_vectors(source: PositionSource, config: CodebookConfig, path: Path) -> None:
+    """Resample every sequence to 20 fps and write its `codebook_vectors`, unless an interrupted run has done so."""
+    size = 4 * (6 * source.positions.shape[1] + 1)
+    lengths = _num_vectors(source)
+    chosen = np.flatnonzero(lengths >= config.window_frames)
+    if path.is_file() and path.stat().st_size == size * lengths[chosen].sum():
+        return
+    with whole_file(path) as temporary, temporary.open("wb") as file:
+        for index in chosen.tolist():
+            start, count = int(source.start_row[index]), int(source.num_frames[index])
+            native_fps = Fraction(int(source.fps_numerator[index]), int(source.fps_denominator[index]))
+            positions = resample_positions(
+                np.asarray(source.positions[start : start + count]), native_fps, Fraction(FPS)
+            )
+            file.write(np.ascontiguousarray(codebook_vectors(positions, Fraction(FPS)), dtype="<f4").data.cast("B"))
+
+
+def _num_vectors(source: PositionSource) -> Int64[np.ndarray, "sequences"]:
+    """Rows of each sequence when resampled to 20 fps."""
+    intervals = (source.num_frames.astype(np.int64) - 1) * FPS * source.fps_denominator
+    return np.asarray(intervals // source.fps_numerator, dtype=np.int64)
+
+
+def _statistics(
+    vectors: Float32[np.ndarray, "rows numbers"],
+) -> tuple[Float32[torch.Tensor, "numbers"], Float32[torch.Tensor, "numbers"]]:
+    total = np.zeros(vectors.shape[1])
+    squares = np.zeros(vectors.shape[1])
+    for start in range(0, len(vectors), 16_384):
+        block = vectors[start : start + 16_384].astype(np.float64)
+        total += block.sum(0)
+        squares += np.square(block).sum(0)
+    mean = total / len(vectors)
+    scale = np.sqrt(np.maximum(squares / len(vectors) - mean**2, SMALLEST_SCALE**2))
+    return torch.from_numpy(mean).float(), torch.from_numpy(scale).float()
+
+
+class CodebookTraining:
+    """A `motionkit.training.loop.Trainable`: the VQ-VAE with its optimiser."""
+
+    def __init__(
+        self, corpus: VectorCorpus, config: CodebookConfig, *, seed: int, device: torch.device, ranks: Ranks = ALONE
+    ) -> None:
+        self.corpus, self.config, self.device, self.ranks = corpus, config, device, ranks
+        with seeded_initialisation(seed, "codebook"):
+            self.network = CodebookNetwork(config.network, len(corpus.mean)).to(device)
+        self.optimizer = torch.optim.AdamW(
+            self.network.parameters(),
+            lr=config.schedule.learning_rate,
+            betas=(0.9, 0.99),
+            weight_decay=0.0,
+        )
+        self.steps = config.schedule.steps
+        self.positions = joint_positions_block((len(corpus.mean) - 1) // 6)
+
+    def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
+        """SmoothL1 + 0.5·SmoothL1 of joint positions + 0.02·commitment, then update the codes' moving averages."""
+        config, schedule, quantiser = self.config, self.config.schedule, self.network.quantiser
+        starts = torch.randint(len(self.corpus.first_rows), (schedule.batch_size,), generator=generator)
+        starts = starts[self.ranks.rows_of(schedule.batch_size)]
+        share = len(starts) / schedule.batch_size
+        vectors = self.corpus.windows(starts, config.window_frames).to(self.device)
+        with autocast(config.precision, self.device):
+            features = self.network.encode(vectors).float()
+        everywhere = self.ranks.all_rows(features.detach(), schedule.batch_size)
+        quantiser.start(everywhere, generator)
+        quantised = quantiser(features)
+        with autocast(config.precision, self.device):
+            decoded = self.network.decode(quantised.values).float()
+        reconstruction = smooth_l1_loss(decoded, vectors)
+        positions = smooth_l1_loss(decoded[..., self.positions], vectors[..., self.positions])
+        terms = reconstruction + POSITION_WEIGHT * positions
+        loss = share * (terms + COMMITMENT_WEIGHT * quantised.commitment)
+        self.optimizer.zero_grad(set_to_none=True)
+        torch.autograd.backward(loss)
+        dropped = step * schedule.steps >= schedule.drop_at * self.steps
+        set_rate(self.optimizer, schedule.learning_rate * (RATE_DROP if dropped else 1.0))
+        self.ranks.add_up_gradients(self.network.parameters())
+        self.optimizer.step()
+        which = self.ranks.all_rows(quantised.which, schedule.batch_size)
+        quantiser.update(everywhere, which, generator)
+        return {
+            "loss": loss,
+            "reconstruction": share * reconstruction,
+            "commitment": share * quantised.commitment,
+            "perplexity": share * perplexity(which, config.network.num_codes),
+        }
+
+    def state_tensors(self) -> dict[str, torch.Tensor]:
+        """Weights, codes and moments."""
+        return training_tensors("network", self.network, self.optimizer)
+
+    def load_state_tensors(self, tensors: Mapping[str, torch.Tensor]) -> None:
+        """Restore what `state_tensors` returned."""
+        load_training_tensors("network", self.network, self.optimizer, tensors)
+
+
+def perplexity(which: Int64[torch.Tensor, "*shape"], num_codes: int) -> Float32[torch.Tensor, ""]:
+    """exp of the entropy of the codes' use: the effective number of codes."""
+    shares = torch.bincount(which.reshape(-1), minlength=num_codes).float() / which.numel()
+    return torch.exp(-torch.xlogy(shares, shares).sum())
+
+
+# T2M-GPT's checkpoint (`net_last.pth`: key `net`, names `vqvae.…`), README, "VQ-VAE training".
+PUBLISHED = CodebookNetworkConfig()
+PUBLISHED_FEATURES = (263, 251)
+PREFIX = "vqvae."
+CODES = "vqvae.quantizer.codebook"
+
+
+def load_published(path: Path, config: CodebookNetworkConfig = PUBLISHED) -> CodebookNetwork:
+    """T2M-GPT's own VQ-VAE, of HumanML3D's 263 numbers a pose or KIT's 251.
+
+    Raises `CheckpointError` for any other file: one that needs unpickling, missing or unexpected names, shapes other
+    than `config`'s, non-finite values, an untrained codebook. Its pose vectors are in the *evaluator's* statistics,
+    root and contacts weighted 25-fold; the field reads the codes alone.
+    """
+    tensors = foreign_tensors(read_foreign(path), "net", path, "T2M-GPT's VQ-VAE")
+    first = f"{PREFIX}encoder.model.0.weight"
+    shape = tuple(tensors[first].shape) if first in tensors else ()
+    if len(shape) != 3 or shape[1] not in PUBLISHED_FEATURES:
+        raise CheckpointError(
+            f"{path}: net/{first} is {shape or 'missing'}; T2M-GPT's VQ-VAE begins with pose vectors of 263 numbers "
+            "(HumanML3D) or 251 (KIT)"
+        )
+    network = CodebookNetwork(config, shape[1]).eval().requires_grad_(False)
+    fill_checked(dict(_own_tensors(network)), tensors, "net", path, "T2M-GPT's VQ-VAE")
+    network.quantiser.started.fill_(True)
+    if len(torch.unique(network.quantiser.codes, dim=0)) < len(network.quantiser.codes) // 2:
+        raise CheckpointError(f"{path}: more than half of its codes are copies of others; a trained codebook has none")
+    return network
+
+
+def published_name(own: str) -> str:
+    """The name in T2M-GPT's checkpoint of a parameter of `CodebookNetwork.encoder` or `.decoder`.
+
+    There each downsampling is a nested block (encdec.py): a convolution and a ResNet, or a ResNet, an upsampling and a
+    convolution.
+    """
+    half, place, *inside = own.split(".")
+    number, rest = int(place), ".".join(inside)
+    rest = rest.replace("dilated", "conv1").replace("pointwise", "conv2")
+    size = 2 if half == "encoder" else 3
+    block, part = divmod(number - 2, size)
+    if number < 2:
+        return f"{PREFIX}{half}.model.{number}.{rest}"
+    if block >= DOWNSAMPLINGS:
+        return f"{PREFIX}{half}.model.{2 + DOWNSAMPLINGS + number - 2 - size * DOWNSAMPLINGS}.{rest}"
+    is_stack = part == (1 if half == "encoder" else 0)
+    return f"{PREFIX}{half}.model.{2 + block}.{part}.{'model.' if is_stack else ''}{rest}"
+
+
+def _own_tensors(network: CodebookNetwork) -> Iterator[tuple[str, torch.Tensor]]:
+    for half in ("encoder", "decoder"):
+        for name, tensor in getattr(network, half).named_parameters(prefix=half):
+            yield published_name(name), tensor
+    yield CODES, network.quantiser.codes
+
+
+STAGE_NAME = "codebook"
+FORMAT = "nerm-codebook"
+FORMAT_VERSION = 1
+
+
+def load_codes(run: RunFolder | Path) -> Float32[torch.Tensor, "codes dimension"]:
+    """A run's trained codebook {e_i}; raises `CheckpointError` or `RunError` without one."""
+    folder = (run if isinstance(run, RunFolder) else RunFolder(run)).stage(STAGE_NAME)
+    if not folder.model_path.is_file():
+        folder.read_summary()
+    tensors, description = load_tensors(folder.model_path)
+    if (description.get("format"), description.get("version")) != (FORMAT, FORMAT_VERSION) or "codes" not in tensors:
+        raise CheckpointError(
+            f"{folder.model_path} is {description.get('format')!r} version {description.get('version')}, expected "
+            f"{FORMAT!r} version {FORMAT_VERSION}: train it again (motionkit train --stage codebook --overwrite)"
+        )
+    return tensors["codes"]
+
+
+def train_codebook(context: StageContext, config: NermConfig) -> None:
+    """Train the VQ-VAE, or use T2M-GPT's own; write codes [N, d], network and statistics to model.safetensors."""
+    store, device, ranks = context.open_store(), resolve_device(context.device), context.ranks
+    settings = with_precision_of(config.codebook, device)
+    config = dataclasses.replace(config, codebook=settings)
+    description = {"format": FORMAT, "version": FORMAT_VERSION, "fps": FPS}
+    weights = settings.published.weights
+    if weights:
+        published = load_published(Path(weights))
+        folder = context.begin(STAGE_NAME, config, store_fingerprint=store.fingerprint)
+        if ranks.is_first:
+            codes = published.quantiser.codes
+            save_tensors(folder.model_path, {"codes": codes} | prefixed("network", published.state_dict()), description)
+            folder.finish({"codes": len(codes), "from": weights})
+        return
+    started = time.perf_counter()
+    source = open_cache(store, layout="smpl22", where=settings.where or None)
+    check_lengths(source, settings)
+    folder = context.begin(STAGE_NAME, config, store_fingerprint=store.fingerprint)
+    vectors = folder.path / "vectors.f32"
+    ranks.on_first(partial(write_vectors, source, settings, vectors))
+    corpus = vector_corpus(source, settings, vectors)
+    training = CodebookTraining(corpus, settings, seed=context.seed, device=device, ranks=ranks)
+    with float32_products(settings.precision):
+        context.fit_budget(training, folder)
+        figures = train_loop(
+            training, folder, steps=training.steps, seed=context.seed, ranks=ranks, on_progress=context.on_progress
+        )
+    if not ranks.is_first:
+        return
+    tensors = {"codes": training.network.quantiser.codes, "mean": corpus.mean, "scale": corpus.scale}
+    save_tensors(folder.model_path, tensors | prefixed("network", training.network.state_dict()), description)
+    vectors.unlink()
+    facts = {"poses": len(corpus.vectors), "wall_seconds": round(time.perf_counter() - started, 1)}
+    folder.finish({**figures, **facts})
+
+
+def check_codebook(context: StageContext, config: NermConfig) -> None:
+    """Raise early what would stop this stage: no sequence that is long enough, missing published weights."""
+    settings = config.codebook
+    if settings.published.weights:
+        load_published(Path(settings.published.weights))
+    else:
+        check_lengths(open_cache(context.open_store(), layout="smpl22", where=settings.where or None), settings)

@@ -1,1 +1,0 @@
-"""The VQ-VAE whose codes enrich the coordinates: network, training, T2M-GPT's published weights."""

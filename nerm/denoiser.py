@@ -1,0 +1,363 @@
+"""Stage `denoiser`: latent diffusion (paper §3.2, Eq. 5 and 6): training ε_φ on the field's posteriors, sampling."""
+
+import dataclasses
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from motionkit.core.errors import UsageError
+from motionkit.core.files import sha256_of
+from motionkit.core.shapes import Float32, Float64
+from motionkit.generate.models import SamplingOptions
+from motionkit.training.config import from_plain, to_plain
+from motionkit.training.devices import ALONE, Ranks, autocast, float32_products, resolve_device, with_precision_of
+from motionkit.training.diffusion.process import (
+    Adjust,
+    add_noise,
+    cumulative_alphas,
+    loss_weights,
+    predicted_noise,
+    prediction_target,
+    sample,
+    sampling_steps,
+)
+from motionkit.training.loop import (
+    WeightAverage,
+    dropout_from,
+    seeded_initialisation,
+    set_rate,
+    step_generator,
+    train_loop,
+)
+from motionkit.training.run import RunError, RunFolder
+from motionkit.training.stage import StageContext
+from motionkit.training.tensors import (
+    load_tensors,
+    load_training_tensors,
+    prefixed,
+    rebuilding,
+    save_tensors,
+    training_tensors,
+    unprefixed,
+)
+from motionkit.training.text import TextEncoder, load_text_encoder
+from nerm.conditions import ConditionLayout, Conditions, guided
+from nerm.corpus import LatentCorpus, corpus_of
+from nerm.field import load_field
+from nerm.latents import LatentSpace, LocalLatents, in_use, local_latents, measured_space
+from nerm.network import Denoiser
+from nerm.recipes import NermConfig
+from nerm.settings import DenoiserConfig, from_recorded
+
+SAMPLES_PER_BATCH = 256
+WEIGHT_DECAY = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedDenoiser:
+    """ε_φ with everything needed to sample latents.
+
+    `denoiser` holds the averaged weights; `space` is its latent space; `durations` are those of the training windows in
+    units of l_max; `text_encoder` and `text_fingerprint` identify the encoder it was trained with (empty without
+    texts), and `field_sha256` the field whose latents it generates.
+    """
+
+    config: DenoiserConfig
+    denoiser: Denoiser
+    space: LatentSpace
+    layout: ConditionLayout
+    durations: Float32[Tensor, "windows"]
+    text_encoder: str
+    text_fingerprint: str
+    field_sha256: str
+
+    @property
+    def latent_dimension(self) -> int:
+        """Numbers in a latent."""
+        return len(self.space.mean)
+
+    def sample(
+        self,
+        conditions: Conditions,
+        *,
+        seed: int,
+        sampling: SamplingOptions = SamplingOptions(),
+        first: int = 0,
+        adjust: Adjust | None = None,
+    ) -> Float32[Tensor, "batch latent"]:
+        """One latent of the field per row of `conditions`; `adjust` may change each step's prediction.
+
+        Row i depends on (seed, `first` + i) alone, not on the other rows (up to rounding of batched sums). Numbers that
+        a motion of the row's duration does not use are the training mean.
+        """
+        config = self.with_sampling(sampling)
+        generators = [step_generator(seed, "generate", first + row) for row in range(len(conditions.action))]
+        found = []
+        for start in range(0, len(generators), SAMPLES_PER_BATCH):
+            rows = slice(start, start + SAMPLES_PER_BATCH)
+            found.append(self._sample_batch(config, conditions.rows(rows), generators[rows], adjust))
+        latents = torch.cat(found)
+        if not torch.isfinite(latents).all():
+            scale = config.diffusion.guidance_scale
+            raise UsageError(f"sampling diverged: a guidance scale of {scale:g} is too large")
+        return latents
+
+    def with_sampling(self, sampling: SamplingOptions) -> DenoiserConfig:
+        """The configuration with these sampling options; raises `UsageError` for unsupported ones."""
+        diffusion = self.config.diffusion.adjusted(sampling.sampler, sampling.steps, sampling.guidance_scale)
+        return replace(self.config, diffusion=diffusion)
+
+    @torch.no_grad()
+    def _sample_batch(
+        self,
+        config: DenoiserConfig,
+        conditions: Conditions,
+        generators: Sequence[torch.Generator],
+        adjust: Adjust | None,
+    ) -> Float32[Tensor, "batch latent"]:
+        def draw_noise() -> Float64[Tensor, "batch latent"]:
+            drawn = [torch.randn(self.latent_dimension, generator=g, dtype=torch.float64) for g in generators]
+            return torch.stack(drawn)
+
+        device = self.denoiser.positions.device
+        on_device = conditions.to(device)
+        diffusion = config.diffusion
+        alphas, steps = cumulative_alphas(diffusion), sampling_steps(diffusion)
+
+        def predict_noise(latents: Tensor, steps: Tensor) -> Tensor:
+            noisy = latents.to(device, torch.float32)
+            output = guided(self.denoiser, noisy, steps.to(device), on_device, diffusion.guidance_scale)
+            alpha = float(alphas[int(steps[0])])
+            return predicted_noise(diffusion.prediction, output.to("cpu", torch.float64), latents, alpha)
+
+        fresh = draw_noise if diffusion.sampler == "ddpm" else None
+        latents = sample(predict_noise, draw_noise(), alphas, steps, draw_noise=fresh, adjust=adjust)
+        used = in_use(self.denoiser.first_read.to("cpu"), conditions.duration)
+        return self.space.restore(latents.to(torch.float32) * used)
+
+    def draw_durations(self, count: int, *, seed: int, first: int = 0) -> Float32[Tensor, "count"]:
+        """Sample durations of training windows, in units of l_max; number i depends on (seed, first + i) alone."""
+        generators = [step_generator(seed, "duration", first + i) for i in range(count)]
+        rows = [torch.randint(len(self.durations), (), generator=generator) for generator in generators]
+        return self.durations[torch.stack(rows)] if rows else self.durations[:0]
+
+
+STAGE_NAME = "denoiser"
+
+
+def save_denoiser(run: RunFolder, trained: TrainedDenoiser) -> None:
+    """Write RUN/denoiser/model.safetensors."""
+    tensors = prefixed("denoiser", trained.denoiser.state_dict()) | {
+        "latent_mean": trained.space.mean,
+        "latent_deviation": trained.space.deviation,
+        "durations": trained.durations,
+    }
+    description = {
+        "config": to_plain(trained.config),
+        "banks": None if trained.space.banks is None else to_plain(trained.space.banks),
+        "text_dimension": trained.layout.text_dimension,
+        "actions": list(trained.layout.actions),
+        "text_encoder": trained.text_encoder,
+        "text_fingerprint": trained.text_fingerprint,
+        "field_sha256": trained.field_sha256,
+    }
+    save_tensors(run.stage(STAGE_NAME).model_path, tensors, description)
+
+
+def load_denoiser(run: RunFolder, device: torch.device | None = None) -> TrainedDenoiser:
+    """Read RUN/denoiser/model.safetensors; the network goes to `device` (default: the CPU).
+
+    Raises `RunError` if the stage was not trained to its end, `CheckpointError` for a damaged file.
+    """
+    folder = run.stage(STAGE_NAME)
+    folder.read_summary()
+    tensors, description = load_tensors(folder.model_path)
+    with rebuilding(folder.model_path, STAGE_NAME, tensors):
+        trained = _rebuild(tensors, description)
+    if device is not None:
+        trained.denoiser.to(device)
+    return trained
+
+
+def _rebuild(tensors: Mapping[str, Tensor], description: Mapping[str, Any]) -> TrainedDenoiser:
+    config = from_recorded(DenoiserConfig, description["config"])
+    layout = ConditionLayout(int(description["text_dimension"]), tuple(description["actions"]))
+    banks = None if description["banks"] is None else from_plain(LocalLatents, description["banks"])
+    if banks is not None and banks.path and description["config"].get("latents", {}).get("path") == "places":
+        raise ValueError("its latents hold places of a path instead of steps")
+    space = LatentSpace(banks, tensors["latent_mean"], tensors["latent_deviation"])
+    with seeded_initialisation(0, STAGE_NAME):
+        denoiser = Denoiser(config.network, tensors["denoiser.first_read"], layout)
+    denoiser.load_state_dict(unprefixed("denoiser", tensors))
+    return TrainedDenoiser(
+        config=config,
+        denoiser=denoiser.eval().requires_grad_(False),
+        space=space,
+        layout=layout,
+        durations=tensors["durations"],
+        text_encoder=str(description["text_encoder"]),
+        text_fingerprint=str(description["text_fingerprint"]),
+        field_sha256=str(description["field_sha256"]),
+    )
+
+
+class DenoiserTraining:
+    """A `motionkit.training.loop.Trainable`: owns the denoiser, its weight average and the optimiser.
+
+    All random numbers come from the step's CPU generator, so that every device sees the same batches.
+    """
+
+    def __init__(
+        self, config: DenoiserConfig, corpus: LatentCorpus, *, seed: int, device: torch.device, ranks: Ranks = ALONE
+    ) -> None:
+        self.config = config
+        self.ranks = ranks
+        self.corpus = corpus
+        self.device = device
+        self.first_read = corpus.first_read
+        drawn = corpus.draw(torch.arange(len(corpus)), step_generator(seed, "latent space", 0))
+        used = in_use(self.first_read, corpus.duration)
+        self.space = measured_space(drawn, used, corpus.banks, config.latent_scale)
+        self.alphas = cumulative_alphas(config.diffusion)
+        self.weights = loss_weights(config.diffusion.prediction, config.diffusion.loss, self.alphas)
+        self.steps = config.schedule.num_steps(len(corpus))
+        with seeded_initialisation(seed, "denoiser"):
+            self.denoiser = Denoiser(config.network, self.first_read, corpus.layout).to(device)
+        self.average = WeightAverage(self.denoiser, config.ema_decay)
+        self.optimizer = torch.optim.AdamW(
+            self.denoiser.parameters(), lr=config.schedule.learning_rate, weight_decay=WEIGHT_DECAY
+        )
+
+    def step(self, step: int, generator: torch.Generator) -> Mapping[str, Tensor]:
+        """One optimiser step on a fresh batch; returns the loss of Eq. 5 (mean over the numbers in use)."""
+        config, diffusion, schedule = self.config, self.config.diffusion, self.config.schedule
+        set_rate(self.optimizer, schedule.factor(step, self.steps) * schedule.learning_rate)
+        mine = self.ranks.rows_of(schedule.batch_size)
+        rows = torch.randint(len(self.corpus), (schedule.batch_size,), generator=generator)
+        latents = self.space.standardise(self.corpus.draw(rows, generator))
+        conditions = self.corpus.draw_conditions(rows, generator)
+        steps = torch.randint(diffusion.num_steps, (schedule.batch_size,), generator=generator)
+        noise = torch.randn(latents.shape, generator=generator)
+        noisy = add_noise(latents, noise, steps, self.alphas)
+        target = prediction_target(diffusion.prediction, latents, noise, steps, self.alphas)
+        given = Conditions(conditions.text[mine], conditions.action[mine], conditions.duration[mine])
+        with dropout_from(generator, self.device, self.ranks.rank), autocast(config.precision, self.device):
+            output = self.denoiser(noisy[mine].to(self.device), steps[mine].to(self.device), given.to(self.device))
+        used = in_use(self.first_read, conditions.duration)
+        weights = used * self.weights[steps, None].to(torch.float32) / used.sum()
+        loss = ((output.float() - target[mine].to(self.device)).square() * weights[mine].to(self.device)).sum()
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        self.ranks.add_up_gradients(self.denoiser.parameters())
+        self.optimizer.step()
+        self.average.update(self.denoiser, step)
+        return {"loss": loss.detach()}
+
+    def finished(self, *, text_fingerprint: str, field_sha256: str) -> TrainedDenoiser:
+        """The trained denoiser, with its averaged weights, on the CPU."""
+        with seeded_initialisation(0, "denoiser"):
+            denoiser = Denoiser(self.config.network, self.first_read, self.corpus.layout)
+        denoiser.load_state_dict(self.average.tensors())
+        return TrainedDenoiser(
+            config=self.config,
+            denoiser=denoiser.eval().requires_grad_(False),
+            space=self.space,
+            layout=self.corpus.layout,
+            durations=self.corpus.duration,
+            text_encoder=self.config.conditions.text_encoder,
+            text_fingerprint=text_fingerprint,
+            field_sha256=field_sha256,
+        )
+
+    def state_tensors(self) -> dict[str, Tensor]:
+        """Weights, their average, the optimiser's moments."""
+        return training_tensors("denoiser", self.denoiser, self.optimizer) | prefixed("average", self.average.tensors())
+
+    def load_state_tensors(self, tensors: Mapping[str, Tensor]) -> None:
+        """Restore what `state_tensors` returned."""
+        load_training_tensors("denoiser", self.denoiser, self.optimizer, tensors)
+        self.average.load(unprefixed("average", tensors))
+
+
+def train_denoiser(context: StageContext, config: NermConfig) -> None:
+    """Train ε_φ on the latents of RUN/field; write the denoiser and what sampling needs to model.safetensors.
+
+    Raises `RunError` if the field is missing or was trained on another state of the store (captions are looked up in
+    the store by its windows' sequences), and `UsageError` if it needs texts and no window has any.
+    """
+    store, device, ranks = context.open_store(), resolve_device(context.device), context.ranks
+    settings = with_precision_of(config.denoiser, device)
+    config = dataclasses.replace(config, denoiser=settings)
+    field = load_field(context.run)
+    if field.store_fingerprint != store.fingerprint:
+        raise RunError(
+            f"the field of {context.run.path} was trained on a store of fingerprint {field.store_fingerprint[:16]}, "
+            f"{context.store} has {store.fingerprint[:16]}: train the field again, or give --store"
+        )
+    started = time.perf_counter()
+    encoder = _encoder(settings)
+    corpus = corpus_of(
+        field.posterior_mean,
+        field.posterior_log_variance,
+        field.windows,
+        store,
+        encoder,
+        local_latents(field.config),
+        settings.conditions.paraphrases,
+        context.seed,
+    )
+    if encoder is not None and not corpus.num_captions.any():
+        raise _without_captions(f"none of the field's {len(corpus)} training windows", settings)
+    folder = context.begin(STAGE_NAME, config, store_fingerprint=store.fingerprint, builds_on=("field",))
+    training = DenoiserTraining(settings, corpus, seed=context.seed, device=device, ranks=ranks)
+    with float32_products(settings.precision):
+        context.fit_budget(training, folder)
+        figures = train_loop(
+            training, folder, steps=training.steps, seed=context.seed, ranks=ranks, on_progress=context.on_progress
+        )
+    if not ranks.is_first:
+        return
+    trained = training.finished(
+        text_fingerprint="" if encoder is None else encoder.fingerprint,
+        field_sha256=sha256_of(context.run.stage("field").model_path),
+    )
+    save_denoiser(context.run, trained)
+    folder.finish(
+        {
+            "loss": figures["loss"],
+            "steps": training.steps,
+            "parameters": sum(parameter.numel() for parameter in training.denoiser.parameters()),
+            "cpu_seconds": figures["cpu_seconds"],
+            "windows": len(corpus),
+            "captions": int(corpus.num_captions.sum()) // max(1, 2 * settings.conditions.paraphrases),
+            "actions": len(corpus.layout.actions),
+            "seconds": round(time.perf_counter() - started, 1),
+        }
+    )
+
+
+def check_denoiser(context: StageContext, config: NermConfig) -> None:
+    """Raise early what would stop this stage: missing captions for a recipe with texts, a missing encoder."""
+    settings = config.denoiser
+    if _encoder(settings) is None:
+        return
+    store = context.open_store()
+    if not store.columns("captions")["captions"].map(len).any():
+        raise _without_captions(f"no sequence of {context.store}", settings)
+
+
+def _encoder(settings: DenoiserConfig) -> TextEncoder | None:
+    name = settings.conditions.text_encoder
+    return None if name == "none" else load_text_encoder(name)
+
+
+def _without_captions(who: str, settings: DenoiserConfig) -> UsageError:
+    return UsageError(
+        f"{who} has a caption, and denoiser.conditions.text_encoder={settings.conditions.text_encoder} learns from "
+        "texts: ingest again with a table of captions (--captions captions.csv --overwrite), or train on actions and "
+        "unconditionally: motionkit train --set denoiser.conditions.text_encoder=none"
+    )

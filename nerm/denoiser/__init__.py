@@ -1,1 +1,0 @@
-"""The latent diffusion: process, network, corpus of posteriors, training, sampling (paper §3.2)."""

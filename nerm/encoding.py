@@ -1,0 +1,308 @@
+"""Encoding motions that were not in training: z by optimisation against the frozen field (appendix B.2, B.3, Table 4).
+
+There is no encoder: L-BFGS minimises Eq. 3's terms over z alone, starting from the linear model's fit (local latents)
+or from zero. Numbers are scaled by their effect on the poses, which differs widely between banks of knots and paths.
+
+Overlapping windows of l_max cover a longer motion, each with its own frame and its own z, fitted to the frames observed
+in it; decoded windows are cross-faded. Long captures, gaps and uneven times need no special treatment.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from motionkit.core.shapes import Float, Float32, Float64, Int, Int64
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import normalise_seconds
+from motionkit.data.corpus import FrameValues, open_frames
+from motionkit.data.poses import WindowPoses
+from motionkit.data.reconstruction import ModelWindows
+from motionkit.data.windows import Windows, cut_windows
+from motionkit.features import field
+from motionkit.fields.assembly import AssembledField, Piece, assemble, even_starts
+from motionkit.fields.motion_field import MotionField, Observation
+from motionkit.store.reader import Store
+from motionkit.training.pose_vectors import PoseTensors
+from motionkit.training.run import RunFolder
+from nerm.field import TrainedField, load_field
+from nerm.names import row_name
+from nerm.network import EncodedCoordinates
+
+EVALUATIONS = 30
+HISTORY = 10
+SUFFICIENT_DECREASE, SMALLEST_CURVATURE = 1e-4, 1e-10
+PROBES = 8
+SMALLEST_EFFECT = 0.05
+
+
+def starting_latents(trained: TrainedField, batch: PoseTensors) -> Float32[Tensor, "batch latent"]:
+    """The initial z: the linear fit that initialises training too (local layout), or the prior's mean."""
+    model = trained.linear_model
+    if model is None:
+        return torch.zeros(len(batch.window), trained.latent_dimension)
+    return model.fit(batch)
+
+
+def encode_by_optimisation(
+    trained: TrainedField, batch: PoseTensors, *, evaluations: int = EVALUATIONS
+) -> Float32[Tensor, "batch latent"]:
+    """The z of each clip of a batch: argmin ‖f_θ(t, z, s) − x‖² + λ_KL·½‖z‖²/d, independent of the other clips.
+
+    A clip's poses must be in order of time. ½‖z‖²/d is the KL term for a fixed posterior variance; a field without
+    distributions has none (Eq. 9). The result is on the CPU.
+    """
+    config, device = trained.config, trained.device
+    kl_weight = config.loss.kl_weight if config.latents.variational else 0.0
+    target = trained.scaling.apply(batch.vectors.to(device))
+    start = starting_latents(trained, batch).to(device)
+    fps = batch.fps.to(device)
+    with torch.no_grad():
+        encoded = trained.network.encode_coordinates(batch.coordinates.to(device), fps)
+    unit = 1.0 / effect_of_numbers(trained, start, encoded, fps)
+
+    @torch.enable_grad()
+    def objective(moved: Tensor) -> tuple[Tensor, Tensor]:
+        moved = moved.detach().requires_grad_()
+        latents = start + unit * moved
+        misfit = (trained.network.decode(latents, encoded, fps) - target).square().mean(dim=(1, 2))
+        losses = misfit + 0.5 * kl_weight * latents.square().mean(dim=1)
+        (gradients,) = torch.autograd.grad(losses.sum(), moved)
+        return losses.detach(), gradients
+
+    return (start + unit * minimise_each(objective, torch.zeros_like(start), evaluations)).cpu()
+
+
+@torch.no_grad()
+def minimise_each(
+    objective: Callable[[Tensor], tuple[Tensor, Tensor]],
+    start: Float[Tensor, "batch n"],
+    evaluations: int,
+) -> Float[Tensor, "batch n"]:
+    """Minimise a function of each row by L-BFGS with backtracking (Nocedal & Wright 2006, algorithms 7.5 and 3.1).
+
+    `objective` returns values [batch] and gradients [batch, n]. Rows are evaluated together, but each has its own step
+    length and history: where a value does not decrease, a shorter step is evaluated next, elsewhere the next one.
+    """
+    point = start
+    value, gradient = objective(point)
+    # The latest steps of each row and the changes of its gradient, the newest last; zeros have no effect.
+    steps = point.new_zeros((HISTORY, *point.shape))
+    changes = torch.zeros_like(steps)
+    length = torch.ones_like(value)
+    for _ in range(evaluations - 1):
+        direction = -_newton_step(gradient, steps, changes)
+        trial = point + length[:, None] * direction
+        trial_value, trial_gradient = objective(trial)
+        expected = length * (gradient * direction).sum(dim=1)
+        decreased = trial_value <= value + SUFFICIENT_DECREASE * expected
+        step, change = trial - point, trial_gradient - gradient
+        is_convex = (step * change).sum(dim=1) > SMALLEST_CURVATURE * change.square().sum(dim=1)
+        (rows,) = torch.where(decreased & is_convex)
+        steps[:, rows] = torch.cat((steps[1:, rows], step[None, rows]))
+        changes[:, rows] = torch.cat((changes[1:, rows], change[None, rows]))
+        # Towards the minimum of the parabola through both values and the slope.
+        shorter = length * (0.5 * expected / (expected + value - trial_value)).nan_to_num(0.0).clamp(0.1, 0.5)
+        length = torch.where(decreased, 1.0, shorter)
+        value = torch.where(decreased, trial_value, value)
+        point, gradient = (
+            torch.where(decreased[:, None], new, old) for new, old in ((trial, point), (trial_gradient, gradient))
+        )
+    return point
+
+
+def _newton_step(
+    gradient: Float[Tensor, "batch n"],
+    steps: Float[Tensor, "history batch n"],
+    changes: Float[Tensor, "history batch n"],
+) -> Float[Tensor, "batch n"]:
+    """The inverse Hessian that L-BFGS estimates, times the gradient (Nocedal & Wright 2006, algorithm 7.4)."""
+    curvature = (steps * changes).sum(dim=-1)
+    inverse = torch.where(curvature > 0, 1.0 / curvature, 0.0)
+    size = changes[-1].square().sum(dim=-1)
+    # Without a step yet: of length 1 at most.
+    first = 1.0 / gradient.abs().sum(dim=-1).clamp(min=1.0)
+    result, weights = gradient, []
+    for index in reversed(range(len(steps))):
+        weights.append(inverse[index] * (steps[index] * result).sum(dim=-1))
+        result = result - weights[-1][:, None] * changes[index]
+    result = result * torch.where(size > 0, curvature[-1] / size, first)[:, None]
+    for index, weight in enumerate(reversed(weights)):
+        other = inverse[index] * (changes[index] * result).sum(dim=-1)
+        result = result + (weight - other)[:, None] * steps[index]
+    return result
+
+
+def effect_of_numbers(
+    trained: TrainedField,
+    latents: Float32[Tensor, "batch latent"],
+    encoded: EncodedCoordinates,
+    fps: Float64[Tensor, "batch"],
+) -> Float[Tensor, "batch latent"]:
+    """The relative effect of a unit of each number of z on the poses of its clip.
+
+    √diag(JᵀJ) by Hutchinson's estimator with random signs, the same for all clips; at least `SMALLEST_EFFECT`, to bound
+    the steps of numbers with hardly any effect.
+    """
+    generator = torch.Generator().manual_seed(0)
+    latents = latents.detach().requires_grad_()
+    vectors = trained.network.decode(latents, encoded, fps)
+    total = torch.zeros_like(latents)
+    for _ in range(PROBES):
+        signs = (torch.randint(0, 2, vectors.shape[1:], generator=generator) * 2.0 - 1.0).to(vectors.device)
+        (gradient,) = torch.autograd.grad(vectors, latents, signs.expand_as(vectors), retain_graph=True)
+        total += gradient.square()
+    effect = total.sqrt()
+    return (effect / effect.square().mean(dim=1, keepdim=True).sqrt()).clamp(min=SMALLEST_EFFECT)
+
+
+POSES_TO_ENCODE_FROM = 100
+WINDOWS_AT_ONCE = 64
+
+
+@dataclass(frozen=True, eq=False)
+class NermEncoder:
+    """A `MotionEncoder` that `ReconstructsWindows`: latents of a frozen field, one per window of at most l_max seconds.
+
+    Neighbouring windows overlap by at least `overlap_seconds`; each z is fitted to at most `num_poses` observed poses,
+    evenly spaced among those of its window. `name` is its row in tables.
+    """
+
+    trained: TrainedField
+    name: str = "NeRM"
+    overlap_seconds: float = 1.0
+    num_poses: int = POSES_TO_ENCODE_FROM
+
+    @property
+    def store_fingerprint(self) -> str:
+        """Fingerprint of the store that the field was trained on."""
+        return self.trained.store_fingerprint
+
+    def training_windows(self, store: Store) -> ModelWindows:
+        """The training windows, decoded from their posterior means."""
+        trained = self.trained
+        source, _ = open_frames(trained.vectors, store, trained.config.where or None)
+
+        def fields(rows: Int64[np.ndarray, "chosen"]) -> list[MotionField]:
+            return self._fields(trained.windows.select(rows), trained.posterior_mean[torch.from_numpy(rows)])
+
+        return ModelWindows(source, trained.windows, fields, "from their μ")
+
+    def other_windows(self, store: Store, where: str | None) -> ModelWindows:
+        """Windows of the sequences that match `where`, each z found by optimisation against the frozen field.
+
+        Raises `UsageError` if there are none.
+        """
+        trained = self.trained
+        source, frames = open_frames(trained.vectors, store, where)
+        windows = cut_windows(
+            source,
+            max_duration_seconds=trained.max_duration_seconds,
+        )
+
+        def fields(rows: Int64[np.ndarray, "chosen"]) -> list[MotionField]:
+            chosen = windows.select(rows)
+            return self._fields(chosen, encode_windows(trained, chosen, frames))
+
+        return ModelWindows(source, windows, fields, "encoded by optimisation")
+
+    def _fields(self, windows: Windows, latents: Float32[Tensor, "windows latent"]) -> list[MotionField]:
+        seconds = windows.duration_seconds.tolist()
+        return [
+            self.trained.as_motion_field(each, float(length)) for each, length in zip(latents, seconds, strict=True)
+        ]
+
+    def encode(
+        self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
+    ) -> AssembledField:
+        """The motion as a field in the world's frame.
+
+        Raises `ValueError` for a skeleton other than the 22-joint layout, and if a window has no observed pose (a gap,
+        or extrapolation, about as long as l_max).
+        """
+        # By name: LaFAN1's skeleton has 22 joints too, but different ones.
+        if observation.skeleton.joint_names != SMPL22.joint_names:
+            raise ValueError(
+                f"NeRM knows the {SMPL22.num_joints} joints of {SMPL22.name!r}, not those of "
+                f"{observation.skeleton!r}: map the motion first (motionkit.core.skeletons.mapping.map_joints)"
+            )
+        start = observation.start_seconds - before_seconds
+        span = observation.end_seconds + after_seconds - start
+        length = min(span, self.trained.max_duration_seconds)
+        starts = start + even_starts(span, self.trained.max_duration_seconds, self.overlap_seconds)
+        pieces: list[Piece] = []
+        for first in range(0, len(starts), WINDOWS_AT_ONCE):
+            pieces += self._pieces(observation, starts[first : first + WINDOWS_AT_ONCE], length)
+        return assemble(pieces)
+
+    def _pieces(self, observation: Observation, starts: Float64[np.ndarray, "windows"], length: float) -> list[Piece]:
+        rows = self._rows(observation, starts, length)
+        positions = observation.poses.joint_positions[rows]
+        yaw, origin = field.window_frame(positions[:, 0])
+        seconds = observation.times_seconds[rows] - starts[:, None]
+        fps = 1.0 / np.median(np.diff(observation.times_seconds)) if len(observation) > 1 else 30.0
+        batch = PoseTensors(
+            window=torch.arange(len(starts)),
+            coordinates=torch.from_numpy(normalise_seconds(seconds, self.trained.max_duration_seconds)),
+            fps=torch.full((len(starts),), float(fps), dtype=torch.float64),
+            vectors=torch.from_numpy(field.encode(positions, yaw, origin)),
+        )
+        latents = encode_by_optimisation(self.trained, batch)
+        return [
+            Piece(
+                self.trained.as_motion_field(latents[number], length),
+                float(starts[number]),
+                float(yaw[number]),
+                (float(origin[number, 0]), float(origin[number, 1])),
+            )
+            for number in range(len(starts))
+        ]
+
+    def _rows(
+        self, observation: Observation, starts: Float64[np.ndarray, "windows"], length: float
+    ) -> Int[np.ndarray, "windows poses"]:
+        """Observed frames to fit each window to; repeated if it has fewer than `num_poses`."""
+        times = observation.times_seconds
+        first = np.searchsorted(times, starts - 1e-9)
+        last = np.searchsorted(times, starts + length + 1e-9) - 1
+        if (last < first).any():
+            empty = float(starts[np.argmax(last < first)])
+            raise ValueError(
+                f"no pose is observed between {empty:.2f} and {empty + length:.2f} s: a window of "
+                f"{self.trained.max_duration_seconds:g} s (l_max) needs at least one"
+            )
+        return np.rint(np.linspace(first, last, self.num_poses, axis=1)).astype(np.int64)
+
+
+def encode_windows(
+    trained: TrainedField,
+    windows: Windows,
+    frames: FrameValues,
+    *,
+    num_poses: int = POSES_TO_ENCODE_FROM,
+) -> Float32[Tensor, "windows latent"]:
+    """The latents of windows that were not in training, by optimisation on `num_poses` native poses of each.
+
+    `frames` come from opening the field's pose vectors.
+    """
+    poses = WindowPoses(windows, frames)
+    parts = [
+        encode_by_optimisation(
+            trained,
+            PoseTensors.of(poses.evenly(np.arange(start, min(start + WINDOWS_AT_ONCE, len(windows))), num_poses)),
+        )
+        for start in range(0, len(windows), WINDOWS_AT_ONCE)
+    ]
+    return torch.cat(parts)
+
+
+def load(run: Path) -> NermEncoder:
+    """The encoder of a run whose stage `field` is trained.
+
+    Raises what `load_field` raises.
+    """
+    trained = load_field(run)
+    return NermEncoder(trained, row_name(RunFolder(run), trained.config))

@@ -1,0 +1,328 @@
+"""A trained motion field f_θ(t, z, s) → pose: the result of stage 1 (paper §3.1), for generation and encoding."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from motionkit.core.shapes import Float, Float32, Float64
+from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.core.timegrid import normalise_seconds
+from motionkit.data.windows import Windows
+from motionkit.features.convention import PoseVectors
+from motionkit.features.field import FIELD_VECTORS
+from motionkit.fields.contact.planted import GRID_FPS
+from motionkit.fields.motion_field import Poses, check_times
+from motionkit.training.config import to_plain
+from motionkit.training.devices import resolve_device
+from motionkit.training.pose_vectors import VectorScaling, has_joints, vector_tensors, vectors_of
+from motionkit.training.run import RunFolder, StageFolder
+from motionkit.training.tensors import CheckpointError, load_tensors, prefixed, rebuilding, save_tensors, unprefixed
+from nerm.contact import ContactHead, contact_head, probabilities
+from nerm.linear_fit import LinearModel, PoseComponents
+from nerm.network import EncodedCoordinates, FieldNetwork
+from nerm.settings import FieldConfig, from_recorded
+
+GRIDS_KEPT = 16
+POSES_AT_ONCE = 8_192
+# Context poses of a transformer decoder (docs/deviations.md).
+CONTEXT_INSTANTS = 64
+POSES_IN_CONTEXT_AT_ONCE = 1_024
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedField:
+    """f_θ with its scales and the posteriors N(μ_i, Σ_i) of all training windows.
+
+    `network` is in evaluation mode without gradients; `components` are the pose components of the linear model that
+    initialises local latents (None for the global layout); `vectors` is the pose vector convention; `contacts` is the
+    contact head (None: not trained).
+    """
+
+    network: FieldNetwork
+    scaling: VectorScaling
+    components: PoseComponents | None
+    posterior_mean: Float32[torch.Tensor, "windows latent"]
+    posterior_log_variance: Float32[torch.Tensor, "windows latent"]
+    windows: Windows
+    store_fingerprint: str
+    vectors: PoseVectors = FIELD_VECTORS
+    contacts: ContactHead | None = None
+
+    @property
+    def config(self) -> FieldConfig:
+        """The training settings."""
+        return self.network.config
+
+    @property
+    def latent_dimension(self) -> int:
+        """d."""
+        return self.config.latents.dimension
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The skeleton of decoded poses; its first 22 joints are the 22-joint layout's."""
+        return self.vectors.skeleton
+
+    @property
+    def linear_model(self) -> LinearModel | None:
+        """The linear model of local latents, on the CPU; None for the global layout."""
+        banks = self.network.local
+        if banks is None or self.components is None:
+            return None
+        return LinearModel(banks, self.scaling.to(torch.device("cpu")), self.components, self.config.latents.ridge)
+
+    @property
+    def max_duration_seconds(self) -> float:
+        """l_max: the span of [−1, 1]."""
+        return self.config.windows.max_duration_seconds
+
+    @property
+    def max_training_fps(self) -> Fraction:
+        """Highest framerate in training: the fastest window's, or that of fixed-framerate training."""
+        if self.config.clips.fixed_framerate is not None:
+            return self.config.clips.fixed_framerate
+        fastest = int(np.argmax(self.windows.fps))
+        return self.windows.exact_fps(fastest)
+
+    @property
+    def has_joints(self) -> bool:
+        """Whether each pose's joints are a differentiable function of the latent alone."""
+        return has_joints(self.vectors) and self.config.decoder.kind != "transformer"
+
+    @property
+    def device(self) -> torch.device:
+        """The network's device."""
+        return self.scaling.mean.device
+
+    def encode_times(self, times_seconds: Float64[np.ndarray, "batch times"], fps: Fraction) -> EncodedCoordinates:
+        """The coordinate branch at these times; recent grids are cached.
+
+        Motions of any duration share the grid of a whole window at `fps`, or at the rate at which contacts are found.
+        """
+        rows, count = times_seconds.shape
+        for rate in (float(fps), GRID_FPS):
+            whole = np.arange(int(self.max_duration_seconds * rate + 1e-6) + 1) / rate
+            if rows == 1 and count <= len(whole) and np.abs(times_seconds[0] - whole[:count]).max(initial=0.0) < 1e-9:
+                return self._kept_grids((1, len(whole)), whole.tobytes(), fps).first(count)
+        return self._kept_grids(times_seconds.shape, np.ascontiguousarray(times_seconds).tobytes(), fps)
+
+    @cached_property
+    def _kept_grids(self) -> Callable[[tuple[int, ...], bytes, Fraction], EncodedCoordinates]:
+        network, longest, device = self.network, self.max_duration_seconds, self.device
+
+        @lru_cache(GRIDS_KEPT)
+        @torch.no_grad()
+        def encoded(shape: tuple[int, ...], content: bytes, fps: Fraction) -> EncodedCoordinates:
+            times = np.frombuffer(content).reshape(shape)
+            rates = torch.full((len(times),), float(fps), dtype=torch.float64, device=device)
+            return network.encode_coordinates(torch.from_numpy(normalise_seconds(times, longest)).to(device), rates)
+
+        return encoded
+
+    def decode(
+        self,
+        latents: Float[torch.Tensor, "batch latent"],
+        times_seconds: Float64[np.ndarray, "times"] | Float64[np.ndarray, "batch times"],
+        fps: Fraction,
+    ) -> Float32[np.ndarray, "batch times 22 3"]:
+        """Joint positions in metres of the 22-joint layout, in the windows' own frames, for each latent.
+
+        Times are seconds from the window's start, shared by all latents or one row each; `fps` is the framerate s. At
+        most `POSES_AT_ONCE` poses are decoded at once, to bound memory.
+        """
+        joints = slice(0, SMPL22.num_joints)
+        return np.stack([poses.joint_positions[:, joints] for poses in self.poses(latents, times_seconds, fps)])
+
+    def poses(
+        self,
+        latents: Float[torch.Tensor, "batch latent"],
+        times_seconds: Float64[np.ndarray, "times"] | Float64[np.ndarray, "batch times"],
+        fps: Fraction,
+        context_seconds: Float64[np.ndarray, "context"] | None = None,
+    ) -> list[Poses]:
+        """As `decode`, with rotations if the field has learnt them.
+
+        A transformer decoder's poses depend on the others decoded with them; with `context_seconds`, only on those at
+        these instants.
+        """
+        rows = times_seconds[None] if times_seconds.ndim == 1 else times_seconds
+        instants = [self.vectors.instants(row) for row in rows]
+        if len({len(each) for each in instants}) > 1:
+            return [self.poses(latents[row : row + 1], rows[row], fps, context_seconds)[0] for row in range(len(rows))]
+        vectors = self._vectors_at(latents, np.stack(instants), fps, context_seconds)
+        which = range(len(latents)) if len(rows) > 1 else [0] * len(latents)
+        return [self.vectors.decode(each, instants[row], rows[row]) for each, row in zip(vectors, which, strict=True)]
+
+    def _vectors_at(
+        self,
+        latents: Float[torch.Tensor, "batch latent"],
+        rows: Float64[np.ndarray, "rows times"],
+        fps: Fraction,
+        context_seconds: Float64[np.ndarray, "context"] | None,
+    ) -> Float32[np.ndarray, "batch times numbers"]:
+        num_times = rows.shape[1]
+        context = np.zeros(0) if context_seconds is None else context_seconds
+        at_once = POSES_IN_CONTEXT_AT_ONCE if len(context) else POSES_AT_ONCE
+        found = np.empty((len(latents), num_times, self.vectors.num_features), dtype=np.float32)
+        per_call = max(1, POSES_AT_ONCE // max(1, num_times))
+        for start in range(0, len(latents), per_call):
+            some = latents[start : start + per_call].float().to(self.device)
+            own = rows if len(rows) == 1 else rows[start : start + per_call]
+            for first in range(0, num_times, at_once):
+                times = slice(first, first + at_once)
+                read = np.concatenate((np.broadcast_to(context, (len(own), len(context))), own[:, times]), axis=1)
+                vectors = self.decode_vectors(some, self.encode_times(read, fps), fps, len(context))
+                found[start : start + per_call, times] = vectors[:, len(context) :].cpu().numpy()
+        return found
+
+    @torch.no_grad()
+    def decode_vectors(
+        self,
+        latents: Float32[torch.Tensor, "batch latent"],
+        encoded: EncodedCoordinates,
+        fps: Fraction,
+        num_context: int = 0,
+    ) -> Float32[torch.Tensor, "batch times numbers"]:
+        """Unstandardised pose vectors at encoded times (one row of times for each latent, or one for all).
+
+        The first `num_context` are the context of a transformer decoder.
+        """
+        which = encoded.which.expand(len(latents), -1)
+        rates = torch.full((len(latents),), float(fps), dtype=torch.float64, device=self.device)
+        standardised = self.network.decode(latents, replace(encoded, which=which), rates, num_context)
+        vectors: torch.Tensor = self.scaling.invert(standardised.float())
+        return vectors
+
+    def contact_probabilities(
+        self, latent: Float[torch.Tensor, "latent"], times_seconds: Float64[np.ndarray, "times"], fps: Fraction
+    ) -> Float32[np.ndarray, "times 2 2"] | None:
+        """Contact probabilities of ankle and toe of left and right foot; None without a contact head."""
+        if self.contacts is None:
+            return None
+        encoded = self.encode_times(times_seconds[None], fps)
+        with torch.no_grad():
+            read = self.network.read(latent[None].float().to(self.device), encoded)
+        found: Float32[np.ndarray, "times 2 2"] = probabilities(self.contacts, read)[0]
+        return found
+
+    def as_motion_field(
+        self, latent: Float[torch.Tensor, "latent"], duration_seconds: float, fps: Fraction | None = None
+    ) -> "LatentMotionField":
+        """One latent's motion on [0, duration], at the framerate s = `fps` (default: the highest in training)."""
+        return LatentMotionField(self, latent, duration_seconds, fps or self.max_training_fps)
+
+    def __repr__(self) -> str:
+        return (
+            f"TrainedField({self.config.latents.layout} latents of {self.latent_dimension} numbers, {self.windows!r}, "
+            f"trained up to {self.max_training_fps} fps)"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class LatentMotionField:
+    """A `motionkit.fields.motion_field.MotionField`: f_θ for one fixed z and s."""
+
+    field: TrainedField
+    latent: Float[torch.Tensor, "latent"]
+    end_seconds: float
+    fps: Fraction
+    start_seconds: float = 0.0
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The skeleton of the poses: the 22-joint layout, or the rig of learnt rotations."""
+        return self.field.skeleton
+
+    def at_fps(self, fps: Fraction) -> "LatentMotionField":
+        """The same motion (the same z) at another framerate s."""
+        return replace(self, fps=fps)
+
+    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
+        """Poses at any times in [0, end_seconds], each independent of the others; raises `ValueError` outside it."""
+        check_times(self, times_seconds)
+        context = None
+        if self.field.config.decoder.kind == "transformer":
+            context = np.linspace(0.0, self.end_seconds, CONTEXT_INSTANTS)
+        return self.field.poses(self.latent[None], times_seconds, self.fps, context)[0]
+
+    def contacts(self, times_seconds: Float64[np.ndarray, "times"]) -> Float32[np.ndarray, "times 2 2"] | None:
+        """Contact probabilities of ankle and toe of left and right foot; None without a contact head."""
+        check_times(self, times_seconds)
+        return self.field.contact_probabilities(self.latent, times_seconds, self.fps)
+
+
+STAGE_NAME = "field"
+FORMAT_VERSION = 2
+
+
+def save_field(folder: StageFolder, trained: TrainedField) -> None:
+    """Write model.safetensors: network, scales, posteriors and the window table, with the settings in its header."""
+    tensors = (
+        prefixed("network", trained.network.state_dict())
+        | prefixed("scaling", {"mean": trained.scaling.mean, "scale": trained.scaling.scale})
+        | prefixed("posterior", {"mean": trained.posterior_mean, "log_variance": trained.posterior_log_variance})
+        | vector_tensors(trained.vectors)
+        | prefixed("windows", {name: torch.from_numpy(array) for name, array in trained.windows.arrays().items()})
+    )
+    if trained.contacts is not None:
+        tensors |= prefixed("contacts", trained.contacts.state_dict())
+    if trained.components is not None:
+        tensors["components.mean"] = trained.components.mean
+        tensors["components.directions"] = trained.components.directions
+    description: dict[str, Any] = {
+        "format": "nerm-field",
+        "version": FORMAT_VERSION,
+        "config": to_plain(trained.config),
+        "layout": trained.skeleton.name,
+        "store_fingerprint": trained.store_fingerprint,
+    }
+    save_tensors(folder.model_path, tensors, description)
+
+
+def load_field(run: RunFolder | Path, device: str = "cpu") -> TrainedField:
+    """Load a run's trained field; raises `CheckpointError` if it is missing or of another format."""
+    folder = (run if isinstance(run, RunFolder) else RunFolder(run)).stage(STAGE_NAME)
+    if not folder.model_path.is_file():
+        folder.read_summary()
+    tensors, description = load_tensors(folder.model_path)
+    if description.get("format") != "nerm-field" or description.get("version") != FORMAT_VERSION:
+        raise CheckpointError(
+            f"{folder.model_path} is {description.get('format')!r} version {description.get('version')}, expected "
+            f"'nerm-field' version {FORMAT_VERSION}: train it again (motionkit train --stage field --overwrite)"
+        )
+    where = resolve_device(device)
+    with rebuilding(folder.model_path, STAGE_NAME, tensors):
+        return _rebuild(tensors, description, where)
+
+
+def _rebuild(tensors: Mapping[str, torch.Tensor], description: Mapping[str, Any], where: torch.device) -> TrainedField:
+    config = from_recorded(FieldConfig, description["config"])
+    scaling = VectorScaling(tensors["scaling.mean"], tensors["scaling.scale"])
+    network = FieldNetwork(config, len(scaling.mean), tensors.get("network.attention.codebook"))
+    network.load_state_dict(unprefixed("network", tensors))
+    contacts = None
+    if of_contacts := unprefixed("contacts", tensors):
+        contacts = contact_head(network)
+        contacts.load_state_dict(of_contacts)
+        contacts = contacts.to(where).eval().requires_grad_(False)
+    arrays = {name: tensor.numpy() for name, tensor in unprefixed("windows", tensors).items()}
+    components = None
+    if config.latents.layout == "local":
+        components = PoseComponents(tensors["components.mean"], tensors["components.directions"])
+    return TrainedField(
+        network=network.to(where).eval().requires_grad_(False),
+        scaling=scaling.to(where),
+        components=components,
+        posterior_mean=tensors["posterior.mean"],
+        posterior_log_variance=tensors["posterior.log_variance"],
+        windows=Windows(config.windows.max_duration_seconds, **arrays),
+        store_fingerprint=str(description["store_fingerprint"]),
+        vectors=vectors_of(config.pose_vectors, tensors),
+        contacts=contacts,
+    )

@@ -1,1 +1,0 @@
-"""The motion field f_θ(t, z, s) → pose: network, training, encoding of new motions, reconstruction."""

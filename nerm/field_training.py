@@ -1,0 +1,405 @@
+"""Stage `field`: training f_θ with one N(μ, Σ) per window, without an encoder (paper §3.1, Eq. 1, 3 and 4; B.2).
+
+Only the rows of a batch are gathered and updated, with their Adam moments, so a step's cost does not depend on the
+number of windows.
+"""
+
+import dataclasses
+import time
+from collections.abc import Mapping
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from motionkit.core.errors import UsageError
+from motionkit.core.progress import warn
+from motionkit.core.shapes import Float, Float32, Int64
+from motionkit.core.skeleton import SMPL22
+from motionkit.data.corpus import FrameValues, open_frames, training_vectors
+from motionkit.data.poses import WindowPoses
+from motionkit.data.windows import PositionSource, Windows, cut_windows, rows_by_duration, shuffled_batches
+from motionkit.features.convention import PoseVectors
+from motionkit.store.cache import PositionCache
+from motionkit.store.reader import Store
+from motionkit.training.devices import (
+    ALONE,
+    DealtRows,
+    Ranks,
+    autocast,
+    float32_products,
+    resolve_device,
+    with_precision_of,
+)
+from motionkit.training.loop import scale_rates, seeded_initialisation, step_generator, train_loop
+from motionkit.training.pose_vectors import PoseTensors, VectorScaling, measure_scaling, uniform_of
+from motionkit.training.run import RunError
+from motionkit.training.stage import StageContext
+from motionkit.training.tensors import load_training_tensors, prefixed, training_tensors
+from nerm.codebook import load_codes
+from nerm.contact import ContactTraining, contact_rows
+from nerm.field import TrainedField, save_field
+from nerm.latents import first_read, in_use, local_latents, measured_space
+from nerm.linear_fit import LinearModel, fit_windows, measure_components
+from nerm.network import FieldNetwork
+from nerm.recipes import NermConfig
+from nerm.settings import FieldConfig
+
+LOG_VARIANCE_RANGE = (-12.0, 4.0)
+WARMUP_FPS = Fraction(20)
+# Standard deviations of the latents' noise, in the denoiser's space, that the contact head is trained with.
+CONTACT_NOISE = 0.4
+
+
+class RowAdam:
+    """Sparse AdamW (Loshchilov & Hutter 2019) over rows of a table; each row counts its own steps.
+
+    A row updated n times has had exactly n steps of dense AdamW; other rows are unchanged, without weight decay.
+    """
+
+    def __init__(
+        self,
+        table: Float32[Tensor, "rows width"],
+        betas: tuple[float, float] = (0.9, 0.999),
+        epsilon: float = 1e-8,
+        weight_decay: float = 0.0,
+    ) -> None:
+        self.table = table
+        self.weight_decay = weight_decay
+        self.betas = betas
+        self.epsilon = epsilon
+        self.first = torch.zeros_like(table)
+        self.second = torch.zeros_like(table)
+        self.count = torch.zeros(len(table), 1, device=table.device)
+
+    @torch.no_grad()
+    def update(self, rows: Int64[Tensor, "chosen"], gradient: Float32[Tensor, "chosen width"], rate: float) -> None:
+        """One step on distinct rows."""
+        beta1, beta2 = self.betas
+        count = self.count[rows] + 1.0
+        first = torch.lerp(self.first[rows], gradient, 1.0 - beta1)
+        second = torch.lerp(self.second[rows], gradient.square(), 1.0 - beta2)
+        step = rate * (first / (1.0 - beta1**count)) / ((second / (1.0 - beta2**count)).sqrt() + self.epsilon)
+        self.table[rows] = (1.0 - rate * self.weight_decay) * self.table[rows] - step
+        self.first[rows], self.second[rows], self.count[rows] = first, second, count
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Table and moments."""
+        return {"table": self.table, "first": self.first, "second": self.second, "count": self.count}
+
+
+def sample_posterior(
+    mean: Float[Tensor, "batch latent"],
+    log_variance: Float[Tensor, "batch latent"],
+    noise: Float[Tensor, "batch latent"],
+) -> Float[Tensor, "batch latent"]:
+    """z = μ + σ·ε, the reparameterisation of N(μ, Σ) (Eq. 1)."""
+    return mean + torch.exp(0.5 * log_variance) * noise
+
+
+def kl_divergence(
+    mean: Float[Tensor, "batch latent"],
+    log_variance: Float[Tensor, "batch latent"],
+    num_windows: int | None = None,
+) -> Float[Tensor, ""]:
+    """KL(N(μ, Σ) ‖ N(0, I)) of Eq. 3 for diagonal Σ, averaged over latent numbers and windows, in nats.
+
+    With `num_windows` the mean is over that many windows, of which these are a part.
+    """
+    divergence = 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance)
+    return divergence.sum() / (mean.shape[1] * (num_windows or len(mean)))
+
+
+def linear_model(poses: WindowPoses, scaling: VectorScaling, config: FieldConfig) -> LinearModel | None:
+    """The linear model of the windows' poses that local latents are fitted with; None for the global layout."""
+    banks = local_latents(config)
+    if banks is None:
+        return None
+    ridge = config.latents.ridge
+    return LinearModel(banks, scaling, measure_components(poses, banks, scaling, ridge), ridge)
+
+
+def initial_means(
+    poses: WindowPoses,
+    model: LinearModel | None,
+    config: FieldConfig,
+    seed: int,
+    windows: Int64[Tensor, "chosen"],
+) -> Float32[Tensor, "chosen latent"]:
+    """μ of some windows before training: N(0, 1), or the linear model's fit."""
+    if model is not None:
+        return fit_windows(poses, model, windows.numpy())
+    return torch.randn(len(poses.windows), config.latents.dimension, generator=step_generator(seed, "latents"))[windows]
+
+
+class FieldTraining:
+    """A `motionkit.training.loop.Trainable`: θ, {μ_i} and {log Σ_i} with their optimisers.
+
+    Each rank owns the latents of its windows, a contiguous part of the corpus, and steps on its share of a batch; only
+    the gradient of θ is reduced between ranks.
+    """
+
+    def __init__(
+        self,
+        poses: WindowPoses,
+        config: FieldConfig,
+        *,
+        codebook: Float[Tensor, "codes dimension"] | None,
+        seed: int,
+        device: torch.device,
+        ranks: Ranks = ALONE,
+    ) -> None:
+        self.poses, self.config, self.seed, self.device = poses, config, seed, device
+        self.scaling = measure_scaling(
+            poses,
+            grouped=config.loss.scaling == "group",
+            root_weight=config.loss.root_weight,
+            centred_path=config.latents.has_path,
+        )
+        model = linear_model(poses, self.scaling, config)
+        self.components = None if model is None else model.components
+        self.ranks = ranks
+        in_corpus = np.argsort(poses.windows.start_row, kind="stable")
+        self.own = DealtRows(ranks, poses.windows.duration_seconds, in_corpus)
+        means = initial_means(poses, model, config, seed, self.own.rows)
+        num_features = len(self.scaling.mean)
+        self.scaling = self.scaling.to(device)
+        with seeded_initialisation(seed, "field"):
+            self.network = FieldNetwork(config, num_features, codebook).to(device)
+        if self.components is not None:
+            self.network.start_as_linear_model(self.components.mean, self.components.inverse())
+        self.visits = rows_by_duration(poses.windows, config.clips.seconds_per_visit)
+        self.steps = config.schedule.num_steps(len(self.visits))
+        self.optimizer = torch.optim.AdamW(self._parameter_groups(), weight_decay=config.optimizer.weight_decay)
+        self.mean = RowAdam(means.to(device), weight_decay=config.optimizer.weight_decay)
+        # Eq. 9 has no Σ: with this log-variance stage 2 effectively draws μ.
+        start = config.latents.initial_log_variance if config.latents.variational else LOG_VARIANCE_RANGE[0]
+        self.log_variance = RowAdam(torch.full_like(self.mean.table, start), weight_decay=config.optimizer.weight_decay)
+
+    def _parameter_groups(self) -> list[dict[str, Any]]:
+        """θ in two groups: attention (CCA, transformer decoder) diverges at learning rates that suit an MLP."""
+        attention = [] if self.network.attention is None else list(self.network.attention.parameters())
+        if self.config.decoder.kind == "transformer":
+            attention += self.network.layers.parameters()
+        ours = {id(parameter) for parameter in attention}
+        decoder = [parameter for parameter in self.network.parameters() if id(parameter) not in ours]
+        rate = self.config.schedule.learning_rate
+        groups: list[dict[str, Any]] = [{"params": decoder, "lr": rate, "base_lr": rate}]
+        if attention:
+            rate = self.config.optimizer.attention_learning_rate
+            groups.append({"params": attention, "lr": rate, "base_lr": rate})
+        return groups
+
+    def step(self, step: int, generator: torch.Generator) -> Mapping[str, Tensor]:
+        """One step on θ and on the latents of the batch."""
+        config = self.config
+        visits = shuffled_batches(len(self.visits), config.schedule.batch_size, step, self.seed)
+        windows = torch.from_numpy(self.visits[visits])
+        mine = self.own.mine(windows)
+        batch = self._draw(step, windows, mine, generator)
+        distinct, which = torch.unique(windows[mine], return_inverse=True)
+        rows = self.own.place(distinct).to(self.device)
+        mean = self.mean.table[rows].requires_grad_()
+        log_variance = self.log_variance.table[rows].requires_grad_()
+        latents = mean[which]
+        if config.latents.variational:
+            noise = torch.randn(len(windows), latents.shape[1], generator=generator)[mine].to(self.device)
+            latents = sample_posterior(latents, log_variance[which], noise)
+        with autocast(config.precision, self.device):
+            predicted = self.network(latents, batch.coordinates, batch.fps)
+        # This rank's share of means over the whole batch.
+        squares = (predicted.float() - self.scaling.apply(batch.vectors)).square()
+        reconstruction = squares.sum() / (len(windows) * squares.shape[1:].numel())
+        kl = kl_divergence(mean, log_variance, len(torch.unique(windows)))
+        loss = reconstruction + config.loss.kl_weight * kl if config.latents.variational else reconstruction
+        self.optimizer.zero_grad(set_to_none=True)
+        torch.autograd.backward(loss)
+        self._update(step, rows, mean, log_variance)
+        return {"loss": loss, "reconstruction": reconstruction, "kl": kl}
+
+    def _draw(
+        self,
+        step: int,
+        windows: Int64[Tensor, "batch"],
+        mine: Int64[Tensor, "mine"],
+        generator: torch.Generator,
+    ) -> PoseTensors:
+        """The clips of a step: at one fixed framerate during warm-up, then at all native ones (or at `fixed_fps`)."""
+        clips = self.config.clips
+        warming_up = step < clips.warmup_fraction * self.steps and clips.fixed_fps is None
+        batch = self.poses.draw(
+            windows.numpy(),
+            clips.num_poses,
+            uniform_of(generator),
+            contiguous=clips.contiguous,
+            fps=WARMUP_FPS if warming_up else None,
+            lowest_fps=clips.lowest_fps,
+            rows=mine.numpy(),
+        )
+        return PoseTensors.of(batch).to(self.device)
+
+    def _update(self, step: int, rows: Int64[Tensor, "rows"], mean: Tensor, log_variance: Tensor) -> None:
+        config = self.config
+        factor = config.schedule.factor(step, self.steps)
+        scale_rates(self.optimizer, factor)
+        self.ranks.add_up_gradients(self.network.parameters())
+        self.optimizer.step()
+        assert mean.grad is not None
+        self.mean.update(rows, mean.grad, config.optimizer.latent_learning_rate * factor)
+        if log_variance.grad is not None:
+            self.log_variance.update(rows, log_variance.grad, config.optimizer.latent_learning_rate * factor)
+            self.log_variance.table[rows] = self.log_variance.table[rows].clamp(*LOG_VARIANCE_RANGE)
+
+    def state_tensors(self) -> dict[str, Tensor]:
+        """The complete training state; the latents of all ranks are gathered on the first."""
+        latents = {name: self.own.gather(table) for name, table in self._tables().items()}
+        return training_tensors("network", self.network, self.optimizer) | latents
+
+    def posteriors(self) -> tuple[Float32[Tensor, "windows latent"], Float32[Tensor, "windows latent"]]:
+        """{μ_i} and {log Σ_i} of all windows, on the CPU of the first rank."""
+        return self.own.gather(self.mean.table), self.own.gather(self.log_variance.table)
+
+    def load_state_tensors(self, tensors: Mapping[str, Tensor]) -> None:
+        """Restore what `state_tensors` returned."""
+        load_training_tensors("network", self.network, self.optimizer, tensors)
+        for name, table in self._tables().items():
+            table.copy_(tensors[name][self.own.rows])
+
+    def _tables(self) -> dict[str, Tensor]:
+        return prefixed("mean", self.mean.tensors()) | prefixed("log_variance", self.log_variance.tensors())
+
+
+def training_windows(source: PositionSource, config: FieldConfig) -> Windows:
+    """The training windows; with `fixed_fps` slower ones are dropped, as fixed-framerate models do.
+
+    Raises `UsageError` if none remain.
+    """
+    windows = cut_windows(
+        source,
+        max_duration_seconds=config.windows.max_duration_seconds,
+        stride_seconds=config.windows.stride_seconds,
+        mirror_pairs=SMPL22.left_right_pairs if config.windows.mirrored else None,
+    )
+    fixed = config.clips.fixed_framerate
+    if fixed is None:
+        return windows
+    fast = windows.fps >= float(fixed) - 1e-6
+    if not fast.any():
+        raise UsageError(
+            f"no training sequence has {float(fixed):g} fps (field.clips.fixed_fps); the fastest has "
+            f"{windows.fps.max():g}"
+        )
+    return windows.select(fast)
+
+
+def remarks(source: PositionSource, windows: Windows, config: FieldConfig) -> list[str]:
+    """Warnings about training on these windows, a sentence each."""
+    sentences, clips, fixed = [], config.clips, config.clips.fixed_framerate
+    fps = source.fps_numerator / source.fps_denominator
+    if fixed is not None:
+        slow = int((fps < float(fixed) - 1e-6).sum())
+        if slow:
+            sentences.append(f"{slow} of {len(fps)} sequences are slower than field.clips.fixed_fps and are left out")
+    elif len(np.unique(windows.fps)) == 1:
+        sentences.append(f"every training sequence has {windows.fps[0]:g} fps: the field cannot learn other framerates")
+    slowest = windows.fps if clips.warmup_fraction == 0 else np.minimum(windows.fps, float(WARMUP_FPS))
+    slowest = slowest if fixed is None else np.full(len(windows), float(fixed))
+    short = windows.duration_seconds * slowest + 1 < clips.num_poses - 1e-6
+    if clips.contiguous and short.any():
+        sentences.append(
+            f"{int(short.sum())} of {len(windows)} windows are shorter than a clip of field.clips.num_poses="
+            f"{clips.num_poses} poses; their last pose is repeated"
+        )
+    return sentences
+
+
+def train_field(context: StageContext, config: NermConfig) -> None:
+    """Train f_θ and the posteriors of all windows; write both, with the window table, to model.safetensors."""
+    store, device, ranks = context.open_store(), resolve_device(context.device), context.ranks
+    settings = with_precision_of(config.field, device)
+    config = dataclasses.replace(config, field=settings)
+    started = time.perf_counter()
+    # All checks come before `begin`, which may remove an earlier run (--overwrite).
+    vectors, source, frames = _corpus(store, settings)
+    windows = training_windows(source, settings)
+    codes = _codes(context, settings)
+    builds_on = () if codes is None else ("codebook",)
+    folder = context.begin("field", config, store_fingerprint=store.fingerprint, builds_on=builds_on)
+    for remark in remarks(source, windows, settings) if ranks.is_first else []:
+        warn(remark)
+    training = FieldTraining(
+        WindowPoses(windows, frames, settings.clips.fixed_framerate),
+        settings,
+        codebook=codes,
+        seed=context.seed,
+        device=device,
+        ranks=ranks,
+    )
+    with float32_products(settings.precision):
+        context.fit_budget(training, folder)
+        figures = train_loop(
+            training, folder, steps=training.steps, seed=context.seed, ranks=ranks, on_progress=context.on_progress
+        )
+    mean, log_variance = training.posteriors()
+    if not ranks.is_first:
+        return
+    trained = TrainedField(
+        network=training.network.eval().requires_grad_(False),
+        scaling=training.scaling,
+        components=training.components,
+        posterior_mean=mean,
+        posterior_log_variance=log_variance,
+        windows=windows,
+        store_fingerprint=store.fingerprint,
+        vectors=vectors,
+    )
+    if settings.contact_steps and trained.network.local is not None:
+        trained, figures["contacts"] = _with_contacts(trained, source, context)
+    save_field(folder, trained)
+    hours = float(windows.duration_seconds.sum()) / 3600
+    facts = {"windows": len(windows), "hours": round(hours, 3), "wall_seconds": round(time.perf_counter() - started, 1)}
+    facts["parameters"] = sum(parameter.numel() for parameter in training.network.parameters())
+    folder.finish({**figures, **facts})
+
+
+def _with_contacts(trained: TrainedField, source: PositionCache, context: StageContext) -> tuple[TrainedField, float]:
+    """The field with a trained contact head, and the head's final loss."""
+    banks = trained.network.local
+    means, duration = trained.posterior_mean, trained.windows.duration_seconds / trained.max_duration_seconds
+    used = in_use(first_read(means.shape[1], banks), torch.from_numpy(duration).float())
+    space = measured_space(means, used, banks, "component")
+
+    def noisy(latents: Float32[Tensor, "batch latent"], generator: torch.Generator) -> Tensor:
+        share = torch.rand(len(latents), 1, generator=generator)
+        noise = torch.randn(latents.shape, generator=generator)
+        return space.restore(space.standardise(latents) + CONTACT_NOISE * share * noise)
+
+    rows, network = contact_rows(source), trained.network
+    training = ContactTraining(network, means, trained.windows, rows, noisy, seed=context.seed)
+    loss = training.run(context.on_progress)
+    return dataclasses.replace(trained, contacts=training.head.eval().requires_grad_(False)), loss
+
+
+def check_field(context: StageContext, config: NermConfig) -> None:
+    """Raise early what would stop this stage: no sequence to cut windows from."""
+    _, source, _ = _corpus(context.open_store(), config.field)
+    training_windows(source, config.field)
+
+
+def _corpus(store: Store, settings: FieldConfig) -> tuple[PoseVectors, PositionCache, FrameValues]:
+    where = settings.where or None
+    vectors = training_vectors(settings.pose_vectors, store, where)
+    return vectors, *open_frames(vectors, store, where)
+
+
+def _codes(context: StageContext, settings: FieldConfig) -> Float32[Tensor, "codes dimension"] | None:
+    if settings.encoder.kind != "codebook":
+        return None
+    if not context.run.stage("codebook").is_complete:
+        raise RunError(
+            f"the time encoding 'codebook' needs the stage codebook of {context.run.path}: train it first "
+            f"(motionkit train --stage codebook), or use --set field.encoder.kind=fourier"
+        )
+    return load_codes(context.run)

@@ -1,0 +1,486 @@
+"""NeRM's networks as the paper orders them: coordinates, CCA, the decoder f_θ (§3.1), the denoiser ε_φ (§3.2)."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64, Shaped
+from nerm.conditions import ConditionEmbedding, ConditionLayout, Conditions
+from nerm.latents import KnotWeights, Reading, in_use, local_latents, placed
+from nerm.settings import Activation, FieldConfig, TransformerConfig
+
+REFERENCE_FPS = 20.0
+
+
+def framerate_number(fps: Float64[Tensor, "*shape"], scale: float) -> Float32[Tensor, "*shape"]:
+    """The framerate s as the network reads it (§3.1, Eq. 2): scale · log₂(s / 20)."""
+    return (scale * torch.log2(fps / REFERENCE_FPS)).float()
+
+
+def frame_numbers(
+    coordinates: Float64[Tensor, "batch poses"],
+    fps: Float64[Tensor, "batch"],
+    max_duration_seconds: float,
+) -> Float64[Tensor, "batch poses"]:
+    """Normalised coordinates → frame numbers 1 … T at each clip's own framerate: Table 9's alternative."""
+    return (coordinates + 1.0) * (0.5 * max_duration_seconds) * fps[:, None] + 1.0
+
+
+def distinct(
+    values: Float64[Tensor, "*shape"],
+) -> tuple[Float64[Tensor, "distinct"], Int64[Tensor, "*shape"]]:
+    """The distinct values and the index of each value among them, as `torch.unique` with `return_inverse`.
+
+    Values are rounded to 2⁻⁴⁰ first, so that an instant shared by two framerates counts once.
+    """
+    rounded = torch.round(values * 2.0**40) / 2.0**40
+    unique, inverse = torch.unique(rounded, return_inverse=True)
+    return unique, inverse
+
+
+def rounded_up(values: Float64[Tensor, "distinct"]) -> Float64[Tensor, "padded"]:
+    """Pad the values with the last one to a length m · 2ⁿ with m ≤ 16: at most an eighth more.
+
+    The number of distinct coordinates differs from step to step, and libraries cache their plans per matrix shape: few
+    shapes keep a step's memory the same at all framerates.
+    """
+    count = len(values)
+    step = 1 << max(0, (count - 1).bit_length() - 4)
+    return torch.cat((values, values[-1:].expand(-count % step)))
+
+
+class FourierFeatures(nn.Module):
+    """γ(t) = [cos 2πb₁t, sin 2πb₁t, …] with b_r from an isotropic Gaussian (Tancik et al. 2020).
+
+    With `period` (in units of t) the frequencies are whole multiples of 1 / period, so that γ repeats without a seam.
+    """
+
+    frequencies: Tensor
+
+    def __init__(self, num_frequencies: int, scale: float, period: float | None = None) -> None:
+        super().__init__()
+        frequencies = torch.randn(num_frequencies, dtype=torch.float64) * scale
+        if period is not None:
+            frequencies = torch.clamp(torch.round(frequencies.abs() * period), min=1.0) / period
+        self.register_buffer("frequencies", frequencies)
+
+    @property
+    def width(self) -> int:
+        """Numbers per coordinate: 2·R."""
+        return 2 * len(self.frequencies)
+
+    def forward(self, coordinates: Float64[Tensor, "*shape"]) -> Float[Tensor, "*shape width"]:
+        """Features of coordinates; angles in float64, features in float32."""
+        angles = 2.0 * math.pi * coordinates[..., None] * self.frequencies
+        return torch.stack((torch.cos(angles), torch.sin(angles)), dim=-1).flatten(-2).float()
+
+
+class AttentionBlock(nn.Module):
+    """Pre-norm attention to a context, then a feed-forward network with GELU; both residual (appendix D)."""
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.norm_queries = nn.LayerNorm(width)
+        self.norm_context = nn.LayerNorm(width)
+        self.norm_hidden = nn.LayerNorm(width)
+        self.heads = heads
+        self.queries = nn.Linear(width, width)
+        self.keys_values = nn.Linear(width, 2 * width)
+        self.merge = nn.Linear(width, width)
+        self.feed_forward = nn.Sequential(nn.Linear(width, 4 * width), nn.GELU(), nn.Linear(4 * width, width))
+
+    def forward(
+        self, tokens: Float[Tensor, "tokens width"], context: Float[Tensor, "context width"]
+    ) -> Float[Tensor, "tokens width"]:
+        """The tokens after attention to the context."""
+        keys, values = self.keys_values(self.norm_context(context)).chunk(2, dim=-1)
+        heads = [
+            each.unflatten(-1, (self.heads, -1)).transpose(0, 1).unsqueeze(0)
+            for each in (self.queries(self.norm_queries(tokens)), keys, values)
+        ]
+        attended = nn.functional.scaled_dot_product_attention(*heads).squeeze(0).transpose(0, 1).flatten(-2)
+        tokens = tokens + self.merge(attended)
+        enriched: Tensor = tokens + self.feed_forward(self.norm_hidden(tokens))
+        return enriched
+
+
+class CodebookCoordinateAttention(nn.Module):
+    """CCA: γ(t) → γ(t) + attention over the prototypes (§3.1, Fig. 6; appendix D).
+
+    `codebook` [N, d] is a buffer: it is frozen and travels with the weights. `width` must equal that of γ(t).
+    """
+
+    codebook: Tensor
+
+    def __init__(
+        self, codebook: Float[Tensor, "codes dimension"], *, width: int, num_queries: int, heads: int, layers: int
+    ) -> None:
+        super().__init__()
+        self.register_buffer("codebook", codebook.clone())
+        self.project_codes = nn.Linear(codebook.shape[1], width)
+        self.query_embeddings = nn.Parameter(torch.randn(num_queries, width) * width**-0.5)
+        self.to_codebook = AttentionBlock(width, heads)
+        self.refine = nn.ModuleList(AttentionBlock(width, heads) for _ in range(layers))
+        self.to_prototypes = AttentionBlock(width, heads)
+
+    def prototypes(self) -> Float[Tensor, "queries width"]:
+        """The queries after cross-attention to the codebook and self-attention."""
+        tokens: Tensor = self.to_codebook(self.query_embeddings, self.project_codes(self.codebook))
+        for block in self.refine:
+            tokens = block(tokens, tokens)
+        return tokens
+
+    def forward(self, features: Float[Tensor, "coordinates width"]) -> Float[Tensor, "coordinates width"]:
+        """Codebook-enhanced features of (distinct) coordinates."""
+        enhanced: Tensor = self.to_prototypes(features, self.prototypes())
+        return enhanced
+
+
+ACTIVATIONS: dict[Activation, type[nn.Module]] = {"relu": nn.ReLU, "silu": nn.SiLU}
+
+
+@dataclass(frozen=True, eq=False)
+class EncodedCoordinates:
+    """Encoded distinct coordinates, and each pose's index among them.
+
+    `features` [D, C] are inputs of the first layer; `weights` are the knots' weights (local layout only).
+    """
+
+    features: Float[Tensor, "distinct width"] | None
+    weights: KnotWeights | None
+    which: Int64[Tensor, "batch poses"]
+
+    def first(self, poses: int) -> "EncodedCoordinates":
+        """The first poses of an encoded increasing row of coordinates."""
+        features = None if self.features is None else self.features[:poses]
+        weights = None if self.weights is None else self.weights.first(poses)
+        return EncodedCoordinates(features, weights, self.which[:, :poses])
+
+
+class ResidualLayer(nn.Module):
+    """h + W·σ(LN(h)): one layer of the decoder, pre-norm (appendix D)."""
+
+    def __init__(self, width: int, activation: Activation) -> None:
+        super().__init__()
+        self.norm = nn.LayerNorm(width)
+        self.activation = ACTIVATIONS[activation]()
+        self.linear = nn.Linear(width, width)
+
+    def forward(self, hidden: Float[Tensor, "*shape width"]) -> Float[Tensor, "*shape width"]:
+        """One layer."""
+        updated: Tensor = hidden + self.linear(self.activation(self.norm(hidden)))
+        return updated
+
+
+class PoseAttentionLayer(nn.Module):
+    """Table 7's alternative: pre-norm self-attention over the poses of a clip, masked where `hidden_from` is true."""
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.layer = nn.TransformerEncoderLayer(
+            width, heads, 2 * width, dropout=0.0, activation="gelu", batch_first=True, norm_first=True
+        )
+
+    def forward(
+        self,
+        hidden: Float[Tensor, "batch poses width"],
+        hidden_from: Bool[Tensor, "poses poses"] | None = None,
+    ) -> Float[Tensor, "batch poses width"]:
+        """One layer."""
+        updated: Tensor = self.layer(hidden, src_mask=hidden_from)
+        return updated
+
+
+def context_mask(num_context: int, num_poses: int, device: torch.device) -> Bool[Tensor, "poses poses"]:
+    """Attention mask: the first poses are a context that attends to itself; any other pose attends to it and to itself.
+
+    So a pose does not depend on which others are decoded with it.
+    """
+    poses = torch.arange(num_poses, device=device)
+    return (poses >= num_context) & (poses[:, None] != poses)
+
+
+class FieldNetwork(nn.Module):
+    """f_θ(t, z, s) → standardised pose vectors (§3.1, Eq. 2).
+
+    The coordinate branch depends on t alone and is computed once per distinct coordinate. The first layer is split into
+    parts for z (once per clip), the coordinate (once per distinct t) and the framerate. `codebook` [N, d] is needed for
+    the time encoding "codebook" and unused otherwise. With local latents the network learns what their linear model
+    leaves (`nerm.linear_fit`).
+    """
+
+    def __init__(
+        self, config: FieldConfig, num_features: int, codebook: Float[Tensor, "codes dimension"] | None = None
+    ) -> None:
+        super().__init__()
+        self.config = config
+        self.local = local_latents(config)
+        self.fourier, self.attention = self._time_encoding(codebook)
+        width, hidden = self._feature_width(), config.decoder.width
+        self.from_latent = nn.Linear(config.latents.dimension if self.local is None else self.local.num_inputs, hidden)
+        self.from_coordinate = nn.Linear(width, hidden, bias=False) if width else None
+        self.from_framerate = nn.Linear(1, hidden, bias=False)
+        layers = [
+            ResidualLayer(hidden, config.decoder.activation)
+            if config.decoder.kind == "mlp"
+            else PoseAttentionLayer(hidden, config.encoder.num_heads)
+            for _ in range(config.decoder.num_layers - 1)
+        ]
+        self.layers = nn.ModuleList(layers)
+        self.linear = None if self.local is None else nn.Linear(self.local.num_inputs, num_features, bias=False)
+        self.finish = nn.Sequential(nn.LayerNorm(hidden), ACTIVATIONS[config.decoder.activation]())
+        self.output = nn.Linear(hidden, num_features)
+
+    @torch.no_grad()
+    def start_as_linear_model(
+        self, mean: Float32[Tensor, "numbers"], matrix: Float32[Tensor, "components numbers"]
+    ) -> None:
+        """Initialise as the linear model of the latents: its mean, and its map from components to vectors."""
+        assert self.linear is not None
+        self.linear.weight.zero_()
+        self.linear.weight[:, : len(matrix)] = matrix.T
+        self.output.weight.zero_()
+        self.output.bias.copy_(mean)
+
+    def _time_encoding(
+        self, codebook: Tensor | None
+    ) -> tuple[FourierFeatures | None, CodebookCoordinateAttention | None]:
+        config = self.config
+        if config.encoder.kind in ("none", "raw"):
+            return None, None
+        period = None if self.local is None else self.local.phase_period
+        fourier = FourierFeatures(config.encoder.num_frequencies, config.encoder.frequency_scale, period)
+        if config.encoder.kind == "fourier":
+            return fourier, None
+        if codebook is None:
+            raise ValueError("the time encoding 'codebook' needs a trained codebook")
+        attention = CodebookCoordinateAttention(
+            codebook,
+            width=config.encoder.query_width,
+            num_queries=config.encoder.num_queries,
+            heads=config.encoder.num_heads,
+            layers=config.encoder.num_layers,
+        )
+        return fourier, attention
+
+    def _feature_width(self) -> int:
+        if self.fourier is not None:
+            return self.fourier.width
+        return 1 if self.config.encoder.kind == "raw" else 0
+
+    def encode_coordinates(
+        self, coordinates: Float64[Tensor, "batch poses"], fps: Float64[Tensor, "batch"]
+    ) -> EncodedCoordinates:
+        """The whole coordinate branch, once per distinct coordinate."""
+        read = coordinates
+        if self.config.encoder.coordinates == "frames":
+            read = frame_numbers(coordinates, fps, self.config.windows.max_duration_seconds)
+        values, which = distinct(read)
+        values = rounded_up(values)
+        weights = None if self.local is None else self.local.weights(values)
+        return EncodedCoordinates(self._features(values), weights, which)
+
+    def _features(self, values: Float64[Tensor, "distinct"]) -> Float[Tensor, "distinct width"] | None:
+        """γ(t), enhanced by CCA; with local latents of the phase between knots, which has fewer distinct values."""
+        if self.fourier is None:
+            return values[:, None].float() if self.config.encoder.kind == "raw" else None
+        if self.local is None:
+            read, which = values, torch.arange(len(values), device=values.device)
+        else:
+            read, which = distinct(torch.remainder(values + 1.0, self.local.phase_period))
+            read = rounded_up(read)
+        features: Tensor = self.fourier(read)
+        if self.attention is not None:
+            features = self.attention(features)
+        return features[which]
+
+    @property
+    def num_read(self) -> int:
+        """Output size of `read`; 0 without knots."""
+        return 0 if self.local is None else self.local.num_inputs + self._feature_width()
+
+    def read(
+        self, latents: Float[Tensor, "batch latent"], encoded: EncodedCoordinates
+    ) -> Float[Tensor, "batch poses read"]:
+        """The decoder's inputs from z and t at each pose, for latents with knots."""
+        assert self.local is not None and encoded.weights is not None
+        inputs = self.local.read(latents, encoded.weights, encoded.which).inputs
+        return inputs if encoded.features is None else torch.cat((inputs, encoded.features[encoded.which]), dim=-1)
+
+    def decode(
+        self,
+        latents: Float[Tensor, "batch latent"],
+        encoded: EncodedCoordinates,
+        fps: Float64[Tensor, "batch"],
+        num_context: int = 0,
+    ) -> Float[Tensor, "batch poses numbers"]:
+        """Standardised pose vectors from latents and encoded coordinates.
+
+        In a transformer decoder all poses of a row attend to one another, or with `num_context` to the first ones.
+        """
+        hidden = self.from_framerate(framerate_number(fps, self.config.encoder.framerate_scale)[:, None])[:, None]
+        reading = None
+        if self.local is not None and encoded.weights is not None:
+            reading = self.local.read(latents, encoded.weights, encoded.which)
+        hidden = hidden + self.from_latent(latents[:, None] if reading is None else reading.inputs)
+        if self.from_coordinate is not None and encoded.features is not None:
+            hidden = hidden + self.from_coordinate(encoded.features)[encoded.which]
+        hidden_from: tuple[Tensor, ...] = ()
+        if num_context and self.config.decoder.kind == "transformer":
+            hidden_from = (context_mask(num_context, hidden.shape[1], hidden.device),)
+        for layer in self.layers:
+            hidden = layer(hidden, *hidden_from)
+        vectors: Tensor = self.output(self.finish(hidden))
+        if reading is not None:
+            return self._assembled(vectors, reading)
+        # Without a coordinate (`none` with a global latent) a window is one constant pose.
+        return vectors.expand(-1, encoded.which.shape[1], -1)
+
+    def _assembled(
+        self, vectors: Float[Tensor, "batch poses numbers"], reading: Reading
+    ) -> Float32[Tensor, "batch poses numbers"]:
+        """Add the linear model's output and place poses on the body's path; in float32 even under autocast."""
+        with torch.autocast(vectors.device.type, enabled=False):
+            vectors = vectors.float()
+            if self.linear is not None:
+                vectors = vectors + self.linear(reading.inputs)
+            return vectors if reading.path is None else placed(vectors, reading.path)
+
+    def forward(
+        self,
+        latents: Float32[Tensor, "batch latent"],
+        coordinates: Float64[Tensor, "batch poses"],
+        fps: Float64[Tensor, "batch"],
+    ) -> Float[Tensor, "batch poses numbers"]:
+        """f_θ(t_{v,s}, z, s) for a batch of clips."""
+        return self.decode(latents, self.encode_coordinates(coordinates, fps), fps)
+
+
+def attention(
+    queries: Float[Tensor, "batch heads queries size"],
+    keys: Float[Tensor, "batch heads keys size"],
+    values: Float[Tensor, "batch heads keys size"],
+    used: Bool[Tensor, "batch 1 1 keys"] | None,
+) -> Float[Tensor, "batch heads queries size"]:
+    """softmax(QKᵀ/√size) V over the tokens of the mask `used`."""
+    if queries.device.type == "cpu" and queries.dtype == torch.bfloat16:
+        # torch's own kernel takes as long as all matrix products of a step together.
+        scores = queries @ keys.transpose(-1, -2) * queries.shape[-1] ** -0.5
+        if used is not None:
+            scores = scores.masked_fill(~used, -torch.inf)
+        mixed: Tensor = torch.softmax(scores, dim=-1) @ values
+        return mixed
+    return nn.functional.scaled_dot_product_attention(queries, keys, values, attn_mask=used)
+
+
+class SkipLayer(nn.Module):
+    """One layer of the denoiser: pre-norm self-attention and feed-forward network (GELU; appendix D)."""
+
+    def __init__(self, config: TransformerConfig) -> None:
+        super().__init__()
+        self.num_heads = config.num_heads
+        self.attention_norm = nn.LayerNorm(config.width)
+        self.queries_keys_values = nn.Linear(config.width, 3 * config.width)
+        self.attention_out = nn.Linear(config.width, config.width)
+        self.ffn_norm = nn.LayerNorm(config.width)
+        self.ffn_in = nn.Linear(config.width, config.ffn_width)
+        self.ffn_out = nn.Linear(config.ffn_width, config.width)
+        self.dropout = nn.Dropout(config.dropout)
+
+    def forward(
+        self, tokens: Float[Tensor, "batch tokens width"], used: Bool[Tensor, "batch 1 1 tokens"] | None
+    ) -> Float[Tensor, "batch tokens width"]:
+        """One layer over all tokens; those not `used` are masked out of the attention."""
+        return self._feed_forward(self._attend(tokens, used))
+
+    def _attend(self, tokens: Tensor, used: Tensor | None) -> Tensor:
+        batch, count, width = tokens.shape
+        projected = self.queries_keys_values(self.attention_norm(tokens))
+        heads = projected.view(batch, count, 3, self.num_heads, width // self.num_heads).permute(2, 0, 3, 1, 4)
+        mixed = attention(heads[0], heads[1], heads[2], used)
+        out: Tensor = self.dropout(self.attention_out(mixed.transpose(1, 2).reshape(batch, count, width)))
+        return tokens + out
+
+    def _feed_forward(self, tokens: Tensor) -> Tensor:
+        hidden = self.dropout(nn.functional.gelu(self.ffn_in(self.ffn_norm(tokens))))
+        out: Tensor = self.dropout(self.ffn_out(hidden))
+        return tokens + out
+
+
+def step_features(steps: Int64[Tensor, "batch"], width: int) -> Float[Tensor, "batch width"]:
+    """Sinusoidal features of the diffusion step k, wavelengths from 2π to 20,000π (Vaswani et al. 2017)."""
+    frequencies = torch.exp(-math.log(10_000.0) * torch.arange(width // 2, device=steps.device) / (width // 2))
+    angles = steps[:, None].to(torch.float32) * frequencies
+    return torch.cat((angles.cos(), angles.sin()), dim=1)
+
+
+class Denoiser(nn.Module):
+    """ε_φ(z_k, k, c): a transformer over [z…, k, text, action, duration] tokens (§3.2, Eq. 5; appendix D).
+
+    Long skip connections as in U-ViT (Bao et al. 2023): layer i of the first half feeds layer n − 1 − i, which joins
+    both by concatenation and a linear map.
+
+    Numbers of z that a motion of the given duration does not use are zero in input and output, and tokens of only such
+    numbers are masked out of the attention.
+    """
+
+    def __init__(
+        self, config: TransformerConfig, first_read: Float32[Tensor, "latent"], layout: ConditionLayout
+    ) -> None:
+        """`first_read` is the earliest instant at which the field reads each number of z."""
+        super().__init__()
+        if len(first_read) % config.latent_tokens:
+            raise ValueError(f"a latent of {len(first_read)} numbers cannot be cut into {config.latent_tokens} tokens")
+        self.config = config
+        self.register_buffer("first_read", first_read)
+        self.first_read: Tensor
+        self.always_whole = bool((first_read < 0).all())
+        per_token = len(first_read) // config.latent_tokens
+        half = config.num_layers // 2
+        self.latent_in = nn.Linear(per_token, config.width)
+        self.step_in = nn.Sequential(
+            nn.Linear(config.width, config.width), nn.SiLU(), nn.Linear(config.width, config.width)
+        )
+        self.conditions_in = ConditionEmbedding(layout, config.width)
+        self.positions = nn.Parameter(
+            torch.randn(config.latent_tokens + 1 + ConditionEmbedding.num_tokens, config.width) * 0.02
+        )
+        self.layers = nn.ModuleList(SkipLayer(config) for _ in range(config.num_layers))
+        self.skips = nn.ModuleList(nn.Linear(2 * config.width, config.width) for _ in range(half))
+        self.out_norm = nn.LayerNorm(config.width)
+        self.noise_out = nn.Linear(config.width, per_token)
+
+    def forward(
+        self, latents: Float[Tensor, "batch latent"], steps: Int64[Tensor, "batch"], conditions: Conditions
+    ) -> Float[Tensor, "batch latent"]:
+        """The prediction that `DiffusionConfig.prediction` names."""
+        used = in_use(self.first_read, conditions.duration)
+        z = self.latent_in(self._tokens(latents * used))
+        time = self.step_in(step_features(steps, self.config.width))[:, None]
+        tokens = torch.cat((z, time, self.conditions_in(conditions)), dim=1) + self.positions
+        tokens = self._transform(tokens, self._mask(used))[:, : self.config.latent_tokens]
+        out: Tensor = self.noise_out(self.out_norm(tokens))
+        return out.flatten(1) * used
+
+    def _tokens(self, numbers: Shaped[Tensor, "batch latent"]) -> Shaped[Tensor, "batch tokens per_token"]:
+        return numbers.view(len(numbers), self.config.latent_tokens, -1)
+
+    def _mask(self, used: Bool[Tensor, "batch latent"]) -> Bool[Tensor, "batch 1 1 tokens"] | None:
+        """The attention mask over tokens; None if all are used."""
+        if self.always_whole:
+            return None
+        of_latent = self._tokens(used).any(dim=2)
+        return nn.functional.pad(of_latent, (0, len(self.positions) - of_latent.shape[1]), value=True)[:, None, None]
+
+    def _transform(self, tokens: Tensor, used: Tensor | None) -> Tensor:
+        half = self.config.num_layers // 2
+        kept: list[Tensor] = []
+        for layer in self.layers[:half]:
+            tokens = layer(tokens, used)
+            kept.append(tokens)
+        tokens = self.layers[half](tokens, used)
+        for layer, skip in zip(self.layers[half + 1 :], self.skips, strict=True):
+            tokens = layer(skip(torch.cat((tokens, kept.pop()), dim=-1)), used)
+        return tokens

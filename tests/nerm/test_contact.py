@@ -1,0 +1,121 @@
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from jaxtyping import Float32
+
+from motionkit.core.progress import ignore
+from motionkit.core.skeleton import SMPL22
+from motionkit.data.corpus import FrameValues
+from motionkit.data.poses import WindowPoses
+from motionkit.data.windows import cut_windows
+from motionkit.fields.assembly import Piece, assemble
+from motionkit.fields.motion_field import PredictsContacts
+from motionkit.training.config import apply_overrides
+from motionkit.training.run import StageFolder
+from nerm.contact import ContactTraining
+from nerm.field import TrainedField, load_field, save_field
+from nerm.field_training import FieldTraining
+from nerm.settings import FieldConfig
+from tests.helpers.nerm_corpus import analytic_source
+
+CONFIG = apply_overrides(
+    FieldConfig(),
+    [
+        "windows.max_duration_seconds=4.0",
+        "latents.layout=local",
+        f"latents.dimension={16 * 6 + 8 * 3}",
+        "latents.knots=16",
+        "latents.knot_numbers=6",
+        "latents.path_knots=8",
+        "encoder.kind=fourier",
+        "decoder.width=32",
+        "decoder.num_layers=3",
+        "loss.scaling=group",
+        "clips.contiguous=false",
+        "contact_steps=100",
+        "schedule.epochs=none",
+        "schedule.steps=1",
+        "schedule.batch_size=4",
+    ],
+)
+
+
+def swinging_left() -> Float32[np.ndarray, "frames 4"]:
+    """Of every frame: the left foot is down while it is left of the root, the right one never."""
+    positions = analytic_source().positions
+    left = positions[:, (7, 10), 0] > positions[:, :1, 0] + SMPL22.offsets[[1, 4, 7], 0].sum()
+    return np.ascontiguousarray(np.concatenate((left, np.zeros_like(left)), axis=1), dtype=np.float32)
+
+
+@pytest.fixture(scope="module")
+def trained() -> TrainedField:
+    """A field that begins as its linear model, which knows these motions, with contacts learnt on top."""
+    source = analytic_source()
+    windows = cut_windows(source, max_duration_seconds=4.0)
+    poses = WindowPoses(windows, FrameValues.of_positions(source))
+    field = FieldTraining(poses, CONFIG, codebook=None, seed=0, device=torch.device("cpu"))
+    mean, log_variance = field.posteriors()
+    network = field.network.eval().requires_grad_(False)
+    training = ContactTraining(network, mean, windows, swinging_left(), lambda latents, _: latents, seed=0)
+    assert training.run(ignore) < 0.15
+    return TrainedField(
+        network, field.scaling, field.components, mean, log_variance, windows, "analytic", contacts=training.head.eval()
+    )
+
+
+def test_contacts_follow_from_the_latent_at_any_instant(trained: TrainedField) -> None:
+    rows, first = swinging_left(), 0
+    for window, frames in enumerate(trained.windows.num_frames.tolist()):
+        motion = trained.as_motion_field(trained.posterior_mean[window], 4.0)
+        assert isinstance(motion, PredictsContacts)
+        seconds = np.arange(frames) / trained.windows.fps[window]
+        said = motion.contacts(seconds)
+        assert said is not None and said.min() >= 0.0 and said.max() <= 1.0
+        right = (said.reshape(-1, 4) > 0.5) == (rows[first : first + frames] > 0.5)
+        assert right.mean() > 0.95
+        first += frames
+    between = motion.contacts(np.array([1.0, 1.001]))
+    assert between is not None and np.abs(between[1] - between[0]).max() < 0.05
+    with pytest.raises(ValueError, match="outside"):
+        motion.contacts(np.array([4.5]))
+
+
+def test_a_mirrored_window_has_them_on_the_other_side() -> None:
+    source = analytic_source()
+    windows = cut_windows(source, max_duration_seconds=4.0, mirror_pairs=SMPL22.left_right_pairs)
+    poses = WindowPoses(windows, FrameValues.of_positions(source))
+    field = FieldTraining(poses, CONFIG, codebook=None, seed=0, device=torch.device("cpu"))
+    training = ContactTraining(field.network, field.posteriors()[0], windows, swinging_left(), lambda z, _: z, seed=0)
+    [plain], [mirrored] = (np.flatnonzero((windows.start_row == 0) & (windows.mirrored == is_it)) for is_it in (0, 1))
+    frames = np.arange(100)[None]
+    there, here = (training._down(np.array([window]), frames).numpy()[0] for window in (plain, mirrored))
+    assert there[:, :2].any() and not there[:, 2:].any()
+    np.testing.assert_array_equal(here, there[:, [2, 3, 0, 1]])
+
+
+def test_contacts_are_in_the_file_and_older_files_have_none(trained: TrainedField, tmp_path: Path) -> None:
+    times = np.linspace(0.0, 4.0, 9)
+    for name, field in (("with", trained), ("without", replace(trained, contacts=None))):
+        save_field(StageFolder(tmp_path / name / "field"), field)
+        loaded = load_field(tmp_path / name)
+        said = [each.contact_probabilities(trained.posterior_mean[0], times, Fraction(60)) for each in (field, loaded)]
+        assert (said[0] is None) == (said[1] is None) == (name == "without")
+        if said[0] is not None:
+            np.testing.assert_array_equal(said[0], said[1])
+
+
+def test_joined_motions_know_contacts_where_all_pieces_do(trained: TrainedField) -> None:
+    one, other = (trained.as_motion_field(trained.posterior_mean[window], 4.0) for window in (0, 1))
+    whole = assemble([Piece(one, 0.0), Piece(other, 3.0)])
+    times = np.linspace(0.0, 7.0, 29)
+    said, first, second = whole.contacts(times), one.contacts(times[:13]), other.contacts(times[16:] - 3.0)
+    assert said is not None and first is not None and second is not None
+    np.testing.assert_allclose(said[:13], first, atol=1e-6)
+    np.testing.assert_allclose(said[16:], second, atol=1e-6)
+    silent = trained.as_motion_field(trained.posterior_mean[1], 4.0)
+    silent = replace(silent, field=replace(trained, contacts=None))
+    assert assemble([Piece(one, 0.0), Piece(silent, 3.0)]).contacts(times) is None

@@ -1,0 +1,197 @@
+"""Training the denoiser on posteriors whose distribution is known; resuming it; sampling from what was saved."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from motionkit.core.errors import MotionkitError, UsageError
+from motionkit.generate.models import SamplingOptions
+from motionkit.training.config import Schedule, apply_overrides
+from motionkit.training.loop import train_loop
+from motionkit.training.run import RunError, RunFolder
+from motionkit.training.tensors import load_tensors, save_tensors
+from nerm.conditions import NO_ACTION, Conditions
+from nerm.corpus import LatentCorpus, latent_corpus
+from nerm.denoiser import DenoiserTraining, TrainedDenoiser, load_denoiser, save_denoiser
+from nerm.settings import DenoiserConfig, TransformerConfig
+
+TEXTS = ("a person walks", "someone is walking", "a jump")
+NETWORK = TransformerConfig(num_layers=3, width=32, num_heads=2, ffn_width=64, dropout=0.0, latent_tokens=2)
+CONFIG = apply_overrides(
+    DenoiserConfig(network=NETWORK, ema_decay=0.98),
+    [
+        "conditions.text_encoder=none",
+        "diffusion.guidance_scale=2.0",
+        "schedule.batch_size=64",
+        "schedule.steps=350",
+        "schedule.epochs=none",
+        "schedule.learning_rate=0.003",
+        "schedule.kind=cosine",
+    ],
+)
+WALK_MEAN, JUMP_MEAN = torch.full((8,), 3.0), torch.tensor([-1.0, 5.0] * 4)
+
+
+def mixture_corpus(windows: int = 60) -> LatentCorpus:
+    """Half of the windows walk (two captions), half jump; every third has an action only, of the same meaning."""
+    generator = torch.Generator().manual_seed(5)
+    is_jump = torch.arange(windows) % 2
+    means = torch.where(is_jump[:, None] > 0, JUMP_MEAN, WALK_MEAN) + 0.3 * torch.randn(windows, 8, generator=generator)
+    return latent_corpus(
+        means=means,
+        log_variances=torch.full((windows, 8), 2 * float(np.log(0.2))),
+        duration=torch.linspace(0.2, 1.0, windows),
+        captions=[() if i % 3 == 0 else (TEXTS[2:] if i % 2 else TEXTS[:2]) for i in range(windows)],
+        actions=["jump" if i % 2 else "walk" for i in range(windows)],
+        texts=TEXTS,
+        embeddings=np.eye(3, 4, dtype=np.float32),
+    )
+
+
+@pytest.fixture(scope="module")
+def mixture(tmp_path_factory) -> tuple[TrainedDenoiser, RunFolder]:
+    run = RunFolder(tmp_path_factory.mktemp("run"))
+    folder = run.stage("denoiser")
+    folder.path.mkdir()
+    training = DenoiserTraining(CONFIG, mixture_corpus(), seed=0, device=torch.device("cpu"))
+    train_loop(training, folder, steps=training.steps, seed=0)
+    model = training.finished(text_fingerprint="", field_sha256="f" * 64)
+    save_denoiser(run, model)
+    folder.finish({"loss": 1.0})
+    return model, run
+
+
+def conditions(count: int, text: int | None = None, action: int = NO_ACTION) -> Conditions:
+    row = torch.zeros(4) if text is None else torch.eye(3, 4)[text]
+    return Conditions(row.repeat(count, 1), torch.full((count,), action), torch.full((count,), 0.6))
+
+
+@pytest.mark.parametrize("guidance_scale", [1.0, 2.0])
+def test_texts_and_actions_lead_to_their_latents(mixture, guidance_scale):
+    model, _ = mixture
+    for given, expected in (
+        (conditions(100, text=0), WALK_MEAN),
+        (conditions(100, text=1), WALK_MEAN),
+        (conditions(100, text=2), JUMP_MEAN),
+        (conditions(100, action=model.layout.action_index("walk")), WALK_MEAN),
+        (conditions(100, action=model.layout.action_index("jump")), JUMP_MEAN),
+    ):
+        found = model.sample(given, seed=1, sampling=SamplingOptions(guidance_scale))
+        # The two means are 3 apart on the average; windows of one duration are few, and are learned by heart.
+        assert float((found.mean(0) - expected).abs().max()) < 0.8
+
+
+def test_without_a_condition_both_kinds_appear(mixture):
+    model, _ = mixture
+    found = model.sample(conditions(200), seed=1)
+    nearest = torch.cdist(found, torch.stack((WALK_MEAN, JUMP_MEAN))).argmin(1)
+    assert 0.25 < float(nearest.float().mean()) < 0.75
+
+
+def test_samples_follow_the_seed_and_not_the_batch(mixture):
+    model, _ = mixture
+    many = model.sample(conditions(5, text=0), seed=3)
+    torch.testing.assert_close(many, model.sample(conditions(5, text=0), seed=3), rtol=0, atol=0)
+    torch.testing.assert_close(many[:2], model.sample(conditions(2, text=0), seed=3), rtol=1e-4, atol=1e-4)
+    assert not torch.allclose(many, model.sample(conditions(5, text=0), seed=4))
+    assert len(torch.unique(many.round(decimals=2), dim=0)) == 5
+
+
+def test_ancestral_sampling_agrees_in_distribution(mixture):
+    model, _ = mixture
+    diffusion = replace(model.config.diffusion, sampler="ddpm", sampling_steps=100)
+    ancestral = replace(model, config=replace(model.config, diffusion=diffusion))
+    found = ancestral.sample(conditions(100, text=2), seed=1, sampling=SamplingOptions(1.0))
+    assert float((found.mean(0) - JUMP_MEAN).abs().max()) < 0.8
+
+
+def test_what_was_saved_samples_the_same(mixture):
+    model, run = mixture
+    loaded = load_denoiser(run)
+    assert loaded.layout == model.layout
+    assert loaded.config == model.config
+    torch.testing.assert_close(
+        loaded.sample(conditions(3, text=0), seed=3), model.sample(conditions(3, text=0), seed=3), rtol=0, atol=0
+    )
+    torch.testing.assert_close(loaded.draw_durations(4, seed=2), model.draw_durations(6, seed=2)[:4])
+    assert set(loaded.draw_durations(50, seed=0).tolist()) <= set(model.durations.tolist())
+
+
+def test_a_stage_that_was_not_trained_is_explained(tmp_path):
+    with pytest.raises(RunError, match="--stage denoiser"):
+        load_denoiser(RunFolder(tmp_path))
+
+
+def test_a_file_of_something_else_is_explained(tmp_path):
+    folder = RunFolder(tmp_path).stage("denoiser")
+    folder.finish({})
+    save_tensors(folder.model_path, {"a": torch.zeros(1)}, {})
+    with pytest.raises(MotionkitError, match="not a denoiser of this version"):
+        load_denoiser(RunFolder(tmp_path))
+
+
+def test_resuming_equals_not_stopping(tmp_path):
+    config = apply_overrides(CONFIG, ["network.dropout=0.2", "schedule.steps=12"])
+    paths = [tmp_path / name / "denoiser" for name in ("whole", "halves")]
+    for path in paths:
+        path.mkdir(parents=True)
+    whole, halves = (RunFolder(path.parent).stage("denoiser") for path in paths)
+
+    def fresh() -> DenoiserTraining:
+        return DenoiserTraining(config, mixture_corpus(), seed=4, device=torch.device("cpu"))
+
+    train_loop(fresh(), whole, steps=12, seed=4, log_every=5)
+    train_loop(fresh(), halves, steps=7, seed=4, log_every=5)
+    torch.randn(3)  # the global generator plays no part
+    train_loop(fresh(), halves, steps=12, seed=4, log_every=5)
+    expected, found = load_tensors(whole.checkpoint_path)[0], load_tensors(halves.checkpoint_path)[0]
+    assert expected.keys() == found.keys()
+    for name in expected:
+        assert torch.equal(expected[name], found[name]), name
+
+
+def test_conditions_are_mixed_as_configured():
+    corpus = mixture_corpus()
+    rows = torch.arange(len(corpus)).repeat(300)
+    given = corpus.draw_conditions(rows, torch.Generator().manual_seed(0))
+    has_text, has_action = given.text.any(1), given.action >= 0
+    assert not (has_text & has_action).any()
+    captioned = corpus.num_captions[rows] > 0
+    assert float((~has_text & ~has_action).float().mean()) == pytest.approx(0.1, abs=0.01)
+    assert float(has_action[~captioned].float().mean()) == pytest.approx(0.9, abs=0.01)
+    assert float(has_action[captioned].float().mean()) == pytest.approx(0.9 * 0.25, abs=0.01)
+    walking = captioned & (rows % 2 == 0) & has_text
+    shares = given.text[walking].mean(0)
+    assert shares[:2].tolist() == pytest.approx([0.5, 0.5], abs=0.03)
+    assert shares[2:].tolist() == [0.0, 0.0]
+
+
+def test_a_corpus_without_captions_or_actions():
+    corpus = latent_corpus(
+        torch.randn(4, 8), torch.zeros(4, 8), torch.ones(4), [()] * 4, [""] * 4, (), np.zeros((0, 6), dtype=np.float32)
+    )
+    given = corpus.draw_conditions(torch.arange(4), torch.Generator().manual_seed(0))
+    assert not given.text.any()
+    assert given.action.tolist() == [NO_ACTION] * 4
+    assert corpus.layout.actions == ()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        "schedule.steps=5",
+        "schedule.epochs=none",
+        "conditions.paraphrases=-1",
+        "ema_decay=1.0",
+    ],
+)
+def test_impossible_settings_are_refused(wrong):
+    with pytest.raises(UsageError, match=f"{wrong}: .*must"):
+        apply_overrides(DenoiserConfig(), [wrong])
+
+
+def test_epochs_count_windows():
+    assert Schedule(epochs=3, batch_size=64).num_steps(100) == 5
+    assert Schedule(steps=7).num_steps(100) == 7

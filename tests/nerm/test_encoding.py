@@ -1,0 +1,161 @@
+"""NeRM as an encoder of whole motions: windows, each in its own frame, assembled without a seam."""
+
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import KIT21, SMPL22
+from motionkit.core.timegrid import TimeGrid
+from motionkit.data.corpus import FrameValues
+from motionkit.data.poses import WindowPoses
+from motionkit.data.windows import cut_windows
+from motionkit.fields.completion import complete
+from motionkit.fields.motion_field import MotionEncoder, Observation, Poses, to_motion
+from motionkit.training.pose_vectors import PoseTensors
+from motionkit.training.run import RunError
+from nerm.encoding import NermEncoder, effect_of_numbers, encode_by_optimisation, load, minimise_each, starting_latents
+from nerm.field import TrainedField
+from nerm.field_training import FieldTraining
+from tests.helpers.nerm_corpus import FPS, analytic_positions, analytic_source
+from tests.helpers.observed_errors import observed_errors
+from tests.helpers.velocities import joint_velocities
+from tests.nerm.small_fields import SMALL, error_mm, finished, losses_of, small_poses
+
+SECONDS = 11.0
+
+
+@pytest.fixture(scope="module")
+def trained() -> TrainedField:
+    """Trained on overlapping windows of one long motion, so that windows anywhere in it are known ground."""
+    source = analytic_source(rates=(60,), seconds=SECONDS)
+    windows = cut_windows(source, max_duration_seconds=SMALL.windows.max_duration_seconds, stride_seconds=0.5)
+    poses = WindowPoses(windows, FrameValues.of_positions(source))
+    training = FieldTraining(poses, SMALL, codebook=None, seed=3, device=torch.device("cpu"))
+    losses_of(training, training.steps)
+    return finished(training)
+
+
+def capture(fps: int = 60, kind: int = 0) -> Motion:
+    grid = TimeGrid(Fraction(fps), int(SECONDS * fps) + 1, start_seconds=2.0)
+    return Motion(analytic_positions(grid.seconds() - 2.0, kind), SMPL22, grid)
+
+
+def test_a_long_capture_is_reconstructed_at_any_framerate_without_a_seam(trained: TrainedField) -> None:
+    encoder = NermEncoder(trained)
+    assert isinstance(encoder, MotionEncoder)
+    motion = capture()
+    field = encoder.encode(Observation.of(motion))
+    assert (field.start_seconds, field.end_seconds) == pytest.approx((2.0, 2.0 + SECONDS))
+    assert len(field.pieces) == 4 and all(piece.field.end_seconds == 4.0 for piece in field.pieces)
+    fast = to_motion(field, Fraction(120))
+    truth = analytic_positions(fast.timegrid.seconds() - 2.0, 0)
+    assert np.linalg.norm(fast.joint_positions - truth, axis=-1).mean() < 0.02
+    # The frames of the pieces differ: without placing them the windows lie metres apart.
+    assert np.ptp([piece.origin[1] for piece in field.pieces]) > 3.0
+    joins = np.concatenate((field.fade_start, field.fade_end))
+    sides = [joint_velocities(field, joins + side, step_seconds=5e-4) for side in (-1e-3, 1e-3)]
+    assert np.abs(sides[1] - sides[0]).max() < 0.15
+
+
+def test_gaps_and_uneven_times_are_fitted_like_any_other(trained: TrainedField) -> None:
+    motion = capture()
+    observed = np.random.default_rng(0).uniform(size=motion.num_frames) < 0.3
+    observed[200:230] = False
+    field = NermEncoder(trained).encode(Observation.of(motion, observed))
+    assert observed_errors(field, Observation.of(motion.frames(200, 230))).mean() < 0.05
+    done = complete(motion, NermEncoder(trained), fps=Fraction(30), observed=observed, after_seconds=0.2)
+    assert np.isfinite(done.joint_positions).all() and done.num_frames == int(SECONDS * 30) + 1 + 6
+
+
+def test_what_cannot_be_encoded_is_named(trained: TrainedField) -> None:
+    motion = capture()
+    observed = np.ones(motion.num_frames, dtype=np.bool_)
+    observed[60:-60] = False
+    with pytest.raises(ValueError, match=r"no pose is observed between 4\.33 and 8\.33 s"):
+        NermEncoder(trained).encode(Observation.of(motion, observed))
+    kit = Observation(np.zeros(1), Poses(np.zeros((1, 21, 3), np.float32)), KIT21)
+    with pytest.raises(ValueError, match="map the motion first"):
+        NermEncoder(trained).encode(kit)
+    others = replace(SMPL22, name="lafan1", joint_names=tuple(f"joint {number}" for number in range(22)))
+    with pytest.raises(ValueError, match="not those of Skeleton\\('lafan1', 22 joints"):
+        NermEncoder(trained).encode(Observation(np.zeros(1), Poses(np.zeros((1, 22, 3), np.float32)), others))
+    with pytest.raises(ValueError, match="between 0 and 4 s"):
+        NermEncoder(trained, overlap_seconds=4.0).encode(Observation.of(motion))
+
+
+def test_a_run_without_a_field_is_named(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match="stage 'field'"):
+        load(tmp_path)
+
+
+def test_encoding_by_optimisation_finds_a_training_window_again(small_field: TrainedField) -> None:
+    batch = PoseTensors.of(small_poses().evenly(np.arange(4), 61))
+    latents = encode_by_optimisation(small_field, batch)
+    assert max(error_mm(small_field, latents[window], window, 120) for window in range(4)) < 5.0
+
+
+def test_a_latent_does_not_depend_on_the_windows_beside_it(small_field: TrainedField) -> None:
+    batch = PoseTensors.of(small_poses().evenly(np.arange(4), 61))
+    # One is far from anything that was trained.
+    batch = replace(batch, vectors=batch.vectors * torch.tensor([1.0, 1.0, 1.5, 1.0])[:, None, None])
+    among, times = encode_by_optimisation(small_field, batch), np.linspace(0.0, 4.0, 61)
+    for row in (0, 1, 3):
+        only = PoseTensors(*(each[row : row + 1] for each in vars(batch).values()))
+        alone = encode_by_optimisation(small_field, only)
+        # A search amplifies rounding, which differs between sizes of a batch.
+        torch.testing.assert_close(alone[0], among[row], atol=0.05, rtol=0.0)
+        poses = (small_field.decode(latents, times, FPS[4])[0] for latents in (alone, among[row : row + 1]))
+        np.testing.assert_allclose(*poses, atol=1e-4)
+
+
+def test_each_row_is_minimised_by_itself() -> None:
+    """Rosenbrock's valley, a stretched parabola, and one that is at its minimum from the start."""
+    stretch = torch.tensor([1.0, 1e3], dtype=torch.float64)
+
+    def objective(x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        valley = 100.0 * (x[:, 1] - x[:, 0] ** 2) ** 2 + (1.0 - x[:, 0]) ** 2
+        slope = -400.0 * x[:, 0] * (x[:, 1] - x[:, 0] ** 2) - 2.0 * (1.0 - x[:, 0])
+        parabola = (stretch * (x - 1.0) ** 2).sum(dim=1)
+        is_valley = torch.arange(len(x)) == 0
+        gradient = torch.stack((slope, 200.0 * (x[:, 1] - x[:, 0] ** 2)), dim=1)
+        return (
+            torch.where(is_valley, valley, parabola),
+            torch.where(is_valley[:, None], gradient, 2.0 * stretch * (x - 1.0)),
+        )
+
+    start = torch.tensor([[-1.2, 1.0], [30.0, -7.0], [1.0, 1.0]], dtype=torch.float64)
+    found = minimise_each(objective, start, 80)
+    torch.testing.assert_close(found, torch.ones_like(start), atol=1e-6, rtol=0.0)
+    assert torch.equal(minimise_each(objective, start[:1], 80), found[:1])
+
+
+def test_the_search_improves_on_its_start(small_field: TrainedField) -> None:
+    batch = PoseTensors.of(small_poses().evenly(np.arange(4), 61))
+    found = [
+        starting_latents(small_field, batch),
+        *(encode_by_optimisation(small_field, batch, evaluations=n) for n in (4, 30)),
+    ]
+    errors = [np.mean([error_mm(small_field, latents[row], row, 120) for row in range(4)]) for latents in found]
+    assert errors[2] < errors[1] < errors[0]
+
+
+def test_numbers_are_searched_in_units_of_their_effect(small_field: TrainedField) -> None:
+    batch = PoseTensors.of(small_poses().evenly(np.arange(4), 61))
+    encoded = small_field.network.encode_coordinates(batch.coordinates, batch.fps)
+    start = starting_latents(small_field, batch)
+    effect = effect_of_numbers(small_field, start, encoded, batch.fps)
+    here = small_field.network.decode(start, encoded, batch.fps)
+    moved = [
+        small_field.network.decode(start + 1e-2 * number, encoded, batch.fps)
+        for number in torch.eye(small_field.latent_dimension)
+    ]
+    measured = torch.stack([(each - here).square().sum(dim=(1, 2)).sqrt() for each in moved], dim=1)
+    assert float(measured.max() / measured.min()) > 30.0
+    for estimate, true in zip(effect, measured, strict=True):
+        # Estimated from a few random signs.
+        assert float(torch.corrcoef(torch.stack((estimate.log(), true.log())))[0, 1]) > 0.8

@@ -1,0 +1,270 @@
+"""Training a motion field, and what it decodes after training, saving and loading."""
+
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch.distributions import Normal
+
+from eval.reconstruction.windows import window_truth
+from motionkit.core.skeleton import SMPL22
+from motionkit.data.corpus import open_frames
+from motionkit.fields.motion_field import to_motion
+from motionkit.store.reader import Store
+from motionkit.store.writer import StoreWriter
+from motionkit.training.config import apply_overrides
+from motionkit.training.loop import step_generator
+from motionkit.training.pose_vectors import PoseTensors
+from motionkit.training.run import RunFolder, StageFolder
+from motionkit.training.stage import StageContext
+from motionkit.training.tensors import CheckpointError, save_tensors
+from nerm.encoding import encode_windows
+from nerm.field import TrainedField, load_field, save_field
+from nerm.field_training import RowAdam, kl_divergence, sample_posterior, train_field
+from nerm.recipes import nano
+from tests.helpers.analytic import analytic_motion
+from tests.helpers.nerm_corpus import FPS
+from tests.nerm.small_fields import SMALL, error_mm, finished, losses_of, small_training
+
+
+@pytest.mark.parametrize("fps", [20, 40, 60, 100, 120])
+def test_a_small_field_learns_analytic_motions_to_millimetres_at_every_framerate(
+    small_field: TrainedField, fps: int
+) -> None:
+    errors = [error_mm(small_field, small_field.posterior_mean[window], window, fps) for window in range(4)]
+    assert max(errors) < 5.0, errors
+
+
+def test_what_is_loaded_decodes_as_what_was_saved(small_field: TrainedField, tmp_path: Path) -> None:
+    save_field(StageFolder(tmp_path / "field"), small_field)
+    loaded = load_field(tmp_path)
+    times = np.linspace(0.0, 4.0, 17)
+    np.testing.assert_array_equal(
+        loaded.decode(loaded.posterior_mean, times, FPS[2]),
+        small_field.decode(small_field.posterior_mean, times, FPS[2]),
+    )
+    assert loaded.config == small_field.config
+    assert loaded.max_training_fps == 120
+    dimension = loaded.latent_dimension
+    assert dimension in (128, 152)
+    assert repr(loaded).startswith(f"TrainedField(local latents of {dimension} numbers, Windows(4 of at most 4 s")
+    assert loaded.windows.duration_seconds.tolist() == [4.0] * 4
+    assert loaded.posterior_log_variance.shape == (4, dimension)
+
+
+def test_poses_do_not_depend_on_what_else_is_asked_for(small_field: TrainedField) -> None:
+    times = np.array([3.0, 0.1, 2.2, 0.7])
+    together = small_field.decode(small_field.posterior_mean, times, FPS[4])
+    rows = small_field.decode(small_field.posterior_mean, np.tile(times, (4, 1)), FPS[4])
+    np.testing.assert_allclose(rows, together, atol=1e-6)
+    alone = small_field.decode(small_field.posterior_mean[2:3], times[1:2], FPS[4])
+    np.testing.assert_allclose(alone[0, 0], together[2, 1], atol=1e-5)
+
+
+def test_only_so_many_poses_are_decoded_at_once(small_field: TrainedField, monkeypatch: pytest.MonkeyPatch) -> None:
+    times, latents = np.arange(4000) / 1000, small_field.posterior_mean[:2]
+    rows = np.stack((times, times[::-1]))
+    whole, whole_rows = (small_field.decode(latents, each, Fraction(1000)) for each in (times, rows))
+    decoded: list[int] = []
+    counted = small_field.network.output.register_forward_hook(
+        lambda module, inputs, output: decoded.append(output[..., 0].numel())
+    )
+    monkeypatch.setattr("nerm.field.POSES_AT_ONCE", 700)
+    parts, part_rows = (small_field.decode(latents, each, Fraction(1000)) for each in (times, rows))
+    counted.remove()
+    assert max(decoded) == 700
+    assert sum(decoded) == 4 * len(times)
+    np.testing.assert_allclose(parts, whole, atol=1e-5)
+    np.testing.assert_allclose(part_rows, whole_rows, atol=1e-5)
+
+
+def test_a_latent_is_a_motion_field(small_field: TrainedField) -> None:
+    motion = small_field.as_motion_field(small_field.posterior_mean[1], 2.5)
+    assert (motion.start_seconds, motion.end_seconds, motion.skeleton) == (0.0, 2.5, SMPL22)
+    times = np.array([2.5, 0.0, 1.0])
+    expected = small_field.decode(small_field.posterior_mean[1:2], times, FPS[4])[0]
+    np.testing.assert_array_equal(motion.query(times).joint_positions, expected)
+    with pytest.raises(ValueError, match="1 of 1 times lie outside"):
+        motion.query(np.array([2.6]))
+
+
+def test_a_transformer_decoders_motion_is_a_function_of_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    training = small_training(
+        apply_overrides(SMALL, ["decoder.kind=transformer", "optimizer.attention_learning_rate=0.001"])
+    )
+    losses_of(training, 3)
+    field = finished(training)
+    motion = field.as_motion_field(field.posterior_mean[1], 3.0)
+    times = np.arange(181) / 60
+    fast = motion.query(times).joint_positions
+    # Other framerates, single instants and smaller portions are the same motion; decoded bare they were not.
+    np.testing.assert_allclose(motion.query(times[::2]).joint_positions, fast[::2], atol=2e-5)
+    for row in (0, 17, 180):
+        np.testing.assert_allclose(motion.query(times[row : row + 1]).joint_positions[0], fast[row], atol=2e-5)
+    monkeypatch.setattr("nerm.field.POSES_IN_CONTEXT_AT_ONCE", 50)
+    np.testing.assert_allclose(motion.query(times).joint_positions, fast, atol=2e-5)
+    alone = field.decode(field.posterior_mean[1:2], times[17:18], motion.fps)[0, 0]
+    assert np.abs(alone - fast[17]).max() > 1e-3
+
+
+def test_the_coordinate_branch_is_kept_for_a_grid(small_field: TrainedField) -> None:
+    times = np.linspace(0, 4, 11)[None] ** 2 / 4
+    assert small_field.encode_times(times, FPS[0]) is small_field.encode_times(times.copy(), FPS[0])
+
+
+@pytest.mark.parametrize("rate", [30.0, 120.0])
+def test_durations_share_the_coordinate_branch(small_field: TrainedField, rate: float) -> None:
+    fps = Fraction(30)
+    assert small_field.network.fourier is not None
+    encoded: list[int] = []
+    counted = small_field.network.fourier.register_forward_hook(lambda *_: encoded.append(1))
+    for seconds in (1.0, 4.0, 0.0, 3.5):
+        times = np.arange(int(seconds * rate) + 1) / rate
+        poses = small_field.decode(small_field.posterior_mean[:1], times, fps)[0]
+        some = small_field.decode(small_field.posterior_mean[:1], times[:1], fps)[0]
+        np.testing.assert_allclose(some[0], poses[0], atol=1e-5)
+    counted.remove()
+    # One for the grid, and for single instants, which lie on the grid at the framerate.
+    assert len(encoded) <= 2
+    vectors = small_field.network(
+        small_field.posterior_mean[:1],
+        torch.from_numpy(times[None] / 2 - 1),
+        torch.tensor([float(fps)], dtype=torch.float64),
+    )
+    expected = small_field.vectors.decode(small_field.scaling.invert(vectors)[0].numpy(), times, times)
+    np.testing.assert_allclose(poses, expected.joint_positions, atol=1e-5)
+
+
+def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
+    save_tensors(tmp_path / "field" / "model.safetensors", {}, {"format": "something", "version": 1})
+    with pytest.raises(CheckpointError, match="'something' version 1, expected 'nerm-field'"):
+        load_field(tmp_path)
+
+
+def test_only_the_batch_s_latents_move() -> None:
+    training = small_training(apply_overrides(SMALL, ["schedule.batch_size=1", "clips.seconds_per_visit=10.0"]))
+    before = training.mean.table.clone()
+    losses_of(training, 1)
+    moved = (training.mean.table != before).any(dim=1)
+    assert int(moved.sum()) == 1
+
+
+def test_training_without_distributions_leaves_variances_alone() -> None:
+    training = small_training(apply_overrides(SMALL, ["latents.variational=false"]))
+    before = training.log_variance.table.clone()
+    figures = training.step(0, step_generator(3, "field", 0))
+    assert torch.equal(training.log_variance.table, before)
+    assert torch.equal(figures["loss"], figures["reconstruction"])
+
+
+def test_a_transformer_decoder_has_the_rate_of_attention() -> None:
+    training = small_training(
+        apply_overrides(
+            SMALL,
+            ["decoder.kind=transformer", "schedule.learning_rate=0.01", "optimizer.attention_learning_rate=0.001"],
+        )
+    )
+    rates = {id(parameter): group["lr"] for group in training.optimizer.param_groups for parameter in group["params"]}
+    assert {rates[id(parameter)] for parameter in training.network.layers.parameters()} == {1e-3}
+    assert rates[id(training.network.output.weight)] == 1e-2
+    assert len(rates) == len(list(training.network.parameters()))
+
+
+def test_a_field_with_knots_begins_as_the_ridge_fit() -> None:
+    training = small_training()
+    batch = PoseTensors.of(training.poses.evenly(np.arange(4), 50))
+    with torch.no_grad():
+        vectors = training.network(training.mean.table, batch.coordinates, batch.fps)
+    assert float((vectors - training.scaling.apply(batch.vectors)).square().mean()) < 0.1
+
+
+@pytest.mark.parametrize("weight_decay", [0.0, 0.5])
+def test_rows_that_are_touched_follow_dense_adamw_and_others_stay(weight_decay: float) -> None:
+    generator = torch.Generator().manual_seed(0)
+    table = torch.randn(10, 4, generator=generator)
+    touched = torch.tensor([1, 4, 7])
+    dense = table[touched].clone().requires_grad_()
+    reference = torch.optim.AdamW([dense], lr=0.03, weight_decay=weight_decay)
+    sparse = RowAdam(table.clone(), weight_decay=weight_decay)
+    for _ in range(25):
+        gradient = torch.randn(3, 4, generator=generator)
+        dense.grad = gradient.clone()
+        reference.step()
+        sparse.update(touched, gradient, 0.03)
+    torch.testing.assert_close(sparse.table[touched], dense.detach(), atol=1e-6, rtol=1e-5)
+    others = torch.tensor([0, 2, 3, 5, 6, 8, 9])
+    assert torch.equal(sparse.table[others], table[others])
+    assert sparse.count.squeeze(1).tolist() == [25.0 if row in (1, 4, 7) else 0.0 for row in range(10)]
+
+
+def test_kl_is_that_of_normal_distributions() -> None:
+    mean, log_variance = torch.randn(5, 7), torch.randn(5, 7)
+    expected = torch.distributions.kl_divergence(Normal(mean, torch.exp(0.5 * log_variance)), Normal(0.0, 1.0)).mean()
+    torch.testing.assert_close(kl_divergence(mean, log_variance), expected)
+
+
+def test_samples_have_the_posterior_s_mean_and_deviation() -> None:
+    noise = torch.randn(200_000, 2, generator=torch.Generator().manual_seed(2))
+    mean, log_variance = (
+        torch.tensor([1.0, -2.0]).expand(len(noise), 2),
+        torch.tensor([0.0, -2.0]).expand(len(noise), 2),
+    )
+    samples = sample_posterior(mean, log_variance, noise)
+    torch.testing.assert_close(samples.mean(0), torch.tensor([1.0, -2.0]), atol=0.01, rtol=0)
+    torch.testing.assert_close(samples.std(0), torch.exp(torch.tensor([0.0, -1.0])), atol=0.01, rtol=0)
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
+    """One body with rotations at three framerates."""
+    path = tmp_path_factory.mktemp("vectors") / "store"
+    with StoreWriter.create(path) as writer:
+        for index, rate in enumerate((60, 30, 120)):
+            motion = to_motion(analytic_motion("walk", 4.0), Fraction(rate))
+            writer.add(replace(motion, sequence_id=f"m{index}", split="train"))
+    return Store.open(path)
+
+
+TINY = (
+    "field.encoder.kind=fourier",
+    "field.windows.max_duration_seconds=4",
+    "field.windows.stride_seconds=4",
+    "field.decoder.width=48",
+    "field.decoder.num_layers=3",
+    "field.schedule.steps=120",
+    "field.contact_steps=10",
+    "field.schedule.batch_size=4",
+    "field.clips.num_poses=16",
+    "field.precision=float32",
+    "field.windows.mirrored=true",
+    # A path of the body is one of positions.
+    "field.latents.path_knots=0",
+    "field.latents.dimension=720",
+)
+
+
+@pytest.mark.parametrize("name", ["field", "native", "rotations"])
+def test_a_field_of_each_convention_trains_saves_and_decodes(store: Store, name: str, tmp_path: Path) -> None:
+    config = apply_overrides(nano(), [*TINY, f"field.pose_vectors={name}"])
+    train_field(StageContext(store.path, RunFolder(tmp_path / "run"), "nano", device="cpu"), config)
+    trained = load_field(tmp_path / "run")
+    cache, frames = open_frames(trained.vectors, store, None)
+    windows = trained.windows
+    times = np.linspace(0.0, 3.5, 36)
+    truth = window_truth(cache, windows, 0, Fraction(60))[np.round(times * 60).astype(int)]
+    standing = np.linalg.norm(truth - truth.mean(axis=0), axis=-1).mean()
+    found = trained.decode(trained.posterior_mean, times, Fraction(60))
+    assert found.shape == (len(windows), 36, 22, 3)
+    # Not a good field, after seconds; but far better than a body that stands still.
+    assert np.linalg.norm(found[0] - truth, axis=-1).mean() < 0.6 * standing
+    motion_field = trained.as_motion_field(trained.posterior_mean[0], 3.5)
+    assert motion_field.skeleton == trained.skeleton
+    poses = motion_field.at_fps(Fraction(60)).query(times[[20, 3]])
+    assert (poses.local_rotations is not None) == (name == "rotations")
+    np.testing.assert_allclose(poses.joint_positions[:, :22], found[0, [20, 3]], atol=2e-3)
+    latents = encode_windows(trained, windows.select(np.array([0])), frames)
+    again = trained.decode(latents, times, Fraction(60))[0]
+    assert np.linalg.norm(again - truth, axis=-1).mean() < 0.6 * standing

@@ -1,0 +1,382 @@
+"""How latents are laid out along time, read, fitted and standardised."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from motionkit.core.errors import UsageError
+from motionkit.data.corpus import FrameValues
+from motionkit.data.poses import WindowPoses
+from motionkit.data.windows import cut_windows
+from motionkit.training.config import apply_overrides
+from motionkit.training.pose_vectors import PoseTensors, VectorScaling, measure_scaling
+from nerm.field_training import linear_model
+from nerm.latents import (
+    Kernel,
+    KnotLayout,
+    LocalLatents,
+    first_read,
+    in_use,
+    kinds_of_numbers,
+    local_latents,
+    measured_space,
+    mix,
+    path_speed,
+    placed,
+    places_of,
+    relative_to,
+    steps_of,
+    turned,
+)
+from nerm.linear_fit import LinearModel, held, measured_heading, ridge_knots
+from nerm.network import FieldNetwork
+from nerm.settings import FieldConfig, LatentScale
+from tests.helpers.nerm_corpus import MemorySource, analytic_positions, analytic_source
+
+KERNELS: list[Kernel] = ["hann", "lanczos"]
+TIMES = torch.linspace(-1, 1, 301, dtype=torch.float64)
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_constant_knots_read_as_a_constant_up_to_the_ends(kernel: Kernel) -> None:
+    weights = KnotLayout(12, kernel, 2.0, 2).interpolant(TIMES)
+    torch.testing.assert_close(weights.sum(-1), torch.ones(301, dtype=torch.float64))
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_steady_walk_goes_on_beyond_the_first_and_the_last_knot(kernel: Kernel) -> None:
+    layout = KnotLayout(12, kernel, 2.0, 0)
+    walked = layout.interpolant(TIMES) @ layout.centres()
+    assert float((walked - TIMES).abs().max()) < 0.1 * layout.spacing
+
+
+def test_lanczos_passes_through_inner_knots_and_hann_does_not() -> None:
+    lanczos, hann = (KnotLayout(9, kernel, 2.0, 0) for kernel in ("lanczos", "hann"))  # type: ignore[arg-type]
+    torch.testing.assert_close(lanczos.interpolant(lanczos.centres()), torch.eye(9, dtype=torch.float64))
+    assert float(hann.interpolant(hann.centres())[4, 4]) == pytest.approx(0.5)
+
+
+def test_an_instant_sees_the_knots_within_reach() -> None:
+    layout = KnotLayout(10, "hann", 2.0, 3)
+    basis = layout.basis(TIMES)
+    assert basis.shape == (301, 7, 10)
+    far = (TIMES[:, None] - layout.centres()).abs() >= 2.0 * layout.spacing
+    assert not basis[far[:, None].expand_as(basis)].any()
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_the_slope_is_the_interpolant_s_derivative(kernel: Kernel) -> None:
+    layout = KnotLayout(7, kernel, 2.0, 0)
+    times = TIMES[1:-1].clone().requires_grad_()
+    knots = torch.randn(7, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
+    (derivative,) = torch.autograd.grad((layout.interpolant(times) @ knots).sum(), times)
+    torch.testing.assert_close(layout.slope(times.detach()) @ knots / layout.spacing, derivative, atol=1e-4, rtol=1e-4)
+
+
+@given(st.integers(0, 2**31), st.sampled_from(KERNELS), st.sampled_from([1.0, 2.0]))
+def test_ridge_knots_recover_what_knots_made(seed: int, kernel: Kernel, radius: float) -> None:
+    layout = KnotLayout(9, kernel, radius, 1)
+    knots = torch.randn(2, 9, 3, generator=torch.Generator().manual_seed(seed))
+    times = TIMES[::3].repeat(2, 1)
+    made = mix(knots, layout.basis(times.reshape(-1)).reshape(2, 101, 3, 9))[..., :3]
+    found = ridge_knots(made, times, torch.ones_like(times), layout, 1e-9)
+    torch.testing.assert_close(found, knots, atol=2e-3, rtol=2e-3)
+
+
+def test_instants_that_do_not_count_are_not_fitted() -> None:
+    layout = KnotLayout(4, "lanczos", 2.0, 0)
+    targets = torch.where(TIMES < 0.5, 1.0, 100.0)[None, :, None]
+    knots = ridge_knots(targets, TIMES[None], (TIMES < 0.5).double()[None], layout, 1e-9)
+    torch.testing.assert_close(knots, torch.ones(1, 4, 1), atol=1e-4, rtol=0)
+
+
+def test_a_layout_needs_knots_that_meet() -> None:
+    with pytest.raises(ValueError, match="at least two knots"):
+        KnotLayout(8, "hann", 0.5, 0)
+
+
+BANKED = apply_overrides(
+    FieldConfig(),
+    [
+        "windows.max_duration_seconds=4.0",
+        "latents.layout=local",
+        f"latents.dimension={16 * 6 + 8 * 5 + 8 * 3}",
+        "latents.knots=16,8",
+        "latents.knot_numbers=6,5",
+        "latents.path_knots=8",
+        "latents.kernel=lanczos",
+        "loss.scaling=group",
+        "loss.root_weight=4.0",
+        "latents.ridge=0.001",
+    ],
+)
+
+
+def _banks(config: FieldConfig = BANKED) -> LocalLatents:
+    banks = local_latents(config)
+    assert banks is not None
+    return banks
+
+
+def _scaling(poses: WindowPoses, config: FieldConfig) -> VectorScaling:
+    grouped, weight, path = config.loss.scaling == "group", config.loss.root_weight, config.latents.has_path
+    return measure_scaling(poses, grouped=grouped, root_weight=weight, centred_path=path)
+
+
+def _poses(source: MemorySource, seconds: float = 4.0) -> WindowPoses:
+    return WindowPoses(cut_windows(source, max_duration_seconds=seconds), FrameValues.of_positions(source))
+
+
+def _circling(seconds: float = 4.0, fps: int = 60) -> MemorySource:
+    """The first analytic motion, once at 1.2 m/s around a circle that it closes 1.3 times, always facing ahead."""
+    times = np.arange(int(seconds * fps) + 1) / fps
+    heading = 2 * np.pi * 1.3 * times / seconds
+    body = analytic_positions(times, 0).astype(np.float64)
+    body[..., 2] -= 0.5 * times[:, None]
+    x, z = body[..., 0].copy(), body[..., 2].copy()
+    cosine, sine = np.cos(heading)[:, None], np.sin(heading)[:, None]
+    radius = 1.2 * seconds / (2 * np.pi * 1.3)
+    body[..., 0] = cosine * x + sine * z + radius * (1 - np.cos(heading))[:, None]
+    body[..., 2] = cosine * z - sine * x + radius * np.sin(heading)[:, None]
+    one = np.ones(1, dtype=np.int64)
+    return MemorySource(body.astype(np.float32), 0 * one, 0 * one, len(times) * one, fps * one, one)
+
+
+def test_poses_relative_to_a_path_come_back() -> None:
+    generator = torch.Generator().manual_seed(4)
+    vectors, path = torch.randn(3, 5, 66, generator=generator), 3 * torch.randn(3, 5, 3, generator=generator)
+    torch.testing.assert_close(placed(relative_to(vectors, path), path), vectors, atol=1e-5, rtol=1e-5)
+
+
+def test_turning_is_about_the_vertical_from_z_towards_x() -> None:
+    vectors = torch.tensor([[0.0, 0.5, 1.0, 0.0, 0.7, 2.0]])
+    quarter = turned(vectors, torch.tensor([np.pi / 2]))
+    torch.testing.assert_close(quarter, torch.tensor([[1.0, 0.5, 0.0, 2.0, 0.7, 0.0]]), atol=1e-6, rtol=0)
+
+
+def test_somebody_who_walks_ahead_feels_forward_speed() -> None:
+    heading = torch.tensor([0.3, 2.0, -1.1])
+    ahead = torch.stack((torch.sin(heading), torch.cos(heading), torch.zeros(3)), dim=-1)
+    felt = path_speed(ahead, torch.stack((torch.ones(3), torch.ones(3), heading), dim=-1))
+    torch.testing.assert_close(felt, torch.tensor([[0.0, 1.0, 0.0]]).expand(3, 3), atol=1e-6, rtol=0)
+
+
+def test_heading_goes_on_beyond_a_full_turn() -> None:
+    vectors = PoseTensors.of(_poses(_circling()).evenly(np.array([0]), 100)).vectors
+    heading = measured_heading(vectors)[0]
+    expected = torch.linspace(0, 2 * np.pi * 1.3, 100, dtype=torch.float64)
+    # The analytic body sways, so that the line through hips and shoulders turns a little too.
+    assert float((heading - expected).abs().max()) < 0.8
+    assert float(heading[-1] - heading[0]) > 2 * np.pi
+
+
+def test_banks_split_and_join() -> None:
+    banks = _banks()
+    latents = torch.randn(3, banks.dimension, generator=torch.Generator().manual_seed(1))
+    parts = banks.split(latents)
+    assert [tuple(part.shape) for part in parts] == [(3, 16, 6), (3, 8, 5), (3, 8, 3)]
+    assert torch.equal(banks.join(parts), latents)
+
+
+def test_z_goes_by_stretches_of_time() -> None:
+    banks = _banks()
+    numbers = banks.describe()
+    assert (banks.num_segments, banks.dimension) == (8, 160)
+    stretch = torch.floor((numbers.centre + 1.0) / 2.0 * 8).long().view(8, -1)
+    assert torch.equal(stretch, torch.arange(8)[:, None].expand(8, 20))
+    assert numbers.bank.view(8, -1)[3].tolist() == [0] * 12 + [1] * 5 + [2] * 3
+    assert numbers.knot.view(8, -1)[3].tolist() == [6] * 6 + [7] * 6 + [3] * 8
+    assert numbers.component.view(8, -1)[3].tolist() == [*range(6), *range(6), *range(6, 11), 0, 1, 2]
+
+
+def test_what_is_described_is_what_is_read() -> None:
+    banks = _banks()
+    numbers = banks.describe()
+    for index in (0, 17, 47, 141, 159):
+        latents = torch.zeros(1, banks.dimension)
+        latents[0, index] = 1.0
+        reading = banks.read(latents, banks.weights(numbers.centre[[index]]), torch.zeros(1, 1, dtype=torch.int64))
+        is_path = int(numbers.bank[index]) == 2
+        assert reading.path is not None
+        read = reading.path if is_path else reading.inputs[..., : banks.num_components]
+        expected = torch.zeros_like(read)
+        expected[0, 0, numbers.component[index]] = banks.path_units()[numbers.component[index]] if is_path else 1.0
+        torch.testing.assert_close(read, expected, atol=0.2, rtol=0)
+
+
+def _reconstructed(model: LinearModel, poses: WindowPoses, latents: torch.Tensor) -> torch.Tensor:
+    batch = PoseTensors.of(poses.evenly(np.arange(len(latents)), 90))
+    weights = model.banks.weights(batch.coordinates.reshape(-1))
+    reading = model.banks.read(latents, weights, torch.arange(batch.coordinates.numel()).view(len(latents), -1))
+    components = reading.inputs[..., : model.banks.num_components]
+    vectors = components @ model.components.inverse() + model.components.mean
+    if reading.path is not None:
+        vectors = placed(vectors, reading.path)
+    return (model.scaling.invert(vectors) - batch.vectors).norm(dim=-1).mean()
+
+
+def test_the_linear_model_with_a_path_describes_somebody_who_walks_in_circles() -> None:
+    poses = _poses(_circling())
+    errors = []
+    for config in (BANKED, apply_overrides(BANKED, ["latents.path_knots=0", f"latents.dimension={16 * 6 + 8 * 5}"])):
+        model = linear_model(poses, _scaling(poses, config), config)
+        assert model is not None
+        errors.append(float(_reconstructed(model, poses, model.fit(PoseTensors.of(poses.evenly(np.array([0]), 128))))))
+    with_path, without = errors
+    # Lengths of 66 numbers, in metres: 4 cm over 22 joints.
+    assert with_path < 0.4
+    assert with_path < 0.5 * without
+
+
+def test_what_a_short_window_does_not_reach_holds_its_last_pose() -> None:
+    source = analytic_source(seconds=2.0)
+    poses = _poses(source)
+    model = linear_model(poses, _scaling(poses, BANKED), BANKED)
+    assert model is not None
+    batch = PoseTensors.of(poses.evenly(np.arange(4), 60))
+    extended, counts = held(batch)
+    assert counts[:, :60].eq(1).all()
+    assert counts[:, 60:].sum(dim=1).tolist() == [64.0] * 4
+    torch.testing.assert_close(extended.vectors[:, -1], batch.vectors[:, -1])
+    for knots in model.banks.split(model.fit(batch)):
+        # The first three numbers: the analytic body has hardly any further components.
+        late = knots[:, -knots.shape[1] // 4 :, :3]
+        assert float((late - late[:, -1:]).abs().max()) < 0.2
+        assert float(late.abs().max()) > 0.4
+
+
+@pytest.mark.parametrize("wrong", ["latents.dimension=100", "latents.knots=16", "loss.scaling=number"])
+def test_banks_that_do_not_add_up_are_refused(wrong: str) -> None:
+    with pytest.raises(UsageError, match=wrong.partition("=")[0].rpartition(".")[2]):
+        apply_overrides(BANKED, [wrong])
+
+
+ONE_BANK = apply_overrides(
+    FieldConfig(),
+    [
+        "latents.layout=local",
+        "latents.dimension=32",
+        "latents.knots=8",
+        "latents.knot_numbers=4",
+        "decoder.width=16",
+        "decoder.num_layers=2",
+        "encoder.kind=none",
+    ],
+)
+TWO_BANKS = apply_overrides(
+    ONE_BANK,
+    [
+        f"latents.dimension={16 * 2 + 8 * 3 + 8 * 3}",
+        "latents.knots=16,8",
+        "latents.knot_numbers=2,3",
+        "latents.path_knots=8",
+        "latents.kernel=lanczos",
+        "loss.scaling=group",
+    ],
+)
+
+
+@pytest.mark.parametrize("share", [0.05, 0.31, 1.0])
+@pytest.mark.parametrize("config", [ONE_BANK, TWO_BANKS], ids=["one bank", "banks"])
+def test_a_field_reads_the_numbers_in_use_and_no_others(share: float, config: FieldConfig) -> None:
+    torch.manual_seed(0)
+    network = FieldNetwork(config, 66)
+    latents = torch.randn(1, config.latents.dimension, requires_grad=True)
+    coordinates = torch.linspace(-1, -1 + 2 * share, 400, dtype=torch.float64)[None]
+    network(latents, coordinates, torch.tensor([60.0], dtype=torch.float64)).square().sum().backward()
+    assert latents.grad is not None
+    used = in_use(first_read(config.latents.dimension, local_latents(config)), torch.tensor([share]))
+    np.testing.assert_array_equal(latents.grad[0] != 0, used[0])
+
+
+SPACED = apply_overrides(
+    FieldConfig(),
+    [
+        "latents.layout=local",
+        f"latents.dimension={8 * 2 + 4 * 3 + 4 * 3}",
+        "latents.knots=8,4",
+        "latents.knot_numbers=2,3",
+        "latents.path_knots=4",
+        "loss.scaling=group",
+        "loss.root_weight=3.0",
+    ],
+)
+BANKS = local_latents(SPACED)
+assert BANKS is not None
+
+
+def random_places(seed: int, knots: int = 6) -> torch.Tensor:
+    return torch.randn(5, knots, 3, generator=torch.Generator().manual_seed(seed), dtype=torch.float64) * 3
+
+
+@given(seed=st.integers(0, 1000))
+@settings(max_examples=20)
+def test_places_of_undoes_steps_of(seed: int) -> None:
+    places = random_places(seed)
+    torch.testing.assert_close(places_of(steps_of(places)), places, rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(steps_of(places_of(places)), places, rtol=1e-9, atol=1e-9)
+
+
+@given(seed=st.integers(0, 1000), yaw=st.floats(-3, 3), x=st.floats(-9, 9))
+@settings(max_examples=20)
+def test_steps_do_not_depend_on_where_a_path_is_and_how_it_lies(seed: int, yaw: float, x: float) -> None:
+    places = random_places(seed)
+    cosine, sine = math.cos(yaw), math.sin(yaw)
+    moved = torch.stack(
+        (
+            cosine * places[..., 0] + sine * places[..., 1] + x,
+            cosine * places[..., 1] - sine * places[..., 0] - 2.0,
+            places[..., 2] + yaw,
+        ),
+        dim=-1,
+    )
+    torch.testing.assert_close(steps_of(moved)[:, 1:], steps_of(places)[:, 1:], rtol=1e-7, atol=1e-7)
+
+
+def test_walking_round_a_circle_is_a_row_of_equal_steps_forward() -> None:
+    """Heading 0 is Z+, positive turns towards X+: a body on a circle of radius 2 faces along its tangent."""
+    angle = torch.linspace(0, 4, 9, dtype=torch.float64)
+    places = torch.stack((2 * (1 - torch.cos(angle)), 2 * torch.sin(angle), angle), dim=-1)[None]
+    chord = 2 * 2 * math.sin(0.5 / 2)
+    expected = torch.tensor([0.0, chord, 0.5], dtype=torch.float64).expand(8, 3)
+    torch.testing.assert_close(steps_of(places)[0, 1:], expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("banks", [BANKS, replace(BANKS, path=None), None], ids=["path", "no path", "no knots"])
+@pytest.mark.parametrize("scale", ["number", "component"])
+def test_draws_have_mean_0_and_deviation_1_and_come_back(banks: LocalLatents | None, scale: LatentScale) -> None:
+    dimension = 40 if banks is None else banks.dimension
+    generator = torch.Generator().manual_seed(0)
+    draws = 2 + torch.randn(3000, dimension, generator=generator) * torch.linspace(0.5, 3, dimension)
+    used = in_use(first_read(dimension, banks), torch.linspace(0.4, 0.8, 3000))
+    space = measured_space(draws, used, banks, scale)
+    numbers = space.standardise(draws)
+    torch.testing.assert_close(space.restore(numbers), draws, rtol=1e-3, atol=1e-3)
+    kinds = kinds_of_numbers(dimension, banks, scale)
+    for kind in range(int(kinds.max()) + 1):
+        of_kind = numbers[:, kinds == kind][used[:, kinds == kind]]
+        if len(of_kind):
+            assert float(of_kind.mean()) == pytest.approx(0, abs=1e-3)
+            assert float(of_kind.std()) == pytest.approx(1, abs=1e-3)
+
+
+def test_numbers_that_nobody_uses_do_not_count() -> None:
+    """Knots beyond the end hold 1000: neither mean nor deviation notices, and what is never used is left as it is."""
+    draws = torch.randn(500, BANKS.dimension, generator=torch.Generator().manual_seed(0))
+    first = first_read(BANKS.dimension, BANKS)
+    used = in_use(first, torch.full((500,), 0.3))
+    space = measured_space(torch.where(used, draws, torch.full_like(draws, 1000.0)), used, BANKS, "number")
+    assert float(space.mean.abs().max()) < 0.2
+    assert space.deviation[~used[0]].tolist() == [1.0] * int((~used[0]).sum())
+
+
+def test_components_share_a_scale_over_all_knots() -> None:
+    kinds = kinds_of_numbers(BANKS.dimension, BANKS, "component")
+    # A path's first position is no step: its three numbers are kinds of their own.
+    assert torch.bincount(kinds).sort().values.tolist() == [1, 1, 1, 3, 3, 3, 4, 4, 4, 8, 8]
+    assert kinds_of_numbers(256, None, "component").tolist() == list(range(256))

@@ -1,0 +1,320 @@
+"""NeRM's networks: coordinates, CCA, the decoder and the denoiser."""
+
+import subprocess
+import sys
+
+import pytest
+import torch
+
+from motionkit.training.config import apply_overrides
+from nerm.conditions import ConditionLayout, Conditions
+from nerm.latents import ALWAYS, in_use
+from nerm.network import (
+    CodebookCoordinateAttention,
+    Denoiser,
+    FieldNetwork,
+    FourierFeatures,
+    attention,
+    distinct,
+    frame_numbers,
+    framerate_number,
+    rounded_up,
+    step_features,
+)
+from nerm.recipes import RECIPES
+from nerm.settings import FieldConfig, TransformerConfig
+
+TINY = apply_overrides(
+    FieldConfig(),
+    [
+        "latents.dimension=32",
+        "latents.knots=8",
+        "latents.knot_numbers=4",
+        "encoder.num_queries=8",
+        "encoder.num_frequencies=8",
+        "decoder.width=24",
+        "decoder.num_layers=3",
+        "schedule.epochs=none",
+        "schedule.steps=1",
+    ],
+)
+CODES = torch.randn(20, 12, generator=torch.Generator().manual_seed(5))
+LOCAL = "latents.layout=local"
+VARIANTS = {
+    "paper": (),
+    "local": (LOCAL,),
+    "no time encoding": ("encoder.kind=none",),
+    "no time encoding, local": ("encoder.kind=none", LOCAL),
+    "raw time": ("encoder.kind=raw",),
+    "raw time, local": ("encoder.kind=raw", LOCAL),
+    "fourier": ("encoder.kind=fourier",),
+    "frame numbers": ("encoder.coordinates=frames",),
+    "transformer": ("decoder.kind=transformer",),
+    "banks": (
+        LOCAL,
+        f"latents.dimension={8 * 3 + 4 * 5}",
+        "latents.knots=8,4",
+        "latents.knot_numbers=3,5",
+        "latents.kernel=lanczos",
+    ),
+    "body path": (
+        LOCAL,
+        f"latents.dimension={8 * 3 + 4 * 3}",
+        "latents.knot_numbers=3",
+        "latents.path_knots=4",
+        "loss.scaling=group",
+    ),
+}
+
+
+def _network(*changes: str) -> FieldNetwork:
+    torch.manual_seed(0)
+    return FieldNetwork(apply_overrides(TINY, changes), 66, CODES).eval()
+
+
+def _clips(
+    batch: int = 5, poses: int = 7, dimension: int = TINY.latents.dimension
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    generator = torch.Generator().manual_seed(1)
+    latents = torch.randn(batch, dimension, generator=generator)
+    frames = torch.randint(0, 40, (batch, poses), generator=generator)
+    fps = torch.tensor([20.0, 30.0, 60.0, 120.0, 100.0], dtype=torch.float64)[:batch]
+    return latents, -1 + 2 * frames / fps[:, None] / TINY.windows.max_duration_seconds, fps
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_every_variant_decodes_clips(name: str) -> None:
+    network = _network(*VARIANTS[name])
+    latents, coordinates, fps = _clips(dimension=network.config.latents.dimension)
+    vectors = network(latents, coordinates, fps)
+    assert vectors.shape == (5, 7, 66)
+    vectors.square().mean().backward()
+    without = [name for name, weight in network.named_parameters() if weight.grad is None]
+    assert without == []
+
+
+@pytest.mark.parametrize("name", [name for name in VARIANTS if name != "transformer"])
+def test_a_pose_depends_on_its_own_coordinate_latent_and_framerate_alone(name: str) -> None:
+    network = _network(*VARIANTS[name])
+    latents, coordinates, fps = _clips(dimension=network.config.latents.dimension)
+    together = network(latents, coordinates, fps)
+    for clip in range(5):
+        for pose in range(7):
+            alone = network(
+                latents[clip : clip + 1], coordinates[clip : clip + 1, pose : pose + 1], fps[clip : clip + 1]
+            )
+            torch.testing.assert_close(alone[0, 0], together[clip, pose], atol=2e-6, rtol=1e-4)
+
+
+def test_through_a_context_a_transformers_pose_depends_on_nothing_else_either() -> None:
+    network = _network(*VARIANTS["transformer"])
+    latents, coordinates, fps = _clips(dimension=network.config.latents.dimension)
+
+    def decoded(poses: list[int], num_context: int) -> torch.Tensor:
+        encoded = network.encode_coordinates(coordinates[:, poses], fps)
+        return network.decode(latents, encoded, fps, num_context)
+
+    together = decoded([0, 1, 2, 3, 4, 5, 6], 3)
+    for pose in (3, 4, 5, 6):
+        torch.testing.assert_close(decoded([0, 1, 2, pose], 3)[:, 3], together[:, pose], atol=2e-6, rtol=1e-4)
+    # The context sees itself alone, and another context is another motion.
+    torch.testing.assert_close(together[:, :3], decoded([0, 1, 2], 0), atol=2e-6, rtol=1e-4)
+    assert (decoded([0, 1, 4], 2)[:, 2] - together[:, 4]).abs().max() > 1e-3
+    assert (decoded([0, 1, 2, 3, 4, 5, 6], 0)[:, 6] - together[:, 6]).abs().max() > 1e-3
+
+
+def test_without_any_time_a_window_is_one_pose() -> None:
+    network = _network("encoder.kind=none")
+    vectors = network(*_clips())
+    torch.testing.assert_close(vectors, vectors[:, :1].expand_as(vectors))
+    moving = _network("encoder.kind=raw")(*_clips())
+    assert float(moving.detach().std(dim=1).mean()) > 1e-4
+
+
+def test_attention_once_per_distinct_coordinate_equals_attention_per_clip() -> None:
+    network = _network()
+    assert network.fourier is not None
+    assert network.attention is not None
+    _, coordinates, fps = _clips()
+    encoded = network.encode_coordinates(coordinates, fps)
+    assert encoded.features is not None
+    assert len(encoded.features) < coordinates.numel()
+    per_clip = torch.stack([network.attention(network.fourier(clip)) for clip in coordinates])
+    torch.testing.assert_close(encoded.features[encoded.which], per_clip, atol=1e-6, rtol=1e-5)
+
+
+def test_the_codebook_is_frozen_and_travels_with_the_weights() -> None:
+    network = _network()
+    assert "attention.codebook" in network.state_dict()
+    assert "attention.codebook" not in dict(network.named_parameters())
+    with pytest.raises(ValueError, match="needs a trained codebook"):
+        FieldNetwork(TINY, 66)
+
+
+def test_attention_adds_to_the_features() -> None:
+    attention = CodebookCoordinateAttention(CODES, width=16, num_queries=8, heads=4, layers=3)
+    for weight in (attention.to_prototypes.merge, attention.to_prototypes.feed_forward[2]):
+        torch.nn.init.zeros_(weight.weight)
+        torch.nn.init.zeros_(weight.bias)
+    features = torch.randn(11, 16)
+    torch.testing.assert_close(attention(features), features)
+
+
+def test_the_decoder_is_the_paper_s() -> None:
+    config = RECIPES["paper"]().field
+    decoder, encoder = config.decoder, config.encoder
+    assert (decoder.width, decoder.num_layers, decoder.activation, config.latents.dimension) == (1024, 9, "relu", 256)
+    assert (encoder.num_queries, encoder.query_width, encoder.num_heads, encoder.num_layers) == (256, 128, 4, 3)
+    assert (config.schedule.batch_size, config.schedule.learning_rate) == (4096, 1e-4)
+    assert (config.loss.kl_weight, config.latents.layout) == (1e-4, "global")
+
+
+def test_instants_reached_at_two_framerates_are_one_coordinate() -> None:
+    seconds = torch.tensor([[k / 30 for k in range(4)], [4 * k / 120 for k in range(4)]], dtype=torch.float64)
+    values, which = distinct(-1 + 2 * seconds / 10)
+    assert len(values) == 4
+    assert torch.equal(which[0], which[1])
+
+
+def test_frame_numbers_count_from_one_at_each_clip_s_framerate() -> None:
+    coordinates = torch.tensor([[-1.0, -1.0 + 0.2 / 20], [-1.0, 1.0]], dtype=torch.float64)
+    numbers = frame_numbers(coordinates, torch.tensor([20.0, 120.0], dtype=torch.float64), 10.0)
+    torch.testing.assert_close(numbers, torch.tensor([[1.0, 2.0], [1.0, 1201.0]], dtype=torch.float64))
+
+
+def test_framerates_enter_by_their_logarithm() -> None:
+    numbers = framerate_number(torch.tensor([20.0, 40.0, 160.0], dtype=torch.float64), 0.5)
+    assert numbers.tolist() == [0.0, 0.5, 1.5]
+
+
+def test_periodic_fourier_features_have_no_seam() -> None:
+    period = 0.125
+    features = FourierFeatures(16, 20.0, period)
+    t = torch.rand(9, dtype=torch.float64)
+    torch.testing.assert_close(features(t), features(t + 3 * period), atol=1e-5, rtol=0)
+
+
+def test_a_local_latent_means_the_same_at_every_knot() -> None:
+    network = _network(LOCAL)
+    latents = torch.randn(1, 8, 4)
+    spacing = 2 / 8
+    t = torch.tensor([[-1 + 2.3 * spacing]], dtype=torch.float64)
+    fps = torch.tensor([30.0], dtype=torch.float64)
+    here = network(latents.flatten(1), t, fps)
+    later = network(torch.roll(latents, 2, dims=1).flatten(1), t + 2 * spacing, fps)
+    torch.testing.assert_close(here, later, atol=1e-5, rtol=1e-4)
+
+
+def test_few_shapes_of_coordinates_and_the_same_answers() -> None:
+    counts = [len(rounded_up(torch.arange(count, dtype=torch.float64))) for count in range(1, 3000)]
+    assert all(count <= rounded <= 1.125 * count + 1 for count, rounded in enumerate(counts, start=1))
+    assert len(set(counts)) < 80
+    values = torch.tensor([0.1, 0.2, 0.5] * 11, dtype=torch.float64)
+    torch.testing.assert_close(rounded_up(values)[:33], values)
+    assert rounded_up(values)[33:].tolist() == [0.5] * 3
+
+
+LAYOUT = ConditionLayout(text_dimension=3, actions=("a", "b", "c"))
+SIZES = TransformerConfig(num_layers=3, width=32, num_heads=2, ffn_width=64, dropout=0.0)
+
+
+def action_conditions(actions: torch.Tensor) -> Conditions:
+    return Conditions(text=torch.zeros(len(actions), 3), action=actions, duration=torch.ones(len(actions)))
+
+
+def test_paper_sizes() -> None:
+    torch.manual_seed(0)
+    denoiser = Denoiser(TransformerConfig(), torch.full((256,), ALWAYS), ConditionLayout(768, ()))
+    assert len(denoiser.layers) == 9
+    assert len(denoiser.skips) == 4
+    per_layer = 4 * 256 * 256 + 2 * 256 * 1024
+    assert sum(w.numel() for w in denoiser.layers.parameters() if w.dim() == 2) == 9 * per_layer
+    assert sum(w.numel() for w in denoiser.skips.parameters() if w.dim() == 2) == 4 * 512 * 256
+
+
+@pytest.mark.parametrize("num_tokens", [1, 4, 8])
+def test_every_input_reaches_every_number(num_tokens: int) -> None:
+    torch.manual_seed(0)
+    config = TransformerConfig(3, 32, 2, 64, 0.0, num_tokens)
+    denoiser = Denoiser(config, torch.full((8,), ALWAYS), LAYOUT)
+    latents = torch.randn(2, 8, requires_grad=True)
+    text, duration = torch.randn(2, 3, requires_grad=True), torch.rand(2, requires_grad=True)
+    noise = denoiser(latents, torch.tensor([0, 999]), Conditions(text, torch.tensor([0, 2]), duration))
+    assert noise.shape == (2, 8)
+    for row in range(2):
+        for number in range(8):
+            gradients = torch.autograd.grad(noise[row, number], (latents, text, duration), retain_graph=True)
+            for gradient in gradients:
+                assert gradient[row].abs().min() > 0
+                assert not gradient[1 - row].any()
+
+
+def test_skips_carry_the_first_half() -> None:
+    """With the second half's own input cut off, the output still sees the first half through the skips."""
+    torch.manual_seed(0)
+    denoiser = Denoiser(SIZES, torch.full((4,), ALWAYS), LAYOUT)
+    with torch.no_grad():
+        denoiser.skips[0].weight[:, :32] = 0.0
+    first = denoiser(torch.zeros(1, 4), torch.tensor([3]), action_conditions(torch.tensor([0])))
+    second = denoiser(torch.ones(1, 4), torch.tensor([3]), action_conditions(torch.tensor([0])))
+    assert not torch.allclose(first, second)
+
+
+def test_step_features_tell_all_steps_apart() -> None:
+    features = step_features(torch.arange(1000), 32)
+    distances = torch.cdist(features, features) + 10 * torch.eye(1000)
+    assert float(distances.min()) > 0.1
+
+
+@pytest.mark.parametrize("wrong", [{"num_layers": 4}, {"width": 36}])
+def test_impossible_sizes_are_refused(wrong: dict[str, int]) -> None:
+    with pytest.raises(ValueError, match="must be"):
+        TransformerConfig(**wrong)
+
+
+def test_what_a_motion_does_not_depend_on_is_neither_read_nor_put_out() -> None:
+    """A motion of 0.4 l_max reads 9 of 16 numbers: the other half may hold anything."""
+    torch.manual_seed(0)
+    first_read = torch.linspace(-0.4, 0.95, 16)
+    denoiser = Denoiser(TransformerConfig(3, 32, 2, 64, 0.0, 4), first_read, LAYOUT)
+    latents, steps = torch.randn(3, 16), torch.tensor([0, 500, 999])
+    conditions = Conditions(torch.zeros(3, 3), torch.tensor([0, 1, 2]), torch.tensor([0.4, 0.4, 1.0]))
+    used = in_use(first_read, conditions.duration)
+    assert used.sum(dim=1).tolist() == [9, 9, 16]
+    out = denoiser(latents, steps, conditions)
+    assert not out[~used].any()
+    assert out[used].abs().min() > 0
+    changed = denoiser(torch.where(used, latents, torch.full_like(latents, 100.0)), steps, conditions)
+    torch.testing.assert_close(changed, out, rtol=0, atol=0)
+    alone = denoiser(latents[:1], steps[:1], conditions.rows(slice(0, 1)))
+    torch.testing.assert_close(alone, out[:1], rtol=1e-5, atol=1e-6)
+
+
+def test_a_latent_that_cannot_be_cut_is_refused() -> None:
+    with pytest.raises(ValueError, match="cannot be cut"):
+        Denoiser(TransformerConfig(latent_tokens=3), torch.full((256,), ALWAYS), LAYOUT)
+
+
+def test_attention_in_bfloat16_is_that_in_float32() -> None:
+    generator = torch.Generator().manual_seed(0)
+    heads = torch.randn(3, 5, 2, 7, 16, generator=generator)
+    seen = torch.arange(7)[None, None, None] < torch.tensor([7, 6, 4, 2, 1])[:, None, None, None]
+    rough = [each.to(torch.bfloat16).requires_grad_() for each in heads]
+    exact = [each.detach().float().requires_grad_() for each in rough]
+    for mask in (None, seen):
+        found, expected = attention(*rough, mask), attention(*exact, mask)
+        assert found.dtype == torch.bfloat16
+        torch.testing.assert_close(found.float(), expected, atol=0.02, rtol=0.02)
+        slopes = [
+            torch.autograd.grad(each.float().square().sum(), of) for each, of in ((found, rough), (expected, exact))
+        ]
+        for ours, theirs in zip(*slopes, strict=True):
+            torch.testing.assert_close(ours.float(), theirs, atol=0.06, rtol=0.06)
+
+
+def test_the_networks_are_imported_without_corpus_store_or_training() -> None:
+    code = (
+        "import sys, nerm.network; print(*(name for name in sys.modules if name.startswith(('motionkit.', 'nerm.'))))"
+    )
+    modules = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert not any(name.startswith(("motionkit.store", "motionkit.data", "motionkit.generate")) for name in modules)
