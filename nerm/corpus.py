@@ -45,7 +45,7 @@ class LatentCorpus:
 
     @property
     def first_read(self) -> Float32[Tensor, "latent"]:
-        """The earliest instant at which the field reads each number of z (`nerm.latents.posterior`)."""
+        """The earliest instant at which the field reads each number of z (`nerm.latents.first_read`)."""
         return first_read(self.means.shape[1], self.banks)
 
     def draw(self, rows: Int64[Tensor, "batch"], generator: torch.Generator) -> Float32[Tensor, "batch latent"]:

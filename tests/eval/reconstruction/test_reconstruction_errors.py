@@ -1,4 +1,4 @@
-"""Errors of reconstructions whose errors are known; Table 4 as a whole: tests/nerm/stages/test_stages.py."""
+"""Errors of reconstructions whose errors are known; Table 4 as a whole: tests/nerm/test_stages.py."""
 
 from fractions import Fraction
 
