@@ -2,14 +2,14 @@
 
 COMMANDS = {
     "compact": "motionkit.cli.store:compact",
-    "complete": "motionkit.cli.complete:complete",
-    "convert": "motionkit.cli.convert:convert",
+    "complete": "motionkit.cli.edit:complete",
+    "convert": "motionkit.cli.edit:convert",
     "export": "motionkit.cli.export:export",
     "generate": "motionkit.cli.generate:generate",
     "info": "motionkit.cli.info:info",
     "ingest": "motionkit.cli.ingest:ingest",
     "merge": "motionkit.cli.store:merge",
-    "plant": "motionkit.cli.plant:plant",
+    "plant": "motionkit.cli.edit:plant",
     "pull": "motionkit.cli.hub:pull",
     "push": "motionkit.cli.hub:push",
     "query": "motionkit.cli.query:query",

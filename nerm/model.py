@@ -7,7 +7,7 @@ from fractions import Fraction
 from functools import cached_property
 from itertools import combinations
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -168,10 +168,6 @@ class NermModel:
             self.denoiser.layout.action_index(request.action)
         elif not self.denoiser.text_fingerprint:
             raise UsageError(NO_TEXTS)
-
-    def describe(self, motion: MotionField) -> dict[str, Any]:
-        """How far the motion's joints move between framerates."""
-        return {"framerate_shift": framerate_shift([motion]).plain()}
 
     def _uses_text(self, request: GenerationRequest) -> bool:
         return bool(request.text) and (bool(self.denoiser.text_fingerprint) or not request.action)

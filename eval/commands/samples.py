@@ -48,7 +48,7 @@ def samples(
     given = {
         "fps": framerate,
         "unit_metres": unit_metres,
-        "up": up and up.value,
+        "up": up,
         "statistics": statistics,
         "mean": mean,
         "std": std,
@@ -59,9 +59,7 @@ def samples(
     elif stated.keys() - {"fps", "up"}:
         raise UsageError(f"--{sorted(stated.keys() - {'fps', 'up'})[0].replace('_', '-')} goes with --init")
     with progress() as show, task(show, "reading") as work:
-        read = read_sample_folder(
-            folder.name, folder, SampleOptions(framerate, "--fps", "" if up is None else up.value), work.set
-        )
+        read = read_sample_folder(folder.name, folder, SampleOptions(framerate, "--fps", up or ""), work.set)
     found = summarise(read)
     if as_json:
         print_json(asdict(found))

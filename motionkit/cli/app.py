@@ -77,9 +77,7 @@ def run() -> None:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     show_warnings()
     try:
-        names = sys.argv[1:2]
-        app = build_app(*names)
-        app()
+        build_app(*sys.argv[1:2])()
     except (MotionkitError, OSError) as error:
         if _received:
             raise  # not an interrupt that a library converted
@@ -89,16 +87,8 @@ def run() -> None:
     except SystemExit as ended:
         # What typer raises for an interrupt.
         if ended.code == INTERRUPTED:
-            stderr.print("motionkit: stopped: --resume goes on" if _resumes(app, names) else "motionkit: stopped")
+            stderr.print("motionkit: stopped")
         raise
-
-
-def _resumes(app: "typer.Typer", names: list[str]) -> bool:
-    """Whether the command of this name has --resume."""
-    from typer.main import get_command
-
-    commands = get_command(app).commands  # type: ignore[attr-defined]
-    return any("--resume" in each.opts for name in names if name in commands for each in commands[name].params)
 
 
 def stop_by_signals() -> None:

@@ -4,7 +4,7 @@ import json
 import re
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -45,6 +45,12 @@ stderr = LineConsole(LONGEST_MESSAGE, stderr=True)
 def say_next(command: str) -> None:
     """Print the next command on the way from captures to a table."""
     stdout.print(f"next: {command}")
+
+
+def print_failures(failures: Iterable[tuple[str, str]]) -> None:
+    """Print a line on stderr for the name of each motion that failed and its message."""
+    for name, message in failures:
+        stderr.print(f"motionkit: {message if name in message else f'{name}: {message}'}")
 
 
 def print_text(text: str) -> None:

@@ -1,12 +1,12 @@
 """`motionkit generate`: motions from texts, actions or nothing, at any framerate or at arbitrary instants."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
 from motionkit.cli.console import print_json, progress, stderr, stdout
-from motionkit.cli.options import parse_rate
+from motionkit.cli.options import AsJson, RunsFolder, parse_rate
 from motionkit.core.errors import UsageError
 from motionkit.core.files import default_path
 from motionkit.core.progress import task
@@ -14,16 +14,12 @@ from motionkit.core.progress import task
 FORMATS = "bvh, amass, joints-npy, npz, csv, robot-csv, gltf, humanml3d"
 
 
-if TYPE_CHECKING:
-    from motionkit.generate.job import Job
-
-
 def generate(
     texts: Annotated[list[str] | None, typer.Argument(help="What the person does; give several for a batch.")] = None,
     action: Annotated[list[str] | None, typer.Option(help="An action the model knows; may be repeated.")] = None,
     unconditional: Annotated[bool, typer.Option("--unconditional", help="Motions without a text or action.")] = False,
     prompts: Annotated[
-        Path | None, typer.Option(help="A .txt with a text per line, or a .csv or .jsonl of text, action, seconds.")
+        Path | None, typer.Option(help="A .txt with a text per line, or a .csv of text, action, seconds.")
     ] = None,
     fps: Annotated[
         str | None,
@@ -55,9 +51,6 @@ def generate(
             metavar="NAME@S[-S]=X,Y,Z", help="A joint at a place in metres: left_foot@1=0,0,1. May be repeated."
         ),
     ] = None,
-    pose_joints: Annotated[
-        str | None, typer.Option(metavar="NAME,NAME,…", help="The constrained joints of poses (default: all).")
-    ] = None,
     pose_placed: Annotated[
         bool,
         typer.Option(
@@ -85,80 +78,61 @@ def generate(
         str | None, typer.Option(help="Installed model.", show_default="the one that the run holds")
     ] = None,
     run: Annotated[str, typer.Option(help="Name of the run.")] = "nano",
-    runs: Annotated[Path | None, typer.Option(help="Folder of all runs.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")] = False,
+    runs: RunsFolder = None,
+    as_json: AsJson = False,
 ) -> None:
     """Generate motions from texts, actions or nothing: any framerate, or poses at arbitrary instants.
 
     Example: motionkit generate --unconditional --seconds 4 --fps 120 -n 4 --out made --format bvh"""
-    from motionkit.generate.constraint_files import parse_constraints, path_and_seconds
     from motionkit.generate.output import output_format
-    from motionkit.generate.request import MotionsRequest, parse_prompts, parse_times
+    from motionkit.generate.request import (
+        MotionsRequest,
+        parse_constraints,
+        parse_prompts,
+        parse_times,
+        path_and_seconds,
+    )
 
-    _check_together(resume and overwrite, bool(times and fps), detail and file_format == "bvh")
+    if resume and overwrite:
+        raise UsageError("--resume and --overwrite exclude each other")
+    if times and fps:
+        raise UsageError("--times and --fps exclude each other")
+    if detail and file_format == "bvh":
+        raise UsageError("--detail is for measuring and training: it adds captures' jitter, and isn't written as BVH")
     table, seconds = path_and_seconds(path, seconds)
     chosen = parse_prompts(prompts, texts or [], action or [], unconditional, seconds)
     rate, instants = parse_rate(fps), parse_times(times)
     output = output_format(file_format, instants)
-    constraints = parse_constraints(table, join, chosen, pose, joint, joints=pose_joints, placed=pose_placed)
+    constraints = parse_constraints(table, join, chosen, pose, joint, placed=pose_placed)
     request = MotionsRequest(tuple(chosen), count, instants, rate, join, overlap, constraints)
 
+    # These import torch, which takes longer than all the checks above.
     from motionkit.generate.job import Job, locked_output
-    from motionkit.generate.models import SamplingOptions, load_model, model_of
+    from motionkit.generate.models import SamplingOptions, load_model, model_of, warn_above_training
     from motionkit.training.detail import load_detail
 
     place = (runs or default_path("runs")) / run
     loaded = load_model(model or model_of(place), place)
     sampling, learnt = SamplingOptions(guidance, sampler, sampling_steps), load_detail(place) if detail else None
     job = Job(request, loaded, place, output, seed, sampling, plant, learnt)
-    _say_beforehand(job)
-    with locked_output(out, job.manifest(), resume=resume, overwrite=overwrite):
-        report = _write_all(job, out, as_json)
-    if as_json:
-        print_json({"model": loaded.name, "run": run, "seed": seed, "folder": str(out), **report})
-
-
-def _check_together(resumed_and_replaced: bool, at_times_and_fps: bool, detail_as_bvh: bool) -> None:
-    """Raise `UsageError` for incompatible options."""
-    if resumed_and_replaced:
-        raise UsageError("--resume and --overwrite exclude each other")
-    if at_times_and_fps:
-        raise UsageError("--times and --fps exclude each other")
-    if detail_as_bvh:
-        raise UsageError("--detail is for measuring and training: it adds captures' jitter, and isn't written as BVH")
-
-
-def _write_all(job: "Job", folder: Path, as_json: bool) -> dict[str, Any]:
-    """Generate and write missing motions; print each file on stdout, or return all of them for JSON."""
-    from motionkit.generate.models import DescribesMotions
-
-    num_motions, num_complete = len(job.request.motions), len(job.complete_in(folder))
-    report: dict[str, Any] = {"already_there": num_complete, "motions": []}
-    with progress() as show, task(show, "generate", num_motions, done=num_complete) as work:
-        for field, facts in job.write(folder):
-            work.advance()
-            if not as_json:
-                stdout.print(facts["file"])
-                continue
-            if not report["motions"] and isinstance(job.model, DescribesMotions):
-                report |= {f"{name}_of_first": value for name, value in job.model.describe(field).items()}
-            report["motions"].append(facts)
-    if num_complete and not as_json:
-        stderr.print(f"motionkit: {num_complete:,} of {num_motions:,} motions were there already")
-    return report
-
-
-def _say_beforehand(job: "Job") -> None:
-    """Warn about framerates above those of training, and report motions that are joined from pieces."""
-    from motionkit.generate.long_motions import supports_continuation
-    from motionkit.generate.models import warn_above_training
-
-    warn_above_training(job.model, job.fps)
+    warn_above_training(loaded, job.fps)
+    num_motions = len(request.motions)
     if job.num_joined:
         stderr.print(
-            f"motionkit: {job.num_joined:,} of {len(job.request.motions):,} motions are joined from several of up to "
-            f"{job.model.max_duration_seconds:g} s, the longest that the model makes at once; each "
-            + ("begins as" if supports_continuation(job.model) else "is laid over")
-            + f" the last {job.request.overlap_seconds:g} s of the one before"
-            + (" go" if supports_continuation(job.model) else ", of which it knows nothing"),
+            f"motionkit: {job.num_joined:,} of {num_motions:,} motions are joined from several of up to "
+            f"{loaded.max_duration_seconds:g} s, the longest that the model makes at once"
         )
+    motions = []
+    with locked_output(out, job.manifest(), resume=resume, overwrite=overwrite):
+        num_complete = len(job.complete_in(out))
+        with progress() as show, task(show, "generate", num_motions, done=num_complete) as work:
+            for facts in job.write(out):
+                work.advance()
+                motions.append(facts)
+                if not as_json:
+                    stdout.print(facts["file"])
+    if as_json:
+        about = {"model": loaded.name, "run": run, "seed": seed, "folder": str(out), "already_there": num_complete}
+        print_json({**about, "motions": motions})
+    elif num_complete:
+        stderr.print(f"motionkit: {num_complete:,} of {num_motions:,} motions were there already")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from motionkit.cli.console import print_json, progress, stdout
+from motionkit.cli.options import AsJson, RunsFolder
 from motionkit.core.errors import StoreError, UsageError
 from motionkit.core.files import default_path, require_empty, whole_folder
 from motionkit.core.progress import task
@@ -29,10 +30,10 @@ def push(
     ],
     store: Annotated[Path | None, typer.Option(help="Store to push.", show_default="./store")] = None,
     run: Annotated[str | None, typer.Option(help="Run to push: its complete stages, without checkpoints.")] = None,
-    runs: Annotated[Path | None, typer.Option(help="Folder of all runs.", show_default="./runs")] = None,
+    runs: RunsFolder = None,
     public: Annotated[bool, typer.Option("--public", help="Let everybody have it; else it is private.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be pushed; the Hub is not asked.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was pushed as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Validate a store, or a run, and push it with a card to a repository of the Hugging Face Hub.
 
@@ -113,8 +114,8 @@ def pull(
     ],
     store: Annotated[Path | None, typer.Option(help="New folder for the store.", show_default="./store")] = None,
     run: Annotated[str | None, typer.Option(help="Name of the run here; the repository's by default.")] = None,
-    runs: Annotated[Path | None, typer.Option(help="Folder of all runs.", show_default="./runs")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was pulled as JSON.")] = False,
+    runs: RunsFolder = None,
+    as_json: AsJson = False,
 ) -> None:
     """Pull a store, or a run, from a repository of the Hugging Face Hub into a new folder.
 

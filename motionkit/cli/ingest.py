@@ -1,7 +1,7 @@
 """`motionkit ingest`: read sources into a store."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
@@ -10,96 +10,81 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from motionkit.cli.console import print_json, print_text, progress, say_next, stderr, stdout
+from motionkit.cli.console import print_json, progress, say_next, stderr, stdout
 from motionkit.cli.options import SkeletonMaps, Up, of_default, parse_rate, read_options
-from motionkit.core.errors import FormatError, MotionkitError, UsageError, printable
+from motionkit.core.errors import FormatError, MotionkitError, UsageError
 from motionkit.core.files import default_path
 
-Sources = Annotated[
-    list[str],
-    typer.Argument(help="Files and folders of motions; of the Hub: hf://datasets/OWNER/NAME.", show_default=False),
-]
-StorePath = Annotated[Path | None, typer.Option(help="Store to create or to add to.", show_default="./store")]
-FormatName = Annotated[str, typer.Option(help="auto detects it by name and content; or one format's name.")]
-CaptionsTable = Annotated[
-    Path | None, typer.Option(help="CSV with a column 'file' and any of caption, action, split, fps …")
-]
-Indexes = Annotated[
-    list[Path] | None,
-    typer.Option(help="Index of segments: HumanML3D's index.csv, TMR's annotations.json (KIT-ML), BABEL's train.json."),
-]
-TextsFolder = Annotated[Path | None, typer.Option(help="Folder of the index's captions: 000000.txt …")]
-SplitsFolder = Annotated[
-    Path | None,
-    typer.Option(help="Folder of the index's train.txt, val.txt, test.txt.", show_default="beside it or --texts"),
-]
-Mirrored = Annotated[bool, typer.Option("--mirrored", help="The index's mirrored sequences too, M000000 …")]
-Published = Annotated[
-    Literal["humanml3d-20fps"] | None,
-    typer.Option(help="Only the frames that HumanML3D published, not every native one."),
-]
-GivenFps = Annotated[str | None, typer.Option(help="Framerate that replaces what files say: 120, 30000/1001.")]
-FpsRules = Annotated[
-    list[Path] | None,
-    typer.Option(help="TOML of framerates that files state wrongly (docs/formats.md), before the shipped one."),
-]
-UnitMetres = Annotated[float | None, typer.Option(help="Length of one file unit in metres: 0.01 for centimetres.")]
-BodyModels = Annotated[
-    Path | None,
-    typer.Option(
-        help="Folder of your own SMPL, SMPL-H or SMPL-X models (.npz), for AMASS's joints (else SMPL's mean shape).",
-        envvar="MOTIONKIT_BODY_MODELS",
-        exists=True,
-        file_okay=False,
-        resolve_path=True,
-        show_default=False,
-    ),
-]
-SkipFrames = Annotated[
-    int, typer.Option(min=0, help="Frames to skip at the start of every file; a column skip_frames sets it for one.")
-]
-OnErrorChoice = Annotated[
-    Literal["skip", "stop"],
-    typer.Option(help="skip: bad sequences are reported. stop: the first one leaves the store as it was."),
-]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the store instead of adding to it.")]
-Workers = Annotated[
-    int | None, typer.Option(min=1, help="Processes that read.", show_default="all cores, one for few files")
-]
-EngineName = Annotated[str, typer.Option(help="local, ray (here, or that of RAY_ADDRESS) or ray://HOST:PORT.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")]
-
-
 if TYPE_CHECKING:
-    from motionkit.io.registry import IndexOptions
-    from motionkit.store.ingest import DatasetCount, IngestReport
+    from motionkit.store.ingest import IngestReport
 
 # Suffixes of ignored files, and faults of one reason.
 SHOWN_KINDS, MAX_PRINTED_OF_A_REASON = 5, 5
 
 
 def ingest(
-    sources: Sources,
-    store: StorePath = None,
-    format: FormatName = "auto",
-    captions: CaptionsTable = None,
-    index: Indexes = None,
-    texts: TextsFolder = None,
-    splits: SplitsFolder = None,
-    mirrored: Mirrored = False,
-    compat: Published = None,
-    fps: GivenFps = None,
-    fps_rules: FpsRules = None,
-    unit_metres: UnitMetres = None,
+    sources: Annotated[
+        list[str],
+        typer.Argument(help="Files and folders of motions; of the Hub: hf://datasets/OWNER/NAME.", show_default=False),
+    ],
+    store: Annotated[Path | None, typer.Option(help="Store to create or to add to.", show_default="./store")] = None,
+    format: Annotated[str, typer.Option(help="auto detects it by name and content; or one format's name.")] = "auto",
+    captions: Annotated[
+        Path | None, typer.Option(help="CSV with a column 'file' and any of caption, action, split, fps …")
+    ] = None,
+    index: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Index of segments: HumanML3D's index.csv, TMR's annotations.json (KIT-ML), BABEL's train.json."
+        ),
+    ] = None,
+    texts: Annotated[Path | None, typer.Option(help="Folder of the index's captions: 000000.txt …")] = None,
+    splits: Annotated[
+        Path | None,
+        typer.Option(help="Folder of the index's train.txt, val.txt, test.txt.", show_default="beside it or --texts"),
+    ] = None,
+    mirrored: Annotated[bool, typer.Option("--mirrored", help="The index's mirrored sequences too, M000000 …")] = False,
+    compat: Annotated[
+        Literal["humanml3d-20fps"] | None,
+        typer.Option(help="Only the frames that HumanML3D published, not every native one."),
+    ] = None,
+    fps: Annotated[str | None, typer.Option(help="Framerate that replaces what files say: 120, 30000/1001.")] = None,
+    fps_rules: Annotated[
+        list[Path] | None,
+        typer.Option(help="TOML of framerates that files state wrongly (docs/formats.md), before the shipped one."),
+    ] = None,
+    unit_metres: Annotated[
+        float | None, typer.Option(help="Length of one file unit in metres: 0.01 for centimetres.")
+    ] = None,
     up: Up = None,
     skeleton_map: SkeletonMaps = None,
-    body_models: BodyModels = None,
-    skip_frames: SkipFrames = 0,
-    on_error: OnErrorChoice = "skip",
-    overwrite: Overwrite = False,
-    workers: Workers = None,
-    engine: EngineName = "local",
-    as_json: AsJson = False,
+    body_models: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of your own SMPL, SMPL-H or SMPL-X models (.npz), for AMASS's joints (else a mean shape).",
+            envvar="MOTIONKIT_BODY_MODELS",
+            exists=True,
+            file_okay=False,
+            resolve_path=True,
+            show_default=False,
+        ),
+    ] = None,
+    skip_frames: Annotated[
+        int,
+        typer.Option(min=0, help="Frames to skip at the start of every file; a column skip_frames sets it for one."),
+    ] = 0,
+    on_error: Annotated[
+        Literal["skip", "stop"],
+        typer.Option(help="skip: bad sequences are reported. stop: the first one leaves the store as it was."),
+    ] = "skip",
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the store instead of adding to it.")] = False,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Processes that read.", show_default="all cores, one for few files")
+    ] = None,
+    engine: Annotated[
+        str, typer.Option(help="local, ray (here, or that of RAY_ADDRESS) or ray://HOST:PORT.")
+    ] = "local",
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
     """Read motions of any known format into a store, at their native framerates.
 
@@ -111,16 +96,29 @@ def ingest(
     from motionkit.io.registry import IndexOptions
     from motionkit.store.ingest import ingest as ingest_sources
 
+    if not index and (texts or splits or mirrored or compat):
+        raise UsageError("--texts, --splits, --mirrored and --compat are about an index: give one with --index")
+    if index and (skip_frames or captions):
+        raise UsageError("--skip-frames and --captions are about whole files, --index is about segments of files")
     of_index = IndexOptions(tuple(index or ()), texts, splits, mirrored, published=compat is not None)
     options = replace(
         read_options(parse_rate(fps), skeleton_map, format, unit_metres, captions, up),
-        index=_index_options(of_index, captions, skip_frames),
+        index=of_index if index else None,
         fps_rules=tuple(rule for path in fps_rules or () for rule in read_rules(path)),
         body_models=body_models,
         skip_frames=skip_frames,
         skip_derived=True,
     )
-    print_fault = _fault_printer()
+    num_printed: Counter[str] = Counter()
+
+    def print_fault(fault: FormatError, prefix: str = "") -> None:
+        """Print the first few faults of each reason: a corpus can have many."""
+        num_printed[fault.reason] += 1
+        if num_printed[fault.reason] <= MAX_PRINTED_OF_A_REASON:
+            stderr.print(f"{prefix}{fault}")
+        elif num_printed[fault.reason] == MAX_PRINTED_OF_A_REASON + 1:
+            stderr.print(f"{prefix}more of the kind {fault.reason}: counted at the end, --json names them all")
+
     with progress() as show, ExitStack() as stack:
         paths: list[Path] = []
         for source in sources:
@@ -150,47 +148,14 @@ def ingest(
         raise MotionkitError(f"nothing was stored; the store {report.store} is as it was")
 
 
-def _index_options(index: "IndexOptions", captions: Path | None, skip_frames: int) -> "IndexOptions | None":
-    """The options if there is an index; raises `UsageError` for options that need one or that it excludes."""
-    if not index.paths:
-        given = {"--texts": index.texts, "--splits": index.splits, "--mirrored": index.mirrored}
-        for name, value in {**given, "--compat": index.published}.items():
-            if value:
-                raise UsageError(f"{name} is about an index: give one with --index")
-        return None
-    if skip_frames:
-        raise UsageError("--skip-frames is about whole files; an index counts the frames of its segments itself")
-    if captions is not None:
-        raise UsageError("--captions describes whole files; the captions of an index are its own or those of --texts")
-    return index
-
-
-def _fault_printer() -> Callable[..., None]:
-    """A function that prints faults, the first few of each reason: a corpus can have many."""
-    num_printed: Counter[str] = Counter()
-
-    def print_fault(fault: FormatError, prefix: str = "") -> None:
-        num_printed[fault.reason] += 1
-        if num_printed[fault.reason] <= MAX_PRINTED_OF_A_REASON:
-            stderr.print(f"{prefix}{fault}")
-        elif num_printed[fault.reason] == MAX_PRINTED_OF_A_REASON + 1:
-            stderr.print(f"{prefix}more of the kind {fault.reason}: counted at the end, --json names them all")
-
-    return print_fault
-
-
 def _print_summary(report: "IngestReport", of_store: str) -> None:
     stored = report.stored
-    sequences = _counted(stored.num_sequences, "sequence")
     stdout.print(
-        f"stored {sequences} ({stored.duration_seconds / 3600:.2f} h, {_counted(stored.num_frames, 'frame')}) in "
-        f"{report.store}, which holds {report.num_in_store:,}",
+        f"stored {stored.num_sequences:,} sequences ({stored.duration_seconds / 3600:.2f} h, {stored.num_frames:,} "
+        f"frames) in {report.store}, which holds {report.num_in_store:,}",
     )
     if report.num_already_stored:
-        stdout.print(
-            f"already there: {report.num_already_stored:,} (as they were, with the captions that they had; --overwrite "
-            "makes the store anew of these sources)"
-        )
+        stdout.print(f"already there: {report.num_already_stored:,}, as they were (--overwrite makes the store anew)")
     for name, faults in (("failed", report.problems), ("warnings", report.warnings)):
         if faults:
             reasons = [f"{count:,} {reason}" for reason, count in _counts(each.reason for each in faults).items()]
@@ -200,36 +165,23 @@ def _print_summary(report: "IngestReport", of_store: str) -> None:
         kinds = [f"{count:,} {suffix}" for suffix, count in suffixes.items()]
         listed = ", ".join(kinds[:SHOWN_KINDS]) + (", …" if len(kinds) > SHOWN_KINDS else "")
         stdout.print(f"ignored: {len(report.ignored):,} ({listed}; the first: {report.ignored[0]})")
-    if report.datasets:
-        print_text(_dataset_table(report.datasets))
+    for each in report.datasets:
+        counts = f"{each.num_found:,} found, {each.num_missing:,} missing, {each.num_failed:,} failed"
+        stdout.print(f"{each.dataset or '-'}: {counts}")
     if not stored.num_sequences:
         return
     if stored.num_flagged:
         flags = ", ".join(f"{count:,} {flag}" for flag, count in stored.flags.most_common())
         stdout.print(
-            f"quality: {stored.num_flagged:,} of {sequences} have flags ({flags}); "
+            f"quality: {stored.num_flagged:,} sequences have flags ({flags}); "
             f"'motionkit info --quality{of_store}' lists them"
         )
-    else:
-        stdout.print(f"quality: nothing looks odd in {sequences}")
     by = "" if stored.num_with_performer == stored.num_sequences else " --by sequence_id"
     say_next(f"motionkit train{of_store}" if stored.num_in_splits else f"motionkit split{by}{of_store}")
 
 
-def _counted(number: int, noun: str) -> str:
-    return f"{number:,} {noun}" if number == 1 else f"{number:,} {noun}s"
-
-
 def _counts(words: Iterable[str]) -> dict[str, int]:
     return dict(Counter(words).most_common())
-
-
-def _dataset_table(counts: "Sequence[DatasetCount]") -> str:
-    rows = [(printable(each.dataset) or "-", each.num_found, each.num_missing, each.num_failed) for each in counts]
-    rows.append(("all", sum(row[1] for row in rows), sum(row[2] for row in rows), sum(row[3] for row in rows)))
-    width = max(len("dataset"), *(len(row[0]) for row in rows))
-    lines = [f"{name:{width}} {found:7,} {missing:8,} {failed:7,}" for name, found, missing, failed in rows]
-    return "\n".join((f"{'dataset':{width}}   found  missing  failed", *lines))
 
 
 def _as_json(report: "IngestReport") -> dict[str, Any]:

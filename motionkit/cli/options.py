@@ -3,10 +3,9 @@
 import re
 import shlex
 from collections.abc import Sequence
-from enum import StrEnum
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -16,38 +15,21 @@ if TYPE_CHECKING:
     from motionkit.io.registry import ReadOptions
 
 
-class UpAxis(StrEnum):
-    """The axis of a file that points up."""
+Axis = Literal["x", "y", "z"]
 
-    X = "x"
-    Y = "y"
-    Z = "z"
-
-
+# Options of several commands.
 Up = Annotated[
-    UpAxis | None,
+    Axis | None,
     typer.Option(help="The files' axis that points up; by default inferred from the motion.", show_default=False),
 ]
-
-
-class MotionFormat(StrEnum):
-    """Formats of the files that a motion is written to, other than its own."""
-
-    BVH = "bvh"
-    CSV = "csv"
-    GLB = "glb"
-    NPZ = "npz"
-
-
-# Options of the commands that edit motions of files and stores.
 Clips = Annotated[
     list[str] | None, typer.Argument(help="Files, folders, or ids of stored sequences.", show_default=False)
 ]
-WhereOption = Annotated[
+Where = Annotated[
     str | None, typer.Option(metavar="SQL", help="Stored sequences that satisfy this condition: \"action = 'walk'\".")
 ]
-FormatChoice = Annotated[
-    MotionFormat | None,
+FileFormat = Annotated[
+    Literal["bvh", "csv", "glb", "npz"] | None,
     typer.Option("--format", help="Format of the files.", show_default="--out's, or the clip's own"),
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")]
@@ -57,10 +39,12 @@ SourceFps = Annotated[
 SkeletonMaps = Annotated[
     list[Path] | None, typer.Option(help="TOML that maps a rig to the 22 joints (docs/formats.md).")
 ]
+Onto = Annotated[
+    Path | None, typer.Option(help="A character's .bvh or .glb: its bones and names, its file.", show_default=False)
+]
+RunsFolder = Annotated[Path | None, typer.Option(help="Folder of all runs.", show_default="./runs")]
 StorePath = Annotated[Path | None, typer.Option(help="Store of sequence ids.", show_default="./store")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")]
-
-
+AsJson = Annotated[bool, typer.Option("--json", help="Print what was done as JSON.")]
 StoreArgument = Annotated[
     Path | None, typer.Argument(metavar="STORE", help="The store, as with --store.", show_default=False)
 ]
@@ -107,7 +91,7 @@ def read_options(
     format: str = "auto",
     unit_metres: float | None = None,
     captions: Path | None = None,
-    up: UpAxis | None = None,
+    up: Axis | None = None,
     skip_derived: bool = False,
 ) -> "ReadOptions":
     """The options of readers; raises `UsageError` for a unit that is not a positive length."""
@@ -121,7 +105,7 @@ def read_options(
         format=format,
         fps=fps,
         unit_metres=unit_metres,
-        up="" if up is None else up.value,
+        up=up or "",
         captions=captions,
         skeleton_maps=maps,
         skip_derived=skip_derived,

@@ -1,30 +1,24 @@
 """`motionkit query`: SQL over a store."""
 
-import csv
-import io
 import json
 import math
-import sys
-import textwrap
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from motionkit.cli.console import print_json, print_text, stdout
-from motionkit.core.errors import UsageError, printable
+from motionkit.cli.console import print_json, stdout
+from motionkit.core.errors import printable
 from motionkit.core.files import default_path
 
 LONG_LIST = 6
 WIDEST = 100_000
-SHORTEST = 24
 
 
 def query(
     sql: Annotated[str, typer.Argument(help="One SQL statement, in duckdb's dialect.", show_default=False)],
     store: Annotated[Path | None, typer.Option(help="Store to ask.", show_default="./store")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the rows as JSON.")] = False,
-    as_csv: Annotated[bool, typer.Option("--csv", help="Print the rows as CSV.")] = False,
 ) -> None:
     """Query a store in SQL: the tables sequences, motions and skeletons; nothing can be changed.
 
@@ -32,22 +26,10 @@ def query(
     """
     from motionkit.store import Store
 
-    if as_json and as_csv:
-        raise UsageError("--json and --csv exclude each other")
     result = Store.open(store or default_path("store")).query(sql)
     rows = [{name: _plain(value) for name, value in row.items()} for row in result.to_pylist()]
     if as_json:
         print_json(rows)
-    elif as_csv:
-        # Control characters are only escaped on a terminal.
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(result.column_names)
-        writer.writerows([_cell(row[name]) for name in result.column_names] for row in rows)
-        if sys.stdout.isatty():
-            print_text(text.getvalue())
-        else:
-            sys.stdout.write(text.getvalue())
     else:
         _print_table(result.column_names, rows)
 
@@ -61,24 +43,16 @@ def _print_table(names: list[str], rows: list[dict[str, Any]]) -> None:
     for name in names:
         numeric = all(isinstance(row[name], int | float) and not isinstance(row[name], bool) for row in rows)
         table.add_column(Text(printable(name)), justify="right" if numeric and rows else "left", no_wrap=True)
-    cells = [[printable(_short(row[name])) for name in names] for row in rows]
-    for each in cells:
-        table.add_row(*map(Text, each))
+    for row in rows:
+        table.add_row(*(Text(printable(_short(row[name]))) for name in names))
     unlimited = stdout.options.update(max_width=WIDEST, width=WIDEST)
     if not rows or stdout.measure(table, options=unlimited).maximum <= stdout.width:
         stdout.print(table)
         return
-    print_text("\n\n".join(_block(names, each, number, stdout.width) for number, each in enumerate(cells, 1)))
-
-
-def _block(names: list[str], cells: list[str], number: int, width: int) -> str:
-    margin = 2 + max(map(len, names)) + 2
-    lines = [f"row {number:,}"]
-    for name, cell in zip(names, cells, strict=True):
-        pieces = textwrap.wrap(cell, max(SHORTEST, width - margin)) or [""]
-        lines.append(f"  {printable(name):{margin - 2}}{pieces[0]}".rstrip())
-        lines += [" " * margin + piece for piece in pieces[1:]]
-    return "\n".join(lines)
+    for number, row in enumerate(rows, start=1):
+        stdout.print(f"row {number:,}")
+        for name in names:
+            stdout.print(f"  {name:{max(map(len, names))}}  {_short(row[name])}".rstrip())
 
 
 def _plain(value: Any) -> Any:
@@ -96,10 +70,6 @@ def _plain(value: Any) -> Any:
     return value.hex() if isinstance(value, bytes) else str(value)
 
 
-def _cell(value: Any) -> Any:
-    return json.dumps(value, ensure_ascii=False) if isinstance(value, list | dict) else value
-
-
 def _short(value: Any) -> str:
     if value is None:
         return ""
@@ -107,4 +77,4 @@ def _short(value: Any) -> str:
         return f"{value:.6g}"
     if isinstance(value, list) and len(value) > LONG_LIST and not isinstance(value[0], str):
         return f"[{', '.join(_short(each) for each in value[:3])}, … {len(value):,} values]"
-    return str(_cell(value))
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, list | dict) else str(value)

@@ -1,15 +1,13 @@
 """Commands that check and change a store: validate, split, remove, merge, compact."""
 
-from collections.abc import Sequence
 from dataclasses import asdict
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from motionkit.cli.console import print_json, progress, say_next, stderr, stdout
-from motionkit.cli.options import StoreArgument, named_store, of_default
+from motionkit.cli.options import AsJson, StoreArgument, named_store, of_default
 from motionkit.core.errors import UsageError
 from motionkit.core.files import default_path
 from motionkit.core.progress import task
@@ -19,14 +17,6 @@ SHOWN_IDS = 20
 
 ChangedStore = Annotated[Path | None, typer.Option(help="Store to change.", show_default="./store")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and leave the store.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print what was done as JSON.")]
-
-
-class OnConflict(StrEnum):
-    """What to do if one id stands for two different files."""
-
-    STOP = "stop"
-    SKIP = "skip"
 
 
 def validate(
@@ -97,8 +87,8 @@ def split(
     from motionkit.store.life import split as split_store
 
     store = named_store(path, store)
-    arguments = (store or default_path("store"), parse_shares(shares))
-    report = split_store(*arguments, by=by or [PERFORMER], where=where, seed=seed, dry_run=dry_run)
+    place, requested = store or default_path("store"), parse_shares(shares)
+    report = split_store(place, requested, by=by or [PERFORMER], where=where, seed=seed, dry_run=dry_run)
     if as_json:
         print_json({**asdict(report), "store": str(report.store), "seed": seed, "dry_run": dry_run})
         return
@@ -157,21 +147,20 @@ def remove(
     if not ids and where is None:
         raise UsageError("name the sequences to remove, by their ids or with --where")
     path = store or default_path("store")
-    if dry_run:
-        chosen = remove_sequences(path, ids or (), where=where, dry_run=True)
-        _require_some(chosen, path, where)
-        if as_json:
-            print_json({"store": str(path), "dry_run": True, "would_remove": chosen})
-            return
-        for sequence_id in chosen[:SHOWN_IDS]:
-            stdout.print(f"  {sequence_id}")
-        if len(chosen) > SHOWN_IDS:
-            stdout.print(f"  and {len(chosen) - SHOWN_IDS:,} more: --json names all")
-        stdout.print(f"would remove {len(chosen):,} sequences from {path}")
-        return
     # Also where nothing is left to remove: it finishes what a killed removal has left.
-    removed = remove_sequences(path, ids or (), where=where)
-    _require_some(removed, path, where)
+    removed = remove_sequences(path, ids or (), where=where, dry_run=dry_run)
+    if not removed:
+        raise UsageError(f"no sequence of {path} satisfies {where!r}")
+    if dry_run:
+        if as_json:
+            print_json({"store": str(path), "dry_run": True, "would_remove": removed})
+            return
+        for sequence_id in removed[:SHOWN_IDS]:
+            stdout.print(f"  {sequence_id}")
+        if len(removed) > SHOWN_IDS:
+            stdout.print(f"  and {len(removed) - SHOWN_IDS:,} more: --json names all")
+        stdout.print(f"would remove {len(removed):,} sequences from {path}")
+        return
     manifest = read_manifest(path)
     if as_json:
         counts = {"sequences_in_store": manifest.num_sequences, "sequences_to_compact": manifest.num_removed}
@@ -182,11 +171,6 @@ def remove(
         stdout.print(f"their frames leave the disk with 'motionkit compact --store {path}'")
 
 
-def _require_some(sequence_ids: Sequence[str], path: Path, where: str | None) -> None:
-    if not sequence_ids:
-        raise UsageError(f"no sequence of {path} satisfies {where!r}")
-
-
 def merge(
     out: Annotated[Path, typer.Argument(help="Store to make or to add to.", show_default=False)],
     sources: Annotated[list[Path], typer.Argument(help="Stores to copy from.", show_default=False)],
@@ -195,8 +179,8 @@ def merge(
         typer.Option(metavar="SQL", help="Condition over each source's table of sequences: \"split = 'test'\"."),
     ] = None,
     on_conflict: Annotated[
-        OnConflict, typer.Option(help="One id, two files: write nothing, or keep the first.")
-    ] = OnConflict.STOP,
+        Literal["stop", "skip"], typer.Option(help="One id, two files: write nothing, or keep the first.")
+    ] = "stop",
     as_json: AsJson = False,
 ) -> None:
     """Copy stores into one, or a subset of a store into a new one, unchanged.
@@ -212,7 +196,7 @@ def merge(
             out,
             sources,
             where=where,
-            on_conflict=on_conflict.value,
+            on_conflict=on_conflict,
             on_start=work.set_total,
             on_sequence=work.advance,
         )
@@ -230,44 +214,28 @@ def merge(
         stdout.print(f"left out: {len(report.conflicts):,} whose ids are there from other files")
 
 
-def compact(store: ChangedStore = None, dry_run: DryRun = False, as_json: AsJson = False) -> None:
+def compact(store: ChangedStore = None, as_json: AsJson = False) -> None:
     """Rewrite a store's parts, full and without removed sequences; if interrupted, the store is unchanged.
 
     Sequences are renumbered from 0. Needs disk space for a second copy until it is done; programs that have the store
     open must reopen it. Removed sequences can then only be restored from their sources or a copy of the store. The
     store's fingerprint changes, so its training caches are rebuilt.
 
-    Example: motionkit compact --dry-run
+    Example: motionkit compact
     """
-    from motionkit.store.commit import leftovers, read_manifest
+    from motionkit.store.commit import read_manifest
     from motionkit.store.life import compact as compact_store
-    from motionkit.store.life import is_compact
 
     path = store or default_path("store")
     before = read_manifest(path)
-    if dry_run:
-        plan = {"is_compact": is_compact(before), "num_parts": len(before.parts), "num_removed": before.num_removed}
-        if as_json:
-            print_json({"store": str(path), "dry_run": True, **plan, "num_bytes": before.num_bytes})
-        elif plan["is_compact"]:
-            stdout.print(f"{path} is compact already")
-        else:
-            stdout.print(
-                f"{path}: would rewrite {len(before.parts):,} parts, {before.num_bytes / MEGABYTE:,.1f} MB; the frames "
-                f"of {before.num_removed:,} removed sequences would be gone for good; until it is done both need room"
-            )
-        return
-    num_left = len(leftovers(path, before))
     with progress() as show, task(show, "compact", before.num_sequences) as work:
         changed = compact_store(path, work.advance)
     after = read_manifest(path)
     if as_json:
         parts = {"parts_before": len(before.parts), "parts": len(after.parts)}
-        sizes = {"bytes_before": before.num_bytes, "bytes": after.num_bytes, "leftovers_deleted": num_left}
+        sizes = {"bytes_before": before.num_bytes, "bytes": after.num_bytes}
         print_json({"store": str(path), **parts, **sizes})
         return
-    if num_left:
-        stdout.print(f"{path}: deleted {num_left:,} files that a stopped command had left")
     if not changed:
         stdout.print(f"{path} is compact already")
         return

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from motionkit.cli.console import print_json, progress, say_next, stderr, stdout
-from motionkit.cli.options import StoreArgument, named_store, of_default, parse_duration
+from motionkit.cli.options import RunsFolder, StoreArgument, named_store, of_default, parse_duration
 from motionkit.core import plugins
 from motionkit.core.errors import MissingExtraError, UsageError
 from motionkit.core.files import default_path
@@ -38,7 +38,7 @@ def train(
     paper: Annotated[str | None, typer.Option(help="Paper whose table --for means.")] = None,
     recipe: Annotated[str, typer.Option(help="Named configuration: nano, small, demo, base, paper.")] = "nano",
     store: Annotated[Path | None, typer.Option(help="Store to train from.", show_default="./store")] = None,
-    runs: Annotated[Path | None, typer.Option(help="Folder of all runs.", show_default="./runs")] = None,
+    runs: RunsFolder = None,
     run: Annotated[str | None, typer.Option(help="This run's name; the recipe's by default.")] = None,
     budget: Annotated[
         str | None, typer.Option(metavar="20m", help="Processor time of each system: as many steps as fit.")
@@ -73,6 +73,8 @@ def train(
     Example: motionkit train --recipe nano --run nano"""
     if resume and overwrite:
         raise UsageError("--resume and --overwrite exclude each other")
+    if budget is not None and target is None and stage == "all":
+        raise UsageError("--budget is for the systems of a table (--for table:2), or for one --stage")
     store = named_store(path, store)
     context = StageContext(
         store or default_path("store"),
@@ -83,13 +85,32 @@ def train(
         overwrite=overwrite,
         device=device,
     )
-    request = TrainRequest(stage, target, paper, tuple(overrides or ()), where, budget)
-    plan = request.plan(context)
-    jobs = plan_jobs(request, plan, context)
+    settings = overrides or []
+    plan = _plan(stage, target, paper, context, settings)
+    # With --for, complete stages are kept; overrides may be of those too, so that the command can be repeated.
+    keeps = target is not None and not overwrite
+    kept = {each.name for each in plan.stages if keeps and context.run.stage(each.name).is_complete}
+    stages = tuple(each for each in plan.stages if recipe in each.recipes or each.name not in kept)
+    configs = configure(stages, recipe, [*plan.settings, *settings])
+    if where:
+        configs = narrowed(stages, configs, where)
+    config_of = {each.name: config for each, config in zip(stages, configs, strict=True) if each.name not in kept}
     if show:
-        _show_settings([job.config for job in jobs if job.config is not None], as_json)
+        shown = {key: value for config in config_of.values() for key, value in flatten(config).items()}
+        if as_json:
+            print_json(shown)
+        for key, value in () if as_json else shown.items():
+            stdout.print(f"{key}={setting_text(value)}")
         return
-    check_inputs(request, jobs, context)
+    if where:
+        # Some stages select their sequences only after others have trained, or after minutes.
+        from motionkit.store import Store
+
+        if not Store.open(context.store).select(where).size:
+            raise UsageError(f"--where: {where!r} holds for no sequence of the store {context.store}")
+    seconds = None if budget is None else parse_duration(budget, "--budget")
+    shares = {} if seconds is None else {name: seconds * share for name, share in plan.shares.items()}
+    jobs = [Job(each, config_of.get(each.name), shares.get(each.name)) for each in plan.stages]
     with tensorboard_events(track and track / context.run.path.name) as on_metrics:
         summaries = train_all(jobs, replace(context, on_metrics=on_metrics), as_json, title=target)
     if summaries is None:
@@ -102,38 +123,20 @@ def train(
         say_next(f"{plan.next_command}{of_default('--store', store)}{of_default('--runs', runs)}{named}")
 
 
-@dataclass(frozen=True)
-class TrainRequest:
-    """What to train: a stage, all stages, or a table's systems; with which settings, on which data, for how long."""
-
-    stage: str
-    target: str | None
-    paper: str | None
-    overrides: tuple[str, ...]
-    where: str | None
-    budget: str | None
-
-    def plan(self, context: StageContext) -> StagePlan:
-        """The stages that `--stage` or `--for` selects; raises `UsageError`."""
-        if self.target is None:
-            next_command = "motionkit eval --table 2" if self.stage == "all" else ""
-            return StagePlan(choose_stages(self.stage), {self.stage: 1.0}, (), next_command)
-        if self.stage != "all":
-            raise UsageError("--for trains what a table lacks, --stage one stage: give one of them")
-        kind = self.target.partition(":")[0]
-        if kind not in (kinds := plugins.names("PLANS")):
-            raise UsageError(f"--for {self.target}: {' or '.join(f'{name}:NUMBER' for name in kinds)}")
-        plan: StagePlan = plugins.load("PLANS", kind)(self.target, self.paper, context, self.overrides)
-        return plan
-
-    def budgets(self, plan: StagePlan) -> dict[str, float]:
-        """Seconds of processor time by stage, empty without a budget; raises `UsageError`."""
-        if self.budget is None:
-            return {}
-        if self.target is None and self.stage == "all":
-            raise UsageError("--budget is for the systems of a table (--for table:2), or for one --stage")
-        seconds = parse_duration(self.budget, "--budget")
-        return {name: seconds * share for name, share in plan.shares.items()}
+def _plan(
+    stage: str, target: str | None, paper: str | None, context: StageContext, overrides: Sequence[str]
+) -> StagePlan:
+    """The stages that `--stage` or `--for` selects; raises `UsageError`."""
+    if target is None:
+        next_command = "motionkit eval --table 2" if stage == "all" else ""
+        return StagePlan(choose_stages(stage), {stage: 1.0}, (), next_command)
+    if stage != "all":
+        raise UsageError("--for trains what a table lacks, --stage one stage: give one of them")
+    kind = target.partition(":")[0]
+    if kind not in (kinds := plugins.names("PLANS")):
+        raise UsageError(f"--for {target}: {' or '.join(f'{name}:NUMBER' for name in kinds)}")
+    plan: StagePlan = plugins.load("PLANS", kind)(target, paper, context, tuple(overrides))
+    return plan
 
 
 @dataclass(frozen=True)
@@ -143,22 +146,6 @@ class Job:
     stage: Stage[Any]
     config: Any | None
     budget_seconds: float | None = None
-
-
-def plan_jobs(request: TrainRequest, plan: StagePlan, context: StageContext) -> list[Job]:
-    """The jobs of a plan, in order; with `--for`, complete stages are kept unless the context overwrites.
-
-    Overrides may be of kept stages too, so that the same command can be repeated. Raises `UsageError`.
-    """
-    keeps = request.target is not None and not context.overwrite
-    kept = [each.name for each in plan.stages if keeps and context.run.stage(each.name).is_complete]
-    stages = tuple(each for each in plan.stages if context.recipe in each.recipes or each.name not in kept)
-    configs = configure(stages, context.recipe, [*plan.settings, *request.overrides])
-    if request.where:
-        configs = narrowed(stages, configs, request.where)
-    config_of = {each.name: config for each, config in zip(stages, configs, strict=True) if each.name not in kept}
-    budgets = request.budgets(plan)
-    return [Job(each, config_of.get(each.name), budgets.get(each.name)) for each in plan.stages]
 
 
 def configure(stages: tuple[Stage[Any], ...], recipe: str, overrides: list[str]) -> list[Any]:
@@ -178,56 +165,18 @@ def narrowed(stages: tuple[Stage[Any], ...], configs: list[Any], where: str) -> 
 
     Raises `UsageError` if no stage has such a setting.
     """
-    conditions = [
+    settings = [
         {key: value for key, value in flatten(config).items() if key.rpartition(".")[2] == "where"}
         for config in configs
     ]
-    if not any(
-        concerns(stage.name, key, to_plain(config))
-        for stage, config, of_config in zip(stages, configs, conditions, strict=True)
-        for key in of_config
-    ):
+    parts = list(zip(stages, configs, settings, strict=True))
+    if not any(concerns(stage.name, key, to_plain(config)) for stage, config, own in parts for key in own):
         names = ", ".join(stage.name for stage in stages)
         raise UsageError(f"--where: {names} takes its sequences from another stage; train that one with --where")
     return [
-        apply_overrides(config, [f"{key}={conjunction(value, where)}" for key, value in of_config.items()])
-        for config, of_config in zip(configs, conditions, strict=True)
+        apply_overrides(config, [f"{key}={conjunction(value, where)}" for key, value in own.items()])
+        for _, config, own in parts
     ]
-
-
-def _show_settings(configs: Sequence[Any], as_json: bool) -> None:
-    settings = {key: value for config in configs for key, value in flatten(config).items()}
-    if as_json:
-        print_json(settings)
-        return
-    for key, value in settings.items():
-        stdout.print(f"{key}={setting_text(value)}")
-
-
-def check_inputs(request: TrainRequest, jobs: Sequence[Job], context: StageContext) -> None:
-    """Raise errors that can be found before torch is imported: in the store, the condition, and kept stages."""
-    from motionkit.store.commit import read_manifest
-
-    fingerprint = read_manifest(context.store).fingerprint
-    if request.where:
-        # Some stages select their sequences only after others have trained, or after minutes.
-        from motionkit.store import Store
-
-        if not Store.open(context.store).select(request.where).size:
-            raise UsageError(f"--where: {request.where!r} holds for no sequence of the store {context.store}")
-    to_train = [job.stage.name for job in jobs if job.config is not None]
-    for job in jobs:
-        if job.config is None:
-            # It may have other settings, but must be of this store, of the run's own stages, and of the same budget.
-            folder = context.run.stage(job.stage.name)
-            earlier = context.run.fingerprints(folder.read_config().get("builds_on", {}))
-            inputs: dict[str, Any] = {
-                "store_fingerprint": fingerprint,
-                "builds_on": earlier | {name: "trained again" for name in earlier if name in to_train},
-            }
-            if job.budget_seconds is not None:
-                inputs["budget_seconds"] = job.budget_seconds
-            check_same(folder, inputs)
 
 
 def train_all(
@@ -254,38 +203,51 @@ def train_all(
         def prepare() -> None:
             """Check all stages and lock them, so that a second call cannot replace what this one builds on."""
             for job in jobs:
-                _check(job, context, fingerprint)
+                check_kept(job, jobs, context, fingerprint)
             for job in jobs:
                 if job.config is not None:
+                    job.stage.check(replace(context, budget_seconds=job.budget_seconds), job.config)
                     locks.enter_context(context.run.stage(job.stage.name).locked())
 
         ranks.on_first(prepare)
         for number, job in enumerate(jobs, start=1):
             own = replace(context, budget_seconds=job.budget_seconds, shared=job.stage.shared)
-            # Check again, since a stage that it builds on may just have been trained.
-            ranks.on_first(partial(_check_kept, job, own, fingerprint))
+            if job.config is not None:
+                # Check again, since a stage that it builds on may just have been trained.
+                ranks.on_first(partial(check_kept, job, jobs, own, fingerprint))
             place = f" ({number} of {len(jobs)})" if title else ""
             train_stage(job, own, is_first=ranks.is_first, place=place)
             overall.advance()
             if job.stage.shared:
                 ranks.wait()  # the next stage reads what the first rank saves last
             if ranks.is_first:
-                summaries.append({"stage": job.stage.name, **context.run.stage(job.stage.name).read_summary()})
+                summary = context.run.stage(job.stage.name).read_summary()
+                summaries.append({"stage": job.stage.name, **summary})
                 if not as_json:
-                    _print_summary(summaries[-1])
+                    values = {
+                        key: f"{value:.4g}" if isinstance(value, float) else value for key, value in summary.items()
+                    }
+                    stdout.print(f"{job.stage.name}: {', '.join(f'{key} {value}' for key, value in values.items())}")
     return summaries if ranks.is_first else None
 
 
-def _check(job: Job, context: StageContext, store_fingerprint: str) -> None:
-    own = replace(context, budget_seconds=job.budget_seconds)
-    _check_kept(job, own, store_fingerprint)
+def check_kept(job: Job, jobs: Sequence[Job], context: StageContext, fingerprint: str) -> None:
+    """Raise `RunError` for a complete or resumed stage that the same command would begin with other inputs."""
     if job.config is not None:
-        job.stage.check(own, job.config)
-
-
-def _check_kept(job: Job, context: StageContext, store_fingerprint: str) -> None:
-    if context.resume and job.config is not None:
-        job.stage.check_kept(context, job.config, store_fingerprint)
+        if context.resume:
+            own = replace(context, budget_seconds=job.budget_seconds)
+            job.stage.check_kept(own, job.config, fingerprint)
+        return
+    # It may have other settings, but must be of this store, of the run's own stages, and of the same budget.
+    folder, to_train = context.run.stage(job.stage.name), [each.stage.name for each in jobs if each.config is not None]
+    earlier = context.run.fingerprints(folder.read_config().get("builds_on", {}))
+    inputs: dict[str, Any] = {
+        "store_fingerprint": fingerprint,
+        "builds_on": earlier | {name: "trained again" for name in earlier if name in to_train},
+    }
+    if job.budget_seconds is not None:
+        inputs["budget_seconds"] = job.budget_seconds
+    check_same(folder, inputs)
 
 
 def train_stage(job: Job, context: StageContext, *, is_first: bool, place: str = "") -> None:
@@ -297,12 +259,6 @@ def train_stage(job: Job, context: StageContext, *, is_first: bool, place: str =
         stderr.print(f"{stage.name}{place}: {doing}")
     if not complete and (stage.shared or is_first):
         stage.train(context, job.config)
-
-
-def _print_summary(summary: dict[str, Any]) -> None:
-    figures = {name: f"{value:.4g}" if isinstance(value, float) else value for name, value in summary.items()}
-    name = figures.pop("stage")
-    stdout.print(f"{name}: {', '.join(f'{key} {value}' for key, value in figures.items())}")
 
 
 @contextmanager

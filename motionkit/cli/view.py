@@ -2,28 +2,24 @@
 
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Literal
 
 import typer
 
-from motionkit.cli.console import print_json, progress, stderr, stdout
-from motionkit.cli.options import AsJson, Clips, SkeletonMaps, StorePath, Up, WhereOption, parse_rate, read_options
+from motionkit.cli.console import print_failures, print_json, progress, stderr, stdout
+from motionkit.cli.options import AsJson, Clips, Overwrite, SkeletonMaps, StorePath, Up, Where, parse_rate, read_options
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.files import default_path
 from motionkit.core.progress import task
 from motionkit.viz import MOST_MOTIONS
 
-if TYPE_CHECKING:
-    from motionkit.viz.player import Panel
-    from motionkit.viz.view import Viewed
-
-FILMS = ("mp4", "gif", "png", "rrd")
+FILMS = (".mp4", ".gif", ".png", ".rrd")
 
 
 def view(
     clips: Clips = None,
     store: StorePath = None,
-    where: WhereOption = None,
+    where: Where = None,
     limit: Annotated[
         int, typer.Option(min=1, max=MOST_MOTIONS, help="Maximum number of motions in the page; the first are shown.")
     ] = 6,
@@ -42,12 +38,10 @@ def view(
         typer.Option(help="Length of one file unit in metres: 0.01 for centimetres.", show_default=False),
     ] = None,
     up: Up = None,
-    format: Annotated[
-        str,
-        typer.Option(
-            help="mp4, gif, png (a strip of poses) or rrd instead of a page; else the input format, as in ingest."
-        ),
-    ] = "auto",
+    film_format: Annotated[
+        Literal["mp4", "gif", "png", "rrd"] | None,
+        typer.Option("--format", help="A film, a strip of poses or a recording instead of a page.", show_default=False),
+    ] = None,
     skeleton_map: SkeletonMaps = None,
     path: Annotated[
         Path | None,
@@ -64,7 +58,7 @@ def view(
         float | None,
         typer.Option(help="Playback speed of an mp4 or a gif: 0.25 is four times slower.", show_default="1"),
     ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")] = False,
+    overwrite: Overwrite = False,
     open_page: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -74,11 +68,16 @@ def view(
 
     Example: motionkit view takes/walk.bvh takes/jump.bvh"""
     from motionkit.edit.motions import find_motions
-    from motionkit.viz.view import PAGE_SUFFIX, Interval, constraint_drawing, page_path, read_panels, write_view
+    from motionkit.viz.view import PAGE_SUFFIX, Interval, Viewed, constraint_drawing, page_path, read_panels, write_view
 
     interval = Interval(from_seconds, to_seconds)
-    film, read_as = _film_suffix(format, out, speed)
-    options = read_options(parse_rate(fps), skeleton_map, read_as, unit_metres, up=up)
+    suffix = f".{film_format}" if film_format else "" if out is None else out.suffix.lower()
+    film = suffix if suffix in FILMS else ""
+    if film and out is not None and not out.is_dir() and out.suffix.lower() != film:
+        raise UsageError(f"--out {out} is no {film[1:]} file by its name: call it {out.with_suffix(film)}")
+    if speed is not None and not (film in (".mp4", ".gif") and 0 < speed < float("inf")):
+        raise UsageError("--speed is a positive number and goes with --format mp4 or gif; a page has its own speed")
+    options = read_options(parse_rate(fps), skeleton_map, unit_metres=unit_metres, up=up)
     if not clips and where is None:
         raise UsageError("name motions to look at: files, folders, a store, its ids, or --where")
     sources, problems = find_motions(clips or (), options, store or default_path("store"), where)
@@ -92,47 +91,26 @@ def view(
     with progress() as show, task(show, "read", len(sources)) as work:
         panels, failed = read_panels(sources, interval, work.advance, drawn)
     failures = [*((str(problem.path), str(problem)) for problem in problems), *failed]
-    for name, message in failures:
-        stderr.print(f"motionkit: {message if name in message else f'{name}: {message}'}")
+    print_failures(failures)
     viewed = None
-    if panels:
-        viewed = _write_film(page, panels, speed or 1.0) if film else write_view(page, panels, interval)
+    if panels and film:
+        from motionkit.viz.film import num_pictures, write_film
+
+        exact = Fraction(speed or 1.0).limit_denominator(1000)
+        with progress() as show, task(show, "draw", num_pictures(panels, exact, film)) as work:
+            write_film(page, panels, exact, work.advance)
+        viewed = Viewed(page, page.stat().st_size, tuple(panels))
+    elif panels:
+        viewed = write_view(page, panels, interval)
     if as_json:
         plain = {"page": None, "bytes": 0, "motions": []} if viewed is None else viewed.plain()
         print_json({**plain, "failed": [{"clip": name, "message": message} for name, message in failures]})
     elif viewed is not None:
         stdout.print(str(viewed.path))
     if viewed is not None and open_page:
-        _open(viewed.path)
+        import webbrowser
+
+        if not webbrowser.open(viewed.path.absolute().as_uri()):
+            stderr.print(f"motionkit: no browser found here: open {viewed.path} in one")
     if failures:
         raise typer.Exit(1)
-
-
-def _film_suffix(format: str, out: Path | None, speed: float | None) -> tuple[str, str]:
-    """The suffix of the film or strip to write (empty: a page), and the input format."""
-    named = format if format in FILMS else "" if out is None else out.suffix.lower()[1:]
-    film = f".{named}" if named in FILMS else ""
-    if format in FILMS and out is not None and not out.is_dir() and out.suffix.lower() != film:
-        raise UsageError(
-            f"--out {out} is no {format} file by its name: call it {out.with_suffix(film)}, or leave --format"
-        )
-    if speed is not None and not (film in (".mp4", ".gif") and 0 < speed < float("inf")):
-        raise UsageError("--speed is a positive number and goes with --format mp4 or gif; a page has its own speed")
-    return film, "auto" if format in FILMS else format
-
-
-def _write_film(path: Path, panels: "list[Panel]", speed: float) -> "Viewed":
-    from motionkit.viz.film import num_pictures, write_film
-    from motionkit.viz.view import Viewed
-
-    exact = Fraction(speed).limit_denominator(1000)
-    with progress() as show, task(show, "draw", num_pictures(panels, exact, path.suffix.lower())) as work:
-        write_film(path, panels, exact, work.advance)
-    return Viewed(path, path.stat().st_size, tuple(panels))
-
-
-def _open(path: Path) -> None:
-    import webbrowser
-
-    if not webbrowser.open(path.absolute().as_uri()):
-        stderr.print(f"motionkit: no browser found here: open {path} in one")

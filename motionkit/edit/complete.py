@@ -1,11 +1,9 @@
 """Completing a motion: more frames between its own, gaps filled, ends extended (docs/complete.md)."""
 
-import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -61,7 +59,7 @@ def complete(
     - `fps`: the new framerate, not below its own (`resample` filters it down)
     - `keep`: the frames to keep, all others are replaced: `[(0, 10), (40, None)]`, half-open and counted from 0, or
       "0:10,40:", or a mask of one bool for each frame
-    - `extend`: seconds to add after it; or a pair, before and after; or "0,15f" in frames
+    - `extend`: seconds to add after it; or a pair, before and after
     - `plant`: whether to remove foot sliding from the new frames (`motionkit.plant` is for a whole motion)
     - `model`: an interpolator (`spline`, `slerp`, `hold` …) or the name of a trained encoder; by default the
       preferred encoder (PA-HiRes) if ./runs holds a trained one, else `spline`
@@ -80,7 +78,7 @@ def complete(
     if isinstance(extend, str) or extend is None:
         before, after = parse_extend(extend or "0")
     else:
-        before, after = (Reach(float(each)) for each in (extend if isinstance(extend, tuple) else (0.0, extend)))
+        before, after = extend if isinstance(extend, tuple) else (0.0, extend)
     if isinstance(keep, str):
         keep = parse_keep(keep)
     request = CompletionRequest(None if fps is None else parse_fps(fps), keep, before, after, plant)
@@ -91,51 +89,31 @@ def complete(
     return completed.edited.motion
 
 
-@dataclass(frozen=True)
-class Reach:
-    """Extrapolation beyond an end: seconds, or frames of the motion's own framerate.
-
-    Raises `UsageError` for a number that is negative or not finite.
-    """
-
-    amount: float
-    in_frames: bool = False
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.amount < math.inf:
-            raise UsageError(f"extend {self.amount:g}: expected seconds from 0 on, or a number of frames")
-
-
 @dataclass(frozen=True, eq=False)
 class CompletionRequest:
     """What to complete: `fps` None is the motion's own, `keep` None keeps every valid frame.
 
-    `plant` removes foot sliding from new frames. Raises `UsageError` where there is nothing to do, and for ranges that
-    are empty or overlap.
+    `before_seconds` and `after_seconds` extend it; `plant` removes foot sliding from new frames. Raises `UsageError`
+    where there is nothing to do, and for seconds outside 0 … 60.
     """
 
     fps: Fraction | None = None
     keep: Sequence[FrameRange] | Frames | None = None
-    before: Reach = Reach(0.0)
-    after: Reach = Reach(0.0)
+    before_seconds: float = 0.0
+    after_seconds: float = 0.0
     plant: bool = False
 
     def __post_init__(self) -> None:
-        if self.fps is None and self.keep is None and not (self.before.amount or self.after.amount or self.plant):
+        for seconds in (self.before_seconds, self.after_seconds):
+            if not 0 <= seconds <= LONGEST_REACH_SECONDS:
+                raise UsageError(
+                    f"extend {seconds:g}: a motion is extended by at most {LONGEST_REACH_SECONDS:g} s, and not below 0"
+                )
+        if self.fps is None and self.keep is None and not (self.before_seconds or self.after_seconds or self.plant):
             raise UsageError(
                 "nothing to complete: give fps (120), the frames to keep (0:10,40:50), or the seconds to extend it by "
                 "(0.5,1)"
             )
-        if self.keep is None or isinstance(self.keep, np.ndarray):
-            return
-        if not self.keep:
-            raise UsageError("keep is empty: keep at least one frame")
-        for start, stop in self.keep:
-            if stop is not None and stop <= start:
-                raise UsageError(f"keep: {_shown(start, stop)} holds no frame; it ends before its second number")
-        for first, second in pairwise(sorted(self.keep, key=lambda each: each[0])):
-            if first[1] is None or first[1] > second[0]:
-                raise UsageError(f"keep: {_shown(*first)} and {_shown(*second)} overlap")
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +133,7 @@ def completed_motion(loaded: LoadedMotion, request: CompletionRequest, chosen: C
     """
     motion = loaded.motion
     fps, observed = request.fps or motion.fps, observed_frames(loaded, request)
-    before, after = (_seconds(each, motion.fps) for each in (request.before, request.after))
+    before, after = request.before_seconds, request.after_seconds
     if motion.num_frames == 1 and not (before or after):
         raise MotionkitError("it has a single frame, so there is nothing between frames; it can only be extended")
     encoder, replaced = chosen.for_skeleton(motion.skeleton)
@@ -199,15 +177,8 @@ def observed_frames(loaded: LoadedMotion, request: CompletionRequest) -> Frames:
         )
     observed = np.asarray(loaded.valid & kept_frames(request.keep, loaded.motion.num_frames))
     if not observed.any():
-        raise MotionkitError("none of the frames to keep is valid: their numbers are nan")
+        raise MotionkitError("no frame to keep is valid: keep at least one that holds no nan")
     return observed
-
-
-def _seconds(reach: Reach, fps: Fraction) -> float:
-    seconds = float(reach.amount / fps) if reach.in_frames else reach.amount
-    if seconds > LONGEST_REACH_SECONDS:
-        raise MotionkitError(f"it can be extended by at most {LONGEST_REACH_SECONDS:g} s, not {seconds:g} s")
-    return seconds
 
 
 def _warnings(chosen: ChosenEncoder, gap: float, reach: float, num_known: int) -> list[str]:
@@ -279,22 +250,15 @@ def kept_frames(keep: Sequence[FrameRange] | Frames | None, num_frames: int) -> 
     if isinstance(keep, np.ndarray):
         if keep.dtype != np.bool_ or keep.shape != (num_frames,):
             raise UsageError(f"keep is a mask of {len(keep):,} frames, the motion has {num_frames:,}")
-        if not keep.any():
-            raise UsageError("keep is empty: keep at least one frame")
         return keep
     kept = np.full(num_frames, keep is None)
     for start, stop in keep or ():
         end = num_frames if stop is None else stop
         if not 0 <= start < end <= num_frames:
-            raise MotionkitError(
-                f"keep {_shown(start, stop)} does not lie inside its {num_frames} frames, 0:{num_frames}"
-            )
+            shown = f"{start}:{'' if stop is None else stop}"
+            raise MotionkitError(f"keep {shown} is no range inside its {num_frames} frames, 0:{num_frames}")
         kept[start:end] = True
     return kept
-
-
-def _shown(start: int, stop: int | None) -> str:
-    return f"{start}:{'' if stop is None else stop}"
 
 
 def parse_keep(text: str) -> tuple[FrameRange, ...]:
@@ -313,21 +277,10 @@ def parse_keep(text: str) -> tuple[FrameRange, ...]:
     return tuple(ranges)
 
 
-def parse_extend(text: str) -> tuple[Reach, Reach]:
-    """Parse the extrapolation before and after, `0.5,1`; a single number is after. Seconds, or frames: `0,15f`.
-
-    Raises `UsageError`.
-    """
-    reaches = []
-    for reach in map(str.strip, text.split(",")):
-        number = reach.removesuffix("f")
-        try:
-            amount = float(number)
-        except ValueError:
-            amount = math.nan
-        if not 0 <= amount < math.inf or (reach != number and amount % 1):
-            raise UsageError(f"extend {text}: {reach!r} is neither seconds (0.5) nor a whole number of frames (15f)")
-        reaches.append(Reach(amount, reach != number))
-    if len(reaches) > 2:
-        raise UsageError(f"extend {text}: expected BEFORE,AFTER, not {len(reaches)} numbers")
-    return (Reach(0.0), reaches[0]) if len(reaches) == 1 else (reaches[0], reaches[1])
+def parse_extend(text: str) -> tuple[float, float]:
+    """Parse the seconds before and after, `0.5,1`; a single number is after. Raises `UsageError`."""
+    try:
+        before, after = map(float, (text if "," in text else f"0,{text}").split(","))
+    except ValueError:
+        raise UsageError(f"extend {text}: expected seconds, AFTER or BEFORE,AFTER (0.5,1)") from None
+    return before, after

@@ -11,7 +11,7 @@ import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from functools import cached_property, partial
 from pathlib import Path, PurePosixPath
@@ -79,15 +79,11 @@ class Selection:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The outcome of one sequence; `reason` (a short slug) and `message` say why it was skipped, else empty.
-
-    `lacks` names missing metadata of a written sequence that the format's readers need.
-    """
+    """The outcome of one sequence; `reason` (a short slug) and `message` say why it was skipped, else empty."""
 
     sequence_id: str
     reason: str = ""
     message: str = ""
-    lacks: tuple[str, ...] = ()
 
 
 def file_names(sequence_ids: Sequence[str], suffix: str = "", *, flat: bool = False) -> list[PurePosixPath]:
@@ -175,18 +171,9 @@ def _row(motion: Motion, name: PurePosixPath) -> dict[str, str]:
 
 def captions_json(captions: Sequence[Caption]) -> str:
     """All captions as one JSON list: a plain sentence where nothing but the text is said, else an object."""
-    return json.dumps([_caption(caption) for caption in captions], ensure_ascii=False) if captions else ""
-
-
-def _caption(caption: Caption) -> str | dict[str, str | float]:
-    stated: dict[str, str | float] = {}
-    if caption.start_seconds or caption.end_seconds is not None:
-        stated["start_seconds"] = caption.start_seconds
-    if caption.end_seconds is not None:
-        stated["end_seconds"] = caption.end_seconds
-    if caption.tokens:
-        stated["tokens"] = caption.tokens
-    return {"text": caption.text, **stated} if stated else caption.text
+    stated = [{name: value for name, value in asdict(each).items() if value or name == "text"} for each in captions]
+    shortest = [each if len(each) > 1 else each["text"] for each in stated]
+    return json.dumps(shortest, ensure_ascii=False) if captions else ""
 
 
 def render(template: str, **values: Any) -> str:
@@ -208,15 +195,7 @@ def render(template: str, **values: Any) -> str:
     return environment.get_template(template).render(values)
 
 
-README = "README.md"
 MIN_POSES = 2
-MISSING = {
-    "captions": "without a caption: texts/ has nothing of them, and loaders of texts pass them over; captions come "
-    "from a table: 'motionkit ingest SOURCE --captions captions.csv --overwrite --store {store}'",
-    "split": "in no split: train.txt, val.txt and test.txt lack them; 'motionkit split --store {store}' makes some",
-    "length": "shorter than the usual data loader takes (40 frames, for kit 24): it drops them without a word",
-}
-"""What motions of such a folder may lack, the consequence, and the remedy."""
 
 
 @dataclass(frozen=True)
@@ -257,14 +236,10 @@ def export_pose_folder(selection: Selection, folder: Path, kind: Kind) -> Iterat
                 continue
             writer.add(entry)
             add_row(motion, PurePosixPath(JOINTS_FOLDER, f"{name}.npy"))
-            is_missing = {
-                "captions": not entry.captions,
-                "split": entry.split not in SPLITS,
-                "length": len(entry.joint_positions) < kind.loader_min_frames,
-            }
-            outcome = Outcome(motion.sequence_id, lacks=tuple(what for what, missing in is_missing.items() if missing))
-            lacks.update(outcome.lacks)
-            yield outcome
+            lacks["captions"] += not entry.captions
+            lacks["split"] += entry.split not in SPLITS
+            lacks["length"] += len(entry.joint_positions) < kind.loader_min_frames
+            yield Outcome(motion.sequence_id)
     num_sequences, layout, published = writer.finish(), kind.layout, LAYOUTS[kind.layout.name].fps
     write_folder_manifest(folder, layout)
     text = render(
@@ -276,9 +251,9 @@ def export_pose_folder(selection: Selection, folder: Path, kind: Kind) -> Iterat
         smoothing_seconds=float(Fraction(humanml3d.SMOOTHING_FRAMES) / layout.fps),
         num_sequences=num_sequences,
         loader_min_frames=kind.loader_min_frames,
-        lacks=lacks,
+        lacks=+lacks,
     )
-    (folder / README).write_text(text, encoding="utf-8")
+    (folder / "README.md").write_text(text, encoding="utf-8")
 
 
 def pose_entry(motion: Motion, name: str, kind: Kind) -> Entry | Outcome:
@@ -347,10 +322,7 @@ def export_parquet(selection: Selection, folder: Path) -> Iterator[Outcome]:
 
 @dataclass(frozen=True)
 class ExportReport:
-    """The result of an export: sequences and files written, their bytes, and skipped sequences with reasons.
-
-    `missing` has the ids of written sequences by missing metadata that the format's readers need.
-    """
+    """The result of an export: sequences and files written, their bytes, and skipped sequences with reasons."""
 
     folder: Path
     format: str
@@ -358,22 +330,6 @@ class ExportReport:
     num_files: int
     num_bytes: int
     left_out: tuple[Outcome, ...]
-    missing: Mapping[str, Sequence[str]]
-
-    def plain(self) -> dict[str, Any]:
-        """As JSON."""
-        return {
-            "folder": str(self.folder),
-            "format": self.format,
-            "sequences": self.num_sequences,
-            "files": self.num_files,
-            "bytes": self.num_bytes,
-            "left_out": [
-                {"sequence_id": outcome.sequence_id, "reason": outcome.reason, "message": outcome.message}
-                for outcome in self.left_out
-            ],
-            "missing": {what: list(sequence_ids) for what, sequence_ids in self.missing.items()},
-        }
 
 
 def export(
@@ -386,7 +342,6 @@ def export(
     `MotionkitError` if nothing could be written.
     """
     left_out: list[Outcome] = []
-    missing: dict[str, list[str]] = {}
     num_sequences = 0
     # A link to an empty folder is filled where it points.
     with whole_folder(folder.resolve() if folder.is_symlink() else folder.absolute()) as partial_folder:
@@ -397,11 +352,9 @@ def export(
                 left_out.append(outcome)
             else:
                 num_sequences += 1
-                for what in outcome.lacks:
-                    missing.setdefault(what, []).append(outcome.sequence_id)
             on_outcome(outcome)
         if not num_sequences:
             first = left_out[0].message if left_out else "the selection is empty"
             raise MotionkitError(f"none of {len(left_out)} sequences can be written as {kind.name}, first: {first}")
         sizes = [path.stat().st_size for path in partial_folder.rglob("*") if path.is_file()]
-    return ExportReport(folder, kind.name, num_sequences, len(sizes), sum(sizes), tuple(left_out), missing)
+    return ExportReport(folder, kind.name, num_sequences, len(sizes), sum(sizes), tuple(left_out))

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from motionkit.core.errors import UsageError
+from motionkit.core.errors import UsageError, shown
 from motionkit.core.files import LOCK, is_temporary, locked_folder, read_json, write_json, write_whole
 from motionkit.edit.export import TABLE, captions_json
 from motionkit.fields.detail import Detail, detailed
@@ -116,8 +116,8 @@ class Job:
         """Numbers of the motions whose files are in a folder."""
         return frozenset(number for number, file in enumerate(self.main_files) if (folder / file).is_file())
 
-    def write(self, folder: Path) -> Iterator[tuple[MotionField, dict[str, Any]]]:
-        """Generate and write missing motions one by one: the field, and facts about its file as JSON.
+    def write(self, folder: Path) -> Iterator[dict[str, Any]]:
+        """Generate and write missing motions one by one; yields facts about each file as JSON.
 
         Batches are the same whatever is missing, so a resumed call writes the same numbers.
         """
@@ -130,9 +130,17 @@ class Job:
                 sampling=self.sampling,
                 overlap_seconds=self.request.overlap_seconds,
             ):
-                yield field, self._write_motion(folder / self.main_files[number], number, field)
+                yield self._write_motion(folder / self.main_files[number], number, field)
         finally:
-            self._write_table(folder)
+            # A row per complete motion, as `motionkit.io.annotations` reads it.
+            fps = "" if self.request.times else str(self.fps)
+            text = io.StringIO(newline="")
+            table = csv.writer(text, lineterminator="\n")
+            table.writerow(("file", "captions", "action", "fps"))
+            for number in sorted(self.complete_in(folder)):
+                script = self.request.motions[number]
+                table.writerow((self.main_files[number], captions_json(captions_of(script)), action_of(script), fps))
+            write_whole(folder / TABLE, text.getvalue())
 
     def _write_motion(self, path: Path, number: int, field: MotionField) -> dict[str, Any]:
         script, times = self.request.motions[number], self.request.times
@@ -163,17 +171,6 @@ class Job:
         constraints = [followed(field, each).plain() for each in constraints_of(script)]
         return facts | ({"constraints": constraints} if constraints else {})
 
-    def _write_table(self, folder: Path) -> None:
-        """Write motions.csv, a row per complete motion, as `motionkit.io.annotations` reads it."""
-        text = io.StringIO(newline="")
-        table = csv.writer(text, lineterminator="\n")
-        table.writerow(("file", "captions", "action", "fps"))
-        fps = "" if self.request.times else str(self.fps)
-        for number in sorted(self.complete_in(folder)):
-            script = self.request.motions[number]
-            table.writerow((self.main_files[number], captions_json(captions_of(script)), action_of(script), fps))
-        write_whole(folder / TABLE, text.getvalue())
-
 
 @contextmanager
 def locked_output(path: Path, manifest: Mapping[str, Any], *, resume: bool, overwrite: bool) -> Iterator[None]:
@@ -193,7 +190,9 @@ def locked_output(path: Path, manifest: Mapping[str, Any], *, resume: bool, over
             if resume:
                 _check_same(path, former, manifest)
             elif overwrite:
-                _delete_files(path, former)
+                # All but generation.json, which the next one replaces.
+                for name in (TABLE, *former["files"]):
+                    (path / name).unlink(missing_ok=True)
             else:
                 keeps = "--resume continues them, --overwrite replaces them, --out FOLDER keeps both"
                 raise UsageError(f"{path} holds generated motions: {keeps}")
@@ -204,10 +203,14 @@ def locked_output(path: Path, manifest: Mapping[str, Any], *, resume: bool, over
 
 
 def _read_manifest(path: Path) -> dict[str, Any]:
+    """The generation.json of an earlier call; raises `UsageError` for another file, or names outside the folder."""
     value = read_json(path / MANIFEST, f"delete the folder, or {ANOTHER}")
     files = value.get("files")
-    if value.get("format") != FORMAT or not isinstance(files, list) or not all(isinstance(each, str) for each in files):
+    if value.get("format") != FORMAT or not isinstance(files, list):
         raise UsageError(f"{path / MANIFEST} was not written by `motionkit generate`: {ANOTHER}")
+    for name in files:
+        if not isinstance(name, str) or ".." in PurePosixPath(name).parts or PurePosixPath(name).is_absolute():
+            raise UsageError(f"{path / MANIFEST} names {name!r}, which lies outside of the folder: {ANOTHER}")
     return value
 
 
@@ -216,20 +219,7 @@ def _check_same(path: Path, former: Mapping[str, Any], manifest: Mapping[str, An
     now = json.loads(json.dumps(dict(manifest)))
     for name in sorted({*former, *now} - {"versions", "files"}):
         if former.get(name) != now.get(name):
-            before, after = (_short(each.get(name)) for each in (former, now))
+            before, after = (shown(each.get(name)) for each in (former, now))
             raise UsageError(
                 f"{path} was begun with another {name} ({before}, now {after}): repeat the same call, or {ANOTHER}"
             )
-
-
-def _delete_files(path: Path, manifest: Mapping[str, Any]) -> None:
-    """Delete a call's motions and its table, but not its generation.json, which the next one replaces."""
-    for name in (TABLE, *manifest["files"]):
-        if ".." in PurePosixPath(name).parts or PurePosixPath(name).is_absolute():
-            raise UsageError(f"{path / MANIFEST} names {name!r}, which lies outside of the folder: {ANOTHER}")
-        (path / name).unlink(missing_ok=True)
-
-
-def _short(value: Any) -> str:
-    text = json.dumps(value, ensure_ascii=False)
-    return text if len(text) <= 60 else f"{text[:57]}…"

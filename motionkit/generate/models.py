@@ -4,11 +4,11 @@ A package lists its models in `MODELS` (`motionkit.core.plugins`), each a `Model
 folder; the table code and `motionkit generate` know only this interface.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 from motionkit.core import plugins
 from motionkit.core.errors import UsageError
@@ -121,15 +121,6 @@ def check_constraints(model: GenerativeModel, request: GenerationRequest) -> Non
             raise UsageError(f"{each.name}: --seconds is needed: its instants are those of a motion of a given length")
         if each.seconds.max() > length + 1e-9:
             raise UsageError(f"{each.name}: {each.seconds.max():g} s lies outside the motion's 0 … {length:g} s")
-
-
-@runtime_checkable
-class DescribesMotions(Protocol):
-    """A model that reports facts about a generated motion."""
-
-    def describe(self, motion: MotionField) -> Mapping[str, Any]:
-        """Plain values by name, ready for JSON."""
-        ...
 
 
 ModelLoader = Loader[GenerativeModel]

@@ -8,8 +8,8 @@ if TYPE_CHECKING:
     from motionkit.store.reports import StoreSummary
 
 
-def corpus_card(summary: "StoreSummary", *, whole_page: bool = False) -> str:
-    """An `<article>` to embed in a page, with its own style; with `whole_page` a self-contained page."""
+def corpus_card(summary: "StoreSummary") -> str:
+    """An `<article>` to embed in a page, with its own style."""
     sources = []
     for source in summary.sources:
         counts = {
@@ -24,4 +24,4 @@ def corpus_card(summary: "StoreSummary", *, whole_page: bool = False) -> str:
             title: {name or "not stated": count for name, count in values.items()} for title, values in counts.items()
         }
         sources.append((source, list(named.items())))
-    return render("corpus_card.html.j2", summary=summary, sources=sources, whole=whole_page)
+    return render("corpus_card.html.j2", summary=summary, sources=sources)

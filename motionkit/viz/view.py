@@ -17,8 +17,8 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.edit.motions import MotionSource, find_motions
 from motionkit.features.field import heading, to_world
 from motionkit.features.layout import SMPL22_LAYOUT
-from motionkit.generate.constraint_files import parse_pose, read_path
 from motionkit.generate.constraints import Constraint
+from motionkit.generate.request import parse_pose, read_path
 from motionkit.io.files import existing_path
 from motionkit.io.registry import ReadOptions
 from motionkit.viz import MOST_MOTIONS

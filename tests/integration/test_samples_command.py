@@ -9,7 +9,6 @@ import pytest
 
 from eval.commands.samples import samples as command
 from eval.sample_folder.manifest import READERS, manifest_text, read_manifest
-from motionkit.cli.options import UpAxis
 from motionkit.core.errors import MotionkitError, UsageError
 from tests.helpers import published_layouts as published
 from tests.helpers.analytic import analytic_motion
@@ -56,8 +55,8 @@ def test_the_axis_that_points_up_can_be_given(samples, tmp_path):
     turned = "turned from x up to y up"
     with pytest.raises(MotionkitError, match="6 lying"):
         samples(folder, fps="20")
-    assert turned in samples(folder, fps="20", up=UpAxis.X)
-    assert turned in samples(folder, fps="20", up=UpAxis.X, init=True)
+    assert turned in samples(folder, fps="20", up="x")
+    assert turned in samples(folder, fps="20", up="x", init=True)
     assert turned in samples(folder)
 
 

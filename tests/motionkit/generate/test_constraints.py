@@ -8,8 +8,8 @@ import pytest
 
 import motionkit as mk
 from motionkit.core.skeleton import SMPL22
-from motionkit.generate.constraint_files import parse_joint, parse_pose, path_and_seconds, read_path
 from motionkit.generate.constraints import Constraint, followed
+from motionkit.generate.request import parse_joint, parse_pose, path_and_seconds, read_path
 from motionkit.io.npz import write_npz
 from tests.helpers.scripted_model import ScriptedField
 

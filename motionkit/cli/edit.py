@@ -1,0 +1,222 @@
+"""`motionkit complete`, `plant` and `convert`: motions of files and stores in, edited files out.
+
+A motion that cannot be read or edited does not stop the others.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from motionkit.cli.console import print_failures, print_json, progress, stderr, stdout
+from motionkit.cli.options import (
+    AsJson,
+    Clips,
+    FileFormat,
+    Onto,
+    Overwrite,
+    RunsFolder,
+    SkeletonMaps,
+    SourceFps,
+    StorePath,
+    Up,
+    Where,
+    of_source,
+    parse_rate,
+    read_options,
+)
+from motionkit.core import plugins
+from motionkit.core.errors import FormatError, MotionkitError, UsageError, describe
+from motionkit.core.files import default_path
+from motionkit.core.progress import tracked
+
+if TYPE_CHECKING:
+    from motionkit.edit.motions import MotionSource, WrittenMotion
+
+TRAINED = ", ".join(plugins.names("ENCODERS"))
+
+
+def complete(
+    clips: Annotated[list[str], typer.Argument(help="Files, folders, or ids of stored sequences.", show_default=False)],
+    fps: Annotated[
+        str | None, typer.Option(help="New framerate, any: 120, 23.976, 60000/1001.", show_default="the clip's own")
+    ] = None,
+    keep: Annotated[
+        str | None,
+        typer.Option(metavar="A:B,…", help="Frames to keep, [A, B) counted from 0; all others are replaced."),
+    ] = None,
+    extend: Annotated[
+        str | None, typer.Option(metavar="BEFORE,AFTER", help="Seconds to add before and after: 0,0.5.")
+    ] = None,
+    plant: Annotated[bool, typer.Option("--plant", help="Make sliding feet stand, in what is made.")] = False,
+    model: Annotated[
+        str | None,
+        typer.Option(
+            help=f"A trained encoder ({TRAINED}) or an interpolator (slerp, spline, hold …).",
+            show_default="the preferred trained one if a run has it, else spline",
+        ),
+    ] = None,
+    run: Annotated[
+        str | None, typer.Option(help="Run that holds the trained encoder.", show_default="the one trained last")
+    ] = None,
+    runs: RunsFolder = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="File, or folder for several clips.", show_default="NAME.completed.EXT beside each"),
+    ] = None,
+    file_format: FileFormat = None,
+    overwrite: Overwrite = False,
+    compare: Annotated[
+        str | None,
+        typer.Option(metavar="NAME,…", help="Also write an HTML page with moving skeletons: slerp,spline."),
+    ] = None,
+    source_fps: SourceFps = None,
+    skeleton_map: SkeletonMaps = None,
+    store: StorePath = None,
+    as_json: AsJson = False,
+) -> None:
+    """Complete clips: a higher framerate, gaps filled, ends continued; given frames and bone lengths are kept.
+
+    Example: motionkit complete takes/walk.bvh --fps 120 --model cubic
+    """
+    from motionkit.edit.complete import CompletionRequest, complete_file, parse_extend, parse_keep
+    from motionkit.edit.encoders import choose_encoder
+    from motionkit.edit.motions import OutputPaths, find_motions
+    from motionkit.io.scan import COMPLETED
+
+    before, after = parse_extend(extend or "0")
+    request = CompletionRequest(parse_rate(fps), parse_keep(keep) if keep else None, before, after, plant)
+    options = read_options(parse_rate(source_fps, "--source-fps"), skeleton_map, skip_derived=True)
+    sources, problems = find_motions(clips, options, store or default_path("store"))
+    paths = OutputPaths(COMPLETED, clips, len(sources), out=out, file_format=file_format, overwrite=overwrite)
+    runs_folder = runs or default_path("runs")
+    chosen = choose_encoder(model, run, runs_folder)
+    compared = [choose_encoder(name.strip(), None, runs_folder) for name in compare.split(",")] if compare else []
+    stderr.print(f"motionkit: completing with {chosen.explanation}")
+    _edit_each(
+        *("complete", sources, problems),
+        lambda source: complete_file(source, request, chosen, compared, paths),
+        as_json,
+        {"encoder": chosen.name},
+    )
+
+
+def plant(
+    clips: Clips = None,
+    where: Where = None,
+    path: Annotated[
+        Literal["near", "free"],
+        typer.Option("--path", help="Keep the body near its own path, or let the standing feet carry it."),
+    ] = "near",
+    out: Annotated[
+        Path | None,
+        typer.Option(help="File, or folder for several clips.", show_default="NAME.planted.EXT beside each"),
+    ] = None,
+    file_format: FileFormat = None,
+    page: Annotated[
+        bool, typer.Option("--page", help="Also write an HTML page with both skeletons, before and after.")
+    ] = False,
+    overwrite: Overwrite = False,
+    source_fps: SourceFps = None,
+    skeleton_map: SkeletonMaps = None,
+    store: StorePath = None,
+    as_json: AsJson = False,
+) -> None:
+    """Make sliding feet stand, in captures and in anybody's samples; bones keep their length.
+
+    With --store and no clip, all sequences of the store (or those of --where), into --out.
+
+    Example: motionkit plant takes/walk.bvh --page
+    """
+    from motionkit.edit.motions import OutputPaths, find_motions
+    from motionkit.edit.plant import plant_file
+    from motionkit.io.scan import PLANTED
+
+    if not clips and (out is None or (store is None and where is None)):
+        raise UsageError("name clips or folders; or a store (--store) and a folder for its sequences (--out)")
+    options = read_options(parse_rate(source_fps, "--source-fps"), skeleton_map, skip_derived=True)
+    where = where if clips else where or "true"
+    sources, problems = find_motions(clips or (), options, store or default_path("store"), where)
+    paths = OutputPaths(PLANTED, clips or (), len(sources), out=out, file_format=file_format, overwrite=overwrite)
+    _edit_each(
+        *("plant", sources, problems),
+        lambda source: plant_file(source, path, page, paths),
+        as_json,
+        {"path": path},
+    )
+
+
+def convert(
+    source: Annotated[
+        str, typer.Argument(metavar="IN", help="File, folder, or id of a stored sequence.", show_default=False)
+    ],
+    out: Annotated[
+        Path, typer.Argument(metavar="OUT", help="File (its suffix is the format), or a folder.", show_default=False)
+    ],
+    fps: Annotated[
+        str | None, typer.Option(help="New framerate, any: 60, 23.976, 30000/1001.", show_default="the file's own")
+    ] = None,
+    onto: Onto = None,
+    up: Up = None,
+    file_format: FileFormat = None,
+    overwrite: Overwrite = False,
+    source_fps: SourceFps = None,
+    skeleton_map: SkeletonMaps = None,
+    store: StorePath = None,
+    as_json: AsJson = False,
+) -> None:
+    """Convert one file into another: its format (by the suffix of OUT), its framerate, its rig.
+
+    Example: motionkit convert walk.bvh walk.glb --fps 60 --onto hero.glb
+    """
+    from motionkit.edit.convert import convert_file
+    from motionkit.edit.motions import OutputPaths, find_motions
+    from motionkit.io.character import read_character
+
+    rate = parse_rate(fps)
+    options = read_options(parse_rate(source_fps, "--source-fps"), skeleton_map, up=up)
+    sources, problems = find_motions([source], options, store or default_path("store"))
+    paths = OutputPaths("converted", [source], len(sources), out=out, file_format=file_format, overwrite=overwrite)
+    character = None if onto is None else read_character(onto, read_options(None, skeleton_map))
+    _edit_each(
+        *("convert", sources, problems),
+        lambda each: convert_file(each, rate, character, paths),
+        as_json,
+        {"onto": None if onto is None else str(onto)},
+    )
+
+
+def _edit_each(
+    verb: str,
+    sources: "Sequence[MotionSource]",
+    problems: Sequence[FormatError],
+    edit: "Callable[[MotionSource], WrittenMotion]",
+    as_json: bool,
+    about: Mapping[str, Any],
+) -> None:
+    """Write a file for every motion, and print its path, or JSON that begins with `about`.
+
+    Exits with 1 if a motion cannot be read or edited; messages and remarks go to stderr.
+    """
+    failures = [(str(problem.path), of_source(str(problem), problem)) for problem in problems]
+    print_failures(failures)
+    done: list[WrittenMotion] = []
+    with progress() as show:
+        for source in tracked(show, verb, sources, len(sources)):
+            try:
+                written = edit(source)
+            except (MotionkitError, OSError) as error:
+                failures.append((source.name, of_source(describe(error), error)))
+                print_failures(failures[-1:])
+                continue
+            done.append(written)
+            for remark in written.remarks:
+                stderr.print(f"motionkit: {remark}")
+            for path in () if as_json else filter(None, (written.path, written.page)):
+                stdout.print(str(path))
+    if as_json:
+        failed = [{"clip": name, "message": message} for name, message in failures]
+        print_json({**about, "clips": [each.plain() for each in done], "failed": failed})
+    if failures:
+        raise typer.Exit(1)
