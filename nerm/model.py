@@ -19,7 +19,7 @@ from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid, num_frames_within
 from motionkit.fields.assembly import laid
 from motionkit.fields.contact.bones import Bones
-from motionkit.fields.motion_field import DerivedField, FramerateConditioned, MotionField, Poses
+from motionkit.fields.motion_field import DerivedField, MotionField, Poses, at_fps
 from motionkit.generate.constraints import KINDS, ConstraintKind
 from motionkit.generate.models import GenerationRequest, SamplingOptions, check_constraints
 from motionkit.training.devices import resolve_device
@@ -234,7 +234,7 @@ def framerate_shift(fields: Iterable[MotionField], rates: Sequence[Fraction] = R
     for field in fields:
         num_frames = num_frames_within(field.end_seconds - field.start_seconds, shared)
         seconds = np.minimum(TimeGrid(shared, num_frames, field.start_seconds).seconds(), field.end_seconds)
-        at_rates = [field.at_fps(rate) if isinstance(field, FramerateConditioned) else field for rate in rates]
+        at_rates = [at_fps(field, rate) for rate in rates]
         answers = [each.query(seconds).joint_positions.astype(np.float64) for each in at_rates]
         for one, other in combinations(answers, 2):
             distances = np.linalg.norm(one - other, axis=-1)
@@ -283,4 +283,4 @@ def _on_bones(field: MotionField, bones: Bones) -> DerivedField:
         poses = field.query(times)
         return Poses(bones.applied(poses.joint_positions), None, poses.root_translation)
 
-    return DerivedField(field, on_bones, lambda other: _on_bones(other, bones))
+    return DerivedField(field, on_bones, lambda fps: _on_bones(at_fps(field, fps), bones))

@@ -32,9 +32,9 @@ def planted_takes(real: RealMotion) -> tuple[RealMotion, list[Change]]:
     made, changes = [], []
     for number, fps in enumerate(real.fps):
         motion = Motion.from_joints(np.asarray(real.sequences[number]), fps)
-        field, times = planted_frames(Observation.of(motion), motion.timegrid), motion.timegrid.seconds()
-        changes.append(measure_change(field, times)[0])
-        made.append(field.query(times).joint_positions)
+        planting, times = planted_frames(Observation.of(motion), motion.timegrid), motion.timegrid.seconds()
+        changes.append(measure_change(planting, times)[0])
+        made.append(planting(times).joint_positions)
     about = (real.fps, real.sequence_ids, real.captions, real.actions)
     return RealMotion(f"{real.name}, planted", Ragged.of(made), *about), changes
 

@@ -67,7 +67,7 @@ def varying(motion: Motion) -> Motion:
 
 def plant(motion: Motion) -> None:
     """All frames."""
-    planted_frames(Observation.of(motion), motion.timegrid).query(motion.timegrid.seconds())
+    planted_frames(Observation.of(motion), motion.timegrid)(motion.timegrid.seconds())
 
 
 def frames_a_second(work: Callable[[], object], frames: int) -> float:

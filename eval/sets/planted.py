@@ -41,7 +41,7 @@ def planted_set(samples: SampleSet) -> SampleSet:
     for positions in samples.sequences:
         # Not from_joints, which refuses bodies of no person's size: a model may generate such.
         motion = Motion(positions, skeleton, TimeGrid(samples.fps, len(positions)))
-        field = planted_frames(Observation.of(motion), motion.timegrid, "free")
-        made.append(field.query(motion.timegrid.seconds()).joint_positions)
+        planting = planted_frames(Observation.of(motion), motion.timegrid, "free")
+        made.append(planting(motion.timegrid.seconds()).joint_positions)
     name = str(RowId(samples.name, Variant.PLANTED))
     return replace(samples, name=name, sequences=Ragged.of(made), local_rotations=None)

@@ -36,13 +36,13 @@ def mirror_positions(
     joint_positions: Float32[np.ndarray, "*poses joints 3"], left_right_pairs: tuple[tuple[int, int], ...]
 ) -> Float32[np.ndarray, "*poses joints 3"]:
     """The mirror image of joint positions alone, of any number of poses."""
-    return joint_positions[..., _exchanged(joint_positions.shape[-2], left_right_pairs), :] * FLIP
+    return joint_positions[..., exchanged(joint_positions.shape[-2], left_right_pairs), :] * FLIP
 
 
 def _partners(skeleton: Skeleton) -> Int[np.ndarray, "joints"]:
     if not skeleton.left_right_pairs:
         raise ValueError(f"skeleton {skeleton.name!r} does not say which joints are left and right")
-    order = _exchanged(skeleton.num_joints, skeleton.left_right_pairs)
+    order = exchanged(skeleton.num_joints, skeleton.left_right_pairs)
     for joint, parent in enumerate(skeleton.parents):
         if parent >= 0 and skeleton.parents[order[joint]] != order[parent]:
             names = skeleton.joint_names[joint], skeleton.joint_names[order[joint]]
@@ -50,7 +50,8 @@ def _partners(skeleton: Skeleton) -> Int[np.ndarray, "joints"]:
     return order
 
 
-def _exchanged(num_joints: int, left_right_pairs: tuple[tuple[int, int], ...]) -> Int[np.ndarray, "joints"]:
+def exchanged(num_joints: int, left_right_pairs: tuple[tuple[int, int], ...]) -> Int[np.ndarray, "joints"]:
+    """The joints in the order in which left and right are exchanged."""
     order = np.arange(num_joints)
     for left, right in left_right_pairs:
         order[left], order[right] = right, left

@@ -78,7 +78,7 @@ def complete(
     if isinstance(extend, str) or extend is None:
         before, after = parse_extend(extend or "0")
     else:
-        before, after = extend if isinstance(extend, tuple) else (0.0, extend)
+        before, after = map(float, extend if isinstance(extend, tuple) else (0.0, extend))
     if isinstance(keep, str):
         keep = parse_keep(keep)
     request = CompletionRequest(None if fps is None else parse_fps(fps), keep, before, after, plant)

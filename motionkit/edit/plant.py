@@ -19,7 +19,7 @@ from motionkit.edit.motions import (
 )
 from motionkit.fields.contact.correction import Path as BodyPath
 from motionkit.fields.contact.detection import runs
-from motionkit.fields.contact.planted import PlantedField, planted_frames
+from motionkit.fields.contact.planted import Planting, planted_frames
 from motionkit.io.bvh_writing import KnownFrames
 from motionkit.viz.comparison import Version, write_comparison
 
@@ -96,11 +96,11 @@ def planted_motion(loaded: LoadedMotion, path: BodyPath) -> tuple[EditedMotion, 
     """
     loaded.check_complete()
     motion, seconds = loaded.motion, loaded.seconds
-    field = planted_frames(loaded.observation(loaded.valid), motion.timegrid, path)
-    change, moved = measure_change(field, seconds)
+    planting = planted_frames(loaded.observation(loaded.valid), motion.timegrid, path)
+    change, moved = measure_change(planting, seconds)
     poses, unmoved = loaded.poses.copy(), np.flatnonzero(~moved)
     if moved.any():
-        poses.put(moved, field.query(seconds[moved]))
+        poses.put(moved, planting(seconds[moved]))
     line = (
         f"plant {change.num_contacts} contacts, the body's path {path}: joints moved by up to "
         f"{1000 * change.largest_change:.1f} mm"
@@ -137,18 +137,19 @@ def plant_file(source: MotionSource, path_of_body: BodyPath, with_page: bool, pa
 
 
 def measure_change(
-    field: PlantedField, times: Float64[np.ndarray, "frames"]
+    planting: Planting, times: Float64[np.ndarray, "frames"]
 ) -> tuple[Change, Bool[np.ndarray, "frames"]]:
     """Measure what planting changes at these ascending times, and which frames it moves."""
-    before, after = field.field.query(times).joint_positions, field.query(times).joint_positions
+    before, after = planting.field.query(times).joint_positions, planting(times).joint_positions
+    correction = planting.correction
     step = after - before
     distance = np.linalg.norm(step, axis=-1)
     depth = [
-        float((field.correction.ground.floor - field.legs.foot_paths(positions)[..., 1]).max(initial=0.0))
+        float((correction.ground.floor - planting.legs.foot_paths(positions)[..., 1]).max(initial=0.0))
         for positions in (before, after)
     ]
-    contacts, fps = field.correction.contacts, field.correction.fps
-    feet = field.correction.offsets[:, :1] + field.correction.offsets[:, 1:]
+    contacts, fps = correction.contacts, correction.fps
+    feet = correction.offsets[:, :1] + correction.offsets[:, 1:]
     down = np.asarray(contacts.down.any(axis=-1))
     sliding: list[float | None] = [None, None]
     if down.any():
@@ -164,7 +165,7 @@ def measure_change(
         below_ground_after=depth[1],
         largest_level_shift=float(np.hypot(feet[..., 0], feet[..., 2]).max()),
         largest_height_shift=float(np.abs(feet[..., 1]).max()),
-        has_fixed_bones=field.bones is not None,
+        has_fixed_bones=planting.bones is not None,
         largest_change=float(distance.max()),
         largest_pose_change=float(np.linalg.norm(step - step[:, :1], axis=-1).max()),
         mean_change=float(distance.mean()),

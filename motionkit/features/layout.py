@@ -1,7 +1,6 @@
 """Joint layouts of the pose-vector conventions: facing joints, chains, slices of the vector."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -46,15 +45,7 @@ class VectorLayout:
     @property
     def blocks(self) -> tuple[slice, ...]:
         """The seven blocks inside which HumanML3D averages its standard deviation."""
-        return (
-            self.root_yaw_velocity,
-            self.root_velocity,
-            self.root_height,
-            self.joint_positions,
-            self.joint_rotations,
-            self.joint_velocities,
-            self.contacts,
-        )
+        return vector_blocks(self.num_joints)
 
 
 def vector_layout(num_joints: int) -> VectorLayout:
@@ -157,29 +148,14 @@ def facing_direction(
     return np.stack((across[..., 2], -across[..., 0]), axis=-1)
 
 
-_TRUNCATE = 4.0
-
-
 def smooth(values: Float[np.ndarray, "frames columns"], sigma_frames: float) -> Float64[np.ndarray, "frames columns"]:
     """Gaussian smoothing along time, with the end values repeated beyond both ends.
 
-    The kernel is sampled at whole frames and truncated at 4σ, as in `scipy.ndimage.gaussian_filter1d(mode="nearest")`.
+    The kernel is sampled at whole frames and truncated at 4σ.
     """
-    kernel = _kernel(sigma_frames)
-    reach = len(kernel) // 2
-    padded = np.empty((values.shape[1], len(values) + 2 * reach))
-    padded[:, reach : reach + len(values)] = values.T
-    padded[:, :reach], padded[:, reach + len(values) :] = values[0, :, None], values[-1, :, None]
-    return np.stack([np.convolve(column, kernel, mode="valid") for column in padded], axis=-1)
+    from scipy.ndimage import gaussian_filter1d
 
-
-@lru_cache(maxsize=64)
-def _kernel(sigma_frames: float) -> Float64[np.ndarray, "taps"]:
-    reach = int(_TRUNCATE * sigma_frames + 0.5)
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma_frames) ** 2)
-    kernel /= kernel.sum()
-    kernel.flags.writeable = False
-    return np.asarray(kernel)
+    return np.asarray(gaussian_filter1d(values.astype(np.float64), sigma_frames, axis=0, mode="nearest"))
 
 
 def to_z_half_angle(direction: Float[np.ndarray, "frames 2"]) -> Float64[np.ndarray, "frames"]:

@@ -13,6 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from motionkit.core.mirror import exchanged
 from motionkit.core.shapes import Float, Float32, Float64, Int
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
@@ -129,9 +130,7 @@ def mirrored(vectors: Float[np.ndarray, "*poses numbers"], layout: str) -> Float
 def _mirror_map(layout: str) -> tuple[Int[np.ndarray, "numbers"], Float32[np.ndarray, "numbers"]]:
     """Source index and sign of each element of a mirrored vector."""
     body = pose_layout(layout)
-    slices, joints = body.vector, np.arange(body.num_joints)
-    for left, right in body.skeleton.left_right_pairs:
-        joints[left], joints[right] = right, left
+    slices, joints = body.vector, exchanged(body.num_joints, body.skeleton.left_right_pairs)
     source, sign = np.arange(slices.size), np.ones(slices.size, np.float32)
     sign[slices.root_yaw_velocity] = -1.0
     sign[slices.root_velocity] = (-1.0, 1.0)

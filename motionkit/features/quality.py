@@ -66,7 +66,8 @@ def measure(motion: Motion) -> Quality:
     if positions.min() < -FAR_METRES or positions.max() > FAR_METRES:
         positions = np.clip(positions, -FAR_METRES, FAR_METRES, dtype=np.float32)
     squared = squared_differences(positions, 1)
-    longest = longest_steps(squared)
+    longest = np.sqrt(squared.max(axis=1, initial=0.0))
+    longest[longest <= SAME_METRES] = 0.0
     max_speed = float(longest.max(initial=0.0) * fps)
     jumps = _jumps(np.sqrt(squared), fps)
     held_starts, held_lengths = _runs(longest == 0.0)
@@ -118,18 +119,6 @@ JUMP_ACCELERATION = 500.0
 MAX_JUMP_SPEED = 10.0
 
 
-def longest_steps(squared: Float32[np.ndarray, "steps joints"]) -> Float32[np.ndarray, "steps"]:
-    """Longest step (m) of any joint between neighbouring frames; 0 where no joint moves by more than 1 µm."""
-    longest: Float32[np.ndarray, steps] = np.sqrt(squared.max(axis=1, initial=0.0))
-    longest[longest <= SAME_METRES] = 0.0
-    return longest
-
-
-def jump_speed(fps: float) -> float:
-    """By how much a step must be faster than its surroundings to be a jump, m/s."""
-    return min(MAX_JUMP_SPEED, 2.0 * JUMP_ACCELERATION / fps)
-
-
 def _jumps(lengths: Float32[np.ndarray, "steps joints"], fps: float) -> Int64[np.ndarray, "jumps"]:
     # Steps that some joint makes in a jump. A joint that jumps and comes back makes two long steps, so the steps that
     # they are compared with lie two away; of the outermost steps only one such is there.
@@ -139,7 +128,7 @@ def _jumps(lengths: Float32[np.ndarray, "steps joints"], fps: float) -> Int64[np
     excess[2:-2] -= np.maximum(lengths[:-4], lengths[4:])
     excess[:2] -= lengths[2:4]
     excess[-2:] -= lengths[-4:-2]
-    return np.flatnonzero(excess.max(axis=1) * fps > jump_speed(fps))
+    return np.flatnonzero(excess.max(axis=1) * fps > min(MAX_JUMP_SPEED, 2.0 * JUMP_ACCELERATION / fps))
 
 
 def _runs(
@@ -460,19 +449,15 @@ def _rate_of_held(moved: Float[np.ndarray, "steps"], fps: float) -> float | None
 
 
 @lru_cache(maxsize=64)
-def _captured_rates(fps: float) -> tuple[float, ...]:
-    # Whole fractions of the file's rate, and the rates at which cameras run that are none of these.
+def _pulsing_rates(fps: float) -> tuple[tuple[float, ...], Float64[np.ndarray, "rates"]]:
+    # Whole fractions of the file's rate, and the rates at which cameras run that are none of these: those whose pulse
+    # can be seen, and its frequency in cycles a frame.
     fractions = [fps / factor for factor in range(2, 9)]
     others = (float(rate) for rate in COMMON_FPS if rate.denominator < 1001)
     rates = [*fractions, *(rate for rate in others if min(abs(rate - each) for each in fractions) > 0.005 * rate)]
-    return tuple(rate for rate in rates if MIN_CAPTURED_FPS <= rate <= MAX_CAPTURED_SHARE * fps)
-
-
-@lru_cache(maxsize=64)
-def _pulsing_rates(fps: float) -> tuple[tuple[float, ...], Float64[np.ndarray, "rates"]]:
-    # Those of the rates whose pulse can be seen, and its frequency in cycles a frame.
-    rates = tuple(rate for rate in _captured_rates(fps) if min(rate % fps, -rate % fps) >= MIN_PULSE_HERTZ)
-    return rates, np.array([min(rate % fps, -rate % fps) / fps for rate in rates])
+    hertz = {rate: min(rate % fps, -rate % fps) for rate in rates if rate >= MIN_CAPTURED_FPS}
+    seen = tuple(r for r in hertz if r <= MAX_CAPTURED_SHARE * fps and hertz[r] >= MIN_PULSE_HERTZ)
+    return seen, np.array([hertz[rate] / fps for rate in seen])
 
 
 def _log_energy(difference: Float32[np.ndarray, "rows values"], fps: float) -> Float64[np.ndarray, "rows"]:
@@ -495,14 +480,9 @@ def _pulses(size: Float64[np.ndarray, "rows"], order: int, fps: float) -> list[t
     rates, frequencies = _pulsing_rates(fps)
     spread = 1.5 * middle(np.abs(size)) + 1e-9
     size = np.minimum(np.maximum(size, -4.0 * spread), 4.0 * spread)
-    power = np.abs(np.fft.rfft(size * _window(len(size)))) ** 2
+    power = np.abs(np.fft.rfft(size * np.hanning(len(size)))) ** 2
     chosen = np.flatnonzero(_prominence(power, frequencies * len(size)) > MIN_PROMINENCE)
     return [(max(explained(size, knot, rates[i], fps) for knot in KNOTS[order]), rates[i]) for i in chosen.tolist()]
-
-
-@lru_cache(maxsize=8)
-def _window(num_rows: int) -> Float64[np.ndarray, "rows"]:
-    return np.hanning(num_rows)
 
 
 def _prominence(

@@ -15,7 +15,7 @@ import numpy as np
 
 from motionkit.core import kinematics
 from motionkit.core.errors import UsageError
-from motionkit.core.mirror import FLIP, TURN_BACK
+from motionkit.core.mirror import FLIP, TURN_BACK, exchanged
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
@@ -133,9 +133,7 @@ def mirrored(
     vectors: Float[np.ndarray, "*poses numbers"], skeleton: Skeleton = SMPL22
 ) -> Float32[np.ndarray, "*poses numbers"]:
     """The mirrored poses: x negated, left and right joints exchanged."""
-    partners = np.arange(skeleton.num_joints)
-    for left, right in skeleton.left_right_pairs:
-        partners[left], partners[right] = right, left
+    partners = exchanged(skeleton.num_joints, skeleton.left_right_pairs)
     result = vectors.astype(np.float32)
     columns = result[..., 3:].reshape(*result.shape[:-1], skeleton.num_joints, 6)
     result[..., 3:] = (columns[..., partners, :] * _FLIPPED_COLUMNS).reshape(result[..., 3:].shape)
@@ -181,9 +179,7 @@ class RotationVectors:
 
     def mirror(self, values: Float32[np.ndarray, "*frames row"]) -> Float32[np.ndarray, "*frames row"]:
         """x negated, left and right joints exchanged, rotations mirrored."""
-        partners = np.arange(self.skeleton.num_joints)
-        for left, right in self.skeleton.left_right_pairs:
-            partners[left], partners[right] = right, left
+        partners = exchanged(self.skeleton.num_joints, self.skeleton.left_right_pairs)
         rotations = _quaternions(values)[..., partners, :] * TURN_BACK
         return np.concatenate((values[..., :3] * FLIP, rotations.reshape(values[..., 3:].shape)), axis=-1)
 

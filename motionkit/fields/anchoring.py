@@ -22,6 +22,7 @@ from motionkit.fields.motion_field import (
     Observation,
     Poses,
     Times,
+    at_fps,
     check_times,
 )
 
@@ -88,7 +89,7 @@ def anchored(field: MotionField, observation: Observation) -> DerivedField:
             return _with_offsets(poses, steps, skeleton)
         return Poses((poses.joint_positions + steps.reshape(poses.joint_positions.shape)).astype(np.float32))
 
-    return DerivedField(field, corrected, lambda other: anchored(other, observation))
+    return DerivedField(field, corrected, lambda fps: anchored(at_fps(field, fps), observation))
 
 
 def _missed(poses: Poses, given: Poses, skeleton: Skeleton) -> Float64[np.ndarray, "frames numbers"]:

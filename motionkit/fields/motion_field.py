@@ -264,13 +264,13 @@ def contacts_of(field: MotionField, times_seconds: Times) -> Float32[np.ndarray,
 class DerivedField:
     """A `MotionField` whose poses are computed from another one's, on the same domain.
 
-    `compute` gives the poses at some times. `derive` derives the same from the other field at another framerate.
-    Predicted contacts are the other field's.
+    `compute` gives the poses at some times. `derive` derives the same for a framerate. Predicted contacts are the other
+    field's.
     """
 
     field: MotionField
     compute: Callable[[Times], Poses]
-    derive: Callable[[MotionField], MotionField]
+    derive: Callable[[Fraction], MotionField]
 
     @property
     def skeleton(self) -> Skeleton:
@@ -289,7 +289,7 @@ class DerivedField:
 
     def at_fps(self, fps: Fraction) -> MotionField:
         """Derived from the other field at this framerate."""
-        return self.derive(at_fps(self.field, fps))
+        return self.derive(fps)
 
     def query(self, times_seconds: Times) -> Poses:
         """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""

@@ -7,7 +7,6 @@ are unchanged.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.interpolation import INTERPOLATORS, Settling
 from motionkit.fields.joints import Joints
-from motionkit.fields.motion_field import DerivedField, MotionField, Observation, Poses, Times
+from motionkit.fields.motion_field import DerivedField, MotionField, Observation, Poses, Times, at_fps
 
 _FRAMES_TO_ESTIMATE_FROM = 500
 _MOVING_METRES, _TURNING = 1e-4, 1e-6
@@ -60,17 +59,12 @@ class Rig:
 
     def carried(self, joint: int) -> tuple[int, ...]:
         """The joints fixed in a joint's frame: its children, and theirs if a child never rotates."""
-        return _carried(self, joint)
-
-
-@lru_cache(maxsize=4096)
-def _carried(rig: Rig, joint: int) -> tuple[int, ...]:
-    carried_joints, left = [], [joint]
-    while left:
-        children = [child for child in rig.skeleton.children(left.pop()) if child not in rig.moving]
-        carried_joints += children
-        left += [child for child in children if child in rig.still]
-    return tuple(carried_joints)
+        carried_joints, left = [], [joint]
+        while left:
+            children = [child for child in self.skeleton.children(left.pop()) if child not in self.moving]
+            carried_joints += children
+            left += [child for child in children if child in self.still]
+        return tuple(carried_joints)
 
 
 def on_bones(field: MotionField, observation: Observation) -> MotionField:
@@ -96,7 +90,7 @@ def on_bones(field: MotionField, observation: Observation) -> MotionField:
             translation = poses.root_translation + positions[:, 0] - poses.joint_positions[:, 0]
         return Poses(positions, rotations, translation)
 
-    return DerivedField(field, on_rig, lambda other: on_bones(other, observation))
+    return DerivedField(field, on_rig, lambda fps: on_bones(at_fps(field, fps), observation))
 
 
 def _pointed(

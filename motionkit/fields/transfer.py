@@ -7,9 +7,11 @@ the same displacement. Bones keep their length; joints without a counterpart (fi
 local rotations; where the model agrees with the interpolator, nothing changes.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
+from types import MappingProxyType
 
 import numpy as np
 
@@ -21,7 +23,16 @@ from motionkit.core.skeletons.mapping import joint_map, map_joints
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.joints import Joints, with_rotations
-from motionkit.fields.motion_field import MotionEncoder, MotionField, Observation, Poses, Times, at_fps, query_in_blocks
+from motionkit.fields.motion_field import (
+    DerivedField,
+    MotionEncoder,
+    MotionField,
+    Observation,
+    Poses,
+    Times,
+    at_fps,
+    query_in_blocks,
+)
 from motionkit.fields.rig import Rig
 
 _SMALLEST_WEIGHT = 0.5
@@ -47,26 +58,25 @@ class Transferred:
 
     def encode(
         self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
-    ) -> "TransferredField":
+    ) -> DerivedField:
         """The source skeleton's field; raises `SkeletonMapError` for an unknown skeleton, and the encoder's errors."""
-        skeleton = observation.skeleton
-        counterparts = counterpart_joints(skeleton)
+        counterparts = counterpart_joints(observation.skeleton)
         own = with_rotations(observation)
         canonical = canonical_observation(observation)
         reach = {"before_seconds": before_seconds, "after_seconds": after_seconds}
-        return TransferredField(
+        return _Correction(
             own=self.interpolator.encode(own, **reach),
             model=self.encoder.encode(canonical, **reach),
             base=self.interpolator.encode(canonical, **reach),
             counterparts=counterparts,
             moved_joint=_moved_joint(own, counterparts[_PELVIS]),
             like=observation.poses.rows(slice(0, 0)),
-        )
+        ).field()
 
 
 @dataclass(frozen=True, eq=False)
-class TransferredField:
-    """The source skeleton's interpolated field, corrected by the difference of `model` and `base` in 22 joints.
+class _Correction:
+    """Corrects the source skeleton's interpolated poses by the difference of `model` and `base` in 22 joints.
 
     `counterparts` maps joints of the 22 to source ones; `moved_joint` is the source joint that carries the body's path.
     `like` is an observation without poses, the template of the output.
@@ -75,36 +85,20 @@ class TransferredField:
     own: MotionField
     model: MotionField
     base: MotionField
-    counterparts: dict[int, int]
+    counterparts: Mapping[int, int]
     moved_joint: int
     like: Poses
 
-    @property
-    def skeleton(self) -> Skeleton:
-        """The source skeleton."""
-        return self.own.skeleton
-
-    @property
-    def start_seconds(self) -> float:
-        """Same as the source field's."""
-        return self.own.start_seconds
-
-    @property
-    def end_seconds(self) -> float:
-        """Same as the source field's."""
-        return self.own.end_seconds
-
-    def at_fps(self, fps: Fraction) -> "TransferredField":
-        """The field with the model sampled at this framerate."""
-        return TransferredField(
-            self.own, at_fps(self.model, fps), self.base, self.counterparts, self.moved_joint, self.like
+    def field(self) -> DerivedField:
+        """The corrected field; at another framerate the model is sampled at that."""
+        return DerivedField(
+            self.own,
+            lambda times: query_in_blocks(self.poses, times),
+            lambda fps: replace(self, model=at_fps(self.model, fps)).field(),
         )
 
-    def query(self, times_seconds: Times) -> Poses:
-        """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
-        return query_in_blocks(self._poses, times_seconds)
-
-    def _poses(self, times: Times) -> Poses:
+    def poses(self, times: Times) -> Poses:
+        """The corrected poses at some times."""
         own, model, base = (field.query(times) for field in (self.own, self.model, self.base))
         skeleton = self.own.skeleton
         joints = Joints.of(own, skeleton)
@@ -137,18 +131,14 @@ class TransferredField:
         return Poses(positions.astype(np.float32), rotations, translation)
 
 
-def counterpart_joints(skeleton: Skeleton) -> dict[int, int]:
+@lru_cache(maxsize=64)
+def counterpart_joints(skeleton: Skeleton) -> Mapping[int, int]:
     """Source joints that correspond to joints of the 22, by the layout's index; raises `SkeletonMapError`.
 
     A joint of the layout maps to its farthest source from the root, among those of weight 0.5 or more. If several
     share a source, the last one of the spine gets it, as the arms are attached there, else the one with the largest
     weight. The pelvis is where the legs meet.
     """
-    return dict(_counterparts(skeleton))
-
-
-@lru_cache(maxsize=64)
-def _counterparts(skeleton: Skeleton) -> tuple[tuple[int, int], ...]:
     weights = joint_map(skeleton, SMPL22.name).weights
     wanting: dict[int, list[int]] = {}
     for joint in range(SMPL22.num_joints):
@@ -162,7 +152,7 @@ def _counterparts(skeleton: Skeleton) -> tuple[tuple[int, int], ...]:
     hips = [_path_to_root(skeleton, counterparts[hip]) for hip in (_LEFT_HIP, _RIGHT_HIP) if hip in counterparts]
     pelvis = next((joint for joint in hips[0] if all(joint in above for above in hips)), 0) if hips else 0
     counterparts = {joint: source for joint, source in counterparts.items() if source != pelvis}
-    return tuple(sorted({**counterparts, _PELVIS: pelvis}.items()))
+    return MappingProxyType(dict(sorted({**counterparts, _PELVIS: pelvis}.items())))
 
 
 def canonical_observation(observation: Observation) -> Observation:

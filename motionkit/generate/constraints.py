@@ -186,8 +186,7 @@ def followed(motion: MotionField, constraint: Constraint) -> Followed:
     turned = heading_of(joints, SMPL22_LAYOUT.facing) - constraint.heading
     degrees = np.abs(np.degrees(np.arctan2(np.sin(turned), np.cos(turned))))
     faces = None if np.isnan(degrees).all() else float(np.nanmean(degrees))
-    if not len(distances):
-        return Followed(constraint.kind, constraint.name, 0.0, 0.0, faces)
+    distances = distances if len(distances) else np.zeros(1)
     return Followed(constraint.kind, constraint.name, float(distances.mean()), float(distances.max()), faces)
 
 

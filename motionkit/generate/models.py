@@ -131,42 +131,35 @@ def installed_models() -> dict[str, ModelLoader]:
     return installed_loaders("MODELS")
 
 
-def model_loader(name: str) -> ModelLoader:
-    """The loader of a model; raises `UsageError` that lists the known ones."""
+def load_model(name: str, run: Path) -> GenerativeModel:
+    """Load an installed model by its name, from a run folder; raises `UsageError` that lists the known names."""
     if name not in (known := plugins.names("MODELS")):
         raise UsageError(f"no model is called {name!r}; installed models: {', '.join(known) or 'none'}")
-    return loader_named("MODELS", name)
-
-
-def load_model(name: str, run: Path) -> GenerativeModel:
-    """Load an installed model by its name, from a run folder."""
-    return model_loader(name).load(run)
+    return loader_named("MODELS", name).load(run)
 
 
 def model_of(run: Path) -> str:
     """The name of the installed model in a run; if a single one is installed, its name whatever the run holds.
 
-    Raises `UsageError` if the run holds none of several models (listing runs that do), or more than one.
+    Raises `UsageError` if the run holds none of several models, or more than one.
     """
     installed = installed_models()
+    if not installed:
+        raise UsageError("no model is installed")
     if len(installed) == 1:
         return next(iter(installed))
     trained = [name for name, loader in installed.items() if loader.begun_in(run)]
-    if len(trained) == 1:
-        return trained[0]
-    if trained:
+    if len(trained) > 1:
         raise UsageError(
             f"{run} holds several models, {' and '.join(trained)}: name one of them (--model {trained[0]})"
         )
-    if not installed:
-        raise UsageError("no model is installed")
-    first = next(iter(installed.values()))
-    beside = [each for each in run.parent.iterdir() if each.is_dir()] if run.parent.is_dir() else []
-    others = sorted(each.name for each in beside if any(model.begun_in(each) for model in installed.values()))
-    there = f"; there are {', '.join(others)} (--run {others[0]})" if others else ""
-    none = f"{run} holds none of the installed models ({', '.join(installed)})"
-    lacking = none if run.is_dir() else f"there is no run {run}"
-    raise UsageError(f"{lacking}: {first.train_command(run)} trains {first.title}{there}")
+    if not trained:
+        first = next(iter(installed.values()))
+        raise UsageError(
+            f"{run} holds none of the installed models ({', '.join(installed)}): {first.train_command(run)} trains "
+            f"{first.title}"
+        )
+    return trained[0]
 
 
 def warn_above_training(model: GenerativeModel, fps: Fraction) -> None:

@@ -21,15 +21,20 @@ from motionkit.generate.output import motion_name, plant_generated, sample_motio
 Several = list[str] | tuple[str, ...]
 
 
-class Options(TypedDict, total=False):
-    """Common parameters of `generate`'s overloads."""
+class Drawn(TypedDict, total=False):
+    """What motions follow from, besides their texts."""
 
     action: str | None
-    fps: Framerate | None
     seconds: int | float | None
     seed: int
     sampling: SamplingOptions | None
     plant: bool
+
+
+class Options(Drawn, total=False):
+    """Common parameters of `generate`'s overloads."""
+
+    fps: Framerate | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +110,7 @@ class MotionModel:
         """
         rate = self.max_training_fps if fps is None else parse_fps(fps)
         warn_above_training(self.model, rate)
-        drawn = self._drawn(text, action, seconds, n, seed, sampling, plant)
+        drawn = self._drawn(text, n, action, seconds, seed, sampling, plant)
         motions = [
             sample_motion(field, motion_name(number, script), script, rate).logged(
                 f"generate motion {number} of seed {seed} at {rate} fps ({self.name}, {self.run})"
@@ -114,34 +119,24 @@ class MotionModel:
         ]
         return motions[0] if n is None and not isinstance(text, list | tuple) else motions
 
-    def fields(
-        self,
-        text: str | Several | None = None,
-        *,
-        action: str | None = None,
-        seconds: int | float | None = None,
-        n: int = 1,
-        seed: int = 0,
-        sampling: SamplingOptions | None = None,
-        plant: bool = True,
-    ) -> list[MotionField]:
+    def fields(self, text: str | Several | None = None, *, n: int = 1, **options: Unpack[Drawn]) -> list[MotionField]:
         """The same motions as functions of time, for poses at any instants (docs/motion-fields.md).
 
         >>> [field] = mk.load_model("runs/nano").fields("a person walks", seconds=2)
         >>> field.query(np.array([0.5, 1.25])).joint_positions.shape
         (2, 22, 3)
         """
-        return [field for _, field in self._drawn(text, action, seconds, n, seed, sampling, plant)]
+        return [field for _, field in self._drawn(text, n, **options)]
 
     def _drawn(
         self,
         text: str | Several | None,
-        action: str | None,
-        seconds: int | float | None,
         n: int | None,
-        seed: int,
-        sampling: SamplingOptions | None,
-        plant: bool,
+        action: str | None = None,
+        seconds: int | float | None = None,
+        seed: int = 0,
+        sampling: SamplingOptions | None = None,
+        plant: bool = True,
     ) -> list[tuple[Script, MotionField]]:
         """The scripts of a call with their motions; all are checked before the first is generated."""
         texts = [text or ""] if text is None or isinstance(text, str) else text

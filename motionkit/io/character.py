@@ -38,7 +38,7 @@ class Character:
         if not plant:
             return retargeted
         grid = retargeted.timegrid
-        poses = planted_frames(Observation.of(retargeted), grid).query(grid.seconds())
+        poses = planted_frames(Observation.of(retargeted), grid)(grid.seconds())
         planted = poses.at(grid, self.skeleton, retargeted.provenance)
         return planted.annotated_like(retargeted).logged("planted")
 

@@ -23,7 +23,6 @@ LOOK = (
     ("validate", *STORE),
     ("info", *STORE),
     ("info", "--quality", *STORE),
-    ("info", "--skeletons", "--json", *STORE),
     ("query", "SELECT * FROM sequences", *STORE),
     ("query", "SELECT sequence_id, source FROM sequences", "--json", *STORE),
     ("view", "--where", "true", *STORE),

@@ -1,7 +1,5 @@
 """`motionkit info`, `validate`, `query` as a person sees them."""
 
-import csv
-import io
 import json
 
 import pytest
@@ -56,9 +54,6 @@ def test_query(motionkit, store):
     assert "0.133333" in as_table.stdout
     as_json = json.loads(motionkit("query", sql, "--store", store, "--json").stdout)
     assert as_json[1] == {"sequence_id": "takes/beta", "seconds": pytest.approx(5 / 30), "split": "test"}
-    rows = list(csv.reader(io.StringIO(motionkit("query", sql, "--store", store, "--csv").stdout)))
-    assert rows[0] == ["sequence_id", "seconds", "split"]
-    assert rows[1][0] == "takes/alpha"
 
 
 def test_query_over_frames_and_skeletons(motionkit, store):
@@ -99,10 +94,6 @@ def test_queries_that_fail_or_reach_out(motionkit, store, tmp_path, monkeypatch,
     assert outcome.code == 2
     assert outcome.stderr.startswith("motionkit: ")
     assert sorted(tmp_path.rglob("*")) == before
-
-
-def test_json_and_csv_exclude_each_other(motionkit, store):
-    assert motionkit("query", "FROM sequences", "--store", store, "--json", "--csv").code == 2
 
 
 def test_validate(motionkit, store):

@@ -168,7 +168,7 @@ def test_a_format_of_one_file_is_read_ingested_and_exported(site: Path) -> None:
     assert ingested.returncode == 0, ingested.stderr
     exported = python(site, APP, "export", "out", "--format", "xyz", "--store", "xyz-store", "--json")
     assert exported.returncode == 0, exported.stderr
-    assert json.loads(exported.stdout)["sequences"] == 2
+    assert json.loads(exported.stdout)["num_sequences"] == 2
     rows = [np.loadtxt(each, skiprows=1) for each in (take, site / "beside" / "out" / "in" / "take.xyz")]
     np.testing.assert_allclose(rows[0], rows[1], atol=2e-6)
     (site / "beside" / "in" / "broken.xyz").write_text("fps 30\n1 2 3\n")

@@ -132,21 +132,6 @@ def test_lengths_are_drawn_from_the_data(trained: Path) -> None:
     assert {motion["fps"] for motion in motions} == {"60"}
 
 
-def test_the_same_motion_moves_little_between_framerates(trained: Path) -> None:
-    places = ("--runs", str(trained / "runs"), "--out", str(trained / "shift"))
-    report = json.loads(command("generate", "a person walks", "--seconds", "2", "--fps", "30", *places, "--json"))
-    shift = report["framerate_shift_of_first"]
-    model = load_model("nerm", trained / "runs" / "nano")
-    [field] = model.generate([GenerationRequest(2.0, text="a person walks")], seed=0)
-    found = [
-        field.at_fps(Fraction(fps)).query(np.arange(21) / 10).joint_positions.astype(np.float64)
-        for fps in (20, 30, 60, 120)
-    ]
-    largest = max(float(np.linalg.norm(a - b, axis=-1).max()) for a in found for b in found)
-    assert 0 < shift["mean_mm"] < shift["max_mm"] == pytest.approx(1000 * largest, rel=1e-6)
-    assert (shift["rates"], shift["instants"]) == (["20", "30", "60", "120"], 21)
-
-
 def test_a_long_motion_of_several_texts_is_one_at_every_framerate(trained: Path) -> None:
     call = ("a person walks", "a person jumps", "--seconds", "14", "--join", "--seed", "2", "--no-plant")
     [slow] = generate(trained, "long-slow", *call, "--fps", "30")

@@ -143,10 +143,7 @@ def test_what_is_missing_is_counted_by_dataset(motionkit, amass, humanml3d, tmp_
     assert asked in outcome.stderr
     again = motionkit(*arguments)
     assert "already there: 5" in again.stdout
-    table = again.stdout.splitlines()[-8:]
-    assert table[0] == "dataset               found  missing  failed"
-    assert table[1] == "KIT                       3        0       2"
-    assert table[-1] == "all                       7        2       2"
+    assert "KIT: 3 found, 0 missing, 2 failed" in again.stdout.splitlines()
     stopped = motionkit(*arguments, "--on-error", "stop", "--overwrite")
     assert stopped.code == 1
 
@@ -264,10 +261,9 @@ def test_kit_and_babel_in_one_store(motionkit, amass, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--texts", "."), "--texts is about an index"),
-        (("--mirrored",), "--mirrored is about an index"),
-        (("--compat", "humanml3d-20fps"), "--compat is about an index"),
-        (("--index", "index.csv", "--captions", "x.csv"), "--captions describes whole files"),
+        (("--texts", "."), "give one with --index"),
+        (("--compat", "humanml3d-20fps"), "give one with --index"),
+        (("--index", "index.csv", "--captions", "x.csv"), "are about whole files"),
         (("--index", "index.csv", "--texts", "nowhere"), "is not a folder of texts"),
         (("--index", "index.csv", "--splits", "texts"), "has none of train.txt"),
         (("--index", "kitml.json", "--compat", "humanml3d-20fps"), "only HumanML3D's index.csv has frames at 20 fps"),

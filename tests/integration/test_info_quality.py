@@ -71,14 +71,5 @@ def test_a_condition_narrows_it(motionkit, store):
 
 def test_options_that_make_no_sense_are_refused(motionkit, store):
     assert motionkit("info", "--store", store, "--where", "fps = 120").code == 2
-    assert motionkit("info", "--store", store, "--skeleton").code == 2
+    assert motionkit("info", "--store", store, "--up", "y").code == 2
     assert motionkit("info", "--store", store, "--quality", "--where", "bad sql").code == 2
-
-
-def test_a_store_as_a_page(motionkit, takes, tmp_path):
-    store, page = tmp_path / "store", tmp_path / "card.html"
-    motionkit("ingest", takes, "--store", store, "--workers", 1)
-    outcome = motionkit("info", "--store", store, "--html", page)
-    assert (outcome.code, outcome.stdout) == (0, f"{page}\n")
-    assert "3 sequences" in page.read_text()
-    assert motionkit("info", "--store", store, "--html", page, "--json").code == 2

@@ -54,14 +54,6 @@ def test_an_interrupted_command_says_so(
     assert (outcome.code, outcome.stdout, outcome.stderr) == (130, "", STOPPED)
 
 
-def test_one_that_can_go_on_says_how(
-    motionkit: Callable[..., Outcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("motionkit.store.commit.read_manifest", interrupted)
-    outcome = motionkit("train", "--store", tmp_path)
-    assert (outcome.code, outcome.stdout, outcome.stderr) == (130, "", "motionkit: stopped: --resume goes on\n")
-
-
 @pytest.mark.parametrize("raised", [KeyboardInterrupt, RuntimeError, MotionkitError, UsageError])
 def test_so_does_one_that_is_being_loaded(
     raised: type[BaseException], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

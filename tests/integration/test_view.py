@@ -235,7 +235,6 @@ def test_open_hands_the_page_to_the_browser(motionkit: Run, motion: Motion, monk
         (["walk.npz", "--fps", "0"], 2, "--fps 0"),
         (["walk.npz", "--unit-metres", "0"], 2, "positive number, not 0"),
         (["walk.npz", "--unit-metres", "-1"], 2, "positive number, not -1"),
-        (["walk.npz", "--format", "fbx"], 2, "'fbx'"),
         (["joints.npy"], 1, "framerate"),
         (["."], 1, "framerate"),
         (["notes.md"], 1, "of no known format"),

@@ -1,7 +1,6 @@
 """Motion with planted feet: a motion field that wraps another, and the same for a motion's own frames."""
 
 from dataclasses import dataclass, replace
-from fractions import Fraction
 
 import numpy as np
 
@@ -16,12 +15,12 @@ from motionkit.fields.contact.legs import BentLeg, Leg, Legs, bend, legs_of, tur
 from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.joints import turned_rotations
 from motionkit.fields.motion_field import (
+    DerivedField,
     MotionField,
     Observation,
     Poses,
     Times,
     at_fps,
-    check_times,
     contacts_of,
     query_in_blocks,
 )
@@ -34,11 +33,11 @@ PROBABLY = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class PlantedField:
-    """Wraps a `MotionField`: its poses with planted feet and constant bone lengths.
+class Planting:
+    """The poses of a field with planted feet and constant bone lengths, at any times in any order.
 
-    The correction is computed once, on a 120 Hz grid of the wrapped field, and is a function of time with continuous
-    velocity: it can be sampled at any times in any order, and every second frame at 60 fps is a frame at 30.
+    The correction is computed once, on a 120 Hz grid of the field, and is a function of time with continuous velocity:
+    every second frame at 60 fps is a frame at 30.
     """
 
     field: MotionField
@@ -46,38 +45,22 @@ class PlantedField:
     bones: Bones | None
     correction: Correction
 
-    @property
-    def skeleton(self) -> Skeleton:
-        """Same as the wrapped field's."""
-        return self.field.skeleton
-
-    @property
-    def start_seconds(self) -> float:
-        """Same as the wrapped field's."""
-        return self.field.start_seconds
-
-    @property
-    def end_seconds(self) -> float:
-        """Same as the wrapped field's."""
-        return self.field.end_seconds
-
-    def at_fps(self, fps: Fraction) -> "PlantedField":
-        """The field for this framerate with the same correction: contacts don't depend on the framerate."""
-        return replace(self, field=at_fps(self.field, fps))
-
-    def query(self, times_seconds: Times) -> Poses:
-        """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
-        check_times(self, times_seconds)
+    def __call__(self, times_seconds: Times) -> Poses:
+        """The poses at some times inside the field's domain."""
         return query_in_blocks(self._poses, times_seconds)
 
     def _poses(self, times: Times) -> Poses:
         poses = self.field.query(times)
         if self.bones is not None:
             poses = Poses(self.bones.applied(poses.joint_positions), None, poses.root_translation)
-        return with_offsets(poses, self.correction.at(times), self.legs, self.skeleton)
+        return with_offsets(poses, self.correction.at(times), self.legs, self.field.skeleton)
+
+    def derived(self) -> DerivedField:
+        """The planted field; contacts don't depend on the framerate, so the correction is that of every one."""
+        return DerivedField(self.field, self, lambda fps: replace(self, field=at_fps(self.field, fps)).derived())
 
 
-def planted(field: MotionField, path: Path = "near") -> PlantedField:
+def planted(field: MotionField, path: Path = "near") -> DerivedField:
     """A field with planted feet; positions without rotations are projected onto constant bone lengths first.
 
     With a `free` path the body goes where its planted feet carry it, and may end elsewhere: for generated motion.
@@ -90,23 +73,21 @@ def planted(field: MotionField, path: Path = "near") -> PlantedField:
     times = np.minimum(field.start_seconds + np.arange(count) / fps, field.end_seconds)
     probability = contacts_of(field, times)
     predicted = None if probability is None else np.asarray(probability > PROBABLY)
-    return _planted(field, field.query(times), fps, path, predicted)
+    return _planting(field, field.query(times), fps, path, predicted).derived()
 
 
-def planted_frames(observation: Observation, frames: TimeGrid, path: Path = "near") -> PlantedField:
+def planted_frames(observation: Observation, frames: TimeGrid, path: Path = "near") -> Planting:
     """A motion's frames with planted feet, defined at the frames' own times only.
 
     At very high framerates only every second frame, or third, is used for detection.
     """
     step = max(1, round(float(frames.fps) / GRID_FPS))
     field = INTERPOLATORS["hold"].encode(observation)
-    return _planted(field, observation.poses.rows(slice(None, None, step)), float(frames.fps / step), path)
+    return _planting(field, observation.poses.rows(slice(None, None, step)), float(frames.fps / step), path)
 
 
-def _planted(
-    field: MotionField, poses: Poses, fps: float, path: Path, predicted: EndMask | None = None
-) -> PlantedField:
-    """A field planted by its poses at the samples of a grid."""
+def _planting(field: MotionField, poses: Poses, fps: float, path: Path, predicted: EndMask | None = None) -> Planting:
+    """The planting of a field by its poses at the samples of a grid."""
     legs, bones, positions = legs_of(field.skeleton), None, poses.joint_positions
     if poses.local_rotations is None:
         some = np.unique(np.linspace(0, len(positions) - 1, min(len(positions), BONE_SAMPLES)).astype(np.int64))
@@ -114,7 +95,7 @@ def _planted(
         if bones is not None:
             positions = bones.applied(positions, legs.feet)
     paths = legs.foot_paths(positions).astype(np.float64)
-    return PlantedField(field, legs, bones, find_correction(paths, field.start_seconds, fps, path, predicted))
+    return Planting(field, legs, bones, find_correction(paths, field.start_seconds, fps, path, predicted))
 
 
 def with_offsets(poses: Poses, offsets: Float64[np.ndarray, "times 3 3"], legs: Legs, skeleton: Skeleton) -> Poses:

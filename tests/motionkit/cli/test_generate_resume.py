@@ -1,8 +1,6 @@
 """`motionkit generate --resume`, `--overwrite`: stopped, killed and full folders."""
 
 import json
-import resource
-from pathlib import Path
 
 import pytest
 
@@ -68,38 +66,6 @@ def test_killed_before_any_file_operation_a_call_goes_on_to_the_same_files(file_
     assert killed > 15
 
 
-@pytest.mark.parametrize("file_format", ["npz", "humanml3d"])
-def test_killed_before_any_file_operation_an_overwrite_leaves_nothing_of_the_former_call(
-    file_format, run_command, tmp_path
-):
-    call = ("a hop", "--seconds", "1", "--fps", "5", "--format", "bvh", "--overwrite", "--out")
-    run_command(*call, "whole")
-    expected = contents(tmp_path / "whole")
-    killed = 0
-    for step in range(200):
-        out = tmp_path / str(step)
-        run_command("a walk", "a jump", "--seconds", "1", "--fps", "5", "--format", file_format, "--out", str(out))
-        (out / "motions.csv").unlink()  # as if the former call had been killed
-        if not killed_before(step, out, lambda out=out: run_command(*call, str(out))):
-            break
-        killed += 1
-        run_command(*call, str(out))
-        assert contents(out) == expected, step
-    assert killed > 10
-
-
-def test_a_motion_that_is_missing_is_made_again(run_command, tmp_path):
-    call = ("a walk", "a jump", "a hop", "--seconds", "1", "--fps", "5", "--out", "made", "--resume")
-    run_command(*call)
-    jump, table = tmp_path / "made" / "0001-a-jump.npz", tmp_path / "made" / "motions.csv"
-    expected = contents(tmp_path / "made")
-    jump.unlink()
-    table.unlink()
-    report = json.loads(run_command(*call, "--json").stdout)
-    assert (report["already_there"], [Path(each["file"]).name for each in report["motions"]]) == (2, [jump.name])
-    assert contents(tmp_path / "made") == expected
-
-
 def test_a_damaged_request_is_refused(run_command, tmp_path):
     call = ("a walk", "--seconds", "1", "--fps", "5", "--out", "made")
     run_command(*call)
@@ -111,17 +77,6 @@ def test_a_damaged_request_is_refused(run_command, tmp_path):
         with pytest.raises(MotionkitError, match=r"generation\.json"):
             run_command(*call, "--overwrite")
         assert (tmp_path / "foreign.npz").read_text() == "mine"
-
-
-def test_a_full_disk_names_the_file(run_command, tmp_path):
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    for file_format, name in (("npz", "0000-a-walk.npz"), ("bvh", "0000-a-walk.bvh"), ("humanml3d", ".npy")):
-        resource.setrlimit(resource.RLIMIT_FSIZE, (2000, before[1]))
-        try:
-            with pytest.raises(OSError, match=name):
-                run_command("a walk", "--seconds", "4", "--format", file_format, "--out", file_format)
-        finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_nothing_is_overwritten_unasked(run_command, tmp_path):

@@ -13,7 +13,7 @@ from motionkit.core.skeletons.mapping import SkeletonMapError
 from motionkit.fields.contact import correction
 from motionkit.fields.contact.bones import Bones
 from motionkit.fields.contact.detection import find_contacts, ground_of
-from motionkit.fields.contact.planted import PlantedField, planted
+from motionkit.fields.contact.planted import planted
 from motionkit.fields.interpolation import interpolate
 from motionkit.fields.motion_field import MotionField, Poses, to_motion
 from tests.helpers.analytic import capture
@@ -32,7 +32,7 @@ def slid(motion: Motion, metres_a_second: float) -> Motion:
     return replace(motion, joint_positions=motion.joint_positions + step[:, None], root_translation=translation)
 
 
-def field_of(motion: Motion, path: correction.Path = "free") -> PlantedField:
+def field_of(motion: Motion, path: correction.Path = "free") -> MotionField:
     method = "cubic" if motion.local_rotations is None else "slerp"
     return planted(interpolate(motion, method), path)
 

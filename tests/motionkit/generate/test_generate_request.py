@@ -16,12 +16,10 @@ def test_one_text_a_line(tmp_path):
     assert prompts[1].where == f"{path}, line 3"
 
 
-def test_tables_and_objects_say_the_same(tmp_path):
+def test_a_table_of_texts_and_actions(tmp_path):
     (tmp_path / "p.csv").write_text('﻿text,seconds,action\n"up, then down",2.5,\n,,jump\n', encoding="utf-8")
-    (tmp_path / "p.jsonl").write_text('{"text": "up, then down", "seconds": 2.5}\n{"action": "jump"}\n')
-    for name in ("p.csv", "p.jsonl"):
-        found = [prompt.request for prompt in read_prompts(tmp_path / name)]
-        assert found == [GenerationRequest(2.5, text="up, then down"), GenerationRequest(None, action="jump")]
+    found = [prompt.request for prompt in read_prompts(tmp_path / "p.csv")]
+    assert found == [GenerationRequest(2.5, text="up, then down"), GenerationRequest(None, action="jump")]
 
 
 @pytest.mark.parametrize(
@@ -35,12 +33,8 @@ def test_tables_and_objects_say_the_same(tmp_path):
         ("p.csv", "text,seconds\na walk, slowly,2\n", "line 2: more fields than the header names"),
         ("p.csv", "text,action\na walk,walk\n", "line 2: give a text or an action, not both"),
         ("p.csv", "text,seconds\na walk,-1\n", "line 2: seconds is a positive number, not '-1'"),
+        ("p.csv", "text,seconds\na walk,soon\n", "line 2: seconds is a number, not 'soon'"),
         ("p.csv", 'text\n"a walk\n', "not a CSV table"),
-        ("p.jsonl", '{"text": "a walk"}\n{"text": }\n', "line 2: not JSON"),
-        ("p.jsonl", '["a walk"]\n', "line 1: expected an object"),
-        ("p.jsonl", f'{{"text": "a walk", "seconds": {"9" * 400}}}\n', "seconds is a positive number, not inf"),
-        ("p.jsonl", r'{"text": "\ud800"}', "line 1: not JSON .*half a character"),
-        ("p.jsonl", '{"text": 3}\n', "text and action are strings"),
     ],
 )
 def test_faults_are_named_with_their_line(tmp_path, name, text, message):

@@ -40,7 +40,6 @@ ANNOTATIONS = b"""{"000000": {"path": "KIT/3/a_poses", "duration": 4.1, "annotat
 PROMPTS = {
     "prompts.txt": b"a person walks\nsomeone jumps\n",
     "prompts.csv": b"text,action,seconds\na person walks,,2.5\n,wave,\n",
-    "prompts.jsonl": b'{"text": "a person walks", "seconds": 3}\n{"action": "wave"}\n',
 }
 
 
