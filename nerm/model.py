@@ -1,11 +1,9 @@
 """NeRM as a generative model: requests → conditions → latents (§3.2) → motion fields (§3.1)."""
 
-import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
-from itertools import combinations
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -16,7 +14,6 @@ from motionkit.core.errors import UsageError
 from motionkit.core.files import sha256_of
 from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import Skeleton
-from motionkit.core.timegrid import TimeGrid, num_frames_within
 from motionkit.fields.assembly import laid
 from motionkit.fields.contact.bones import Bones
 from motionkit.fields.motion_field import DerivedField, MotionField, Poses, at_fps
@@ -190,60 +187,6 @@ class NermModel:
                 if text:
                     rows[row] = embedded[text]
         return rows
-
-
-RATES = (Fraction(20), Fraction(30), Fraction(60), Fraction(120))
-
-
-@dataclass(frozen=True)
-class FramerateShift:
-    """Distances of joints between decodings at two framerates: mean and maximum over all pairs, instants and joints."""
-
-    rates: tuple[Fraction, ...]
-    mean_mm: float
-    max_mm: float
-    num_motions: int
-    num_instants: int
-
-    def plain(self) -> dict[str, object]:
-        """As values for JSON."""
-        return {
-            "rates": [str(rate) for rate in self.rates],
-            "mean_mm": self.mean_mm,
-            "max_mm": self.max_mm,
-            "motions": self.num_motions,
-            "instants": self.num_instants,
-        }
-
-
-def common_fps(rates: Sequence[Fraction]) -> Fraction:
-    """The framerate of the instants that all `rates` share: their greatest common divisor."""
-    denominator = math.lcm(*(rate.denominator for rate in rates))
-    return Fraction(math.gcd(*(int(rate * denominator) for rate in rates)), denominator)
-
-
-def framerate_shift(fields: Iterable[MotionField], rates: Sequence[Fraction] = RATES) -> FramerateShift:
-    """How far joints move between `rates`; 0 for a field that ignores the framerate.
-
-    Raises `ValueError` for fewer than two rates or no field.
-    """
-    if len(rates) < 2:
-        raise ValueError("a shift needs two framerates or more")
-    shared = common_fps(rates)
-    total, largest, count, num_motions, num_instants = 0.0, 0.0, 0, 0, 0
-    for field in fields:
-        num_frames = num_frames_within(field.end_seconds - field.start_seconds, shared)
-        seconds = np.minimum(TimeGrid(shared, num_frames, field.start_seconds).seconds(), field.end_seconds)
-        at_rates = [at_fps(field, rate) for rate in rates]
-        answers = [each.query(seconds).joint_positions.astype(np.float64) for each in at_rates]
-        for one, other in combinations(answers, 2):
-            distances = np.linalg.norm(one - other, axis=-1)
-            total, count = total + float(distances.sum()), count + distances.size
-            largest = max(largest, float(distances.max()))
-        num_motions, num_instants = num_motions + 1, num_instants + num_frames
-    if not num_motions:
-        raise ValueError("a shift needs a motion")
-    return FramerateShift(tuple(rates), 1000.0 * total / count, 1000.0 * largest, num_motions, num_instants)
 
 
 def load(run: Path) -> NermModel:

@@ -131,11 +131,16 @@ def installed_models() -> dict[str, ModelLoader]:
     return installed_loaders("MODELS")
 
 
-def load_model(name: str, run: Path) -> GenerativeModel:
-    """Load an installed model by its name, from a run folder; raises `UsageError` that lists the known names."""
+def model_loader(name: str) -> ModelLoader:
+    """The loader of a model; raises `UsageError` that lists the known ones."""
     if name not in (known := plugins.names("MODELS")):
         raise UsageError(f"no model is called {name!r}; installed models: {', '.join(known) or 'none'}")
-    return loader_named("MODELS", name).load(run)
+    return loader_named("MODELS", name)
+
+
+def load_model(name: str, run: Path) -> GenerativeModel:
+    """Load an installed model by its name, from a run folder."""
+    return model_loader(name).load(run)
 
 
 def model_of(run: Path) -> str:
