@@ -16,7 +16,7 @@ from motionkit.store.reader import Store
 from motionkit.training.text import TextEncoder, embed_texts
 from nerm.conditions import NO_ACTION, ConditionLayout, Conditions, unit_rows
 from nerm.latents import LocalLatents, first_read
-from nerm.text.paraphrases import with_paraphrases
+from nerm.paraphrases import with_paraphrases
 
 DROP, ACTION_SHARE = 0.1, 0.25
 

@@ -9,8 +9,8 @@ MODELS = {
 }
 ENCODERS = {"nerm": Loader("NeRM", ("field",), lazily("nerm.encoding:load"), tasks=("reconstruction",))}
 TEXT_ENCODERS = {
-    "minilm": "nerm.text.encoders:load_minilm",
-    "clip": "nerm.text.encoders:load_clip",
-    "transformers": "nerm.text.encoders:load_transformers",
+    "minilm": "nerm.text:load_minilm",
+    "clip": "nerm.text:load_clip",
+    "transformers": "nerm.text:load_transformers",
 }
 ABLATIONS = {"nerm": "nerm.ablations:NERM"}

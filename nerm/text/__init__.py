@@ -1,1 +1,0 @@
-"""Frozen text encoders from local weights, and their embeddings computed once."""
