@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -32,35 +31,11 @@ BONE_SAMPLES = 200
 NO_TEXTS = "this model was trained without texts: ask for an action, or for unconditional motions"
 
 
-@runtime_checkable
-class LatentField(Protocol):
-    """What generation needs from `nerm.field.trained.TrainedField`."""
-
-    @property
-    def skeleton(self) -> Skeleton:
-        """The skeleton of its motions."""
-        ...
-
-    @property
-    def max_duration_seconds(self) -> float:
-        """l_max."""
-        ...
-
-    @property
-    def max_training_fps(self) -> Fraction:
-        """Highest framerate of its training data."""
-        ...
-
-    def as_motion_field(self, latent: Float32[torch.Tensor, "latent"], duration_seconds: float) -> MotionField:
-        """One latent's motion on [0, duration]."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class NermModel:
     """A `motionkit.generate.models.GenerativeModel`: a trained field and a denoiser; `name` is its row in tables."""
 
-    field: LatentField
+    field: TrainedField
     denoiser: TrainedDenoiser
     name: str = "NeRM"
 
@@ -124,13 +99,12 @@ class NermModel:
             latents = self.denoiser.sample(conditions, seed=seed, sampling=sampling, first=first)
             return [self.field.as_motion_field(*drawn) for drawn in zip(latents, durations, strict=True)]
         # One by one, so that a motion doesn't depend on the batch.
-        assert isinstance(self.field, TrainedField)
-        made: list[MotionField] = []
+        motions: list[MotionField] = []
         for row, request in enumerate(requests):
             own = conditions.rows(slice(row, row + 1))
             if not request.constraints:
                 latent = self.denoiser.sample(own, seed=seed, sampling=sampling, first=first + row)[0]
-                made.append(self.field.as_motion_field(latent, durations[row]))
+                motions.append(self.field.as_motion_field(latent, durations[row]))
                 continue
             held = sample_constrained(
                 *(self.denoiser, self.field, own, request.constraints),
@@ -142,13 +116,13 @@ class NermModel:
             if held.bones is not None:
                 motion = _with_lengths(motion, held.bones.numpy())
             yaw, x, z = held.place.tolist()
-            made.append(laid(motion, yaw, (x, z)))
-        return made
+            motions.append(laid(motion, yaw, (x, z)))
+        return motions
 
     @property
     def constraint_kinds(self) -> frozenset[ConstraintKind]:
         """All kinds if the field's joints are a differentiable function of the latent at each instant; else none."""
-        return KINDS if isinstance(self.field, TrainedField) and self.field.has_joints else frozenset()
+        return KINDS if self.field.has_joints else frozenset()
 
     def check(self, request: GenerationRequest, sampling: SamplingOptions = SamplingOptions()) -> None:
         """Raise `UsageError` for a duration outside (0, l_max], an unknown action, a text if it was trained without

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from motionkit.core.errors import UsageError
-from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.core.skeleton import SMPL22
 from motionkit.fields.motion_field import Poses, check_times, to_motion
 from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions
 from motionkit.training.config import apply_overrides
@@ -18,6 +18,7 @@ from motionkit.training.loop import seeded_initialisation
 from motionkit.training.run import RunError
 from nerm.conditions import ConditionLayout
 from nerm.denoiser import TrainedDenoiser
+from nerm.field import TrainedField
 from nerm.latents import ALWAYS, LatentSpace
 from nerm.model import NermModel
 from nerm.network import Denoiser
@@ -48,12 +49,13 @@ class KnownMotion:
         return Poses(positions)
 
 
-@dataclass(frozen=True, eq=False)
-class KnownField:
-    latent_dimension: int = 4
-    max_duration_seconds: float = 8.0
-    max_training_fps: Fraction = Fraction(120)
-    skeleton: Skeleton = SMPL22
+class KnownField(TrainedField):
+    """A field whose latents are known motions."""
+
+    max_duration_seconds, max_training_fps, skeleton, has_joints = 8.0, Fraction(120), SMPL22, False
+
+    def __init__(self):
+        pass
 
     def as_motion_field(self, latent, duration_seconds):
         return KnownMotion(latent, duration_seconds)
