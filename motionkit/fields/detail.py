@@ -29,16 +29,17 @@ NUM_BANDS = len(EDGES_HZ) - 1
 BAND_REACH = 60
 ENVELOPE_REACH = 4
 
-SLOW_HZ, SLOW_REACH = 4.0, 45
-"""Band where generated motion matches captures; up to 6 Hz would predict no better (docs/results/detail.md)."""
+SLOW_HZ, SLOW_REACH = 6.0, 45
+"""Up to 8 Hz real motion would follow a little better, and generated motion get 1 dB less."""
 LOWEST_REACH = 120
 ENERGY_REACH = 36
-LAGS = (-10, -5, 0, 5, 10)
+LAGS = (-5, 0, 5)
 
 NUM_JOINTS = SMPL22.num_joints
 FEET = [7, 8, 10, 11]
 WATCHED = [*FEET, 0, 15, 20, 21]
-"""Feet, root, head and hands of the 22-joint layout: speed, vertical velocity and acceleration at five times."""
+"""Feet, root, head and hands of the 22-joint layout: speed, jerk, vertical velocity and acceleration at three times.
+"""
 ENERGETIC = [0, 4, 5, 7, 8, 15, 18, 19, 20, 21]
 """Joints whose slow energy over 0.6 s is a feature too."""
 HIPS_AND_SHOULDERS = ((1, 2), (16, 17))
@@ -47,8 +48,10 @@ NUM_FEATURES = len(LAGS) * (len(FEET) + 4 * len(WATCHED)) + len(ENERGETIC)
 FLOOR_METRES = 0.0005
 """Standard deviation of white noise at 120 fps that is added to a power before taking its logarithm."""
 LARGEST_FEATURE = 4.0
-RIDGE = 0.3
-"""The penalty on squared weights, as a share of the number of frames; features have unit variance."""
+RIDGE = 0.01
+"""The penalty on squared weights, as a share of the number of frames; features have unit variance.
+
+What predicts timing are small differences between features: 0.3 costs a fifth of it."""
 MOST_QUANTILE = 0.999
 LARGEST_DEVIATION = 4.0
 """Jumps of a capture are clipped at this many standard deviations."""
@@ -60,7 +63,7 @@ _NO_LENGTH = 1e-9
 class SlowMotion:
     """The state of a body at every sample of the grid.
 
-    `features` are logarithms of heights, speeds, accelerations and energies, and vertical velocities and
+    `features` are logarithms of heights, speeds, jerks and energies, and vertical velocities and
     accelerations below a limit; `facing` is the direction across the body, a unit vector (x, z).
     """
 
@@ -84,6 +87,7 @@ def slow_motion(positions: Float64[np.ndarray, "padded joints 3"]) -> SlowMotion
     slow = slow.reshape(len(slow), *positions.shape[1:])
     velocity = np.gradient(slow, 1.0 / GRID_FPS, axis=0)
     acceleration = np.gradient(velocity, 1.0 / GRID_FPS, axis=0)
+    jerk = np.gradient(acceleration, 1.0 / GRID_FPS, axis=0)
     lowest = minimum_filter1d(slow[:, FEET, 1].min(axis=1), 2 * LOWEST_REACH + 1, mode="nearest")
     now = np.concatenate(
         (
@@ -91,7 +95,7 @@ def slow_motion(positions: Float64[np.ndarray, "padded joints 3"]) -> SlowMotion
             np.log(np.linalg.norm(velocity[:, WATCHED], axis=-1) + 0.05),
             np.arctan(velocity[:, WATCHED, 1] / 0.5),
             np.arctan(acceleration[:, WATCHED, 1] / 8.0),
-            np.log(np.linalg.norm(acceleration[:, WATCHED], axis=-1) + 0.5),
+            np.log(np.linalg.norm(jerk[:, WATCHED], axis=-1) + 10.0),
         ),
         axis=1,
     )
