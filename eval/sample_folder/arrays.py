@@ -32,8 +32,7 @@ EXPECTED = (
 class StoredMotion:
     """One motion of a file: `numbers` are joints [T, J, 3] or pose vectors [T, D], a view if possible.
 
-    `index` is its index in a batch, None for a file with one motion; `padding` are the frames after the motion if the
-    file states its length.
+    `index` is its index in a batch, None for a file with one motion.
     """
 
     numbers: np.ndarray
@@ -42,7 +41,6 @@ class StoredMotion:
     action: str = ""
     group: str = ""
     fps: Fraction | None = None
-    padding: np.ndarray | None = None
 
     @property
     def is_vectors(self) -> bool:
@@ -60,25 +58,17 @@ def read_stored(path: Path) -> list[StoredMotion]:
     if not isinstance(found, np.ndarray) or found.dtype.kind not in npy.NUMBERS:
         message = "expected an array of numbers, or a dictionary of named arrays"
         raise FormatError(message, path=path, reason="not-a-number")
-    motions, batched = split_motions(found, path)
-    return [StoredMotion(numbers, index if batched else None) for index, numbers in enumerate(motions)]
+    motions = split_motions(found, path)
+    return [StoredMotion(numbers, _index(index, motions)) for index, numbers in enumerate(motions)]
 
 
-def split_motions(array: np.ndarray, path: Path) -> tuple[list[np.ndarray], bool]:
-    """Motions [T, J, 3] or [T, D] in an array, frames first, and whether it is a batch of more than one.
+def split_motions(array: np.ndarray, path: Path) -> list[np.ndarray]:
+    """Motions [T, J, 3] or [T, D] in an array, frames first.
 
     Raises `FormatError` (`channel-count`, `no-frames`) for other shapes.
     """
-    shape = array.shape
-    if 0 in shape:
-        raise FormatError(f"array of shape {shape}, expected at least one frame", path=path, reason="no-frames")
-    motions = _motions(array)
-    if motions is None:
-        raise FormatError(f"array of shape {shape}, {EXPECTED}", path=path, reason="channel-count")
-    return motions, len(motions) > 1
-
-
-def _motions(array: np.ndarray) -> list[np.ndarray] | None:
+    if 0 in array.shape:
+        raise FormatError(f"array of shape {array.shape}, expected at least one frame", path=path, reason="no-frames")
     match array.shape:
         case (_, width) if width in WIDTHS:
             return [array]
@@ -96,7 +86,7 @@ def _motions(array: np.ndarray) -> list[np.ndarray] | None:
             return list(array.transpose(0, 3, 1, 2))
         case (_, width, 1, _) if width in WIDTHS:
             return list(array[:, :, 0].transpose(0, 2, 1))
-    return None
+    raise FormatError(f"array of shape {array.shape}, {EXPECTED}", path=path, reason="channel-count")
 
 
 def _archive(path: Path) -> dict[str, Any]:
@@ -127,36 +117,40 @@ def _of_dictionary(found: Mapping[str, Any], path: Path) -> list[StoredMotion]:
         )
     if array.dtype.kind not in "fiu":
         raise FormatError(f"array of {array.dtype}, expected numbers", path=path, reason="not-a-number")
-    motions, batched = split_motions(array, path)
+    motions = split_motions(array, path)
     lengths = _lengths(found.get("lengths"), motions, path)
     captions = _texts(found, TEXT_KEYS, len(motions), path)
     actions = _texts(found, ACTION_KEYS, len(motions), path)
     groups = _groups(found, len(motions), path)
     fps = _fps(found.get("fps"), path)
     return [
-        StoredMotion(numbers[:length], index if batched else None, caption, action, group, fps, numbers[length:])
+        StoredMotion(numbers[:length], _index(index, motions), caption, action, group, fps)
         for index, (numbers, length, caption, action, group) in enumerate(
             zip(motions, lengths, captions, actions, groups, strict=True)
         )
     ]
 
 
+def _index(index: int, motions: Sequence[np.ndarray]) -> int | None:
+    return index if len(motions) > 1 else None
+
+
 def _lengths(stated: object, motions: Sequence[np.ndarray], path: Path) -> list[int]:
     if stated is None:
         return [len(numbers) for numbers in motions]
-    stated = stated.ravel().tolist() if isinstance(stated, np.ndarray) else stated
-    listed = isinstance(stated, (list, tuple)) and all(isinstance(length, int) for length in stated)
-    lengths = np.array(stated) if listed else np.empty(0, np.int64)
-    if lengths.dtype.kind not in "iu" or len(lengths) != len(motions):
-        raise FormatError(
-            f"{len(lengths)} lengths that are whole numbers for {len(motions)} motions", path=path, reason="lengths"
-        )
+    lengths = stated.ravel().tolist() if isinstance(stated, np.ndarray) else stated
     frames = len(motions[0])
-    if lengths.min() < 1 or lengths.max() > frames:
+    if (
+        not isinstance(lengths, (list, tuple))
+        or len(lengths) != len(motions)
+        or not all(isinstance(length, int) and 1 <= length <= frames for length in lengths)
+    ):
         raise FormatError(
-            f"lengths from {lengths.min()} to {lengths.max()} for {frames} frames", path=path, reason="lengths"
+            f"lengths {shown(lengths)}, expected {len(motions)} whole numbers from 1 to {frames}",
+            path=path,
+            reason="lengths",
         )
-    return [int(length) for length in lengths]
+    return list(lengths)
 
 
 def _texts(found: Mapping[str, Any], keys: Sequence[str], count: int, path: Path) -> list[str]:

@@ -39,7 +39,7 @@ class Findings:
 
 def summarise(folder: SampleFolder) -> Findings:
     """Summarise motions that were read."""
-    poses = some_poses(folder)
+    poses = some_poses(list(folder.sequences))
     path = poses[:, :, 0, ::2] - poses[:, :1, 0, ::2]
     prompts = Counter(Counter(folder.groups).values())
     return Findings(
@@ -57,7 +57,7 @@ def summarise(folder: SampleFolder) -> Findings:
         num_with_action=sum(map(bool, folder.actions)),
         actions=dict(Counter(action for action in folder.actions if action).most_common()),
         prompt_sizes=dict(sorted(prompts.items())),
-        body_metres=standing_metres(poses.reshape(-1, *poses.shape[2:])),
+        body_metres=standing_metres(poses),
         reach_metres=float(np.linalg.norm(path, axis=-1).max()),
         remarks=folder.remarks,
         left_out=tuple(map(str, folder.left_out)),

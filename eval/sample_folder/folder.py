@@ -3,36 +3,39 @@
 import hashlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from itertools import groupby
-from typing import TypeVar
 
 import numpy as np
 
-from eval.sets.sets import GrowingRagged, Ragged, SampleSet
+from eval.sets.sets import Ragged, SampleSet
 from eval.sets.upsampled import each_upsampled
 from motionkit.core.errors import FormatError, MotionkitError
 from motionkit.core.shapes import Float32
-from motionkit.core.skeleton import SMPL22
 from motionkit.fields.resample import resample_positions
-
-T = TypeVar("T")
 
 
 class SampleFolderError(MotionkitError):
     """A folder of samples that cannot be used."""
 
 
-@dataclass(frozen=True)
-class SampleText:
-    """Metadata of one motion; motions of one `group` share a prompt."""
+@dataclass(frozen=True, eq=False)
+class SampleMotion:
+    """One motion in metres, y up; motions of one `group` share a prompt ("": its own).
+
+    `vectors` are its pose vectors in their own units and `kit_joints` KIT-ML's 21 joints, if it came as these.
+    """
 
     sequence_id: str
+    positions: Float32[np.ndarray, "frames 22 3"]
+    fps: Fraction
     caption: str = ""
     action: str = ""
     group: str = ""
+    vectors: Float32[np.ndarray, "frames numbers"] | None = None
+    kit_joints: Float32[np.ndarray, "frames 21 3"] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,9 +45,9 @@ class SampleFolder:
     Motions of one group share a prompt (for MultiModality); by default each is its own group. `left_out` are motions
     that could not be read, hold NaN or are no bodies, `remarks` messages about what was found and done.
 
-    `vectors` are the pose vectors of every motion in their own units, with up to 3 stored frames of padding, if all
-    came as vectors of one size and `SampleOptions.keep_published` is set; else empty. `kit_joints` are KIT-ML's 21
-    joints in metres, if all motions came as these or as vectors of them.
+    `vectors` are the pose vectors of every motion in their own units if all came as vectors of one size, `kit_joints`
+    KIT-ML's 21 joints in metres if all came as these or as vectors of them; empty without
+    `SampleOptions.keep_published`.
     """
 
     name: str
@@ -59,6 +62,32 @@ class SampleFolder:
     vectors: tuple[Float32[np.ndarray, "_frames numbers"], ...] = ()
     kit_joints: tuple[Float32[np.ndarray, "_frames 21 3"], ...] = ()
 
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        motions: Sequence[SampleMotion],
+        left_out: Sequence[FormatError] = (),
+        remarks: Sequence[str] = (),
+    ) -> "SampleFolder":
+        """A folder of one motion or more."""
+        vectors = tuple(motion.vectors for motion in motions if motion.vectors is not None)
+        kit_joints = tuple(motion.kit_joints for motion in motions if motion.kit_joints is not None)
+        all_vectors = len(vectors) == len(motions) and len({rows.shape[1] for rows in vectors}) == 1
+        return cls(
+            name=name,
+            sequences=Ragged.of([motion.positions for motion in motions]),
+            fps=tuple(motion.fps for motion in motions),
+            sequence_ids=tuple(motion.sequence_id for motion in motions),
+            captions=tuple(motion.caption for motion in motions),
+            actions=tuple(motion.action for motion in motions),
+            groups=tuple(motion.group or motion.sequence_id for motion in motions),
+            left_out=tuple(left_out),
+            remarks=tuple(remarks),
+            vectors=vectors if all_vectors else (),
+            kit_joints=kit_joints if len(kit_joints) == len(motions) else (),
+        )
+
     @property
     def num_motions(self) -> int:
         """Number of motions."""
@@ -69,24 +98,6 @@ class SampleFolder:
         """Seconds of motion in all."""
         lengths = self.sequences.num_frames
         return float(sum(int(frames) / fps for frames, fps in zip(lengths, self.fps, strict=True)))
-
-    def select(self, indices: Sequence[int]) -> "SampleFolder":
-        """The motions at these indices; `left_out` and `remarks` are kept."""
-
-        def some(values: Sequence[T]) -> tuple[T, ...]:
-            return tuple(values[index] for index in indices) if values else ()
-
-        return replace(
-            self,
-            sequences=Ragged.of([self.sequences[index] for index in indices]),
-            fps=some(self.fps),
-            sequence_ids=some(self.sequence_ids),
-            captions=some(self.captions),
-            actions=some(self.actions),
-            groups=some(self.groups),
-            vectors=some(self.vectors),
-            kit_joints=some(self.kit_joints),
-        )
 
     @cached_property
     def fingerprint(self) -> str:
@@ -103,11 +114,11 @@ class SampleFolder:
         """
         sequences = self.sequences
         if any(own != fps for own in self.fps):
-            made = GrowingRagged(SMPL22.num_joints)
+            resampled = []
             for sequence in self._resampled(fps):
-                made.add(sequence)
+                resampled.append(sequence)
                 on_motion()
-            sequences = made.finish()
+            sequences = Ragged.of(resampled)
         texts = (self.sequence_ids, self.captions, self.actions)
         return SampleSet(self.name, fps, sequences, *texts, groups=self.groups)
 
@@ -156,54 +167,3 @@ def left_out_line(left_out: Sequence[FormatError], num_kept: int) -> str:
         f"{count:,} {reason}" for reason, count in Counter(one.reason for one in left_out).most_common()
     )
     return f"{len(left_out):,} of {len(left_out) + num_kept:,} motions left out ({reasons}); first: {left_out[0]}"
-
-
-class Packer:
-    """Collects motions with their framerates and texts."""
-
-    def __init__(self) -> None:
-        self._sequences = GrowingRagged(SMPL22.num_joints)
-        self._fps: list[Fraction] = []
-        self._texts: list[SampleText] = []
-        self._vectors: list[Float32[np.ndarray, "_frames numbers"]] = []
-        self._kit_joints: list[Float32[np.ndarray, "_frames 21 3"]] = []
-
-    def __len__(self) -> int:
-        return len(self._fps)
-
-    def add(
-        self,
-        positions: Float32[np.ndarray, "_frames joints 3"],
-        fps: Fraction,
-        text: SampleText,
-        vectors: Float32[np.ndarray, "_frames numbers"] | None = None,
-        kit_joints: Float32[np.ndarray, "_frames 21 3"] | None = None,
-    ) -> None:
-        """Append a copy of one motion; its pose vectors and KIT joints, if any, are kept unchanged."""
-        self._sequences.add(positions)
-        self._fps.append(fps)
-        self._texts.append(text)
-        if vectors is not None:
-            self._vectors.append(vectors)
-        if kit_joints is not None:
-            self._kit_joints.append(kit_joints)
-
-    def finish(self, name: str, left_out: Sequence[FormatError], remarks: Sequence[str]) -> SampleFolder:
-        """All motions that were added; nothing can be added afterwards."""
-        return SampleFolder(
-            name,
-            self._sequences.finish(),
-            tuple(self._fps),
-            tuple(text.sequence_id for text in self._texts),
-            tuple(text.caption for text in self._texts),
-            tuple(text.action for text in self._texts),
-            tuple(text.group or text.sequence_id for text in self._texts),
-            tuple(left_out),
-            tuple(remarks),
-            self._all_vectors(),
-            tuple(self._kit_joints) if len(self._kit_joints) == len(self) else (),
-        )
-
-    def _all_vectors(self) -> tuple[Float32[np.ndarray, "_frames numbers"], ...]:
-        sizes = {motion.shape[1] for motion in self._vectors}
-        return tuple(self._vectors) if len(self._vectors) == len(self) and len(sizes) == 1 else ()

@@ -15,9 +15,8 @@ from motionkit.io.scan import scan, walk
 
 ARRAY_SUFFIXES = (".npy", ".npz")
 STATISTICS_NAMES = frozenset({"mean", "std"})
-# Copies that published code writes beside a sample X or X_pred: the real motion, the sample with its feet corrected.
-REFERENCE_ENDINGS, CORRECTED_ENDINGS = ("_gt", "_ref"), ("_ik",)
-GENERATED_ENDING = "_pred"
+# What published code writes beside a sample X or X_pred.
+COPIES = {"_gt": "real motions", "_ref": "real motions", "_ik": "foot-corrected copies"}
 PROGRAMS = frozenset({".pkl", ".pickle", ".pt", ".pth", ".joblib"})
 SHOWN_KINDS = 3
 # Other formats are self-contained; these may be normalised, and state no framerate.
@@ -74,11 +73,20 @@ def list_samples(name: str, source: Path) -> Listing:
         for folder, files in folders
         if only is not None or not _is_claimed(folder)
         for path in files
-        if path.suffix.lower() in ARRAY_SUFFIXES and path not in taken and _may_be_motion(path, manifest)
+        if path.suffix.lower() in ARRAY_SUFFIXES and path not in taken
+        if path not in (manifest.mean, manifest.std) and path.stem.lower() not in STATISTICS_NAMES
     ]
-    selects = _FileFilter(root, manifest)
-    arrays, items = [path for path in arrays if selects(path)], [item for item in items if selects(item.path)]
-    arrays, items, remarks = _without_copies(arrays, items, manifest)
+    # A glob matches the end of a path, whatever the folders before it.
+    files, exclude = ([glob.removeprefix("**/") for glob in globs] for globs in (manifest.files, manifest.exclude))
+
+    def is_chosen(path: Path) -> bool:
+        place = PurePosixPath(path.relative_to(root).as_posix())
+        return (not files or any(map(place.match, files))) and not any(map(place.match, exclude))
+
+    arrays, items = [path for path in arrays if is_chosen(path)], [item for item in items if is_chosen(item.path)]
+    remarks: list[str] = []
+    if not files:
+        arrays, items, remarks = _without_copies(arrays, items)
     if not arrays and not items and not problems:
         raise SampleFolderError(f"--samples {name}: {_nothing(source, folders, manifest)}")
     remarks += [f"{warning.path.name}: {warning.message}" for warning in warnings]
@@ -86,21 +94,6 @@ def list_samples(name: str, source: Path) -> Listing:
     if absent:
         remarks.append(f"{len(absent):,} rows of the CSV describe files that are not there, first {absent[0].name!r}")
     return Listing(root, manifest, tuple(arrays), tuple(items), rows, tuple(problems), tuple(remarks))
-
-
-class _FileFilter:
-    """Selects files by the manifest's `files` and `exclude`."""
-
-    def __init__(self, root: Path, manifest: Manifest) -> None:
-        self._root = root
-        # A glob matches the end of a path, whatever the folders before it.
-        self._files, self._exclude = (
-            [glob.removeprefix("**/") for glob in globs] for globs in (manifest.files, manifest.exclude)
-        )
-
-    def __call__(self, path: Path) -> bool:
-        place = PurePosixPath(path.relative_to(self._root).as_posix())
-        return (not self._files or any(map(place.match, self._files))) and not any(map(place.match, self._exclude))
 
 
 def _is_claimed(folder: Path) -> bool:
@@ -124,38 +117,24 @@ def _rows(
     return rows, problems, warnings
 
 
-def _may_be_motion(path: Path, manifest: Manifest) -> bool:
-    return path not in (manifest.mean, manifest.std) and path.stem.lower() not in STATISTICS_NAMES
-
-
-def _without_copies(
-    arrays: list[Path], items: list[SourceItem], manifest: Manifest
-) -> tuple[list[Path], list[SourceItem], list[str]]:
-    """Drop extra files that published code writes beside each sample, unless the manifest's `files` selects them."""
-    remarks: list[str] = []
-    if manifest.files:
-        return arrays, items, remarks
-    stems = {path.with_suffix("") for path in (*arrays, *(item.path for item in items))}
+def _without_copies(arrays: list[Path], items: list[SourceItem]) -> tuple[list[Path], list[SourceItem], list[str]]:
+    """Drop extra files that published code writes beside each sample."""
+    paths = [*arrays, *(item.path for item in items)]
+    stems = {path.with_suffix("") for path in paths}
     dropped: Counter[str] = Counter()
-
-    def is_copy(path: Path) -> bool:
-        for kind, endings in (("real motions", REFERENCE_ENDINGS), ("foot-corrected copies", CORRECTED_ENDINGS)):
-            for ending in endings:
-                base = path.with_name(path.stem.removesuffix(ending))
-                if path.stem.endswith(ending) and stems & {base, base.with_name(base.name + GENERATED_ENDING)}:
-                    dropped[f"{kind} (*{ending})"] += 1
-                    return True
-        return False
-
-    arrays = [path for path in arrays if not is_copy(path)]
-    items = [item for item in items if not is_copy(item.path)]
-    named = {path.stem for path in arrays}
-    doubled = [item for item in items if item.path.stem in named and not item.key]
-    if doubled and len(doubled) == len([item for item in items if not item.key]):
+    copies = set()
+    for path in paths:
+        ending = next((ending for ending in COPIES if path.stem.endswith(ending)), "")
+        base = path.with_name(path.stem.removesuffix(ending))
+        if ending and stems & {base, base.with_name(f"{base.name}_pred")}:
+            copies.add(path)
+            dropped[f"{COPIES[ending]} (*{ending})"] += 1
+    arrays, items = [path for path in arrays if path not in copies], [item for item in items if item.path not in copies]
+    named, files = {path.stem for path in arrays}, [item for item in items if not item.key]
+    if files and all(item.path.stem in named for item in files):
         items = [item for item in items if item.key]
-        dropped[f"{doubled[0].path.suffix} files of the same names as the arrays"] += len(doubled)
-    remarks += [f'{count:,} {what} left out (files = ["…"] chooses)' for what, count in dropped.items()]
-    return arrays, items, remarks
+        dropped[f"{files[0].path.suffix} files of the same names as the arrays"] += len(files)
+    return arrays, items, [f'{count:,} {what} left out (files = ["…"] chooses)' for what, count in dropped.items()]
 
 
 def _nothing(source: Path, folders: Sequence[tuple[Path, list[Path]]], manifest: Manifest) -> str:

@@ -4,7 +4,7 @@ import json
 import os
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -15,75 +15,32 @@ from motionkit.core.timegrid import parse_fps
 from motionkit.io import source_file
 from motionkit.io.body_frame import GIVEN_AXES
 
-ANY = "any"
-# Fields are non-greedy; numeric ones are greedy.
-TEXT_FIELDS, DIGIT_FIELDS = ("group", "caption", "action"), ("repeat", "num_frames")
-FIELDS = (*TEXT_FIELDS, *DIGIT_FIELDS, ANY)
-# Longer than any file name.
+NAME_FIELDS = {
+    **dict.fromkeys(("group", "caption", "action"), ".+?"),
+    **dict.fromkeys(("repeat", "num_frames"), r"\d+"),
+}
+"""What file names may say, and the regular expression of each; {any} is anything, and may occur once, too."""
 LONGEST_PATTERN = 1000
 
 
-@dataclass(frozen=True)
-class NamePattern:
-    """Alternating literals and fields: `literals[k]`, then `fields[k]`, …, then the last literal."""
+def name_expression(text: str) -> re.Pattern[str]:
+    """The regular expression of a name pattern such as "sample{group}_repeat{repeat}_len{num_frames}".
 
-    literals: tuple[str, ...]
-    fields: tuple[str, ...]
-
-    def match(self, name: str) -> dict[str, str] | None:
-        """The fields of a name; None if it does not match.
-
-        The same result as a regular expression with non-greedy fields (numeric ones greedy), without backtracking.
-        """
-        length = len(name)
-        # open_at[k][i]: the name from letter i on fits the pattern from field k on; starts[k]: from literal k on.
-        starts = [[False] * (length + 2) for _ in self.literals]
-        open_at = [[False] * (length + 2) for _ in self.fields]
-        starts[-1][max(0, length - len(self.literals[-1]))] = name.endswith(self.literals[-1])
-        for place in range(len(self.fields) - 1, -1, -1):
-            self._look_back(name, place, open_at[place], starts[place + 1])
-            literal = self.literals[place]
-            for i in range(length - len(literal) + 1):
-                starts[place][i] = open_at[place][i + len(literal)] and name.startswith(literal, i)
-        return self._walk(name, starts) if starts[0][0] else None
-
-    def _look_back(self, name: str, place: int, here: list[bool], rest: list[bool]) -> None:
-        field = self.fields[place]
-        for i in range(len(name), -1, -1):
-            if field in DIGIT_FIELDS:
-                here[i] = name[i : i + 1].isdecimal() and (rest[i + 1] or here[i + 1])
-            elif field == ANY:
-                here[i] = rest[i] or here[i + 1]
-            else:
-                here[i] = rest[i + 1] or here[i + 1]
-
-    def _walk(self, name: str, starts: list[list[bool]]) -> dict[str, str]:
-        found, at = {}, 0
-        for place, field in enumerate(self.fields):
-            at += len(self.literals[place])
-            ends = range(at if field == ANY else at + 1, len(name) + 1)
-            if field in DIGIT_FIELDS:
-                digits = next((i for i in range(at, len(name)) if not name[i].isdecimal()), len(name))
-                ends = range(digits, at, -1)
-            end = next(i for i in ends if starts[place + 1][i])
-            if field != ANY:
-                found[field] = name[at:end]
-            at = end
-        return found
-
-
-def parse_name_pattern(text: str) -> NamePattern:
-    """Parse a pattern; raises `ValueError` for unknown or repeated fields, and more than 1,000 letters."""
+    Raises `ValueError` for unknown or repeated fields, and more than 1,000 letters.
+    """
     if len(text) > LONGEST_PATTERN:
         raise ValueError(f"{len(text):,} letters, expected at most {LONGEST_PATTERN:,}")
-    parts = re.split(r"\{(\w*)\}", text)
-    literals, fields = parts[::2], parts[1::2]
+    literals, fields = (parts := re.split(r"\{(\w*)\}", text))[::2], parts[1::2]
+    expression = re.escape(literals[0])
     for number, field in enumerate(fields):
-        if field not in FIELDS:
-            raise ValueError(f"unknown field {{{field}}}, expected {', '.join(f'{{{name}}}' for name in FIELDS)}")
-        if field != ANY and field in fields[:number]:
+        if field not in (*NAME_FIELDS, "any"):
+            known = ", ".join(f"{{{name}}}" for name in (*NAME_FIELDS, "any"))
+            raise ValueError(f"unknown field {{{field}}}, expected {known}")
+        if field in fields[:number]:
             raise ValueError(f"the field {{{field}}} occurs twice")
-    return NamePattern(tuple(literals), tuple(fields))
+        expression += ".*?" if field == "any" else f"(?P<{field}>{NAME_FIELDS[field]})"
+        expression += re.escape(literals[number + 1])
+    return re.compile(expression)
 
 
 MANIFEST = "samples.toml"
@@ -122,7 +79,7 @@ class Manifest:
     statistics: str = ""
     mean: Path | None = None
     std: Path | None = None
-    name: NamePattern | None = None
+    name: re.Pattern[str] | None = None
     prompts: Path | None = None
 
 
@@ -211,16 +168,16 @@ def _relative(name: str) -> PurePosixPath:
     return relative
 
 
-def _name(value: Any, folder: Path) -> NamePattern:
+def _name(value: Any, folder: Path) -> re.Pattern[str]:
     if not isinstance(value, str) or not value:
         raise TypeError('expected a pattern such as "sample{group}_repeat{repeat}"')
-    return parse_name_pattern(value)
+    return name_expression(value)
 
 
 READERS: dict[str, Callable[[Any, Path], Any]] = {
+    "fps": _fps,
     "files": _globs,
     "exclude": _globs,
-    "fps": _fps,
     "unit_metres": _unit,
     "up": _one_of(*GIVEN_AXES),
     "statistics": _one_of(RAW, NORMALISED),
@@ -229,28 +186,6 @@ READERS: dict[str, Callable[[Any, Path], Any]] = {
     "name": _name,
     "prompts": _file,
 }
-assert READERS.keys() == {field.name for field in fields(Manifest)}
-
-
-def manifest_text(values: Mapping[str, object]) -> str:
-    """A `samples.toml` with these values; every other key is included as an explained comment."""
-    rows = []
-    for key, (example, purpose) in EXPLAINED.items():
-        stated = f"{key} = {_toml(values[key])}" if key in values else f"# {key} = {example}"
-        rows.append(f"{stated:<44}  # {purpose}")
-    head = (
-        "# What the motions in this folder are. Lines that begin with # are not set; docs/samples.md explains them.\n"
-    )
-    return head + "\n".join(rows) + "\n"
-
-
-def _toml(value: object) -> str:
-    if isinstance(value, Fraction):
-        return str(value) if value.denominator == 1 else f'"{value}"'
-    # JSON's strings, numbers and lists are TOML's.
-    return json.dumps(value, ensure_ascii=False)
-
-
 EXPLAINED = {
     "fps": ("20", 'framerate: 20, 12.5, "30000/1001"'),
     "files": ('["**/*_pred.npy"]', "which files are samples; all motions there are, without this line"),
@@ -260,40 +195,44 @@ EXPLAINED = {
     "statistics": ('"raw"', 'of pose vectors (263 or 251 numbers): "raw", or "normalised" with mean and std'),
     "mean": ('"mean.npy"', "what they were normalised with, copied into this folder"),
     "std": ('"std.npy"', "the same"),
-    "name": (
-        '"sample{group}_repeat{repeat}"',
-        "what names say: group, repeat, caption, action, num_frames, any",
-    ),
+    "name": ('"sample{group}_repeat{repeat}"', "what names say: group, repeat, caption, action, num_frames, any"),
     "prompts": ('"prompts.txt"', "line k, from 0, is the caption of group k"),
 }
-assert EXPLAINED.keys() == READERS.keys()
 
 
-@dataclass(frozen=True)
-class NamedParts:
-    """The fields of a file's name."""
-
-    caption: str = ""
-    action: str = ""
-    group: str = ""
-    num_frames: int | None = None
+def manifest_text(values: Mapping[str, object]) -> str:
+    """A `samples.toml` with these values; every other key is included as an explained comment."""
+    rows = [
+        "# What the motions in this folder are. Lines that begin with # are not set; docs/samples.md explains them."
+    ]
+    for key, (example, purpose) in EXPLAINED.items():
+        value = values.get(key)
+        if isinstance(value, Fraction):
+            value = value.numerator if value.denominator == 1 else str(value)
+        # JSON's strings, numbers and lists are TOML's.
+        stated = f"# {key} = {example}" if value is None else f"{key} = {json.dumps(value, ensure_ascii=False)}"
+        rows.append(f"{stated:<44}  # {purpose}")
+    return "\n".join(rows) + "\n"
 
 
 # MDM's sample00_rep02, MoMask's sample3_repeat0_len196.
 PUBLISHED_NAME = re.compile(r"sample_?(?P<group>\d+)_rep(?:eat)?_?\d+(?:_len\d+)?(?:_ik)?")
 
 
-def named_parts(stem: str, manifest: Manifest) -> NamedParts | None:
-    """The fields of a name by the manifest's pattern, or a published one; None if the manifest's does not match."""
-    if manifest.name is None:
-        published = PUBLISHED_NAME.fullmatch(stem)
-        return NamedParts(group=published["group"]) if published else NamedParts()
-    parts = manifest.name.match(stem)
-    if parts is None:
-        return None
-    frames = int(parts["num_frames"]) if parts.get("num_frames") else None
-    words = {key: parts.get(key, "").replace("_", " ").strip() for key in ("caption", "action")}
-    return NamedParts(**words, group=parts.get("group", ""), num_frames=frames)
+def named_fields(path: Path, manifest: Manifest) -> dict[str, str]:
+    """What a file's name says by the manifest's pattern, or a published one.
+
+    Raises `FormatError` (`name`) for a name that does not fit the manifest's.
+    """
+    match = (manifest.name or PUBLISHED_NAME).fullmatch(path.stem)
+    if match is None:
+        if manifest.name is None:
+            return {}
+        raise FormatError(f"its name does not fit the pattern of {MANIFEST}", path=path, reason="name")
+    return {
+        field: text.replace("_", " ").strip() if field in ("caption", "action") else text
+        for field, text in match.groupdict().items()
+    }
 
 
 def read_prompts(path: Path) -> tuple[str, ...]:

@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from motionkit.core.shapes import Float32, Int64
 
-FIRST_CAPACITY = 1 << 12
 ABOUT_EACH = ("captions", "actions", "groups", "takes", "generations")
 """Optional metadata of each sequence of a set, beside its id."""
 Frames = Float32[np.ndarray, "_frames *_frame"]
@@ -56,30 +55,6 @@ class Ragged:
     def clips(self, first_row: Int64[np.ndarray, "clips"], num_rows: int) -> Float32[np.ndarray, "clips rows *frame"]:
         """Stretches of one length that start at these rows of `values`."""
         return self.values[first_row[:, None] + np.arange(num_rows)]
-
-
-class GrowingRagged:
-    """Collects sequences of joint positions in one array that grows in place, so that nothing is held twice."""
-
-    def __init__(self, num_joints: int) -> None:
-        self._rows = np.empty((FIRST_CAPACITY, num_joints, 3), dtype=np.float32)
-        self._lengths: list[int] = []
-        self._used = 0
-
-    def add(self, sequence: Float32[np.ndarray, "_frames joints 3"]) -> None:
-        """Append a copy of one sequence."""
-        needed = self._used + len(sequence)
-        if needed > len(self._rows):
-            # `resize` moves memory pages instead of copying them.
-            self._rows.resize((max(needed, 2 * len(self._rows)), *self._rows.shape[1:]), refcheck=False)
-        self._rows[self._used : needed] = sequence
-        self._lengths.append(len(sequence))
-        self._used = needed
-
-    def finish(self) -> Ragged:
-        """All sequences; nothing can be added afterwards."""
-        self._rows.resize((self._used, *self._rows.shape[1:]), refcheck=False)
-        return Ragged.laid_out(self._rows, self._lengths)
 
 
 def middle(frames: Frames, longest: int) -> Frames:

@@ -9,7 +9,7 @@ import pytest
 
 from eval.sets.generated import Window, generate_fields, sample_fields, windows_of
 from eval.sets.real import NoRealMotionError, RealMotion
-from eval.sets.sets import FIRST_CAPACITY, GrowingRagged, Ragged, middle, sample_set
+from eval.sets.sets import Ragged, middle, sample_set
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.fields.motion_field import Poses
 from motionkit.generate.models import GenerationRequest
@@ -49,17 +49,6 @@ def test_ragged_sequences_are_views_and_clips_are_stretches_of_their_rows() -> N
     np.testing.assert_array_equal(together.clips(np.array([1, 6]), 3), np.stack([parts[0][1:], parts[2][1:4]]))
     with pytest.raises(ValueError, match="11 rows for sequences of 12 frames"):
         Ragged.laid_out(together.values, [4, 1, 7])
-
-
-def test_ragged_sequences_grow_and_keep_what_they_hold() -> None:
-    rng = np.random.default_rng(0)
-    parts = [rng.normal(size=(n, 22, 3)).astype(np.float32) for n in (1, FIRST_CAPACITY, 7, 3 * FIRST_CAPACITY)]
-    growing = GrowingRagged(22)
-    for part in parts:
-        growing.add(part)
-    made = growing.finish()
-    np.testing.assert_array_equal(made.values, np.concatenate(parts))
-    assert made.num_frames.tolist() == [len(part) for part in parts]
 
 
 def test_the_middle_of_a_motion() -> None:
