@@ -63,8 +63,7 @@ def info(
         print_json(report) if as_json else _print_lines(_quality_lines(report))
     else:
         summary = summarise(opened)
-        raw = {"raw_bytes": summary.raw_bytes}
-        print_json(asdict(summary) | raw) if as_json else _print_lines(_summary_lines(summary))
+        print_json(asdict(summary)) if as_json else _print_lines(_summary_lines(summary))
 
 
 def _print_lines(lines: Iterable[str]) -> None:
@@ -156,10 +155,6 @@ def _summary_lines(summary: "StoreSummary") -> Iterator[str]:
         f"on disk {summary.disk_bytes / MEGABYTE:,.1f} MB in {summary.num_parts:,} parts, {ratio:.3f} of raw float32 "
         f"({summary.raw_bytes / MEGABYTE:,.1f} MB); caches {summary.cache_bytes / MEGABYTE:,.1f} MB"
     )
-    for name, column in summary.columns.items():
-        if column.raw_bytes:
-            share = column.disk_bytes / column.raw_bytes
-            yield f"  {name} {column.disk_bytes / MEGABYTE:,.1f} MB, {share:.3f} of raw"
     if summary.num_removed:
         yield (
             f"of it the frames of {summary.num_removed:,} removed sequences: 'motionkit compact --store "

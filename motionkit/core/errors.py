@@ -3,6 +3,7 @@
 import re
 import reprlib
 from collections.abc import Iterable
+from functools import partial
 from os import PathLike
 from pathlib import Path
 
@@ -46,11 +47,9 @@ class FormatError(MotionkitError):
         super().__init__(f"{where}: {message}")
 
     def __reduce__(self) -> tuple[object, ...]:
-        return _rebuild_format_error, (self.message, str(self.path), self.reason, self.line, self.frame)
-
-
-def _rebuild_format_error(message: str, path: str, reason: str, line: int | None, frame: int | None) -> FormatError:
-    return FormatError(message, path=path, reason=reason, line=line, frame=frame)
+        # By its text alone, as other exceptions are copied to another process, it would lose its place.
+        same = partial(FormatError, path=str(self.path), reason=self.reason, line=self.line, frame=self.frame)
+        return same, (self.message,)
 
 
 class DamagedFileError(MotionkitError):

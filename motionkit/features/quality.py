@@ -36,21 +36,21 @@ FAR_METRES = 1e9
 class Quality:
     """Quality measures of a motion, and flags for suspicious ones.
 
-    Speeds in m/s, jitter in m/s³, heights in metres, times in seconds from the first frame; None if not measurable: too
-    short or too slow a take, a skeleton without known feet, no jump, no held frame. `effective_fps` is the estimated
+    Times are from the first frame; None if not measurable: too short or too slow a take, a skeleton without known feet,
+    no jump, no held frame. `effective_fps` is the estimated
     framerate of the capture, at most the file's. All values are finite.
     """
 
-    max_joint_speed: float
+    max_joint_speed_metres_per_second: float
     num_teleports: int
     first_teleport_seconds: float | None
-    jitter: float | None
+    jitter_metres_per_second_cubed: float | None
     frozen_seconds: float
     frozen_start_seconds: float | None
     held_share: float
-    foot_skate: float | None
+    foot_skate_metres_per_second: float | None
     foot_skate_share: float | None
-    floor_height: float
+    floor_height_metres: float
     bone_length_drift: float | None
     effective_fps: float | None
     flags: tuple[str, ...]
@@ -92,16 +92,16 @@ def measure(motion: Motion) -> Quality:
         "upsampled": captured is not None and captured < fps,
     }
     return Quality(
-        max_joint_speed=max_speed,
+        max_joint_speed_metres_per_second=max_speed,
         num_teleports=len(jumps),
         first_teleport_seconds=float((jumps[0] + 1) / fps) if len(jumps) else None,
-        jitter=noise,
+        jitter_metres_per_second_cubed=noise,
         frozen_seconds=frozen_seconds,
         frozen_start_seconds=None if frozen is None else float(held_starts[frozen] / fps),
         held_share=float(held_lengths.sum() / len(squared)) if len(squared) else 0.0,
-        foot_skate=skate_speed,
+        foot_skate_metres_per_second=skate_speed,
         foot_skate_share=skate_share,
-        floor_height=floor,
+        floor_height_metres=floor,
         bone_length_drift=drift,
         effective_fps=captured,
         flags=tuple(flag for flag, holds in flags.items() if holds),

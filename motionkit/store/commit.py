@@ -11,7 +11,7 @@ import os
 import re
 import secrets
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -34,10 +34,10 @@ from motionkit.store.schema import (
     SEQUENCES_PER_ROW_GROUP,
     SKELETONS,
     SKELETONS_FILE,
+    TABLE_OPTIONS,
     part_name,
     part_number,
     skeleton_from_row,
-    table_writer_options,
 )
 
 FORMAT = "motionkit-store"
@@ -179,37 +179,28 @@ def committed(store: Path) -> Manifest:
     return read_manifest(store) if files.is_store(store) else Manifest()
 
 
-def read_committed(store: Path, name: str, entry: FileEntry) -> bytes | None:
-    """Content of a table that the manifest names; None where no file is that one.
+def read_table(store: Path, manifest: Manifest, name: str, columns: Sequence[str] | None = None) -> pa.Table:
+    """A table, or some of its columns, as the manifest names it.
 
     A writer that is killed between the rename of the manifest and those of its tables leaves a committed table under
     its pending name until the next writer renames it. The checksum says which file it is, also while a writer works.
-    """
-    # The first path again, for a writer may rename a table between the two.
-    for path in (store / name, pending(store, name), store / name):
-        try:
-            if path.stat().st_size != entry.num_bytes:
-                continue
-            content = path.read_bytes()
-        except FileNotFoundError:
-            continue
-        if hashlib.sha256(content).hexdigest() == entry.sha256:
-            return content
-    return None
-
-
-def read_table(store: Path, manifest: Manifest, name: str, columns: Sequence[str] | None = None) -> pa.Table | None:
-    """A table, or some of its columns, as the manifest names it; None where no file is that one.
-
-    So it is after a commit that came in between. Raises `ValueError` for a table with other columns or another number
-    of rows, and for what is no Parquet.
+    Raises `FileNotFoundError` where no file is that one, as after a commit that came in between; `ValueError` for a
+    table with other columns or another number of rows, and for what is no Parquet.
     """
     entry = manifest.files.get(name)
     if entry is None:
         raise ValueError(f"{name}: the manifest does not name it")
-    content = read_committed(store, name, entry)
-    if content is None:
-        return None
+    content = b""
+    # The first path again, for a writer may rename a table between the two.
+    for path in (store / name, pending(store, name), store / name):
+        with suppress(FileNotFoundError):
+            if path.stat().st_size == entry.num_bytes:
+                content = path.read_bytes()
+                if hashlib.sha256(content).hexdigest() == entry.sha256:
+                    break
+    else:
+        is_there = (store / name).exists()
+        raise FileNotFoundError(f"{name}: " + ("its sha256 is not the manifest's" if is_there else "it is missing"))
     try:
         # One thread: Arrow's own would keep the content for some milliseconds after the call, and where one of them
         # frees a Python object while the interpreter ends, the process aborts (apache/arrow issues 36389 and 49942).
@@ -277,16 +268,8 @@ def check_sequences(sequences: pa.Table, manifest: Manifest, skeletons: Mapping[
             raise ValueError(f"{SEQUENCES_FILE}: sequence {ids[row].as_py()!r}: num_joints is not its skeleton's")
 
 
-def not_committed(store: Path) -> StoreError:
-    """The error where `read_table` finds none again and again."""
-    return StoreError(
-        f"the tables of the store {store} are not those that its manifest names: "
-        f"'motionkit validate --store {store}' says which; restore them from a copy or ingest again"
-    )
-
-
-def damaged(store: Path, fault: ValueError) -> StoreError:
-    """The error where a table is damaged: the fault, and what to do."""
+def damaged(store: Path, fault: Exception) -> StoreError:
+    """The error where a table is missing or damaged: the fault, and what to do."""
     return StoreError(
         f"the store {store} is damaged: {fault}: 'motionkit validate --store {store}' says all that is wrong; restore "
         "it from a copy, or ingest the sources into a new store"
@@ -353,7 +336,7 @@ def write_pending(store: Path, name: str, table: pa.Table) -> FileEntry:
     path = pending(store, name)
     with files.naming(path):
         files.create(path)
-        pq.write_table(table, path, row_group_size=SEQUENCES_PER_ROW_GROUP, **table_writer_options())
+        pq.write_table(table, path, row_group_size=SEQUENCES_PER_ROW_GROUP, **TABLE_OPTIONS)
     return finished_entry(path, table.num_rows)
 
 

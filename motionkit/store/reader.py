@@ -19,11 +19,11 @@ from motionkit.core.motion import Motion
 from motionkit.core.progress import OnProgress, ignore
 from motionkit.core.shapes import Float32, Int, Int64
 from motionkit.store.commit import (
+    TABLES,
     FileEntry,
     Manifest,
     check_sequences,
     damaged,
-    not_committed,
     read_manifest,
     read_skeletons,
     read_table,
@@ -33,8 +33,6 @@ from motionkit.store.schema import (
     KEY_COLUMNS,
     MOTIONS,
     SEQUENCES,
-    SEQUENCES_FILE,
-    SKELETONS_FILE,
     EncodedMotion,
     frame_shapes,
     motion_from_row,
@@ -191,13 +189,10 @@ class Store:
         self.manifest = manifest
         self.sequences_table = sequences
         self.skeletons_table = skeletons
+        self.skeletons = read_skeletons(skeletons)
+        """Skeletons by fingerprint."""
         self._parts = PartReader(path, manifest.files)
-        try:
-            self.skeletons = read_skeletons(skeletons)
-            """Skeletons by fingerprint."""
-            check_sequences(sequences, manifest, self.skeletons)
-        except ValueError as error:
-            raise damaged(path, error) from None
+        check_sequences(sequences, manifest, self.skeletons)
 
     @classmethod
     def open(cls, path: Path | str, *, on_progress: OnProgress = ignore) -> "Store":
@@ -211,15 +206,18 @@ class Store:
 
             path = fetch_store(parse_address(str(path)))
         path = Path(path)
-        for _ in range(OPEN_ATTEMPTS):
+        attempts = OPEN_ATTEMPTS
+        while True:
             manifest = read_manifest(path)
             try:
-                sequences, skeletons = (read_table(path, manifest, name) for name in (SEQUENCES_FILE, SKELETONS_FILE))
+                sequences, skeletons = (read_table(path, manifest, name) for name in TABLES)
+                return cls(path, manifest, sequences, skeletons, on_progress)
             except ValueError as error:
                 raise damaged(path, error) from None
-            if sequences is not None and skeletons is not None:
-                return cls(path, manifest, sequences, skeletons, on_progress)
-        raise not_committed(path)
+            except FileNotFoundError as error:  # a writer may have committed since the manifest was read
+                attempts -= 1
+                if not attempts:
+                    raise damaged(path, error) from None
 
     @property
     def fingerprint(self) -> str:
@@ -238,7 +236,7 @@ class Store:
 
     @cached_property
     def sequences(self) -> "pd.DataFrame":
-        """One row per sequence, labelled by `sequence_index`, ascending (columns: motionkit.store.schema.SEQUENCES)."""
+        """One row per sequence, labelled by `sequence_index`, ascending (columns: motionkit.store.SEQUENCES)."""
         return self.columns(*SEQUENCES.names)
 
     def columns(self, *names: str) -> "pd.DataFrame":

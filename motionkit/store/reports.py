@@ -10,10 +10,8 @@ from itertools import pairwise
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
-from motionkit.core.errors import StoreError, markdown_text
-from motionkit.core.files import require_regular
+from motionkit.core.errors import markdown_text
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map
@@ -21,7 +19,7 @@ from motionkit.features.quality import measure
 from motionkit.io.body_frame import logged_unit, logged_up, standing_metres
 from motionkit.store.cache import cache_bytes
 from motionkit.store.reader import Store
-from motionkit.store.schema import FRAME_COLUMNS, Row
+from motionkit.store.schema import Row
 
 CARD = """\
 ---
@@ -79,16 +77,12 @@ class SourceSummary:
 
 
 @dataclass(frozen=True)
-class ColumnSize:
-    """Bytes of a float column on disk, and as raw float32."""
-
-    disk_bytes: int
-    raw_bytes: int
-
-
-@dataclass(frozen=True)
 class StoreSummary:
-    """A whole store; `disk_bytes` are those of the files that the manifest names, `cache_bytes` come on top."""
+    """A whole store.
+
+    `disk_bytes` are those of the files that the manifest names, `cache_bytes` come on top; `raw_bytes` are those of all
+    frames as float32.
+    """
 
     path: str
     fingerprint: str
@@ -101,13 +95,8 @@ class StoreSummary:
     num_removed: int
     disk_bytes: int
     cache_bytes: int
-    columns: dict[str, ColumnSize]
+    raw_bytes: int
     sources: tuple[SourceSummary, ...]
-
-    @property
-    def raw_bytes(self) -> int:
-        """Bytes of all float columns as raw float32."""
-        return sum(column.raw_bytes for column in self.columns.values())
 
     @property
     def licences(self) -> tuple[str, ...]:
@@ -116,10 +105,7 @@ class StoreSummary:
 
 
 def summarise(store: Store) -> StoreSummary:
-    """Count what a store holds; reads the table of sequences and the parts' footers, no frames.
-
-    Raises `StoreError` for a part that is missing or damaged.
-    """
+    """Count what a store holds; reads the table of sequences, no frames."""
     sequences, manifest = store.sequences_table, store.manifest
     return StoreSummary(
         path=str(store.path),
@@ -133,7 +119,7 @@ def summarise(store: Store) -> StoreSummary:
         num_removed=manifest.num_removed,
         disk_bytes=manifest.num_bytes,
         cache_bytes=cache_bytes(store.path, store.fingerprint),
-        columns=_column_sizes(store, sequences),
+        raw_bytes=_raw_bytes(sequences),
         sources=tuple(
             _summarise_source(source.as_py(), sequences.filter(pc.equal(sequences["source"], source)))
             # Arrow's own scalars: converting Python's would import pandas.
@@ -199,30 +185,11 @@ def _counts(column: pa.ChunkedArray) -> dict[str, int]:
     return {str(value): count for value, count in sorted(Counter(column.to_pylist()).items())}
 
 
-def _column_sizes(store: Store, sequences: pa.Table) -> dict[str, ColumnSize]:
-    disk = dict.fromkeys(FRAME_COLUMNS, 0)
-    for name in store.manifest.parts:
-        try:
-            require_regular(store.path / name)
-            metadata = pq.read_metadata(store.path / name)
-        except (pa.ArrowException, OSError) as error:
-            raise StoreError(
-                f"{store.path / name}: {error}: 'motionkit validate --store {store.path}' says what is damaged"
-            ) from None
-        for group in range(metadata.num_row_groups):
-            for index in range(metadata.num_columns):
-                column = metadata.row_group(group).column(index)
-                owner = column.path_in_schema.split(".")[0]
-                if owner in disk:
-                    disk[owner] += column.total_compressed_size
+def _raw_bytes(sequences: pa.Table) -> int:
     frames = sequences["num_frames"].cast(pa.int64())
     joint_frames = pc.multiply(frames, sequences["num_joints"])
-    raw = {
-        "joint_positions": 12 * _total(joint_frames),
-        "local_rotations": 16 * _total(joint_frames.filter(sequences["has_rotations"])),
-        "root_translation": 12 * _total(frames.filter(sequences["has_root_translation"])),
-    }
-    return {name: ColumnSize(disk[name], raw[name]) for name in FRAME_COLUMNS}
+    positions, rotations = _total(joint_frames), _total(joint_frames.filter(sequences["has_rotations"]))
+    return 12 * positions + 16 * rotations + 12 * _total(frames.filter(sequences["has_root_translation"]))
 
 
 # Each flag's column, its unit, how bad a value is (SQL), and the column that says where it is worst.

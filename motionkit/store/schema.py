@@ -153,6 +153,16 @@ MOTIONS = pa.schema(
 )
 KEY_COLUMNS = ("sequence_index", "sequence_id", "num_frames", "num_joints")
 
+# Options of pyarrow.parquet.ParquetWriter for sequences and skeletons, and for parts.
+TABLE_OPTIONS: Row = {"compression": "zstd", "compression_level": 3}
+PART_OPTIONS: Row = {
+    **TABLE_OPTIONS,
+    "use_dictionary": False,
+    "use_byte_stream_split": [f"{name}.list.element" for name in FRAME_COLUMNS],
+    "write_statistics": list(KEY_COLUMNS),
+    "data_page_size": PAGE_BYTES,
+}
+
 SKELETONS = pa.schema(
     [
         _field("skeleton", pa.string()),
@@ -179,23 +189,6 @@ def part_name(number: int) -> str:
 def part_number(name: str) -> int:
     """The number in a part's path."""
     return int(Path(name).stem.removeprefix("part-"))
-
-
-def part_writer_options() -> Row:
-    """Keyword arguments of `pyarrow.parquet.ParquetWriter` for parts."""
-    return {
-        "compression": "zstd",
-        "compression_level": 3,
-        "use_dictionary": False,
-        "use_byte_stream_split": [f"{name}.list.element" for name in FRAME_COLUMNS],
-        "write_statistics": list(KEY_COLUMNS),
-        "data_page_size": PAGE_BYTES,
-    }
-
-
-def table_writer_options() -> Row:
-    """Keyword arguments of `pyarrow.parquet.ParquetWriter` for sequences and skeletons."""
-    return {"compression": "zstd", "compression_level": 3}
 
 
 class RefusedMotion(StoreError):
@@ -251,18 +244,7 @@ def encode(motion: Motion) -> EncodedMotion:
         "style": motion.style,
         "captions": list(map(vars, motion.captions)),
         **vars(motion.provenance),
-        "max_joint_speed_metres_per_second": quality.max_joint_speed,
-        "floor_height_metres": quality.floor_height,
-        "num_teleports": quality.num_teleports,
-        "first_teleport_seconds": quality.first_teleport_seconds,
-        "jitter_metres_per_second_cubed": quality.jitter,
-        "frozen_seconds": quality.frozen_seconds,
-        "frozen_start_seconds": quality.frozen_start_seconds,
-        "held_share": quality.held_share,
-        "foot_skate_metres_per_second": quality.foot_skate,
-        "foot_skate_share": quality.foot_skate_share,
-        "bone_length_drift": quality.bone_length_drift,
-        "effective_fps": quality.effective_fps,
+        **{name: value for name, value in vars(quality).items() if name != "flags"},
         "quality_flags": list(quality.flags),
     }
     keys = [

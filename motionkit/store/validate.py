@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from motionkit.core.errors import StoreError
-from motionkit.store.commit import Manifest, check_sequences, read_manifest, read_skeletons, read_table
+from motionkit.store.commit import TABLES, Manifest, check_sequences, read_manifest, read_skeletons, read_table
 from motionkit.store.reader import PartReader
 from motionkit.store.schema import SEQUENCES_FILE, SKELETONS_FILE, part_number
 
@@ -32,17 +32,12 @@ def faults(path: Path, on_file: Callable[[str], None] = lambda name: None) -> It
 
 def _faults(path: Path, manifest: Manifest, on_file: Callable[[str], None]) -> Iterator[str]:
     tables: dict[str, pa.Table] = {}
-    for name in (SEQUENCES_FILE, SKELETONS_FILE):
+    for name in TABLES:
         on_file(name)
         try:
-            table = read_table(path, manifest, name)
+            tables[name] = read_table(path, manifest, name)
         except (ValueError, OSError) as error:
             yield str(error)
-            continue
-        if table is None:
-            yield f"{name}: " + ("its sha256 is not the manifest's" if (path / name).exists() else "it is missing")
-        else:
-            tables[name] = table
     if len(tables) == 2:
         try:
             check_sequences(tables[SEQUENCES_FILE], manifest, read_skeletons(tables[SKELETONS_FILE]))

@@ -1,7 +1,6 @@
 """Writes a store: parts, and tables under pending names; when all are on disk, the manifest, which commits them."""
 
 import os
-from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +20,6 @@ from motionkit.store.commit import (
     changing,
     damaged,
     finished_entry,
-    not_committed,
     pending,
     publish,
     read_skeletons,
@@ -31,21 +29,21 @@ from motionkit.store.commit import (
 from motionkit.store.schema import (
     MOTIONS,
     PART_BYTES,
+    PART_OPTIONS,
     ROW_GROUP_FRAMES,
     SEQUENCES,
     SEQUENCES_FILE,
     SEQUENCES_PER_ROW_GROUP,
     SKELETONS,
     SKELETONS_FILE,
+    TABLE_OPTIONS,
     EncodedMotion,
     RefusedMotion,
     Row,
     encode,
     part_name,
-    part_writer_options,
     same_body,
     skeleton_row,
-    table_writer_options,
 )
 
 
@@ -110,7 +108,7 @@ class PartWriter:
         with files.naming(self._path):
             if self._writer is None:
                 files.create(self._path)
-                self._writer = pq.ParquetWriter(self._path, MOTIONS, **part_writer_options())
+                self._writer = pq.ParquetWriter(self._path, MOTIONS, **PART_OPTIONS)
             self._writer.write_table(pa.Table.from_batches(self._rows, MOTIONS).combine_chunks())
         self._rows, self._num_frames = [], 0
 
@@ -164,33 +162,18 @@ class StoreWriter:
         self._table: pq.ParquetWriter | None = None
         self._next_sequence_index = self._base.next_sequence_index
         if self._base.files:
-            sequences = self._base_table(SEQUENCES_FILE, ("sequence_id", "source_sha256"))
-            self._source_of = dict(zip(*(column.to_pylist() for column in sequences.columns), strict=True))
-            self._skeletons = read_skeletons(self._base_table(SKELETONS_FILE))
+            try:
+                columns = read_table(self.path, self._base, SEQUENCES_FILE, ("sequence_id", "source_sha256")).columns
+                self._skeletons = read_skeletons(read_table(self.path, self._base, SKELETONS_FILE))
+            except (FileNotFoundError, ValueError) as error:
+                raise damaged(self.path, error) from None
+            self._source_of = dict(zip(*(column.to_pylist() for column in columns), strict=True))
         self._bodies = {same_body(each): fingerprint for fingerprint, each in self._skeletons.items()}
-
-    def _base_table(self, name: str, columns: Sequence[str] | None = None) -> pa.Table:
-        try:
-            table = read_table(self.path, self._base, name, columns)
-        except ValueError as error:
-            raise damaged(self.path, error) from None
-        if table is None:
-            raise not_committed(self.path)
-        return table
 
     @property
     def num_sequences(self) -> int:
         """Number of sequences that the store will hold at the commit."""
         return len(self._source_of)
-
-    @property
-    def skeletons(self) -> tuple[Skeleton, ...]:
-        """All skeletons that the store will hold at the commit, in the order in which they came."""
-        return tuple(self._skeletons.values())
-
-    def knows_skeleton(self, skeleton: Skeleton) -> bool:
-        """Whether the store will hold a skeleton that is equal but for its name, and lengths by rounding."""
-        return same_body(skeleton) in self._bodies
 
     @property
     def next_sequence_index(self) -> int:
@@ -304,7 +287,7 @@ class StoreWriter:
         with files.naming(path):
             if self._table is None:
                 files.create(path)
-                self._table = pq.ParquetWriter(path, SEQUENCES, **table_writer_options())
+                self._table = pq.ParquetWriter(path, SEQUENCES, **TABLE_OPTIONS)
                 if self._base.files:
                     for batch in pq.ParquetFile(self.path / SEQUENCES_FILE).iter_batches(SEQUENCES_PER_ROW_GROUP):
                         self._table.write_batch(batch)

@@ -34,8 +34,11 @@ def test_clean_motion_raises_no_flag(action, fps):
 def test_figures_mean_the_same_at_every_framerate():
     """The jerk and the skate of one analytic motion, sampled at 30 … 250 fps."""
     figures = [measure(capture(fps, "run")) for fps in RATES]
-    assert np.ptp([figure.jitter for figure in figures]) < 0.25 * figures[0].jitter
-    assert np.ptp([figure.foot_skate for figure in figures]) < 0.01
+    assert (
+        np.ptp([figure.jitter_metres_per_second_cubed for figure in figures])
+        < 0.25 * figures[0].jitter_metres_per_second_cubed
+    )
+    assert np.ptp([figure.foot_skate_metres_per_second for figure in figures]) < 0.01
 
 
 def test_jitter_is_what_noise_of_its_size_gives():
@@ -43,7 +46,7 @@ def test_jitter_is_what_noise_of_its_size_gives():
     for fps in (60, 120, 240):
         still = np.broadcast_to(capture(Fraction(fps)).joint_positions[:1], (30 * fps, 22, 3))
         noise = 0.003 * np.random.default_rng(2).standard_normal(still.shape)
-        jerk = measure(altered(capture(Fraction(fps)), still + noise)).jitter
+        jerk = measure(altered(capture(Fraction(fps)), still + noise)).jitter_metres_per_second_cubed
         # The lower quartile of the length of a standard normal 3-vector is 1.101.
         assert jerk == pytest.approx(1.101 * 0.003 * np.sqrt(20 * 30 / fps) * 30**3, rel=0.03)
 
@@ -84,7 +87,7 @@ def test_sliding_feet_slide_at_the_speed_of_the_body(fps):
     positions = np.broadcast_to(motion.joint_positions[:1], motion.joint_positions.shape) + 0.0
     positions[..., 2] += 0.5 * seconds[:, None]
     quality = measure(altered(motion, positions))
-    assert quality.foot_skate == pytest.approx(0.5, abs=0.01)
+    assert quality.foot_skate_metres_per_second == pytest.approx(0.5, abs=0.01)
     assert quality.foot_skate_share == 1.0
     assert quality.flags == ("foot_skate",)
 
@@ -104,8 +107,8 @@ def test_a_bone_that_grows_drifts():
 def test_short_takes_are_measured_as_far_as_they_go(num_frames):
     quality = measure(capture(Fraction(120)).frames(0, num_frames))
     assert ("single_frame" in quality.flags) == (num_frames == 1)
-    assert quality.jitter is None
-    assert quality.foot_skate is None
+    assert quality.jitter_metres_per_second_cubed is None
+    assert quality.foot_skate_metres_per_second is None
     assert quality.num_teleports == 0
 
 

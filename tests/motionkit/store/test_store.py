@@ -18,7 +18,6 @@ from hypothesis.extra.numpy import arrays
 from motionkit.core.errors import StoreError
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import KIT21, SMPL22, Feet, Skeleton
-from motionkit.core.timegrid import TimeGrid
 from motionkit.store import RefusedMotion, Store, StoreWriter, schema
 from motionkit.store import writer as writing
 from motionkit.store.schema import FRAME_COLUMNS, KEY_COLUMNS, MOTIONS, RESOLUTION_BITS, SEQUENCES, rounded
@@ -128,24 +127,6 @@ def test_the_table_of_sequences(small_store):
     assert list(third["operations"]) == ["read", "units: centimetres"]
     assert third["captions"][1] == {"text": "ends", "start_seconds": 0.3, "end_seconds": 0.5, "tokens": "ends/VERB"}
     assert third["captions"][0]["end_seconds"] is None
-
-
-def test_quality_is_measured_in_metres_and_seconds(tmp_path, make_motion):
-    """A joint that moves 0.5 m in one frame at 120 fps moves at 60 m/s."""
-    still = np.full((10, 22, 3), 0.75, np.float32)
-    still[:, 4, 1] = -0.5
-    glitch = still.copy()
-    glitch[6:, 21, 0] += 0.5
-    grid = TimeGrid(Fraction(120), 10)
-    motions = [Motion(each, SMPL22, grid, sequence_id=name) for name, each in (("still", still), ("glitch", glitch))]
-    frame = write(tmp_path / "store", [*motions, make_motion("one", 1)]).sequences
-    assert list(frame["max_joint_speed_metres_per_second"][:2]) == [0.0, pytest.approx(60.0)]
-    assert list(frame["floor_height_metres"][:2]) == [-0.5, -0.5]
-    assert list(frame["num_teleports"][:2]) == [0, 1]
-    assert frame["first_teleport_seconds"][1] == pytest.approx(6 / 120)
-    assert list(frame["quality_flags"][0]) == ["floor_height"]
-    assert {"joint_speed", "teleport", "floor_height"} <= set(frame["quality_flags"][1])
-    assert "single_frame" in frame["quality_flags"][2]
 
 
 def test_the_same_motions_make_the_same_bytes_also_read_and_copied(tmp_path, make_motion):
