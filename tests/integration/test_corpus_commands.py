@@ -107,13 +107,6 @@ def test_validate(motionkit, store):
     assert json.loads(motionkit("validate", "--store", store, "--json").stdout)["faults"] == [damaged.stdout.strip()]
 
 
-def test_info_about_a_store_without_its_part(motionkit, store):
-    (store / "motions" / "part-00000.parquet").unlink()
-    outcome = motionkit("info", "--store", store)
-    assert (outcome.code, outcome.stdout) == (1, "")
-    assert outcome.stderr.endswith(f"'motionkit validate --store {store}' says what is damaged\n")
-
-
 @pytest.mark.parametrize("command", [("info",), ("validate",), ("query", "FROM sequences"), ("train",)])
 def test_no_store(motionkit, tmp_path, monkeypatch, command):
     monkeypatch.chdir(tmp_path)
