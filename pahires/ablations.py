@@ -4,8 +4,8 @@ They share runs: the full model (ζ = 16, own activations, λ = 0.5, S = 3) is t
 """
 
 from motionkit.training.ablations import Ablation, Ablations, Entry, Variant
+from pahires.model import SYSTEM
 from pahires.recipes import RECIPES
-from pahires.stage import STAGE
 
 SINES = (1, 2, 4, 8, 16, 32)
 VELOCITY_WEIGHTS = ("0", "0.1", "0.5", "1", "2")
@@ -57,20 +57,20 @@ TABLES: dict[str, Ablation] = {
                 for shared in (False, True)
                 for count in SINES
             ),
-            (STAGE.name,),
+            ("pahires",),
         ),
         Ablation(
             "figure5",
             "weight of the velocity loss (λ)",
             tuple(Entry("PA-HiRes", _velocity(weight), column=f"λ = {weight}") for weight in VELOCITY_WEIGHTS),
-            (STAGE.name,),
+            ("pahires",),
         ),
         Ablation(
             "figure6",
             "number of temporal scales (S)",
             tuple(Entry("PA-HiRes", _scales(count), column=f"S = {count}") for count in FRAMES_PER_SCALE),
-            (STAGE.name,),
+            ("pahires",),
         ),
     )
 }
-PAHIRES = Ablations("pahires", TABLES, RECIPES, {STAGE.name: STAGE})
+PAHIRES = Ablations("pahires", TABLES, RECIPES, {"pahires": SYSTEM.stage})

@@ -11,9 +11,11 @@ import torch
 
 from motionkit.core.shapes import Float, Int64
 from pahires.activation import FourierActivation, linear
-from pahires.recipes import NetworkSettings
+from pahires.recipes import RECIPES, NetworkSettings, PaHiResConfig
 from pahires.temporal.base_curves import located, seconds_beyond
 from pahires.temporal.network import ObservedWindow
+from pahires.temporal.prediction import num_answers
+from pahires.temporal.system import TemporalSystem
 
 # Signed times enter as asinh(Δt · 30 / s): linear in frames nearby, logarithmic far away.
 _FRAME_SECONDS = 1 / 30
@@ -21,11 +23,11 @@ _TINY = 1e-3
 
 
 class PaHiRes(torch.nn.Module):
-    """The network of Eq. 2 to 7, a `TemporalNetwork`, with `num_answers` a query (`num_features` by default)."""
+    """The network of Eq. 2 to 7, a `TemporalNetwork`, with `num_outputs` a query (`num_features` by default)."""
 
     time_frequencies: torch.Tensor
 
-    def __init__(self, settings: NetworkSettings, num_features: int, num_answers: int | None = None) -> None:
+    def __init__(self, settings: NetworkSettings, num_features: int, num_outputs: int | None = None) -> None:
         super().__init__()
         self.settings = settings
         activations = _Activations(settings)
@@ -43,7 +45,7 @@ class PaHiRes(torch.nn.Module):
         self.when = linear(num_times, settings.hidden, settings.initialisation)
         widths = [settings.hidden] * settings.decoder_layers
         self.decoder = torch.nn.Sequential(activations.next(), *_layers(widths, settings, activations))
-        self.answer = torch.nn.Linear(settings.hidden, num_answers or num_features)
+        self.answer = torch.nn.Linear(settings.hidden, num_outputs or num_features)
         # Initial output zero: the mean pose, or the unchanged interpolation.
         torch.nn.init.zeros_(self.answer.weight)
         torch.nn.init.zeros_(self.answer.bias)
@@ -165,3 +167,16 @@ def _layers(widths: list[int], settings: NetworkSettings, activations: _Activati
 
 def _octaves(seconds: torch.Tensor) -> torch.Tensor:
     return torch.asinh(seconds / _FRAME_SECONDS)
+
+
+def _make_network(config: PaHiResConfig, num_features: int) -> PaHiRes:
+    return PaHiRes(config.network, num_features, num_answers(config.training.answer, num_features))
+
+
+SYSTEM = TemporalSystem(
+    "pahires",
+    "continuous completion of observed frames: interpolation, in-betweening, extrapolation (PA-HiRes)",
+    PaHiResConfig,
+    _make_network,
+    RECIPES,
+)

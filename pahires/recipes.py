@@ -6,7 +6,7 @@ from itertools import pairwise
 from typing import Literal
 
 from motionkit.training.config import Schedule
-from pahires.temporal.settings import TemporalSettings, base_training, nano_training
+from pahires.temporal.settings import TemporalConfig, TemporalSettings, base_training, nano_training
 
 # calibrated: unit variance and slope; staf: STAF's code; siren: sin(x).
 Initialisation = Literal["calibrated", "staf", "siren"]
@@ -49,11 +49,10 @@ class NetworkSettings:
 
 
 @dataclass(frozen=True)
-class PaHiResConfig:
+class PaHiResConfig(TemporalConfig):
     """The stage `pahires`: its network and its training."""
 
     network: NetworkSettings = field(default_factory=NetworkSettings)
-    training: TemporalSettings = field(default_factory=TemporalSettings)
 
 
 def paper() -> PaHiResConfig:

@@ -1,12 +1,32 @@
 """Δ-Interp: given frames attend to each other, missing ones to the given, all relative to the last given frame."""
 
+from dataclasses import dataclass, replace
+
 import torch
 from torch import Tensor, nn
 
 from motionkit.core.shapes import Float
+from motionkit.training.config import Schedule
 from pahires.temporal.network import ObservedWindow
-from peers.attention import longest_gap
-from peers.settings import DeltaInterpNetworkConfig
+from pahires.temporal.settings import AnswerSettings, TemporalSettings
+from peers.completing import BASE_GAPS, IN_BETWEENING, NANO_GAPS, PeerConfig, completing_system, longest_gap
+
+
+@dataclass(frozen=True)
+class DeltaInterpNetworkConfig:
+    """Δ-Interp: `blocks` of attention and residual layers, shared by given and missing frames.
+
+    A position is a frame of `frames_per_second`; the tables of learned positions and lengths have `positions` rows.
+    """
+
+    width: int = 1024
+    blocks: int = 6
+    layers: int = 3
+    heads: int = 8
+    embedding: int = 32
+    positions: int = 256
+    dropout: float = 0.2
+    frames_per_second: float = 30.0
 
 
 class DeltaInterp(nn.Module):
@@ -91,3 +111,29 @@ class Block(nn.Module):
         hidden = torch.relu(self.norm(queries + attended))
         changed: Tensor = self.residual(hidden)
         return hidden + changed
+
+
+def _correcting_slerp(training: TemporalSettings) -> TemporalSettings:
+    return replace(training, answer=replace(training.answer, form="residual", base="slerp"))
+
+
+# 300 epochs at 2e-4, a tenth of it after 200; gaps of 5 to 39 frames.
+PAPER = TemporalSettings(
+    tasks=replace(IN_BETWEENING, longest_gap=39),
+    answer=AnswerSettings(form="residual"),
+    schedule=Schedule(epochs=300, learning_rate=2e-4, kind="steps", warmup_fraction=0.02, drop=0.1, drop_every=2 / 3),
+)
+SYSTEM = completing_system(
+    "delta-interp",
+    "Δ-Interp: in-betweening relative to an interpolation",
+    DeltaInterp,
+    PeerConfig,
+    {
+        "nano": (
+            DeltaInterpNetworkConfig(width=96, blocks=3, layers=2, heads=4, dropout=0.0),
+            _correcting_slerp(NANO_GAPS),
+        ),
+        "base": (DeltaInterpNetworkConfig(width=512), _correcting_slerp(BASE_GAPS)),
+        "paper": (DeltaInterpNetworkConfig(), PAPER),
+    },
+)

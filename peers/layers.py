@@ -1,146 +1,191 @@
-"""Shared layers of the one-dimensional networks: the EDSR-baseline encoder, local MLPs, neighbouring frames."""
+"""What the networks of generative systems share: their interface, layers, diffusion of motions and latents."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
 
-from motionkit.core.shapes import Float, Int
-from pahires.temporal.network import ObservedWindow
-
-KERNEL = 3
-
-
-class EdsrEncoder(nn.Module):
-    """One feature vector per frame: head, `blocks` residual blocks, tail, and a skip from the head (EDSR, Lim 2017).
-
-    As in EDSR-baseline, without normalisation or residual scaling. Padding is by replication, since zeros are not a
-    valid pose; EDSR pads images with zeros.
-    """
-
-    def __init__(self, numbers: int, features: int, blocks: int) -> None:
-        super().__init__()
-        self.head = _convolution(numbers, features)
-        self.blocks = nn.ModuleList(ResidualBlock(features) for _ in range(blocks))
-        self.tail = _convolution(features, features)
-
-    def forward(self, frames: Float[Tensor, "batch frames numbers"]) -> Float[Tensor, "batch frames features"]:
-        """Features at the observed frames."""
-        head = hidden = self.head(frames.transpose(1, 2))
-        for block in self.blocks:
-            hidden = block(hidden)
-        features: Tensor = self.tail(hidden) + head
-        return features.transpose(1, 2)
+from motionkit.core.shapes import Bool, Float, Int64, Shaped
+from motionkit.training.conditions import ConditionalNetwork, Conditions, ConditionSizes, guided
+from motionkit.training.diffusion.process import (
+    add_noise,
+    cumulative_alphas,
+    loss_weights,
+    predicted_noise,
+    prediction_target,
+    sample,
+    sampling_steps,
+)
+from motionkit.training.diffusion.settings import DiffusionConfig
+from motionkit.training.layers import through_long_skips
+from peers.motions import Lengths, Mask, MotionBatch, PoseSpace, Rows, SampleBatch
 
 
-class ResidualBlock(nn.Module):
-    """Convolution, ReLU, convolution, and the input added."""
+@dataclass(frozen=True)
+class TransformerSizes:
+    """Sizes of torch's transformer layers: post-norm, GELU."""
 
-    def __init__(self, features: int) -> None:
-        super().__init__()
-        self.first, self.second = _convolution(features, features), _convolution(features, features)
-
-    def forward(self, hidden: Float[Tensor, "batch features frames"]) -> Float[Tensor, "batch features frames"]:
-        """The block's output, channels before frames."""
-        changed: Tensor = self.second(torch.relu(self.first(hidden)))
-        return hidden + changed
-
-
-def unfolded(features: Float[Tensor, "batch frames features"]) -> Float[Tensor, "batch frames three_features"]:
-    """Each frame's features beside those of both neighbours (LIIF §3, feature unfolding), the ends replicated."""
-    before = torch.cat((features[:, :1], features[:, :-1]), dim=1)
-    after = torch.cat((features[:, 1:], features[:, -1:]), dim=1)
-    return torch.cat((before, features, after), dim=-1)
-
-
-def _convolution(inputs: int, outputs: int) -> nn.Conv1d:
-    return nn.Conv1d(inputs, outputs, KERNEL, padding=KERNEL // 2, padding_mode="replicate")
-
-
-def mlp(inputs: int, hidden: Sequence[int], outputs: int) -> nn.Sequential:
-    """Linear layers of these widths, ReLU after all but the last."""
-    widths = (inputs, *hidden)
-    layers: list[nn.Module] = []
-    for before, after in pairwise(widths):
-        layers += [nn.Linear(before, after), nn.ReLU()]
-    return nn.Sequential(*layers, nn.Linear(widths[-1], outputs))
-
-
-# An instant this close to a frame, in frames, counts as that frame: times are rounded.
-SNAP_FRAMES = 1e-4
-# Every s-th frame, s not whole, gives gaps of ⌊s⌋ and ⌈s⌉; and times are rounded.
-LARGEST_GAP_RATIO = 2.01
+    layers: int
+    width: int
+    heads: int
+    inner: int
+    dropout: float = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Neighbours:
-    """The frames before and after each query, in this order along the first axis.
+class NetworkInputs:
+    """What a network is built for: pose space, conditions, number of training windows, networks of earlier stages."""
 
-    `relative` is (t − t_i)/Δ with Δ the mean spacing of the observed frames; `weights` sum to 1 and are the opposite
-    frame's share of the gap (LIIF's local ensemble, Eq. 4, in one dimension); `cell` is the queries' spacing/Δ = 1/s.
-    Beyond the first or last frame both neighbours are that frame.
+    space: PoseSpace
+    conditions: ConditionSizes
+    num_windows: int
+    earlier: Mapping[str, nn.Module]
+
+
+class PeerNetwork(nn.Module):
+    """A network that is built from its sizes and `NetworkInputs`; that of a system's last stage can be sampled.
+
+    `diffusion` are its diffusion settings, None if it is no diffusion model.
     """
 
-    rows: Int[Tensor, "2 batch queries"]
-    relative: Float[Tensor, "2 batch queries"]
-    weights: Float[Tensor, "2 batch queries"]
-    cell: Float[Tensor, "batch"]
+    diffusion: DiffusionConfig | None = None
+
+    def begin_step(self, step: int, steps: int) -> None:
+        """Called before training step `step` (from 0) of `steps`."""
+
+    def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
+        """Metrics of a batch, of which `loss` is minimised; randomness comes from `generator` (CPU)."""
+        raise NotImplementedError
+
+    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Rows:
+        """Standardised rows of motions; frames beyond a motion's length are undefined."""
+        raise NotImplementedError
 
 
-def even_neighbours(window: ObservedWindow) -> Neighbours:
-    """Both neighbours of each query in windows of evenly spaced frames; raises `ValueError` for others.
-
-    Convolutions only see frame indices. Gaps may differ by a factor of two, as those of every 1.2-th frame do.
-    """
-    gaps = torch.diff(window.times_seconds, dim=1)
-    if gaps.numel() and float((gaps.amax(dim=1) / gaps.amin(dim=1)).max()) > LARGEST_GAP_RATIO:
-        worst = int(torch.argmax(gaps.amax(dim=1) / gaps.amin(dim=1)))
-        raise ValueError(
-            f"this model needs evenly spaced frames, but the gaps between those given range from "
-            f"{float(gaps[worst].min()):.4f} to {float(gaps[worst].max()):.4f} s: use frames of one framerate, or "
-            f"a model that reads their times (pahires, delta-interp, ts-former)"
-        )
-    return neighbours(window)
+def sinusoids(positions: Shaped[Tensor, "n"], width: int) -> Float[Tensor, "n width"]:
+    """Sinusoidal embedding, sin and cos interleaved, wavelengths from 2π to 20,000π (Vaswani et al. 2017)."""
+    frequencies = torch.exp(-math.log(10_000.0) * torch.arange(0, width, 2, device=positions.device) / width)
+    angles = positions[:, None].to(torch.float32) * frequencies
+    return torch.stack((angles.sin(), angles.cos()), dim=-1).flatten(1)
 
 
-def neighbours(window: ObservedWindow) -> Neighbours:
-    """Both neighbours of each query; with a single frame the spacing is the queries'."""
-    times, queries = window.times_seconds, window.queries_seconds
-    last = times.shape[1] - 1
-    spacing = frame_spacing_seconds(window)
-    after = torch.searchsorted(times.contiguous(), (queries + SNAP_FRAMES * spacing[:, None]).contiguous(), right=True)
-    rows = torch.stack((after - 1, after)).clamp(0, last)
-    at = torch.stack((times.gather(1, rows[0]), times.gather(1, rows[1])))
-    gap = at[1] - at[0]
-    share = torch.where(gap > 0, (queries - at[0]) / gap.clamp(min=torch.finfo(gap.dtype).tiny), 0.0).clamp(0, 1)
-    return Neighbours(
-        rows=rows,
-        relative=(queries - at) / spacing[:, None],
-        weights=torch.stack((1 - share, share)),
-        cell=window.query_spacing_seconds / spacing,
+class ConditionVector(nn.Module):
+    """Embeds a text or action; zeros where no condition is given."""
+
+    def __init__(self, sizes: ConditionSizes, width: int) -> None:
+        super().__init__()
+        self.width = width
+        self.text = nn.Linear(sizes.text_dimension, width) if sizes.text_dimension else None
+        self.actions = nn.Embedding(len(sizes.actions), width) if sizes.actions else None
+
+    def forward(self, conditions: Conditions) -> Float[Tensor, "batch width"]:
+        """Embeddings of a batch of conditions."""
+        vector = torch.zeros((len(conditions.given), self.width), device=conditions.given.device)
+        if self.text is not None:
+            vector = vector + self.text(conditions.text)
+        if self.actions is not None:
+            vector = vector + self.actions(conditions.action.clamp(min=0))
+        return vector * conditions.given[:, None]
+
+
+def last_states(states: Float[Tensor, "batch frames width"], lengths: Lengths) -> Float[Tensor, "batch width"]:
+    """A recurrent layer's states at the motions' last frames."""
+    return states[torch.arange(len(states), device=states.device), lengths - 1]
+
+
+def first_poses(rows: Rows, mean_share: float, generator: torch.Generator) -> Float[Tensor, "batch numbers"]:
+    """The first pose of each motion, replaced by the mean pose (zeros) with probability `mean_share`."""
+    kept = torch.rand((len(rows), 1), generator=generator) >= mean_share
+    return rows[:, 0] * kept.to(rows.device)
+
+
+def encoder_layer(sizes: TransformerSizes) -> nn.TransformerEncoderLayer:
+    """A layer of self-attention, post-norm, GELU."""
+    return nn.TransformerEncoderLayer(
+        sizes.width, sizes.heads, sizes.inner, sizes.dropout, activation="gelu", batch_first=True
     )
 
 
-def frame_spacing_seconds(window: ObservedWindow) -> Float[Tensor, "batch"]:
-    """Mean spacing of the observed frames; with a single frame the queries' spacing."""
-    times = window.times_seconds
-    if times.shape[1] == 1:
-        return window.query_spacing_seconds
-    return (times[:, -1] - times[:, 0]) / (times.shape[1] - 1)
+def decoder_layer(sizes: TransformerSizes) -> nn.TransformerDecoderLayer:
+    """A layer of self-attention and cross-attention, post-norm, GELU."""
+    return nn.TransformerDecoderLayer(
+        sizes.width, sizes.heads, sizes.inner, sizes.dropout, activation="gelu", batch_first=True
+    )
 
 
-def gathered(
-    codes: Float[Tensor, "batch frames features"], rows: Int[Tensor, "*two batch queries"]
-) -> Float[Tensor, "*two batch queries features"]:
-    """Gather the codes of these rows."""
-    batch = torch.arange(codes.shape[0], device=codes.device)[:, None]
-    return codes[batch, rows]
+class LongSkips(nn.Module):
+    """Layers with long skip connections, then a layer norm (MLD, mld/models/operator/cross_attention.py)."""
+
+    def __init__(self, sizes: TransformerSizes, make: Callable[[TransformerSizes], nn.Module]) -> None:
+        super().__init__()
+        if sizes.layers % 2 == 0:
+            raise ValueError(f"long skips need an odd number of layers, not {sizes.layers}")
+        self.layers = nn.ModuleList(make(sizes) for _ in range(sizes.layers))
+        self.joins = nn.ModuleList(nn.Linear(2 * sizes.width, sizes.width) for _ in range(sizes.layers // 2))
+        self.norm = nn.LayerNorm(sizes.width)
+
+    def forward(
+        self, tokens: Float[Tensor, "batch tokens width"], attend: Callable[[nn.Module, Tensor], Tensor]
+    ) -> Float[Tensor, "batch tokens width"]:
+        """The tokens after all layers; `attend` calls a layer."""
+        normed: Tensor = self.norm(through_long_skips(tokens, self.layers, self.joins, attend))
+        return normed
 
 
-def per_query(
-    values: Float[Tensor, "batch"], rows: Int[Tensor, "*two batch queries"]
-) -> Float[Tensor, "*two batch queries"]:
-    """Broadcast a per-window value to its queries."""
-    return values[:, None].expand(rows.shape)
+def padding_masked(hidden: Bool[Tensor, "batch tokens"] | None) -> Callable[[nn.Module, Tensor], Tensor]:
+    """Calls an encoder layer with the padding mask `hidden`."""
+    return lambda layer, tokens: layer(tokens, src_key_padding_mask=hidden)
+
+
+def noised(
+    clean: Rows, config: DiffusionConfig, generator: torch.Generator
+) -> tuple[Rows, Int64[Tensor, "batch"], Rows]:
+    """Noise each motion to a random step, drawn on the CPU; gives noisy motions, steps and noise on their device."""
+    steps = torch.randint(config.num_steps, (len(clean),), generator=generator).to(clean.device)
+    noise = torch.randn(clean.shape, generator=generator).to(clean.device)
+    alphas = cumulative_alphas(config).to(clean.device)
+    noisy = add_noise(clean.flatten(1), noise.flatten(1), steps, alphas).view(clean.shape)
+    return noisy, steps, noise
+
+
+def diffusion_loss(
+    network: ConditionalNetwork,
+    clean: Rows,
+    mask: Mask,
+    conditions: Conditions,
+    config: DiffusionConfig,
+    generator: torch.Generator,
+) -> Float[Tensor, ""]:
+    """Squared error at random steps, averaged over each motion's valid frames, then over motions."""
+    alphas = cumulative_alphas(config).to(clean.device)
+    noisy, steps, noise = noised(clean, config, generator)
+    target = prediction_target(config.prediction, clean.flatten(1), noise.flatten(1), steps, alphas).view(clean.shape)
+    weights = loss_weights(config.prediction, config.loss, alphas)[steps].float()
+    noisy = noisy * mask[..., None]
+    errors = (network(noisy, steps, conditions).float() - target).square().mean(dim=-1) * mask
+    return (weights * errors.sum(dim=1) / mask.sum(dim=1)).mean()
+
+
+@torch.inference_mode()
+def diffusion_sample(
+    network: ConditionalNetwork, batch: SampleBatch, draw: Callable[[], Rows], config: DiffusionConfig
+) -> Rows:
+    """Sample clean motions or latents, float64, on the batch's device; `draw` returns fresh noise on the CPU."""
+    alphas, start = cumulative_alphas(config), draw().to(batch.device)
+    scale = batch.conditions.guidance(config.guidance_scale)
+    shape = start.shape
+    conditions, unconditional = batch.conditions.to(batch.device), batch.unconditional.to(batch.device)
+
+    def predict_noise(flat: Tensor, steps: Tensor) -> Tensor:
+        noisy, at = flat.view(shape).float(), steps.to(batch.device)
+        output = guided(network, noisy, at, conditions, unconditional, scale)
+        return predicted_noise(config.prediction, output.double().flatten(1), flat, float(alphas[int(steps[0])]))
+
+    def fresh() -> Tensor:
+        return draw().to(batch.device).flatten(1)
+
+    draw_noise = fresh if config.sampler == "ddpm" else None
+    drawn = sample(predict_noise, start.flatten(1), alphas, sampling_steps(config), draw_noise=draw_noise)
+    return drawn.view(shape)

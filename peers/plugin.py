@@ -1,45 +1,59 @@
-"""The stages, models and motion encoders of other people's systems (`motionkit.core.plugins`)."""
+"""Other people's systems: their stages, models and motion encoders (`motionkit.core.plugins`)."""
+
+from functools import partial
+from typing import Any
+
+from motionkit.core.plugins import lazily
+from motionkit.training.run import Loader, Task
 
 STAGES = {
-    "liif": "peers.stages:LIIF",
-    "meta-sr": "peers.stages:META_SR",
-    "a-liif": "peers.stages:A_LIIF",
-    "lmf": "peers.stages:LMF",
-    "delta-interp": "peers.stages:DELTA_INTERP",
-    "ts-former": "peers.stages:TS_FORMER",
-    "mdm": "peers.generative.stages:MDM",
-    "mdm-50": "peers.generative.stages:MDM_50",
-    "mld-vae": "peers.generative.stages:MLD_VAE",
-    "mld": "peers.generative.stages:MLD",
-    "inr-mlp": "peers.generative.stages:INR_MLP",
-    "actor": "peers.generative.stages:ACTOR",
-    "t2m-autoencoder": "peers.generative.stages:T2M_AUTOENCODER",
-    "t2m": "peers.generative.stages:T2M",
-    "camdm": "peers.generative.stages:CAMDM",
-    "flow": "peers.generative.stages:FLOW",
-    "jl2p": "peers.generative.stages:JL2P",
-    "hier": "peers.generative.stages:HIER",
-    "nemf-path": "peers.generative.stages:NEMF_PATH",
-    "nemf": "peers.generative.stages:NEMF",
+    "liif": "peers.liif:SYSTEM.stage",
+    "meta-sr": "peers.meta_sr:SYSTEM.stage",
+    "a-liif": "peers.a_liif:SYSTEM.stage",
+    "lmf": "peers.lmf:SYSTEM.stage",
+    "delta-interp": "peers.delta_interp:SYSTEM.stage",
+    "ts-former": "peers.ts_former:SYSTEM.stage",
+    "mdm": "peers.mdm:MDM.stage",
+    "mdm-50": "peers.mdm:MDM_50.stage",
+    "mld-vae": "peers.mld:MLD_VAE.stage",
+    "mld": "peers.mld:MLD.stage",
+    "inr-mlp": "peers.inr_mlp:INR_MLP.stage",
+    "actor": "peers.actor:ACTOR.stage",
+    "t2m-autoencoder": "peers.t2m:T2M_AUTOENCODER.stage",
+    "t2m": "peers.t2m:T2M.stage",
+    "camdm": "peers.camdm:CAMDM.stage",
+    "flow": "peers.flow:FLOW.stage",
+    "jl2p": "peers.jl2p:JL2P.stage",
+    "hier": "peers.hier:HIER.stage",
+    "nemf-path": "peers.nemf:NEMF_PATH.stage",
+    "nemf": "peers.nemf:NEMF.stage",
 }
+
+
+def _loader(title: str, *stages: str, tasks: tuple[Task, ...] = ()) -> Loader[Any]:
+    """The loader of a system from its last stage."""
+    place = STAGES[stages[-1]].removesuffix(".stage")
+    return Loader(title, stages, partial(lazily(f"{place}.load"), title=title), tasks=tasks)
+
+
 MODELS = {
-    "mdm": "peers.generative.loaders:MDM",
-    "mdm-50": "peers.generative.loaders:MDM_50",
-    "mld": "peers.generative.loaders:MLD",
-    "inr-mlp": "peers.generative.loaders:INR_MLP",
-    "actor": "peers.generative.loaders:ACTOR",
-    "t2m": "peers.generative.loaders:T2M",
-    "camdm": "peers.generative.loaders:CAMDM",
-    "flow": "peers.generative.loaders:FLOW",
-    "jl2p": "peers.generative.loaders:JL2P",
-    "hier": "peers.generative.loaders:HIER",
-    "nemf": "peers.generative.loaders:NEMF",
+    "mdm": _loader("MDM", "mdm"),
+    "mdm-50": _loader("MDM, 50 steps", "mdm-50"),
+    "mld": _loader("MLD", "mld-vae", "mld"),
+    "inr-mlp": _loader("INR-MLP", "inr-mlp"),
+    "actor": _loader("ACTOR", "actor"),
+    "t2m": _loader("T2M", "t2m-autoencoder", "t2m"),
+    "camdm": _loader("CAMDM", "camdm"),
+    "flow": _loader("ACMDM-S (flow)", "flow"),
+    "jl2p": _loader("JL2P", "jl2p"),
+    "hier": _loader("Hier", "hier"),
+    "nemf": _loader("NeMF", "nemf-path", "nemf"),
 }
 ENCODERS = {
-    "liif": "peers.loaders:LIIF_ENCODER",
-    "meta-sr": "peers.loaders:META_SR_ENCODER",
-    "a-liif": "peers.loaders:A_LIIF_ENCODER",
-    "lmf": "peers.loaders:LMF_ENCODER",
-    "delta-interp": "peers.loaders:DELTA_INTERP_ENCODER",
-    "ts-former": "peers.loaders:TS_FORMER_ENCODER",
+    "liif": _loader("LIIF", "liif", tasks=("interpolation",)),
+    "meta-sr": _loader("Meta-SR", "meta-sr", tasks=("interpolation",)),
+    "a-liif": _loader("A-LIIF", "a-liif", tasks=("interpolation",)),
+    "lmf": _loader("LMF", "lmf", tasks=("interpolation",)),
+    "delta-interp": _loader("Δ-Interp", "delta-interp", tasks=("inbetweening",)),
+    "ts-former": _loader("TS-Former", "ts-former", tasks=("inbetweening",)),
 }

@@ -1,17 +1,41 @@
 """TS-Former: a context transformer drafts the missing frames, a detail transformer refines them."""
 
+import math
+from dataclasses import dataclass, replace
+
 import torch
 from torch import Tensor, nn
 
-from motionkit.core.shapes import Bool, Float
+from motionkit.core.shapes import Bool, Float, Int
+from motionkit.training.config import Schedule
 from pahires.temporal.network import ObservedWindow
-from peers.attention import RelativeEncoder, longest_gap
-from peers.layers import gathered, neighbours
-from peers.settings import TsFormerNetworkConfig
+from pahires.temporal.settings import TemporalSettings
+from peers.completing import (
+    BASE_GAPS,
+    IN_BETWEENING,
+    NANO_GAPS,
+    PeerConfig,
+    completing_system,
+    gathered,
+    longest_gap,
+    neighbours,
+)
 
 # A row begins with the root's position (motionkit.features.rotations).
 ROOT_NUMBERS = 3
 _ROUNDING_FRAMES = 1e-3
+
+
+@dataclass(frozen=True)
+class TsFormerNetworkConfig:
+    """TS-Former: two transformer encoders of the same size, context and detail."""
+
+    width: int = 512
+    layers: int = 6
+    heads: int = 8
+    head_width: int = 64
+    inner: int = 512
+    frames_per_second: float = 30.0
 
 
 class TsFormer(nn.Module):
@@ -105,3 +129,145 @@ def _marked(poses: Float[Tensor, "batch rows numbers"], given: int) -> Float[Ten
     """Append a flag to the poses: 1 for the first `given`, which are known, 0 for the others."""
     mark = (torch.arange(poses.shape[1], device=poses.device) < given).to(poses.dtype)
     return torch.cat((poses, mark[:, None].expand(*poses.shape[:2], 1)), dim=-1)
+
+
+# Distances are rounded to this share of a frame.
+STEPS_A_FRAME = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class Distances:
+    """A table of learned vectors for whole distances, and each pair's position between two of them.
+
+    A pair at `below` + `share` gets the linear interpolation of both vectors. At whole distances, as in a frame-based
+    model, that is the learned vector; if all pairs are at such, the second is not looked up. The table is small; a
+    vector per pair would dominate the cost.
+    """
+
+    table: Float[Tensor, "distances head_width"]
+    below: Int[Tensor, "batch rows keys"]
+    share: Float[Tensor, "batch rows keys"]
+    all_whole: bool
+
+    def scores(self, query: Float[Tensor, "batch heads rows head_width"]) -> Float[Tensor, "batch heads rows keys"]:
+        """q·r of each row and key."""
+        each = query @ self.table.T
+        heads = (-1, query.shape[1], -1, -1)
+        below = self.below[:, None].expand(heads)
+        nearest = each.gather(3, below)
+        return nearest if self.all_whole else torch.lerp(nearest, each.gather(3, below + 1), self.share[:, None])
+
+
+class RelativeAttention(nn.Module):
+    """Multi-head attention with scores q·k + q·r(Δ), r a learned function of the distance (Qin et al. 2022, Eq. 5).
+
+    As in the authors' code projections have no bias, and scores are divided by the root of the model's width.
+    """
+
+    def __init__(self, width: int, heads: int, head_width: int) -> None:
+        super().__init__()
+        self.heads, self.scale = heads, 1 / math.sqrt(width)
+        self.query, self.key, self.value = (nn.Linear(width, heads * head_width, bias=False) for _ in range(3))
+        self.out = nn.Linear(heads * head_width, width, bias=False)
+
+    def forward(
+        self,
+        rows: Float[Tensor, "batch rows width"],
+        keys: Float[Tensor, "batch keys width"],
+        distances: Distances,
+        visible: Bool[Tensor, "batch keys"],
+    ) -> Float[Tensor, "batch rows width"]:
+        """Attention of each row over the visible keys."""
+        query, key, value = (
+            layer(what).unflatten(-1, (self.heads, -1)).transpose(1, 2)
+            for layer, what in ((self.query, rows), (self.key, keys), (self.value, keys))
+        )
+        scores = query @ key.transpose(-1, -2) + distances.scores(query)
+        scores = (scores * self.scale).masked_fill(~visible[:, None, None], -torch.inf)
+        attended: Tensor = self.out((scores.softmax(dim=-1) @ value).transpose(1, 2).flatten(2))
+        return attended
+
+
+class EncoderLayer(nn.Module):
+    """Relative attention and a feed-forward part, each after a layer norm and with its input added."""
+
+    def __init__(self, width: int, heads: int, head_width: int, inner: int) -> None:
+        super().__init__()
+        self.attention = RelativeAttention(width, heads, head_width)
+        self.before_attention, self.before_inner = nn.LayerNorm(width), nn.LayerNorm(width)
+        self.inner = nn.Sequential(nn.Linear(width, inner), nn.ReLU(), nn.Linear(inner, width))
+
+    def forward(
+        self,
+        rows: Float[Tensor, "batch rows width"],
+        num_keys: int,
+        distances: Distances,
+        visible: Bool[Tensor, "batch keys"],
+    ) -> Float[Tensor, "batch rows width"]:
+        """All rows after attention to the first `num_keys` of them."""
+        normed = self.before_attention(rows)
+        rows = rows + self.attention(normed, normed[:, :num_keys], distances, visible)
+        changed: Tensor = self.inner(self.before_inner(rows))
+        return rows + changed
+
+
+class RelativeEncoder(nn.Module):
+    """Input MLP, encoder layers that share one embedding of distances, output MLP (Qin et al. 2022, Fig. 2)."""
+
+    def __init__(
+        self, inputs: int, outputs: int, *, width: int, layers: int, heads: int, head_width: int, inner: int
+    ) -> None:
+        super().__init__()
+        self.enter = nn.Sequential(nn.Linear(inputs, width), nn.PReLU(), nn.Linear(width, width), nn.PReLU())
+        self.distance = nn.Sequential(nn.Linear(1, head_width), nn.PReLU(), nn.Linear(head_width, head_width))
+        self.layers = nn.ModuleList(EncoderLayer(width, heads, head_width, inner) for _ in range(layers))
+        self.norm = nn.LayerNorm(width)
+        self.leave = nn.Sequential(nn.Linear(width, width), nn.PReLU(), nn.Linear(width, outputs))
+
+    def forward(
+        self,
+        inputs: Float[Tensor, "batch rows inputs"],
+        positions: Float[Tensor, "batch rows"],
+        visible: Bool[Tensor, "batch keys"],
+        added: Float[Tensor, "batch rows width"] | None = None,
+    ) -> Float[Tensor, "batch rows outputs"]:
+        """An output per row; the first rows, as many as `visible` is long, are the keys that all attend to.
+
+        A row's output depends on itself and the keys, not on other rows. `added` is added after the input MLP.
+        """
+        num_keys = visible.shape[1]
+        rows = self.enter(inputs)
+        rows = rows if added is None else rows + added
+        distances = self._distances(positions[:, None, :num_keys] - positions[:, :, None])
+        for layer in self.layers:
+            rows = layer(rows, num_keys, distances, visible)
+        outputs: Tensor = self.leave(self.norm(rows))
+        return outputs
+
+    def _distances(self, apart: Float[Tensor, "batch rows keys"]) -> Distances:
+        """Distances in frames, and the learned vectors of all whole ones up to the farthest."""
+        farthest = int(apart.detach().abs().max().ceil()) + 1
+        whole = torch.arange(-farthest, farthest + 1, device=apart.device, dtype=apart.dtype)
+        # Times are rounded: an almost whole distance is whole.
+        apart = torch.round(apart * STEPS_A_FRAME) / STEPS_A_FRAME
+        below = apart.floor()
+        share = apart - below
+        return Distances(self.distance(whole[:, None]), below.long() + farthest, share, not bool(share.any()))
+
+
+# 2,000 epochs at the 3.1e-5 that the published schedule peaks at; gaps of 5 to 30 frames.
+PAPER = TemporalSettings(
+    tasks=replace(IN_BETWEENING, longest_gap=30),
+    schedule=Schedule(epochs=2000, batch_size=32, learning_rate=3.1e-5, kind="cosine", warmup_fraction=0.02),
+)
+SYSTEM = completing_system(
+    "ts-former",
+    "TS-Former: in-betweening by a draft and its refinement",
+    TsFormer,
+    PeerConfig,
+    {
+        "nano": (TsFormerNetworkConfig(width=64, layers=2, heads=2, head_width=32, inner=64), NANO_GAPS),
+        "base": (TsFormerNetworkConfig(width=256, head_width=32, inner=256), BASE_GAPS),
+        "paper": (TsFormerNetworkConfig(), PAPER),
+    },
+)

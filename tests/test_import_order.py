@@ -50,7 +50,7 @@ def test_imports_run_one_way() -> None:
         ("motionkit/generate/request.py", "import motionkit.cli.app", "data flows one way in motionkit"),
         ("nerm/latents.py", "import nerm.network", "data flows one way in nerm"),
         ("pahires/activation.py", "import pahires.model", "data flows one way in pahires"),
-        ("peers/layers.py", "import peers.liif", "data flows one way in peers"),
+        ("peers/layers.py", "import peers.mdm", "data flows one way in peers"),
         ("eval/sets/sets.py", "import eval.tables.registry", "data flows one way in eval"),
         ("eval/metrics/gaussian.py", "from eval import clip_fid", "data flows one way in eval"),
         ("motionkit/core/timegrid.py", "import nerm", ABOVE),

@@ -30,6 +30,12 @@ ConfigT = TypeVar("ConfigT", bound=ConfigLike)
 T = TypeVar("T")
 
 
+def specialised(base: type[T], name: str, **parts: type) -> type[T]:
+    """A configuration's type with these types of some parts, which are made with their defaults."""
+    fields = [(part, kind, dataclasses.field(default_factory=kind)) for part, kind in parts.items()]
+    return dataclasses.make_dataclass(name, fields, bases=(base,), frozen=True)
+
+
 def require_positive(config: ConfigLike, *names: str) -> None:
     """Raise `ValueError` for settings that are not None and not positive."""
     for name in names:

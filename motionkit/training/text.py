@@ -20,6 +20,7 @@ from motionkit.core.files import whole_file
 from motionkit.core.progress import warn
 from motionkit.core.shapes import Float32
 from motionkit.store.cache import writable
+from motionkit.training.run import RunError
 
 FOLDERS_AND_HUB = "transformers"
 
@@ -58,6 +59,17 @@ def load_text_encoder(name: str) -> TextEncoder:
     if listed not in installed:
         raise UsageError(f"no text encoder is called {name!r}; installed: {', '.join(sorted(installed)) or 'none'}")
     encoder: TextEncoder = plugins.load("TEXT_ENCODERS", listed)(name)
+    return encoder
+
+
+def load_same_encoder(name: str, fingerprint: str, model: str) -> TextEncoder:
+    """The encoder that a model was trained with; raises `RunError` where its weights have changed."""
+    encoder = load_text_encoder(name)
+    if encoder.fingerprint != fingerprint:
+        raise RunError(
+            f"the text encoder {name!r} is not the one that {model} was trained with (fingerprint "
+            f"{encoder.fingerprint[:16]}, expected {fingerprint[:16]})"
+        )
     return encoder
 
 

@@ -1,16 +1,12 @@
 """Training settings of temporal networks: corpus and framerate, tasks, form of the output, optimiser."""
 
 import dataclasses
-from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING, Literal, Protocol, TypeVar, runtime_checkable
+from typing import Any, Literal
 
 from motionkit.core.timegrid import parse_fps
-from motionkit.training.config import ConfigLike, Precision, Schedule, require_positive
-
-if TYPE_CHECKING:
-    import torch
+from motionkit.training.config import Precision, Schedule, require_positive
 
 Base = Literal["hold", "linear", "slerp", "catmull-rom", "cubic", "eased"]
 # Form of a network's output: the poses; a correction to the interpolation; a correction that vanishes at observed
@@ -174,16 +170,9 @@ def base_training() -> TemporalSettings:
     )
 
 
-@runtime_checkable
-class TemporalConfig(ConfigLike, Protocol):
-    """A model's configuration, a dataclass; its other part, `network`, is the model's own."""
+@dataclass(frozen=True)
+class TemporalConfig:
+    """A model's configuration; the part `network` is the model's own."""
 
-    @property
-    def training(self) -> TemporalSettings:
-        """The training settings."""
-        ...
-
-
-TemporalConfigT = TypeVar("TemporalConfigT", bound=TemporalConfig)
-# (configuration, numbers per row) → network, initialised by torch's global generator.
-NetworkMaker = Callable[[TemporalConfigT, int], "torch.nn.Module"]
+    network: Any = None
+    training: TemporalSettings = dataclasses.field(default_factory=TemporalSettings)

@@ -1,7 +1,7 @@
 """The training of any temporal network, and its file: one loss and one corpus for all (Eq. 8 to 10)."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ from motionkit.training.tensors import (
 )
 from pahires.temporal.base_curves import Scaling, interpolated
 from pahires.temporal.prediction import Predictor
-from pahires.temporal.settings import Distance, NetworkMaker, TemporalConfigT, TemporalSettings
+from pahires.temporal.settings import Distance, TemporalConfig, TemporalSettings
 from pahires.temporal.windows import TrainingBatch, WindowSampler
 
 _Rows = Float32[torch.Tensor, "batch queries numbers"]
@@ -150,9 +150,11 @@ class TrainedNetwork:
         )
 
 
-def train_network(
-    context: StageContext, stage: str, config: TemporalConfigT, make: NetworkMaker[TemporalConfigT]
-) -> None:
+# (configuration, numbers per row) → network, initialised by torch's global generator.
+NetworkMaker = Callable[[Any, int], torch.nn.Module]
+
+
+def train_network(context: StageContext, stage: str, config: TemporalConfig, make: NetworkMaker) -> None:
     """Train the network built by `make` on the context's store; write RUN/STAGE/model.safetensors for `load_network`.
 
     Raises what `open_rotation_sequences` and `train_loop` raise.
@@ -189,8 +191,8 @@ def train_network(
 def load_network(
     run: RunFolder | Path,
     stage: str,
-    config_type: type[Any],
-    make: NetworkMaker[Any],
+    config_type: type[TemporalConfig],
+    make: NetworkMaker,
     *,
     name: str | None = None,
     device: str = "cpu",

@@ -12,27 +12,23 @@ from motionkit.store.writer import StoreWriter
 from motionkit.training.config import Schedule
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
-from peers.generative.recipes import PEERS
-from peers.generative.settings import (
-    CamdmNetworkConfig,
-    ConditionsConfig,
-    FlowNetworkConfig,
-    HierNetworkConfig,
-    InrMlpNetworkConfig,
-    Jl2pNetworkConfig,
-    MldNetworkConfig,
-    MldVaeNetworkConfig,
-    MotionsConfig,
-    NemfNetworkConfig,
-    NemfPathNetworkConfig,
-    OptimizerConfig,
-    T2mAutoencoderNetworkConfig,
-    T2mNetworkConfig,
-    TransformerSizes,
-)
-from peers.generative.stages import STAGES
+from peers.actor import ACTOR
+from peers.camdm import CAMDM, CamdmNetworkConfig
+from peers.flow import FLOW, FlowNetworkConfig
+from peers.generating import OptimizerConfig, PeerStage
+from peers.hier import HIER, HierNetworkConfig
+from peers.inr_mlp import INR_MLP, InrMlpNetworkConfig
+from peers.jl2p import JL2P, Jl2pNetworkConfig
+from peers.layers import TransformerSizes
+from peers.mdm import MDM, MDM_50
+from peers.mld import MLD, MLD_VAE, MldNetworkConfig, MldVaeNetworkConfig
+from peers.motions import ConditionsConfig, MotionsConfig
+from peers.nemf import NEMF, NEMF_PATH, NemfNetworkConfig, NemfPathNetworkConfig
+from peers.t2m import T2M, T2M_AUTOENCODER, T2mAutoencoderNetworkConfig, T2mNetworkConfig
 from tests.helpers.nerm_corpus import analytic_positions
 
+EVERY = (MDM, MDM_50, MLD_VAE, MLD, INR_MLP, ACTOR, T2M_AUTOENCODER, T2M, CAMDM, FLOW, JL2P, HIER, NEMF_PATH, NEMF)
+STAGES: dict[str, PeerStage] = {stage.name: stage for stage in EVERY}
 STEPS = 12
 SIZES = TransformerSizes(3, 32, 2, 64, 0.0)
 MOTIONS = MotionsConfig(max_frames=60, min_seconds=1.0, stride_seconds=1.0, mirrored=False)
@@ -57,7 +53,7 @@ UNCONDITIONAL = ("mld-vae", "t2m-autoencoder", "nemf-path", "nemf")
 
 def tiny_config(name: str, **changed: Any) -> Any:
     """A stage's configuration, small; parts may be given."""
-    stage = next(each for peer in PEERS for each in peer.stages if each.name == name)
+    stage = STAGES[name]
     paper = stage.recipes["paper"]
     published = paper.get("motions", MOTIONS)
     seen = {"camdm": 16, "jl2p": 15, "hier": 15}.get(name, published.seen_frames)
@@ -102,6 +98,6 @@ def write_captioned_store(
 def train_peer(name: str, store: Path, run: Path, config: Any = None, *, resume: bool = False) -> None:
     """Train one stage of a run on the CPU."""
     context = StageContext(store, RunFolder(run), "tiny", seed=1, resume=resume, device="cpu")
-    stage, chosen = STAGES[name], config or tiny_config(name)
+    stage, chosen = STAGES[name].stage, config or tiny_config(name)
     stage.check(context, chosen)
     stage.train(context, chosen)

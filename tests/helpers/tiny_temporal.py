@@ -6,16 +6,14 @@ from typing import Any
 from motionkit.training.config import apply_overrides
 from pahires.recipes import NetworkSettings, PaHiResConfig, nano
 from pahires.temporal.settings import TaskSettings, TemporalSettings
-from peers.recipes import PEERS
-from peers.settings import (
-    ALiifNetworkConfig,
-    DeltaInterpNetworkConfig,
-    EdsrConfig,
-    LiifNetworkConfig,
-    LmfNetworkConfig,
-    MetaSrNetworkConfig,
-    TsFormerNetworkConfig,
-)
+from peers import a_liif, delta_interp, liif, lmf, meta_sr, ts_former
+from peers.a_liif import ALiifNetworkConfig
+from peers.completing import EdsrConfig
+from peers.delta_interp import DeltaInterpNetworkConfig
+from peers.liif import LiifNetworkConfig
+from peers.lmf import LmfNetworkConfig
+from peers.meta_sr import MetaSrNetworkConfig
+from peers.ts_former import TsFormerNetworkConfig
 from tests.helpers.small_network import TASKS
 
 PAHIRES_NETWORK = NetworkSettings(
@@ -36,12 +34,16 @@ ON_GRIDS = apply_overrides(
 WITH_GAPS = replace(
     ON_GRIDS, tasks=TaskSettings(0.0, 1.0, past_frames=4, future_frames=2, longest_gap=9, num_queries=8)
 )
-CONFIGS: dict[str, Any] = {peer.name: peer.config_type for peer in PEERS}
+SYSTEMS = {each.SYSTEM.name: each.SYSTEM for each in (liif, meta_sr, a_liif, lmf, delta_interp, ts_former)}
+SIZES: dict[str, Any] = {
+    "liif": LiifNetworkConfig(EDSR, 32, 2),
+    "meta-sr": MetaSrNetworkConfig(EDSR, 16),
+    "a-liif": ALiifNetworkConfig(EDSR, 16, 2, 3, 16, 2),
+    "lmf": LmfNetworkConfig(EDSR, 16, 2),
+    "delta-interp": DeltaInterpNetworkConfig(32, 1, 2, 2, 4, 32, 0.2),
+    "ts-former": TsFormerNetworkConfig(16, 1, 2, 8, 16),
+}
+GAPS = ("delta-interp", "ts-former")
 TEMPORAL_PEERS: dict[str, Any] = {
-    "liif": CONFIGS["liif"](LiifNetworkConfig(EDSR, 32, 2), ON_GRIDS),
-    "meta-sr": CONFIGS["meta-sr"](MetaSrNetworkConfig(EDSR, 16), ON_GRIDS),
-    "a-liif": CONFIGS["a-liif"](ALiifNetworkConfig(EDSR, 16, 2, 3, 16, 2), ON_GRIDS),
-    "lmf": CONFIGS["lmf"](LmfNetworkConfig(EDSR, 16, 2), ON_GRIDS),
-    "delta-interp": CONFIGS["delta-interp"](DeltaInterpNetworkConfig(32, 1, 2, 2, 4, 32, 0.2), WITH_GAPS),
-    "ts-former": CONFIGS["ts-former"](TsFormerNetworkConfig(16, 1, 2, 8, 16), WITH_GAPS),
+    name: SYSTEMS[name].config_type(sizes, WITH_GAPS if name in GAPS else ON_GRIDS) for name, sizes in SIZES.items()
 }

@@ -12,9 +12,8 @@ from motionkit.training.config import apply_overrides
 from motionkit.training.loop import seeded_initialisation
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
-from pahires.model import PaHiRes
+from pahires.model import SYSTEM, PaHiRes
 from pahires.recipes import RECIPES, NetworkSettings, nano
-from pahires.stage import STAGE, load
 from pahires.temporal.encoder import NetworkEncoder
 from pahires.temporal.network import ObservedWindow, TemporalNetwork
 from pahires.temporal.settings import AnswerSettings
@@ -108,8 +107,8 @@ def test_recipes_say_what_they_are() -> None:
 
 def test_a_trained_network_is_an_encoder(tmp_path: Path) -> None:
     run, config = RunFolder(tmp_path / "run"), apply_overrides(PAHIRES, ["training.schedule.steps=2"])
-    STAGE.train(StageContext(write_store(tmp_path / "store"), run, "tiny", device="cpu"), config)
-    encoder = load(run.path)
+    SYSTEM.stage.train(StageContext(write_store(tmp_path / "store"), run, "tiny", device="cpu"), config)
+    encoder = SYSTEM.load(run.path)
     assert isinstance(encoder, NetworkEncoder) and isinstance(encoder, MotionEncoder) and encoder.name == "PA-HiRes"
     assert encoder.reach_seconds == pytest.approx(8 / 30) and encoder.longest_gap_seconds == pytest.approx(10 / 30)
 

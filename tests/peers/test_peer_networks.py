@@ -1,27 +1,18 @@
 """The grid peers (LIIF, Meta-SR, A-LIIF, LMF): sizes by hand, plain references, and what their papers promise."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import pairwise
 
-import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from torch import Tensor, nn
 
 from pahires.temporal.network import ObservedWindow
-from peers.a_liif import ALiif, Lmf, trained_cell
-from peers.layers import EdsrEncoder, neighbours, unfolded
-from peers.liif import Liif, MetaSr
-from peers.settings import (
-    ALiifNetworkConfig,
-    EdsrConfig,
-    LiifNetworkConfig,
-    LmfNetworkConfig,
-    MetaSrNetworkConfig,
-)
+from peers.a_liif import ALiif, ALiifNetworkConfig
+from peers.completing import EdsrConfig, EdsrEncoder
+from peers.liif import Liif, LiifNetworkConfig
+from peers.lmf import Lmf, LmfNetworkConfig
+from peers.meta_sr import MetaSr, MetaSrNetworkConfig
 
 NUMBERS = 135
 SMALL = EdsrConfig(blocks=1, features=4)
@@ -58,7 +49,7 @@ def num_parameters(module: nn.Module) -> int:
 
 
 def test_the_encoder_has_edsr_baselines_size_and_sees_69_frames() -> None:
-    encoder = EdsrEncoder(NUMBERS, 64, 16)
+    encoder = EdsrEncoder(EdsrConfig(), NUMBERS)
     # Head 3·135·64 + 64, then 33 convolutions of 3·64·64 + 64.
     assert num_parameters(encoder) == 25_984 + 33 * 12_352 == 433_600
     frames = torch.randn(1, 201, NUMBERS, generator=torch.Generator().manual_seed(0)).requires_grad_()
@@ -86,36 +77,6 @@ def test_sizes_are_those_of_the_papers() -> None:
         )
 
 
-def test_a_still_pose_has_the_same_features_at_both_ends_as_inside() -> None:
-    torch.manual_seed(0)
-    encoder = EdsrEncoder(5, 4, 2)
-    features = unfolded(encoder(torch.ones(1, 30, 5)))
-    torch.testing.assert_close(features, features[:, 15:16].expand_as(features))
-
-
-@settings(max_examples=60)
-@given(
-    steps=st.lists(st.integers(1, 2), min_size=1, max_size=9),
-    asked=st.lists(st.floats(-1.0, 20.0), min_size=1, max_size=8),
-)
-def test_weights_sum_to_one_and_are_the_opposite_distance(steps: list[int], asked: list[float]) -> None:
-    kept = [0, *np.cumsum(steps).tolist()]
-    near = neighbours(window_of(kept, asked))
-    torch.testing.assert_close(near.weights.sum(dim=0), torch.ones_like(near.weights[0]))
-    assert bool((near.weights >= 0).all())
-    spacing = kept[-1] / (len(kept) - 1)
-    for query, instant in enumerate(asked):
-        before = max((row for row, frame in enumerate(kept) if frame <= instant + 1e-4 * spacing), default=0)
-        after = min((row for row, frame in enumerate(kept) if frame > instant + 1e-4 * spacing), default=len(kept) - 1)
-        assert near.rows[:, 0, query].tolist() == [before, after]
-        expected = [(instant - kept[before]) / spacing, (instant - kept[after]) / spacing]
-        np.testing.assert_allclose(near.relative[:, 0, query], expected, atol=1e-5)
-        if before != after:
-            share = (kept[after] - instant) / (kept[after] - kept[before])
-            np.testing.assert_allclose(near.weights[0, 0, query], np.clip(share, 0, 1), atol=1e-5)
-    np.testing.assert_allclose(near.cell, 1 / spacing, rtol=1e-6)
-
-
 @pytest.mark.parametrize("name", ENSEMBLES)
 def test_answers_are_continuous_where_one_cell_ends(name: str) -> None:
     network, border = small(name).requires_grad_(False), 1e-3
@@ -123,31 +84,6 @@ def test_answers_are_continuous_where_one_cell_ends(name: str) -> None:
     scale = float(around.abs().mean())
     for left, right in ((0, 1), (2, 4), (3, 5)):
         assert float((around[left] - around[right]).abs().max()) < 0.01 * scale
-
-
-def test_meta_sr_jumps_at_frames_since_one_frame_alone_counts() -> None:
-    around = small("meta-sr").requires_grad_(False)(window_of([0, 3, 6, 9], [3 - 1e-3, 3 + 1e-3]))[0]
-    assert float((around[0] - around[1]).abs().max()) > 0.05 * float(around.abs().mean())
-
-
-def test_coefficients_have_unit_norm() -> None:
-    network = small("a-liif")
-    assert isinstance(network, ALiif)
-    coefficients = network.coefficients(torch.randn(50, 14))
-    torch.testing.assert_close(coefficients.norm(dim=-1), torch.ones(50))
-
-
-def test_cells_are_lmfs_beyond_the_largest_scale_of_the_training() -> None:
-    scales = torch.tensor([1.0, 2.4, 4.0, 4.8, 5.0, 8.0])
-    expected = torch.tensor([1 / 1.0, 1 / 2.4, 0.25, 0.25, 0.25, 0.25])
-    torch.testing.assert_close(trained_cell(1 / scales, 4.0), expected)
-    answers = {}
-    for name in ("liif", "lmf"):
-        kept, network = [0, 5, 10, 15], small(name)
-        wide = window_of(kept, [7.0, 12.0])
-        told_four = replace(wide, query_spacing_seconds=wide.query_spacing_seconds * 5 / 4)
-        answers[name] = bool(torch.allclose(network(wide), network(told_four)))
-    assert answers == {"liif": False, "lmf": True}
 
 
 def _dense(layers: list[nn.Linear], vector: Tensor) -> Tensor:

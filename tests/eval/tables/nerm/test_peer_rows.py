@@ -16,7 +16,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.store.writer import StoreWriter
-from peers.generative.settings import ConditionsConfig, MotionsConfig
+from peers.motions import ConditionsConfig, MotionsConfig
 from tests.helpers.nerm_corpus import analytic_positions
 from tests.helpers.table_request import table_request
 from tests.helpers.tiny_peers import STEPS, tiny_config, train_peer

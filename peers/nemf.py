@@ -1,6 +1,7 @@
 """NeMF (He et al. 2022; c-he/NeMF, src/nemf): a neural field over time with two latents, and a root path predictor."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import pairwise
 
 import roma
@@ -9,15 +10,51 @@ from torch import Tensor, nn
 from torch.nn.functional import avg_pool1d, binary_cross_entropy_with_logits, l1_loss, pad
 
 from motionkit.core.errors import UsageError
-from motionkit.core.shapes import Float, Int64
+from motionkit.core.shapes import Float
 from motionkit.features.layout import VectorLayout, vector_layout
+from motionkit.training.config import Schedule
 from motionkit.training.diffusion.settings import DiffusionConfig
-from peers.generative.batches import ConditionSizes, MotionBatch, PoseSpace, SampleBatch, frames_within
-from peers.generative.networks.layers import kl_divergence, reparameterized
-from peers.generative.settings import NemfNetworkConfig, NemfPathNetworkConfig
+from motionkit.training.layers import kl_divergence, reparameterized
+from peers.generating import UNCONDITIONAL, OptimizerConfig, PeerStage, cosine
+from peers.layers import NetworkInputs, PeerNetwork
+from peers.motions import Lengths, MotionBatch, MotionsConfig, PoseSpace, Rows, SampleBatch, frames_within
 
 PATH = "nemf-path"
 ORIENTATION = 6  # numbers: two columns of a rotation matrix
+
+
+@dataclass(frozen=True)
+class NemfPathNetworkConfig:
+    """NeMF's predictor of the root's motion: widths and kernel size of its convolutions."""
+
+    widths: tuple[int, ...] = (512, 512, 512, 512, 256, 128)
+    kernel: int = 15
+    contact_weight: float = 0.5
+
+
+@dataclass(frozen=True)
+class NemfNetworkConfig:
+    """NeMF: a field over `frames` frames with two latents, and their encoders; `frequencies` encode time.
+
+    KL's weight is annealed in `kl_cycles` cycles: it grows from a hundredth in the first half of each.
+    """
+
+    frames: int = 128
+    widths: tuple[int, ...] = (128, 256, 512, 512)
+    kernel: int = 4
+    local_latent: int = 1024
+    turn_latent: int = 256
+    frequencies: int = 7
+    width: int = 1024
+    local_layers: int = 8
+    turn_layers: int = 3
+    joint_weight: float = 10.0
+    kl_weight: float = 1e-5
+    kl_cycles: int = 20
+
+    def __post_init__(self) -> None:
+        if self.frames % 2 ** len(self.widths):
+            raise ValueError(f"frames must be a multiple of {2 ** len(self.widths)}, not {self.frames}")
 
 
 class Residual(nn.Module):
@@ -53,22 +90,18 @@ def native_layout(space: PoseSpace) -> VectorLayout:
     return part
 
 
-def with_velocities(
-    poses: Float[Tensor, "batch frames numbers"], lengths: Int64[Tensor, "batch"], fps: float
-) -> Float[Tensor, "batch frames twice"]:
+def with_velocities(poses: Rows, lengths: Lengths, fps: float) -> Float[Tensor, "batch frames twice"]:
     """Poses concatenated with their velocities per quarter second (of similar scale); zeros at a motion's end."""
     changes = pad(poses.diff(dim=1), (0, 0, 0, 1)) * frames_within(lengths - 1, poses.shape[1])[..., None]
     return torch.cat((poses, 0.25 * fps * changes), dim=-1)
 
 
-class NemfPath(nn.Module):
+class NemfPath(PeerNetwork):
     """NeMF's global motion predictor: root velocity, height and contacts from the motion relative to the root."""
 
-    def __init__(
-        self, config: NemfPathNetworkConfig, space: PoseSpace, sizes: ConditionSizes, earlier: Mapping[str, nn.Module]
-    ) -> None:
+    def __init__(self, config: NemfPathNetworkConfig, inputs: NetworkInputs) -> None:
         super().__init__()
-        self.config, self.space, self.part = config, space, native_layout(space)
+        self.config, self.space, self.part = config, inputs.space, native_layout(inputs.space)
         part = self.part
         self.sizes = [3, part.contacts.stop - part.contacts.start]
         poses = part.joint_rotations.stop - part.joint_positions.start
@@ -77,7 +110,7 @@ class NemfPath(nn.Module):
         self.layers = nn.Sequential(*layers)
 
     def forward(
-        self, rows: Float[Tensor, "batch frames numbers"], lengths: Int64[Tensor, "batch"]
+        self, rows: Rows, lengths: Lengths
     ) -> tuple[Float[Tensor, "batch frames 3"], Float[Tensor, "batch frames 4"]]:
         """Velocity in x and z and height, in their own units, and contact logits, from standardised rows.
 
@@ -125,19 +158,15 @@ class ClipEncoder(nn.Module):
         return self.mean(flat), self.log_variance(flat)
 
 
-class Nemf(nn.Module):
+class Nemf(PeerNetwork):
     """Poses at any time from a local latent; the root's orientation from a second latent as well."""
 
-    diffusion: DiffusionConfig | None = None
-
-    def __init__(
-        self, config: NemfNetworkConfig, space: PoseSpace, sizes: ConditionSizes, earlier: Mapping[str, nn.Module]
-    ) -> None:
+    def __init__(self, config: NemfNetworkConfig, inputs: NetworkInputs) -> None:
         super().__init__()
-        path = earlier[PATH]
+        path = inputs.earlier[PATH]
         assert isinstance(path, NemfPath)
         self._path = (path,)  # in a tuple: frozen, and saved with its own stage
-        self.config, self.space, self.part = config, space, native_layout(space)
+        self.config, self.space, self.part = config, inputs.space, native_layout(inputs.space)
         part = self.part
         self.sizes = [part.joint_positions.stop - part.joint_positions.start]
         self.sizes.append(part.joint_rotations.stop - part.joint_rotations.start)
@@ -170,9 +199,7 @@ class Nemf(nn.Module):
             hidden = layer(torch.cat((hidden, inputs), dim=-1))
         return positions, rotations, self.turn_out(hidden)
 
-    def encode(
-        self, rows: Float[Tensor, "batch frames numbers"], lengths: Int64[Tensor, "batch"]
-    ) -> tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor]]:
+    def encode(self, rows: Rows, lengths: Lengths) -> tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor]]:
         """μ and log σ² of both latents; frames after a motion's end are zeros."""
         if rows.shape[1] > self.config.frames:
             raise UsageError(f"a motion of {rows.shape[1]} frames is longer than network.frames={self.config.frames}")
@@ -202,9 +229,7 @@ class Nemf(nn.Module):
         loss = root + bones + self.config.joint_weight * joints + weight * kl
         return {"loss": loss, "root": root, "bones": bones, "joints": joints, "kl": kl}
 
-    def rows(
-        self, local: Float[Tensor, "batch local"], turns: Float[Tensor, "batch turns"], lengths: Int64[Tensor, "batch"]
-    ) -> Float[Tensor, "batch frames numbers"]:
+    def rows(self, local: Float[Tensor, "batch local"], turns: Float[Tensor, "batch turns"], lengths: Lengths) -> Rows:
         """Standardised rows from latents, with a predicted path; joint velocities are set to the mean."""
         part, space = self.part, self.space
         count = int(lengths.max())
@@ -229,14 +254,14 @@ class Nemf(nn.Module):
         put(part.contacts, contacts.sigmoid())
         return rows
 
-    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
+    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Rows:
         """Standardised rows from latents ~ N(0, I); conditions are ignored."""
         sizes = [self.config.local_latent, self.config.turn_latent]
         latents = batch.noise(sum(sizes)).to(batch.device, torch.float32)
         local, turns = torch.split(latents, sizes, dim=1)
         return self.rows(local, turns, batch.lengths.to(batch.device))
 
-    def _orientation(self, rows: Float[Tensor, "batch frames numbers"]) -> Float[Tensor, "batch frames 3 3"]:
+    def _orientation(self, rows: Rows) -> Float[Tensor, "batch frames 3 3"]:
         """The root's orientation: yaw since the first frame, about Y."""
         angle = self.space.heading(rows * self.space.scale + self.space.mean)[..., 0]
         axis = torch.stack((torch.zeros_like(angle), angle, torch.zeros_like(angle)), dim=-1)
@@ -258,3 +283,55 @@ def _angles(found: Float[Tensor, "*some 3 3"], true: Float[Tensor, "*some 3 3"])
     """Radians between rotations."""
     cosine = ((found * true).sum(dim=(-1, -2)) - 1) / 2
     return cosine.clamp(-1 + 1e-6, 1 - 1e-6).acos()
+
+
+CLIPS = MotionsConfig(fps=30.0, max_frames=128, min_seconds=128 / 30)
+LONG = MotionsConfig(fps=30.0, max_frames=294)
+NEMF_PATH = PeerStage(
+    PATH,
+    "NeMF, stage 1: the root's path from the body's motion",
+    NemfPath,
+    {
+        "nano": {
+            "network": NemfPathNetworkConfig(widths=(64, 64, 64)),
+            "motions": LONG,
+            "conditions": UNCONDITIONAL,
+            "schedule": cosine(2200, 16, 1e-3),
+            "precision": "auto",
+        },
+        "paper": {
+            "network": NemfPathNetworkConfig(),
+            "motions": CLIPS,
+            "conditions": UNCONDITIONAL,
+            "schedule": Schedule(epochs=1000, batch_size=16),
+            "optimizer": OptimizerConfig(weight_decay=1e-4),
+        },
+    },
+    share=0.2,
+)
+NEMF = PeerStage(
+    "nemf",
+    "NeMF, stage 2: a neural field over time, and a VAE of its latents",
+    Nemf,
+    {
+        "nano": {
+            "network": NemfNetworkConfig(
+                304, (64, 96, 128, 128), local_latent=128, turn_latent=32, width=192, kl_cycles=4
+            ),
+            "motions": LONG,
+            "conditions": UNCONDITIONAL,
+            "schedule": cosine(2400, 32, 1e-3),
+            "precision": "auto",
+        },
+        "paper": {
+            "network": NemfNetworkConfig(),
+            "motions": CLIPS,
+            "conditions": UNCONDITIONAL,
+            "schedule": Schedule(epochs=1000, batch_size=16),
+            "optimizer": OptimizerConfig(weight_decay=1e-4),
+        },
+    },
+    builds_on=(NEMF_PATH,),
+    share=0.8,
+    conditional=False,
+)

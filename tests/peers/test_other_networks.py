@@ -10,35 +10,28 @@ from torch import Tensor
 from motionkit.core.errors import UsageError
 from motionkit.features import field
 from motionkit.features.field import FIELD_VECTORS
-from peers.generative.batches import NO_ACTION, ConditionSizes, MotionBatch, PoseSpace
-from peers.generative.networks.actor import Actor
-from peers.generative.networks.camdm import Camdm
-from peers.generative.networks.flow import AbsoluteCoordinates, Flow
-from peers.generative.networks.inr_mlp import InrMlp, fit_mixture, length_intervals
-from peers.generative.networks.t2m import T2m, T2mAutoencoder
-from peers.generative.recipes import ACTOR, CAMDM, FLOW, INR_MLP, T2M
-from peers.generative.settings import (
-    ActorNetworkConfig,
-    CamdmNetworkConfig,
-    FlowNetworkConfig,
-    InrMlpNetworkConfig,
-    T2mAutoencoderNetworkConfig,
-    T2mNetworkConfig,
-)
+from motionkit.training.conditions import NO_ACTION, ConditionSizes
+from peers.actor import ACTOR, Actor, ActorNetworkConfig
+from peers.camdm import CAMDM, Camdm, CamdmNetworkConfig
+from peers.flow import FLOW, AbsoluteCoordinates, Flow, FlowNetworkConfig
+from peers.inr_mlp import INR_MLP, InrMlp, InrMlpNetworkConfig, fit_mixture, length_intervals
+from peers.motions import MotionBatch, PoseSpace
+from peers.t2m import T2M, T2M_AUTOENCODER, T2m, T2mAutoencoder, T2mAutoencoderNetworkConfig, T2mNetworkConfig
 from tests.helpers.nerm_corpus import analytic_positions
-from tests.peers.generative.plain_transformer import Weights, layer, linear, norm, part
-from tests.peers.generative.test_generative_networks import (
+from tests.peers.plain_transformer import Weights, layer, linear, norm, part
+from tests.peers.test_generative_networks import (
     SIZES,
     TEXTS,
     conditions,
     count,
     decoder_layer_size,
     encoder_layer_size,
+    inputs,
     space,
 )
 
-CLIP = ConditionSizes(512, (), 7)
-ACTIONS = ConditionSizes(0, tuple(f"action-{number}" for number in range(12)), 7)
+CLIP = ConditionSizes(512, ())
+ACTIONS = ConditionSizes(0, tuple(f"action-{number}" for number in range(12)))
 
 
 def dense(*widths: int) -> int:
@@ -59,17 +52,17 @@ def field_space() -> PoseSpace:
 def test_published_sizes_have_the_numbers_of_parameters_that_follow_from_their_layers() -> None:
     torch.manual_seed(0)
     # ACTOR on the 150 numbers of HumanAct12: 24 rotations of six numbers, a translation filled up with zeros.
-    actor = Actor(ACTOR.stages[0].configs["paper"]().network, space(150), ACTIONS, {})
+    actor = Actor(ACTOR.recipes["paper"]["network"], inputs(space(150), ACTIONS))
     layers = 8 * (encoder_layer_size(256, 1024) + decoder_layer_size(256, 1024))
     assert count(actor) == dense(150, 256) + dense(256, 150) + 3 * 12 * 256 + layers
-    inr = InrMlp(INR_MLP.stages[0].configs["paper"]().network, space(147), ACTIONS, {})
+    inr = InrMlp(INR_MLP.recipes["paper"]["network"], inputs(space(147), ACTIONS))
     codes = 2 * 7 * 128 + 2 * 12 * 128
     assert count(inr) == codes + dense(512, 1000, 500, 500, 200, 100, 147)
-    configs = [stage.configs["paper"]().network for stage in T2M.stages]
-    autoencoder = T2mAutoencoder(configs[0], space(), ConditionSizes(0, ()), {})
+    configs = [stage.recipes["paper"]["network"] for stage in (T2M_AUTOENCODER, T2M)]
+    autoencoder = T2mAutoencoder(configs[0], inputs(space(), ConditionSizes(0, ())))
     decoder = (4 * 512 * 512 + 512) + (4 * 512 * 263 + 263) + dense(263, 263)
     assert count(autoencoder) == (4 * 259 * 512 + 512) + (4 * 512 * 512 + 512) + dense(512, 512) + decoder
-    temporal = T2m(configs[1], space(), CLIP, {"t2m-autoencoder": autoencoder})
+    temporal = T2m(configs[1], inputs(space(), CLIP, {"t2m-autoencoder": autoencoder}))
 
     def cell(inputs: int) -> int:
         return dense(inputs, 1024) + 2 * 1024 + 6 * (1024 * 1024 + 1024)
@@ -77,10 +70,10 @@ def test_published_sizes_have_the_numbers_of_parameters_that_follow_from_their_l
     heads = 2 * 2 * dense(1024, 128) + dense(1024, 1024) + 2 * 1024 + dense(1024, 512)
     sentence = dense(512, 1024) + dense(1024, 512) + 3 * dense(1024, 1024)
     assert count(temporal) == decoder + cell(1024) + cell(1536) + cell(1152) + heads + sentence
-    camdm = Camdm(CAMDM.stages[0].configs["paper"]().network, space(), CLIP, {})
+    camdm = Camdm(CAMDM.recipes["paper"]["network"], inputs(space(), CLIP))
     ends = 2 * dense(263, 256) + dense(256, 263) + dense(512, 256) + 2 * dense(256, 256) + 256
     assert count(camdm) == ends + 4 * encoder_layer_size(256, 1024)
-    flow = Flow(FLOW.stages[0].configs["paper"]().network, field_space(), CLIP, {})
+    flow = Flow(FLOW.recipes["paper"]["network"], inputs(field_space(), CLIP))
     inside = (
         dense(512, 6 * 512) + dense(512, 3 * 512) + dense(512, 512) + 2 * 64 + dense(512, 2 * 1365) + dense(1365, 512)
     )
@@ -88,24 +81,9 @@ def test_published_sizes_have_the_numbers_of_parameters_that_follow_from_their_l
     assert count(flow) == outside + 8 * inside
 
 
-def test_recipes_have_the_published_settings() -> None:
-    inr, actor, autoencoder, t2m, camdm, flow = (
-        stage.configs["paper"]() for peer in (INR_MLP, ACTOR, T2M, CAMDM, FLOW) for stage in peer.stages
-    )
-    assert (inr.motions.seen_frames, inr.schedule.batch_size, inr.schedule.epochs) == (5, 512, 10_000)
-    assert (inr.optimizer.clip_norm, inr.schedule.learning_rate, inr.network.kl_weight) == (2.0, 1e-3, 1e-5)
-    assert (actor.schedule.batch_size, actor.schedule.epochs, actor.motions.max_frames) == (20, 5000, 60)
-    assert (autoencoder.motions.seen_frames, autoencoder.schedule.epochs) == (24, 270)
-    assert (t2m.network.kl_weight, t2m.network.teacher_forcing, t2m.optimizer.clip_norm) == (0.01, 0.4, 0.5)
-    assert (camdm.motions.fps, camdm.network.past, camdm.network.future) == (30.0, 10, 45)
-    assert camdm.motions.seen_frames == 55
-    assert (camdm.network.diffusion.num_steps, camdm.network.diffusion.sampling_steps) == (4, 4)
-    assert (flow.schedule.learning_rate, flow.schedule.epochs, flow.conditions.drop) == (2e-4, 500, 0.1)
-
-
 def test_a_pass_of_inr_mlp_is_the_one_by_hand() -> None:
     torch.manual_seed(1)
-    network = InrMlp(InrMlpNetworkConfig(4, 8, (10, 6)), field_space(), ConditionSizes(6, (), 3), {})
+    network = InrMlp(InrMlpNetworkConfig(4, 8, (10, 6)), inputs(field_space(), TEXTS, num_windows=3))
     code, told, frames = torch.randn(2, 4), torch.randn(2, 4), torch.tensor([[0, 7, 3], [5, 5, 1]])
     found, weights = network(frames, code, told), network.state_dict()
     for row in range(2):
@@ -120,7 +98,7 @@ def test_a_pass_of_inr_mlp_is_the_one_by_hand() -> None:
 
 def test_codes_and_network_take_turns() -> None:
     torch.manual_seed(1)
-    network = InrMlp(InrMlpNetworkConfig(4, 8, (10, 6)), field_space(), ConditionSizes(6, (), 3), {})
+    network = InrMlp(InrMlpNetworkConfig(4, 8, (10, 6)), inputs(field_space(), TEXTS, num_windows=3))
     frames = torch.tensor([[0, 2, 4], [1, 1, 6]])
     batch = MotionBatch(torch.randn(2, 3, 66), torch.tensor([3, 3]), conditions(2), torch.tensor([0, 2]), frames)
     for step, (codes, layers) in enumerate(((True, False), (False, True))):
@@ -149,7 +127,7 @@ def test_mixtures_are_of_motions_of_one_action_and_length() -> None:
 
 def test_a_pass_of_actor_is_the_one_by_hand() -> None:
     torch.manual_seed(2)
-    network = Actor(ActorNetworkConfig(SIZES), space(), TEXTS, {}).eval()
+    network = Actor(ActorNetworkConfig(SIZES), inputs(space(), TEXTS)).eval()
     lengths, rows, given = torch.tensor([6, 4]), torch.randn(2, 6, 263), conditions(2)
     mean, log_variance = network.encode(rows, lengths, given)
     batch = MotionBatch(rows, lengths, given, torch.arange(2), torch.arange(6).expand(2, -1))
@@ -184,9 +162,9 @@ def leaky(values: Tensor) -> Tensor:
 
 def test_two_snippets_of_t2m_are_those_by_hand() -> None:
     torch.manual_seed(3)
-    autoencoder = T2mAutoencoder(T2mAutoencoderNetworkConfig(12, 0.0), space(), ConditionSizes(0, ()), {}).eval()
+    autoencoder = T2mAutoencoder(T2mAutoencoderNetworkConfig(12, 0.0), inputs(space(), ConditionSizes(0, ()))).eval()
     config = T2mNetworkConfig(width=16, value=10, latent=5)
-    network = T2m(config, space(), TEXTS, {"t2m-autoencoder": autoencoder}).eval()
+    network = T2m(config, inputs(space(), TEXTS, {"t2m-autoencoder": autoencoder})).eval()
     weights, given = network.state_dict(), conditions(1)
     truth, noise = torch.randn(2, 12), torch.randn(2, 5)
     told, hidden = network._begin(given)
@@ -224,7 +202,7 @@ def test_two_snippets_of_t2m_are_those_by_hand() -> None:
 
 def test_a_pass_of_camdm_is_the_one_by_hand() -> None:
     torch.manual_seed(4)
-    network = Camdm(CamdmNetworkConfig(SIZES, past=3, future=5), space(), TEXTS, {}).eval()
+    network = Camdm(CamdmNetworkConfig(SIZES, past=3, future=5), inputs(space(), TEXTS)).eval()
     torch.nn.init.normal_(network.no_past)
     noisy, past, given = torch.randn(2, 5, 263), torch.randn(2, 3, 263), conditions(2)
     found = network(noisy, torch.tensor([1, 3]), given, past, torch.tensor([True, False]))
@@ -270,7 +248,7 @@ def flow_layer(weights: Weights, tokens: Tensor, told: Tensor, heads: int) -> Te
 
 def test_a_pass_of_the_flow_is_the_one_by_hand() -> None:
     torch.manual_seed(5)
-    network = Flow(FlowNetworkConfig(SIZES), field_space(), TEXTS, {}).eval()
+    network = Flow(FlowNetworkConfig(SIZES), inputs(field_space(), TEXTS)).eval()
     for weight in network.parameters():  # what starts as zeros would hide all behind it
         torch.nn.init.normal_(weight, std=0.2)
     noisy, lengths, times, given = torch.randn(2, 5, 66), torch.tensor([5, 3]), torch.tensor([0.25, 0.9]), conditions(2)
@@ -307,7 +285,9 @@ def test_absolute_coordinates_are_the_joints() -> None:
 
 
 def test_an_action_that_is_not_asked_for_is_any() -> None:
-    network = InrMlp(InrMlpNetworkConfig(2, 8, (4,)), field_space(), ConditionSizes(0, ("a", "b"), 4), {})
+    network = InrMlp(
+        InrMlpNetworkConfig(2, 8, (4,)), inputs(field_space(), ConditionSizes(0, ("a", "b")), num_windows=4)
+    )
     network.frames_of[:], network.action_of[:] = 20, torch.tensor([0, 0, 1, 1])
     with torch.no_grad():
         network.mean[:2], network.mean[2:], network.log_variance[:] = 3.0, -3.0, -12.0

@@ -1,8 +1,7 @@
 """INR-MLP (Cervantes et al. 2022; PACerv/ImplicitMotion, models): an MLP of time and a per-motion latent code."""
 
 import warnings
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,42 +12,54 @@ from sklearn.mixture import GaussianMixture
 from torch import Tensor, nn
 
 from motionkit.core.shapes import Float, Float64, Int64
+from motionkit.training.conditions import NO_ACTION
+from motionkit.training.config import Schedule
 from motionkit.training.diffusion.settings import DiffusionConfig
-from peers.generative.batches import NO_ACTION, ConditionSizes, MotionBatch, PoseSpace, SampleBatch
-from peers.generative.networks.layers import ConditionVector, kl_divergence, reparameterized, sinusoids
-from peers.generative.settings import InrMlpNetworkConfig
+from motionkit.training.layers import kl_divergence, reparameterized
+from peers.generating import GIVEN, GIVEN_MINILM, OptimizerConfig, PeerStage, cosine
+from peers.layers import ConditionVector, NetworkInputs, PeerNetwork, sinusoids
+from peers.motions import MotionBatch, MotionsConfig, Rows, SampleBatch
 
 INITIAL_LOG_VARIANCE = 1.0
 # The root's position in `field` vectors.
 ROOT = slice(0, 3)
 
 
-class InrMlp(nn.Module):
+@dataclass(frozen=True)
+class InrMlpNetworkConfig:
+    """INR-MLP: size of the codes and widths of the MLP; `reseeds` is how often a mixture that copies training motions
+    is fitted again."""
+
+    code: int = 128
+    time_features: int = 256
+    hidden: tuple[int, ...] = (1000, 500, 500, 200, 100)
+    root_weight: float = 1.0
+    kl_weight: float = 1e-5
+    reseeds: int = 10
+
+
+class InrMlp(PeerNetwork):
     """A pose at a frame index, from a motion code and a condition code, each N(μ, σ²).
 
     An auto-decoder: the codes of training motions are optimised alternately with the network.
     """
 
-    diffusion: DiffusionConfig | None = None
-
-    def __init__(
-        self, config: InrMlpNetworkConfig, space: PoseSpace, sizes: ConditionSizes, earlier: Mapping[str, nn.Module]
-    ) -> None:
+    def __init__(self, config: InrMlpNetworkConfig, inputs: NetworkInputs) -> None:
         super().__init__()
         self.config, self.width = config, config.code
-        self.mean = nn.Parameter(torch.zeros(sizes.num_windows, config.code))
-        self.log_variance = nn.Parameter(torch.full((sizes.num_windows, config.code), INITIAL_LOG_VARIANCE))
-        self.condition_mean = ConditionVector(sizes, config.code)
-        self.condition_log_variance = ConditionVector(sizes, config.code)
+        self.mean = nn.Parameter(torch.zeros(inputs.num_windows, config.code))
+        self.log_variance = nn.Parameter(torch.full((inputs.num_windows, config.code), INITIAL_LOG_VARIANCE))
+        self.condition_mean = ConditionVector(inputs.conditions, config.code)
+        self.condition_log_variance = ConditionVector(inputs.conditions, config.code)
         for vector, start in ((self.condition_mean, 0.0), (self.condition_log_variance, INITIAL_LOG_VARIANCE)):
             if vector.actions is not None:
                 nn.init.constant_(vector.actions.weight, start)
         widths = (2 * config.code + config.time_features, *config.hidden)
         layers = [layer for pair in pairwise(widths) for layer in (nn.Linear(*pair), nn.ELU())]
-        self.layers = nn.Sequential(*layers, nn.Linear(widths[-1], space.num_features))
+        self.layers = nn.Sequential(*layers, nn.Linear(widths[-1], inputs.space.num_features))
         # Length and action of the motion that each code stands for.
-        self.register_buffer("frames_of", torch.zeros(sizes.num_windows, dtype=torch.int64))
-        self.register_buffer("action_of", torch.full((sizes.num_windows,), NO_ACTION))
+        self.register_buffer("frames_of", torch.zeros(inputs.num_windows, dtype=torch.int64))
+        self.register_buffer("action_of", torch.full((inputs.num_windows,), NO_ACTION))
         self.frames_of: Tensor
         self.action_of: Tensor
         self._codes_turn = True
@@ -59,7 +70,7 @@ class InrMlp(nn.Module):
         frames: Int64[Tensor, "batch frames"],
         code: Float[Tensor, "batch code"],
         condition_code: Float[Tensor, "batch code"],
-    ) -> Float[Tensor, "batch frames numbers"]:
+    ) -> Rows:
         """Standardised poses at these frame indices."""
         time = sinusoids(frames.flatten(), self.config.time_features).view(*frames.shape, -1)
         codes = torch.cat((code, condition_code), dim=1)[:, None].expand(-1, frames.shape[1], -1)
@@ -90,7 +101,7 @@ class InrMlp(nn.Module):
         loss = pose + self.config.root_weight * root + self.config.kl_weight * kl
         return {"loss": loss, "pose": pose, "root": root, "kl": kl}
 
-    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
+    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Rows:
         """Standardised rows from codes reparameterized from the mixture for the action and the length."""
         conditions = batch.conditions.to(batch.device)
         mean, log_variance = self.condition_mean(conditions), self.condition_log_variance(conditions)
@@ -175,3 +186,29 @@ def fit_mixture(
     kept = away if away.any() else np.ones_like(away)
     weights = fitted.weights_[kept] / fitted.weights_[kept].sum()
     return CodeMixture(weights, fitted.means_[kept], np.linalg.cholesky(fitted.covariances_[kept]))
+
+
+# Whole windows, of which a step sees five frames.
+WHOLE_IN_5 = MotionsConfig(pose_vectors="field", crops="whole", seen="scattered", seen_frames=5)
+INR_MLP = PeerStage(
+    "inr-mlp",
+    "INR-MLP: an MLP of time and a latent code per training motion",
+    InrMlp,
+    {
+        "nano": {
+            "network": InrMlpNetworkConfig(reseeds=2),
+            "motions": WHOLE_IN_5,
+            "conditions": GIVEN_MINILM,
+            "schedule": cosine(12_000, 256, 1e-3),
+            "optimizer": OptimizerConfig(clip_norm=2.0),
+            "precision": "auto",
+        },
+        "paper": {
+            "network": InrMlpNetworkConfig(),
+            "motions": WHOLE_IN_5,
+            "conditions": replace(GIVEN, kind="action"),
+            "schedule": Schedule(epochs=10_000, batch_size=512, learning_rate=1e-3),
+            "optimizer": OptimizerConfig(clip_norm=2.0),
+        },
+    },
+)

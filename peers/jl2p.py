@@ -3,45 +3,51 @@
 A recurrent encoder gives a motion's code, a linear layer a condition's; a recurrent decoder makes poses of either.
 """
 
-from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import smooth_l1_loss
 
-from motionkit.core.shapes import Float, Int64
+from motionkit.core.shapes import Float
+from motionkit.training.config import Schedule
 from motionkit.training.diffusion.settings import DiffusionConfig
-from peers.generative.batches import ConditionSizes, MotionBatch, PoseSpace, SampleBatch, frames_within
-from peers.generative.networks.layers import ConditionVector, first_poses, last_states
-from peers.generative.settings import Jl2pNetworkConfig
+from peers.generating import GIVEN, GIVEN_MINILM, SLOW, OptimizerConfig, PeerStage, cosine
+from peers.layers import ConditionVector, NetworkInputs, PeerNetwork, first_poses, last_states
+from peers.motions import Lengths, MotionBatch, Rows, SampleBatch, frames_within
 
 
-class Jl2p(nn.Module):
+@dataclass(frozen=True)
+class Jl2pNetworkConfig:
+    """JL2P: the width of its GRU; with probability `mean_first` the first pose is replaced by the mean pose.
+
+    Over the share `curriculum` of the steps, training uses the numbers of frames in `lengths` in turn, then the last.
+    """
+
+    width: int = 1024
+    lengths: tuple[int, ...] = (2, 4, 8, 16)
+    curriculum: float = 0.5
+    mean_first: float = 0.0
+
+
+class Jl2p(PeerNetwork):
     """Frames or a condition → a code, the initial state of an autoregressive decoder."""
 
-    diffusion: DiffusionConfig | None = None
-
-    def __init__(
-        self, config: Jl2pNetworkConfig, space: PoseSpace, sizes: ConditionSizes, earlier: Mapping[str, nn.Module]
-    ) -> None:
+    def __init__(self, config: Jl2pNetworkConfig, inputs: NetworkInputs) -> None:
         super().__init__()
-        numbers, width = space.num_features, config.width
+        numbers, width = inputs.space.num_features, config.width
         self.config, self.numbers = config, numbers
-        self.sentence = ConditionVector(sizes, width)
+        self.sentence = ConditionVector(inputs.conditions, width)
         self.encoder = nn.GRU(numbers, width, batch_first=True)
         self.cell = nn.GRUCell(numbers, width)
         self.change = nn.Linear(width, numbers)
         self._progress = 1.0
 
-    def encode(
-        self, rows: Float[Tensor, "batch frames numbers"], lengths: Int64[Tensor, "batch"]
-    ) -> Float[Tensor, "batch width"]:
+    def encode(self, rows: Rows, lengths: Lengths) -> Float[Tensor, "batch width"]:
         """Codes of motions."""
         return last_states(self.encoder(rows)[0], lengths)
 
-    def decode(
-        self, code: Float[Tensor, "batch width"], first: Float[Tensor, "batch numbers"], frames: int
-    ) -> Float[Tensor, "batch frames numbers"]:
+    def decode(self, code: Float[Tensor, "batch width"], first: Float[Tensor, "batch numbers"], frames: int) -> Rows:
         """Standardised rows, starting from `first`; each step predicts the change of pose."""
         pose, made = first, []
         for _ in range(frames):
@@ -64,7 +70,7 @@ class Jl2p(nn.Module):
         mask = frames_within(lengths, rows.shape[1])
         return {"loss": smooth_l1_loss(made[mask], rows[mask])}
 
-    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
+    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Rows:
         """Standardised rows, starting from the mean pose; deterministic."""
         code = self.sentence(batch.conditions.to(batch.device)).tanh()
         return self.decode(code, code.new_zeros(len(code), self.numbers), batch.frames)
@@ -73,3 +79,27 @@ class Jl2p(nn.Module):
         """Number of frames used at this point of the curriculum."""
         lengths = self.config.lengths
         return lengths[min(int(self._progress / self.config.curriculum * (len(lengths) - 1)), len(lengths) - 1)]
+
+
+JL2P = PeerStage(
+    "jl2p",
+    "JL2P: autoregressive poses from a joint code of motions and texts",
+    Jl2p,
+    {
+        "nano": {
+            "network": Jl2pNetworkConfig(width=256, lengths=(2, 4, 8, 16, 32, 82), mean_first=0.5),
+            "motions": SLOW,
+            "conditions": GIVEN_MINILM,
+            "schedule": cosine(6000, 64, 1e-3),
+            "optimizer": OptimizerConfig(clip_norm=1.0),
+        },
+        "paper": {
+            "network": Jl2pNetworkConfig(),
+            "motions": replace(SLOW, seen="stretch", seen_frames=16),
+            "conditions": GIVEN,
+            "schedule": Schedule(
+                epochs=1000, batch_size=100, learning_rate=1e-3, kind="steps", drop=0.99, drop_every=0.001
+            ),
+        },
+    },
+)

@@ -1,46 +1,58 @@
 """ACTOR (Petrovich et al. 2021; Mathux/ACTOR, src/models/architectures/transformer.py): a conditional VAE."""
 
-from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor, nn
 
-from motionkit.core.shapes import Bool, Float, Int64
+from motionkit.core.shapes import Float
+from motionkit.training.conditions import Conditions
+from motionkit.training.config import Schedule
 from motionkit.training.diffusion.settings import DiffusionConfig
-from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, SampleBatch, frames_within
-from peers.generative.networks.layers import (
+from motionkit.training.layers import kl_divergence, reparameterized
+from peers.generating import GIVEN, GIVEN_MINILM, SMALL, OptimizerConfig, PeerStage, cosine
+from peers.layers import (
     ConditionVector,
+    NetworkInputs,
+    PeerNetwork,
+    TransformerSizes,
     decoder_layer,
     encoder_layer,
-    kl_divergence,
-    reparameterized,
     sinusoids,
 )
-from peers.generative.settings import ActorNetworkConfig
+from peers.motions import Lengths, Mask, MotionBatch, MotionsConfig, Rows, SampleBatch, frames_within
 
 
-class Actor(nn.Module):
+@dataclass(frozen=True)
+class ActorNetworkConfig:
+    """ACTOR: transformers of these sizes to one latent of their width and back."""
+
+    transformer: TransformerSizes = field(default_factory=lambda: TransformerSizes(8, 256, 4, 1024))
+    joint_weight: float = 1.0
+    kl_weight: float = 1e-5
+
+
+class Actor(PeerNetwork):
     """Conditional transformer VAE with one latent per motion."""
 
-    diffusion: DiffusionConfig | None = None
-
-    def __init__(
-        self, config: ActorNetworkConfig, space: PoseSpace, sizes: ConditionSizes, earlier: Mapping[str, nn.Module]
-    ) -> None:
+    def __init__(self, config: ActorNetworkConfig, inputs: NetworkInputs) -> None:
         super().__init__()
         transformer = config.transformer
         width = transformer.width
-        self.config, self.space, self.width = config, space, width
-        self.frame_in = nn.Linear(space.num_features, width)
-        self.mean_token, self.variance_token = ConditionVector(sizes, width), ConditionVector(sizes, width)
-        self.bias = ConditionVector(sizes, width)
+        self.config, self.space, self.width = config, inputs.space, width
+        self.frame_in = nn.Linear(inputs.space.num_features, width)
+        self.mean_token, self.variance_token = (
+            ConditionVector(inputs.conditions, width),
+            ConditionVector(inputs.conditions, width),
+        )
+        self.bias = ConditionVector(inputs.conditions, width)
         self.dropout = nn.Dropout(transformer.dropout)
         self.encoder = nn.TransformerEncoder(encoder_layer(transformer), transformer.layers, enable_nested_tensor=False)
         self.decoder = nn.TransformerDecoder(decoder_layer(transformer), transformer.layers)
-        self.frame_out = nn.Linear(width, space.num_features)
+        self.frame_out = nn.Linear(width, inputs.space.num_features)
 
     def encode(
-        self, rows: Float[Tensor, "batch frames numbers"], lengths: Int64[Tensor, "batch"], conditions: Conditions
+        self, rows: Rows, lengths: Lengths, conditions: Conditions
     ) -> tuple[Float[Tensor, "batch width"], Float[Tensor, "batch width"]]:
         """μ and log σ²: the outputs of two condition tokens."""
         first = torch.stack((self.mean_token(conditions), self.variance_token(conditions)), dim=1)
@@ -49,9 +61,7 @@ class Actor(nn.Module):
         tokens = self.encoder(self.dropout(tokens + self._positions(tokens)), src_key_padding_mask=hidden)
         return tokens[:, 0], tokens[:, 1]
 
-    def decode(
-        self, latents: Float[Tensor, "batch width"], mask: Bool[Tensor, "batch frames"], conditions: Conditions
-    ) -> Float[Tensor, "batch frames numbers"]:
+    def decode(self, latents: Float[Tensor, "batch width"], mask: Mask, conditions: Conditions) -> Rows:
         """Standardised rows, zeros outside the mask: queries attend to the latent, shifted by the condition."""
         memory = (latents + self.bias(conditions))[:, None]
         queries = torch.zeros((*mask.shape, self.width), device=latents.device)
@@ -69,11 +79,33 @@ class Actor(nn.Module):
         loss = features + self.config.joint_weight * joints + self.config.kl_weight * kl
         return {"loss": loss, "features": features, "joints": joints, "kl": kl}
 
-    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
+    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Rows:
         """Standardised rows decoded from z ~ N(0, I)."""
         latents = batch.noise(self.width).to(batch.device, torch.float32)
-        mask = frames_within(batch.lengths, batch.frames).to(batch.device)
+        mask = batch.mask
         return self.decode(latents, mask, batch.conditions.to(batch.device))
 
     def _positions(self, tokens: Float[Tensor, "batch tokens width"]) -> Float[Tensor, "tokens width"]:
         return sinusoids(torch.arange(tokens.shape[1], device=tokens.device), self.width)
+
+
+ACTOR = PeerStage(
+    "actor",
+    "ACTOR: a conditional VAE of whole motions",
+    Actor,
+    {
+        "nano": {
+            "network": ActorNetworkConfig(SMALL),
+            "conditions": GIVEN_MINILM,
+            "schedule": cosine(2900, 16, 5e-4),
+            "precision": "auto",
+        },
+        "paper": {
+            "network": ActorNetworkConfig(),
+            "motions": MotionsConfig(max_frames=60),
+            "conditions": replace(GIVEN, kind="action"),
+            "schedule": Schedule(epochs=5000, batch_size=20),
+            "optimizer": OptimizerConfig(weight_decay=0.01),
+        },
+    },
+)

@@ -1,44 +1,45 @@
 """ACMDM's small form (Meng et al. 2025; neu-vi/ACMDM, models/ACMDM.py): a rectified flow of absolute coordinates."""
 
-from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import scaled_dot_product_attention, silu
 
 from motionkit.core.errors import UsageError
-from motionkit.core.shapes import Bool, Float, Int64
+from motionkit.core.shapes import Float
+from motionkit.training.conditions import Conditions, guided
+from motionkit.training.config import Schedule
 from motionkit.training.diffusion.settings import DiffusionConfig
-from peers.generative.batches import (
-    Conditions,
-    ConditionSizes,
-    MotionBatch,
-    PoseSpace,
-    SampleBatch,
-    frames_within,
-    joined_conditions,
-)
-from peers.generative.networks.layers import ConditionVector, sinusoids
-from peers.generative.settings import FlowNetworkConfig, TransformerSizes
+from peers.generating import MINILM, OptimizerConfig, PeerStage, cosine
+from peers.layers import ConditionVector, NetworkInputs, PeerNetwork, TransformerSizes, sinusoids
+from peers.motions import Lengths, Mask, MotionBatch, MotionsConfig, PoseSpace, Rows, SampleBatch, frames_within
 
 # Flow times lie in [0, 1]; the sinusoidal embedding expects diffusion steps.
 TIME_SCALE = 1000
 
 
-class Flow(nn.Module):
+@dataclass(frozen=True)
+class FlowNetworkConfig:
+    """ACMDM's small form: a transformer of these sizes, sampled by `sampling_steps` Euler steps."""
+
+    transformer: TransformerSizes = field(default_factory=lambda: TransformerSizes(8, 512, 8, 1365))
+    sampling_steps: int = 50
+    guidance_scale: float = 3.0
+
+
+class Flow(PeerNetwork):
     """Predicts the velocity from noise to motion: one token per frame, time and condition in every layer (AdaLN)."""
 
-    diffusion: DiffusionConfig | None = None
-
-    def __init__(
-        self, config: FlowNetworkConfig, space: PoseSpace, sizes: ConditionSizes, earlier: Mapping[str, nn.Module]
-    ) -> None:
+    def __init__(self, config: FlowNetworkConfig, inputs: NetworkInputs) -> None:
         super().__init__()
         width = config.transformer.width
-        self.config, self.width, self.numbers = config, width, space.num_features
-        self.coordinates = (AbsoluteCoordinates(space),)  # in a tuple: not a submodule, its buffers are the space's
+        self.config, self.width, self.numbers = config, width, inputs.space.num_features
+        self.coordinates = (
+            AbsoluteCoordinates(inputs.space),
+        )  # in a tuple: not a submodule, its buffers are the space's
         self.frame_in = nn.Linear(self.numbers, width)
-        self.condition = ConditionVector(sizes, width)
+        self.condition = ConditionVector(inputs.conditions, width)
         self.time_in = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
         self.layers = nn.ModuleList(FlowLayer(config.transformer) for _ in range(config.transformer.layers))
         self.norm = nn.RMSNorm(width, elementwise_affine=False)
@@ -49,11 +50,11 @@ class Flow(nn.Module):
 
     def forward(
         self,
-        noisy: Float[Tensor, "batch frames numbers"],
+        noisy: Rows,
         times: Float[Tensor, "batch"],
         conditions: Conditions,
-        lengths: Int64[Tensor, "batch"],
-    ) -> Float[Tensor, "batch frames numbers"]:
+        lengths: Lengths,
+    ) -> Rows:
         """dx/dt; padding frames are masked out of the attention."""
         embedding = silu(self.time_in(sinusoids(times * TIME_SCALE, self.width)) + self.condition(conditions))
         mask = frames_within(lengths, noisy.shape[1])
@@ -73,19 +74,20 @@ class Flow(nn.Module):
         errors = (self(noisy, times, batch.conditions, batch.lengths) - (clean - noise)).square().mean(dim=-1)
         return {"loss": ((errors * batch.mask).sum(dim=1) / batch.lengths).mean()}
 
-    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
-        """Standardised rows, by uniform Euler steps; with guidance both velocities share one batch."""
-        twice = batch.guided and self.config.guidance_scale != 1.0
-        conditions = joined_conditions(batch) if twice else batch.conditions.to(batch.device)
-        lengths = batch.lengths.to(batch.device).repeat(1 + twice)
-        x = batch.noise_of_frames(self.numbers).to(batch.device, torch.float32)
+    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Rows:
+        """Standardised rows, by uniform Euler steps."""
+        conditions, unconditional = batch.conditions.to(batch.device), batch.unconditional.to(batch.device)
+        lengths, scale = batch.lengths.to(batch.device), batch.conditions.guidance(self.config.guidance_scale)
+
+        def velocity(x: Tensor, times: Tensor, conditions: Conditions) -> Tensor:
+            own: Tensor = self(x, times, conditions, lengths.repeat(len(x) // len(lengths)))
+            return own
+
+        x = batch.noise_within(batch.lengths, self.numbers).to(batch.device, torch.float32)
         for step in range(self.config.sampling_steps):
-            times = torch.full((len(lengths),), step / self.config.sampling_steps, device=batch.device)
-            velocity: Tensor = self(x.repeat(1 + twice, 1, 1), times, conditions, lengths)
-            if twice:
-                conditional, unconditional = velocity.chunk(2)
-                velocity = unconditional + self.config.guidance_scale * (conditional - unconditional)
-            x = x + velocity / self.config.sampling_steps
+            times = torch.full((len(x),), step / self.config.sampling_steps, device=batch.device)
+            change = guided(velocity, x, times, conditions, unconditional, scale)
+            x = x + change / self.config.sampling_steps
         return self.coordinates[0].relative(x)
 
 
@@ -108,13 +110,13 @@ class AbsoluteCoordinates:
     def _added(self, values: Float[Tensor, "*some joints 3"]) -> Float[Tensor, "*some joints 3"]:
         return torch.cat((values[..., :1, :], values[..., 1:, :] + values[..., :1, :]), dim=-2)
 
-    def absolute(self, rows: Float[Tensor, "batch frames numbers"]) -> Float[Tensor, "batch frames numbers"]:
+    def absolute(self, rows: Rows) -> Rows:
         """Absolute joint coordinates: the root added to every other joint."""
         mean, scale = self._standard()
         joints = self._added(_by_joint(rows * self.space.scale + self.space.mean))
         return ((joints - mean) / scale).flatten(-2)
 
-    def relative(self, rows: Float[Tensor, "batch frames numbers"]) -> Float[Tensor, "batch frames numbers"]:
+    def relative(self, rows: Rows) -> Rows:
         """The inverse of `absolute`."""
         mean, scale = self._standard()
         joints = _by_joint(rows) * scale + mean
@@ -122,7 +124,7 @@ class AbsoluteCoordinates:
         return (relative - self.space.mean) / self.space.scale
 
 
-def _by_joint(rows: Float[Tensor, "batch frames numbers"]) -> Float[Tensor, "batch frames joints 3"]:
+def _by_joint(rows: Rows) -> Float[Tensor, "batch frames joints 3"]:
     return rows.reshape(*rows.shape[:2], -1, 3)
 
 
@@ -144,7 +146,7 @@ class FlowLayer(nn.Module):
         self,
         tokens: Float[Tensor, "batch frames width"],
         embedding: Float[Tensor, "batch width"],
-        mask: Bool[Tensor, "batch frames"],
+        mask: Mask,
     ) -> Float[Tensor, "batch frames width"]:
         """The tokens after the layer."""
         shift, scale, gate, then_shift, then_scale, then_gate = self.moved(embedding)[:, None].chunk(6, dim=-1)
@@ -154,7 +156,7 @@ class FlowLayer(nn.Module):
         return made
 
     def _attention(
-        self, tokens: Float[Tensor, "batch frames width"], mask: Bool[Tensor, "batch frames"]
+        self, tokens: Float[Tensor, "batch frames width"], mask: Mask
     ) -> Float[Tensor, "batch frames width"]:
         q, k, v = self.qkv(tokens).unflatten(-1, (3, self.heads, -1)).permute(2, 0, 3, 1, 4)
         # float32 even under autocast: torch warns about a norm whose weights have another dtype.
@@ -178,3 +180,27 @@ def rotary(values: Float[Tensor, "batch heads frames size"]) -> Float[Tensor, "b
     first, second = values.chunk(2, dim=-1)
     cosine, sine = angles.cos(), angles.sin()
     return torch.cat((first * cosine - second * sine, first * sine + second * cosine), dim=-1)
+
+
+COORDINATES = MotionsConfig(pose_vectors="field", crops="whole")
+FLOW = PeerStage(
+    "flow",
+    "ACMDM's small form: a rectified flow of absolute coordinates",
+    Flow,
+    {
+        "nano": {
+            "network": FlowNetworkConfig(TransformerSizes(4, 128, 2, 341, 0.0), sampling_steps=25, guidance_scale=1.0),
+            "motions": COORDINATES,
+            "conditions": MINILM,
+            "schedule": cosine(5000, 16, 3e-3),
+            "optimizer": OptimizerConfig(ema_decay=0.995),
+            "precision": "auto",
+        },
+        "paper": {
+            "network": FlowNetworkConfig(),
+            "motions": COORDINATES,
+            "schedule": Schedule(epochs=500, learning_rate=2e-4),
+            "optimizer": OptimizerConfig(weight_decay=0.01, ema_decay=0.9999),
+        },
+    },
+)

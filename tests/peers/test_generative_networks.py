@@ -1,5 +1,6 @@
 """Each generative network against an independent statement of it: numbers of parameters, and one pass by hand."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from fractions import Fraction
 
@@ -9,16 +10,15 @@ import torch
 
 from motionkit.features import native
 from motionkit.features.native import NativeVectors
+from motionkit.training.conditions import Conditions, ConditionSizes
 from motionkit.training.diffusion.settings import DiffusionConfig, Prediction
 from motionkit.training.pose_vectors import VectorScaling
-from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, SampleBatch
-from peers.generative.networks.layers import diffusion_loss, diffusion_sample, noised, reparameterized
-from peers.generative.networks.mdm import Mdm
-from peers.generative.networks.mld import Mld, MldVae
-from peers.generative.recipes import MDM, MDM_50, MLD
-from peers.generative.settings import MdmNetworkConfig, MldNetworkConfig, MldVaeNetworkConfig, TransformerSizes
+from peers.layers import NetworkInputs, TransformerSizes, diffusion_loss, diffusion_sample
+from peers.mdm import MDM, MDM_50, Mdm, MdmNetworkConfig
+from peers.mld import MLD, MLD_VAE, Mld, MldNetworkConfig, MldVae, MldVaeNetworkConfig
+from peers.motions import MotionBatch, PoseSpace, SampleBatch
 from tests.helpers.nerm_corpus import analytic_positions
-from tests.peers.generative.plain_transformer import layer, linear, long_skips, part
+from tests.peers.plain_transformer import layer, linear, long_skips, part
 
 FPS = Fraction(20)
 SIZES = TransformerSizes(3, 16, 2, 24, 0.1)
@@ -29,13 +29,22 @@ def space(numbers: int = 263) -> PoseSpace:
     return PoseSpace(NativeVectors(), VectorScaling(torch.zeros(numbers), torch.ones(numbers)), FPS)
 
 
+def inputs(
+    of: PoseSpace,
+    sizes: ConditionSizes,
+    earlier: Mapping[str, torch.nn.Module] = {},
+    num_windows: int = 7,
+) -> NetworkInputs:
+    return NetworkInputs(of, sizes, num_windows, earlier)
+
+
 def count(network: torch.nn.Module) -> int:
     return sum(parameter.numel() for parameter in network.parameters())
 
 
 def conditions(rows: int, dimension: int = 6) -> Conditions:
     text = torch.randn((rows, dimension), generator=torch.Generator().manual_seed(3))
-    return Conditions(text, torch.full((rows,), -1), torch.ones(rows, dtype=torch.bool))
+    return Conditions(text, torch.full((rows,), -1), torch.ones(rows, dtype=torch.bool), torch.ones(rows))
 
 
 # A layer of width d and inner width f: four d×d maps with biases, two norms, and d×f, f×d with biases.
@@ -50,43 +59,22 @@ def decoder_layer_size(d: int, f: int) -> int:
 def test_published_sizes_have_the_published_numbers_of_parameters() -> None:
     """MDM's 17.9 million (its Table 1 of sizes, without CLIP); the others follow from their layers by hand."""
     torch.manual_seed(0)
-    for peer in (MDM, MDM_50):
-        mdm = Mdm(peer.stages[0].configs["paper"]().network, space(), ConditionSizes(512, ()), {})
+    for stage in (MDM, MDM_50):
+        mdm = Mdm(stage.recipes["paper"]["network"], inputs(space(), ConditionSizes(512, ())))
         by_hand = 2 * (512 * 263) + 512 + 263 + 3 * (512 * 512 + 512) + 8 * encoder_layer_size(512, 1024)
         assert count(mdm) == by_hand == 17_880_327
-    vae_stage, denoiser_stage = MLD.stages
-    vae = MldVae(vae_stage.configs["paper"]().network, space(), ConditionSizes(0, ()), {})
+    vae = MldVae(MLD_VAE.recipes["paper"]["network"], inputs(space(), ConditionSizes(0, ())))
     skips = 4 * (512 * 256 + 256) + 2 * 256
     both = 9 * encoder_layer_size(256, 1024) + 9 * decoder_layer_size(256, 1024) + 2 * skips
     assert count(vae) == 2 * 263 * 256 + 256 + 263 + 2 * 256 + 2 * 500 * 256 + both
-    mld = Mld(denoiser_stage.configs["paper"]().network, space(), ConditionSizes(768, ()), {"mld-vae": vae})
+    mld = Mld(MLD.recipes["paper"]["network"], inputs(space(), ConditionSizes(768, ()), {"mld-vae": vae}))
     maps = 2 * (768 * 256 + 256) + (256 * 256 + 256) + 3 * 256
     assert count(mld) == maps + 9 * encoder_layer_size(256, 1024) + skips
 
 
-def test_recipes_have_the_published_settings() -> None:
-    mdm, mdm_50 = (peer.stages[0].configs["paper"]() for peer in (MDM, MDM_50))
-    assert (mdm.schedule.steps, mdm.schedule.batch_size, mdm.schedule.learning_rate) == (600_000, 64, 1e-4)
-    assert (mdm.network.diffusion.num_steps, mdm_50.network.diffusion.num_steps) == (1000, 50)
-    assert (mdm.optimizer.ema_decay, mdm_50.optimizer.ema_decay) == (0.0, 0.9999)
-    for each in (mdm.network.diffusion, mdm_50.network.diffusion):
-        assert (each.schedule, each.prediction, each.sampler, each.guidance_scale) == ("cosine", "latent", "ddpm", 2.5)
-        assert each.sampling_steps == each.num_steps
-    assert (mdm.motions.fps, mdm.motions.max_frames, mdm.conditions.drop) == (20.0, 196, 0.1)
-    vae, mld = (stage.configs["paper"]() for stage in MLD.stages)
-    assert (vae.schedule.epochs, vae.schedule.batch_size, mld.schedule.epochs, mld.schedule.batch_size) == (
-        *(6000, 128),
-        *(2000, 64),
-    )
-    process = mld.network.diffusion
-    assert (process.num_steps, process.sampling_steps, process.sampling_spacing) == (1000, 50, "leading")
-    assert (process.schedule, process.prediction, process.guidance_scale) == ("scaled_linear", "noise", 7.5)
-    assert mld.conditions.nothing == "empty"
-
-
 def test_a_pass_of_mdm_is_the_one_by_hand() -> None:
     torch.manual_seed(1)
-    network = Mdm(MdmNetworkConfig(SIZES), space(), TEXTS, {}).eval()
+    network = Mdm(MdmNetworkConfig(SIZES), inputs(space(), TEXTS)).eval()
     lengths, steps, given = torch.tensor([5, 3]), torch.tensor([7, 900]), conditions(2)
     noisy = torch.randn(2, 5, 263)
     found = network(noisy, steps, given, lengths)
@@ -110,7 +98,7 @@ def test_a_pass_of_mdm_is_the_one_by_hand() -> None:
 
 def test_a_pass_of_mlds_vae_is_the_one_by_hand() -> None:
     torch.manual_seed(2)
-    vae = MldVae(MldVaeNetworkConfig(SIZES, longest=20), space(), ConditionSizes(0, ()), {}).eval()
+    vae = MldVae(MldVaeNetworkConfig(SIZES, longest=20), inputs(space(), ConditionSizes(0, ()))).eval()
     lengths, rows = torch.tensor([6, 4]), torch.randn(2, 6, 263)
     batch = MotionBatch(rows, lengths, conditions(2, 0), torch.arange(2), torch.arange(6).expand(2, -1))
     mean, log_variance = vae.encode(rows, lengths)
@@ -129,8 +117,8 @@ def test_a_pass_of_mlds_vae_is_the_one_by_hand() -> None:
 
 def test_a_pass_of_mlds_denoiser_is_the_one_by_hand() -> None:
     torch.manual_seed(3)
-    vae = MldVae(MldVaeNetworkConfig(SIZES, longest=20), space(), ConditionSizes(0, ()), {})
-    network = Mld(MldNetworkConfig(SIZES, time_features=12), space(), TEXTS, {"mld-vae": vae}).eval()
+    vae = MldVae(MldVaeNetworkConfig(SIZES, longest=20), inputs(space(), ConditionSizes(0, ())))
+    network = Mld(MldNetworkConfig(SIZES, time_features=12), inputs(space(), TEXTS, {"mld-vae": vae})).eval()
     noisy, steps, given = torch.randn(2, 1, 16), torch.tensor([3, 500]), conditions(2)
     found = network(noisy, steps, given)
     weights = network.state_dict()
@@ -146,28 +134,11 @@ def test_a_pass_of_mlds_denoiser_is_the_one_by_hand() -> None:
 
 
 def test_a_denoiser_wants_its_vaes_width() -> None:
-    vae = MldVae(MldVaeNetworkConfig(SIZES), space(), ConditionSizes(0, ()), {})
+    vae = MldVae(MldVaeNetworkConfig(SIZES), inputs(space(), ConditionSizes(0, ())))
     with pytest.raises(ValueError, match="the VAE's latent has 16 numbers, the denoiser's tokens 32"):
-        Mld(MldNetworkConfig(replace(SIZES, width=32)), space(), TEXTS, {"mld-vae": vae})
+        Mld(MldNetworkConfig(replace(SIZES, width=32)), inputs(space(), TEXTS, {"mld-vae": vae}))
     with pytest.raises(ValueError, match="an odd number of layers, not 4"):
-        MldVae(MldVaeNetworkConfig(replace(SIZES, layers=4)), space(), ConditionSizes(0, ()), {})
-
-
-def test_many_noises_of_a_latent_are_the_mean_of_their_losses() -> None:
-    torch.manual_seed(4)
-    vae = MldVae(MldVaeNetworkConfig(SIZES, longest=20), space(), ConditionSizes(0, ()), {}).eval()
-    network = Mld(MldNetworkConfig(SIZES, time_features=12, noises=3), space(), TEXTS, {"mld-vae": vae}).eval()
-    rows, lengths, given = torch.randn(2, 8, 263), torch.tensor([8, 6]), conditions(2)
-    batch = MotionBatch(rows, lengths, given, torch.arange(2), torch.arange(8).repeat(2, 1))
-    found = network.losses(batch, torch.Generator().manual_seed(5))["loss"]
-    generator = torch.Generator().manual_seed(5)
-    latents = reparameterized(*vae.encode(rows, lengths), generator)[:, None]
-    noisy, steps, noise = noised(latents.repeat(3, 1, 1), network.diffusion, generator)
-    alone = [
-        (network(noisy[own], steps[own], given) - noise[own]).square().mean()
-        for own in (slice(first, first + 2) for first in (0, 2, 4))
-    ]
-    torch.testing.assert_close(found, torch.stack(alone).mean())
+        MldVae(MldVaeNetworkConfig(replace(SIZES, layers=4)), inputs(space(), ConditionSizes(0, ())))
 
 
 def test_joints_are_those_of_the_vectors() -> None:
@@ -185,7 +156,7 @@ def test_guidance_goes_beyond_the_condition(sampler: str) -> None:
     batch = SampleBatch(
         lengths=torch.tensor([3, 2]),
         conditions=conditions(2),
-        unconditional=conditions(2).dropped(torch.ones(2, dtype=torch.bool), torch.zeros(6)),
+        unconditional=conditions(2).unconditional(),
         generators=[torch.Generator().manual_seed(row) for row in range(2)],
         device=torch.device("cpu"),
     )
@@ -196,9 +167,11 @@ def test_guidance_goes_beyond_the_condition(sampler: str) -> None:
     config = DiffusionConfig(
         num_steps=8, schedule="cosine", prediction="latent", sampler=sampler, sampling_steps=8, guidance_scale=2.5
     )
-    found = diffusion_sample(output, batch, lambda: batch.noise_of_frames(4), config)
+    found = diffusion_sample(output, batch, lambda: batch.noise_within(batch.lengths, 4), config)
     torch.testing.assert_close(found, torch.full((2, 3, 4), 2.5, dtype=torch.float64))
-    plain = diffusion_sample(output, batch, lambda: batch.noise_of_frames(4), replace(config, guidance_scale=1.0))
+    plain = diffusion_sample(
+        output, batch, lambda: batch.noise_within(batch.lengths, 4), replace(config, guidance_scale=1.0)
+    )
     torch.testing.assert_close(plain, torch.ones((2, 3, 4), dtype=torch.float64))
 
 
@@ -225,5 +198,5 @@ def test_nothing_is_copied_from_the_device_in_a_step(sampler: str, prediction: P
         generators=[torch.Generator() for _ in range(2)],
         device=device,
     )
-    found = diffusion_sample(output, batch, lambda: batch.noise_of_frames(4), config)
+    found = diffusion_sample(output, batch, lambda: batch.noise_within(batch.lengths, 4), config)
     assert (found.device, found.dtype, found.shape) == (device, torch.float64, (2, 3, 4))

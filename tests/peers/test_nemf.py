@@ -1,7 +1,6 @@
 """NeMF against independent statements: numbers of parameters, passes by hand, turns there and back, what is behind."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
 
@@ -11,14 +10,13 @@ import torch
 from torch import Tensor
 
 from motionkit.core.errors import UsageError
-from peers.generative.batches import Conditions, ConditionSizes, MotionBatch
-from peers.generative.networks.nemf import Nemf, NemfPath, with_velocities
-from peers.generative.recipes import NEMF
-from peers.generative.settings import NemfNetworkConfig, NemfPathNetworkConfig
-from tests.peers.generative.plain_transformer import Weights, linear, norm, part
-from tests.peers.generative.test_four_motions import motions
-from tests.peers.generative.test_generative_networks import count, space
-from tests.peers.generative.test_other_networks import dense, field_space
+from motionkit.training.conditions import ConditionSizes
+from peers.motions import MotionBatch
+from peers.nemf import NEMF, NEMF_PATH, Nemf, NemfNetworkConfig, NemfPath, NemfPathNetworkConfig, with_velocities
+from tests.peers.plain_transformer import Weights, linear, norm, part
+from tests.peers.test_four_motions import motions
+from tests.peers.test_generative_networks import conditions, count, inputs, space
+from tests.peers.test_other_networks import dense, field_space
 
 NONE = ConditionSizes(0, ())
 PATH = NemfPathNetworkConfig(widths=(5, 4), kernel=3)
@@ -29,12 +27,12 @@ TINY = NemfNetworkConfig(
 
 def tiny(config: NemfNetworkConfig = TINY) -> Nemf:
     torch.manual_seed(1)
-    return Nemf(config, space(), NONE, {"nemf-path": NemfPath(PATH, space(), NONE, {})}).eval()
+    return Nemf(config, inputs(space(), NONE, {"nemf-path": NemfPath(PATH, inputs(space(), NONE))})).eval()
 
 
 def batch_of(rows: Tensor, lengths: list[int]) -> MotionBatch:
     batch, frames = rows.shape[:2]
-    nothing = Conditions(torch.zeros(batch, 0), torch.full((batch,), -1), torch.zeros(batch, dtype=torch.bool))
+    nothing = conditions(batch, 0).unconditional()
     seen = torch.arange(frames) < torch.tensor(lengths)[:, None]
     every = torch.arange(frames).expand(batch, -1)
     return MotionBatch(rows * seen[..., None], torch.tensor(lengths), nothing, torch.arange(batch), every)
@@ -44,25 +42,16 @@ def test_published_sizes_have_the_numbers_of_parameters_that_follow_from_their_l
     def convolutions(kernel: int, *widths: int) -> int:
         return sum(kernel * before * after + after + dense(before, after) for before, after in pairwise(widths))
 
-    path_config, config = (stage.configs["paper"]().network for stage in NEMF.stages)
-    path = NemfPath(path_config, space(), NONE, {})
+    path_config, config = (stage.recipes["paper"]["network"] for stage in (NEMF_PATH, NEMF))
+    path = NemfPath(path_config, inputs(space(), NONE))
     # 21 joints of three coordinates and six numbers of a rotation, their changes, a turn; velocity, height, contacts.
     poses = 21 * 9
     assert count(path) == convolutions(15, 2 * poses + 1, 512, 512, 512, 512, 256, 128, 2 + 1 + 4) + 6
-    field = Nemf(config, space(), NONE, {"nemf-path": path})
+    field = Nemf(config, inputs(space(), NONE, {"nemf-path": path}))
     encoders = convolutions(4, 2 * poses, 128, 256, 512, 512) + convolutions(4, 6, 128, 256, 512, 512)
     latents = 2 * dense(8 * 512, 1024) + 2 * dense(8 * 512, 256)
     layers = dense(14 + 1024, 1024) + 7 * dense(1024 + 1038, 1024) + 3 * dense(1024 + 1038 + 256, 1024) + 11 * 2 * 1024
     assert count(field) == encoders + latents + layers + dense(1024, poses) + dense(1024, 6)
-
-
-def test_recipes_have_the_published_settings() -> None:
-    path, field = (stage.configs["paper"]() for stage in NEMF.stages)
-    for config in (path, field):
-        assert (config.motions.fps, config.motions.max_frames, config.conditions.kind) == (30.0, 128, "none")
-        schedule = (config.schedule.batch_size, config.schedule.learning_rate, config.schedule.epochs)
-        assert schedule == (16, 1e-4, 1000) and config.optimizer.weight_decay == 1e-4
-    assert (path.network.contact_weight, field.network.joint_weight, field.network.kl_weight) == (0.5, 10.0, 1e-5)
 
 
 def test_a_field_is_the_one_by_hand() -> None:
@@ -129,7 +118,7 @@ def test_latents_are_those_by_hand() -> None:
 
 def test_a_path_is_the_one_by_hand() -> None:
     torch.manual_seed(2)
-    network, rows = NemfPath(PATH, space(), NONE, {}), torch.randn(1, 9, 263)
+    network, rows = NemfPath(PATH, inputs(space(), NONE)), torch.randn(1, 9, 263)
     root, contacts = network(rows, torch.tensor([9]))
     weights = network.state_dict()
     values = with_velocities(rows[..., 4:193], torch.tensor([9]), float(network.space.fps))[0]
@@ -152,8 +141,8 @@ def turned(monkeypatch: pytest.MonkeyPatch) -> Iterator[SimpleNamespace]:
     of, rows = motions("native")
     # Turns of either direction, up to two radians a second.
     rows[..., 0] = (2 * torch.cos(torch.arange(16) / 4 + torch.arange(4)[:, None]) - of.mean[0]) / of.scale[0]
-    path = NemfPath(PATH, of, NONE, {})
-    network = Nemf(TINY, of, NONE, {"nemf-path": path})
+    path = NemfPath(PATH, inputs(of, NONE))
+    network = Nemf(TINY, inputs(of, NONE, {"nemf-path": path}))
     numbers = rows * of.scale + of.mean
     angle = of.heading(numbers)[..., 0]
     zero, one = torch.zeros_like(angle), torch.ones_like(angle)
@@ -192,20 +181,10 @@ def test_what_is_right_costs_nothing_and_a_turn_costs_its_angle(
     assert float(wrong["bones"]) == pytest.approx(np.pi / 2 + 2 / np.pi, abs=0.05)
 
 
-def test_the_weight_of_kl_grows_in_the_first_half_of_every_cycle() -> None:
-    network, batch = tiny(replace(TINY, kl_weight=1.0)), batch_of(torch.randn(2, 16, 263), [16, 12])
-    for step, weight in ((0, 0.01), (5, 0.41), (12, 0.97), (13, 1.0), (24, 1.0), (25, 0.01), (75, 0.01)):
-        network.begin_step(step, 100)
-        with torch.no_grad():
-            found = network.losses(batch, torch.Generator().manual_seed(0))
-        rest = found["root"] + found["bones"] + 10 * found["joints"]
-        assert float((found["loss"] - rest) / found["kl"]) == pytest.approx(weight, abs=1e-3)
-
-
 def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(ValueError, match="frames must be a multiple of 16, not 130"):
         NemfNetworkConfig(frames=130)
     with pytest.raises(UsageError, match=r"a motion of 17 frames is longer than network.frames=16"):
         tiny().encode(torch.zeros(1, 17, 263), torch.tensor([17]))
     with pytest.raises(UsageError, match=r"motions.pose_vectors=native"):
-        NemfPath(PATH, field_space(), NONE, {})
+        NemfPath(PATH, inputs(field_space(), NONE))

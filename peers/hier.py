@@ -3,7 +3,7 @@
 Decoded autoregressively as in JL2P, through a tree of body parts: limbs with the trunk, then pairs of limbs.
 """
 
-from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 
 import torch
@@ -12,12 +12,14 @@ from torch.func import functional_call
 from torch.nn.functional import binary_cross_entropy_with_logits, smooth_l1_loss
 
 from motionkit.core.errors import UsageError
-from motionkit.core.shapes import Float, Int64
+from motionkit.core.shapes import Float
 from motionkit.features.layout import pose_layout
+from motionkit.training.conditions import Conditions
+from motionkit.training.config import Schedule
 from motionkit.training.diffusion.settings import DiffusionConfig
-from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, SampleBatch, frames_within
-from peers.generative.networks.layers import ConditionVector, first_poses, last_states
-from peers.generative.settings import HierNetworkConfig
+from peers.generating import GIVEN, GIVEN_MINILM, SLOW, OptimizerConfig, PeerStage, cosine
+from peers.layers import ConditionVector, NetworkInputs, PeerNetwork, first_poses, last_states
+from peers.motions import Lengths, MotionBatch, PoseSpace, Rows, SampleBatch, frames_within
 
 TRUNK = 4
 
@@ -51,6 +53,24 @@ def body_parts(space: PoseSpace) -> list[list[int]]:
     return [right_arm, left_arm, right_leg + contacts[2:], left_leg + contacts[:2], root + spine]
 
 
+@dataclass(frozen=True)
+class HierNetworkConfig:
+    """Hier: widths of body parts, of limbs with the trunk, of the codes of both halves, and of the critic's layers.
+
+    With probability `mean_first` the first pose is replaced by the mean pose.
+    """
+
+    part: int = 32
+    limb: int = 128
+    width: int = 512
+    critic: tuple[int, ...] = (64, 256, 128, 64)
+    change_weight: float = 0.1
+    match_weight: float = 0.1
+    kept_weight: float = 1e-3
+    critic_weight: float = 1e-3
+    mean_first: float = 0.0
+
+
 class TwoStreamEncoder(nn.Module):
     """Frames → the codes of the upper and the lower body."""
 
@@ -62,9 +82,7 @@ class TwoStreamEncoder(nn.Module):
         self.norms = nn.ModuleList(nn.BatchNorm1d(2 * config.limb) for _ in range(2))
         self.cells = nn.ModuleList(nn.GRU(2 * config.limb, config.width, batch_first=True) for _ in range(2))
 
-    def forward(
-        self, rows: Float[Tensor, "batch frames numbers"], lengths: Int64[Tensor, "batch"]
-    ) -> Float[Tensor, "2 batch width"]:
+    def forward(self, rows: Rows, lengths: Lengths) -> Float[Tensor, "2 batch width"]:
         """Final hidden states of both GRUs."""
         mask = frames_within(lengths, rows.shape[1])
         *limbs, trunk = (layer(rows[..., part]) for layer, part in zip(self.of_parts, self.parts, strict=True))
@@ -93,7 +111,7 @@ class TwoStreamDecoder(nn.Module):
 
     def forward(
         self, codes: Float[Tensor, "2 batch width"], first: Float[Tensor, "batch numbers"], frames: int
-    ) -> Float[Tensor, "batch frames numbers"]:
+    ) -> Rows:
         """Standardised rows, starting from the pose `first`."""
         pose, states, made = first[:, self.order], list(codes), []
         for _ in range(frames):
@@ -122,28 +140,22 @@ class Critic(nn.Module):
             *chain(*((nn.Linear(*pair), nn.LeakyReLU()) for pair in pairwise(widths))), nn.Linear(widths[-1], 1)
         )
 
-    def forward(
-        self, rows: Float[Tensor, "batch frames numbers"], lengths: Int64[Tensor, "batch"]
-    ) -> Float[Tensor, "batch 1"]:
+    def forward(self, rows: Rows, lengths: Lengths) -> Float[Tensor, "batch 1"]:
         """Logits."""
         made: Tensor = self.layers(last_states(self.cell(rows)[0], lengths))
         return made
 
 
-class Hier(nn.Module):
+class Hier(PeerNetwork):
     """Two codes from a motion or a condition, decoded to poses."""
 
-    diffusion: DiffusionConfig | None = None
-
-    def __init__(
-        self, config: HierNetworkConfig, space: PoseSpace, sizes: ConditionSizes, earlier: Mapping[str, nn.Module]
-    ) -> None:
+    def __init__(self, config: HierNetworkConfig, inputs: NetworkInputs) -> None:
         super().__init__()
-        parts = body_parts(space)
-        self.config, self.numbers = config, space.num_features
-        self.sentence = ConditionVector(sizes, 2 * config.width)
+        parts = body_parts(inputs.space)
+        self.config, self.numbers = config, inputs.space.num_features
+        self.sentence = ConditionVector(inputs.conditions, 2 * config.width)
         self.encoder, self.decoder = TwoStreamEncoder(parts, config), TwoStreamDecoder(parts, config)
-        self.critic = Critic(space.num_features, config.critic)
+        self.critic = Critic(inputs.space.num_features, config.critic)
 
     def encode_condition(self, conditions: Conditions) -> Float[Tensor, "2 batch width"]:
         """Codes of conditions."""
@@ -174,8 +186,32 @@ class Hier(nn.Module):
         loss = loss + of.kept_weight * kept + of.critic_weight * (fooled + critic)
         return {"loss": loss, "frames": frames, "changes": changes, "matched": matched, "critic": critic}
 
-    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
+    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Rows:
         """Standardised rows, starting from the mean pose; deterministic."""
         codes = self.encode_condition(batch.conditions.to(batch.device))
         rows: Tensor = self.decoder(codes, codes.new_zeros(codes.shape[1], self.numbers), batch.frames)
         return rows
+
+
+HIER = PeerStage(
+    "hier",
+    "Hier: autoregressive poses from one code for each half of the body",
+    Hier,
+    {
+        "nano": {
+            "network": HierNetworkConfig(limb=64, width=160, mean_first=0.5),
+            "motions": SLOW,
+            "conditions": GIVEN_MINILM,
+            "schedule": cosine(2400, 32, 3e-3),
+            "optimizer": OptimizerConfig(clip_norm=1.0),
+        },
+        "paper": {
+            "network": HierNetworkConfig(),
+            "motions": replace(SLOW, seen="stretch", seen_frames=32),
+            "conditions": GIVEN,
+            "schedule": Schedule(
+                epochs=300, batch_size=32, learning_rate=1e-3, kind="steps", drop=0.99, drop_every=1 / 300
+            ),
+        },
+    },
+)

@@ -1,7 +1,5 @@
 """JL2P and Hier against independent statements: numbers of parameters, passes by hand, what is in sight, the critic."""
 
-from fractions import Fraction
-
 import numpy as np
 import pytest
 import torch
@@ -9,14 +7,12 @@ from torch import Tensor
 
 from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import SMPL22
-from peers.generative.batches import MotionBatch
-from peers.generative.networks.hier import Hier, body_parts
-from peers.generative.networks.jl2p import Jl2p
-from peers.generative.recipes import HIER, JL2P
-from peers.generative.settings import HierNetworkConfig, Jl2pNetworkConfig
-from tests.peers.generative.plain_transformer import Weights, linear, part
-from tests.peers.generative.test_generative_networks import TEXTS, conditions, count, space
-from tests.peers.generative.test_other_networks import CLIP, dense, field_space, gru
+from peers.hier import HIER, Hier, HierNetworkConfig, body_parts
+from peers.jl2p import JL2P, Jl2p, Jl2pNetworkConfig
+from peers.motions import MotionBatch
+from tests.peers.plain_transformer import Weights, linear, part
+from tests.peers.test_generative_networks import TEXTS, conditions, count, inputs, space
+from tests.peers.test_other_networks import CLIP, dense, field_space, gru
 
 TINY_HIER = HierNetworkConfig(part=3, limb=5, width=7, critic=(4, 6))
 
@@ -32,10 +28,10 @@ def batch_of(lengths: list[int]) -> MotionBatch:
 
 
 def test_published_sizes_have_the_numbers_of_parameters_that_follow_from_their_layers() -> None:
-    jl2p = Jl2p(JL2P.stages[0].configs["paper"]().network, space(), CLIP, {})
+    jl2p = Jl2p(JL2P.recipes["paper"]["network"], inputs(space(), CLIP))
     cell = 3 * (263 * 1024 + 1024) + 3 * (1024 * 1024 + 1024)
     assert count(jl2p) == dense(512, 1024) + 2 * cell + dense(1024, 263)
-    hier = Hier(HIER.stages[0].configs["paper"]().network, space(), CLIP, {})
+    hier = Hier(HIER.recipes["paper"]["network"], inputs(space(), CLIP))
     # Arms of 4 joints, legs of 4 with two contacts, 5 joints of the spine; the root has its speed twice and height.
     arm, leg, trunk = 4 * 12, 4 * 12 + 2, 5 * 12 + 3 + 4
     assert 2 * arm + 2 * leg + trunk == 263
@@ -52,20 +48,9 @@ def test_published_sizes_have_the_numbers_of_parameters_that_follow_from_their_l
     assert count(hier) == dense(512, 1024) + encoder + decoder + critic
 
 
-def test_recipes_have_the_published_settings() -> None:
-    jl2p, hier = (peer.stages[0].configs["paper"]() for peer in (JL2P, HIER))
-    for config, batch, epochs, frames in ((jl2p, 100, 1000, 16), (hier, 32, 300, 32)):
-        schedule = config.schedule
-        assert (schedule.batch_size, schedule.epochs, schedule.learning_rate) == (batch, epochs, 1e-3)
-        assert schedule.factor(7 * 50, epochs * 50) == pytest.approx(0.99**7, rel=1e-2)
-        assert (config.motions.framerate, config.motions.seen_frames) == (Fraction(25, 3), frames)
-        assert config.network.mean_first == 0
-    assert jl2p.network.lengths[-1] == 16
-
-
 def test_a_pass_of_jl2p_is_the_one_by_hand() -> None:
     torch.manual_seed(1)
-    network, batch = Jl2p(Jl2pNetworkConfig(6), space(), TEXTS, {}), batch_of([5, 3])
+    network, batch = Jl2p(Jl2pNetworkConfig(6), inputs(space(), TEXTS)), batch_of([5, 3])
     weights = network.state_dict()
     encoder = {name.removesuffix("_l0"): weight for name, weight in part(weights, "encoder.").items()}
     codes, first = network.encode(batch.rows, batch.lengths), batch.rows[:, 0]
@@ -80,28 +65,6 @@ def test_a_pass_of_jl2p_is_the_one_by_hand() -> None:
             state = gru(part(weights, "cell."), pose, state)
             pose = pose + linear(weights, "change", state)
             torch.testing.assert_close(made[row, frame], pose, rtol=1e-4, atol=1e-4)
-
-
-def test_jl2p_sees_more_and_more_frames_of_motions_or_texts() -> None:
-    torch.manual_seed(2)
-    network, batch = Jl2p(Jl2pNetworkConfig(4, lengths=(2, 4, 9), curriculum=0.5), space(), TEXTS, {}), batch_of([9, 3])
-    for step, in_sight in ((0, 2), (24, 2), (25, 4), (49, 4), (50, 9), (99, 9)):
-        network.begin_step(step, 100)
-        assert network._curriculum_length() == in_sight
-    from_condition = []
-    for seed in range(20):
-        network.zero_grad()
-        network.losses(batch, torch.Generator().manual_seed(seed))["loss"].backward()
-        of_text, of_motion = network.sentence.text.weight.grad, network.encoder.weight_hh_l0.grad
-        assert (of_text is None) != (of_motion is None)
-        from_condition.append(of_motion is None)
-    assert {True, False} == set(from_condition)
-    # What lies behind a motion's end is no error.
-    noisy = batch.rows.clone()
-    noisy[1, 3:] = 9.0
-    changed = MotionBatch(noisy, batch.lengths, batch.conditions, batch.window, batch.frames)
-    losses = [network.losses(each, torch.Generator().manual_seed(1))["loss"] for each in (batch, changed)]
-    torch.testing.assert_close(losses[0], losses[1])
 
 
 def test_body_parts_are_the_joints_that_their_names_say() -> None:
@@ -127,7 +90,7 @@ def tree(weights: Weights, row: Tensor, parts: list[list[int]]) -> list[Tensor]:
 
 def test_a_pass_of_hier_is_the_one_by_hand() -> None:
     torch.manual_seed(3)
-    network, batch = Hier(TINY_HIER, space(), TEXTS, {}).eval(), batch_of([4, 2])
+    network, batch = Hier(TINY_HIER, inputs(space(), TEXTS)).eval(), batch_of([4, 2])
     for norm in network.encoder.norms:
         norm.running_mean.normal_(), norm.running_var.uniform_(0.5, 2.0)
     weights, parts = network.state_dict(), body_parts(space())
@@ -159,50 +122,3 @@ def test_a_pass_of_hier_is_the_one_by_hand() -> None:
             change[parts[4]] = sum(trunks) / 4
             pose = pose + change
             torch.testing.assert_close(made[row, frame], pose, rtol=1e-4, atol=1e-4)
-
-
-def test_the_halves_of_a_text_are_matched_with_their_own_halves_of_the_body() -> None:
-    torch.manual_seed(4)
-    network, batch = Hier(TINY_HIER, space(), TEXTS, {}).eval(), batch_of([4, 2])
-    upper, lower = network.encode_condition(batch.conditions)
-    text = network.sentence(batch.conditions).tanh()
-    assert torch.equal(upper, text[:, :7]) and torch.equal(lower, text[:, 7:])
-    codes = network.encoder(batch.rows, batch.lengths)
-    both = [torch.nn.functional.smooth_l1_loss(code, own) for code, own in zip(codes, (upper, lower), strict=True)]
-    found = network.losses(batch, torch.Generator().manual_seed(0))["matched"]
-    torch.testing.assert_close(found, sum(both))
-
-
-def test_the_critic_learns_to_tell_motions_that_learn_to_please_it() -> None:
-    torch.manual_seed(6)
-    config = HierNetworkConfig(3, 5, 7, (4, 6), critic_weight=1.0)
-    batch = batch_of([4, 4, 3])
-    network = Hier(config, space(), TEXTS, {})
-    without = Hier(HierNetworkConfig(3, 5, 7, (4, 6), critic_weight=0.0), space(), TEXTS, {})
-    without.load_state_dict(network.state_dict())
-    for each in (network, without):
-        each.losses(batch, torch.Generator().manual_seed(0))["loss"].backward()
-    pleasing = [
-        (own.grad - other.grad).detach()
-        for own, other in zip(network.decoder.parameters(), without.decoder.parameters(), strict=True)
-    ]
-
-    def looks(of: Hier) -> Tensor:
-        return of.critic(
-            of.decoder(of.encode_condition(batch.conditions), batch.rows[:, 0], 4) * batch.mask[..., None],
-            batch.lengths,
-        )
-
-    # A step of the decoder against the critic's part of its gradient looks more real, a step of the critic less so.
-    before = looks(network).mean()
-    with torch.no_grad():
-        for weight, gradient in zip(network.decoder.parameters(), pleasing, strict=True):
-            weight -= 0.05 * gradient
-    assert looks(network).mean() > before
-    with torch.no_grad():
-        for weight in without.critic.parameters():
-            assert weight.grad is None or not weight.grad.any()
-        apart = network.critic(batch.rows, batch.lengths).mean() - looks(network).mean()
-        for weight in network.critic.parameters():
-            weight -= 0.05 * weight.grad
-        assert network.critic(batch.rows, batch.lengths).mean() - looks(network).mean() > apart

@@ -1,7 +1,6 @@
 """T2M's temporal VAE (Guo et al. 2022; EricGuo5513/text-to-motion, networks/modules.py): autoregressive in snippets."""
 
 import copy
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
@@ -9,10 +8,12 @@ from torch import Tensor, nn
 from torch.nn.functional import l1_loss, smooth_l1_loss
 
 from motionkit.core.shapes import Float, Int64
+from motionkit.training.conditions import Conditions
+from motionkit.training.config import Schedule
 from motionkit.training.diffusion.settings import DiffusionConfig
-from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, SampleBatch, frames_within
-from peers.generative.networks.layers import ConditionVector, sinusoids
-from peers.generative.settings import T2mAutoencoderNetworkConfig, T2mNetworkConfig
+from peers.generating import GIVEN, GIVEN_MINILM, UNCONDITIONAL, OptimizerConfig, PeerStage, cosine
+from peers.layers import ConditionVector, NetworkInputs, PeerNetwork, sinusoids
+from peers.motions import Lengths, MotionBatch, MotionsConfig, Rows, SampleBatch, frames_within
 
 AUTOENCODER = "t2m-autoencoder"
 SNIPPET = 4  # frames
@@ -20,18 +21,39 @@ CONTACTS = 4  # the last features of a pose, which the encoder does not see
 SLOPE = 0.2
 
 
-class T2mAutoencoder(nn.Module):
+@dataclass(frozen=True)
+class T2mAutoencoderNetworkConfig:
+    """T2M's movement autoencoder: convolutions between four frames and one snippet."""
+
+    width: int = 512
+    dropout: float = 0.2
+    size_weight: float = 1e-3
+    change_weight: float = 1e-3
+
+
+@dataclass(frozen=True)
+class T2mNetworkConfig:
+    """T2M's temporal VAE: widths of its cells, of the text's vector and of a snippet's latent.
+
+    Training sees `first_units` snippets of a motion, and `last_units` after the share `curriculum` of its steps.
+    """
+
+    width: int = 1024
+    value: int = 512
+    latent: int = 128
+    kl_weight: float = 0.01
+    teacher_forcing: float = 0.4
+    first_units: int = 10
+    last_units: int = 49
+    curriculum: float = 0.5
+
+
+class T2mAutoencoder(PeerNetwork):
     """Autoencoder: four frames ↔ one snippet."""
 
-    def __init__(
-        self,
-        config: T2mAutoencoderNetworkConfig,
-        space: PoseSpace,
-        sizes: ConditionSizes,
-        earlier: Mapping[str, nn.Module],
-    ) -> None:
+    def __init__(self, config: T2mAutoencoderNetworkConfig, inputs: NetworkInputs) -> None:
         super().__init__()
-        numbers, width = space.num_features, config.width
+        numbers, width = inputs.space.num_features, config.width
         self.config, self.width = config, width
         self.encoder = nn.Sequential(
             nn.Conv1d(numbers - CONTACTS, width, 4, 2, 1),
@@ -44,7 +66,7 @@ class T2mAutoencoder(nn.Module):
         self.encoder_out = nn.Linear(width, width)
         self.decoder = SnippetDecoder(width, numbers)
 
-    def encode(self, rows: Float[Tensor, "batch frames numbers"]) -> Float[Tensor, "batch snippets width"]:
+    def encode(self, rows: Rows) -> Float[Tensor, "batch snippets width"]:
         """Snippets of motions whose lengths are multiples of four frames."""
         hidden = self.encoder(rows[..., :-CONTACTS].transpose(1, 2)).transpose(1, 2)
         snippets: Tensor = self.encoder_out(hidden)
@@ -81,13 +103,13 @@ class SnippetDecoder(nn.Module):
         )
         self.out = nn.Linear(numbers, numbers)
 
-    def forward(self, snippets: Float[Tensor, "batch snippets width"]) -> Float[Tensor, "batch frames numbers"]:
+    def forward(self, snippets: Float[Tensor, "batch snippets width"]) -> Rows:
         """Standardised rows."""
         rows: Tensor = self.out(self.layers(snippets.transpose(1, 2)).transpose(1, 2))
         return rows
 
 
-def whole_snippets(batch: MotionBatch) -> tuple[Float[Tensor, "batch whole numbers"], Int64[Tensor, "batch"]]:
+def whole_snippets(batch: MotionBatch) -> tuple[Float[Tensor, "batch whole numbers"], Lengths]:
     """Rows truncated to whole snippets, and each motion's number of snippets."""
     counts = batch.lengths // SNIPPET
     frames = SNIPPET * int(counts.max())
@@ -132,26 +154,22 @@ class Hidden:
     decoder: Tensor
 
 
-class T2m(nn.Module):
+class T2m(PeerNetwork):
     """Snippets under a condition, each from the one before and a latent; the latent's prior is learned with it."""
 
-    diffusion: DiffusionConfig | None = None
-
-    def __init__(
-        self, config: T2mNetworkConfig, space: PoseSpace, sizes: ConditionSizes, earlier: Mapping[str, nn.Module]
-    ) -> None:
+    def __init__(self, config: T2mNetworkConfig, inputs: NetworkInputs) -> None:
         super().__init__()
-        autoencoder = earlier[AUTOENCODER]
+        autoencoder = inputs.earlier[AUTOENCODER]
         assert isinstance(autoencoder, T2mAutoencoder)
         self.config, width, size = config, config.width, autoencoder.width
         self._autoencoder = (autoencoder,)  # frozen; a copy of its decoder is fine-tuned
         self.frames_out = copy.deepcopy(autoencoder.decoder).requires_grad_(True)
-        self.sentence, self.value = ConditionVector(sizes, width), nn.Linear(width, config.value)
+        self.sentence, self.value = ConditionVector(inputs.conditions, width), nn.Linear(width, config.value)
         self.starts = nn.ModuleList(nn.Linear(width, width) for _ in range(3))
-        inputs = size + config.value
-        self.prior = Gaussian(inputs, width, config.latent)
-        self.posterior = Gaussian(inputs + size, width, config.latent)
-        self.decoder = Recurrent(inputs + config.latent, width)
+        sizes = size + config.value
+        self.prior = Gaussian(sizes, width, config.latent)
+        self.posterior = Gaussian(sizes + size, width, config.latent)
+        self.decoder = Recurrent(sizes + config.latent, width)
         self.snippet_out = nn.Sequential(
             nn.Linear(width, width), nn.LayerNorm(width), nn.LeakyReLU(SLOPE), nn.Linear(width, size)
         )
@@ -187,7 +205,7 @@ class T2m(nn.Module):
         loss = frames + matched + self.config.kl_weight * kl
         return {"loss": loss, "frames": frames, "snippets": matched, "kl": kl}
 
-    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
+    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Rows:
         """Standardised rows, with latents from the prior; the last snippet may be truncated."""
         counts = (batch.lengths + SNIPPET - 1) // SNIPPET
         noise = batch.noise_within(counts, self.config.latent).to(batch.device, torch.float32)
@@ -200,9 +218,7 @@ class T2m(nn.Module):
             made.append(previous)
         return self._frames(torch.stack(made, dim=1), counts)[:, : batch.frames]
 
-    def _frames(
-        self, snippets: Float[Tensor, "batch snippets size"], counts: Int64[Tensor, "batch"]
-    ) -> Float[Tensor, "batch frames numbers"]:
+    def _frames(self, snippets: Float[Tensor, "batch snippets size"], counts: Int64[Tensor, "batch"]) -> Rows:
         """Decoded frames; snippets beyond a motion's length are zeroed."""
         rows: Tensor = self.frames_out(snippets * frames_within(counts, snippets.shape[1])[..., None])
         return rows
@@ -231,7 +247,7 @@ class T2m(nn.Module):
         sentence = self.sentence(conditions)
         return self.value(sentence), Hidden(*(start(sentence) for start in self.starts))
 
-    def _first(self, rows: Float[Tensor, "batch frames numbers"]) -> Float[Tensor, "batch size"]:
+    def _first(self, rows: Rows) -> Float[Tensor, "batch size"]:
         """The start token: the snippet of four zero frames."""
         with torch.no_grad():
             return self._autoencoder[0].encode(torch.zeros_like(rows[:, :1]).expand(-1, SNIPPET, -1))[:, 0]
@@ -247,3 +263,48 @@ def kl_between(one: tuple[Tensor, Tensor], other: tuple[Tensor, Tensor]) -> Floa
     """Elementwise KL divergence of two Gaussians given by μ and log σ²."""
     spread = one[1].exp() + (one[0] - other[0]).square()
     return 0.5 * (other[1] - one[1] + spread / other[1].exp() - 1)
+
+
+IN_24 = MotionsConfig(seen="stretch", seen_frames=24)
+T2M_AUTOENCODER = PeerStage(
+    AUTOENCODER,
+    "T2M, stage 1: snippets of four frames",
+    T2mAutoencoder,
+    {
+        "nano": {
+            "network": T2mAutoencoderNetworkConfig(width=192),
+            "motions": IN_24,
+            "conditions": UNCONDITIONAL,
+            "schedule": cosine(4000, 128, 3e-3),
+            "precision": "auto",
+        },
+        "paper": {
+            "network": T2mAutoencoderNetworkConfig(),
+            "motions": IN_24,
+            "conditions": UNCONDITIONAL,
+            "schedule": Schedule(epochs=270, batch_size=128),
+        },
+    },
+    share=0.3,
+)
+T2M = PeerStage(
+    "t2m",
+    "T2M, stage 2: a conditional recurrent VAE of snippets",
+    T2m,
+    {
+        "nano": {
+            "network": T2mNetworkConfig(width=256, value=128, latent=64),
+            "conditions": GIVEN_MINILM,
+            "schedule": cosine(1500, 32, 5e-4),
+            "optimizer": OptimizerConfig(clip_norm=0.5),
+        },
+        "paper": {
+            "network": T2mNetworkConfig(),
+            "conditions": GIVEN,
+            "schedule": Schedule(steps=300_000, batch_size=32, learning_rate=2e-4),
+            "optimizer": OptimizerConfig(clip_norm=0.5),
+        },
+    },
+    builds_on=(T2M_AUTOENCODER,),
+    share=0.7,
+)

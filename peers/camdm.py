@@ -1,39 +1,63 @@
 """CAMDM (Chen et al. 2024; AIGAnimation/CAMDM, PyTorch/network): autoregressive diffusion of segments in four steps."""
 
-from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor, nn
 
 from motionkit.core.shapes import Bool, Float, Int64
+from motionkit.training.conditions import Conditions
+from motionkit.training.config import Schedule
 from motionkit.training.diffusion.settings import DiffusionConfig
-from peers.generative.batches import Conditions, ConditionSizes, MotionBatch, PoseSpace, SampleBatch
-from peers.generative.networks.layers import (
+from peers.generating import MINILM, SMALL, OptimizerConfig, PeerStage, cosine
+from peers.layers import (
     ConditionVector,
+    NetworkInputs,
+    PeerNetwork,
+    TransformerSizes,
     diffusion_sample,
     encoder_layer,
     noised,
     sinusoids,
 )
-from peers.generative.settings import CamdmNetworkConfig
+from peers.motions import ConditionsConfig, MotionBatch, MotionsConfig, Rows, SampleBatch
 
 # Ankle and foot joints of the 22-joint skeleton; a foot that moves less than this per frame (metres) is in contact.
 FEET, CONTACT_METRES = (7, 10, 8, 11), 0.01
 
 
-class Camdm(nn.Module):
+@dataclass(frozen=True)
+class CamdmNetworkConfig:
+    """CAMDM: predicts `future` frames from `past` ones, which are dropped with probability `no_past`."""
+
+    transformer: TransformerSizes = field(default_factory=lambda: TransformerSizes(4, 256, 4, 1024))
+    past: int = 10
+    future: int = 45
+    no_past: float = 0.15
+    diffusion: DiffusionConfig = field(
+        default_factory=lambda: DiffusionConfig(
+            num_steps=4,
+            schedule="cosine",
+            prediction="latent",
+            loss="latent",
+            sampler="ddpm",
+            sampling_steps=4,
+            guidance_scale=1.0,
+        )
+    )
+
+
+class Camdm(PeerNetwork):
     """Predicts x̂₀ of future frames with a transformer encoder over [time; condition; past frames; noisy frames]."""
 
-    def __init__(
-        self, config: CamdmNetworkConfig, space: PoseSpace, sizes: ConditionSizes, earlier: Mapping[str, nn.Module]
-    ) -> None:
+    def __init__(self, config: CamdmNetworkConfig, inputs: NetworkInputs) -> None:
         super().__init__()
         width = config.transformer.width
-        self.config, self.diffusion, self.space, self.width = config, config.diffusion, space, width
-        self.numbers = space.num_features
+        self.config, self.diffusion, self.space, self.width = config, config.diffusion, inputs.space, width
+        self.numbers = inputs.space.num_features
         self.frame_in, self.past_in = nn.Linear(self.numbers, width), nn.Linear(self.numbers, width)
         self.no_past = nn.Parameter(torch.zeros(width))
-        self.condition = ConditionVector(sizes, width)
+        self.condition = ConditionVector(inputs.conditions, width)
         self.step_in = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
         self.dropout = nn.Dropout(config.transformer.dropout)
         self.layers = nn.TransformerEncoder(
@@ -43,12 +67,12 @@ class Camdm(nn.Module):
 
     def forward(
         self,
-        noisy: Float[Tensor, "batch frames numbers"],
+        noisy: Rows,
         steps: Int64[Tensor, "batch"],
         conditions: Conditions,
         past: Float[Tensor, "batch past numbers"],
         has_past: Bool[Tensor, "batch"],
-    ) -> Float[Tensor, "batch frames numbers"]:
+    ) -> Rows:
         """The clean frames that follow `past`; rows without `has_past` start a motion."""
         time = self.step_in(sinusoids(steps, self.width))
         before = torch.where(has_past[:, None, None], self.past_in(past), self.no_past)
@@ -64,7 +88,7 @@ class Camdm(nn.Module):
         past, clean = batch.rows[:, : self.config.past], batch.rows[:, self.config.past :]
         mask = batch.mask[:, self.config.past :]
         has_past = (torch.rand(len(past), generator=generator) >= self.config.no_past).to(past.device)
-        noisy, steps, _ = noised(clean, self.diffusion, generator)
+        noisy, steps, _ = noised(clean, self.config.diffusion, generator)
         made = self(noisy * mask[..., None], steps, batch.conditions, past, has_past)
         both = mask[:, 1:] & mask[:, :-1]
         joints, truth = self.space.joints(made), self.space.joints(clean)
@@ -79,7 +103,7 @@ class Camdm(nn.Module):
         }
         return {"loss": torch.stack(list(terms.values())).sum(), **terms}
 
-    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Float[Tensor, "batch frames numbers"]:
+    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Rows:
         """Standardised rows, segment after segment."""
         count, size = len(batch.lengths), (self.config.future, self.numbers)
         rows = torch.zeros((count, self.config.past, self.numbers), device=batch.device)
@@ -101,3 +125,28 @@ class Camdm(nn.Module):
 
 def _differences(values: Float[Tensor, "batch frames *rest"]) -> Float[Tensor, "batch gaps *rest"]:
     return values[:, 1:] - values[:, :-1]
+
+
+STRETCHES = MotionsConfig(fps=30.0, max_frames=294, seen="stretch", seen_frames=55)
+CAMDM = PeerStage(
+    "camdm",
+    "CAMDM: autoregressive diffusion of motion segments in 4 steps",
+    Camdm,
+    {
+        "nano": {
+            "network": CamdmNetworkConfig(SMALL),
+            "motions": STRETCHES,
+            "conditions": replace(MINILM, drop=0.15),
+            "schedule": cosine(6000, 64, 3e-3),
+            "optimizer": OptimizerConfig(ema_decay=0.995),
+            "precision": "auto",
+        },
+        "paper": {
+            "network": CamdmNetworkConfig(),
+            "motions": STRETCHES,
+            "conditions": ConditionsConfig(drop=0.15),
+            "schedule": Schedule(epochs=100, batch_size=512),
+            "optimizer": OptimizerConfig(weight_decay=0.01),
+        },
+    },
+)

@@ -1,0 +1,478 @@
+"""A generative system: its stages with their networks and recipes, their training, and the trained model.
+
+A trained system gives frames at its own framerate, and SLERP between them.
+"""
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cached_property, partial
+from math import ceil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from motionkit.core.errors import UsageError
+from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float, Float32, Float64
+from motionkit.core.skeleton import Skeleton
+from motionkit.core.timegrid import TimeGrid
+from motionkit.fields.interpolation import INTERPOLATORS, InterpolatedField
+from motionkit.fields.motion_field import MotionField, Observation
+from motionkit.generate.models import GenerationRequest, SamplingOptions
+from motionkit.training.conditions import Conditions, ConditionSizes
+from motionkit.training.config import Precision, Schedule, from_plain, specialised, to_plain
+from motionkit.training.devices import autocast, float32_products, resolve_device, with_precision_of
+from motionkit.training.diffusion.settings import DiffusionConfig
+from motionkit.training.loop import (
+    WeightAverage,
+    dropout_from,
+    seeded_initialisation,
+    set_rate,
+    step_generator,
+    train_loop,
+)
+from motionkit.training.pose_vectors import VectorScaling, vector_tensors, vectors_of
+from motionkit.training.run import RunError, RunFolder
+from motionkit.training.stage import Stage, StageContext
+from motionkit.training.tensors import (
+    CheckpointError,
+    load_tensors,
+    load_training_tensors,
+    prefixed,
+    rebuilding,
+    save_tensors,
+    training_tensors,
+    unprefixed,
+)
+from motionkit.training.text import TextEncoder, load_same_encoder
+from peers.layers import NetworkInputs, PeerNetwork, TransformerSizes
+from peers.motions import ConditionsConfig, MotionCorpus, MotionsConfig, PoseSpace, SampleBatch, open_corpus
+
+FORMAT, FORMAT_VERSION = "motionkit-generative-peer", 1
+MOTIONS_PER_BATCH = 64
+
+
+@dataclass(frozen=True)
+class OptimizerConfig:
+    """AdamW; `ema_decay` above 0 saves an exponential moving average of the weights; `clip_norm` above 0 clips the
+    gradient's norm."""
+
+    weight_decay: float = 0.0
+    ema_decay: float = 0.0
+    clip_norm: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.ema_decay < 1.0:
+            raise ValueError(f"ema_decay must lie in [0, 1), not {self.ema_decay}")
+
+
+@dataclass(frozen=True)
+class PeerConfig:
+    """A stage's configuration; the part `network` has the sizes of its own network."""
+
+    network: Any = None
+    motions: MotionsConfig = dataclasses.field(default_factory=MotionsConfig)
+    conditions: ConditionsConfig = dataclasses.field(default_factory=ConditionsConfig)
+    schedule: Schedule = dataclasses.field(default_factory=partial(Schedule, epochs=1))
+    optimizer: OptimizerConfig = dataclasses.field(default_factory=OptimizerConfig)
+    precision: Precision = "float32"
+
+
+def cosine(steps: int, batch_size: int, learning_rate: float) -> Schedule:
+    """A schedule with a short warm-up, then half a cosine."""
+    return Schedule(
+        steps=steps, batch_size=batch_size, learning_rate=learning_rate, kind="cosine", warmup_fraction=0.02
+    )
+
+
+UNCONDITIONAL = ConditionsConfig(kind="none")
+MINILM = ConditionsConfig(text_encoder="minilm", scaled=True)
+# Without diffusion there is no guidance, so no condition is dropped.
+GIVEN, GIVEN_MINILM = ConditionsConfig(drop=0.0), replace(MINILM, drop=0.0)
+# Every twelfth frame of KIT's 100 fps; 9.8 s, as the others.
+SLOW = MotionsConfig(fps=25 / 3, max_frames=82)
+# Two heads of 64 and no dropout: attention over 196 frames is twice as fast on a CPU.
+SMALL = TransformerSizes(4, 128, 2, 256, dropout=0.0)
+
+
+@dataclass(frozen=True)
+class PeerStage:
+    """One training stage of a system; that of its last stage generates.
+
+    `recipes` are the parts of its configuration by recipe and name: `paper` has the published sizes, batch size and
+    steps; `nano` trains small networks in about the processor time of NeRM's `nano`, 18 minutes on one core for all
+    stages together. `share` is its share of the system's time budget. A system that is not `conditional` takes no text
+    and no action, whatever it is trained on.
+    """
+
+    name: str
+    description: str
+    make_network: Callable[[Any, NetworkInputs], PeerNetwork]
+    recipes: Mapping[str, Mapping[str, Any]]
+    builds_on: "tuple[PeerStage, ...]" = ()
+    share: float = 1.0
+    conditional: bool = True
+
+    @cached_property
+    def config_type(self) -> type[PeerConfig]:
+        """The type of its configurations."""
+        sizes = type(self.recipes["paper"]["network"])
+        return specialised(PeerConfig, sizes.__name__.replace("Network", ""), network=sizes)
+
+    @property
+    def earlier(self) -> tuple[str, ...]:
+        """Names of the stages that it builds on."""
+        return tuple(stage.name for stage in self.builds_on)
+
+    @property
+    def stage(self) -> Stage[Any]:
+        """The trainable stage; not part of `--stage all`."""
+        return Stage(
+            self.name,
+            self.description,
+            {name: partial(self.config_type, **parts) for name, parts in self.recipes.items()},
+            partial(train_stage, self),
+            in_all=False,
+            check=check_stage,
+            builds_on=lambda config: self.earlier,
+            share=self.share,
+        )
+
+    def load(self, run: Path, title: str | None = None) -> "PeerModel":
+        """Load the system from a run, onto a GPU if there is one; raises `RunError` if a stage is not trained."""
+        device = resolve_device("auto")
+        trained = load_stage(RunFolder(run), self, device)
+        unconditional = not self.conditional or trained.config.conditions.kind == "none"
+        return PeerModel(title or self.name, trained, device, unconditional)
+
+
+class PeerTraining:
+    """A `motionkit.training.loop.Trainable`: owns the network, the average of its weights and the optimiser."""
+
+    def __init__(
+        self,
+        config: PeerConfig,
+        corpus: MotionCorpus,
+        network: PeerNetwork,
+        device: torch.device,
+    ) -> None:
+        self.config, self.corpus, self.device = config, corpus, device
+        self.network = network.to(device)
+        self.steps = config.schedule.num_steps(len(corpus))
+        self.average = WeightAverage(network, config.optimizer.ema_decay) if config.optimizer.ema_decay else None
+        self.optimizer = torch.optim.AdamW(
+            network.parameters(), lr=config.schedule.learning_rate, weight_decay=config.optimizer.weight_decay
+        )
+
+    def step(self, step: int, generator: torch.Generator) -> Mapping[str, Tensor]:
+        """One optimiser step on a fresh batch."""
+        schedule = self.config.schedule
+        set_rate(self.optimizer, schedule.factor(step, self.steps) * schedule.learning_rate)
+        rows = torch.randint(len(self.corpus), (schedule.batch_size,), generator=generator)
+        batch = self.corpus.batch(rows, generator, drop=self.config.conditions.drop).to(self.device)
+        self.network.begin_step(step, self.steps)
+        self.network.train()
+        with dropout_from(generator, self.device), autocast(self.config.precision, self.device):
+            figures = self.network.losses(batch, generator)
+        self.optimizer.zero_grad(set_to_none=True)
+        torch.autograd.backward(figures["loss"])
+        if self.config.optimizer.clip_norm:
+            torch.nn.utils.clip_grad_norm_(self.network.parameters(), self.config.optimizer.clip_norm)
+        self.optimizer.step()
+        if self.average is not None:
+            self.average.update(self.network, step)
+        return {name: figure.detach() for name, figure in figures.items()}
+
+    @property
+    def trained_tensors(self) -> dict[str, Tensor]:
+        """The weights to save: averaged if an average is kept."""
+        return self.network.state_dict() if self.average is None else self.average.tensors()
+
+    def state_tensors(self) -> dict[str, Tensor]:
+        """Weights, their average, the optimiser's moments."""
+        kept = {} if self.average is None else prefixed("average", self.average.tensors())
+        return training_tensors("network", self.network, self.optimizer) | kept
+
+    def load_state_tensors(self, tensors: Mapping[str, Tensor]) -> None:
+        """Restore what `state_tensors` returned."""
+        load_training_tensors("network", self.network, self.optimizer, tensors)
+        if self.average is not None:
+            self.average.load(unprefixed("average", tensors))
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedStage:
+    """A stage's network in evaluation mode, with its training setup; `durations` are of its windows, in seconds."""
+
+    config: PeerConfig
+    network: PeerNetwork
+    space: PoseSpace
+    sizes: ConditionSizes
+    durations: Float64[Tensor, "windows"]
+    nothing: Float[Tensor, "text"]
+    text_fingerprint: str
+
+
+def train_stage(stage: PeerStage, context: StageContext, config: PeerConfig) -> None:
+    """Train a stage on the context's store; write RUN/STAGE/model.safetensors.
+
+    Raises `RunError` if an earlier stage is not trained or was trained on other motions, and `UsageError` for a store
+    without the motions or captions that it needs.
+    """
+    started = time.perf_counter()
+    store, device = context.open_store(), resolve_device(context.device)
+    config = with_precision_of(config, device)
+    encoder = config.conditions.load_encoder()
+    earlier = {each.name: load_stage(context.run, each, device) for each in stage.builds_on}
+    corpus = open_corpus(store, config.motions, config.conditions, encoder)
+    corpus = replace(corpus, scaling=_common_scaling(corpus, config, earlier))
+    space = PoseSpace(corpus.vectors, corpus.scaling, config.motions.framerate).to(device)
+    networks = {name: each.network for name, each in earlier.items()}
+    with seeded_initialisation(context.seed, stage.name):
+        inputs = NetworkInputs(space, corpus.conditions.sizes, len(corpus), networks)
+        network = stage.make_network(config.network, inputs)
+    folder = context.begin(stage.name, config, store_fingerprint=store.fingerprint, builds_on=stage.earlier)
+    training = PeerTraining(config, corpus, network, device)
+    with float32_products(config.precision):
+        context.fit_budget(training, folder)
+        figures = train_loop(training, folder, steps=training.steps, seed=context.seed, on_progress=context.on_progress)
+    tensors = prefixed("network", training.trained_tensors) | {
+        "scaling.mean": corpus.scaling.mean,
+        "scaling.scale": corpus.scaling.scale,
+        "durations": torch.from_numpy(corpus.poses.windows.duration_seconds),
+        "nothing": corpus.conditions.text[0],
+        **vector_tensors(corpus.vectors),
+    }
+    description = {
+        "format": FORMAT,
+        "version": FORMAT_VERSION,
+        "stage": stage.name,
+        "config": to_plain(config),
+        "actions": list(corpus.conditions.sizes.actions),
+        "text_fingerprint": "" if encoder is None else encoder.fingerprint,
+        "store_fingerprint": store.fingerprint,
+        "builds_on": context.run.fingerprints(stage.earlier),
+    }
+    save_tensors(folder.model_path, tensors, description)
+    facts = {
+        "steps": training.steps,
+        "parameters": sum(parameter.numel() for parameter in network.parameters()),
+        "fps": config.motions.fps,
+        "windows": len(corpus),
+        "captions": int(corpus.conditions.num_captions.sum()),
+        "actions": len(corpus.conditions.sizes.actions),
+    }
+    folder.finish({**figures, **facts, "wall_seconds": round(time.perf_counter() - started, 1)})
+
+
+def check_stage(context: StageContext, config: PeerConfig) -> None:
+    """Raise early what would stop the training: missing captions or actions, a missing text encoder."""
+    config.conditions.load_encoder()
+    columns = context.open_store().columns("captions", "action")
+    config.conditions.check(bool(columns["captions"].map(len).any()), bool(set(columns["action"]) - {""}))
+
+
+def _common_scaling(corpus: MotionCorpus, config: PeerConfig, earlier: Mapping[str, TrainedStage]) -> VectorScaling:
+    """The scaling of the earlier stages, on whose outputs this stage trains; the corpus's own if there are none."""
+    for name, stage in earlier.items():
+        theirs, own = (replace(each.motions, seen="all", seen_frames=0) for each in (stage.config, config))
+        if theirs != own:
+            raise RunError(
+                f"{name} was trained on other motions ({theirs}, not {own}): give both stages the same `motions.…` "
+                "settings"
+            )
+        return VectorScaling(stage.space.mean.cpu(), stage.space.scale.cpu())
+    return corpus.scaling
+
+
+def load_stage(run: RunFolder, stage: PeerStage, device: torch.device) -> TrainedStage:
+    """Load a trained stage; raises `RunError` if it is missing, or an earlier stage has been trained again since."""
+    name, folder = stage.name, run.stage(stage.name)
+    folder.read_summary()
+    tensors, description = load_tensors(folder.model_path)
+    found = tuple(description.get(key) for key in ("format", "version", "stage"))
+    if found != (FORMAT, FORMAT_VERSION, name):
+        raise CheckpointError(f"{folder.model_path} is {found}, expected {(FORMAT, FORMAT_VERSION, name)}")
+    if description["builds_on"] != run.fingerprints(stage.earlier):
+        raise RunError(
+            f"{', '.join(stage.earlier)} was trained again after {folder.model_path}: "
+            f"motionkit train --stage {name} --run {run.path.name} --overwrite"
+        )
+    earlier = {each.name: load_stage(run, each, device).network for each in stage.builds_on}
+    with rebuilding(folder.model_path, name, tensors), seeded_initialisation(0, name):
+        config = from_plain(stage.config_type, description["config"])
+        vectors = vectors_of(config.motions.pose_vectors, tensors)
+        scaling = VectorScaling(tensors["scaling.mean"], tensors["scaling.scale"])
+        space = PoseSpace(vectors, scaling, config.motions.framerate).to(device)
+        sizes = ConditionSizes(len(tensors["nothing"]), tuple(map(str, description["actions"])))
+        network = stage.make_network(config.network, NetworkInputs(space, sizes, len(tensors["durations"]), earlier))
+        network.load_state_dict(unprefixed("network", tensors))
+    return TrainedStage(
+        config=config,
+        network=network.to(device).eval().requires_grad_(False),
+        space=space,
+        sizes=sizes,
+        durations=tensors["durations"],
+        nothing=tensors["nothing"],
+        text_fingerprint=str(description["text_fingerprint"]),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class PeerModel:
+    """A `motionkit.generate.models.GenerativeModel`; `name` is that of its rows.
+
+    `unconditional`: it takes no text and no action.
+    """
+
+    name: str
+    trained: TrainedStage
+    device: torch.device
+    unconditional: bool = False
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The skeleton of its pose vectors."""
+        return self.trained.space.vectors.skeleton
+
+    @property
+    def max_training_fps(self) -> Fraction:
+        """The one framerate that it was trained at."""
+        return self.trained.space.fps
+
+    @property
+    def max_duration_seconds(self) -> float:
+        """The longest motion that it was trained on."""
+        return float(self.trained.config.motions.max_duration_seconds)
+
+    @property
+    def always_conditioned(self) -> bool:
+        """Whether it learnt from no motion without its condition, but for those that have none."""
+        return not (self.unconditional or self.trained.config.conditions.drop)
+
+    @cached_property
+    def text_encoder(self) -> TextEncoder:
+        """The encoder it was trained with; raises `RunError` where its weights have changed."""
+        return load_same_encoder(self.trained.config.conditions.text_encoder, self.trained.text_fingerprint, self.name)
+
+    def check(self, request: GenerationRequest, sampling: SamplingOptions = SamplingOptions()) -> None:
+        """Raise `UsageError` for a duration, text, action or sampling option that this model does not support."""
+        self._diffusion(sampling)
+        seconds = request.duration_seconds
+        if seconds is not None and not 0 < seconds <= self.max_duration_seconds + 1e-9:
+            raise UsageError(
+                f"{self.name} generates more than 0 and up to {self.max_duration_seconds:g} s, not {seconds:g} s"
+            )
+        if self.unconditional and (request.text or request.action):
+            raise UsageError(f"this {self.name} knows no texts and no actions: ask unconditionally")
+        kind, known = self.trained.config.conditions.kind, self.trained.sizes.actions
+        if request.text and not request.action and kind != "text":
+            raise UsageError(
+                f"this {self.name} was trained without texts: ask for an action, or unconditionally, or train another "
+                "run with --set conditions.kind=text"
+            )
+        if request.action and not (request.text and kind == "text") and request.action not in known:
+            raise UsageError(
+                f"this {self.name} knows no action {request.action!r}; it knows {', '.join(known)}"
+                if known
+                else f"this {self.name} was trained without actions: ask for a text, or unconditionally, or train "
+                "another run with --set conditions.kind=action"
+            )
+
+    def generate(
+        self,
+        requests: Sequence[GenerationRequest],
+        *,
+        seed: int,
+        sampling: SamplingOptions = SamplingOptions(),
+        first: int = 0,
+    ) -> list[MotionField]:
+        """One field per request, in order; field i depends on (seed, `first` + i) and request i alone, up to rounding.
+
+        Raises `UsageError` as `check` does.
+        """
+        for request in requests:
+            self.check(request, sampling)
+        seconds = [self._seconds(request, seed, first + row) for row, request in enumerate(requests)]
+        # A batch is padded to its longest motion: motions of similar length are batched together.
+        rows = sorted(range(len(requests)), key=lambda row: seconds[row])
+        made: dict[int, MotionField] = {}
+        for start in range(0, len(rows), MOTIONS_PER_BATCH):
+            some = rows[start : start + MOTIONS_PER_BATCH]
+            generators = [step_generator(seed, "generate", first + row) for row in some]
+            batch, durations = [requests[row] for row in some], [seconds[row] for row in some]
+            made |= zip(some, self._generated(batch, durations, generators, self._diffusion(sampling)), strict=True)
+        return [made[row] for row in range(len(requests))]
+
+    def _generated(
+        self,
+        requests: Sequence[GenerationRequest],
+        seconds: Sequence[float],
+        generators: list[torch.Generator],
+        diffusion: DiffusionConfig,
+    ) -> list[MotionField]:
+        fps, most = float(self.max_training_fps), self.trained.config.motions.max_frames + 1
+        lengths = [min(ceil(each * fps - 1e-6) + 1, most) for each in seconds]
+        conditions = self._conditions(requests, seconds)
+        batch = SampleBatch(
+            lengths=torch.tensor(lengths),
+            conditions=conditions,
+            unconditional=conditions.unconditional(self.trained.nothing),
+            generators=generators,
+            device=self.device,
+        )
+        space = self.trained.space
+        with torch.inference_mode():
+            rows = self.trained.network.sample(batch, diffusion).to(self.device, torch.float32)
+            vectors = (rows * space.scale + space.mean).cpu().numpy()
+        if not np.isfinite(vectors).all():
+            raise UsageError(f"sampling diverged: a guidance scale of {diffusion.guidance_scale:g} is too large")
+        return [self._field(each[:length], own) for each, length, own in zip(vectors, lengths, seconds, strict=True)]
+
+    def _field(self, vectors: Float32[np.ndarray, "frames numbers"], duration_seconds: float) -> MotionField:
+        """Poses at the model's own framerate, interpolated by SLERP over the requested duration."""
+        space = self.trained.space
+        grid = TimeGrid(space.fps, len(vectors))
+        seconds = grid.seconds()
+        instants = space.vectors.instants(seconds)
+        between = np.stack([np.interp(instants, seconds, column) for column in vectors.T], axis=1).astype(np.float32)
+        poses = space.vectors.decode(between, instants, seconds)
+        motion: Motion = poses.at(grid, self.skeleton)
+        field = INTERPOLATORS["slerp"].encode(Observation.of(motion))
+        assert isinstance(field, InterpolatedField)
+        return replace(field, end_seconds=min(duration_seconds, field.end_seconds))
+
+    def _seconds(self, request: GenerationRequest, seed: int, number: int) -> float:
+        if request.duration_seconds is not None:
+            return float(request.duration_seconds)
+        row = torch.randint(len(self.trained.durations), (), generator=step_generator(seed, "duration", number))
+        return float(self.trained.durations[row])
+
+    def _conditions(self, requests: Sequence[GenerationRequest], seconds: Sequence[float]) -> Conditions:
+        """The network's conditions; a request without text or action gets the null condition."""
+        settings, nothing = self.trained.config.conditions, self.trained.nothing
+        texts = [request.text if settings.kind == "text" else "" for request in requests]
+        actions = [request.action if settings.kind == "action" else "" for request in requests]
+        named = list(dict.fromkeys(text for text in texts if text))
+        rows = settings.embedded(self.text_encoder.encode(named), named) if named else ()
+        embedding = dict(zip(named, rows, strict=True)) | {"": nothing}
+        return Conditions(
+            text=torch.stack([embedding[text] for text in texts]),
+            action=torch.tensor([self.trained.sizes.action_index(action) for action in actions]),
+            given=torch.tensor([bool(text or action) for text, action in zip(texts, actions, strict=True)]),
+            duration=torch.tensor(seconds, dtype=torch.float32) / self.max_duration_seconds,
+        )
+
+    def _diffusion(self, sampling: SamplingOptions) -> DiffusionConfig:
+        own = self.trained.network.diffusion
+        if own is None:
+            if sampling != SamplingOptions():
+                raise UsageError(f"{self.name} has no guidance, sampler or number of steps to choose")
+            return DiffusionConfig()
+        return own.adjusted(sampling.sampler, sampling.steps, sampling.guidance_scale)

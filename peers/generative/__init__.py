@@ -1,1 +1,0 @@
-"""Other people's generative systems: a network's file and a row of `recipes.py` each; all else is written once."""

@@ -1,0 +1,134 @@
+"""MDM (Tevet et al. 2023; GuyTevet/motion-diffusion-model, model/mdm.py): diffusion of whole motions."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from motionkit.core.shapes import Int64
+from motionkit.training.conditions import Conditions
+from motionkit.training.config import Schedule
+from motionkit.training.diffusion.settings import DiffusionConfig
+from peers.generating import MINILM, SMALL, OptimizerConfig, PeerStage, cosine
+from peers.layers import (
+    NetworkInputs,
+    PeerNetwork,
+    TransformerSizes,
+    diffusion_loss,
+    diffusion_sample,
+    encoder_layer,
+    sinusoids,
+)
+from peers.motions import Lengths, MotionBatch, Rows, SampleBatch, frames_within
+
+
+@dataclass(frozen=True)
+class MdmNetworkConfig:
+    """MDM: a transformer encoder over one token of time and condition, then frames; predicts the clean motion.
+
+    1,000 steps as first published, all of them sampled; `mdm-50` is trained separately with 50.
+    """
+
+    transformer: TransformerSizes = field(default_factory=lambda: TransformerSizes(8, 512, 4, 1024))
+    diffusion: DiffusionConfig = field(
+        default_factory=lambda: DiffusionConfig(
+            schedule="cosine",
+            prediction="latent",
+            loss="latent",
+            sampler="ddpm",
+            sampling_steps=1000,
+            guidance_scale=2.5,
+        )
+    )
+
+
+class Mdm(PeerNetwork):
+    """Predicts x̂₀ of noisy frames with a transformer encoder over [time + condition; frames]."""
+
+    def __init__(self, config: MdmNetworkConfig, inputs: NetworkInputs) -> None:
+        super().__init__()
+        width = config.transformer.width
+        self.config, self.diffusion, self.width = config, config.diffusion, width
+        self.numbers = inputs.space.num_features
+        self.frame_in = nn.Linear(self.numbers, width)
+        size, actions = inputs.conditions.text_dimension, inputs.conditions.actions
+        self.text_in = nn.Linear(size, width) if size else None
+        self.actions = nn.Embedding(len(actions), width) if actions else None
+        self.step_in = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
+        self.dropout = nn.Dropout(config.transformer.dropout)
+        self.layers = nn.TransformerEncoder(
+            encoder_layer(config.transformer), config.transformer.layers, enable_nested_tensor=False
+        )
+        self.frame_out = nn.Linear(width, self.numbers)
+
+    def forward(
+        self,
+        noisy: Rows,
+        steps: Int64[Tensor, "batch"],
+        conditions: Conditions,
+        lengths: Lengths,
+    ) -> Rows:
+        """The clean motion; padding frames are masked out of the attention."""
+        first = self.step_in(sinusoids(steps, self.width))
+        if self.text_in is not None:
+            first = first + self.text_in(conditions.text)
+        if self.actions is not None:
+            known = (conditions.action >= 0)[:, None]
+            first = first + self.actions(conditions.action.clamp(min=0)) * known
+        tokens = torch.cat((first[:, None], self.frame_in(noisy)), dim=1)
+        positions = sinusoids(torch.arange(tokens.shape[1], device=tokens.device), self.width)
+        hidden = ~frames_within(lengths + 1, tokens.shape[1])
+        tokens = self.layers(self.dropout(tokens + positions), src_key_padding_mask=hidden)
+        clean: Tensor = self.frame_out(tokens[:, 1:])
+        return clean
+
+    def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
+        """Mean squared error over valid frames."""
+        loss = diffusion_loss(
+            lambda noisy, steps, conditions: self(noisy, steps, conditions, batch.lengths),
+            *(batch.rows, batch.mask, batch.conditions, self.config.diffusion, generator),
+        )
+        return {"loss": loss}
+
+    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Rows:
+        """Standardised rows."""
+        lengths = batch.lengths.to(batch.device)
+
+        def output(noisy: Tensor, steps: Tensor, conditions: Conditions) -> Tensor:
+            clean: Tensor = self(noisy, steps, conditions, lengths.repeat(len(noisy) // len(lengths)))
+            return clean
+
+        return diffusion_sample(output, batch, lambda: batch.noise_within(batch.lengths, self.numbers), diffusion)
+
+
+NANO = {
+    "network": MdmNetworkConfig(SMALL),
+    "conditions": MINILM,
+    "schedule": cosine(6000, 16, 1e-3),
+    "optimizer": OptimizerConfig(ema_decay=0.995),
+    "precision": "auto",
+}
+PAPER = {"network": MdmNetworkConfig(), "schedule": Schedule(steps=600_000)}
+
+
+def _in_50_steps(parts: Mapping[str, Any], ema_decay: float) -> dict[str, Any]:
+    """The same training with 50 diffusion steps."""
+    diffusion = replace(parts["network"].diffusion, num_steps=50, sampling_steps=50)
+    network = replace(parts["network"], diffusion=diffusion)
+    return {**parts, "network": network, "optimizer": OptimizerConfig(ema_decay=ema_decay)}
+
+
+MDM = PeerStage(
+    "mdm",
+    "MDM: diffusion of whole motions in 1,000 steps (NeRM's peer)",
+    Mdm,
+    {"nano": NANO, "paper": PAPER},
+)
+MDM_50 = PeerStage(
+    "mdm-50",
+    "MDM trained with 50 diffusion steps",
+    Mdm,
+    {"nano": _in_50_steps(NANO, 0.995), "paper": _in_50_steps(PAPER, 0.9999)},
+)

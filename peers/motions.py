@@ -1,0 +1,319 @@
+"""The motions that generative systems learn and sample: settings, pose space, random crops of a store, batches."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Literal
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from motionkit.core.errors import UsageError
+from motionkit.core.shapes import Bool, Float, Float32, Int64
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import parse_fps
+from motionkit.data.captions import actions_of_windows, captions_of_windows
+from motionkit.data.corpus import open_frames, training_vectors
+from motionkit.data.poses import WindowPoses
+from motionkit.data.windows import cut_windows
+from motionkit.features.convention import PoseVectors, PoseVectorsName
+from motionkit.features.layout import vector_layout
+from motionkit.store.cache import cache_root
+from motionkit.store.reader import Store
+from motionkit.training.conditions import Conditions, WindowConditions, window_conditions
+from motionkit.training.config import require_positive
+from motionkit.training.pose_vectors import VectorScaling, measure_scaling
+from motionkit.training.text import TextEncoder, embed_texts, load_text_encoder
+
+SHORTER_SHARE = 1 / 3
+Rows = Float[Tensor, "batch frames numbers"]
+"""Standardised pose vectors."""
+Lengths = Int64[Tensor, "batch"]
+"""Frames of each motion."""
+Mask = Bool[Tensor, "batch frames"]
+"""True for frames of a motion, False for padding."""
+
+
+@dataclass(frozen=True)
+class MotionsConfig:
+    """The training motions: pose vectors of crops at `fps`, of at most `max_frames` frames.
+
+    Windows begin every `stride_seconds` of a sequence and last at least `min_seconds`. As in HumanML3D's data loaders,
+    crop lengths are multiples of `crop_multiple` frames, one multiple shorter than fits with probability 1/3. With
+    `crops="whole"` a crop is its whole window. The network sees all frames of a crop, or `seen_frames` of them: a
+    random stretch, or frames scattered over it (with replacement).
+    """
+
+    pose_vectors: PoseVectorsName = "native"
+    fps: float = 20.0
+    max_frames: int = 196
+    min_seconds: float = 2.0
+    stride_seconds: float = 2.0
+    mirrored: bool = True
+    crop_multiple: int = 4
+    crops: Literal["random", "whole"] = "random"
+    seen: Literal["all", "stretch", "scattered"] = "all"
+    seen_frames: int = 0
+    where: str = "split = 'train'"
+
+    def __post_init__(self) -> None:
+        require_positive(self, "fps", "min_seconds", "stride_seconds", "crop_multiple")
+        if self.max_frames < 2:
+            raise ValueError(f"max_frames must be 2 or more, not {self.max_frames}")
+        if (self.seen == "all") != (self.seen_frames == 0):
+            raise ValueError(f"seen={self.seen} with seen_frames={self.seen_frames}: all with 0, else above 0")
+
+    @property
+    def framerate(self) -> Fraction:
+        """`fps` as an exact fraction."""
+        return parse_fps(self.fps)
+
+    @property
+    def max_duration_seconds(self) -> float:
+        """The longest motion; as in the published vectors, a frame lasts until the next pose."""
+        return float(self.max_frames / self.framerate)
+
+
+@dataclass(frozen=True)
+class ConditionsConfig:
+    """What motions are conditioned on, dropped with probability `drop` for classifier-free guidance.
+
+    `nothing` is the null embedding: zeros, or the embedding of the empty text. `scaled` rescales unit-norm embeddings
+    to a root mean square of 1, which CLIP's unnormalised ones are near to.
+    """
+
+    kind: Literal["text", "action", "none"] = "text"
+    text_encoder: str = "clip"
+    drop: float = 0.1
+    nothing: Literal["zeros", "empty"] = "zeros"
+    scaled: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.drop < 1.0:
+            raise ValueError(f"drop must lie in [0, 1), not {self.drop}")
+
+    def load_encoder(self) -> TextEncoder | None:
+        """The text encoder; None if no captions are used."""
+        return load_text_encoder(self.text_encoder) if self.kind == "text" else None
+
+    def embedded(
+        self, rows: Float32[np.ndarray, "texts dimension"], texts: Sequence[str]
+    ) -> Float32[Tensor, "texts dimension"]:
+        """Embeddings of these texts as the networks get them: the null embedding for empty ones."""
+        made = torch.from_numpy(np.asarray(rows, dtype=np.float32)).clone()
+        if self.scaled:
+            made *= made.shape[1] ** 0.5 / made.norm(dim=1, keepdim=True).clamp(min=1e-6)
+        if self.nothing == "zeros":
+            made[[row for row, text in enumerate(texts) if not text]] = 0.0
+        return made
+
+    def check(self, has_captions: bool, has_actions: bool) -> None:
+        """Raise `UsageError` if the motions lack what is needed."""
+        if self.kind == "text" and not has_captions:
+            raise UsageError(
+                "no training motion has a caption: ingest with --captions, or train on actions or without conditions "
+                "(--set conditions.kind=action, or none)"
+            )
+        if self.kind == "action" and not has_actions:
+            raise UsageError(
+                "no training motion has an action: train on texts or without (--set conditions.kind=text, or none)"
+            )
+
+
+class PoseSpace(nn.Module):
+    """The pose vectors that a system learns: their scale and framerate, and how joints are recovered from them."""
+
+    def __init__(self, vectors: PoseVectors, scaling: VectorScaling, fps: Fraction) -> None:
+        super().__init__()
+        self.vectors, self.fps = vectors, fps
+        self.register_buffer("mean", scaling.mean, persistent=False)
+        self.register_buffer("scale", scaling.scale, persistent=False)
+        self.mean: Tensor
+        self.scale: Tensor
+
+    @property
+    def num_features(self) -> int:
+        """Size of a pose vector."""
+        return len(self.mean)
+
+    def joints(self, rows: Rows) -> Float[Tensor, "batch frames joints 3"]:
+        """Joint positions in metres from standardised `native` vectors, as `native.positions` does.
+
+        Raises `UsageError` for vectors of another convention.
+        """
+        part = vector_layout(self.vectors.skeleton.num_joints)
+        if self.num_features != part.size:
+            raise UsageError("joints can only be recovered from native vectors: motions.pose_vectors=native")
+        numbers = rows * self.scale + self.mean
+        angle = self.heading(numbers)
+        path = self.path(numbers[..., part.root_velocity], angle)
+        relative = numbers[..., part.joint_positions].reshape(*numbers.shape[:-1], -1, 3)
+        flat = _to_first_frame(relative[..., ::2], angle[..., None, :]) + path[..., None, :]
+        others = torch.stack((flat[..., 0], relative[..., 1], flat[..., 1]), dim=-1)
+        root = torch.cat((path[..., :1], numbers[..., part.root_height], path[..., 1:]), dim=-1)
+        return torch.cat((root[..., None, :], others), dim=-2)
+
+    def heading(self, numbers: Rows) -> Float[Tensor, "batch frames 1"]:
+        """Yaw in radians since the first frame, from unstandardised `native` vectors."""
+        return self._integral(numbers[..., vector_layout(self.vectors.skeleton.num_joints).root_yaw_velocity])
+
+    def path(
+        self, velocity: Float[Tensor, "batch frames 2"], angle: Float[Tensor, "batch frames 1"]
+    ) -> Float[Tensor, "batch frames 2"]:
+        """The root's path in metres in the first frame's x and z, from velocities in the body's frame."""
+        return self._integral(_to_first_frame(velocity, angle))
+
+    def _integral(self, rates: Tensor) -> Tensor:
+        steps = (rates[:, 1:] + rates[:, :-1]) * (0.5 / float(self.fps))
+        return torch.cat((torch.zeros_like(rates[:, :1]), steps.cumsum(dim=1)), dim=1)
+
+
+def _to_first_frame(values: Tensor, angle: Tensor) -> Tensor:
+    """Rotate (x, z) from a body frame with yaw `angle`, [..., 1], to the first frame's."""
+    cosine, sine = angle.cos()[..., 0], angle.sin()[..., 0]
+    x, z = values[..., 0], values[..., 1]
+    return torch.stack((cosine * x - sine * z, sine * x + cosine * z), dim=-1)
+
+
+def frames_within(lengths: Lengths, frames: int) -> Mask:
+    """A mask that is True for frames within each length."""
+    return torch.arange(frames, device=lengths.device) < lengths[:, None]
+
+
+@dataclass(frozen=True, eq=False)
+class MotionBatch:
+    """Crops of motions, zero-padded; `window` is each crop's window, `frames` are the indices of its rows in it."""
+
+    rows: Rows
+    lengths: Lengths
+    conditions: Conditions
+    window: Int64[Tensor, "batch"]
+    frames: Int64[Tensor, "batch frames"]
+
+    @property
+    def mask(self) -> Mask:
+        """True for valid frames, False for padding."""
+        return frames_within(self.lengths, self.rows.shape[1])
+
+    def to(self, device: torch.device) -> "MotionBatch":
+        """Move to a device."""
+        return MotionBatch(**{name: each.to(device) for name, each in vars(self).items()})
+
+
+@dataclass(frozen=True, eq=False)
+class SampleBatch:
+    """Motions to sample: lengths in frames, conditions, and the null conditions for guidance.
+
+    Row i uses `generators[i]` alone.
+    """
+
+    lengths: Lengths
+    conditions: Conditions
+    unconditional: Conditions
+    generators: Sequence[torch.Generator]
+    device: torch.device
+
+    @property
+    def frames(self) -> int:
+        """Frames of the longest motion."""
+        return int(self.lengths.max())
+
+    @property
+    def mask(self) -> Mask:
+        """True for valid frames, False for padding, on the device."""
+        return frames_within(self.lengths, self.frames).to(self.device)
+
+    def noise(self, *shape: int) -> Float[Tensor, "batch *shape"]:
+        """N(0, I) of this shape per row, float64, on the CPU."""
+        return torch.stack([torch.randn(shape, generator=each, dtype=torch.float64) for each in self.generators])
+
+    def noise_within(self, counts: Int64[Tensor, "batch"], numbers: int) -> Float[Tensor, "batch most numbers"]:
+        """N(0, I) for the first `counts` places of every row, zero-padded: a row does not depend on longer ones."""
+        noise = torch.zeros((len(counts), int(counts.max()), numbers), dtype=torch.float64)
+        for row, (count, generator) in enumerate(zip(counts.tolist(), self.generators, strict=True)):
+            noise[row, :count] = torch.randn((count, numbers), generator=generator, dtype=torch.float64)
+        return noise
+
+
+@dataclass(frozen=True, eq=False)
+class MotionCorpus:
+    """Windows of a store with their conditions; `last_tick` is a window's last frame at the system's framerate."""
+
+    config: MotionsConfig
+    vectors: PoseVectors
+    scaling: VectorScaling
+    poses: WindowPoses
+    last_tick: Int64[np.ndarray, "windows"]
+    conditions: WindowConditions
+
+    def __len__(self) -> int:
+        return len(self.last_tick)
+
+    def batch(self, rows: Int64[Tensor, "batch"], generator: torch.Generator, *, drop: float) -> MotionBatch:
+        """A random crop of each window with one of its captions or its action, dropped with probability `drop`."""
+        chance = torch.rand((4, len(rows)), generator=generator, dtype=torch.float64)
+        last_tick = self.last_tick[rows.numpy()]
+        lengths = available = last_tick + 1
+        if self.config.crops == "random":
+            unit = self.config.crop_multiple
+            units = available // unit - (chance[0].numpy() < SHORTER_SHARE)
+            lengths = np.clip(units * unit, min(unit, self.config.max_frames), available)
+        start = np.floor(chance[1].numpy() * (available - lengths + 1)).astype(np.int64)
+        frames, seen = self._seen_frames(torch.from_numpy(lengths), generator)
+        ticks = np.minimum(start[:, None] + frames.numpy(), last_tick[:, None])
+        vectors = torch.from_numpy(self.poses.at_rate(rows.numpy(), ticks, self.config.framerate).vectors)
+        padded = self.scaling.apply(vectors) * frames_within(seen, vectors.shape[1])[..., None]
+        # A window has captions or an action, never both: there is nothing to choose.
+        conditions = self.conditions.draw(rows, chance[[0, 2, 3]], drop=drop)
+        return MotionBatch(padded, seen, conditions, rows, frames)
+
+    def _seen_frames(
+        self, lengths: Lengths, generator: torch.Generator
+    ) -> tuple[Int64[Tensor, "batch frames"], Lengths]:
+        """Frame indices of crops that the network sees, and their number: all, a random stretch, or scattered ones."""
+        most = self.config.seen_frames
+        if self.config.seen == "all":
+            return torch.arange(int(lengths.max())).expand(len(lengths), -1), lengths
+        if self.config.seen == "scattered":
+            chance = torch.rand((len(lengths), most), generator=generator, dtype=torch.float64)
+            return (chance * lengths[:, None]).to(torch.int64), torch.full((len(lengths),), most)
+        seen = lengths.clamp(max=most)
+        chance = torch.rand(len(lengths), generator=generator, dtype=torch.float64)
+        first = (chance * (lengths - seen + 1)).to(torch.int64)
+        return first[:, None] + torch.arange(int(seen.max())), seen
+
+
+def open_corpus(
+    store: Store, motions: MotionsConfig, conditions: ConditionsConfig, encoder: TextEncoder | None
+) -> MotionCorpus:
+    """Windows of the chosen sequences; raises `UsageError` if there are none, or none with the configured condition."""
+    vectors = training_vectors(motions.pose_vectors, store, motions.where or None)
+    source, frames = open_frames(vectors, store, motions.where or None)
+    windows = cut_windows(
+        source,
+        max_duration_seconds=motions.max_duration_seconds,
+        stride_seconds=motions.stride_seconds,
+        min_duration_seconds=motions.min_seconds,
+        mirror_pairs=SMPL22.left_right_pairs if motions.mirrored else None,
+    )
+    poses = WindowPoses(windows, frames, motions.framerate)
+    sequences, count = store.columns("captions", "action"), len(windows)
+    captions = captions_of_windows(windows, sequences) if conditions.kind == "text" else [()] * count
+    actions = actions_of_windows(windows, sequences) if conditions.kind == "action" else [""] * count
+    conditions.check(any(captions), any(actions))
+
+    def embed(texts: list[str]) -> Float32[Tensor, "texts dimension"]:
+        if encoder is None:
+            return torch.zeros((1, 0))
+        return conditions.embedded(embed_texts(encoder, texts, cache_root(store.path, store.fingerprint)), texts)
+
+    duration = torch.from_numpy(windows.duration_seconds / motions.max_duration_seconds).float()
+    return MotionCorpus(
+        config=motions,
+        vectors=vectors,
+        scaling=measure_scaling(poses, grouped=True),
+        poses=poses,
+        last_tick=np.floor(windows.duration_seconds * float(motions.framerate) + 1e-6).astype(np.int64),
+        conditions=window_conditions(captions, actions, duration, embed),
+    )
