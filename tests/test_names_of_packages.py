@@ -45,9 +45,7 @@ def test_no_string_names_a_package_above(package: str) -> None:
         ("motionkit", 'load_model("nerm", run)'),
         ("motionkit", 'print(f"motionkit train --stage pahires --run {run}")'),
         ("eval", 'import_module("nerm.field")'),
-        ("eval", 'def f():
-    """A docstring."""
-    return "pahires.model:load"'),
+        ("eval", 'def f():\n    """A docstring."""\n    return "pahires.model:load"'),
     ],
 )
 def test_such_a_string_is_found(package: str, source: str) -> None:
