@@ -13,6 +13,7 @@ from motionkit.core.errors import UsageError
 from motionkit.core.files import sha256_of
 from motionkit.core.shapes import Float32, Float64
 from motionkit.generate.models import SamplingOptions
+from motionkit.training.conditions import Conditions, ConditionSizes, guided
 from motionkit.training.config import from_plain, to_plain
 from motionkit.training.devices import ALONE, Ranks, autocast, float32_products, resolve_device, with_precision_of
 from motionkit.training.diffusion.process import (
@@ -45,7 +46,6 @@ from motionkit.training.tensors import (
     unprefixed,
 )
 from motionkit.training.text import TextEncoder, load_text_encoder
-from nerm.conditions import ConditionLayout, Conditions, guided
 from nerm.corpus import LatentCorpus, corpus_of
 from nerm.field import load_field
 from nerm.latents import LatentSpace, LocalLatents, in_use, local_latents, measured_space
@@ -69,7 +69,7 @@ class TrainedDenoiser:
     config: DenoiserConfig
     denoiser: Denoiser
     space: LatentSpace
-    layout: ConditionLayout
+    layout: ConditionSizes
     durations: Float32[Tensor, "windows"]
     text_encoder: str
     text_fingerprint: str
@@ -124,13 +124,14 @@ class TrainedDenoiser:
             return torch.stack(drawn)
 
         device = self.denoiser.positions.device
-        on_device = conditions.to(device)
         diffusion = config.diffusion
+        scale = conditions.guidance(diffusion.guidance_scale)
+        on_device, nothing = conditions.to(device), conditions.unconditional().to(device)
         alphas, steps = cumulative_alphas(diffusion), sampling_steps(diffusion)
 
         def predict_noise(latents: Tensor, steps: Tensor) -> Tensor:
             noisy = latents.to(device, torch.float32)
-            output = guided(self.denoiser, noisy, steps.to(device), on_device, diffusion.guidance_scale)
+            output = guided(self.denoiser, noisy, steps.to(device), on_device, nothing, scale)
             alpha = float(alphas[int(steps[0])])
             return predicted_noise(diffusion.prediction, output.to("cpu", torch.float64), latents, alpha)
 
@@ -185,7 +186,7 @@ def load_denoiser(run: RunFolder, device: torch.device | None = None) -> Trained
 
 def _rebuild(tensors: Mapping[str, Tensor], description: Mapping[str, Any]) -> TrainedDenoiser:
     config = from_recorded(DenoiserConfig, description["config"])
-    layout = ConditionLayout(int(description["text_dimension"]), tuple(description["actions"]))
+    layout = ConditionSizes(int(description["text_dimension"]), tuple(description["actions"]))
     banks = None if description["banks"] is None else from_plain(LocalLatents, description["banks"])
     if banks is not None and banks.path and description["config"].get("latents", {}).get("path") == "places":
         raise ValueError("its latents hold places of a path instead of steps")
@@ -220,13 +221,13 @@ class DenoiserTraining:
         self.device = device
         self.first_read = corpus.first_read
         drawn = corpus.draw(torch.arange(len(corpus)), step_generator(seed, "latent space", 0))
-        used = in_use(self.first_read, corpus.duration)
+        used = in_use(self.first_read, corpus.conditions.duration)
         self.space = measured_space(drawn, used, corpus.banks, config.latent_scale)
         self.alphas = cumulative_alphas(config.diffusion)
         self.weights = loss_weights(config.diffusion.prediction, config.diffusion.loss, self.alphas)
         self.steps = config.schedule.num_steps(len(corpus))
         with seeded_initialisation(seed, "denoiser"):
-            self.denoiser = Denoiser(config.network, self.first_read, corpus.layout).to(device)
+            self.denoiser = Denoiser(config.network, self.first_read, corpus.conditions.sizes).to(device)
         self.average = WeightAverage(self.denoiser, config.ema_decay)
         self.optimizer = torch.optim.AdamW(
             self.denoiser.parameters(), lr=config.schedule.learning_rate, weight_decay=WEIGHT_DECAY
@@ -244,7 +245,7 @@ class DenoiserTraining:
         noise = torch.randn(latents.shape, generator=generator)
         noisy = add_noise(latents, noise, steps, self.alphas)
         target = prediction_target(diffusion.prediction, latents, noise, steps, self.alphas)
-        given = Conditions(conditions.text[mine], conditions.action[mine], conditions.duration[mine])
+        given = conditions.rows(mine)
         with dropout_from(generator, self.device, self.ranks.rank), autocast(config.precision, self.device):
             output = self.denoiser(noisy[mine].to(self.device), steps[mine].to(self.device), given.to(self.device))
         used = in_use(self.first_read, conditions.duration)
@@ -260,14 +261,14 @@ class DenoiserTraining:
     def finished(self, *, text_fingerprint: str, field_sha256: str) -> TrainedDenoiser:
         """The trained denoiser, with its averaged weights, on the CPU."""
         with seeded_initialisation(0, "denoiser"):
-            denoiser = Denoiser(self.config.network, self.first_read, self.corpus.layout)
+            denoiser = Denoiser(self.config.network, self.first_read, self.corpus.conditions.sizes)
         denoiser.load_state_dict(self.average.tensors())
         return TrainedDenoiser(
             config=self.config,
             denoiser=denoiser.eval().requires_grad_(False),
             space=self.space,
-            layout=self.corpus.layout,
-            durations=self.corpus.duration,
+            layout=self.corpus.conditions.sizes,
+            durations=self.corpus.conditions.duration,
             text_encoder=self.config.conditions.text_encoder,
             text_fingerprint=text_fingerprint,
             field_sha256=field_sha256,
@@ -310,7 +311,7 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
         settings.conditions.paraphrases,
         context.seed,
     )
-    if encoder is not None and not corpus.num_captions.any():
+    if encoder is not None and not corpus.conditions.num_captions.any():
         raise _without_captions(f"none of the field's {len(corpus)} training windows", settings)
     folder = context.begin(STAGE_NAME, config, store_fingerprint=store.fingerprint, builds_on=("field",))
     training = DenoiserTraining(settings, corpus, seed=context.seed, device=device, ranks=ranks)
@@ -333,8 +334,8 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
             "parameters": sum(parameter.numel() for parameter in training.denoiser.parameters()),
             "cpu_seconds": figures["cpu_seconds"],
             "windows": len(corpus),
-            "captions": int(corpus.num_captions.sum()) // max(1, 2 * settings.conditions.paraphrases),
-            "actions": len(corpus.layout.actions),
+            "captions": int(corpus.conditions.num_captions.sum()) // max(1, 2 * settings.conditions.paraphrases),
+            "actions": len(corpus.conditions.sizes.actions),
             "seconds": round(time.perf_counter() - started, 1),
         }
     )

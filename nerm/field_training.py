@@ -24,6 +24,7 @@ from motionkit.data.windows import PositionSource, Windows, cut_windows, rows_by
 from motionkit.features.convention import PoseVectors
 from motionkit.store.cache import PositionCache
 from motionkit.store.reader import Store
+from motionkit.training import layers
 from motionkit.training.devices import (
     ALONE,
     DealtRows,
@@ -108,8 +109,7 @@ def kl_divergence(
 
     With `num_windows` the mean is over that many windows, of which these are a part.
     """
-    divergence = 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance)
-    return divergence.sum() / (mean.shape[1] * (num_windows or len(mean)))
+    return layers.kl_divergence(mean, log_variance).sum() / (mean.shape[1] * (num_windows or len(mean)))
 
 
 def linear_model(poses: WindowPoses, scaling: VectorScaling, config: FieldConfig) -> LinearModel | None:

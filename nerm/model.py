@@ -18,10 +18,11 @@ from motionkit.fields.contact.bones import Bones
 from motionkit.fields.motion_field import DerivedField, MotionField, Poses, at_fps
 from motionkit.generate.constraints import KINDS, ConstraintKind
 from motionkit.generate.models import GenerationRequest, SamplingOptions, check_constraints
+from motionkit.training.conditions import Conditions
 from motionkit.training.devices import resolve_device
 from motionkit.training.run import RunError, RunFolder
-from motionkit.training.text import TextEncoder, load_text_encoder
-from nerm.conditions import Conditions, unit_rows
+from motionkit.training.text import TextEncoder, load_same_encoder
+from nerm.conditions import unit_rows
 from nerm.constraints import sample_constrained
 from nerm.denoiser import TrainedDenoiser, load_denoiser
 from nerm.field import TrainedField, load_field
@@ -62,13 +63,7 @@ class NermModel:
         """
         if not self.denoiser.text_fingerprint:
             raise UsageError(NO_TEXTS)
-        encoder = load_text_encoder(self.denoiser.text_encoder)
-        if encoder.fingerprint != self.denoiser.text_fingerprint:
-            raise RunError(
-                f"the text encoder {self.denoiser.text_encoder!r} is not the one that the model was trained with "
-                f"(fingerprint {encoder.fingerprint[:16]}, expected {self.denoiser.text_fingerprint[:16]})"
-            )
-        return encoder
+        return load_same_encoder(self.denoiser.text_encoder, self.denoiser.text_fingerprint, "the model")
 
     def generate(
         self,
@@ -90,7 +85,7 @@ class NermModel:
         durations = self._durations(requests, seed, first)
         texts = [request.text if self._uses_text(request) else "" for request in requests]
         actions = ["" if text else request.action for text, request in zip(texts, requests, strict=True)]
-        conditions = Conditions(
+        conditions = Conditions.zero_masked(
             text=torch.from_numpy(self._embed(texts)),
             action=torch.tensor([self.denoiser.layout.action_index(action) for action in actions]),
             duration=torch.tensor(durations, dtype=torch.float32) / self.max_duration_seconds,

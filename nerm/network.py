@@ -7,7 +7,9 @@ import torch
 from torch import Tensor, nn
 
 from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64, Shaped
-from nerm.conditions import ConditionEmbedding, ConditionLayout, Conditions
+from motionkit.training.conditions import Conditions, ConditionSizes
+from motionkit.training.layers import through_long_skips
+from nerm.conditions import ConditionEmbedding
 from nerm.latents import KnotWeights, Reading, in_use, local_latents, placed
 from nerm.settings import Activation, FieldConfig, TransformerConfig
 
@@ -427,7 +429,7 @@ class Denoiser(nn.Module):
     """
 
     def __init__(
-        self, config: TransformerConfig, first_read: Float32[Tensor, "latent"], layout: ConditionLayout
+        self, config: TransformerConfig, first_read: Float32[Tensor, "latent"], layout: ConditionSizes
     ) -> None:
         """`first_read` is the earliest instant at which the field reads each number of z."""
         super().__init__()
@@ -460,8 +462,9 @@ class Denoiser(nn.Module):
         z = self.latent_in(self._tokens(latents * used))
         time = self.step_in(step_features(steps, self.config.width))[:, None]
         tokens = torch.cat((z, time, self.conditions_in(conditions)), dim=1) + self.positions
-        tokens = self._transform(tokens, self._mask(used))[:, : self.config.latent_tokens]
-        out: Tensor = self.noise_out(self.out_norm(tokens))
+        mask = self._mask(used)
+        tokens = through_long_skips(tokens, self.layers, self.skips, lambda layer, tokens: layer(tokens, mask))
+        out: Tensor = self.noise_out(self.out_norm(tokens[:, : self.config.latent_tokens]))
         return out.flatten(1) * used
 
     def _tokens(self, numbers: Shaped[Tensor, "batch latent"]) -> Shaped[Tensor, "batch tokens per_token"]:
@@ -473,14 +476,3 @@ class Denoiser(nn.Module):
             return None
         of_latent = self._tokens(used).any(dim=2)
         return nn.functional.pad(of_latent, (0, len(self.positions) - of_latent.shape[1]), value=True)[:, None, None]
-
-    def _transform(self, tokens: Tensor, used: Tensor | None) -> Tensor:
-        half = self.config.num_layers // 2
-        kept: list[Tensor] = []
-        for layer in self.layers[:half]:
-            tokens = layer(tokens, used)
-            kept.append(tokens)
-        tokens = self.layers[half](tokens, used)
-        for layer, skip in zip(self.layers[half + 1 :], self.skips, strict=True):
-            tokens = layer(skip(torch.cat((tokens, kept.pop()), dim=-1)), used)
-        return tokens

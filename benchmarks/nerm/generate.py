@@ -23,8 +23,8 @@ from torch.utils.flop_counter import FlopCounterMode
 from benchmarks.command import arguments_parser, best_cpu_seconds, print_json
 from motionkit.data.windows import Windows
 from motionkit.generate.models import GenerationRequest
+from motionkit.training.conditions import ConditionSizes
 from motionkit.training.pose_vectors import VectorScaling
-from nerm.conditions import ConditionLayout
 from nerm.denoiser import TrainedDenoiser
 from nerm.field import TrainedField
 from nerm.latents import LatentSpace, first_read, local_latents
@@ -66,7 +66,7 @@ def random_model(recipe: str) -> NermModel:
         windows=windows,
         store_fingerprint="",
     )
-    layout, banks = ConditionLayout(768, ()), local_latents(config.field)
+    layout, banks = ConditionSizes(768, ()), local_latents(config.field)
     reach = first_read(size, banks)
     denoiser = TrainedDenoiser(
         config=config.denoiser,

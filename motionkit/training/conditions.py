@@ -42,6 +42,13 @@ class Conditions:
     given: Bool[Tensor, "batch"]
     duration: Float32[Tensor, "batch"]
 
+    @classmethod
+    def zero_masked(
+        cls, text: Float32[Tensor, "batch text"], action: Int64[Tensor, "batch"], duration: Float32[Tensor, "batch"]
+    ) -> "Conditions":
+        """Conditions whose null embedding is zeros: given wherever there is a text or an action."""
+        return cls(text, action, (action >= 0) | text.any(dim=1), duration)
+
     def dropped(self, where: Bool[Tensor, "batch"], null: Float32[Tensor, "text"] | None = None) -> "Conditions":
         """The same without the condition in the rows `where`: its text is `null` (None: zeros). Durations stay."""
         return Conditions(

@@ -5,12 +5,13 @@ import pytest
 import torch
 
 from motionkit.core.errors import UsageError
-from nerm.conditions import NO_ACTION, ConditionEmbedding, ConditionLayout, Conditions, guided, unit_rows
+from motionkit.training.conditions import NO_ACTION, Conditions, ConditionSizes, guided
+from nerm.conditions import ConditionEmbedding, unit_rows
 
 
 def conditions(batch: int = 3) -> Conditions:
     generator = torch.Generator().manual_seed(0)
-    return Conditions(
+    return Conditions.zero_masked(
         text=torch.randn(batch, 5, generator=generator),
         action=torch.arange(batch) % 2,
         duration=torch.linspace(0.2, 1.0, batch),
@@ -31,7 +32,7 @@ class Recorder:
 def test_guidance_is_equation_6_in_one_batch():
     denoiser, given_conditions = Recorder(), conditions()
     latents, steps = torch.randn(3, 4, generator=torch.Generator().manual_seed(1)), torch.full((3,), 7)
-    found = guided(denoiser, latents, steps, given_conditions, 7.5)
+    found = guided(denoiser, latents, steps, given_conditions, given_conditions.unconditional(), 7.5)
     assert denoiser.batches == [6]
     with_condition = denoiser(latents, steps, given_conditions)
     without = denoiser(latents, steps, given_conditions.unconditional())
@@ -41,9 +42,10 @@ def test_guidance_is_equation_6_in_one_batch():
 def test_guidance_of_one_and_of_nothing_is_a_single_pass():
     denoiser, given_conditions = Recorder(), conditions()
     latents, steps = torch.zeros(3, 4), torch.full((3,), 7)
-    guided(denoiser, latents, steps, given_conditions, 1.0)
-    guided(denoiser, latents, steps, given_conditions.unconditional(), 7.5)
-    assert denoiser.batches == [3, 3]
+    nothing = given_conditions.unconditional()
+    guided(denoiser, latents, steps, given_conditions, nothing, 1.0)
+    guided(denoiser, latents, steps, nothing, nothing, nothing.guidance(7.5))
+    assert denoiser.batches == [3, 3] and given_conditions.guidance(7.5) == 7.5
 
 
 def test_dropping_masks_with_zeros_and_keeps_the_duration():
@@ -57,16 +59,18 @@ def test_dropping_masks_with_zeros_and_keeps_the_duration():
 
 def test_masked_tokens_do_not_depend_on_what_was_masked():
     torch.manual_seed(0)
-    embedding = ConditionEmbedding(ConditionLayout(text_dimension=5, actions=("walk", "jump")), width=8)
+    embedding = ConditionEmbedding(ConditionSizes(text_dimension=5, actions=("walk", "jump")), width=8)
     first, second = conditions(), conditions()
-    second = Conditions(text=second.text + 3, action=1 - second.action.clamp(max=1), duration=second.duration)
+    second = Conditions.zero_masked(
+        text=second.text + 3, action=1 - second.action.clamp(max=1), duration=second.duration
+    )
     everything = torch.ones(3, dtype=torch.bool)
     torch.testing.assert_close(embedding(first.dropped(everything)), embedding(second.dropped(everything)))
     assert not torch.allclose(embedding(first), embedding(second))
 
 
 def test_unknown_action_is_refused_by_name():
-    layout = ConditionLayout(text_dimension=5, actions=("jump", "walk"))
+    layout = ConditionSizes(text_dimension=5, actions=("jump", "walk"))
     assert layout.action_index("walk") == 1
     assert layout.action_index("") == NO_ACTION
     with pytest.raises(UsageError, match=r"no action 'swim'; it knows jump, walk"):

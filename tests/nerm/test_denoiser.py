@@ -8,12 +8,12 @@ import torch
 
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.generate.models import SamplingOptions
+from motionkit.training.conditions import NO_ACTION, Conditions, window_conditions
 from motionkit.training.config import Schedule, apply_overrides
 from motionkit.training.loop import train_loop
 from motionkit.training.run import RunError, RunFolder
 from motionkit.training.tensors import load_tensors, save_tensors
-from nerm.conditions import NO_ACTION, Conditions
-from nerm.corpus import LatentCorpus, latent_corpus
+from nerm.corpus import LatentCorpus
 from nerm.denoiser import DenoiserTraining, TrainedDenoiser, load_denoiser, save_denoiser
 from nerm.settings import DenoiserConfig, TransformerConfig
 
@@ -34,19 +34,22 @@ CONFIG = apply_overrides(
 WALK_MEAN, JUMP_MEAN = torch.full((8,), 3.0), torch.tensor([-1.0, 5.0] * 4)
 
 
+def embed(texts: list[str]) -> torch.Tensor:
+    """A unit vector for each of TEXTS, zeros for none."""
+    return torch.stack([torch.eye(4)[TEXTS.index(text)] if text else torch.zeros(4) for text in texts])
+
+
 def mixture_corpus(windows: int = 60) -> LatentCorpus:
     """Half of the windows walk (two captions), half jump; every third has an action only, of the same meaning."""
     generator = torch.Generator().manual_seed(5)
     is_jump = torch.arange(windows) % 2
     means = torch.where(is_jump[:, None] > 0, JUMP_MEAN, WALK_MEAN) + 0.3 * torch.randn(windows, 8, generator=generator)
-    return latent_corpus(
-        means=means,
-        log_variances=torch.full((windows, 8), 2 * float(np.log(0.2))),
-        duration=torch.linspace(0.2, 1.0, windows),
-        captions=[() if i % 3 == 0 else (TEXTS[2:] if i % 2 else TEXTS[:2]) for i in range(windows)],
-        actions=["jump" if i % 2 else "walk" for i in range(windows)],
-        texts=TEXTS,
-        embeddings=np.eye(3, 4, dtype=np.float32),
+    captions = [() if i % 3 == 0 else (TEXTS[2:] if i % 2 else TEXTS[:2]) for i in range(windows)]
+    actions = ["jump" if i % 2 else "walk" for i in range(windows)]
+    return LatentCorpus(
+        means,
+        torch.full((windows, 8), 2 * float(np.log(0.2))),
+        window_conditions(captions, actions, torch.linspace(0.2, 1.0, windows), embed),
     )
 
 
@@ -65,7 +68,7 @@ def mixture(tmp_path_factory) -> tuple[TrainedDenoiser, RunFolder]:
 
 def conditions(count: int, text: int | None = None, action: int = NO_ACTION) -> Conditions:
     row = torch.zeros(4) if text is None else torch.eye(3, 4)[text]
-    return Conditions(row.repeat(count, 1), torch.full((count,), action), torch.full((count,), 0.6))
+    return Conditions.zero_masked(row.repeat(count, 1), torch.full((count,), action), torch.full((count,), 0.6))
 
 
 @pytest.mark.parametrize("guidance_scale", [1.0, 2.0])
@@ -158,7 +161,7 @@ def test_conditions_are_mixed_as_configured():
     given = corpus.draw_conditions(rows, torch.Generator().manual_seed(0))
     has_text, has_action = given.text.any(1), given.action >= 0
     assert not (has_text & has_action).any()
-    captioned = corpus.num_captions[rows] > 0
+    captioned = corpus.conditions.num_captions[rows] > 0
     assert float((~has_text & ~has_action).float().mean()) == pytest.approx(0.1, abs=0.01)
     assert float(has_action[~captioned].float().mean()) == pytest.approx(0.9, abs=0.01)
     assert float(has_action[captioned].float().mean()) == pytest.approx(0.9 * 0.25, abs=0.01)
@@ -169,13 +172,12 @@ def test_conditions_are_mixed_as_configured():
 
 
 def test_a_corpus_without_captions_or_actions():
-    corpus = latent_corpus(
-        torch.randn(4, 8), torch.zeros(4, 8), torch.ones(4), [()] * 4, [""] * 4, (), np.zeros((0, 6), dtype=np.float32)
-    )
+    conditions = window_conditions([()] * 4, [""] * 4, torch.ones(4), lambda texts: torch.zeros(1, 6))
+    corpus = LatentCorpus(torch.randn(4, 8), torch.zeros(4, 8), conditions)
     given = corpus.draw_conditions(torch.arange(4), torch.Generator().manual_seed(0))
     assert not given.text.any()
     assert given.action.tolist() == [NO_ACTION] * 4
-    assert corpus.layout.actions == ()
+    assert corpus.conditions.sizes.actions == ()
 
 
 @pytest.mark.parametrize(

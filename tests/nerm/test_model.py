@@ -12,11 +12,11 @@ from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import SMPL22
 from motionkit.fields.motion_field import Poses, check_times, to_motion
 from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions
+from motionkit.training.conditions import ConditionSizes
 from motionkit.training.config import apply_overrides
 from motionkit.training.diffusion.settings import DiffusionConfig
 from motionkit.training.loop import seeded_initialisation
 from motionkit.training.run import RunError
-from nerm.conditions import ConditionLayout
 from nerm.denoiser import TrainedDenoiser
 from nerm.field import TrainedField
 from nerm.latents import ALWAYS, LatentSpace
@@ -62,7 +62,7 @@ class KnownField(TrainedField):
 
 
 def known_model(text_fingerprint: str = "") -> NermModel:
-    layout = ConditionLayout(text_dimension=6, actions=("jump", "walk"))
+    layout = ConditionSizes(text_dimension=6, actions=("jump", "walk"))
     with seeded_initialisation(0, "test"):
         denoiser = Denoiser(NETWORK, torch.full((4,), ALWAYS), layout)
     trained = TrainedDenoiser(

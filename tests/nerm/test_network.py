@@ -6,8 +6,8 @@ import sys
 import pytest
 import torch
 
+from motionkit.training.conditions import Conditions, ConditionSizes
 from motionkit.training.config import apply_overrides
-from nerm.conditions import ConditionLayout, Conditions
 from nerm.latents import ALWAYS, in_use
 from nerm.network import (
     CodebookCoordinateAttention,
@@ -214,17 +214,17 @@ def test_few_shapes_of_coordinates_and_the_same_answers() -> None:
     assert rounded_up(values)[33:].tolist() == [0.5] * 3
 
 
-LAYOUT = ConditionLayout(text_dimension=3, actions=("a", "b", "c"))
+LAYOUT = ConditionSizes(text_dimension=3, actions=("a", "b", "c"))
 SIZES = TransformerConfig(num_layers=3, width=32, num_heads=2, ffn_width=64, dropout=0.0)
 
 
 def action_conditions(actions: torch.Tensor) -> Conditions:
-    return Conditions(text=torch.zeros(len(actions), 3), action=actions, duration=torch.ones(len(actions)))
+    return Conditions.zero_masked(text=torch.zeros(len(actions), 3), action=actions, duration=torch.ones(len(actions)))
 
 
 def test_paper_sizes() -> None:
     torch.manual_seed(0)
-    denoiser = Denoiser(TransformerConfig(), torch.full((256,), ALWAYS), ConditionLayout(768, ()))
+    denoiser = Denoiser(TransformerConfig(), torch.full((256,), ALWAYS), ConditionSizes(768, ()))
     assert len(denoiser.layers) == 9
     assert len(denoiser.skips) == 4
     per_layer = 4 * 256 * 256 + 2 * 256 * 1024
@@ -239,7 +239,7 @@ def test_every_input_reaches_every_number(num_tokens: int) -> None:
     denoiser = Denoiser(config, torch.full((8,), ALWAYS), LAYOUT)
     latents = torch.randn(2, 8, requires_grad=True)
     text, duration = torch.randn(2, 3, requires_grad=True), torch.rand(2, requires_grad=True)
-    noise = denoiser(latents, torch.tensor([0, 999]), Conditions(text, torch.tensor([0, 2]), duration))
+    noise = denoiser(latents, torch.tensor([0, 999]), Conditions.zero_masked(text, torch.tensor([0, 2]), duration))
     assert noise.shape == (2, 8)
     for row in range(2):
         for number in range(8):
@@ -278,7 +278,7 @@ def test_what_a_motion_does_not_depend_on_is_neither_read_nor_put_out() -> None:
     first_read = torch.linspace(-0.4, 0.95, 16)
     denoiser = Denoiser(TransformerConfig(3, 32, 2, 64, 0.0, 4), first_read, LAYOUT)
     latents, steps = torch.randn(3, 16), torch.tensor([0, 500, 999])
-    conditions = Conditions(torch.zeros(3, 3), torch.tensor([0, 1, 2]), torch.tensor([0.4, 0.4, 1.0]))
+    conditions = Conditions.zero_masked(torch.zeros(3, 3), torch.tensor([0, 1, 2]), torch.tensor([0.4, 0.4, 1.0]))
     used = in_use(first_read, conditions.duration)
     assert used.sum(dim=1).tolist() == [9, 9, 16]
     out = denoiser(latents, steps, conditions)
