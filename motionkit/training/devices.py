@@ -209,12 +209,6 @@ def float32_products(precision: Precision) -> Iterator[None]:
         torch.set_float32_matmul_precision(before)
 
 
-def compile_each(layers: Iterable[torch.nn.Module]) -> None:
-    """Compile equal layers in place with torch, sharing code; names and values of their tensors are unchanged."""
-    for layer in layers:
-        layer.compile()
-
-
 def resolve_device(name: str) -> torch.device:
     """The device a user named; "auto" is the first CUDA device, else the CPU.
 

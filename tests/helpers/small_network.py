@@ -10,7 +10,7 @@ from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
 from pahires.temporal.base_curves import located, seconds_beyond
 from pahires.temporal.network import ObservedWindow
-from pahires.temporal.settings import TaskSettings, TemporalSettings
+from pahires.temporal.settings import TaskSettings, TemporalConfig, TemporalSettings
 from pahires.temporal.training import TrainedNetwork, load_network, train_network
 from tests.helpers.tiny import write_store
 
@@ -29,8 +29,8 @@ TASKS = TaskSettings(
 
 
 @dataclass(frozen=True)
-class SmallConfig:
-    width: int = 32
+class SmallConfig(TemporalConfig):
+    network: int = 32
     training: TemporalSettings = field(
         default_factory=lambda: apply_overrides(
             TemporalSettings(tasks=TASKS, mirrored=False),
@@ -60,7 +60,7 @@ class SmallNetwork(torch.nn.Module):
 
 
 def make(config: SmallConfig, num_features: int) -> torch.nn.Module:
-    return SmallNetwork(num_features, config.width)
+    return SmallNetwork(num_features, config.network)
 
 
 def train(folder: Path, config: SmallConfig, *, resume: bool = False) -> RunFolder:

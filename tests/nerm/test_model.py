@@ -97,7 +97,7 @@ class LetterEncoder:
 @pytest.fixture
 def encoder(monkeypatch):
     letters = LetterEncoder()
-    monkeypatch.setattr("nerm.model.load_text_encoder", lambda name: letters)
+    monkeypatch.setattr("motionkit.training.text.load_text_encoder", lambda name: letters)
     return letters
 
 

@@ -13,9 +13,9 @@ from motionkit.training.loop import seeded_initialisation
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
 from pahires.model import SYSTEM, PaHiRes
-from pahires.recipes import RECIPES, NetworkSettings, nano
+from pahires.recipes import NetworkSettings
 from pahires.temporal.encoder import NetworkEncoder
-from pahires.temporal.network import ObservedWindow, TemporalNetwork
+from pahires.temporal.network import ObservedWindow
 from pahires.temporal.settings import AnswerSettings
 from tests.helpers.tiny import write_store
 from tests.helpers.tiny_temporal import PAHIRES, PAHIRES_NETWORK
@@ -39,15 +39,6 @@ UNEVEN = torch.tensor([0.0, 0.03, 0.1, 0.13, 0.5, 0.9, 0.95, 1.0])
 QUERIES = torch.linspace(-0.2, 1.3, 40)
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 8])
-@pytest.mark.parametrize("scales", [(2,), (2, 4, 6), (2, 4, 6, 14)])
-def test_any_number_of_frames_and_scales(count: int, scales: tuple[int, ...]) -> None:
-    made = network(replace(PAHIRES_NETWORK, frames_per_scale=scales))
-    assert isinstance(made, TemporalNetwork)
-    answer = made(window(UNEVEN[:count], QUERIES))
-    assert answer.shape == (3, 40, 135) and torch.isfinite(answer).all()
-
-
 def test_an_answer_does_not_depend_on_what_else_is_asked() -> None:
     made, asked = network(), window(UNEVEN, QUERIES)
     whole = made(asked)
@@ -67,42 +58,6 @@ def test_an_answer_depends_on_the_nearest_frames_of_the_widest_scale_and_no_othe
     gradient = torch.autograd.grad(made(replace(asked, frames=asked.frames.requires_grad_())).sum(), asked.frames)[0]
     felt = gradient.abs().sum(dim=(0, 2)) > 0
     assert felt.nonzero().flatten().tolist() == list(range(7, 13))
-
-
-def test_what_depends_on_frames_alone_is_computed_once_per_segment() -> None:
-    made, seen = network(), []
-    for scale in made.scales:
-        scale.pose.register_forward_hook(lambda _, inputs, __: seen.append(len(inputs[0])))
-    made(window(UNEVEN, torch.linspace(0.0, 1.0, 500)))
-    assert seen == [3 * 7] * 3
-    seen.clear()
-    made(window(UNEVEN, torch.linspace(0.2, 0.4, 500)))
-    assert seen == [3] * 3
-
-
-def test_the_ablations_change_what_they_name() -> None:
-    def activations(made: PaHiRes) -> set[int]:
-        return {id(module) for module in made.modules() if type(module).__name__ == "FourierActivation"}
-
-    assert len(activations(network())) == 3 * 2 + 2
-    assert len(activations(network(replace(PAHIRES_NETWORK, shared_activation=True)))) == 1
-    assert len(network(replace(PAHIRES_NETWORK, frames_per_scale=(2,))).attentions) == 0
-
-
-def test_settings_that_make_no_network_are_refused() -> None:
-    for wrong in ({"frames_per_scale": (3,)}, {"frames_per_scale": (4, 2)}, {"attention_tokens": 5}, {"hidden": 0}):
-        with pytest.raises(ValueError):
-            replace(PAHIRES_NETWORK, **wrong)  # type: ignore[arg-type]
-
-
-def test_recipes_say_what_they_are() -> None:
-    assert set(RECIPES) == {"nano", "demo", "base", "paper"}
-    paper = RECIPES["paper"]()
-    assert (paper.network.hidden, paper.network.decoder_layers, paper.network.num_sines) == (256, 5, 16)
-    assert len(paper.network.frames_per_scale) == 3 and paper.training.loss.velocity_weight == 0.5
-    schedule = paper.training.schedule
-    assert (schedule.epochs, schedule.batch_size, schedule.learning_rate) == (1000, 256, 1e-4)
-    assert nano().training.answer.form == "exact"
 
 
 def test_a_trained_network_is_an_encoder(tmp_path: Path) -> None:

@@ -133,14 +133,6 @@ def test_a_pass_of_mlds_denoiser_is_the_one_by_hand() -> None:
         torch.testing.assert_close(found[row, 0], expected[0], rtol=1e-3, atol=1e-4)
 
 
-def test_a_denoiser_wants_its_vaes_width() -> None:
-    vae = MldVae(MldVaeNetworkConfig(SIZES), inputs(space(), ConditionSizes(0, ())))
-    with pytest.raises(ValueError, match="the VAE's latent has 16 numbers, the denoiser's tokens 32"):
-        Mld(MldNetworkConfig(replace(SIZES, width=32)), inputs(space(), TEXTS, {"mld-vae": vae}))
-    with pytest.raises(ValueError, match="an odd number of layers, not 4"):
-        MldVae(MldVaeNetworkConfig(replace(SIZES, layers=4)), inputs(space(), ConditionSizes(0, ())))
-
-
 def test_joints_are_those_of_the_vectors() -> None:
     positions = analytic_positions(np.arange(50) / 20, 2)
     vectors = native.vectors(positions, "smpl22", FPS)

@@ -9,14 +9,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from motionkit.core.errors import UsageError
 from motionkit.training.conditions import ConditionSizes
 from peers.motions import MotionBatch
 from peers.nemf import NEMF, NEMF_PATH, Nemf, NemfNetworkConfig, NemfPath, NemfPathNetworkConfig, with_velocities
 from tests.peers.plain_transformer import Weights, linear, norm, part
 from tests.peers.test_four_motions import motions
 from tests.peers.test_generative_networks import conditions, count, inputs, space
-from tests.peers.test_other_networks import dense, field_space
+from tests.peers.test_other_networks import dense
 
 NONE = ConditionSizes(0, ())
 PATH = NemfPathNetworkConfig(widths=(5, 4), kernel=3)
@@ -162,29 +161,3 @@ def test_what_a_field_says_becomes_the_rows_that_it_was_learnt_from(turned: Simp
     scaled = made * network.space.scale + network.space.mean
     torch.testing.assert_close(scaled[..., 1:4], root, atol=1e-4, rtol=1e-4)
     torch.testing.assert_close(scaled[..., 259:], contacts.sigmoid(), atol=1e-4, rtol=1e-4)
-
-
-def test_what_is_right_costs_nothing_and_a_turn_costs_its_angle(
-    turned: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    network, rows = turned.network, turned.rows
-    batch, generator = batch_of(rows, [16] * 4), torch.Generator().manual_seed(0)
-    right = network.losses(batch, generator)
-    assert all(float(right[name].detach()) < 3e-3 for name in ("root", "bones", "joints"))
-    quarter = torch.tensor([0.0, 0, -1, 0, 1, 0]).expand(4, 16, 6)
-    monkeypatch.setattr(network, "forward", lambda *of: (rows[..., 4:67] + 0.5, torch.randn(4, 16, 126), quarter))
-    wrong = network.losses(batch, generator)
-    angle = torch.atan2(-turned.orientation[..., 2], turned.orientation[..., 0])
-    torch.testing.assert_close(wrong["root"], (np.pi / 2 - angle).mean(), rtol=1e-3, atol=1e-3)
-    torch.testing.assert_close(wrong["joints"], 0.5 * network.space.scale[4:67].mean(), rtol=1e-4, atol=1e-5)
-    # Rotations at random are 126.5 degrees apart on average.
-    assert float(wrong["bones"]) == pytest.approx(np.pi / 2 + 2 / np.pi, abs=0.05)
-
-
-def test_what_does_not_fit_is_refused() -> None:
-    with pytest.raises(ValueError, match="frames must be a multiple of 16, not 130"):
-        NemfNetworkConfig(frames=130)
-    with pytest.raises(UsageError, match=r"a motion of 17 frames is longer than network.frames=16"):
-        tiny().encode(torch.zeros(1, 17, 263), torch.tensor([17]))
-    with pytest.raises(UsageError, match=r"motions.pose_vectors=native"):
-        NemfPath(PATH, inputs(field_space(), NONE))

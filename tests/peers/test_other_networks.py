@@ -10,7 +10,7 @@ from torch import Tensor
 from motionkit.core.errors import UsageError
 from motionkit.features import field
 from motionkit.features.field import FIELD_VECTORS
-from motionkit.training.conditions import NO_ACTION, ConditionSizes
+from motionkit.training.conditions import ConditionSizes
 from peers.actor import ACTOR, Actor, ActorNetworkConfig
 from peers.camdm import CAMDM, Camdm, CamdmNetworkConfig
 from peers.flow import FLOW, AbsoluteCoordinates, Flow, FlowNetworkConfig
@@ -94,20 +94,6 @@ def test_a_pass_of_inr_mlp_is_the_one_by_hand() -> None:
                 hidden = torch.where(hidden > 0, hidden, hidden.exp() - 1)
             expected = linear(weights, "layers.4", hidden)
             torch.testing.assert_close(found[row, column], expected, rtol=1e-4, atol=1e-5)
-
-
-def test_codes_and_network_take_turns() -> None:
-    torch.manual_seed(1)
-    network = InrMlp(InrMlpNetworkConfig(4, 8, (10, 6)), inputs(field_space(), TEXTS, num_windows=3))
-    frames = torch.tensor([[0, 2, 4], [1, 1, 6]])
-    batch = MotionBatch(torch.randn(2, 3, 66), torch.tensor([3, 3]), conditions(2), torch.tensor([0, 2]), frames)
-    for step, (codes, layers) in enumerate(((True, False), (False, True))):
-        network.zero_grad()
-        network.begin_step(step, 2)
-        network.losses(batch, torch.Generator().manual_seed(0))["loss"].backward()
-        assert (network.mean.grad is not None) == codes
-        assert all((weight.grad is not None) == layers for weight in network.layers.parameters())
-    assert network.frames_of.tolist() == [5, 0, 7]
 
 
 def test_mixtures_are_of_motions_of_one_action_and_length() -> None:
@@ -282,18 +268,3 @@ def test_absolute_coordinates_are_the_joints() -> None:
     torch.testing.assert_close(coordinates.relative(standard), (rows - of.mean) / of.scale, atol=1e-5, rtol=1e-5)
     with pytest.raises(UsageError, match=r"motions.pose_vectors=field"):
         AbsoluteCoordinates(space())
-
-
-def test_an_action_that_is_not_asked_for_is_any() -> None:
-    network = InrMlp(
-        InrMlpNetworkConfig(2, 8, (4,)), inputs(field_space(), ConditionSizes(0, ("a", "b")), num_windows=4)
-    )
-    network.frames_of[:], network.action_of[:] = 20, torch.tensor([0, 0, 1, 1])
-    with torch.no_grad():
-        network.mean[:2], network.mean[2:], network.log_variance[:] = 3.0, -3.0, -12.0
-    drawn = {
-        action: torch.stack([network.mixture(action, 20).draw(torch.Generator().manual_seed(n)) for n in range(20)])
-        for action in (0, 1, NO_ACTION)
-    }
-    assert (drawn[0] > 2.9).all() and (drawn[1] < -2.9).all()
-    assert (drawn[NO_ACTION] > 0).any() and (drawn[NO_ACTION] < 0).any()

@@ -1,16 +1,14 @@
 """Δ-Interp and TS-Former: sizes by hand, plain references, what attends to what, and times between frames."""
 
 import math
-from dataclasses import replace
 
 import pytest
 import torch
 from torch import Tensor, nn
 
 from pahires.temporal.network import ObservedWindow
-from peers.completing import longest_gap
-from peers.delta_interp import DeltaInterp, DeltaInterpNetworkConfig, PositionTable
-from peers.ts_former import RelativeEncoder, TsFormer, TsFormerNetworkConfig, missing_instants
+from peers.delta_interp import DeltaInterp, DeltaInterpNetworkConfig
+from peers.ts_former import RelativeEncoder, TsFormer, TsFormerNetworkConfig
 
 NUMBERS = 9
 # Ten frames of the past and one of the future around a gap of six, as the LaFAN1 benchmark has them.
@@ -53,25 +51,6 @@ def test_sizes_are_the_published_ones() -> None:
     layer = 4 * w * 8 * h + 2 * 2 * w + 2 * (w * w + w)
     stage = enter + distance + 6 * layer + 2 * w + (w * w + w + 1 + w * d + d)
     assert num_parameters(TsFormer(TsFormerNetworkConfig(), d)) == 2 * stage + (2 * w + w + 1 + w * w + w)
-
-
-def test_the_longest_gap_is_found_and_the_first_of_equals() -> None:
-    gap = longest_gap(window_of([0, 1, 2, 9, 10], []))
-    assert gap.before.tolist() == [2, 2]
-    torch.testing.assert_close(gap.before_seconds * 30, torch.full((2,), 2.0))
-    torch.testing.assert_close(gap.after_seconds * 30, torch.full((2,), 9.0))
-    assert longest_gap(window_of(list(range(0, 400, 4)), [])).before.tolist() == [0, 0]
-    alone = longest_gap(window_of([0], []))
-    assert alone.before.tolist() == [0, 0]
-    assert float((alone.after_seconds - alone.before_seconds).abs().max()) == 0
-
-
-def test_positions_between_two_rows_of_the_table_are_their_mixture() -> None:
-    table = PositionTable(5, 3).requires_grad_(False)
-    rows = table(torch.arange(5.0))
-    torch.testing.assert_close(rows, table.projection(torch.eye(5)))
-    torch.testing.assert_close(table(torch.tensor([2.25])), 0.75 * rows[2:3] + 0.25 * rows[3:4])
-    torch.testing.assert_close(table(torch.tensor([-3.0, 9.0])), rows[[0, 4]])
 
 
 def _attended(attention: nn.MultiheadAttention, rows: Tensor, keys: Tensor) -> Tensor:
@@ -164,16 +143,6 @@ def test_ts_former_is_its_plain_reference_of_two_stages() -> None:
         # In the second stage everything attends to everything: the given frames and all six drafts.
         refined = _encoded(network.detail, torch.cat((torch.cat((poses, draft)), known), dim=1), positions, keys=17)
         torch.testing.assert_close(made[batch], draft + refined[11:], rtol=1e-4, atol=1e-5)
-
-
-def test_missing_instants_are_those_of_the_grid_in_each_windows_own_span() -> None:
-    window = window_of(KEPT, [])
-    window = replace(window, times_seconds=window.times_seconds * torch.tensor([[1.0], [0.6]]))
-    grid, missing = missing_instants(window, 30.0)
-    assert missing.tolist() == [[True] * 6, [True] * 4 + [False] * 2]
-    torch.testing.assert_close(grid[0] * 30, torch.arange(10.0, 16.0), rtol=0, atol=1e-4)
-    torch.testing.assert_close(grid[1, :4] * 30, torch.arange(6.0, 10.0), rtol=0, atol=1e-4)
-    assert missing_instants(window_of([0, 1, 2, 3], []), 30.0)[0].shape == (2, 0)
 
 
 @pytest.mark.parametrize("name", NETWORKS)

@@ -107,15 +107,6 @@ def test_a_run_of_another_peer_is_not_taken_for_this_one(run: RunFolder, tmp_pat
         encoder_loader("liif").load(tmp_path)
 
 
-@pytest.mark.parametrize("name", ON_GRIDS_ONLY)
-def test_grid_peers_refuse_to_be_trained_on_gaps(name: str) -> None:
-    stage = TINY[name][0]
-    with pytest.raises(
-        UsageError, match=r"evenly spaced frames: training\.tasks\.gap and training\.tasks\.scattered must be 0"
-    ):
-        apply_overrides(stage.recipe("nano"), ["training.tasks.gap=1"])
-
-
 @pytest.mark.parametrize("name", TINY)
 def test_weights_of_curves_are_pa_hires_alone(name: str) -> None:
     with pytest.raises(UsageError, match=r"leave training\.answer\.blended empty"):

@@ -13,7 +13,6 @@ from motionkit.training.loop import (
     scale_rates,
     seeded_initialisation,
     set_rate,
-    step_generator,
     train_loop,
 )
 from motionkit.training.run import RunError, StageFolder
@@ -104,20 +103,6 @@ def test_an_interrupted_and_resumed_training_equals_an_uninterrupted_one_bit_by_
     assert seconds == sorted(seconds)
 
 
-def test_figures_keep_their_order_when_a_training_is_resumed(tmp_path: Path) -> None:
-    """Ranks add theirs up by their order, and only the first one has any from the checkpoint, by name."""
-
-    class Told(Regression):
-        def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
-            return {**super().step(step, generator), "bias": self.model.bias.abs().mean()}
-
-    folder = _folder(tmp_path / "stage")
-    with pytest.raises(KeyboardInterrupt):
-        train_loop(Told(_interrupt_at(5)), folder, steps=8, seed=1, log_every=4)
-    train_loop(Told(), folder, steps=8, seed=1, log_every=4)
-    assert [list(line) for line in folder.read_metrics()] == [["step", "seconds", "loss", "bias"]] * 2
-
-
 def test_the_seed_decides_everything(tmp_path: Path) -> None:
     losses = [
         train_loop(Regression(), _folder(tmp_path / str(index) / "stage"), steps=5, seed=seed)["loss"]
@@ -151,24 +136,6 @@ def test_a_checkpoint_of_another_stage_is_refused(tmp_path: Path) -> None:
     save_tensors(folder.checkpoint_path, {}, {"step": 3, "stage": "other"})
     with pytest.raises(CheckpointError, match="is of stage 'other'"):
         train_loop(Regression(), folder, steps=5, seed=0)
-
-
-def test_generators_depend_on_seed_purpose_and_step_alone() -> None:
-    def draw(*key: int | str) -> list[float]:
-        seed, purpose, step = key
-        return torch.rand(3, generator=step_generator(int(seed), str(purpose), int(step))).tolist()
-
-    assert draw(1, "field", 5) == draw(1, "field", 5)
-    assert len({tuple(draw(*key)) for key in [(1, "field", 5), (2, "field", 5), (1, "other", 5), (1, "field", 6)]}) == 4
-
-
-def test_seeded_initialisation_leaves_the_global_generator_alone() -> None:
-    torch.manual_seed(0)
-    expected = torch.rand(1)
-    torch.manual_seed(0)
-    with seeded_initialisation(1, "model"):
-        torch.rand(5)
-    assert torch.equal(torch.rand(1), expected)
 
 
 def test_rates_warm_up_and_fall_to_zero() -> None:

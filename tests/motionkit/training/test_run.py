@@ -2,14 +2,13 @@ import re
 import subprocess
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from motionkit.core.errors import DamagedFileError, UsageError
-from motionkit.core.files import remove_entry, write_json, write_whole
+from motionkit.core.files import remove_entry
 from motionkit.training.devices import resolve_device
-from motionkit.training.run import RunError, RunFolder, commit, copy_stage
+from motionkit.training.run import RunError, RunFolder, commit
 from motionkit.training.stage import Stage, StageContext, choose_stages
 from tests.helpers.plugin_lists import install_only
 
@@ -104,37 +103,6 @@ def test_lines_come_back_without_one_that_was_cut_off_and_none_after_a_checkpoin
     assert folder.read_metrics() == [{"step": 1.0, "loss": 1.0}]
 
 
-@pytest.mark.parametrize(
-    "changed",
-    [
-        {"config": 7},
-        {"recipe": ["nano"]},
-        {"seed": "0"},
-        {"store_fingerprint": [1]},
-        {"builds_on": [1]},
-        {"builds_on": {"first": 7}},
-    ],
-)
-def test_a_config_of_other_types_is_named(changed: dict[str, Any], tmp_path: Path) -> None:
-    folder = _context(tmp_path).begin("first", Config(), store_fingerprint="abc")
-    write_json(folder.config_path, folder.read_config() | changed)
-    with pytest.raises(DamagedFileError, match=rf"config\.json is damaged .*{min(changed)}"):
-        _context(tmp_path, resume=True).begin("first", Config(), store_fingerprint="abc")
-
-
-def test_overwriting_follows_no_link_out_of_the_folder(tmp_path: Path) -> None:
-    foreign = tmp_path / "foreign"
-    foreign.mkdir()
-    (foreign / "mine.txt").write_text("mine")
-    folder = _context(tmp_path).begin("first", Config(), store_fingerprint="abc")
-    (folder.path / "vectors").symlink_to(foreign)
-    folder.checkpoint_path.symlink_to(foreign / "mine.txt")
-    (folder.path / "old").mkdir()
-    _context(tmp_path, overwrite=True).begin("first", Config(), store_fingerprint="abc")
-    assert [path.name for path in folder.path.iterdir()] == ["config.json"]
-    assert (foreign / "mine.txt").read_text() == "mine"
-
-
 @pytest.mark.parametrize("stopped_at", range(4))
 def test_an_overwrite_that_was_stopped_leaves_nothing_that_another_training_takes_for_its_own(
     stopped_at: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -158,51 +126,6 @@ def test_an_overwrite_that_was_stopped_leaves_nothing_that_another_training_take
         _context(tmp_path, resume=True).begin("first", Config(width=5), store_fingerprint="abc")
     _context(tmp_path, overwrite=True).begin("first", Config(width=5), store_fingerprint="abc")
     assert [path.name for path in folder.path.iterdir()] == ["config.json"]
-
-
-def test_a_stage_that_was_killed_before_it_began_is_begun(tmp_path: Path) -> None:
-    folder = RunFolder(tmp_path).stage("first")
-    folder.path.mkdir()
-    (folder.path / ".config.json.0123abcd.tmp.json").write_text("{")
-    _context(tmp_path).begin("first", Config(), store_fingerprint="abc")
-    assert folder.config_path.is_file()
-
-
-def test_a_folder_without_a_config_is_not_resumed(tmp_path: Path) -> None:
-    folder = RunFolder(tmp_path).stage("first")
-    folder.path.mkdir()
-    folder.checkpoint_path.write_bytes(b"of whatever")
-    with pytest.raises(RunError, match=r"has no config\.json: train the stage again with --overwrite"):
-        _context(tmp_path, resume=True).begin("first", Config(), store_fingerprint="abc")
-
-
-@pytest.mark.parametrize("stopped_at", range(3))
-def test_a_copy_of_a_stage_that_was_stopped_is_made_again(
-    stopped_at: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    source = _context(tmp_path / "a").begin("first", Config(), store_fingerprint="abc")
-    source.model_path.write_bytes(b"weights")
-    source.checkpoint_path.write_bytes(b"everything")
-    source.finish({"loss": 1.0})
-    target = _context(tmp_path / "b").begin("first", Config(width=5), store_fingerprint="abc")
-    target.finish({"loss": 2.0})
-    written: list[Path] = []
-
-    def writing(path: Path, content: bytes) -> None:
-        if len(written) == stopped_at:
-            raise KeyboardInterrupt
-        written.append(path)
-        write_whole(path, content)
-
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr("motionkit.training.run.write_whole", writing)
-        copy_stage(source, target)
-    assert not target.is_complete
-    copy_stage(source, target)
-    assert target.read_summary() == {"loss": 1.0}
-    names = sorted(path.name for path in target.path.iterdir())
-    assert names == ["SHA256SUMS", "config.json", "model.safetensors", "summary.json"]
-    assert target.read_config() == source.read_config()
 
 
 def test_settings_of_another_stage_do_not_stop_a_resume(tmp_path: Path) -> None:
@@ -232,13 +155,6 @@ def test_what_auto_chose_is_what_auto_asks_for(tmp_path: Path) -> None:
     _context(tmp_path, resume=True).begin("first", Chosen("auto"), store_fingerprint="abc")
     with pytest.raises(RunError, match="precision 'bfloat16' → 'float32'"):
         _context(tmp_path, resume=True).begin("first", Chosen("float32"), store_fingerprint="abc")
-
-
-def test_of_many_settings_the_first_are_printed(tmp_path: Path) -> None:
-    _context(tmp_path).begin("first", Many(), store_fingerprint="abc")
-    other = StageContext(Path("store"), RunFolder(tmp_path), "paper", resume=True)
-    with pytest.raises(RunError, match=r"a 1 → 2, .*, 2 more\): use the same ones, train"):
-        other.begin("first", Many(*[2] * 8), store_fingerprint="abc")
 
 
 def test_an_untrained_stage_is_named_with_the_command_that_trains_it(tmp_path: Path) -> None:

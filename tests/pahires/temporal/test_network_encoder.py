@@ -20,7 +20,6 @@ from motionkit.fields.motion_field import (
     MotionField,
     Observation,
     Poses,
-    to_motion,
 )
 from motionkit.store.reader import Store
 from motionkit.training.config import apply_overrides
@@ -77,12 +76,6 @@ def field(exact: TrainedNetwork) -> MotionField:
     return field
 
 
-def test_the_domain_is_what_was_asked_for(field: MotionField) -> None:
-    assert (field.start_seconds, field.end_seconds) == pytest.approx((1.7, 7.2))
-    with pytest.raises(ValueError, match="outside the motion"):
-        field.query(np.array([1.6]))
-
-
 def test_answers_depend_neither_on_order_nor_on_company(field: MotionField) -> None:
     times = random_times(field)
     whole = field.query(times).joint_positions
@@ -91,11 +84,6 @@ def test_answers_depend_neither_on_order_nor_on_company(field: MotionField) -> N
     for some in (slice(0, 1), slice(5, 12)):
         np.testing.assert_allclose(field.query(times[some]).joint_positions, whole[some], atol=2e-5)
     assert len(field.query(np.zeros(0)).joint_positions) == 0
-
-
-def test_the_30_fps_answer_is_part_of_the_60_fps_answer(field: MotionField) -> None:
-    slow, fast = (to_motion(field, Fraction(fps)).joint_positions for fps in (30, 60))
-    np.testing.assert_allclose(fast[::2], slow, atol=2e-5)
 
 
 def test_observed_frames_stay_where_they_are(field: MotionField) -> None:
@@ -181,16 +169,6 @@ def test_what_makes_no_sense_is_refused(exact: TrainedNetwork) -> None:
         encoder.encode(other)
 
 
-def test_the_same_seed_gives_the_same_network(folder: Path, tmp_path: Path) -> None:
-    config = with_steps(replace(EXACT, training=replace(EXACT.training, ema_decay=0.9)), 6)
-    written = []
-    for name in ("once", "again"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "store").symlink_to(folder / "store")
-        written.append(train(tmp_path / name, config).stage("small").model_path.read_bytes())
-    assert written[0] == written[1]
-
-
 def test_a_training_that_was_interrupted_goes_on_as_if_it_was_not(folder: Path, tmp_path: Path) -> None:
     takes = open_rotation_sequences(
         Store.open(folder / "store"),
@@ -211,13 +189,6 @@ def test_a_training_that_was_interrupted_goes_on_as_if_it_was_not(folder: Path, 
     for step in range(3, 6):
         again = resumed.step(step, step_generator(1, "small", step))
     assert float(again["loss"].detach()) == float(figures["loss"].detach())
-
-
-def test_a_plain_network_learns(folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "store").symlink_to(folder / "store")
-    run = train(tmp_path, with_steps(SmallConfig(), 150))
-    losses = [line["mse"] for line in run.stage("small").read_metrics()]
-    assert losses[-1] < 0.7 * losses[0]
 
 
 def test_a_model_that_is_missing_or_another_is_refused(folder: Path, tmp_path: Path, exact: TrainedNetwork) -> None:

@@ -13,9 +13,9 @@ from motionkit.data.rotation_sequences import RotationSequences, open_rotation_s
 from motionkit.features.rotations import rotation_rows
 from motionkit.store.reader import Store
 from motionkit.training.config import apply_overrides
-from pahires.temporal.base_curves import WindowFrames, measure_scaling
+from pahires.temporal.base_curves import WindowFrames
 from pahires.temporal.settings import TaskSettings, TemporalSettings
-from pahires.temporal.windows import TASKS, WindowSampler, draw_layout, kept_frames
+from pahires.temporal.windows import TASKS, WindowSampler, draw_layout
 from tests.helpers.small_network import TASKS as SMALL_TASKS
 from tests.helpers.tiny import write_store
 
@@ -29,17 +29,6 @@ def takes_of(store: Store, settings: TemporalSettings) -> RotationSequences:
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
     return Store.open(write_store(tmp_path_factory.mktemp("corpus") / "store"))
-
-
-def test_kept_frames_are_those_of_the_definition() -> None:
-    kept = kept_frames(6, np.array([1.0, 1.2, 2.4, 3.0, 4.0]))
-    assert kept.tolist() == [
-        [0, 1, 2, 3, 4, 5],
-        [0, 1, 2, 3, 4, 6],
-        [0, 2, 4, 7, 9, 12],
-        [0, 3, 6, 9, 12, 15],
-        [0, 4, 8, 12, 16, 20],
-    ]
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -70,13 +59,6 @@ def test_takes_are_every_kth_real_frame(store: Store) -> None:
         assert takes.num_frames[take] == len(vectors) // stride[0]
 
 
-def test_takes_of_other_framerates_are_left_out_or_refused(store: Store) -> None:
-    takes = takes_of(store, replace(SETTINGS, fps="60"))
-    assert takes.keep_every.tolist() == [2, 1, 2] and takes.skipped == 1
-    with pytest.raises(UsageError, match="whole multiple of 50 fps"):
-        takes_of(store, replace(SETTINGS, fps="50"))
-
-
 @pytest.mark.parametrize("finer", [False, True])
 def test_windows_hold_what_was_captured_at_their_times(store: Store, finer: bool) -> None:
     sampler = WindowSampler(takes_of(store, SETTINGS), replace(SETTINGS, finer=finer))
@@ -97,16 +79,6 @@ def test_windows_hold_what_was_captured_at_their_times(store: Store, finer: bool
         assert middle[:, [0, 2]].abs().max() < 1e-5
         assert (batch.window.times_seconds.diff(dim=1) > 0).all() and (batch.window.times_seconds[:, 0] == 0).all()
     assert rates == ({30, 40, 60, 120} if finer else {30})
-
-
-def test_windows_end_at_the_last_frame_of_a_take(store: Store) -> None:
-    takes = takes_of(store, SETTINGS)
-    sampler = WindowSampler(takes, SETTINGS)
-    span = np.full(4000, int(takes.num_frames.max()))
-    take, first = sampler._places(np.random.default_rng(1), span)
-    assert set(zip(take.tolist(), first.tolist(), strict=True)) == {
-        (number, 0) for number in range(4) if takes.num_frames[number] == span[0]
-    }
 
 
 @pytest.mark.parametrize(("evenness", "share"), [(0.0, 0.9), (0.5, 0.75), (1.0, 0.5)])
@@ -141,29 +113,3 @@ def test_a_window_does_not_depend_on_where_it_happened() -> None:
     there = rows.to_world(here, np.array([1.0, -2.0, 3.0]), rng.normal(size=(3, 2)))
     inside = [WindowFrames.of(each, SMPL22).to_window(each) for each in (here, there)]
     np.testing.assert_allclose(inside[0], inside[1], atol=1e-5)
-
-
-def test_scales_have_a_floor_per_group() -> None:
-    rows = np.zeros((100, 135), np.float32)
-    rows[:, 9:72] = np.random.default_rng(0).normal(size=(100, 63))
-    scale = measure_scaling(rows).scale.numpy()
-    assert scale[:9].max() == pytest.approx(1e-4)
-    assert scale[72:].min() == pytest.approx(0.25 * np.sqrt((scale[9:72] ** 2).mean() / 2), rel=1e-3)
-    assert scale[9:72].min() > 0.7
-
-
-def test_settings_that_make_no_sense_are_refused() -> None:
-    for wrong in ({"gap": -1.0}, {"interpolate": 0.0}, {"smallest_factor": 0.5}, {"longest_gap": 2}, {"num_frames": 1}):
-        with pytest.raises(ValueError):
-            TaskSettings(**wrong)  # type: ignore[arg-type]
-    for setting in (
-        "schedule.epochs=3",
-        "schedule.batch_size=0",
-        "answer.scale=0",
-        "loss.velocity_weight=-1",
-        "ema_decay=1",
-        "fps=fast",
-        "source_evenness=2",
-    ):
-        with pytest.raises(UsageError, match=f"{setting}: "):
-            apply_overrides(TemporalSettings(), [setting])

@@ -54,13 +54,6 @@ def test_schedules_agree_with_diffusers(schedule):
     np.testing.assert_allclose(cumulative_alphas(config).numpy(), expected, rtol=2e-4, atol=1e-8)
 
 
-def test_schedule_is_scaled_linear():
-    alphas = cumulative_alphas(DiffusionConfig())
-    assert alphas.dtype == torch.float64
-    assert float(alphas[0]) == pytest.approx(1 - 8.5e-4, rel=1e-12)
-    assert float(alphas[-1]) == pytest.approx(0.0047, rel=0.02)
-
-
 @pytest.mark.parametrize("spacing", ["trailing", "leading"])
 @pytest.mark.parametrize("count", [1, 7, 50, 1000])
 def test_sampling_steps_agree_with_diffusers(spacing, count):
