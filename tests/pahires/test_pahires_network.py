@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from motionkit.edit.encoders import encoder_loader
 from motionkit.fields.motion_field import MotionEncoder
 from motionkit.training.config import apply_overrides
 from motionkit.training.loop import seeded_initialisation
@@ -63,7 +64,7 @@ def test_an_answer_depends_on_the_nearest_frames_of_the_widest_scale_and_no_othe
 def test_a_trained_network_is_an_encoder(tmp_path: Path) -> None:
     run, config = RunFolder(tmp_path / "run"), apply_overrides(PAHIRES, ["training.schedule.steps=2"])
     SYSTEM.stage.train(StageContext(write_store(tmp_path / "store"), run, "tiny", device="cpu"), config)
-    encoder = SYSTEM.load(run.path)
+    encoder = encoder_loader("pahires").load(run.path)
     assert isinstance(encoder, NetworkEncoder) and isinstance(encoder, MotionEncoder) and encoder.name == "PA-HiRes"
     assert encoder.reach_seconds == pytest.approx(8 / 30) and encoder.longest_gap_seconds == pytest.approx(10 / 30)
 
