@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from motionkit.core.errors import UsageError
 from motionkit.core.kinematics import quaternion_between, quaternion_rotate, rotation_vector_to_quaternion
-from motionkit.core.shapes import Float, Float64
+from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.fields.joints import turned_rotations
 from motionkit.fields.motion_field import MotionField, Poses, Times, at_fps, check_times, query_in_blocks
@@ -49,9 +49,7 @@ FLOOR_METRES = 0.0005
 """Standard deviation of white noise at 120 fps that is added to a power before taking its logarithm."""
 LARGEST_FEATURE = 4.0
 RIDGE = 0.01
-"""The penalty on squared weights, as a share of the number of frames; features have unit variance.
-
-What predicts timing are small differences between features: 0.3 costs a fifth of it."""
+"""The penalty on squared weights, as a share of the number of frames; features have unit variance."""
 MOST_QUANTILE = 0.999
 LARGEST_DEVIATION = 4.0
 """Jumps of a capture are clipped at this many standard deviations."""
@@ -273,6 +271,8 @@ def fit_detail(
         square += state.T @ state
         product += state.T @ (log_power - log_power.mean(axis=0))
     weights = np.linalg.solve(square + RIDGE * frames.sum() * np.eye(NUM_FEATURES), product)
+    states = [(each - centre) * scale for each in features]
+    weights *= np.repeat(_body_slopes(states, log_powers, weights), NUM_JOINTS)
     levels = np.array([each.mean(axis=0, dtype=np.float64) for each in log_powers])
     levels -= (means - centre) * scale @ weights
     most = np.quantile(np.concatenate([each[::4] for each in log_powers]), MOST_QUANTILE, axis=0).astype(np.float64)
@@ -283,6 +283,29 @@ def fit_detail(
         covariance += _fast_covariance(capture, replace(detail, offset=level))
         on_capture()
     return replace(detail, mixing=_mixing(covariance))
+
+
+def _body_slopes(
+    states: Sequence[Float64[np.ndarray, "_frames features"]],
+    log_powers: Sequence[Float32[np.ndarray, "_frames outputs"]],
+    weights: Float64[np.ndarray, "features outputs"],
+) -> Float64[np.ndarray, "bands"]:
+    """How far the log power of the whole body departs from its mean, as a multiple of what joints' predictions give.
+
+    Each joint is predicted well on average, but the strongest joints at a time, which make up most of the power, are
+    underestimated.
+    """
+    products, squares = np.zeros(NUM_BANDS), np.zeros(NUM_BANDS)
+    for state, log_power in zip(states, log_powers, strict=True):
+        predicted = state @ weights
+        predicted += log_power.mean(axis=0) - predicted.mean(axis=0)
+        body, of_joints = (
+            np.log(np.exp(each.reshape(-1, NUM_BANDS, NUM_JOINTS)).mean(axis=2)) for each in (log_power, predicted)
+        )
+        of_joints -= of_joints.mean(axis=0)
+        products += (of_joints * body).sum(axis=0)
+        squares += np.square(of_joints).sum(axis=0)
+    return products / np.maximum(squares, 1e-12)
 
 
 def _fast_covariance(
