@@ -1,51 +1,45 @@
 """Reliability and security tests ("the drill"): runs one part, bounded in time and reproducible by its seed.
 
-    python -m benchmarks.trust crash|corruption|fuzz|hostile|load [--seed 0] [--seconds N] [--out FILE.json] [--json]
+    python -m benchmarks.trust crash|corruption|fuzz [--seed 0] [--seconds N] [--out FILE.json] [--json]
 
-Each part is a module with `DEFAULT_SECONDS` and `run(seed, seconds, folder) -> Report`. A table goes to stdout (JSON
-with --json); --out adds the report to a JSON file, in which the other parts stay. Exit code 1 where anything failed.
+A table goes to stdout (JSON with --json); --out adds the report to a JSON file, in which the other parts stay. Exit
+code 1 where anything failed.
 """
 
-import argparse
 import importlib
+import json
 import sys
 import tempfile
 from pathlib import Path
 
-from benchmarks.trust.report import Report, print_report, store_report
-from motionkit.cli.console import print_json
-
-PARTS = ("crash", "corruption", "fuzz", "hostile", "load")
-
-
-def run_part(part: str, seed: int, seconds: float | None, folder: Path) -> Report:
-    """Run one part in an empty folder; `seconds` is the approximate duration, by default the part's own."""
-    module = importlib.import_module(f"benchmarks.trust.{part}")
-    report: Report = module.run(seed, module.DEFAULT_SECONDS if seconds is None else seconds, folder)
-    return report
+from benchmarks.command import arguments_parser
+from benchmarks.trust.report import Report
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.trust", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("part", choices=PARTS)
+    parser = arguments_parser(__doc__)
+    parser.add_argument("part", choices=("crash", "corruption", "fuzz"))
     parser.add_argument("--seed", type=int, default=0, help="everything random follows from it")
     parser.add_argument("--seconds", type=float, help="about how long; each part has its own default")
-    parser.add_argument("--folder", type=Path, help="where the trials are made, and kept; by default a temporary one")
     parser.add_argument("--out", type=Path, metavar="FILE.json", help="JSON file to add the report to")
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
     arguments = parser.parse_args()
-    with tempfile.TemporaryDirectory(prefix="motionkit-trust-") as temporary:
-        folder = arguments.folder or Path(temporary)
-        folder.mkdir(parents=True, exist_ok=True)
-        report = run_part(arguments.part, arguments.seed, arguments.seconds, folder)
+    module = importlib.import_module(f"benchmarks.trust.{arguments.part}")
+    with tempfile.TemporaryDirectory(prefix="motionkit-trust-") as folder:
+        seconds = module.DEFAULT_SECONDS if arguments.seconds is None else arguments.seconds
+        report: Report = module.run(arguments.seed, seconds, Path(folder))
     if arguments.out is not None:
-        store_report(report, arguments.out)
+        path: Path = arguments.out
+        reports = json.loads(path.read_text("utf-8")) if path.exists() else {}
+        reports[report.part] = report.plain()
+        path.write_text(json.dumps(dict(sorted(reports.items())), indent=2, ensure_ascii=False) + "\n", "utf-8")
     if arguments.json:
-        print_json(report.plain())
+        print(json.dumps(report.plain(), indent=2, ensure_ascii=False))
     else:
-        print_report(report)
+        for case in report.cases:
+            figures = ", ".join(f"{name} {value:.4g}" for name, value in case.figures.items())
+            print(f"{case.name:36} {case.tried:7,} tried {len(case.failures):5,} failed  {case.skipped or figures}")
+        print(*report.failures, sep="\n")
     sys.exit(1 if report.failures else 0)
 
 

@@ -1,137 +1,249 @@
 """Commands killed before every file operation, at bytes of files and at random moments: is anything lost?
 
 After each fault the store must be in its old or its new state and `validate` agree, files that have their names must be
-whole, and the command, repeated, must end with the very files of an undisturbed run and no other ones.
+whole, and the command, repeated, must end with the files of an undisturbed run and no other ones. A file that vanishes
+under a reader or before a command is named.
 """
 
-import math
+import json
+import re
+import signal
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
-from pathlib import Path
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
 
 import numpy as np
 
-from benchmarks.trust.disk import NoDiskError, SmallDisk
-from benchmarks.trust.faults import Fault
-from benchmarks.trust.missing import MISSING
-from benchmarks.trust.process import Commands
+from benchmarks.trust.process import UNDISTURBED, Fault, Outcome, run_command
 from benchmarks.trust.report import Case, Report
-from benchmarks.trust.scenarios import SCENARIOS, Scenario
-from benchmarks.trust.trials import DISK_FAULTS, Attempt, Drill, Expected, UndisturbedError
+from benchmarks.trust.scenarios import CALL, RUN, SCENARIOS, STARTS, STORE, Arguments, Scenario, train
+from benchmarks.trust.trees import copy, difference, look, tree
 from eval.report.results import environment
-from motionkit.cli.console import progress
-from motionkit.core.progress import Progress
 
 DEFAULT_SECONDS = 300.0
 # Number of trials of each kind in a whole drill; of file operations it tries all.
-NUM_TRIALS = {
-    "bytes": 12,
-    "moment": 12,
-    "limit": 6,
-    "full": 6,
-    "read-only": 1,
-    "interrupt": 6,
-    "terminate": 3,
-    "worker": 6,
+NUM_TRIALS = {"bytes": 12, "moment": 12, "limit": 6, "interrupt": 6, "terminate": 3}
+# Permitted exit codes; 130 is Ctrl-C's.
+CODES: dict[str, tuple[int, ...]] = {
+    **dict.fromkeys(("operation", "moment"), (0, -signal.SIGKILL)),
+    "bytes": (0, -signal.SIGXFSZ),
+    "limit": (0, 1),
+    **dict.fromkeys(("interrupt", "terminate"), (0, 130)),
 }
-KINDS = {
-    "operation": "before file operations",
-    "bytes": "at bytes",
-    "moment": "at moments",
-    "worker": "workers",
-    "limit": "file too large",
-    "full": "disk full",
-    "read-only": "read-only",
-    "interrupt": "Ctrl-C",
-    "terminate": "SIGTERM",
-}
+TEMPORARY = re.compile(r"(^|/)\.|\.partial/")
+# Commands that meet a missing file.
+MEETING: tuple[Arguments, ...] = (
+    ("validate", *STORE),
+    ("export", "out", "--format", "npz", *STORE),
+    (*train("field"), "--resume"),
+    ("generate", "--action", "walk", "--fps", "30", "--seconds", "1", "--out", "made", *RUN),
+)
+
+
+class UndisturbedError(Exception):
+    """A command that fails, or has another result, without any fault, which prevents the trials."""
+
+
+@dataclass(frozen=True)
+class Expected:
+    """The reference of an undisturbed run: the folder before it, after it, and after it was repeated.
+
+    `store_before` and `store_after` are what a reader finds in the store (`trees.look`).
+    """
+
+    before: dict[str, str]
+    after: dict[str, str]
+    repeated: dict[str, str]
+    store_before: dict[str, Any]
+    store_after: dict[str, Any]
+    operations: tuple[str, ...]
+    seconds: float
+    sizes: tuple[int, ...]
+
+
+class Drill:
+    """Makes starting folders once and tries faults in copies of them; owns the folder that it is given."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.nothing = folder / "nothing"
+        self.nothing.mkdir(parents=True, exist_ok=True)
+        self.expected: dict[str, Expected] = {}
+
+    def start_of(self, name: str) -> Path:
+        """The starting folder of this name, created if it is missing."""
+        path = self.folder / "starts" / name.replace(" ", "-")
+        if path.exists():
+            return path
+        base, commands = STARTS[name]
+        making = path.with_name(f"{path.name}.making")
+        copy(self.start_of(base) if base else self.nothing, making)
+        for arguments in commands:
+            require_success(run_command(making, arguments), arguments)
+        making.rename(path)
+        return path
+
+    def prepare(self, scenario: Scenario) -> Expected:
+        """Run the command undisturbed, three times: twice from the start, which must agree, and once more."""
+        if scenario.name in self.expected:
+            return self.expected[scenario.name]
+        start, place, ends = self.start_of(scenario.start), self.folder / "place", []
+        for _ in range(2):
+            copy(start, place)
+            before, store_before = tree(place), look_at(scenario, place)
+            outcome = self.run(scenario, place)
+            require_success(outcome, scenario.command)
+            ends.append(tree(place))
+        if differing := difference(ends[1], ends[0]):
+            raise UndisturbedError(f"{scenario.name} does not give the same twice, without any fault: {differing}")
+        store_after = look_at(scenario, place)
+        changed = [place / name for name in ends[0] if ends[0][name] != before.get(name)]
+        sizes = tuple(path.stat().st_size for path in changed if path.is_file() and path.stat().st_size)
+        again = self.run(scenario, place, repeating=True)
+        if not refuses(again, scenario):
+            require_success(again, scenario.repetition)
+        states = (before, ends[0], tree(place), store_before, store_after)
+        self.expected[scenario.name] = Expected(*states, outcome.operations, outcome.seconds, sizes)
+        return self.expected[scenario.name]
+
+    def attempt(self, scenario: Scenario, fault: Fault) -> str:
+        """Try one fault, repeat the command; returns the failure in a line, or nothing."""
+        expected = self.prepare(scenario)
+        place = self.folder / "place"
+        copy(self.start_of(scenario.start), place)
+        hit = self.run(scenario, place, fault)
+        found = look_at(scenario, place)
+        problem = ending_fault(hit, scenario, expected, fault) or state_fault(scenario, expected, place, found)
+        if problem:
+            return problem
+        stored = found == expected.store_after != expected.store_before
+        there = tree(place)
+        done = stored or all(there.get(name) == digest for name, digest in expected.after.items())
+        again = self.run(scenario, place, repeating=True)
+        if again.code != 0 and not (done and refuses(again, scenario)):
+            return f"repeated, it ends with exit code {again.code}: {again.last_line}"
+        end = tree(place)
+        if end in (expected.after, expected.repeated):
+            return ""
+        return f"repeated, it ends with another result: {difference(end, expected.after)}"
+
+    def run(self, scenario: Scenario, place: Path, fault: Fault = UNDISTURBED, *, repeating: bool = False) -> Outcome:
+        """Run the scenario's command, or its repetition."""
+        every = 0.0 if scenario.saves_every_step else None
+        arguments = scenario.repetition if repeating else scenario.command
+        return run_command(place, arguments, fault, checkpoint_seconds=every)
 
 
 def run(
     seed: int, seconds: float, folder: Path, names: Sequence[str] = tuple(SCENARIOS), most: int | None = None
 ) -> Report:
-    """Try faults in each scenario in turn until all are tried or the time is up; the quickest scenarios go first.
+    """Try faults in each scenario in turn until all are tried or the time is up.
 
     `names` chooses scenarios, `most` is how many faults each is tried with at most.
     """
-    started = time.perf_counter()
-    with ExitStack() as held:
-        commands, on_progress = held.enter_context(Commands()), held.enter_context(progress())
-        total = None if math.isinf(seconds) else int(seconds)
-        try:
-            disk, no_disk = held.enter_context(SmallDisk(folder / "disk")), ()
-        except NoDiskError as error:
-            disk, no_disk = None, (Case("disk full, read-only", 0, skipped=str(error)),)
-        drill = Drill(commands, folder, disk)
-        trials = [_Trials(name, attempts(drill, SCENARIOS[name], seed, most)) for name in names]
-        if most is None:
-            trials += [_Trials(name, made(drill)) for name, made in MISSING.items()]
-        while (waiting := [each for each in trials if not each.finished]) and (
-            (passed := time.perf_counter() - started) < seconds
-        ):
-            following = min(waiting, key=lambda each: each.seconds)
-            on_progress(Progress("crash", int(passed), total, following.name))
-            following.go_on()
-    cases = (*(each.case() for each in trials), *no_disk)
+    started, drill = time.perf_counter(), Drill(folder)
+    found: dict[str, list[tuple[str, str]]] = {name: [] for name in names}
+    waiting = {name: attempts(drill, SCENARIOS[name], seed, most) for name in names}
+    if most is None:
+        waiting["a file is missing"] = missing(drill)
+    while waiting and time.perf_counter() - started < seconds:
+        for name in list(waiting):
+            try:
+                kind, problem = next(waiting[name])
+            except StopIteration:
+                del waiting[name]
+                continue
+            except UndisturbedError as error:
+                del waiting[name]
+                kind, problem = "undisturbed", str(error)
+            found.setdefault(name, []).append((kind, problem))
+    cases = tuple(
+        Case(name, len(each), tuple(problem for _, problem in each if problem), Counter(kind for kind, _ in each))
+        for name, each in found.items()
+    )
     return Report("crash", seed, time.perf_counter() - started, cases, environment())
 
 
-class _Trials:
-    """Trials of one kind, one after the other; owns their results."""
-
-    def __init__(self, name: str, attempts: Iterator[Attempt]) -> None:
-        self.name = name
-        self.seconds = 0.0
-        self.finished = False
-        self._attempts = attempts
-        self._counts: Counter[str] = Counter()
-        self._failures: list[str] = []
-
-    def go_on(self) -> None:
-        """Make the next attempt; the first one prepares the others."""
-        started = time.perf_counter()
-        try:
-            attempt = next(self._attempts, None)
-        except UndisturbedError as error:
-            attempt = None
-            self._failures.append(str(error))
-        if attempt is None:
-            self.finished = True
-        else:
-            self._counts[attempt.kind] += 1
-            self._failures += [f"{attempt.about}: {attempt.problem}"] if attempt.problem else []
-        self.seconds += time.perf_counter() - started
-
-    def case(self) -> Case:
-        """What came of it."""
-        return Case(self.name, self._counts.total(), tuple(self._failures), dict(sorted(self._counts.items())))
-
-
-def attempts(drill: Drill, scenario: Scenario, seed: int, most: int | None) -> Iterator[Attempt]:
-    """Try a scenario with its faults, or with the first few of them."""
+def attempts(drill: Drill, scenario: Scenario, seed: int, most: int | None) -> Iterator[tuple[str, str]]:
+    """Try a scenario with its faults in a random order, or with the first few of them: kind, failure."""
     expected = drill.prepare(scenario)
-    for fault, about in faults(scenario, expected, seed, has_disk=drill.disk is not None)[:most]:
-        yield Attempt(KINDS[fault.kind], f"{fault}{about}", drill.attempt(scenario, fault))
-
-
-def faults(scenario: Scenario, expected: Expected, seed: int, *, has_disk: bool) -> list[tuple[Fault, str]]:
-    """All faults of a scenario, in a random order, each with its details."""
     generator = np.random.default_rng([seed, *scenario.name.encode()])
     found: list[tuple[Fault, str]] = []
     for kind in scenario.modes:
-        if kind in DISK_FAULTS and not has_disk:
-            continue
         if kind == "operation":
             found += [(Fault(kind, number), f" ({name})") for number, name in enumerate(expected.operations)]
             continue
         for _ in range(NUM_TRIALS[kind]):
-            if kind in ("bytes", "limit"):
-                size = int(generator.choice(expected.sizes))
-                found.append((Fault(kind, int(size * generator.random())), ""))
-            elif kind == "full":
-                found.append((Fault(kind, int(1.2 * sum(expected.sizes) * generator.random())), ""))
-            else:
-                found.append((Fault(kind, float(expected.seconds * generator.random())), ""))
-    return [found[index] for index in generator.permutation(len(found))]
+            whole = float(generator.choice(expected.sizes)) if kind in ("bytes", "limit") else expected.seconds
+            found.append((Fault(kind, whole * float(generator.random())), ""))
+    for index in generator.permutation(len(found))[:most]:
+        fault, about = found[index]
+        problem = drill.attempt(scenario, fault)
+        yield fault.kind, f"{fault}{about}: {problem}" if problem else ""
+
+
+def missing(drill: Drill) -> Iterator[tuple[str, str]]:
+    """Remove each file of a store and a run before commands: all is well, or it is explained; `validate` misses it."""
+    start, place = drill.start_of("model"), drill.folder / "place"
+    files = sorted(path.relative_to(start).as_posix() for path in start.rglob("*") if path.is_file())
+    for name in (each for each in files if each.startswith(("store/", "runs/"))):
+        for arguments in MEETING:
+            copy(start, place)
+            (place / name).unlink()
+            outcome = run_command(place, arguments)
+            explained = outcome.last_line.startswith("motionkit: ") or "is missing" in outcome.out
+            problem = f"exit code {outcome.code}: {outcome.last_line}"
+            if outcome.code == 0 or (outcome.code in (1, 2) and explained and not outcome.shows_traceback):
+                needed = name.startswith("store/") and not name.startswith("store/cache/") and "lock" not in name
+                overlooked = arguments[0] == "validate" and needed and not outcome.code
+                problem = "validate does not miss it" if overlooked else ""
+            yield arguments[0], f"{name} removed: {problem}" if problem else ""
+
+
+def state_fault(scenario: Scenario, expected: Expected, place: Path, found: dict[str, Any]) -> str:
+    """What is in neither its old nor its new state: the store as a reader sees it, or a file that must be whole."""
+    if found not in (expected.store_before, expected.store_after):
+        return f"the store {scenario.store} is neither in its old nor in its new state: {json.dumps(found)}"
+    there = tree(place)
+    for name in sorted({path.relative_to(place).as_posix() for each in scenario.whole for path in place.glob(each)}):
+        if not TEMPORARY.search(name) and there[name] not in (expected.before.get(name), expected.after.get(name)):
+            return f"{name} is half written"
+    return ""
+
+
+def ending_fault(hit: Outcome, scenario: Scenario, expected: Expected, fault: Fault) -> str:
+    """The fault in how a disturbed command ended."""
+    codes = CODES[fault.kind]
+    if fault.kind == "terminate" and scenario.command[0].startswith(CALL):  # SIGTERM kills a program that is no command
+        codes = (*codes, -signal.SIGTERM)
+    if hit.code is None:
+        return f"it hung: after {hit.seconds:.0f} s it was still running"
+    if hit.is_left:
+        return "one of its processes was still there ten seconds later"
+    if hit.shows_traceback:
+        return f"a traceback: {hit.last_line}"
+    if hit.code not in codes:
+        return f"it ended with exit code {hit.code}: {hit.last_line}"
+    written = {name for name, digest in expected.after.items() if expected.before.get(name) != digest}
+    folders = {parent.as_posix() for name in written for parent in PurePosixPath(name).parents} - {"."}
+    explained = hit.last_line.startswith("motionkit: ") and any(name in hit.last_line for name in written | folders)
+    return f"it failed without saying what with: {hit.last_line}" if hit.code == 1 and not explained else ""
+
+
+def look_at(scenario: Scenario, place: Path) -> dict[str, Any]:
+    """What a reader finds in the scenario's store."""
+    return look(place / scenario.store) if scenario.store else {}
+
+
+def refuses(outcome: Outcome, scenario: Scenario) -> bool:
+    """Whether a repeated command says that there is nothing left to do."""
+    return bool(scenario.refusal) and outcome.code in (1, 2) and bool(re.search(scenario.refusal, outcome.err))
+
+
+def require_success(outcome: Outcome, arguments: Arguments) -> None:
+    """Raise `UndisturbedError` if an undisturbed command failed."""
+    if outcome.code != 0:
+        raise UndisturbedError(f"`{' '.join(arguments)}` fails undisturbed ({outcome.code}): {outcome.last_line}")

@@ -1,68 +1,40 @@
-"""The commands under fault injection, their starting folders, and how each is repeated."""
+"""The commands of the drill, the folders that they start from, and how each is repeated."""
 
 from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
 
 Arguments = tuple[str, ...]
-CALL = "call:benchmarks.trust.corpus:"
+CALL = "call:benchmarks.trust.scenarios:"
+ACTIONS = ("walk", "run", "squat", "bow")
 SHORT, LONG = "2.0", "3.0"
 STORE = ("--store", "store")
 ONE_WORKER = (*STORE, "--workers", "1")
 RUN = ("--runs", "runs", "--run", "drill")
 TRAIN = (*STORE, *RUN, "--device", "cpu")
-EVERY = "operation", "bytes", "moment", "limit", "full", "read-only", "interrupt", "terminate"
+EVERY = ("operation", "bytes", "moment", "limit", "interrupt", "terminate")
+TIMED = ("moment", "interrupt", "terminate")
 
-SETTINGS: dict[str, tuple[str, ...]] = {
+# What makes a training last a second.
+SETTINGS = {
     "codebook": (
-        *(
-            "codebook.schedule.steps=8",
-            "codebook.schedule.batch_size=2",
-            "codebook.network.width=8",
-            "codebook.network.code_dimension=8",
-        ),
-        *("codebook.network.num_codes=8", "codebook.window_frames=16"),
-    ),
-    "field": (
-        *(
-            "field.precision=float32",
-            "field.windows.max_duration_seconds=3",
-            "field.decoder.width=16",
-            "field.decoder.num_layers=2",
-        ),
-        *(
-            "field.schedule.steps=8",
-            "field.schedule.batch_size=4",
-            "field.encoder.num_layers=1",
-            "field.encoder.num_queries=8",
-        ),
-    ),
-    "denoiser": (
-        *(
-            "denoiser.schedule.steps=8",
-            "denoiser.schedule.batch_size=4",
-            "denoiser.network.num_layers=1",
-            "denoiser.network.width=16",
-        ),
-        *(
-            "denoiser.network.ffn_width=16",
-            "denoiser.diffusion.sampling_steps=2",
-            "denoiser.conditions.text_encoder=none",
-        ),
+        "codebook.schedule.steps=8 codebook.schedule.batch_size=2 codebook.network.width=8 codebook.window_frames=16 "
+        "codebook.network.code_dimension=8 codebook.network.num_codes=8 "
+        "field.precision=float32 field.windows.max_duration_seconds=3 field.decoder.width=16 field.schedule.steps=8 "
+        "field.decoder.num_layers=2 field.schedule.batch_size=4 field.encoder.num_layers=1 field.encoder.num_queries=8 "
+        "denoiser.schedule.steps=8 denoiser.schedule.batch_size=4 denoiser.network.num_layers=1 "
+        "denoiser.network.width=16 denoiser.network.ffn_width=16 denoiser.diffusion.sampling_steps=2 "
+        "denoiser.conditions.text_encoder=none"
     ),
     "evaluator": (
-        *("training.steps=8", "training.batch_size=4", "training.max_poses=24", "training.statistics_batches=1"),
-        *("training.bank_seconds=10", "training.text_encoder=", "network.shared=4"),
-        *("training.framerates=20,60", "network.convolution=8", "network.recurrent=8", "network.embedding=8"),
+        "training.steps=8 training.batch_size=4 training.max_poses=24 training.statistics_batches=1 "
+        "training.bank_seconds=10 training.text_encoder= network.shared=4 "
+        "training.framerates=20,60 network.convolution=8 network.recurrent=8 network.embedding=8"
     ),
     "pahires": (
-        *(
-            "training.schedule.steps=8",
-            "training.schedule.batch_size=4",
-            "training.tasks.gap=0",
-            "network.hidden=8",
-            "network.code=8",
-        ),
-        *("training.tasks.longest_gap=10", "training.tasks.num_frames=8", "training.tasks.largest_factor=2"),
-        *("network.attention_tokens=4", "network.embedding=8", "network.decoder_layers=1", "network.num_sines=4"),
+        "training.schedule.steps=8 training.schedule.batch_size=4 training.tasks.gap=0 network.hidden=8 network.code=8 "
+        "training.tasks.longest_gap=10 training.tasks.num_frames=8 training.tasks.largest_factor=2 "
+        "network.attention_tokens=4 network.embedding=8 network.decoder_layers=1 network.num_sines=4"
     ),
 }
 
@@ -70,9 +42,9 @@ SETTINGS: dict[str, tuple[str, ...]] = {
 def train(stage: str) -> Arguments:
     """The command that trains a stage in a second."""
     # One recipe serves codebook, field and denoiser: the settings of all three are the run's.
-    names = (stage,) if stage in ("evaluator", "pahires") else ("codebook", "field", "denoiser")
-    settings = tuple(part for name in names for each in SETTINGS[name] for part in ("--set", each))
-    return ("train", "--stage", stage, *TRAIN, *settings)
+    settings = SETTINGS.get(stage, SETTINGS["codebook"]).split()
+    given = tuple(part for each in settings for part in ("--set", each))
+    return ("train", "--stage", stage, *TRAIN, *given)
 
 
 def ingest(folder: str, *options: str) -> Arguments:
@@ -83,20 +55,6 @@ def ingest(folder: str, *options: str) -> Arguments:
 def takes(folder: str, first: int, count: int, seconds: str = SHORT) -> Arguments:
     """The call that writes takes."""
     return (f"{CALL}write_takes", folder, str(first), str(count), seconds)
-
-
-# Each starting folder by its name: the one that it goes on from, and what is run in it.
-STARTS: dict[str, tuple[str, tuple[Arguments, ...]]] = {
-    "takes": ("", (takes("one", 0, 3), takes("two", 3, 3), takes("three", 6, 2))),
-    "store": ("takes", (ingest("one"), ingest("two"))),
-    "two stores": ("store", (("ingest", "three", "--store", "other", "--workers", "1"),)),
-    "gaps": ("store", (ingest("three"), ("remove", "--where", "sequence_index IN (1, 4)", *STORE))),
-    "corpus": ("", (takes("long", 0, 8, LONG), ingest("long"))),
-    "codebook": ("corpus", (train("codebook"),)),
-    "field": ("codebook", (train("field"),)),
-    "model": ("field", (train("denoiser"),)),
-    "pahires": ("corpus", (train("pahires"),)),
-}
 
 
 @dataclass(frozen=True)
@@ -137,28 +95,35 @@ def _export(kind: str) -> Scenario:
 
 
 GENERATE = ("generate", "--action", "walk", "--action", "squat", "--fps", "30", "--seconds", "1", "--out", "made", *RUN)
-COMPLETE = ("complete", "one", "--fps", "90", "--out", "made", "--overwrite")
+COMPLETE_BY_SPLINE = ("complete", "one", "--fps", "90", "--out", "made", "--overwrite")
+COMPLETE = ("complete", "long/take-0.bvh", "--fps", "90", "--out", "completed", "--model", "pahires", *RUN)
 EVAL = (*STORE, *RUN, "--results", "results", "--split", "all")
 EVAL_PAHIRES = ("eval", "--paper", "pahires", "--table", "2", *EVAL, "--where", "fps = 60")
 RESULTS = ("results/*.json", "results/*.md", "results/*.png")
+
+# Each starting folder by its name: the one that it goes on from, and what is run in it.
+STARTS: dict[str, tuple[str, tuple[Arguments, ...]]] = {
+    "takes": ("", (takes("one", 0, 3), takes("two", 3, 3), takes("three", 6, 2))),
+    "store": ("takes", (ingest("one"), ingest("two"))),
+    "two stores": ("store", (("ingest", "three", "--store", "other", "--workers", "1"),)),
+    "gaps": ("store", (ingest("three"), ("remove", "--where", "sequence_index IN (1, 4)", *STORE))),
+    "corpus": ("", (takes("long", 0, 8, LONG), ingest("long"))),
+    "codebook": ("corpus", (train("codebook"),)),
+    "field": ("codebook", (train("field"),)),
+    "model": ("field", (train("denoiser"),)),
+    "pahires": ("corpus", (train("pahires"),)),
+    "evaluator": ("corpus", (train("evaluator"),)),
+    "results": ("pahires", (EVAL_PAHIRES,)),
+    "exported": ("store", (("export", "npz", "--format", "npz", *STORE),)),
+}
 
 SCENARIOS: dict[str, Scenario] = {
     scenario.name: scenario
     for scenario in (
         Scenario("ingest", "takes", ingest("one")),
-        Scenario(
-            "ingest, 2 workers",
-            "takes",
-            ("ingest", "one", *STORE, "--workers", "2"),
-            modes=("operation", "moment", "worker", "full", "read-only", "interrupt", "terminate"),
-        ),
+        Scenario("ingest, 2 workers", "takes", ("ingest", "one", *STORE, "--workers", "2"), modes=TIMED),
         Scenario("append", "store", ingest("three")),
-        Scenario(
-            "append, 2 workers",
-            "store",
-            ("ingest", "three", *STORE, "--workers", "2"),
-            modes=("moment", "worker", "interrupt", "terminate"),
-        ),
+        Scenario("append, 2 workers", "store", ("ingest", "three", *STORE, "--workers", "2"), modes=TIMED),
         Scenario("overwrite", "store", ingest("three", "--overwrite")),
         Scenario("remove", "gaps", ("remove", "--where", "sequence_index < 3", *STORE), refusal="no sequence of"),
         Scenario("remove a whole part", "gaps", ("remove", "--where", "part = 0", *STORE), refusal="no sequence of"),
@@ -173,16 +138,40 @@ SCENARIOS: dict[str, Scenario] = {
         _training("evaluator", "corpus"),
         _training("pahires", "corpus"),
         Scenario("eval nerm-4", "field", ("eval", "--table", "4", "--clips", "64", *EVAL), whole=RESULTS),
-        Scenario(
-            "eval pahires-2",
-            "pahires",
-            ("eval", "--paper", "pahires", "--table", "2", *EVAL, "--where", "fps = 60"),
-            whole=RESULTS,
-        ),
+        Scenario("eval pahires-2", "pahires", EVAL_PAHIRES, whole=RESULTS),
         *map(_export, ("bvh", "npz", "humanml3d", "parquet")),
-        Scenario("complete", "takes", COMPLETE, store="", whole=("made/*",)),
-        Scenario("complete by pahires", "pahires", (*COMPLETE[:1], "long", *COMPLETE[2:], "--model", "pahires", *RUN)),
+        Scenario("complete", "takes", COMPLETE_BY_SPLINE, store="", whole=("made/*",)),
+        Scenario("complete by pahires", "pahires", (*COMPLETE, "--overwrite")),
         Scenario("generate", "model", GENERATE, (*GENERATE, "--resume"), whole=("made/*.npz", "made/*.json")),
         Scenario("generate again", "model", (*GENERATE, "--overwrite")),
     )
 }
+
+
+def write_takes(folder: str, first: str, count: str, seconds: str) -> None:
+    """Write takes FIRST … FIRST + COUNT − 1 of so many seconds as BVH files, with a table of captions and splits."""
+    from motionkit.fields.motion_field import to_motion
+    from motionkit.io.bvh_writing import write_bvh
+    from tests.helpers.analytic import analytic_motion
+
+    path, rows = Path(folder), ["file,fps,action,subject,caption,split\n"]
+    path.mkdir(parents=True)
+    for number in range(int(first), int(first) + int(count)):
+        action, fps, split = (
+            ACTIONS[number % 4],
+            (30, 60)[number // 2 % 2],
+            ("train", "train", "train", "test")[number % 4],
+        )
+        write_bvh(
+            to_motion(analytic_motion(action, float(seconds), number), Fraction(fps)), path / f"take-{number}.bvh"
+        )
+        rows.append(f"take-{number}.bvh,{fps},{action},p{number % 3},a person does a {action},{split}\n")
+    (path / "clips.csv").write_text("".join(rows), "utf-8")
+
+
+def build_cache(store: str) -> None:
+    """Build the training cache of a store."""
+    from motionkit.store import Store
+    from motionkit.store.cache import open_cache
+
+    open_cache(Store.open(store))

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import numpy as np
+
 from motionkit.core.errors import MotionkitError
 
 
@@ -20,40 +22,6 @@ def write_carefully(name: str) -> None:
     pending = path.with_name(f".{path.name}.new")
     pending.write_text("x" * 10_000)
     pending.replace(path)
-
-
-def write_letters(name: str) -> None:
-    """Write letters, of which every second one is used, and their sum."""
-    letters = bytes(65 + number % 26 for number in range(200))
-    Path(name).write_bytes(letters)
-    print(sum(letters[::2]))
-
-
-def read_trustingly(name: str) -> None:
-    """Use every second letter as it is."""
-    print(sum(Path(name).read_bytes()[::2]))
-
-
-def read_checked(name: str, told: str) -> None:
-    """Use the letters where they are all what was written; else say that of something."""
-    letters = Path(name).read_bytes()
-    if letters != bytes(65 + number % 26 for number in range(200)):
-        raise MotionkitError(f"{told} is damaged: write it again")
-    print(sum(letters[::2]))
-
-
-def read_strictly(name: str) -> None:
-    """Fail somewhere on the way for a letter that is none."""
-    print(sum(({number: number for number in range(65, 91)})[letter] for letter in Path(name).read_bytes()[::2]))
-
-
-def read_and_lose(name: str) -> None:
-    """Find the damage, but only after the file is gone."""
-    letters = Path(name).read_bytes()
-    Path(name).unlink()
-    if letters != bytes(65 + number % 26 for number in range(200)):
-        raise MotionkitError(f"{name} was damaged")
-    Path(name).write_bytes(letters)
 
 
 def write_through(name: str) -> None:
@@ -79,3 +47,13 @@ def refuse(name: str) -> None:
 def refuse_in_silence(name: str) -> None:
     """Say nothing."""
     raise SystemExit(1)
+
+
+def write_samples(folder: str) -> None:
+    """Write a small folder of samples."""
+    path = Path(folder)
+    path.mkdir()
+    for number in range(2):
+        joints = np.cumsum(0.01 * np.random.default_rng(number).normal(size=(40, 22, 3)), axis=0)
+        np.save(path / f"sample{number}.npy", (joints + np.arange(22)[:, None] / 13).astype(np.float32))
+    (path / "samples.toml").write_text("fps = 20\n")

@@ -4,8 +4,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from benchmarks.trust.corruption.kinds import COMPLETE
-from benchmarks.trust.scenarios import EVAL, EVAL_PAHIRES, GENERATE, RUN, train
+from benchmarks.trust.scenarios import COMPLETE, EVAL, EVAL_PAHIRES, GENERATE, RUN, train
 from tests.hostile.scene import EVIL, Scene, Spoil, edited, link, links, text
 
 FIELD = "runs/drill/field"

@@ -6,8 +6,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from benchmarks.trust.corruption.kinds import COMPLETE
-from benchmarks.trust.scenarios import EVAL, EVAL_PAHIRES, train
+from benchmarks.trust.scenarios import COMPLETE, EVAL, EVAL_PAHIRES, train
 from tests.hostile.runs import MAKE, unfinished
 from tests.hostile.scene import EVIL, Scene, Spoil
 
