@@ -26,20 +26,15 @@ from benchmarks.trust.mutate import flip, mutate
 from benchmarks.trust.report import Case, Report
 from eval.report.results import environment
 from eval.sample_folder import SampleOptions, read_sample_folder
-from motionkit.core.errors import MotionkitError, StoreError
-from motionkit.core.motion import Motion
-from motionkit.core.skeleton import SMPL22
+from motionkit.core.errors import MotionkitError
 from motionkit.core.skeletons.mapping import read_skeleton_map
-from motionkit.core.timegrid import TimeGrid
 from motionkit.generate.request import read_prompts
 from motionkit.io.indexes import read_index
 from motionkit.io.reading import read, read_rules
 from motionkit.io.registry import ReadOptions, readers
 from motionkit.io.scan import scan
-from motionkit.store import Store, StoreWriter
-from motionkit.store.validate import faults
 from tests.helpers import published_layouts
-from tests.helpers.every_format import SOURCES, bodies
+from tests.helpers.every_format import SOURCES
 from tests.helpers.side_files import BESIDE, RULES
 from tests.motionkit.core.test_skeletons import robot_map
 
@@ -48,7 +43,7 @@ MOST_BYTES, MOST_SECONDS, STUCK_SECONDS = 1 << 30, 2.0, 60
 BLOCK_INPUTS = 50
 STATED = ReadOptions(fps=Fraction(30), unit_metres=1.0)
 INDEX = b"source_path,start_frame,end_frame,new_name\n./pose_data/KIT/3/a_poses.npy,0,-1,000000.npy\n"
-PROMPTS = b'{"text": "a person walks", "seconds": 3}\n{"action": "wave"}\n'
+PROMPTS = b"text,action,seconds\na person walks,,2.5\n,wave,\n"
 Make = Callable[[Path], object]
 Use = Callable[[Path], object]
 
@@ -94,27 +89,6 @@ def read_samples(folder: Path) -> None:
         raise found.left_out[0]
 
 
-def read_store(folder: Path) -> None:
-    """Open a store and read all of it; what `validate` calls intact must be read without error."""
-    found = list(faults(folder))
-    try:
-        store = Store.open(folder)
-        for motion in store.read_many(store.select()):
-            assert found or np.isfinite(motion.joint_positions).all(), "validate finds nothing"
-    except MotionkitError as error:
-        assert found, f"validate finds nothing, but reading says: {error}"
-        raise
-    if found:
-        raise StoreError(found[0])
-
-
-def write_store(folder: Path) -> None:
-    """Two takes."""
-    with StoreWriter.create(folder) as writer:
-        for name, count in (("a", 300), ("b", 40)):
-            writer.add(Motion(bodies(count, 22), SMPL22, TimeGrid(Fraction(60), count), sequence_id=name))
-
-
 def all_targets() -> Iterator[Target]:
     """Every reader."""
 
@@ -141,11 +115,10 @@ def all_targets() -> Iterator[Target]:
         yield Target(f"beside-{side}", make, partial(read_folder, options=options), f"**/{Path(name).name}")
     for layout in ("mld_demo", "t2m_gpt", "mdm", "momask", "mld_test"):
         yield Target(f"samples-{layout}", getattr(published_layouts, f"write_{layout}"), read_samples)
-    yield Target("store", write_store, read_store)
     yield Target("index", content("index.csv", INDEX), each(read_index))
     yield Target("fps-rules", content("rules.toml", RULES), each(read_rules))
     yield Target("skeleton-map", content("map.toml", robot_map().encode()), each(read_skeleton_map))
-    yield Target("prompts", content("prompts.jsonl", PROMPTS), each(read_prompts))
+    yield Target("prompts", content("prompts.csv", PROMPTS), each(read_prompts))
 
 
 def try_block(target: Target, seed: int, numbers: range, folder: Path, expected: str) -> tuple[list[str], list[str]]:

@@ -18,7 +18,7 @@ from tests.hostile import SCENES
 from tests.hostile.scene import EVIL, Scene, Spoil, links, text
 
 CALL = "call:tests.helpers.careless:"
-EVERY = int(os.environ.get("MOTIONKIT_HOSTILE_EVERY", "24"))
+EVERY = int(os.environ.get("MOTIONKIT_HOSTILE_EVERY", "40"))
 LONGEST_MESSAGE = 4000
 SECRET = "somebody's own"
 CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")

@@ -17,7 +17,7 @@ from benchmarks.trust.mutate import mutate
 from motionkit.core.errors import MotionkitError
 
 # `MOTIONKIT_FUZZ_INPUTS=2000 pytest tests/benchmarks/test_trust_fuzz.py` hunts for longer.
-INPUTS_EACH = int(os.environ.get("MOTIONKIT_FUZZ_INPUTS", "20"))
+INPUTS_EACH = int(os.environ.get("MOTIONKIT_FUZZ_INPUTS", "10"))
 
 
 def refuse() -> None:
@@ -75,7 +75,7 @@ def test_an_input_is_made_again(tmp_path: Path) -> None:
         assert first == again
 
 
-@pytest.mark.parametrize("target", all_targets(), ids=lambda target: target.name)
+@pytest.mark.parametrize("target", list(all_targets()), ids=lambda target: target.name)
 def test_every_reader_explains_what_is_wrong(tmp_path: Path, target: Target) -> None:
     """A slice of `python -m benchmarks.trust fuzz`."""
     assert fuzz.run(0, math.inf, tmp_path, [target], INPUTS_EACH).failures == ()
