@@ -20,7 +20,7 @@ from eval.metrics.metric import Metric
 from eval.metrics.number import half_width
 from eval.metrics.resampling import Resampling
 from eval.report.render import to_markdown
-from eval.report.results import Block, Cell, Measure, Result, Row, measure, provenance, write_result
+from eval.report.results import Block, Cell, Measure, Result, Row, cell_of, measure, provenance, write_result
 from eval.sets.real import RealMotion, real_motion
 from eval.sets.sets import SampleSet
 from eval.sets.upsampled import upsampled
@@ -123,7 +123,7 @@ def framerate_rows(metrics: Sequence[Metric], columns: Mapping[str, Measured]) -
     rows = []
     for metric in metrics:
         means = {name: each.mean(metric, Resampling()) for name, each in columns.items()}
-        cells = {name: mean.cell for name, mean in means.items() if mean is not None}
+        cells = {name: cell_of(mean) for name, mean in means.items() if mean is not None}
         first, last = means[FIRST], means[LAST]
         if first is not None and last is not None and first.value:
             pairs = zip(last.resampled, first.resampled, strict=True)
