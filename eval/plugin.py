@@ -19,17 +19,17 @@ TABLES = {
     "nerm-7": "eval.tables.nerm.ablations:TABLE_7",
     "nerm-8": "eval.tables.nerm.ablations:TABLE_8",
     "nerm-9": "eval.tables.nerm.ablations:TABLE_9",
-    "nerm-figure5": "eval.tables.nerm.figure5:TABLE",
-    "nerm-figure8": "eval.tables.nerm.figure8:TABLE",
+    "nerm-figure5": "eval.tables.nerm.figures:FIGURE_5",
+    "nerm-figure8": "eval.tables.nerm.figures:FIGURE_8",
     "nerm-ours": "eval.tables.nerm.ablations:TABLE_OURS",
     "nerm-physical": "eval.tables.physical:TABLE",
     "pahires-1": "eval.tables.pahires.interpolation:TABLE_1",
     "pahires-2": "eval.tables.pahires.interpolation:TABLE_2",
-    "pahires-3": "eval.tables.pahires.inbetweening:TABLE",
-    "pahires-4": "eval.tables.pahires.ablations:TABLE_4",
-    "pahires-extrapolation": "eval.tables.pahires.extrapolation:TABLE",
-    "pahires-figure5": "eval.tables.pahires.ablations:FIGURE_5",
-    "pahires-figure6": "eval.tables.pahires.ablations:FIGURE_6",
+    "pahires-3": "eval.tables.pahires.windows:TABLE_3",
+    "pahires-4": "eval.tables.pahires.interpolation:TABLE_4",
+    "pahires-extrapolation": "eval.tables.pahires.windows:TABLE_EXTRAPOLATION",
+    "pahires-figure5": "eval.tables.pahires.interpolation:FIGURE_5",
+    "pahires-figure6": "eval.tables.pahires.interpolation:FIGURE_6",
 }
 # What `motionkit train --for KIND:NAME` trains, by KIND.
-PLANS = dict.fromkeys(("table", "figure"), "eval.tables.systems:plan")
+PLANS = dict.fromkeys(("table", "figure"), "eval.tables.train_for:plan")

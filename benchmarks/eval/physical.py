@@ -24,13 +24,13 @@ from eval.report.results import Block, Cell, Measure, Result, Row, cell_of, meas
 from eval.sets.real import RealMotion, real_motion
 from eval.sets.sets import SampleSet
 from eval.sets.upsampled import upsampled
-from eval.tables.nerm.clip_fid_column import framerate_label
-from eval.tables.physical import OURS, PER_FRAME, VERSION, Measured, floors_of, measured
+from eval.tables.columns import label
+from eval.tables.physical import OURS, PER_FRAME, TABLE, Measured, floors_of, measured
 from motionkit.store import Store
 
 NATIVE = Fraction(120)
 RATES = tuple(Fraction(rate) for rate in (20, 30, 40, 60, 100, 120))
-LAST, FIRST = framerate_label(RATES[-1]), framerate_label(RATES[0])
+LAST, FIRST = label(RATES[-1]), label(RATES[0])
 RATIO = f"{LAST} ÷ {FIRST}"
 SLIDING = 0.3
 
@@ -95,7 +95,7 @@ def at_the_fast(real: RealMotion, fps: Fraction) -> SampleSet:
 
 def by_framerate(real: RealMotion) -> dict[str, Measured]:
     """The same takes at every framerate."""
-    return {framerate_label(fps): measured(at_the_fast(real, fps)) for fps in RATES}
+    return {label(fps): measured(at_the_fast(real, fps)) for fps in RATES}
 
 
 def games(real: RealMotion) -> dict[str, Measured]:
@@ -154,7 +154,7 @@ def framerates_result(real: RealMotion, store: Path) -> Result:
     blocks = [(OURS, "Figures of this project"), (PER_FRAME, "Figures of the field, as their projects compute them")]
     return Result(
         task="physical-framerates",
-        version=VERSION,
+        version=TABLE.version,
         title="The same takes at six framerates",
         caption=f"{size_of(columns[LAST])}, brought down anti-aliased; ± half the 95 % interval over takes.",
         blocks=tuple(
@@ -169,7 +169,7 @@ def games_result(real: RealMotion, store: Path) -> Result:
     columns = games(real)
     return Result(
         task="physical-games",
-        version=VERSION,
+        version=TABLE.version,
         title="What wins physical figures",
         caption=f"{size_of(columns['real'])} at {LAST}, the same sliding at {SLIDING:g} m/s, what was made of these.",
         blocks=(

@@ -25,6 +25,7 @@ import numpy.typing as npt
 from eval.detail import RealDetail
 from eval.sets.corruptions import low_pass
 from eval.sets.generated import generate_fields, sample_fields, windows_of
+from eval.sets.missing import Missing
 from eval.sets.planted import planted_fields
 from eval.sets.real import RealMotion, real_motion
 from eval.sets.sets import SampleSet
@@ -81,7 +82,7 @@ def smooth_rows(takes: list[Positions], reference: SampleSet, detail: Detail) ->
 
 def generated_rows(run: Path, reference: SampleSet, detail: Detail) -> dict[str, SampleSet]:
     """A run's motions for the captions and durations of the reference's takes, planted, without and with detail."""
-    model = next(iter(require_models(run).value.values())).loaded
+    model = next(iter(require_models(run, "this", Missing()).values())).loaded
     windows = windows_of(reference, model.max_duration_seconds)
     standing = planted_fields(generate_fields(model, windows, 0, MAX_MOTIONS))
     with_detail = {

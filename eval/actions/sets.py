@@ -11,7 +11,7 @@ import numpy as np
 from eval.actions.recogniser import ActionRecogniser
 from eval.actions.scores import LabelledRecognition
 from eval.sets.generated import as_known, is_unconditional, refusal
-from eval.sets.partial import PartialResult
+from eval.sets.missing import Missing
 from eval.sets.row_ids import RowId, Variant
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.errors import MotionkitError
@@ -138,7 +138,7 @@ def with_rotations(store: "Store", samples: SampleSet) -> SampleSet:
     return replace(samples, local_rotations=np.concatenate([each[:, :joints] for each in rotations]))
 
 
-def known_to_all(real: ActionSet, models: Mapping[str, GenerativeModel]) -> PartialResult[ActionSet]:
+def known_to_all(real: ActionSet, models: Mapping[str, GenerativeModel], missing: Missing) -> ActionSet:
     """The motions of the actions that every model knows, at least two of each, so that rows are of the same motions.
 
     Models that know no action, or no condition at all, are not asked. Where that leaves no motion, all of them.
@@ -152,9 +152,9 @@ def known_to_all(real: ActionSet, models: Mapping[str, GenerativeModel]) -> Part
     left_out = set(chain.from_iterable(unknown.values()))
     kept = _of_several(real.labels, np.flatnonzero([action not in left_out for action in real.samples.actions]))
     if not left_out or not len(kept):
-        return PartialResult(real)
-    notes = tuple(f"{name} knows no {', '.join(each)}: no model is asked for that" for name, each in unknown.items())
-    return PartialResult(ActionSet(real.samples.select(kept), real.labels[kept]), notes)
+        return real
+    missing.add(*(f"{name} knows no {', '.join(each)}: no model is asked for that" for name, each in unknown.items()))
+    return ActionSet(real.samples.select(kept), real.labels[kept])
 
 
 def generated_like(real: ActionSet, model: GenerativeModel, draw: int, seed: int) -> dict[RowId, ActionSet]:

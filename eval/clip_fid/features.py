@@ -22,7 +22,7 @@ from eval.clip_fid.kinematic import VERSION, KinematicDescriptor, fit_kinematic,
 from eval.clip_fid.score import RowKey, score_disjoint_halves, score_rows
 from eval.clip_fid.threads import in_threads
 from eval.metrics.number import Number
-from eval.sets.partial import PartialResult, collect
+from eval.sets.missing import Missing
 from eval.sets.sets import Ragged, SampleSet
 from eval.text_motion.guo.kind import GuoFiles
 from motionkit.core.errors import UsageError
@@ -98,7 +98,7 @@ class FeatureSource:
         return Comparison(real, self.fit(train), protocol, train)
 
 
-def feature_sources(wanted: Sequence[str] | None, guo: GuoFiles | None = None) -> PartialResult[list[FeatureSource]]:
+def feature_sources(wanted: Sequence[str] | None, guo: GuoFiles | None, missing: Missing) -> list[FeatureSource]:
     """All available feature sets, or the `wanted` ones.
 
     Raises `UsageError` for an unknown name and for `guo` without files; if none of the `wanted` is available, raises
@@ -112,11 +112,13 @@ def feature_sources(wanted: Sequence[str] | None, guo: GuoFiles | None = None) -
     unknown = [name for name in wanted or () if name not in known]
     if unknown:
         raise UsageError(f"there is no feature set {unknown[0]!r}: {', '.join(known)}")
-    chosen = [name for name in known if wanted is None or name in wanted]
-    found = collect(chosen, lambda name: known[name](), "features {!r}".format)
-    if wanted and not found.value:
+    chosen, found = [name for name in known if wanted is None or name in wanted], []
+    for name in chosen:
+        with missing.skipping(f"features {name!r}"):
+            found.append(known[name]())
+    if wanted and not found:
         known[chosen[-1]]()
-    return PartialResult(list(found.value.values()), found.missing)
+    return found
 
 
 def kinematic_source() -> FeatureSource:

@@ -110,6 +110,7 @@ def _motions(run: Path, store: Path, show: "OnProgress") -> Iterator[tuple[str, 
     """For some held-out captions, a page of the real motion beside each model's planted one."""
     import numpy as np
 
+    from eval.sets.missing import Missing
     from eval.sets.real import real_motion
     from eval.study.systems import of_model, of_real
     from eval.tables.models import trained_models
@@ -131,7 +132,7 @@ def _motions(run: Path, store: Path, show: "OnProgress") -> Iterator[tuple[str, 
         captions=tuple(real.captions[index] for index in chosen),
         seconds=tuple(real.seconds[index] for index in chosen),
     )
-    models = trained_models(run).value.values()
+    models = trained_models(run, Missing()).values()
     with task(show, "motions", len(chosen) * (len(models) + 1)) as work:
         made = [of_model(each.loaded, [prompts], 0, LONGEST_SHOWN_SECONDS) for each in models]
         for number, index in enumerate(chosen):

@@ -5,15 +5,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from eval.commands.eval_options import ClipOptions, EvaluatedOptions
+from eval.commands.eval import framerates, named_samples
 from motionkit.cli.console import print_json, progress, stderr, stdout
 from motionkit.core.errors import MotionkitError
+from motionkit.core.files import default_path
 from motionkit.core.progress import task
 
 if TYPE_CHECKING:
+    from fractions import Fraction
+
     from eval.study.preference import Preference
     from eval.study.systems import System
-    from eval.tables.registry import Evaluated
     from motionkit.core.progress import OnProgress
 
 STUDY = typer.Typer(
@@ -81,12 +83,16 @@ def make(
     there = [path for path in (out, key) if path.exists()]
     if there and not overwrite:
         raise MotionkitError(f"{there[0]} exists: --overwrite replaces the page and its key, --out writes elsewhere")
-    evaluated = EvaluatedOptions(runs, run or "", samples, samples_fps).chosen()
-    design = Design(ClipOptions(fps).framerates() or (), cases, seed)
+    folder = None if run is None else (runs or default_path("runs")) / run
+    named, default_fps = (
+        named_samples(samples or [], folder),
+        samples_fps and framerates(samples_fps, "--samples-fps")[0],
+    )
+    design = Design(framerates(fps, "--fps"), cases, seed)
     with progress() as show:
-        systems = _systems(evaluated, store, split, show)
-        if run is not None and evaluated.run is not None and systems:
-            loaded = load_model(model or model_of(evaluated.run), evaluated.run)
+        systems = _systems(named, default_fps, store, split, show)
+        if folder is not None and systems:
+            loaded = load_model(model or model_of(folder), folder)
             systems = [of_model(loaded, systems, seed, seconds), *systems]
         require_two(systems)
         trials = draw_trials(systems, design)
@@ -109,16 +115,18 @@ def make(
     stdout.print(f"next: motionkit study score ANSWERS.json --key {key}")
 
 
-def _systems(evaluated: "Evaluated", store: Path | None, split: str, show: "OnProgress") -> "list[System]":
-    from eval.sample_folder import read_sample_folder
+def _systems(
+    samples: dict[str, Path], fps: "Fraction | None", store: Path | None, split: str, show: "OnProgress"
+) -> "list[System]":
+    from eval.sample_folder import SampleOptions, read_sample_folder
     from eval.sets.real import real_motion
     from eval.study.systems import of_folder, of_real
     from motionkit.store import Store
 
     systems = []
-    for name, folder in evaluated.samples.items():
+    for name, folder in samples.items():
         with task(show, f"read {name}") as work:
-            read = read_sample_folder(name, folder, evaluated.sample_options, work.set)
+            read = read_sample_folder(name, folder, SampleOptions(fps), work.set)
         for problem in read.left_out:
             stderr.print(f"left out of {name!r}: {problem}")
         systems.append(of_folder(read))

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from eval.sets.partial import PartialResult
+from eval.sets.missing import Missing
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.core.kinematics import closest_rotations, matrix_to_quaternion
 from motionkit.core.shapes import Float64
@@ -126,15 +126,14 @@ INTERPOLATION = (
 
 
 def trained_completers(
-    task: Task, run: Path | None, more: Sequence[tuple[str, Path]]
-) -> PartialResult[list[Completer]]:
+    task: Task, run: Path | None, more: Sequence[tuple[str, Path]], missing: Missing
+) -> list[Completer]:
     """The installed encoders for a task that `run` holds, then requested (name, run) pairs, which must exist.
 
     Encoders missing in `run` are reported with the runs that have them. Raises `UsageError` for an unknown name,
     `DamagedFileError`, and what loading a requested encoder raises.
     """
     found: list[Completer] = []
-    missing: list[str] = []
     asked = {name for name, _ in more}
     for name, loader in installed_encoders(task).items():
         if run is not None and loader.complete_in(run):
@@ -143,16 +142,16 @@ def trained_completers(
             except DamagedFileError:
                 raise
             except MotionkitError as error:
-                missing.append(f"{loader.title}: {error}")
+                missing.add(f"{loader.title}: {error}")
         elif name not in asked:
-            missing.append(_untrained_reason(name, loader, run))
+            missing.add(_untrained_reason(name, loader, run))
     for name, folder in more:
         if name not in trained_encoder_names():
             names = ", ".join(trained_encoder_names()) or "none"
             raise UsageError(f"--encoder {name}={folder.name}: trained encoders are {names}")
         row = completer_of(name, folder)
         found.append(replace(row, name=f"{row.name} ({folder.name})"))
-    return PartialResult(found, tuple(missing))
+    return found
 
 
 def completer_of(name: str, run: Path) -> Completer:

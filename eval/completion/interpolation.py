@@ -12,8 +12,7 @@ from eval.completion.queries import query_many
 from eval.completion.scores import ClipFrames, PoseScale, Scores, TakeStreams, scores_of
 from eval.completion.takes import TrueClips, TruePoses, observations
 from eval.metrics.metric import MeanStream, all_metrics
-from motionkit.core.errors import MotionkitError
-from motionkit.core.shapes import Float32, Float64, Int64
+from motionkit.core.shapes import Bool, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.features.rotations import rows_of_poses, two_columns
 from motionkit.fields.motion_field import Poses
@@ -33,51 +32,30 @@ def measured_metrics() -> tuple[str, ...]:
     return ("psnr", "ssim", "mpjpe_global", "rotation_angle_error", *timed_metrics())
 
 
-@dataclass(frozen=True, eq=False)
-class InterpolationTask:
-    """One data set's clips, the scale of their numbers, and the protocol."""
-
-    clips: TrueClips
-    scale: PoseScale
-    protocol: InterpolationProtocol
-
-
 def measure_interpolation(
-    task: InterpolationTask,
+    clips: TrueClips,
+    scale: PoseScale,
     scales: Sequence[Fraction],
-    completers: Sequence[Completer],
+    completer: Completer,
     advance: Callable[[], None] = lambda: None,
-) -> tuple[dict[str, Scores], dict[str, str]]:
-    """Figures by completer, metric and scale; and why a completer has none.
+) -> Scores:
+    """An encoder's figures by metric and scale; numbers of poses are scaled by `scale`.
 
-    `advance` is called once for each batch of clips (`num_batches`).
+    `advance` is called once for each batch of clips (`num_batches`). Raises `MotionkitError` or `ValueError` if the
+    encoder fails.
     """
-    metrics = measured_metrics()
-    streams = {
-        completer.name: {scale_label(scale): TakeStreams(metrics) for scale in scales} for completer in completers
-    }
-    failed: dict[str, str] = {}
-    for first in range(0, task.clips.num_clips, CLIPS_AT_ONCE):
+    protocol, metrics = InterpolationProtocol(), measured_metrics()
+    streams = {scale_label(each): TakeStreams(metrics) for each in scales}
+    for first in range(0, clips.num_clips, CLIPS_AT_ONCE):
         part = slice(first, first + CLIPS_AT_ONCE)
-        truth, takes = task.clips.read(part), task.clips.takes[part]
+        truth, takes = clips.read(part), clips.takes[part]
         rotations = truth.local_rotations()
-        for completer in completers:
-            for scale in scales:
-                if completer.name in failed:
-                    continue
-                try:
-                    made = _answered(task, scale, completer, truth, rotations)
-                    for clips, of_take in streams[completer.name][scale_label(scale)].by_take(takes):
-                        _add(of_take, task.protocol, scale, made.of(clips))
-                except (MotionkitError, ValueError) as error:
-                    failed[completer.name] = f"{scale_label(scale)}: {error}"
+        for each in scales:
+            made = _answered(scale, protocol, each, completer, truth, rotations)
+            for chosen, of_take in streams[scale_label(each)].by_take(takes):
+                _add(of_take, protocol.synthesised(each), made.of(chosen))
         advance()
-    figures = {
-        completer.name: scores_of(streams[completer.name], metrics)
-        for completer in completers
-        if completer.name not in failed
-    }
-    return figures, failed
+    return scores_of(streams, metrics)
 
 
 def num_batches(clips: TrueClips) -> int:
@@ -104,13 +82,13 @@ class _Answered:
 
 
 def _answered(
-    task: InterpolationTask,
+    unit: PoseScale,
+    protocol: InterpolationProtocol,
     scale: Fraction,
     completer: Completer,
     whole: TruePoses,
     rotations: Float32[np.ndarray, "clips frames joints 4"],
 ) -> _Answered:
-    protocol = task.protocol
     span = slice(0, protocol.span_frames(scale))
     truth, rotations = whole.frames(span), rotations[:, span]
     given = observations(truth, rotations, protocol.kept_frames(scale))
@@ -119,12 +97,11 @@ def _answered(
     turned = np.stack([poses.local_rotations for poses in made if poses.local_rotations is not None])
     vectors = np.concatenate((positions[:, :, 0], two_columns(turned)), axis=-1)
     own = ClipFrames.of(truth.vectors)
-    predicted, target = (task.scale.unit_range(own.to_window(rows)) for rows in (vectors, truth.vectors))
+    predicted, target = (unit.unit_range(own.to_window(rows)) for rows in (vectors, truth.vectors))
     return _Answered(float(truth.fps), predicted, target, positions, truth.joint_positions, turned, rotations)
 
 
-def _add(streams: Mapping[str, MeanStream], protocol: InterpolationProtocol, scale: Fraction, made: _Answered) -> None:
-    asked = protocol.synthesised(scale)
+def _add(streams: Mapping[str, MeanStream], asked: Bool[np.ndarray, "span"], made: _Answered) -> None:
     streams["psnr"].update(made.predicted, made.target, synthesised=asked, ceiling_db=CEILING_DB)
     streams["ssim"].update(made.predicted, made.target)
     streams["mpjpe_global"].update(_frames(made.positions[:, asked]), _frames(made.true_positions[:, asked]))

@@ -36,6 +36,25 @@ def mean_over_takes(takes: TakeSums) -> Number:
 Scores = Mapping[str, Mapping[str, TakeSums]]
 
 
+def to_plain(scores: Scores) -> dict[str, dict[str, dict[str, list[float]]]]:
+    """Scores as plain values: the sums of every take."""
+    return {
+        metric: {
+            column: {take: [sums.total, sums.weight] for take, sums in takes.items()}
+            for column, takes in columns.items()
+        }
+        for metric, columns in scores.items()
+    }
+
+
+def from_plain(values: Mapping[str, Mapping[str, Mapping[str, Sequence[float]]]]) -> Scores:
+    """Inverse of `to_plain`."""
+    return {
+        metric: {column: {take: MeanSums(*sums) for take, sums in takes.items()} for column, takes in columns.items()}
+        for metric, columns in values.items()
+    }
+
+
 class TakeStreams:
     """Accumulates metrics per take."""
 

@@ -4,6 +4,7 @@ import time
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from motionkit.core import plugins
@@ -46,6 +47,27 @@ def ablate_command(ablations: Ablations, table: str, prefix: str, variant: Varia
     """The command that trains one variant of a table."""
     paper = "" if ablations.is_default else f" --paper {ablations.paper}"
     return f"motionkit ablate {table}{paper} --run {prefix} --only {variant.name}"
+
+
+def trained_runs(ablations: Ablations, table: str, prefix: Path | None, stage: str) -> dict[str, dict[int, RunFolder]]:
+    """The runs of a table's entries, by the entry's name and the seed, in which a stage is complete.
+
+    Raises `UsageError` without the runs' prefix, or if none is trained.
+    """
+    if prefix is None:
+        raise UsageError("an ablation table needs the name of its runs: --run NAME for runs/NAME-VARIANT")
+    ablation, runs = ablations.tables[table], {}
+    for entry in ablation.entries:
+        named = {seed: RunFolder(prefix.with_name(run_name(prefix.name, entry.variant, seed))) for seed in range(100)}
+        runs[entry.name] = {seed: run for seed, run in named.items() if run.stage(stage).is_complete}
+    if not any(runs.values()):
+        paper = "" if ablations.is_default else f" --paper {ablations.paper}"
+        names = ", ".join(run_name(prefix.name, variant, 0) for variant in ablation.variants)
+        raise UsageError(
+            f"no run of this table is trained in {str(prefix.parent)!r}: motionkit ablate {table}{paper} --run "
+            f"{prefix.name} trains {names}"
+        )
+    return runs
 
 
 def train_variant(

@@ -1,7 +1,5 @@
 """The calibration table: clip-FID of each feature set under graded corruptions and harmless transforms."""
 
-from collections.abc import Mapping
-from fractions import Fraction
 from typing import Any
 
 from eval.calibration import (
@@ -21,15 +19,16 @@ from eval.calibration import (
 )
 from eval.clip_fid.features import FeatureSource, feature_sources
 from eval.clip_fid.score import CLIP_FID
+from eval.config import EvalConfig
 from eval.games import NUM_GAMES
-from eval.report.results import Block, Cell, Result, Row, measure
+from eval.report.results import Block, Cell, Row, measure
 from eval.sets.corruptions import damages
-from eval.sets.partial import PartialResult, collect
-from eval.sets.real import RealMotion, real_motion
-from eval.tables.registry import TableRequest
+from eval.sets.real import real_motion
+from eval.tables.columns import COLUMNS
+from eval.tables.table import Content, Table
 from motionkit.core.progress import task
+from motionkit.store.reader import Store
 
-COLUMNS = tuple(Fraction(rate) for rate in (20, 40, 60, 100, 120))
 FIGURE = f"{TASK}.png"
 CLIP_FID_COLUMN = "clip-FID"
 HIDDEN = "hidden from every figure"
@@ -39,55 +38,47 @@ PROFILE_NOTE = (
 )
 
 
-def build_calibration(request: TableRequest) -> Result:
-    """Calibrate every feature set at every framerate on the request's split, which was not used for fitting.
-
-    Raises `UsageError` or `StoreError` for a store that cannot be used.
-    """
-    store = request.open_store()
-    held_out = real_motion(store, request.real.split, request.real.where)
-    train = real_motion(store, "train") if request.real.split != "all" else held_out
-    sources = feature_sources(request.evaluators.names, request.evaluators.guo)
-    found = {source.name: _calibrate(source, request, held_out, train) for source in sources.value}
-    calibrations = {name: list(each.value.values()) for name, each in found.items()}
-    blocks = [block for source in sources.value for block in _blocks(source, request, calibrations[source.name])]
-    return Result(
-        task=TASK,
-        version=VERSION,
-        title="Calibration of clip-FID's features",
+def compute(config: EvalConfig, store: Store) -> Content:
+    """Calibrate every feature set at every framerate on the request's split, which was not used for fitting."""
+    held_out = real_motion(store, config.split, config.where)
+    train = real_motion(store, "train") if config.split != "all" else held_out
+    found: list[tuple[FeatureSource, list[Calibration]]] = []
+    for source in feature_sources(config.evaluators, config.guo, config.missing):
+        found.append((source, []))
+        for fps in config.fps or COLUMNS:
+            with (
+                config.missing.skipping(f"{source.name}, {fps} fps"),
+                task(config.on_progress, f"{source.name}, {fps} fps", 1 + len(damages()) + NUM_GAMES) as work,
+            ):
+                comparison = source.comparison(held_out.at(fps), train.at(fps), config.clips)
+                found[-1][1].append(calibrate(comparison, held_out.at(fps, first_frame=1), work.advance))
+    blocks = [block for source, each in found for block in _blocks(source, config, each)]
+    held = {each.fps: each for _, calibrations in found for each in calibrations}
+    sets = (
+        f"{fps} fps: {held[fps].num_sequences} sequences, {held[fps].duration_seconds:.0f} s" for fps in sorted(held)
+    )
+    return Content(
         caption=(
             "Scores of damaged real motion against clean real motion of the same takes, in multiples of what clean "
-            f"motion scores (first row, absolute): N = {request.clip_fid.protocol.num_clips:,} clips, "
-            f"{request.real.named}, features fitted on the training split. It passes where all damage is seen by "
+            f"motion scores (first row, absolute): N = {config.clips.num_clips:,} clips, "
+            f"{config.real}, features fitted on the training split. It passes where all damage is seen by "
             f"clip-FID or by the detail profile, clip-FID follows the severity of slow damage (Spearman {MIN_SPEARMAN} "
             f"or more), no harmless transform exceeds {MAX_FLAT_RATIO:g} times the floor, and no game is hidden."
         ),
-        blocks=tuple(blocks),
-        definition={
-            "split": request.real.split,
-            "where": request.real.where,
-            "min_spearman": MIN_SPEARMAN,
-            "max_flat_ratio": MAX_FLAT_RATIO,
-        },
-        notes=_notes(calibrations),
-        missing=(*sources.missing, *(line for each in found.values() for line in each.missing)),
-        provenance=request.provenance(store),
+        blocks=blocks,
+        definition={"min_spearman": MIN_SPEARMAN, "max_flat_ratio": MAX_FLAT_RATIO},
+        notes=(f"Real sets: {'; '.join(sets)}.",) if held else (),
         figure=FIGURE if blocks else "",
     )
 
 
-def _calibrate(
-    source: FeatureSource, request: TableRequest, held_out: RealMotion, train: RealMotion
-) -> PartialResult[dict[Fraction, Calibration]]:
-    def calibration(fps: Fraction) -> Calibration:
-        with task(request.on_progress, f"{source.name}, {fps} fps", 1 + len(damages()) + NUM_GAMES) as work:
-            comparison = source.comparison(held_out.at(fps), train.at(fps), request.clip_fid.protocol)
-            return calibrate(comparison, held_out.at(fps, first_frame=1), work.advance)
-
-    return collect(request.fps or COLUMNS, calibration, lambda fps: f"{source.name}, {fps} fps")
+TABLE = Table(
+    "nerm", TASK, "does clip-FID rise with damage", VERSION, compute, heading="Calibration of clip-FID's features",
+    takes_samples=False, task=TASK,
+)  # fmt: skip
 
 
-def _blocks(source: FeatureSource, request: TableRequest, calibrations: list[Calibration]) -> list[Block]:
+def _blocks(source: FeatureSource, config: EvalConfig, calibrations: list[Calibration]) -> list[Block]:
     """One block of ratios to the floor, one of rank correlations."""
     columns = tuple(f"{each.fps} fps" for each in calibrations)
     by_column = list(zip(columns, calibrations, strict=True))
@@ -104,7 +95,7 @@ def _blocks(source: FeatureSource, request: TableRequest, calibrations: list[Cal
             for strength, score in zip(graded.strengths, graded.scored, strict=True):
                 row = f"{graded.family} {strength:g} {graded.unit}"
                 ratios.setdefault(row, {})[column] = _ratio(score, floor)
-    replications = source.protocol(request.clip_fid.protocol).replications
+    replications = source.protocol(config.clips).replications
     provenance = {
         "features": source.name,
         "replications": replications,
@@ -177,15 +168,6 @@ def _seen(family: str, by_column: list[tuple[str, Calibration]]) -> str:
 
 def _level(graded: Graded, strength: float | None) -> str:
     return "none" if strength is None else f"{strength:g} {graded.unit}"
-
-
-def _notes(calibrations: Mapping[str, list[Calibration]]) -> tuple[str, ...]:
-    """A remark on the size of every framerate's real set."""
-    held = {each.fps: each for some in calibrations.values() for each in some}
-    sets = (
-        f"{fps} fps: {held[fps].num_sequences} sequences, {held[fps].duration_seconds:.0f} s" for fps in sorted(held)
-    )
-    return (f"Real sets: {'; '.join(sets)}.",) if held else ()
 
 
 def _row_order(names: list[str]) -> list[str]:

@@ -6,12 +6,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from eval.config import EvalConfig
 from eval.sets.generated import Window, generate_fields, is_framed, is_unconditional, windows_of
-from eval.sets.partial import PartialResult, collect
+from eval.sets.missing import Missing
 from eval.sets.planted import detailed_fields, planted_fields
 from eval.sets.row_ids import RowId, Variant, check_sample_names
 from eval.sets.sets import SampleSet
-from eval.tables.registry import TableRequest
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.core.files import sha256_of
 from motionkit.core.progress import task, tracked
@@ -56,32 +56,31 @@ class Trained(Generic[T]):
 TrainedModel = Trained[GenerativeModel]
 
 
-def trained_models(run: Path | None) -> PartialResult[dict[str, TrainedModel]]:
-    """The installed models in a run by their row names; missing ones are reported with commands that train them."""
+def trained_models(run: Path | None, missing: Missing) -> dict[str, TrainedModel]:
+    """The installed models in a run by their row names; those that it lacks are missing, with what trains them."""
     loaders = list(installed_models().values())
     if run is None or not run.is_dir():
         where = "no run was given" if run is None else f"there is no run {str(run)!r}"
-        return PartialResult({}, tuple(f"{each.title}: {where} ({each.train_command(run)})" for each in loaders))
-    begun = [loader for loader in loaders if loader.begun_in(run)]
-    missing: list[str] = []
-    missing += [
-        f"{each.title}: run {run.name!r} has none ({each.train_command(run)})" for each in loaders if each not in begun
-    ]
+        missing.add(*(f"{each.title}: {where} ({each.train_command(run)})" for each in loaders))
+        return {}
     found: dict[str, TrainedModel] = {}
-    for loader in begun:
+    for loader in loaders:
+        if not loader.begun_in(run):
+            missing.add(f"{loader.title}: run {run.name!r} has none ({loader.train_command(run)})")
+            continue
         model = Trained(loader, run)
         try:
             name = model.loaded.name
         except DamagedFileError:
             raise
         except MotionkitError as error:
-            missing.append(f"{loader.title}: {error}")
+            missing.add(f"{loader.title}: {error}")
             continue
         if name in found:
-            missing.append(f"{loader.title}: another model of the run is called {name!r} too")
+            missing.add(f"{loader.title}: another model of the run is called {name!r} too")
         else:
             found[name] = model
-    return PartialResult(found, tuple(missing))
+    return found
 
 
 def training_note(trained: Trained[Any]) -> str:
@@ -100,16 +99,15 @@ def training_note(trained: Trained[Any]) -> str:
     return "; ".join((*notes, rate)) if notes else ""
 
 
-def require_models(run: Path) -> PartialResult[dict[str, TrainedModel]]:
-    """As `trained_models`; raises `RunError` if there is none."""
-    begun = any(loader.begun_in(run) for loader in installed_models().values())
-    found = trained_models(run)
-    if not found.value:
-        raise RunError(
-            "; ".join(found.missing)
-            if begun
-            else f"{str(run)!r} holds no trained system: motionkit train --for table:2 --run {run.name}"
-        )
+def require_models(run: Path | None, what: str, missing: Missing) -> dict[str, TrainedModel]:
+    """As `trained_models`; raises `UsageError` without a run, `RunError` if it holds no model."""
+    if run is None:
+        raise UsageError(f"{what} needs trained systems: --run NAME (motionkit train --for {what.replace(' ', ':')})")
+    if not any(loader.begun_in(run) for loader in installed_models().values()):
+        raise RunError(f"{str(run)!r} holds no trained system: motionkit train --for table:2 --run {run.name}")
+    found = trained_models(run, missing)
+    if not found:
+        raise RunError("; ".join(missing.lines))
     return found
 
 
@@ -121,32 +119,29 @@ class Generated:
     training: Mapping[str, str]
 
 
-def generated_fields(request: TableRequest, real: SampleSet) -> PartialResult[Generated]:
-    """Motions that each model of a request's run generates for the captions and durations of a real set.
+def generated_fields(config: EvalConfig, real: SampleSet) -> Generated:
+    """Motions that each model of the run generates for the captions and durations of a real set.
 
     As generated, planted, and, if the run has a trained detail stage and the model is continuous in time, planted with
     detail. Raises `UsageError` for samples that are named like one of these rows.
     """
-    run, most, draws = request.evaluated.run, request.evaluated.max_motions, request.evaluated.draws
-    models = trained_models(run)
-    check_sample_names(request.evaluated.samples, models.value)
+    run, most, draws = config.run, config.max_motions, config.draws
+    models = trained_models(run, config.missing)
+    check_sample_names(config.samples, models)
     detail = load_detail(run) if run is not None and has_detail(run) else None
-
-    def generated(name: str) -> dict[RowId, dict[Window, MotionField]]:
-        model = models.value[name].loaded
-        windows = windows_of(real, model.max_duration_seconds)
-        with task(request.on_progress, f"generating {name}", draws * min(len(windows), most)) as work:
-            fields = generate_fields(model, windows, request.seed, most, draws=draws, on_motions=work.advance)
-        standing = planted_fields(fields)
-        rows = {RowId(name): fields, RowId(name, Variant.PLANTED): standing}
-        if detail is not None and not is_framed(fields):
-            rows[RowId(name, Variant.DETAILED)] = detailed_fields(standing, detail, request.seed)
-        return rows
-
-    found = collect(tracked(request.on_progress, "systems", models.value, len(models.value)), generated)
-    rows = {row: fields for of_model in found.value.values() for row, fields in of_model.items()}
-    training = {name: training_note(model) for name, model in models.value.items()}
-    return PartialResult(Generated(rows, training), (*models.missing, *found.missing))
+    rows: dict[RowId, dict[Window, MotionField]] = {}
+    for name, trained in tracked(config.on_progress, "systems", models.items(), len(models)):
+        with config.missing.skipping(name):
+            windows = windows_of(real, trained.loaded.max_duration_seconds)
+            with task(config.on_progress, f"generating {name}", draws * min(len(windows), most)) as work:
+                fields = generate_fields(
+                    trained.loaded, windows, config.seed, most, draws=draws, on_motions=work.advance
+                )
+            standing = planted_fields(fields)
+            rows |= {RowId(name): fields, RowId(name, Variant.PLANTED): standing}
+            if detail is not None and not is_framed(fields):
+                rows[RowId(name, Variant.DETAILED)] = detailed_fields(standing, detail, config.seed)
+    return Generated(rows, {name: training_note(model) for name, model in models.items()})
 
 
 def trained_reconstructors(run: Path) -> dict[str, Trained[MotionEncoder]]:

@@ -9,27 +9,26 @@ from fractions import Fraction
 
 import numpy as np
 
+from eval.config import EvalConfig
 from eval.metrics.metric import Metric, find_metric
 from eval.metrics.number import Number, with_takes
 from eval.metrics.physical import METRICS, ground_height
 from eval.metrics.physical_published import METRICS as PUBLISHED
 from eval.metrics.resampling import Resampling, Units, units_of
 from eval.report.differences import differences_block, of_interest, pairs_of
-from eval.report.results import Block, Result, Row, cell_of, measure
-from eval.sets.generated import sample_fields
-from eval.sets.partial import PartialResult, collect
-from eval.sets.real import NoRealMotionError, RealMotion, real_motion
+from eval.report.results import Block, Row, cell_of, measure
+from eval.sets.real import NoRealMotionError, real_motion
 from eval.sets.row_ids import REAL, RowId, Variant
 from eval.sets.sets import SampleSet
+from eval.tables.columns import generated_at, label, samples_at
 from eval.tables.models import generated_fields
-from eval.tables.nerm.clip_fid_column import NOT_SO_FAST, ModelFields, framerate_label, samples_at
-from eval.tables.registry import Table, TableRequest
+from eval.tables.table import Content, Table
 from motionkit.core.progress import task
 from motionkit.core.shapes import Float64
 from motionkit.generate.models import installed_models
+from motionkit.store.reader import Store
 
-VERSION = "physical/1"
-COLUMNS = (Fraction(20), Fraction(120))
+RATES = (Fraction(20), Fraction(120))
 SKATING = find_metric("slide_speed").title
 # Published metrics that do not depend on the framerate, as they are per instant.
 PER_INSTANT = ("physdiff_penetrate", "physdiff_float")
@@ -95,74 +94,50 @@ def _number(value: object) -> float:
     return round(value, 12) if isinstance(value, float) else np.nan
 
 
-def build_physical(request: TableRequest) -> Result:
-    """Every available row at each framerate.
+def compute(config: EvalConfig, store: Store) -> Content:
+    """The metrics of every row that can be computed.
 
-    Raises `UsageError` or `StoreError` for a store that cannot be used, and `NoRealMotionError` if no column has
-    real motion.
+    Raises `NoRealMotionError` if no framerate has real motion.
     """
-    store = request.open_store()
-    folders = request.sample_folders
-    real = real_motion(store, request.real.split, request.real.where)
-    rates = collect(request.fps or COLUMNS, real.indices_at, framerate_label, (NoRealMotionError,))
-    if not rates.value:
-        raise NoRealMotionError(rates.missing[-1])
-    generated = generated_fields(request, real.at(min(rates.value)))
-    fields = generated.value.rows
+    folders = config.sample_folders
+    real = real_motion(store, config.split, config.where)
+    references: dict[Fraction, SampleSet] = {}
+    for fps in config.fps or RATES:
+        with config.missing.skipping(label(fps), (NoRealMotionError,)):
+            references[fps] = real.at(fps)
+    if not references:
+        raise NoRealMotionError(config.missing.lines[-1])
+    generated = generated_fields(config, real.at(min(references)))
     blocks: list[Block] = []
-    slow: list[str] = []
-    for fps in rates.value:
-        sets = _sets(fps, real, fields, request)
-        blocks += _blocks(fps, sets.value, generated.value.training, request)
-        slow += sets.missing
-        real.forget_all_but(min(rates.value))
-    return Result(
-        task="physical",
-        version=VERSION,
-        title="Feet, floor and roughness",
-        caption=f"Physical figures of real motion, {request.real.named}, and of what was made for it.",
-        blocks=tuple(blocks),
-        definition={"split": request.real.split, "where": request.real.where, "version": VERSION},
+    for fps, reference in references.items():
+        sets = {REAL: reference, **generated_at(generated.rows, reference, fps, config.missing)}
+        blocks += _blocks(fps, sets | samples_at(real, fps, config), generated.training, config)
+    return Content(
+        caption=f"Physical figures of real motion, {config.real}, and of what was made for it.",
+        blocks=blocks,
         notes=tuple(f"{folder.name}: {folder.describe()}" for folder in folders),
-        missing=(*rates.missing, *generated.missing, *slow),
-        provenance=request.provenance(
-            store,
-            run=request.evaluated.run.name if request.evaluated.run and fields else None,
-            samples={folder.name: folder.fingerprint for folder in folders},
-        ),
+        provenance={
+            "run": config.run.name if config.run and generated.rows else None,
+            "samples": {folder.name: folder.fingerprint for folder in folders},
+        },
     )
 
 
-TABLE = Table("nerm", "physical", "feet, floor and roughness", build_physical, shown=installed_models)
-
-
-def _sets(
-    fps: Fraction, real: RealMotion, fields: ModelFields, request: TableRequest
-) -> PartialResult[dict[RowId, SampleSet]]:
-    """The rows' motions at one framerate, for its real takes."""
-    reference = real.at(fps)
-    samples = samples_at(request.sample_folders, real, fps, request.on_progress)
-    generated = {row: sample_fields(own, reference.sequence_ids, fps, str(row)) for row, own in fields.items()}
-    made = {row: found for row, found in generated.items() if found is not None}
-    slow = (f"{row}, {framerate_label(fps)}: {NOT_SO_FAST}" for row in generated if row not in made)
-    return PartialResult({REAL: reference, **made, **samples.value}, (*slow, *samples.missing))
-
-
 def _blocks(
-    fps: Fraction, sets: Mapping[RowId, SampleSet], training: Mapping[str, str], request: TableRequest
+    fps: Fraction, sets: Mapping[RowId, SampleSet], training: Mapping[str, str], config: EvalConfig
 ) -> list[Block]:
     """The blocks of our and the published metrics, at one framerate."""
     rows: dict[RowId, Measured] = {}
     notes: dict[RowId, str] = {}
     for row, samples in sets.items():
-        with task(request.on_progress, f"{row}, {framerate_label(fps)}", samples.num_sequences) as work:
+        with task(config.on_progress, f"{row}, {label(fps)}", samples.num_sequences) as work:
             rows[row] = measured(samples, work.advance)
         trained = training.get(row.system) if row.variant is Variant.AS_IS else None
-        notes[row] = "; ".join(filter(None, (_size(samples), trained)))
-    label = framerate_label(fps)
+        size = f"{samples.num_takes} takes, {samples.num_sequences} motions, {samples.duration_seconds:.0f} s"
+        notes[row] = "; ".join(filter(None, (size, trained)))
     return [
-        *blocks_of(f"Per second, at {label}", OURS, rows, notes, NOTE, request.seed),
-        *blocks_of(f"By the field's definitions, at {label}", PER_FRAME, rows, notes, PUBLISHED_NOTE, request.seed),
+        *blocks_of(f"Per second, at {label(fps)}", OURS, rows, notes, NOTE, config.seed),
+        *blocks_of(f"By the field's definitions, at {label(fps)}", PER_FRAME, rows, notes, PUBLISHED_NOTE, config.seed),
     ]
 
 
@@ -215,6 +190,13 @@ def _means(metrics: Sequence[Metric], row: Measured, resampling: Resampling) -> 
     return {title: mean for title, mean in found.items() if mean is not None}
 
 
-def _size(samples: SampleSet) -> str:
-    """Number of motions and takes of a row, and their duration."""
-    return f"{samples.num_takes} takes, {samples.num_sequences} motions, {samples.duration_seconds:.0f} s"
+TABLE = Table(
+    "nerm",
+    "physical",
+    "feet, floor and roughness",
+    "physical/1",
+    compute,
+    heading="Feet, floor and roughness",
+    shown=installed_models,
+    task="physical",
+)

@@ -1,64 +1,50 @@
-"""NeRM's Table 2: clip-FID at 20, 40, 60, 100 and 120 fps."""
+"""NeRM's Table 2: clip-FID at 20, 40, 60, 100 and 120 fps, the detail profile, and copies of training motion."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from fractions import Fraction
-from itertools import chain
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
 
 from eval.clip_fid.clips import ClipError
 from eval.clip_fid.features import Comparison, FeatureSource, feature_sources
 from eval.clip_fid.kinematic import KinematicDescriptor
 from eval.clip_fid.score import CLIP_FID, VERSION
+from eval.config import EvalConfig
+from eval.detail import LEAST_FPS, Figure, RealDetail
+from eval.detail import VERSION as DETAIL_VERSION
 from eval.metrics.number import Number
 from eval.report.differences import differences_block, of_interest
-from eval.report.results import Block, Cell, Result, Row, measure
-from eval.sample_folder import SampleFolder
+from eval.report.results import Block, Cell, Row, measure
 from eval.sample_folder.takes import takes_of_samples
+from eval.sets.copies import HELD_OUT_SHARE, STILL_METRES, TrainingWindows, held_out_limit
 from eval.sets.generated import sample_fields
-from eval.sets.partial import PartialResult, collect
 from eval.sets.planted import VARIANT_NOTES
 from eval.sets.real import NoRealMotionError, RealMotion, real_motion, training_motion
 from eval.sets.remarks import set_remarks
-from eval.sets.row_ids import RowId, Variant
-from eval.tables.models import generated_fields
-from eval.tables.nerm.clip_fid_column import (
+from eval.sets.row_ids import REAL, RowId, Variant
+from eval.sets.sets import SampleSet
+from eval.tables.columns import (
+    COLUMNS,
     LOW_FPS,
     MOTIONS,
     P1,
-    P2,
     REFERENCES,
-    SLERP,
+    ROW_NOTES,
     TAKES,
     TRAINING,
     VECTORS,
     Column,
-    ColumnSize,
     ModelFields,
-    framerate_label,
+    label,
     make_column,
-    samples_at,
     score_column,
 )
-from eval.tables.nerm.copies import copies_block
-from eval.tables.nerm.detail_block import detail_block
-from eval.tables.parts import SOURCES, printed_rows, reported_figures
-from eval.tables.registry import Table, TableRequest
-from motionkit.core.errors import MotionkitError
+from eval.tables.models import Generated, generated_fields
+from eval.tables.table import SOURCES, Content, Table, printed_block, reported_figures
 from motionkit.core.progress import task
 from motionkit.generate.models import installed_models
+from motionkit.store.reader import Store
 
-COLUMNS = tuple(Fraction(rate) for rate in (20, 40, 60, 100, 120))
-ROW_NOTES = {
-    P1: "two draws from the same takes: what sampling alone leaves",
-    P2: "takes of one half against takes of the other, few against few; ± is of a single split",
-    TRAINING: (
-        "random subsets of the training takes against the real ones, as many takes as the row with the fewest: what "
-        "a generator that is real motion scores; ± is of a single subset"
-    ),
-    SLERP: "joint rotations on great arcs, the root on straight lines: the fair way to upsample",
-    VECTORS: "humanml3d vectors interpolated with per-frame velocities unscaled: a handicap of the procedure",
-}
 GENERATED_NOTE = "asked for at the column's framerate, with the captions and durations of its real sequences"
 UPSAMPLED_NOTE = (
     "the same motions asked for at 20 fps, then upsampled like the real ones; the kinks that this makes can stand "
@@ -66,122 +52,205 @@ UPSAMPLED_NOTE = (
 )
 SMALL_SECONDS = 3600.0
 """With less real motion at any framerate, the caption calls the table small-scale."""
+LOWEST, HIGHEST = "real takes, lowest (2.5 %)", "real takes, highest (97.5 %)"
+OUTSIDE = "*"
+DETAIL_NOTE = (
+    "T: how far power at 12 to 27 Hz comes when slow motion predicts, as a share of real motion's. Hz: power in that "
+    "band, in dB relative to real motion's. R: change of bone lengths > 8 Hz, in mm. Read each by itself, none is a "
+    f"score. The first two rows are the range of random halves of the real takes beside the other halves; {OUTSIDE} "
+    "marks what lies outside of it (of R, only what lies above: bones of a body do not change). Intervals over takes "
+    "are in the JSON."
+)
+COPIES = "Copies of training motion"
+HELD_OUT = RowId(REAL.system, Variant.HELD_OUT)
+COPIED = "copied (%)"
+SHARES = {"nearest (mm)": 0.0, "5 % (mm)": 0.05, "25 % (mm)": 0.25, "50 % (mm)": 0.5, "95 % (mm)": 0.95}
+MAX_COPIES = 60
+COPIES_NOTE = (
+    "The nearest training motion to every second of a motion, whatever its body, tempo (0.8 to 1.25) and side. Copied "
+    f"are windows that are nearer, for how much they move, than {HELD_OUT_SHARE:.0%} of held-out real motion's are. "
+    f"Windows that move less than {1000 * STILL_METRES:g} mm say nothing and are left out. The last columns hold the "
+    "distance within which that share of the windows has training motion. A copy that a model makes is as far from its "
+    "original as the model reconstructs (Table 4), so where that is more than about 10 mm read these beside held-out "
+    f"motion's. Of rows with more than {MAX_COPIES} motions, {MAX_COPIES} random ones are looked at."
+)
 
 
-@dataclass(frozen=True)
-class _Scored:
-    """One feature set's cells of one column by row, their differences and remarks."""
+@dataclass(eq=False)
+class _Sheet:
+    """One feature set's cells and differences by row and column, its fingerprints by column, and remarks."""
 
-    cells: Mapping[RowId, Cell]
-    differences: Mapping[tuple[RowId, RowId], Number]
-    fingerprint: str
-    warnings: tuple[str, ...]
+    source: FeatureSource
+    cells: dict[RowId, dict[str, Cell]] = field(default_factory=lambda: {row: {} for row in REFERENCES})
+    differences: dict[tuple[RowId, RowId], dict[str, Number]] = field(default_factory=dict)
+    fingerprints: dict[str, str] = field(default_factory=dict)
+    warnings: dict[str, None] = field(default_factory=dict)
+
+    def add(self, column: Column, config: EvalConfig) -> None:
+        """Score a column's rows."""
+        comparison = _comparison(self.source, column, config)
+        costs = comparison.protocol.costs(len(column.rows))
+        with task(config.on_progress, f"{self.source.name}, {column.label}", sum(costs)) as work:
+            left = iter(costs)
+            cells, differences = score_column(
+                comparison, column.rows, config.missing, lambda: work.advance(next(left)), column.subset_sizes
+            )
+        features = comparison.features
+        if isinstance(features, KinematicDescriptor):
+            features.save(config.results / "features" / f"kinematic-{features.fingerprint}.npz")
+        for row, cell in cells.items():
+            self.cells.setdefault(row, {})[column.label] = cell
+        for pair, difference in differences.items():
+            self.differences.setdefault(pair, {})[column.label] = difference
+        self.fingerprints[column.label] = features.fingerprint
+        self.warnings |= dict.fromkeys(_too_few(column, comparison))
+
+    def blocks(self, labels: tuple[str, ...], notes: Mapping[RowId, str], config: EvalConfig) -> list[Block]:
+        """The scores, and which rows differ."""
+        rows = tuple(
+            Row(
+                str(row),
+                "reference" if row in REFERENCES else "ours",
+                cells,
+                "; ".join(filter(None, (notes.get(row, ""), _counted(cells)))),
+            )
+            for row, cells in self.cells.items()
+            if cells
+        )
+        provenance = {
+            "fingerprints": self.fingerprints,
+            "replications": self.source.protocol(config.clips).replications,
+        }
+        note = " ".join((self.source.note, *self.warnings)).strip()
+        scores = Block(self.source.title, labels, rows, note=note, provenance=provenance, metrics=(measure(CLIP_FID),))
+        tests = differences_block(scores, of_interest(scores, self.differences))
+        return [scores] if tests is None or not rows else [scores, tests]
 
 
-# One feature set's scores by the columns' labels.
-_Sheet = Mapping[str, _Scored]
-
-
-def build_table2(request: TableRequest) -> Result:
+def compute(config: EvalConfig, store: Store) -> Content:
     """Compute every possible row, and name those that are not.
 
     Raises `UsageError` or `StoreError` for a store that cannot be used, and `NoRealMotionError` if no column has
     real motion.
     """
-    store = request.open_store()
-    folders = request.sample_folders
-    real = real_motion(store, request.real.split, request.real.where)
+    folders = config.sample_folders
+    real = real_motion(store, config.split, config.where)
     train = training_motion(store, real)
-    with task(request.on_progress, "real sets"):
-        rates = _usable_rates(request.fps or COLUMNS, real)
-    generated = generated_fields(request, real.at(min(rates.value)))
-    fields = generated.value.rows
-    notes = _row_notes(fields, folders, generated.value.training)
-    sources = feature_sources(request.evaluators.names, request.evaluators.guo)
-    sheets: list[dict[str, _Scored]] = [{} for _ in sources.value]
-    absent: list[list[str]] = [[] for _ in sources.value]
-    sizes: list[ColumnSize] = []
-    remarks: list[str] = []
-    slow: list[str] = []
-    details: list[Block | None] = []
-    for fps in rates.value:
+    with task(config.on_progress, "real sets"):
+        rates = []
+        for fps in config.fps or COLUMNS:
+            with config.missing.skipping(f"{fps} fps", (NoRealMotionError,)):
+                real.indices_at(fps)
+                rates.append(fps)
+    if not rates:
+        raise NoRealMotionError(config.missing.lines[-1])
+    generated = generated_fields(config, real.at(min(rates)))
+    notes = _row_notes(generated, config)
+    sheets = [_Sheet(source) for source in feature_sources(config.evaluators, config.guo, config.missing)]
+    sizes: dict[str, tuple[int, float]] = {}
+    num_generated: dict[str, dict[str, int]] = {}
+    remarks: dict[str, None] = {}
+    details: list[Block] = []
+    for fps in rates:
         # One column's motions at a time: all framerates together need three times the memory.
-        samples = samples_at(folders, real, fps, request.on_progress)
-        made = make_column(fps, real, train, fields, samples.value)
-        column = made.value.low_passed(request.clip_fid.low_pass_hz)
-        slow += (*made.missing, *samples.missing)
-        sizes.append(column.size)
-        remarks += set_remarks(column.real, column.others)
-        for source, sheet, lines in zip(sources.value, sheets, absent, strict=True):
-            scored = _scored(source, column, request)
-            sheet.update(scored.value)
-            lines += scored.missing
-        with task(request.on_progress, f"detail, {column.label}"):
-            try:
-                details.append(detail_block(column, notes, request.seed))
-            except ClipError as error:
-                slow.append(f"detail, {column.label}: {error}")
-        del samples, made, column
+        column = make_column(fps, real, train, generated.rows, config).low_passed(config.low_pass_hz)
+        sizes[column.label] = column.real.num_sequences, column.real.duration_seconds
+        num_generated[column.label] = {
+            str(row): column.rows[row].num_sequences for row in column.systems if row in generated.rows
+        }
+        remarks |= dict.fromkeys(set_remarks(column.real, column.others))
+        for sheet in sheets:
+            with config.missing.skipping(f"{column.label}, {sheet.source.name}"):
+                sheet.add(column, config)
+        with (
+            task(config.on_progress, f"detail, {column.label}"),
+            config.missing.skipping(f"detail, {column.label}", (ClipError,)),
+        ):
+            details += detail_blocks(column, notes, config.seed)
+        del column
         for motion in (real, train):
             motion.forget_all_but(LOW_FPS)
-    by_source = zip(sources.value, sheets, strict=True)
-    blocks = [block for source, sheet in by_source for block in _blocks(source, sheet, sizes, notes, request)]
-    with task(request.on_progress, "copies of training motion"):
-        copies = _copies(real, train, fields, folders, notes)
-    missing = (*rates.missing, *generated.missing, *slow, *sources.missing, *chain(*absent), *copies.missing)
-    return Result(
-        task="nerm-table2",
-        version=VERSION,
-        title="Table 2: clip-FID by framerate",
-        caption=_caption(sizes, request),
-        blocks=(*(block for block in (*blocks, *details, *copies.value) if block and block.rows), _paper_block()),
-        definition=_definition(sizes, request),
-        notes=(*_notes(sizes, request), *_sample_notes(real, folders), *dict.fromkeys(remarks)),
-        missing=tuple(dict.fromkeys(missing)),
-        provenance=request.provenance(
-            store,
-            run=request.evaluated.run.name if request.evaluated.run and fields else None,
-            samples={folder.name: folder.fingerprint for folder in folders},
+    labels = tuple(sizes)
+    with task(config.on_progress, "copies of training motion"):
+        copies = _copies(real, train, generated.rows, notes, config)
+    return Content(
+        caption=_caption([seconds for _, seconds in sizes.values()], config),
+        blocks=(
+            *(block for sheet in sheets for block in sheet.blocks(labels, notes, config)),
+            *details,
+            *copies,
+            _paper_block(),
         ),
+        definition={
+            "protocol": {**asdict(config.clips), "sizes": _sizes(config)},
+            "real_sets": {column: {"sequences": number, "seconds": each} for column, (number, each) in sizes.items()},
+            "generated_motions": num_generated,
+            "low_pass_hz": config.low_pass_hz,
+        },
+        notes=(*_notes(sizes, config), *_sample_notes(real, config), *remarks),
+        provenance={
+            "run": config.run.name if config.run and generated.rows else None,
+            "samples": {folder.name: folder.fingerprint for folder in folders},
+        },
     )
 
 
-TABLE = Table("nerm", "2", "clip-FID by framerate", build_table2, shown=installed_models)
+TABLE = Table("nerm", "2", "clip-FID by framerate", VERSION, compute, shown=installed_models)
 
 
-def _usable_rates(rates: tuple[Fraction, ...], real: RealMotion) -> PartialResult[list[Fraction]]:
-    usable = collect(rates, real.indices_at, "{} fps".format, (NoRealMotionError,))
-    if not usable.value:
-        raise NoRealMotionError(usable.missing[-1] if usable.missing else "no framerate was asked for")
-    return PartialResult(list(usable.value), usable.missing)
+def _comparison(source: FeatureSource, column: Column, config: EvalConfig) -> Comparison:
+    if column.train is None:
+        raise NoRealMotionError("the training split has no motion at this framerate")
+    return source.comparison(column.real, column.train, config.clips)
 
 
-def _row_notes(
-    models: Iterable[RowId], folders: Sequence[SampleFolder], trained: Mapping[str, str]
-) -> dict[RowId, str]:
+def _row_notes(generated: Generated, config: EvalConfig) -> dict[RowId, str]:
     notes = dict(ROW_NOTES)
-    for system in dict.fromkeys(row.system for row in models):
+    for system in dict.fromkeys(row.system for row in generated.rows):
         notes |= {
-            RowId(system): "; ".join(filter(None, (GENERATED_NOTE, trained.get(system)))),
+            RowId(system): "; ".join(filter(None, (GENERATED_NOTE, generated.training.get(system)))),
             RowId(system, Variant.UPSAMPLED): UPSAMPLED_NOTE,
             RowId(system, Variant.AS_VECTORS): ROW_NOTES[VECTORS],
             **{RowId(system, variant): note for variant, note in VARIANT_NOTES.items()},
         }
-    for folder in folders:
+    for folder in config.sample_folders:
         planted = RowId(folder.name, Variant.PLANTED)
         notes |= {RowId(folder.name): folder.describe(), planted: VARIANT_NOTES[Variant.PLANTED]}
     return notes
 
 
+def detail_blocks(column: Column, notes: Mapping[RowId, str], seed: int) -> list[Block]:
+    """The profile of every row of a column of at least 40 fps; none for a slower one, or without training motion."""
+    if column.fps < LEAST_FPS or column.train is None:
+        return []
+    real = RealDetail.of(column.real, column.train, seed)
+    profiles = {row: real.profile(samples).figures for row, samples in column.rows.items() if row != P1}
+    names = tuple(real.profile(column.real).figures)
+    rows = []
+    if real.ranges is not None:
+        for name, bounds in zip((LOWEST, HIGHEST), real.ranges.tolist(), strict=True):
+            rows.append(Row(name, "reference", dict(zip(names, map(Cell, bounds), strict=True))))
+    for row, figures in profiles.items():
+        note = "all of them" if row == TRAINING else notes.get(row, "")
+        cells = {name: _detail_cell(figure) for name, figure in figures.items()}
+        rows.append(Row(str(row), "reference" if row in REFERENCES else "ours", cells, note))
+    note = f"{DETAIL_NOTE} Real motion keeps {real.real_slope:.2f} of the slope that the prediction was fitted with."
+    provenance = {"version": DETAIL_VERSION, "real_slope": real.real_slope}
+    return [Block(f"Detail profile, {column.label}", names, tuple(rows), note=note, provenance=provenance)]
+
+
+def _detail_cell(figure: Figure) -> Cell:
+    low, high = figure.interval
+    interval = {"2.5 % over takes": low, "97.5 % over takes": high}
+    return Cell(figure.value, details=interval, mark="" if figure.is_real else OUTSIDE)
+
+
 def _copies(
-    real: RealMotion,
-    train: RealMotion,
-    fields: ModelFields,
-    folders: Sequence[SampleFolder],
-    notes: Mapping[RowId, str],
-) -> PartialResult[tuple[Block, ...]]:
+    real: RealMotion, train: RealMotion, fields: ModelFields, notes: Mapping[RowId, str], config: EvalConfig
+) -> list[Block]:
     """The block on copies of training motion; none if there is no training split or it is too short."""
-    try:
+    blocks = []
+    with config.missing.skipping("copies of training motion", (NoRealMotionError, ValueError)):
         if train.name == real.name:
             raise NoRealMotionError("the compared motion is the training motion")
         held_out, training = real.at(LOW_FPS), train.at(LOW_FPS)
@@ -191,114 +260,72 @@ def _copies(
             if row.variant is Variant.AS_IS
         }
         others = {row: samples for row, samples in generated.items() if samples is not None}
-        others |= {RowId(folder.name): folder.at(LOW_FPS) for folder in folders}
-        return PartialResult((copies_block(held_out, training, others, notes),))
-    except (NoRealMotionError, ValueError) as error:
-        return PartialResult((), (f"copies of training motion: {error}",))
+        others |= {RowId(folder.name): folder.at(LOW_FPS) for folder in config.sample_folders}
+        blocks.append(copies_block(held_out, training, others, notes))
+    return blocks
 
 
-def _scored(source: FeatureSource, column: Column, request: TableRequest) -> PartialResult[dict[str, _Scored]]:
-    """A column's rows on one feature set, under the column's label."""
-    label = column.label
-    try:
-        comparison = column.comparison(source, request.clip_fid.protocol)
-        costs = comparison.protocol.costs(len(column.rows))
-        with task(request.on_progress, f"{source.name}, {label}", sum(costs)) as work:
-            left = iter(costs)
-            found = score_column(comparison, column.rows, lambda: work.advance(next(left)), column.subset_sizes)
-    except MotionkitError as error:
-        return PartialResult({}, (f"{label}, {source.name}: {error}",))
-    features = comparison.features
-    if isinstance(features, KinematicDescriptor):
-        features.save(request.results / "features" / f"kinematic-{features.fingerprint}.npz")
-    warnings = tuple(_too_few(column, comparison))
-    scores = found.value
-    return PartialResult(
-        {label: _Scored(scores.cells, scores.differences, features.fingerprint, warnings)}, found.missing
-    )
+def copies_block(
+    held_out: SampleSet, training: SampleSet, others: Mapping[RowId, SampleSet], notes: Mapping[RowId, str]
+) -> Block:
+    """The share of windows that are copies, and quantiles of the distance to training motion.
 
-
-def _blocks(
-    source: FeatureSource,
-    sheet: _Sheet,
-    columns: Sequence[ColumnSize],
-    notes: Mapping[RowId, str],
-    request: TableRequest,
-) -> list[Block]:
-    """The scores, and which rows differ."""
-    rows = dict.fromkeys((*REFERENCES, *(row for scored in sheet.values() for row in scored.cells)))
-    cells = {row: {label: scored.cells[row] for label, scored in sheet.items() if row in scored.cells} for row in rows}
-    warnings = dict.fromkeys(warning for scored in sheet.values() for warning in scored.warnings)
-    labels, metrics = tuple(column.label for column in columns), (measure(CLIP_FID),)
-    pairs = dict.fromkeys(pair for scored in sheet.values() for pair in scored.differences)
-    differences = {
-        pair: {label: scored.differences[pair] for label, scored in sheet.items() if pair in scored.differences}
-        for pair in pairs
-    }
-    scores = Block(
-        source.title,
-        labels,
-        tuple(
-            Row(
-                str(row),
-                "reference" if row in REFERENCES else "ours",
-                found,
-                "; ".join(filter(None, (notes.get(row, ""), _counted(found)))),
-            )
-            for row, found in cells.items()
-            if found
-        ),
-        note=" ".join((source.note, *warnings)).strip(),
-        provenance={
-            "fingerprints": {label: scored.fingerprint for label, scored in sheet.items()},
-            "replications": source.protocol(request.clip_fid.protocol).replications,
-        },
-        metrics=metrics,
-    )
-    tests = differences_block(scores, of_interest(scores, differences))
-    return [scores] if tests is None or not scores.rows else [scores, tests]
+    Sets without a moving second have no row. Raises `ValueError` where the training motion is too short.
+    """
+    windows = TrainingWindows.of(training)
+    found = {}
+    for row, samples in {HELD_OUT: held_out, **others}.items():
+        some = np.sort(np.random.default_rng(0).permutation(samples.num_sequences)[:MAX_COPIES])
+        found[row] = windows.nearest(samples.select(some))
+    limit, rows = held_out_limit(found[HELD_OUT]), []
+    for row, nearest in found.items():
+        if not len(nearest.distance):
+            continue
+        cells = {COPIED: Cell(100.0 * float(nearest.is_copied(limit).mean()))}
+        cells |= {label: Cell(1000.0 * float(np.quantile(nearest.distance, share))) for label, share in SHARES.items()}
+        count = f"{len(np.unique(nearest.motion))} motions, {len(nearest.distance)} windows"
+        note = "; ".join(filter(None, (count, notes.get(row, ""))))
+        rows.append(Row(str(row), "reference" if row == HELD_OUT else "ours", cells, note))
+    return Block(COPIES, (COPIED, *SHARES), tuple(rows), note=COPIES_NOTE, provenance={"limit": limit})
 
 
 def _counted(cells: Mapping[str, Cell]) -> str:
     """Numbers of motions and takes of a row: "52 motions of 30 takes at 100 and 120 fps"."""
     columns: dict[str, list[str]] = {}
-    for label, cell in cells.items():
+    for column, cell in cells.items():
         motions, takes = (int(cell.details[name]) for name in (MOTIONS, TAKES))
-        columns.setdefault(f"{motions:,} motions of {takes:,} takes", []).append(label.removesuffix(" fps"))
+        columns.setdefault(f"{motions:,} motions of {takes:,} takes", []).append(column.removesuffix(" fps"))
     listed = {count: " and ".join(filter(None, (", ".join(rates[:-1]), rates[-1]))) for count, rates in columns.items()}
     return ", ".join(f"{count} at {rates} fps" for count, rates in listed.items())
 
 
 def _too_few(column: Column, comparison: Comparison) -> list[str]:
     """Remarks on columns with no more samples than features, whose covariances are singular."""
-    protocol = comparison.protocol
-    size = comparison.num_features
+    num_clips, size = comparison.protocol.num_clips, comparison.num_features
     advice = "quote KID, precision and recall (in the JSON's details), and give more"
     found = []
-    if protocol.num_clips <= size:
+    if num_clips <= size:
         found.append(
-            f"With {protocol.num_clips} clips for {size} features every covariance is singular: clip-FID is "
+            f"With {num_clips} clips for {size} features every covariance is singular: clip-FID is "
             f"still the distance of the two fitted Gaussians, and says little about the motions; {advice} clips."
         )
-    counts = {str(row): column.rows[row].num_sequences for row in (*column.models, *column.samples)}
-    counts = {"the real set": column.real.num_sequences, **counts}
-    few = {name: count for name, count in counts.items() if count <= size}
+    counts = {"the real set": column.real.num_sequences}
+    counts |= {str(row): column.rows[row].num_sequences for row in column.systems}
+    few = ", ".join(f"{name} ({count})" for name, count in counts.items() if count <= size)
     if few:
-        named = ", ".join(f"{name} ({count})" for name, count in few.items())
         # The first is the same for all columns, and added once.
         found += [
             f"Where clips are parts of a few motions, clip-FID says how those differ; {advice} motions.",
-            f"At {column.label} these have no more motions than there are features ({size}): {named}.",
+            f"At {column.label} these have no more motions than there are features ({size}): {few}.",
         ]
     return found
 
 
 def _paper_block() -> Block:
-    figures = reported_figures("nerm", "2")
-    return Block(
-        title="Printed in the NeRM paper (HumanML3D)",
-        columns=tuple(dict.fromkeys(framerate_label(figure.setting) for figure in figures)),
-        rows=printed_rows(figures, lambda figure: framerate_label(figure.setting)),
+    return printed_block(
+        "Printed in the NeRM paper (HumanML3D)",
+        reported_figures("nerm", "2"),
+        lambda figure: label(figure.setting),
         note=(
             "These numbers cannot be compared with ours: they are from another feature extractor on another data set, "
             "the paper does not say how many clips of which sizes it draws, how the extractor is used away from 20 fps "
@@ -308,16 +335,15 @@ def _paper_block() -> Block:
     )
 
 
-def _caption(columns: Sequence[ColumnSize], request: TableRequest) -> str:
-    protocol = request.clip_fid.protocol
-    seconds = [column.duration_seconds for column in columns]
+def _caption(seconds: Sequence[float], config: EvalConfig) -> str:
+    protocol = config.clips
     caption = (
         f"clip-FID ({VERSION}), lower is better: mean over {protocol.replications} replications of N = "
-        f"{protocol.num_clips:,} random clips on each side, {request.real.named}, ± half the 95 % interval over "
+        f"{protocol.num_clips:,} random clips on each side, {config.real}, ± half the 95 % interval over "
         f"takes ({protocol.resamplings} resamplings of the takes of both sides)."
     )
-    if request.clip_fid.low_pass_hz is not None:
-        caption += f" Every set, the real one too, was low-passed at {request.clip_fid.low_pass_hz:g} Hz."
+    if config.low_pass_hz is not None:
+        caption += f" Every set, the real one too, was low-passed at {config.low_pass_hz:g} Hz."
     if min(seconds) < SMALL_SECONDS:
         caption += (
             f" A small-scale run: the real sets hold {min(seconds) / 60:.1f} to {max(seconds) / 60:.1f} minutes of "
@@ -326,46 +352,27 @@ def _caption(columns: Sequence[ColumnSize], request: TableRequest) -> str:
     return caption
 
 
-def _definition(columns: Sequence[ColumnSize], request: TableRequest) -> dict[str, Any]:
-    protocol = asdict(request.clip_fid.protocol)
-    kind = type(request.clip_fid.protocol.sizes).__name__
-    return {
-        "version": VERSION,
-        "protocol": protocol | {"sizes": {"kind": kind, **protocol["sizes"]}},
-        "real_sets": {
-            column.label: {
-                "sequences": column.num_sequences,
-                "seconds": round(column.duration_seconds, 3),
-            }
-            for column in columns
-        },
-        "generated_motions": {column.label: dict(column.num_generated) for column in columns if column.num_generated},
-        "sequences": "native framerate at least the column's, brought to it by anti-aliased resampling",
-        "clips": "both sides share sizes and centre quantiles; each draws sequences in proportion to duration",
-        "split": request.real.split,
-        "where": request.real.where,
-        "low_pass_hz": request.clip_fid.low_pass_hz,
-    }
+def _sizes(config: EvalConfig) -> dict[str, object]:
+    return {"kind": type(config.clips.sizes).__name__, **asdict(config.clips.sizes)}
 
 
-def _notes(columns: Sequence[ColumnSize], request: TableRequest) -> tuple[str, ...]:
+def _notes(sizes: Mapping[str, tuple[int, float]], config: EvalConfig) -> tuple[str, ...]:
     sets = "; ".join(
-        f"{column.label}: {column.num_sequences} sequences, {column.duration_seconds / 60:.1f} min"
-        for column in columns
+        f"{column}: {number} sequences, {seconds / 60:.1f} min" for column, (number, seconds) in sizes.items()
     )
     return (
         f"Real sets: {sets}.",
         "Columns hold different sequences, so numbers compare down a column, not along a row.",
         "An interval says how far a score would move with as many other takes of the same kind"
-        + (", and with other generations. " if request.evaluated.draws > 1 else ". ")
+        + (", and with other generations. " if config.draws > 1 else ". ")
         + "Few takes push every score up, which no interval holds: compare with the row of training takes.",
         "clip-FID here has nothing to do with the FID of images on CLIP features.",
     )
 
 
-def _sample_notes(real: RealMotion, folders: Sequence[SampleFolder]) -> tuple[str, ...]:
+def _sample_notes(real: RealMotion, config: EvalConfig) -> list[str]:
     notes = []
-    for folder in folders:
+    for folder in config.sample_folders:
         found = takes_of_samples(folder, real)
         if not any(found.takes):
             notes.append(
@@ -377,4 +384,4 @@ def _sample_notes(real: RealMotion, folders: Sequence[SampleFolder]) -> tuple[st
                 f"{folder.name}: {found.num_without:,} of {folder.num_motions:,} motions are for none of the compared "
                 "takes, by name or caption: left out."
             )
-    return tuple(notes)
+    return notes

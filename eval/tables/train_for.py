@@ -5,7 +5,7 @@ A system is a model or encoder that tables load from runs (`motionkit.training.s
 
 from collections.abc import Callable, Iterable, Sequence
 
-from eval.tables.registry import Table, installed_tables
+from eval.tables.table import Table
 from motionkit.core import plugins
 from motionkit.core.errors import UsageError
 from motionkit.training.stage import StageContext, StagePlan, registered_stages
@@ -62,13 +62,14 @@ def table_that_shows(paper: str | None, target: str) -> Table:
     kind, _, number = target.partition(":")
     if not number or kind not in KINDS:
         raise UsageError(f"--for {target}: table:NUMBER or figure:NUMBER, such as table:2")
+    installed = plugins.names("TABLES")
     tables: list[Table] = [
         plugins.load("TABLES", name)
-        for name in installed_tables()
+        for name in installed
         if name.endswith(f"-{KINDS[kind]}{number}") and (paper is None or name.startswith(f"{paper}-"))
     ]
     if not tables:
-        names = ", ".join(installed_tables())
+        names = ", ".join(installed)
         raise UsageError(f"--for {target}: there is no such table; installed tables: {names or 'none'}")
     table = next((each for each in tables if each.is_default), tables[0])
     if not table.shown():

@@ -1,0 +1,174 @@
+"""How well an encoder reconstructs windows of motion: decoded ones beside the ground truth, and their errors.
+
+The ground truth at s fps is the capture, low-passed and downsampled if its framerate is higher; sequences slower than s
+have none and are left out.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from eval.config import EvalConfig
+from eval.metrics.reconstruction import mean_vector_distance, mpjpe_global, mpjpe_root_aligned, mre
+from eval.report.results import Cell
+from eval.sets.missing import Missing
+from motionkit.core.errors import UsageError
+from motionkit.core.mirror import mirror_positions
+from motionkit.core.shapes import Bool, Float32, Int64
+from motionkit.core.skeleton import SMPL22
+from motionkit.data.reconstruction import ModelWindows, ReconstructsWindows
+from motionkit.data.windows import PositionSource, Windows
+from motionkit.features import field
+from motionkit.features.native import vectors
+from motionkit.fields.motion_field import MotionField, to_motion
+from motionkit.fields.resample import resample_positions
+
+if TYPE_CHECKING:
+    from motionkit.store.reader import Store
+
+TRAINING, HELD_OUT = "training windows", "held-out windows"
+MOST_WINDOWS = 384
+GLOBAL = "global MPJPE, mm"
+DISTANCE = "L2 norm of the whole vector"
+COUNT = "windows"
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction:
+    """One window as decoded and as captured, in the window's frame (metres), and how long it lasts."""
+
+    found: Float32[np.ndarray, "poses joints 3"]
+    truth: Float32[np.ndarray, "poses joints 3"]
+    seconds: float
+
+
+def window_truth(
+    source: PositionSource, windows: Windows, row: int, fps: Fraction
+) -> Float32[np.ndarray, "poses joints 3"]:
+    """A window's own capture at `fps` (not above its native framerate), in the window's frame; metres."""
+    start, count = int(windows.start_row[row]), int(windows.num_frames[row])
+    positions = np.asarray(source.positions[start : start + count])
+    if windows.mirrored[row]:
+        positions = mirror_positions(positions, SMPL22.left_right_pairs)
+    sampled = resample_positions(positions, windows.exact_fps(row), fps)
+    chosen = slice(row, row + 1)
+    return np.asarray(field.to_window(sampled[None], windows.yaw[chosen], windows.origin[chosen])[0])
+
+
+def reconstructions(
+    source: PositionSource, windows: Windows, fields: Sequence[MotionField], fps: Fraction
+) -> Iterator[Reconstruction]:
+    """Windows that have a ground truth at `fps`, each with its decoded motion at that framerate."""
+    for row in np.flatnonzero(windows.fps >= float(fps) - 1e-6).tolist():
+        truth = window_truth(source, windows, row, fps)
+        found = to_motion(fields[row], fps).joint_positions[:, : truth.shape[1]]
+        yield Reconstruction(found, truth, float(windows.duration_seconds[row]))
+
+
+def separate_windows(windows: Windows) -> Int64[np.ndarray, "chosen"]:
+    """Rows of windows that do not overlap and are not mirrored: each sequence's first, then the next free one, …"""
+    originals = np.flatnonzero(~windows.mirrored)
+    order = originals[np.lexsort((windows.start_frame[originals], windows.sequence_index[originals]))]
+    chosen: list[int] = []
+    sequence, free_from = -1, 0
+    for row in order.tolist():
+        start = int(windows.start_frame[row])
+        if windows.sequence_index[row] != sequence:
+            sequence, free_from = int(windows.sequence_index[row]), 0
+        # Neighbours share the frame at which one ends and the next begins.
+        if start >= free_from:
+            chosen.append(row)
+            free_from = start + int(windows.num_frames[row]) - 1
+    return np.array(chosen, dtype=np.int64)
+
+
+def comparable(windows: Windows, rates: Sequence[Fraction]) -> Bool[np.ndarray, "windows"]:
+    """Mask of windows with a ground truth at every one of the framerates."""
+    return np.asarray(windows.fps >= float(max(rates)) - 1e-6)
+
+
+@dataclass(frozen=True)
+class WindowErrors:
+    """Root-aligned and global MPJPE in millimetres; MRE and mean distance of `native` vectors in their raw units."""
+
+    aligned_mm: float
+    global_mm: float
+    mre: float
+    vector_distance: float
+    seconds: float
+
+
+def window_errors(window: Reconstruction, fps: Fraction) -> WindowErrors:
+    """The errors of one window that was decoded at `fps`."""
+    found, truth = (vectors(positions, "smpl22", fps) for positions in (window.found, window.truth))
+    return WindowErrors(
+        aligned_mm=1000.0 * mpjpe_root_aligned(window.found, window.truth),
+        global_mm=1000.0 * mpjpe_global(window.found, window.truth),
+        mre=mre(found, truth),
+        vector_distance=mean_vector_distance(found, truth),
+        seconds=window.seconds,
+    )
+
+
+def mpjpe_cell(windows: Sequence[WindowErrors]) -> Cell | None:
+    """Root-aligned MPJPE in millimetres, windows weighing by duration; None where there is no window."""
+    if not windows:
+        return None
+    aligned = _mean(windows, (window.aligned_mm for window in windows))
+    whole = _mean(windows, (window.global_mm for window in windows))
+    return Cell(aligned, None, {GLOBAL: whole, COUNT: float(len(windows))})
+
+
+def mre_cell(windows: Sequence[WindowErrors]) -> Cell | None:
+    """MRE of `native` vectors, windows weighing by duration; None where there is no window."""
+    if not windows:
+        return None
+    distance = _mean(windows, (window.vector_distance for window in windows))
+    return Cell(_mean(windows, (window.mre for window in windows)), None, {DISTANCE: distance})
+
+
+def _mean(windows: Sequence[WindowErrors], values: Iterable[float]) -> float:
+    seconds = sum(window.seconds for window in windows)
+    return sum(window.seconds * value for window, value in zip(windows, values, strict=True)) / seconds
+
+
+@dataclass(frozen=True, eq=False)
+class DescribedWindows:
+    """Windows of a source, each with a model's reconstruction: a motion field in the window's own frame."""
+
+    source: PositionSource
+    windows: Windows
+    fields: Sequence[MotionField]
+    described: str
+
+    def errors(self, rows: Int64[np.ndarray, "chosen"], fps: Fraction) -> dict[int, WindowErrors]:
+        """The errors of some of the windows at a framerate, by row; those without a ground truth have none."""
+        rows = rows[comparable(self.windows, [fps])[rows]]
+        found = reconstructions(self.source, self.windows.select(rows), [self.fields[row] for row in rows], fps)
+        return {int(row): window_errors(window, fps) for row, window in zip(rows, found, strict=True)}
+
+
+def described_windows(
+    encoder: ReconstructsWindows, store: "Store", config: EvalConfig, rates: Sequence[Fraction], missing: Missing
+) -> dict[str, DescribedWindows]:
+    """Samples of the windows that an encoder was trained on, and of another split's if there are any.
+
+    Of each at most `MOST_WINDOWS` random ones; those fast enough for all framerates come first.
+    """
+
+    def sample(windows: ModelWindows) -> DescribedWindows:
+        shuffled = np.random.default_rng(config.seed).permutation(separate_windows(windows.windows))
+        fast = comparable(windows.windows, rates)[shuffled]
+        first_fast = np.concatenate((shuffled[fast], shuffled[~fast]))
+        rows = np.sort(first_fast[: min(MOST_WINDOWS, config.max_motions)])
+        return DescribedWindows(windows.source, windows.windows.select(rows), windows.fields(rows), windows.described)
+
+    found = {TRAINING: sample(encoder.training_windows(store))}
+    with missing.skipping(HELD_OUT, (UsageError,)):
+        if config.split in ("all", "train"):
+            raise UsageError(f"split {config.split!r} holds training windows; name another (--split test)")
+        found[HELD_OUT] = sample(encoder.other_windows(store, config.condition))
+    return found

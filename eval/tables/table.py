@@ -1,0 +1,182 @@
+"""A table is a spec and a function that computes its blocks; `build` makes a result of both.
+
+A package lists its own in `TABLES` (`motionkit.core.plugins`) as `PAPER-NUMBER`.
+"""
+
+import csv
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from eval.config import EvalConfig
+from eval.report.results import Block, Cell, Result, Row
+from motionkit.core import plugins
+from motionkit.core.errors import DamagedFileError, UsageError
+from motionkit.core.files import read_json, write_json
+from motionkit.core.progress import warn
+from motionkit.store.reader import Store
+from motionkit.training.run import Loader
+
+SOURCES = {
+    "nerm": "Wei et al., NeRM: Learning Neural Representations for High-Framerate Human Motion Synthesis, ICLR 2024",
+    "pahires": "Xu et al., Towards Arbitrary Motion Completing via Hierarchical Continuous Representation",
+    "lafan1": "Harvey et al., Robust Motion In-betweening, ACM TOG 2020 (its benchmark's code)",
+    "delta-interp": "Oreshkin et al., Motion In-betweening via Deep Δ-Interpolator, IEEE TVCG 2023",
+    "ts-former": "Qin et al., Motion In-betweening via Two-stage Transformers, ACM TOG 2022",
+}
+
+
+@dataclass(frozen=True)
+class Content:
+    """What a table computes: its blocks (those without rows are left out), the caption and notes.
+
+    `definition` are settings beyond split and condition; `runs` are further runs whose weights count, `provenance` is
+    what else the numbers come from.
+    """
+
+    caption: str
+    blocks: Iterable[Block]
+    definition: Mapping[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    runs: tuple[Path, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    figure: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of a paper; without `takes_samples` it has no rows of other systems' motions.
+
+    `compute` gets the configuration and its store. `version` is incremented when the meaning of numbers changes.
+    `shown` gives the loaders of its rows, `reads` names the evaluators among a run's stages that it reads, and
+    `settings` are its systems' training settings, as for `--set`: `motionkit train --for` uses these to find what is
+    missing (eval/tables/train_for.py).
+    """
+
+    paper: str
+    number: str
+    title: str
+    version: str
+    compute: Callable[[EvalConfig, Store], Content]
+    heading: str = ""
+    takes_samples: bool = True
+    shown: Callable[[], Mapping[str, Loader[Any]]] = dict
+    reads: tuple[str, ...] = ()
+    settings: tuple[str, ...] = ()
+    task: str = ""
+
+    @property
+    def is_default(self) -> bool:
+        """Whether it is of the default paper."""
+        return self.paper == "nerm"
+
+    @property
+    def target(self) -> str:
+        """table:2, figure:5, as `motionkit train --for` has it."""
+        return self.place.lower().replace(" ", ":")
+
+    @property
+    def place(self) -> str:
+        """Table 2, Figure 5."""
+        number = self.number.removeprefix("figure")
+        return f"{'Table' if number == self.number else 'Figure'} {number}"
+
+    def build(self, config: EvalConfig) -> Result:
+        """The result; what it lacks is in `config.missing` too. Raises what `compute` and opening the store raise."""
+        config.missing.clear()
+        store = config.open_store()
+        content = self.compute(config, store)
+        return Result(
+            task=self.task or f"{self.paper}-{self.target.replace(':', '')}",
+            version=self.version,
+            title=self.heading or f"{self.place}: {self.title}",
+            caption=content.caption,
+            blocks=tuple(block for block in content.blocks if block.rows),
+            definition={"split": config.split, "where": config.where, **content.definition},
+            notes=content.notes,
+            missing=config.missing.lines,
+            provenance=config.provenance(store, *content.runs, **content.provenance),
+            figure=content.figure,
+        )
+
+
+def find_table(paper: str, number: str) -> Table:
+    """Load one table. Raises `UsageError` that lists the tables."""
+    if f"{paper}-{number}" not in (known := plugins.names("TABLES")):
+        raise UsageError(f"there is no table {number} of {paper!r}; installed tables: {', '.join(known) or 'none'}")
+    table: Table = plugins.load("TABLES", f"{paper}-{number}")
+    return table
+
+
+@dataclass(frozen=True)
+class Reported:
+    """One printed figure; `value` or `ci95` is None if the paper prints none or it is illegible."""
+
+    paper: str
+    table: str
+    dataset: str
+    method: str
+    metric: str
+    setting: str
+    value: float | None
+    ci95: float | None
+    note: str
+
+
+def reported_figures(paper: str, table: str) -> list[Reported]:
+    """Every figure of one paper's table, in the order of the file."""
+
+    def number(text: str) -> float | None:
+        return float(text) if text else None
+
+    text = (files("eval") / "data" / "reported.csv").read_text(encoding="utf-8")
+    return [
+        Reported(**{**dict[str, Any](row), "value": number(row["value"]), "ci95": number(row["ci95"])})
+        for row in csv.DictReader(text.splitlines())
+        if (row["paper"], row["table"]) == (paper, table)
+    ]
+
+
+def printed_block(
+    title: str,
+    figures: Iterable[Reported],
+    column: Callable[[Reported], str],
+    *,
+    name: Callable[[Reported], str] = lambda figure: figure.method,
+    columns: tuple[str, ...] = (),
+    factor: float = 1.0,
+    lower_is_better: bool = True,
+    note: str = "",
+) -> Block:
+    """A paper's figures, times a factor; missing or illegible ones are left out. `columns` are theirs by default."""
+    known = list(figures)
+    cells: dict[str, dict[str, Cell]] = {}
+    for figure in known:
+        if figure.value is not None:
+            cells.setdefault(name(figure), {})[column(figure)] = Cell(factor * figure.value, figure.ci95)
+    rows = tuple(Row(f"{row} (paper)", "paper", found) for row, found in cells.items())
+    return Block(title, columns or tuple(dict.fromkeys(map(column, known))), rows, lower_is_better, note)
+
+
+def cached(results: Path, name: str, terms: Mapping[str, Any], compute: Callable[[], Any]) -> Any:
+    """Plain values (as JSON), kept in RESULTS/parts for these terms: rows of several tables, or of an interrupted one.
+
+    Whatever the values depend on is in the terms: others are computed anew.
+    """
+    key = json.loads(json.dumps({"name": name, **terms}))
+    digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()
+    path = results / "parts" / f"{name}-{digest[:16]}.json"
+    if path.is_file():
+        try:
+            document = read_json(path, "computing it anew")
+            if document["key"] == key:
+                return document["values"]
+        except (DamagedFileError, KeyError) as error:
+            warn(f"{path}: {error}: computing it anew")
+    values = json.loads(json.dumps(compute()))
+    write_json(path, {"key": key, "values": values})
+    return values
