@@ -84,10 +84,8 @@ def make(
     if there and not overwrite:
         raise MotionkitError(f"{there[0]} exists: --overwrite replaces the page and its key, --out writes elsewhere")
     folder = None if run is None else (runs or default_path("runs")) / run
-    named, default_fps = (
-        named_samples(samples or [], folder),
-        samples_fps and framerates(samples_fps, "--samples-fps")[0],
-    )
+    named = named_samples(samples or [], folder)
+    default_fps = framerates(samples_fps, "--samples-fps")[0] if samples_fps else None
     design = Design(framerates(fps, "--fps"), cases, seed)
     with progress() as show:
         systems = _systems(named, default_fps, store, split, show)

@@ -3,10 +3,10 @@
 import pytest
 
 from eval.clip_fid import features
-from eval.tables.nerm import copies
+from eval.tables.nerm import table2
 
 
 def make_tables_small(patch: pytest.MonkeyPatch) -> None:
     """Search few motions for copies and fit clip-FID on few clips; tests/eval knows enough of both."""
-    patch.setattr(copies, "MAX_MOTIONS", 3)
+    patch.setattr(table2, "MAX_COPIES", 3)
     patch.setattr(features, "FIT_CLIPS", 256)

@@ -10,13 +10,11 @@ from typer.testing import CliRunner
 
 from eval.clip_fid.clips import PoseRange, Protocol
 from eval.commands.ablate import ablate
+from eval.config import EvalConfig
 from eval.report.render import to_markdown
 from eval.report.results import Block, Result, Row
-from eval.tables.nerm import figure8
+from eval.tables.nerm import figures
 from eval.tables.nerm.ablations import HIGHEST, LOWEST, TABLES
-from eval.tables.nerm.figure5 import build_figure5
-from eval.tables.nerm.figure8 import build_figure8
-from eval.tables.registry import TableRequest
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
@@ -66,8 +64,8 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def smaller(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(figure8, "STEPS", (3, 2))
-    monkeypatch.setattr(figure8, "REPEATS", 1)
+    monkeypatch.setattr(figures, "STEPS", (3, 2))
+    monkeypatch.setattr(figures, "REPEATS", 1)
 
 
 def command(project: Path, *arguments: str, settings: tuple[str, ...] = TINY) -> str:
@@ -156,7 +154,7 @@ def test_faults_are_reported_before_anything_is_trained(
     assert not list(tmp_path.iterdir())
 
 
-def request(project: Path, run: str, results: str, *rates: int) -> TableRequest:
+def request(project: Path, run: str, results: str, *rates: int) -> EvalConfig:
     protocol = Protocol(sizes=PoseRange(16, 16), num_clips=80, replications=2, detailed_replications=0)
     fps = tuple(Fraction(rate) for rate in rates)
     return table_request(project / "store", project / results, run=project / "runs" / run, fps=fps, protocol=protocol)
@@ -195,22 +193,22 @@ def test_a_table_shows_what_is_trained_and_says_how_to_train_the_rest(project: P
     assert rows(printed[1])["transformer decoder (paper)"].cells["20 fps"].value == 0.381
     assert "| global: transformer | – | – |" in to_markdown(result)
     assert result.notes == ()
-    drawn = build_figure5(request(project, "table-global", "results-7", 60))
+    drawn = figures.FIGURE_5.build(request(project, "table-global", "results-7", 60))
     scores, spread = (rows(block) for block in drawn.blocks)
     assert scores["real, independent draws (P1)"].cells == rows(synthesis)["real, independent draws (P1)"].cells
     as_it_is, planted = (scores[f"{OTHERWISE}, unconditional{form}"].cells["60 fps"] for form in ("", ", planted"))
     assert as_it_is.value > 1.0 and planted.value != as_it_is.value
     assert spread["real"].cells["60 fps"].value > 0.0
-    (cost,) = build_figure8(request(project, "table-global", "results-7", 60)).blocks
+    (cost,) = figures.FIGURE_8.build(request(project, "table-global", "results-7", 60)).blocks
     assert [row.name for row in cost.rows if row.origin == "ours"] == [
         f"{OTHERWISE}, 3 diffusion steps (its own)",
         f"{OTHERWISE}, 2 diffusion steps",
     ]
     assert all(set(row.cells) == set(cost.columns) for row in cost.rows if row.origin == "ours")
-    assert all(set(row.cells[figure8.CPU].details) == {"at 20 fps", "at 120 fps"} for row in cost.rows[2:])
-    assert all(set(row.cells[figure8.CPU].details) == {"at 20 fps", "at 120 fps"} for row in cost.rows[2:])
+    assert all(set(row.cells[figures.CPU].details) == {"at 20 fps", "at 120 fps"} for row in cost.rows[2:])
+    assert all(set(row.cells[figures.CPU].details) == {"at 20 fps", "at 120 fps"} for row in cost.rows[2:])
     with pytest.raises(UsageError, match="one framerate"):
-        build_figure8(request(project, "table-global", "results-7", 20, 60))
+        figures.FIGURE_8.build(request(project, "table-global", "results-7", 20, 60))
 
 
 def test_what_was_measured_is_kept_until_the_run_is_trained_again(project: Path) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eval.tables.nerm import text_motion
+from eval.tables.nerm import table1
 from eval.text_motion.guo import evaluator
 from eval.text_motion.guo.networks import GuoWidths
 from motionkit.core.skeleton import KIT21, SMPL22
@@ -150,7 +150,7 @@ def test_kit_reaches_its_evaluator_as_21_joints_and_as_vectors(
 
     trained_run(tmp_path / "runs" / "nano")
     install_models(monkeypatch, lambda run: ScriptedModel(listens, 20.0))
-    monkeypatch.setattr(text_motion, "_native", lambda request: Lengths())
+    monkeypatch.setattr(table1, "_native", lambda request: Lengths())
     both = motionkit(
         *table, "--evaluator", "native,guo", "--fps", 12.5, "--motions", 32, "--runs", tmp_path / "runs", "--json"
     )

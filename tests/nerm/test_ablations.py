@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from eval.tables.ablation_runs import ablate_command, run_name
-from eval.tables.parts import reported_figures
+from eval.tables.table import reported_figures
 from motionkit.core.errors import UsageError
 from motionkit.data.corpus import FrameValues
 from motionkit.data.poses import WindowPoses

@@ -3,9 +3,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from eval.reconstruction.errors import DISTANCE
-from eval.tables.nerm.table4 import build_table4
+
+from eval.tables.nerm import table4
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
@@ -93,7 +93,7 @@ def test_a_field_without_its_codebook_is_explained(store: Path, tmp_path: Path) 
 
 
 def test_table_4_is_built_from_a_store_and_a_run(store: Path, run: Path, tmp_path: Path) -> None:
-    result = build_table4(table_request(store, tmp_path, run=run))
+    result = table4.TABLE.build(table_request(store, tmp_path, run=run))
     same, everything, paper, mre, paper_mre = result.blocks
     assert [row.name for row in same.rows] == ROWS
     assert set(same.rows[0].cells) == {"20 fps", "40 fps", "60 fps", "100 fps", "120 fps"}
@@ -109,6 +109,6 @@ def test_table_4_is_built_from_a_store_and_a_run(store: Path, run: Path, tmp_pat
 
 
 def test_table_4_of_a_split_that_is_not_there_says_so(store: Path, run: Path, tmp_path: Path) -> None:
-    result = build_table4(table_request(store, tmp_path, run=run, split="nobody's"))
+    result = table4.TABLE.build(table_request(store, tmp_path, run=run, split="nobody's"))
     assert [row.name for row in result.blocks[0].rows] == ROWS[:1]
     assert any(line.startswith("held-out windows: ") for line in result.missing)

@@ -12,17 +12,18 @@ from scipy.spatial.transform import Rotation
 
 import eval.metrics
 from eval.completion.encoders import CUBIC, HOLD, LINEAR, Completer
-from eval.completion.interpolation import InterpolationTask, measure_interpolation
+from eval.completion.interpolation import measure_interpolation
 from eval.completion.protocol import INTEGER_SCALES, OTHER_SCALES, InterpolationProtocol, scale_label
 from eval.completion.scores import mean_over_takes, measure_scale
 from eval.completion.takes import NoTakesError, data_sets_of, open_clips
+from eval.config import EvalConfig
 from eval.metrics.metric import all_metrics
 from eval.report.render import to_html, to_markdown
 from eval.report.results import read_result, write_result
-from eval.tables.pahires.extrapolation import TABLE as EXTRAPOLATION
-from eval.tables.pahires.inbetweening import TABLE as INBETWEENING
+from eval.tables.pahires import interpolation
 from eval.tables.pahires.interpolation import TABLE_1, TABLE_2
-from eval.tables.registry import TableRequest
+from eval.tables.pahires.windows import TABLE_3 as INBETWEENING
+from eval.tables.pahires.windows import TABLE_EXTRAPOLATION as EXTRAPOLATION
 from motionkit.core import kinematics
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Motion, Provenance
@@ -111,11 +112,9 @@ def figures(store: Path, encoder: MotionEncoder, scale: str) -> dict[str, float]
     opened = Store.open(store)
     cmu = next(each for each in data_sets_of(opened) if each.label == "CMU, 30 fps")
     clips, train = (open_clips(opened, cmu, split, None, 76, 76) for split in ("test", "train"))
-    task = InterpolationTask(clips, measure_scale(train), PROTOCOL)
     row = Completer("row", encoder, "", "")
-    found, failed = measure_interpolation(task, (Fraction(scale),), [row])
-    assert not failed
-    return {name: mean_over_takes(values[f"×{scale}"]).value for name, values in found["row"].items()}
+    found = measure_interpolation(clips, measure_scale(train), (Fraction(scale),), row)
+    return {name: mean_over_takes(values[f"×{scale}"]).value for name, values in found.items()}
 
 
 def test_figures_of_held_poses_are_those_of_their_definition(store: Path) -> None:
@@ -196,7 +195,7 @@ def test_smoother_is_better_and_positions_alone_can_be_scored(store: Path) -> No
     assert positions["rotation_angle_error"] > 10 * smooth["rotation_angle_error"]
 
 
-def request(store: Path, tmp_path: Path, **more: object) -> TableRequest:
+def request(store: Path, tmp_path: Path, **more: object) -> EvalConfig:
     return table_request(store, tmp_path / "results", run=tmp_path / "runs" / "nano", **more)
 
 
@@ -297,12 +296,11 @@ def test_what_cannot_be_asked_is_reported_in_a_line(store: Path, tmp_path: Path)
         TABLE_1.build(request(store, tmp_path, encoders=(("squid", tmp_path / "runs" / "nano"),)))
 
 
-def test_an_encoder_that_fails_is_left_out_and_named(store: Path) -> None:
-    opened = Store.open(store)
-    cmu = next(each for each in data_sets_of(opened) if each.label == "CMU, 30 fps")
-    clips = open_clips(opened, cmu, "test", None, 76, 76)
-    task = InterpolationTask(clips, measure_scale(clips), PROTOCOL)
+def test_an_encoder_that_fails_is_left_out_and_named(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     broken = Completer("broken", Broken(), "", "")  # type: ignore[arg-type]
-    found, failed = measure_interpolation(task, INTEGER_SCALES[:1], [broken, HOLD])
-    assert list(found) == ["hold"]
-    assert failed == {"broken": "×2: windows of 5 frames are longer than training saw"}
+    monkeypatch.setattr(interpolation, "INTERPOLATION", (broken, HOLD))
+    result = TABLE_1.build(request(store, tmp_path))
+    assert {row.name for block in result.blocks for row in block.rows if row.origin != "paper"} == {"hold"}
+    assert "CMU, 30 fps, broken: windows of 5 frames are longer than training saw" in result.missing

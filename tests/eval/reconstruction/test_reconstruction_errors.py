@@ -5,8 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from eval.reconstruction.errors import COUNT, DISTANCE, GLOBAL, mpjpe_cell, mre_cell, window_errors
-from eval.reconstruction.windows import Reconstruction
+from eval.reconstruction import COUNT, DISTANCE, GLOBAL, Reconstruction, mpjpe_cell, mre_cell, window_errors
 from tests.helpers.nerm_corpus import analytic_positions
 
 FPS = Fraction(60)

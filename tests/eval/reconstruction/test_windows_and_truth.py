@@ -3,7 +3,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from eval.reconstruction.windows import comparable, separate_windows, window_truth
+from eval.reconstruction import comparable, separate_windows, window_truth
 from motionkit.core.skeleton import SMPL22
 from motionkit.data.windows import cut_windows
 from motionkit.features import field

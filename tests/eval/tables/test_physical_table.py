@@ -11,7 +11,7 @@ from eval.metrics.metric import find_metric
 from eval.metrics.physical import slide_speed
 from eval.metrics.resampling import Resampling
 from eval.sets.sets import sample_set
-from eval.tables.physical import PER_FRAME, build_physical, measured
+from eval.tables.physical import PER_FRAME, TABLE, measured
 from motionkit.core.motion import Caption, Motion
 from motionkit.fields.motion_field import to_motion
 from motionkit.generate.models import GenerationRequest
@@ -64,7 +64,7 @@ def cells(result, block: int) -> dict[str, dict]:
 def test_rows_of_real_motion_and_of_a_model_that_slides(store: Path, tmp_path: Path, monkeypatch) -> None:
     install_models(monkeypatch, lambda run: ScriptedModel(partial(sliding_truth, drift=0.3)))
     request = table_request(store, tmp_path, run=trained_run(tmp_path / "run"), fps=(Fraction(20), Fraction(60)))
-    result = build_physical(request)
+    result = TABLE.build(request)
     ours, differences, published, _, faster = (cells(result, block) for block in range(5))
     assert result.blocks[0].title == "Per second, at 20 fps"
     assert list(published["real"]) == [metric.title for metric in PER_FRAME]

@@ -11,9 +11,9 @@ import typer
 from typer.testing import CliRunner
 
 from eval.report.results import Result
-from eval.tables import systems
-from eval.tables.registry import Table
-from eval.tables.systems import table_that_shows
+from eval.tables import train_for
+from eval.tables.table import Table
+from eval.tables.train_for import table_that_shows
 from motionkit.cli import train as train_module
 from motionkit.cli.options import parse_duration
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
@@ -73,7 +73,7 @@ def build(request: object) -> Result:
     raise NotImplementedError
 
 
-TABLE = Table("nerm", "2", "a table", build, shown=lambda: SYSTEMS, reads=("judge",))
+TABLE = Table("nerm", "2", "a table", "v/1", build, shown=lambda: SYSTEMS, reads=("judge",))
 
 
 @dataclass
@@ -125,7 +125,7 @@ ORDER = ["codes", "field", "denoiser", "vae", "latents", "gan", "judge"]
 def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[World]:
     world = World()
     install_only(monkeypatch, STAGES=world.stages())
-    monkeypatch.setattr(systems, "table_that_shows", lambda paper, target: TABLE)
+    monkeypatch.setattr(train_for, "table_that_shows", lambda paper, target: TABLE)
     monkeypatch.setattr(loop_module, "seconds_spent", lambda device: world.clock)
     with StoreWriter.create(tmp_path / "store"):
         pass
@@ -171,7 +171,7 @@ def test_what_is_complete_is_kept_and_the_rest_goes_on(world: World, monkeypatch
 
 
 def test_a_table_says_how_its_systems_are_trained(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(systems, "table_that_shows", lambda paper, target: replace(TABLE, settings=("steps=4",)))
+    monkeypatch.setattr(train_for, "table_that_shows", lambda paper, target: replace(TABLE, settings=("steps=4",)))
     assert {stage["steps"] for stage in run().values()} == {4}
     assert {stage["steps"] for stage in run("--run", "other", "--set", "steps=5").values()} == {5}
     assert table_that_shows(None, "table:3").settings == ("conditions.kind=action",)
@@ -319,7 +319,7 @@ def test_tables_are_known_by_what_they_show() -> None:
 
 def test_a_system_whose_stage_is_not_installed_is_reported(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
     ghost = replace(TABLE, shown=lambda: {"ghost": loader("ghost")})
-    monkeypatch.setattr(systems, "table_that_shows", lambda paper, target: ghost)
+    monkeypatch.setattr(train_for, "table_that_shows", lambda paper, target: ghost)
     with pytest.raises(UsageError, match="no stage is called 'ghost'"):
         run()
 

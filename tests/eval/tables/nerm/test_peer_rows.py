@@ -9,6 +9,7 @@ import pytest
 
 from eval.clip_fid import features
 from eval.clip_fid.clips import Protocol
+from eval.sets.missing import Missing
 from eval.sets.row_ids import RowId, Variant
 from eval.tables.models import trained_models, training_note
 from eval.tables.nerm import table2
@@ -51,7 +52,7 @@ def test_a_peer_of_a_run_has_rows_and_the_others_have_commands(
 
     protocol = Protocol(num_clips=200, replications=2, detailed_replications=1, resamplings=50)
     values = {"fps": (Fraction(20), Fraction(60)), "protocol": protocol, "features": ("kinematic",)}
-    result = table2.build_table2(table_request(store, tmp_path / "results", run=tmp_path / "run", **values))
+    result = table2.TABLE.build(table_request(store, tmp_path / "results", run=tmp_path / "run", **values))
     rows = {row.name: row for row in result.blocks[0].rows}
     vectors, upsampled, planted = (
         str(RowId(NAME, variant)) for variant in (Variant.AS_VECTORS, Variant.UPSAMPLED, Variant.PLANTED)
@@ -71,7 +72,7 @@ def test_a_peer_of_a_run_has_rows_and_the_others_have_commands(
 def test_a_note_says_what_summaries_say(store: Path, tmp_path: Path) -> None:
     config = replace(tiny_config("mdm-50"), conditions=ConditionsConfig(kind="none"))
     train_peer("mdm-50", store, tmp_path / "run", config)
-    (trained,) = trained_models(tmp_path / "run").value.values()
+    (trained,) = trained_models(tmp_path / "run", Missing()).values()
     numbers = sum(parameter.numel() for parameter in trained.loaded.trained.network.parameters())
     assert training_note(trained).startswith(f"mdm-50: {STEPS} steps, {numbers:,} parameters, ")
     assert " s of processor time; trained at up to 20 fps" in training_note(trained)

@@ -7,7 +7,8 @@ import pytest
 
 from eval.clip_fid import features
 from eval.clip_fid.clips import Protocol
-from eval.tables.nerm import figure5, figure8
+from eval.config import EvalConfig
+from eval.tables.nerm import figures
 from motionkit.core.errors import UsageError
 from motionkit.generate.models import GenerationRequest
 from motionkit.training.run import RunError
@@ -44,7 +45,7 @@ def absent(run: Path) -> ScriptedModel:
     raise RunError("its weights are gone")
 
 
-def request(store: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, *models: ScriptedModel) -> object:
+def request(store: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, *models: ScriptedModel) -> EvalConfig:
     monkeypatch.setattr(features, "FIT_CLIPS", 400)
     install_models(monkeypatch, *(lambda run, model=model: model for model in models), absent)  # type: ignore[misc]
     protocol = Protocol(num_clips=100, replications=2, detailed_replications=1, resamplings=20)
@@ -56,20 +57,20 @@ def test_who_never_learnt_to_do_without_a_condition_is_given_any(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     wanted = request(store, tmp_path, monkeypatch, Broken(told), ScriptedModel(free), Told(told))
-    result = figure5.build_figure5(wanted)
+    result = figures.FIGURE_5.build(wanted)
     rows = {row.name: row for row in result.blocks[0].rows if row.origin == "ours"}
     assert list(rows) == [f"{name}, unconditional{form}" for name in ("NeRM", "Told") for form in ("", ", planted")]
     assert all(row.cells for row in rows.values())
-    assert figure5.ANY_CONDITION in rows["Told, unconditional"].note
+    assert figures.ANY_CONDITION in rows["Told, unconditional"].note
     assert {"Broken: it was told nothing", "NeRM: its weights are gone"} <= set(result.missing)
     with pytest.raises(RunError, match="Broken: it was told nothing"):
-        figure5.build_figure5(request(store, tmp_path / "none", monkeypatch, Broken(told)))
+        figures.FIGURE_5.build(request(store, tmp_path / "none", monkeypatch, Broken(told)))
 
 
 def test_a_system_that_fails_has_no_row_of_costs(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(figure8, "STEPS", ())
+    monkeypatch.setattr(figures, "STEPS", ())
     wanted = request(store, tmp_path, monkeypatch, Broken(told), ScriptedModel(free))
-    result = figure8.build_figure8(wanted)
+    result = figures.FIGURE_8.build(wanted)
     (row,) = (row for row in result.blocks[0].rows if row.origin == "ours")
     assert row.name == "NeRM" and set(row.cells) == set(result.blocks[0].columns)
     assert {"Broken: it was told nothing", "NeRM: its weights are gone"} <= set(result.missing)

@@ -6,6 +6,7 @@ from dataclasses import replace
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,9 +16,9 @@ from eval.report.render import to_latex, to_markdown
 from eval.report.results import Result, read_result, write_result
 from eval.sets.real import NoRealMotionError
 from eval.sets.sets import SampleSet
-from eval.tables import registry
-from eval.tables.nerm import table1, text_motion
-from eval.tables.nerm.text_motion import FLOOR, ORACLE, title_of
+from eval.tables import table as tables
+from eval.tables.nerm import table1
+from eval.tables.nerm.table1 import FLOOR, ORACLE, title_of
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
@@ -104,12 +105,12 @@ def models(run: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, ScriptedMode
     """`nano` listens to its captions, `nano-fixed` doesn't."""
     made = {"nano": ScriptedModel(listens), "nano-fixed": ScriptedModel(ignores)}
     install_models(monkeypatch, lambda folder: made[folder.name])
-    monkeypatch.setattr(text_motion, "_native", lambda request: Shapes())
+    monkeypatch.setattr(table1, "_native", lambda request: Shapes())
     return made
 
 
 def build(store: Path, folder: Path, run: Path | None, **changes: object) -> Result:
-    return table1.build_table1(table_request(store, folder, **{"run": run, "max_motions": TAKES, **changes}))
+    return table1.TABLE.build(table_request(store, folder, **{"run": run, "max_motions": TAKES, **changes}))
 
 
 def rows_of(result: Result, block: int = 0) -> dict[str, dict[str, float]]:
@@ -178,7 +179,8 @@ def test_retrieval_stands_in_blocks_of_its_own(
 ) -> None:
     monkeypatch.setattr(Shapes, "pair_score", "tmr_score", raising=False)
     sentences = np.random.default_rng(0).normal(size=(TAKES, 40)).astype(np.float32)
-    monkeypatch.setattr(table1, "sentence_embeddings", lambda captions: sentences)
+    encoder = SimpleNamespace(encode=lambda texts: sentences)
+    monkeypatch.setattr(table1, "load_text_encoder", lambda name: encoder)
     result = build(store, kept, run, published=published)
     blocks = [block.title for block in result.blocks if block.title.startswith("Retrieval")]
     assert len(blocks) == (4 if published == "tmr" else 1) and "N = 70" in blocks[0]
@@ -291,7 +293,7 @@ def test_the_command_passes_everything_on(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(registry, "find_table", lambda paper, number: table1.TABLE)
+    monkeypatch.setattr(tables, "find_table", lambda paper, number: table1.TABLE)
     evaluate(
         table="1",
         store=store,
@@ -322,16 +324,12 @@ def test_an_evaluator_that_cannot_read_the_captions_leaves_the_others(
         def embed_texts(self, captions: Sequence[Caption]) -> np.ndarray:
             raise MotionkitError("captions have no word/POS tokens")
 
-    monkeypatch.setattr(text_motion, "_guo", lambda request, leak: Deaf())
+    monkeypatch.setattr(table1, "_guo", lambda request, leak: Deaf())
     result = build(store, kept, run, features=("guo", "native"))
     assert [block.provenance["evaluator"] for block in result.blocks[:2]] == ["shapes", "shapes"]
     assert "evaluator 'deaf': captions have no word/POS tokens" in result.missing
     with pytest.raises(MotionkitError, match="no word/POS tokens"):
         build(store, kept, run, features=("guo",))
-
-
-def test_the_registry_knows_the_table() -> None:
-    assert registry.find_table("nerm", "1") is table1.TABLE
 
 
 def test_samples_are_rows(store: Path, kept: Path, tmp_path: Path, models: dict[str, ScriptedModel]) -> None:

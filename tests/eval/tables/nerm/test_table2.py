@@ -13,8 +13,9 @@ from eval.report.results import Block, Result
 from eval.sample_folder import SampleOptions
 from eval.sets.planted import VARIANT_NOTES
 from eval.sets.row_ids import RowId, Variant
-from eval.tables.nerm import clip_fid_column, copies, table2
-from eval.tables.registry import find_table, installed_tables
+from eval.tables import columns
+from eval.tables.nerm import table2
+from eval.tables.table import find_table
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
@@ -84,7 +85,7 @@ def without_copies(monkeypatch: pytest.MonkeyPatch) -> None:
 def build(store: Path, folder: Path, **changes: object) -> Result:
     protocol = Protocol(num_clips=400, replications=2, detailed_replications=1, resamplings=50)
     values: dict[str, object] = {"fps": FPS, "protocol": protocol, "features": ("kinematic",)} | changes
-    return table2.build_table2(table_request(store, folder, **values))
+    return table2.TABLE.build(table_request(store, folder, **values))
 
 
 def rows_of(result: Result) -> dict[str, dict[str, float]]:
@@ -95,17 +96,17 @@ def test_a_model_that_is_the_real_motion_reaches_the_floor(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     install_models(monkeypatch, lambda run: ScriptedModel(truth))
-    monkeypatch.setattr(copies, "MAX_MOTIONS", 3)
+    monkeypatch.setattr(table2, "MAX_COPIES", 3)
     result = build(store, tmp_path, run=trained_run(tmp_path / "run"))
     rows = rows_of(result)
-    floor = rows[str(clip_fid_column.P1)]
+    floor = rows[str(columns.P1)]
     for column in ("20 fps", "60 fps"):
         assert rows[NERM][column] < 2 * floor[column]
     assert rows[NERM_SLERP]["60 fps"] > 3 * floor["60 fps"]
-    assert rows[NERM_SLERP]["60 fps"] == pytest.approx(rows[str(clip_fid_column.SLERP)]["60 fps"], rel=0.3)
+    assert rows[NERM_SLERP]["60 fps"] == pytest.approx(rows[str(columns.SLERP)]["60 fps"], rel=0.3)
     assert not result.missing
-    copied = next(block for block in result.blocks if block.title == copies.TITLE)
-    assert [row.name for row in copied.rows] == [str(copies.HELD_OUT), NERM]
+    copied = next(block for block in result.blocks if block.title == table2.COPIES)
+    assert [row.name for row in copied.rows] == [str(table2.HELD_OUT), NERM]
     assert result.definition["generated_motions"] == {"20 fps": {"NeRM": 12}, "60 fps": {"NeRM": 12}}
     assert result.provenance["run"] == "run"
     hashes = result.blocks[0].provenance["fingerprints"].values()
@@ -124,9 +125,9 @@ def test_generations_of_a_model_count_as_its_motions_and_rows_are_compared(
     assert "24 motions of 12 takes at 20 and 60 fps" in row.note
     assert "NeRM (24)" in scores.note
     told = {row.name: row for row in differences.rows}
-    assert "better: 60 fps" in told[f"{NERM} − {clip_fid_column.SLERP}"].note
-    assert "not told apart" in told[f"{NERM_SLERP} − {clip_fid_column.SLERP}"].note
-    training = next(row for row in scores.rows if row.name == str(clip_fid_column.TRAINING))
+    assert "better: 60 fps" in told[f"{NERM} − {columns.SLERP}"].note
+    assert "not told apart" in told[f"{NERM_SLERP} − {columns.SLERP}"].note
+    training = next(row for row in scores.rows if row.name == str(columns.TRAINING))
     assert training.cells["60 fps"].details["takes"] == 12
 
 
@@ -156,7 +157,7 @@ def test_smoothing_every_set_hides_what_upsampling_loses(store: Path, tmp_path: 
     plain = rows_of(build(store, tmp_path, fps=FPS[1:]))
     result = build(store, tmp_path, fps=FPS[1:], low_pass_hz=4.0)
     smooth = rows_of(result)
-    assert smooth[str(clip_fid_column.SLERP)]["60 fps"] < 0.7 * plain[str(clip_fid_column.SLERP)]["60 fps"]
+    assert smooth[str(columns.SLERP)]["60 fps"] < 0.7 * plain[str(columns.SLERP)]["60 fps"]
     assert "low-passed at 4 Hz" in result.caption
 
 
@@ -164,12 +165,11 @@ def test_smoothing_every_set_hides_what_upsampling_loses(store: Path, tmp_path: 
 def test_clips_that_fit_nowhere_leave_the_column_out(store: Path, tmp_path: Path) -> None:
     protocol = Protocol(sizes=PoseRange(16, 200), num_clips=100, replications=1)
     result = build(store, tmp_path, protocol=protocol)
-    assert set(rows_of(result)[str(clip_fid_column.P1)]) == {"60 fps"}
+    assert set(rows_of(result)[str(columns.P1)]) == {"60 fps"}
     assert any("no sequence has the 200 poses that a clip at 20 fps" in line for line in result.missing)
 
 
 def test_the_registry_knows_the_table() -> None:
-    assert "nerm-2" in installed_tables()
     assert find_table("nerm", "2") is table2.TABLE
     with pytest.raises(UsageError, match="no table 2 of 'nobody'"):
         find_table("nobody", "2")

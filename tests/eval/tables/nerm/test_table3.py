@@ -73,7 +73,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def build(store: Path, folder: Path, **changes: object) -> Result:
-    return table3.build_table3(table_request(store, folder, **changes))
+    return table3.TABLE.build(table_request(store, folder, **changes))
 
 
 def with_model(monkeypatch: pytest.MonkeyPatch, folder: Path, model: ScriptedModel) -> Path:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from eval.sets.sets import SampleSet
-from eval.tables.nerm.text_motion import text_motion_evaluators
+from eval.tables.nerm.table1 import text_motion_evaluators
 from eval.text_motion.guo import evaluator
 from eval.text_motion.guo.kind import GuoFiles
 from eval.text_motion.protocol import find_text_motion_protocol
@@ -40,7 +40,7 @@ PUBLISHED = GuoFiles(Path("finest.tar"), glove=Path("glove"))
 def evaluators(protocol: str, **changes: object) -> tuple[list[object], list[str]]:
     request = table_request(Path("store"), Path("results"), **changes)
     found = text_motion_evaluators(request, find_text_motion_protocol(protocol))
-    return found.value, list(found.missing)
+    return list(found), list(request.missing.lines)
 
 
 @pytest.mark.parametrize(

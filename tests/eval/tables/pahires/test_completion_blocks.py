@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,9 +10,8 @@ from hypothesis import strategies as st
 
 from eval.completion.blocks import Scope, Shown, blocks_of, with_pools
 from eval.completion.encoders import HOLD, Completer
-from eval.completion.scores import Scores, TakeStreams, mean_over_takes, pooled, scores_of
+from eval.completion.scores import Scores, TakeStreams, from_plain, mean_over_takes, pooled, scores_of, to_plain
 from eval.metrics.metric import MeanSums
-from eval.tables.pahires.measured import find_scores, keep_scores
 
 SHOWN = Shown(("×2",), {"psnr": "PSNR (dB)", "mpjpe_global": "MPJPE (cm)"}, {"psnr": {"mpjpe_global": "joints (cm)"}})
 
@@ -91,11 +89,9 @@ def test_plain_answers_stand_in_blocks_of_their_own() -> None:
     assert [len(block.rows) for block in blocks_of([scope], rows[::2], SHOWN)] == [1, 1, 2, 2]
 
 
-def test_kept_scores_come_back_with_their_weights(tmp_path: Path) -> None:
+def test_scores_come_back_from_plain_values_with_their_weights() -> None:
     kept = scores(31.5, 7)
-    keep_scores(tmp_path, "interpolation", {"row": "a"}, kept)
-    assert find_scores(tmp_path, "interpolation", {"row": "a"}, list(kept), list(kept["psnr"])) == kept
-    assert find_scores(tmp_path, "interpolation", {"row": "b"}, list(kept), list(kept["psnr"])) is None
+    assert from_plain(to_plain(kept)) == kept
 
 
 def of_takes(values: list[float]) -> Scores:

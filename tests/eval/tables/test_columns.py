@@ -9,9 +9,10 @@ import pytest
 from eval.clip_fid.clips import PoseRange, Protocol
 from eval.clip_fid.features import Comparison
 from eval.clip_fid.score import score_rows
+from eval.sets.missing import Missing
 from eval.sets.row_ids import RowId
 from eval.sets.sets import SampleSet, sample_set
-from eval.tables.nerm.clip_fid_column import MOTIONS, P1, P2, SLERP, TAKES, TRAINING, score_column
+from eval.tables.columns import MOTIONS, P1, P2, SLERP, TAKES, TRAINING, score_column
 from tests.eval.test_calibration import MeanHeight
 
 FPS = Fraction(20)
@@ -28,37 +29,41 @@ def test_cells_are_the_scores_of_the_rows_that_fit() -> None:
     real, other = takes("real", 4), takes("other", 4)
     own, short = RowId("other"), RowId("short")
     rows = {P1: real, own: other, short: takes("short", 3, frames=12)}
-    found = score_column(Comparison(real, MeanHeight(), PROTOCOL), rows)
-    assert set(found.value.cells) == {P1, P2, own}
-    (told,) = found.missing
+    missing = Missing()
+    cells, differences = score_column(Comparison(real, MeanHeight(), PROTOCOL), rows, missing)
+    assert set(cells) == {P1, P2, own}
+    (told,) = missing.lines
     assert told.startswith("short, 20 fps: short: no sequence has the 16 poses")
     expected = score_rows(real, {"other": other}, MeanHeight(), PROTOCOL)["other"]
-    cell = found.value.cells[own]
+    cell = cells[own]
     assert (cell.value, cell.ci95) == (expected.value, expected.ci95)
     assert (cell.details[MOTIONS], cell.details[TAKES]) == (4, 4)
-    assert (found.value.cells[P2].details[MOTIONS], found.value.differences) == (2, {})
+    assert (cells[P2].details[MOTIONS], differences) == (2, {})
 
 
 def test_one_take_has_no_halves() -> None:
     real = takes("real", 1)
     comparison = Comparison(real, MeanHeight(), PROTOCOL)
-    found = score_column(comparison, {P1: real})
-    assert set(found.value.cells) == {P1}
-    assert found.value.cells[P1].ci95 is None  # one take says nothing of others
-    assert found.missing == (f"{P2}, 20 fps: real: 1 take cannot be split into two halves",)
-    assert not score_column(comparison, {P1: real}, halves=False).missing
+    missing = Missing()
+    cells, _ = score_column(comparison, {P1: real}, missing)
+    assert set(cells) == {P1}
+    assert cells[P1].ci95 is None  # one take says nothing of others
+    assert missing.lines == (f"{P2}, 20 fps: real: 1 take cannot be split into two halves",)
+    missing.clear()
+    score_column(comparison, {P1: real}, missing, halves=False)
+    assert not missing.lines
 
 
 def test_rows_are_compared_with_one_another_and_with_upsampling() -> None:
     real = takes("real", 12)
     near, far = RowId("near"), RowId("far")
     rows = {P1: real, SLERP: real, near: takes("near1", 12), far: moved(takes("far", 12), 50.0)}
-    found = score_column(Comparison(real, MeanHeight(), PROTOCOL), rows, halves=False).value
-    assert set(found.differences) == {(near, far), (near, SLERP), (far, SLERP)}
-    difference = found.differences[near, far]
+    cells, differences = score_column(Comparison(real, MeanHeight(), PROTOCOL), rows, Missing(), halves=False)
+    assert set(differences) == {(near, far), (near, SLERP), (far, SLERP)}
+    difference = differences[near, far]
     assert difference.verdict == "lower"
-    assert difference.value == found.cells[near].value - found.cells[far].value
-    assert found.differences[far, SLERP].verdict == "higher"
+    assert difference.value == cells[near].value - cells[far].value
+    assert differences[far, SLERP].verdict == "higher"
 
 
 def test_a_row_of_subsets_has_the_spread_of_single_ones() -> None:
@@ -66,7 +71,7 @@ def test_a_row_of_subsets_has_the_spread_of_single_ones() -> None:
     comparison = Comparison(real, MeanHeight(), replace(PROTOCOL, replications=12))
     rows = {P1: real, TRAINING: train}
     few, many = (
-        score_column(comparison, rows, subset_sizes={TRAINING: size}, halves=False).value.cells[TRAINING]
+        score_column(comparison, rows, Missing(), subset_sizes={TRAINING: size}, halves=False)[0][TRAINING]
         for size in (4, 30)
     )
     assert (few.details[TAKES], many.details[TAKES]) == (4, 30)

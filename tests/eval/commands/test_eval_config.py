@@ -1,0 +1,94 @@
+"""`motionkit eval` fills a table's configuration; options that mean nothing are refused."""
+
+from collections.abc import Callable
+from fractions import Fraction
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from eval.clip_fid.clips import SecondsRange
+from eval.commands.eval import evaluate
+from eval.config import EvalConfig
+from eval.report.results import Result
+from eval.tables.table import Table
+from motionkit.core.errors import UsageError
+from motionkit.generate.models import ModelLoader
+from tests.helpers.scripted_model import ScriptedModel
+
+
+@pytest.fixture
+def config_of(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., EvalConfig]:
+    """The configuration that a command's options make."""
+    built: list[EvalConfig] = []
+
+    def build(table: Table, config: EvalConfig) -> Result:
+        built.append(config)
+        return Result("t", "t/1", "t", "", ())
+
+    def call(**options: Any) -> EvalConfig:
+        evaluate(**{"table": "2", "runs": tmp_path, "run": "mine", "results": tmp_path / "results", **options})
+        return built[-1]
+
+    monkeypatch.setattr(Table, "build", build)
+    return call
+
+
+def test_options_become_a_configuration(config_of: Callable[..., EvalConfig], tmp_path: Path) -> None:
+    (tmp_path / "wide").mkdir()
+    config = config_of(
+        encoder=["liif=wide"], samples_fps="12.5", fps="20, 59.94", sizes="0.4s:1.6s", clips=128, seed=7, compat="a,b"
+    )
+    assert (config.run, config.encoders) == (tmp_path / "mine", (("liif", tmp_path / "wide"),))
+    assert config.sample_options.fps == Fraction(25, 2)
+    assert config.fps == (Fraction(20), Fraction(60000, 1001))
+    assert (config.clips.sizes, config.clips.num_clips, config.clips.seed) == (SecondsRange(0.4, 1.6), 128, 7)
+    assert config.compat == ("a", "b")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"glove": Path("glove")}, "--glove needs a published evaluator"),
+        ({"samples_fps": "x"}, "--samples-fps x"),
+        ({"samples": ["a=here", "a=there"]}, "of this name already"),
+        ({"sizes": "64:16"}, "--sizes 64:16"),
+        ({"fps": "fast"}, "--fps fast"),
+        ({"calibrate": True}, "give --table NUMBER"),
+        ({"table": None, "calibrate": True, "low_pass": 4.0}, "leave out --low-pass"),
+        ({"encoder": ["liif=none"]}, "there is no run"),
+        ({"paper": "nobody"}, "no table 2 of 'nobody'"),
+    ],
+)
+def test_options_that_mean_nothing_are_refused(
+    config_of: Callable[..., EvalConfig], options: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(UsageError, match=message):
+        config_of(**options)
+
+
+@pytest.mark.parametrize(
+    ("samples", "taken"),
+    [
+        (["T2M=here"], "T2M"),
+        (["T2M, planted=here"], "T2M, planted"),
+        (["real=here"], "real"),
+        (["real kept at 20 fps, SLERP=here"], "real kept at 20 fps, SLERP"),
+        (["ours=here", "ours, planted=there"], "ours, planted"),
+        (["ours, planted=there", "ours=here"], "ours, planted"),
+    ],
+)
+def test_samples_are_not_named_like_a_row_of_the_run(
+    config_of: Callable[..., EvalConfig],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    samples: list[str],
+    taken: str,
+) -> None:
+    (tmp_path / "mine" / "t2m").mkdir(parents=True)
+    (tmp_path / "mine" / "t2m" / "model.safetensors").touch()
+    loaders = {name: ModelLoader(name, (name.lower(),), ScriptedModel) for name in ("T2M", "MDM")}  # type: ignore[arg-type]
+    monkeypatch.setattr(import_module("motionkit.generate.models"), "installed_models", lambda: loaders)
+    with pytest.raises(UsageError, match=f"a row '{taken}' already"):
+        config_of(samples=samples)
