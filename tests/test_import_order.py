@@ -55,7 +55,7 @@ def test_imports_run_one_way() -> None:
         ("eval/metrics/gaussian.py", "from eval import clip_fid", "data flows one way in eval"),
         ("motionkit/core/timegrid.py", "import nerm", ABOVE),
         ("pahires/temporal/training.py", "import pahires.model", "data flows one way in pahires"),
-        ("eval/tables/registry.py", "import nerm.model", ABOVE),
+        ("eval/tables/table.py", "import nerm.model", ABOVE),
         ("pahires/model.py", "import nerm.latents", ABOVE),
         ("eval/metrics/gaussian.py", "import torch", "the corpus and the metrics never import torch"),
         (
@@ -63,7 +63,7 @@ def test_imports_run_one_way() -> None:
             "import motionkit.cli.app",
             "models and the evaluation do not know the command line",
         ),
-        ("eval/tables/registry.py", "import rich.progress", "nothing below the command line prints"),
+        ("eval/tables/table.py", "import rich.progress", "nothing below the command line prints"),
         ("motionkit/store/reader.py", "import typer", "nothing below the command line prints"),
     ],
 )

@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 
-from eval.report.render import format_cell
-from eval.report.results import read_result
+from eval.report.results import format_cell, read_result
 
 ROOT = Path(__file__).parents[1]
 RESULTS = sorted((ROOT / "docs" / "results").glob("*.json"))

@@ -34,7 +34,7 @@ from eval.metrics.gaussian import (
     quick_frechet_distance,
 )
 from eval.metrics.metric import Metric
-from eval.metrics.neighbours import prdc
+from eval.metrics.neighbours import RealManifold
 from eval.metrics.number import Number, Resampled, over_replications
 from eval.metrics.resampling import (
     Resampling,
@@ -86,12 +86,13 @@ def score_rows(
                 f"{real.name} at {real.fps} fps: every clip has the same {features.name} features, so there is no "
                 "distribution to compare with; is the motion frozen?"
             )
+        detailed = replication < protocol.detailed_replications and bool(rows)
+        manifold = RealManifold(reference.features, protocol.num_neighbours) if detailed else None
         scores, described = {}, [reference]
         for name, samples in rows.items():
             among = _subset(samples, subsets[name], protocol, replication) if name in subsets else None
             other = _features(samples, features, protocol, replication, OTHER, among)
-            pair = (reference.features, other.features)
-            scores[name] = _compare(*pair, protocol, replication)
+            scores[name] = _compare(reference.features, other.features, protocol, replication, manifold)
             if among is None:
                 described.append(other)
         return _Replication(scores, described)
@@ -142,7 +143,9 @@ def score_disjoint_halves(
             _features(real, features, protocol, replication, side, half).features
             for side, half in zip((REAL, OTHER), halves, strict=True)
         )
-        return _compare(a, b, protocol, replication)
+        detailed = replication < protocol.detailed_replications
+        manifold = RealManifold(a, protocol.num_neighbours) if detailed else None
+        return _compare(a, b, protocol, replication, manifold)
 
     replications = []
     for scores in in_threads(replicate, range(protocol.replications)):
@@ -234,11 +237,13 @@ def _compare(
     other: Float64[np.ndarray, "clips features"],
     protocol: Protocol,
     replication: int,
+    manifold: RealManifold | None,
 ) -> dict[str, float]:
+    """clip-FID, and with the real set's manifold all further metrics."""
     scores = {"clip_fid": frechet_distance(fit_gaussian(real), fit_gaussian(other))}
-    if replication < protocol.detailed_replications:
+    if manifold is not None:
         rng = np.random.default_rng((protocol.seed, replication, 4))
-        neighbours = prdc(real, other, protocol.num_neighbours)
+        neighbours = manifold.compare(other)
         # FID∞ needs more than four clips per feature.
         with suppress(ValueError):
             scores["fid_infinity"] = fid_infinity(real, other, rng).limit

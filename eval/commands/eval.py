@@ -336,7 +336,8 @@ def _print_left_out(config: "EvalConfig") -> None:
 
 def _show(result: "Result", as_json: bool = False) -> None:
     """Print a result: as JSON, as tables of the terminal's width, or as Markdown."""
-    from eval.report.render import format_cell, to_markdown
+    from eval.report.render import to_markdown
+    from eval.report.results import format_cell
     from motionkit.cli.console import print_table
 
     if as_json:

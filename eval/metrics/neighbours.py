@@ -23,6 +23,42 @@ class Prdc:
     coverage: float
 
 
+class RealManifold:
+    """The balls of a real set, with which generated sets are compared; raises as `prdc`."""
+
+    def __init__(self, real: Float[np.ndarray, "n features"], num_neighbours: int = 5) -> None:
+        x = checked_features(real, "real", minimum=num_neighbours + 1)
+        if (x == x[0]).all():
+            raise ValueError("real: all rows are the same, so no sample has a neighbourhood to fall into")
+        self.num_neighbours, self._centre = num_neighbours, x.mean(axis=0)
+        x = x - self._centre
+        # Neighbours do not depend on the scale, squares of 1e±200 are not finite numbers. Powers of two round nothing.
+        self._exponent = int(np.frexp(np.abs(x).max())[1])
+        self._points = _Points.of(np.ldexp(x, -self._exponent))
+        self._radii = _squared_radii(self._points, num_neighbours)
+
+    def compare(self, generated: Float[np.ndarray, "m features"]) -> Prdc:
+        """Precision, recall, density and coverage of a generated set."""
+        y = checked_features(generated, "generated", minimum=self.num_neighbours + 1) - self._centre
+        points = _Points.of(np.ldexp(y, -self._exponent))
+        radii = _squared_radii(points, self.num_neighbours)
+        balls_holding, num_real = np.zeros(len(y)), len(self._radii)
+        recalled = covered = 0
+        for start in range(0, num_real, BLOCK_ROWS):
+            rows = slice(start, start + BLOCK_ROWS)
+            distances = _SquaredDistances.between(self._points.at(rows), points)
+            in_real_balls = distances.below_by_row(self._radii[rows])
+            balls_holding += in_real_balls.sum(axis=0)
+            recalled += int(distances.below_by_column(radii).any(axis=1).sum())
+            covered += int(in_real_balls.any(axis=1).sum())
+        return Prdc(
+            precision=float((balls_holding > 0).mean()),
+            recall=recalled / num_real,
+            density=float(balls_holding.mean()) / self.num_neighbours,
+            coverage=covered / num_real,
+        )
+
+
 def prdc(
     real: Float[np.ndarray, "n features"], generated: Float[np.ndarray, "m features"], num_neighbours: int = 5
 ) -> Prdc:
@@ -31,32 +67,7 @@ def prdc(
     A point's ball reaches to its k-th neighbour in its own set, excluding itself; the boundary is outside. Raises
     `ValueError` for NaN, sets of no more than k samples, or a real set with identical rows.
     """
-    x = checked_features(real, "real", minimum=num_neighbours + 1)
-    y = checked_features(generated, "generated", minimum=num_neighbours + 1)
-    if (x == x[0]).all():
-        raise ValueError("real: all rows are the same, so no sample has a neighbourhood to fall into")
-    centre = x.mean(axis=0)
-    x, y = x - centre, y - centre
-    # Neighbours do not depend on the scale, squares of 1e±200 are not finite numbers. Powers of two round nothing.
-    _, exponent = np.frexp(np.abs(x).max())
-    real_points, generated_points = (_Points.of(np.ldexp(each, -exponent)) for each in (x, y))
-    real_radii = _squared_radii(real_points, num_neighbours)
-    generated_radii = _squared_radii(generated_points, num_neighbours)
-    balls_holding = np.zeros(len(y))
-    recalled = covered = 0
-    for start in range(0, len(x), BLOCK_ROWS):
-        rows = slice(start, start + BLOCK_ROWS)
-        distances = _SquaredDistances.between(real_points.at(rows), generated_points)
-        in_real_balls = distances.below_by_row(real_radii[rows])
-        balls_holding += in_real_balls.sum(axis=0)
-        recalled += int(distances.below_by_column(generated_radii).any(axis=1).sum())
-        covered += int(in_real_balls.any(axis=1).sum())
-    return Prdc(
-        precision=float((balls_holding > 0).mean()),
-        recall=recalled / len(x),
-        density=float(balls_holding.mean()) / num_neighbours,
-        coverage=covered / len(x),
-    )
+    return RealManifold(real, num_neighbours).compare(generated)
 
 
 PRECISION = Metric("precision", "Precision", "", True, "Kynkäänniemi et al. 2019", "real, generated", prdc)

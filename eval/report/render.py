@@ -3,20 +3,17 @@
 import base64
 import csv
 import io
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from eval.report.differences import best_in_column
-from eval.report.results import Block, Cell, Measure, Result, Row
+from eval.report.results import Block, Measure, Result, Row, format_cell, format_number
 
 if TYPE_CHECKING:
     from jinja2 import Environment
     from matplotlib.figure import Figure
 
-SIGNIFICANT_DIGITS = 3
-MAX_DECIMALS = 6
 LATEX = str.maketrans(
     {
         **{character: f"\\{character}" for character in "&%$#_{}"},
@@ -95,40 +92,6 @@ def to_csv(result: Result) -> str:
                 writer.writerow((*place, "value", repr(cell.value), "" if cell.ci95 is None else repr(cell.ci95)))
                 writer.writerows((*place, name, repr(value), "") for name, value in cell.details.items())
     return text.getvalue()
-
-
-def format_number(value: float | int) -> str:
-    """Three significant digits, without exponents between 1e-4 and 1e6; a count with all its digits."""
-    if isinstance(value, int):
-        return f"{value:,}"
-    decimals = _decimals(value)
-    return f"{value:.2e}" if decimals is None else f"{value:.{decimals}f}"
-
-
-def _decimals(value: float | int) -> int | None:
-    """Number of decimals for three significant digits; None if an exponent is better."""
-    if value == 0:
-        return 0
-    # The magnitude after rounding: 0.9999 shows as 1.00.
-    magnitude = math.floor(math.log10(abs(float(f"{value:.{SIGNIFICANT_DIGITS - 1}e}"))))
-    return max(0, SIGNIFICANT_DIGITS - 1 - magnitude) if -4 <= magnitude < 6 else None
-
-
-def format_cell(cell: Cell | None, as_printed: bool = False) -> str:
-    """`0.123 ± 0.004` with as many decimals on both sides, and its mark, or a dash; a paper's keeps its own digits."""
-    if cell is None:
-        return "–"
-    if as_printed:
-        return f"{cell.value:g}" if cell.ci95 is None else f"{cell.value:g} ± {cell.ci95:g}"
-    if cell.ci95 is None:
-        return f"{format_number(cell.value)}{cell.mark}"
-    decimals = _decimals(cell.value)
-    if decimals is None:
-        return f"{cell.value:.2e} ± {cell.ci95:.2e}{cell.mark}"
-    # At least one significant digit of the half-width, so that a nonzero one never shows as 0.
-    leading = -math.floor(math.log10(cell.ci95)) if cell.ci95 > 0 else 0
-    decimals = max(decimals, min(leading, MAX_DECIMALS))
-    return f"{cell.value:.{decimals}f} ± {cell.ci95:.{decimals}f}{cell.mark}"
 
 
 def format_measure(measure: Measure) -> str:

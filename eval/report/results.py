@@ -1,6 +1,7 @@
 """Results: one JSON file per table, with every number's definition and provenance."""
 
 import json
+import math
 import os
 import re
 import shlex
@@ -20,6 +21,7 @@ from motionkit.store.commit import read_manifest
 from motionkit.training.run import RunFolder, commit, versions
 
 FORMAT = "motionkit-result/1"
+SIGNIFICANT_DIGITS, MAX_DECIMALS = 3, 6
 # The name of a result's or figure's file, without a folder.
 _FILE_NAME = re.compile(r"\w[\w.+-]*", re.ASCII)
 FORMAT_OF_ANY_VERSION = FORMAT.rpartition("/")[0] + "/"
@@ -49,6 +51,40 @@ class Cell:
 def cell_of(number: Number, details: Mapping[str, float | int] = {}, mark: str = "") -> Cell:
     """A number as a cell, without its interval if there is none."""
     return Cell(number.value, number.ci95 or None, details, mark)
+
+
+def format_number(value: float | int) -> str:
+    """Three significant digits, without exponents between 1e-4 and 1e6; a count with all its digits."""
+    if isinstance(value, int):
+        return f"{value:,}"
+    decimals = _decimals(value)
+    return f"{value:.2e}" if decimals is None else f"{value:.{decimals}f}"
+
+
+def _decimals(value: float | int) -> int | None:
+    """Number of decimals for three significant digits; None if an exponent is better."""
+    if value == 0:
+        return 0
+    # The magnitude after rounding: 0.9999 shows as 1.00.
+    magnitude = math.floor(math.log10(abs(float(f"{value:.{SIGNIFICANT_DIGITS - 1}e}"))))
+    return max(0, SIGNIFICANT_DIGITS - 1 - magnitude) if -4 <= magnitude < 6 else None
+
+
+def format_cell(cell: Cell | None, as_printed: bool = False) -> str:
+    """`0.123 ± 0.004` with as many decimals on both sides, and its mark, or a dash; a paper's keeps its own digits."""
+    if cell is None:
+        return "–"
+    if as_printed:
+        return f"{cell.value:g}" if cell.ci95 is None else f"{cell.value:g} ± {cell.ci95:g}"
+    if cell.ci95 is None:
+        return f"{format_number(cell.value)}{cell.mark}"
+    decimals = _decimals(cell.value)
+    if decimals is None:
+        return f"{cell.value:.2e} ± {cell.ci95:.2e}{cell.mark}"
+    # At least one significant digit of the half-width, so that a nonzero one never shows as 0.
+    leading = -math.floor(math.log10(cell.ci95)) if cell.ci95 > 0 else 0
+    decimals = max(decimals, min(leading, MAX_DECIMALS))
+    return f"{cell.value:.{decimals}f} ± {cell.ci95:.{decimals}f}{cell.mark}"
 
 
 @dataclass(frozen=True)
@@ -134,11 +170,16 @@ class Result:
     figure: str = ""
 
     def _repr_html_(self) -> str:
-        """The tables as `motionkit report` renders them, for notebooks."""
-        from eval.report.render import to_html
-
-        inside = escape(to_html([self], self.title))
-        return f'<iframe srcdoc="{inside}" sandbox="" style="width: 100%; height: 640px; border: 0"></iframe>'
+        """The tables' numbers, for notebooks."""
+        found = [f"<h3>{escape(self.title)}</h3><p>{escape(self.caption)}</p>"]
+        for block in self.blocks:
+            lines = [("", *block.columns)]
+            for row in block.rows:
+                cells = (format_cell(row.cells.get(column), row.origin == "paper") for column in block.columns)
+                lines.append((row.name, *cells))
+            table = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in line)}</tr>" for line in lines)
+            found.append(f"<h4>{escape(block.title)}</h4><table>{table}</table>")
+        return "".join(found)
 
 
 def environment() -> dict[str, Any]:
@@ -243,11 +284,8 @@ def _result(path: Path, document: dict[str, Any]) -> Result:
 
 def _block(document: dict[str, Any]) -> Block:
     rows = tuple(map(_row, document["rows"]))
-    # Older results declare no metrics, and name what a block of differences compares in its title alone.
-    metrics = tuple(Measure(**each) for each in document.get("metrics", ()))
-    title = document["title"]
-    known = {"differences_of": title.removesuffix(DIFFERENCES) if title.endswith(DIFFERENCES) else "", **document}
-    block = Block(**{**known, "rows": rows, "columns": _texts(document["columns"]), "metrics": metrics})
+    metrics = tuple(Measure(**each) for each in document["metrics"])
+    block = Block(**{**document, "rows": rows, "columns": _texts(document["columns"]), "metrics": metrics})
     for each in metrics:
         _require(str, *(value for name, value in vars(each).items() if name != "version"))
     _require(str, block.title, block.note, block.differences_of)

@@ -94,6 +94,7 @@ class TrainingWindows:
         components = np.linalg.svd(some - mean, full_matrices=False)[2][:NUM_COMPONENTS].T
         return cls(mean, components, _reduced(rows - mean, components))
 
+    @threadpool_limits.wrap(1, "blas")  # for matrices of this size the fastest
     def nearest(self, samples: SampleSet) -> Nearest:
         """The nearest training window to every moving window of a set, a quarter of a second apart."""
         motions, movements, best = [], [], []
@@ -124,11 +125,10 @@ class TrainingWindows:
         """Root mean square difference of bones to the nearest training window."""
         values = _reduced(windows - self.mean, self.components)
         squares, found = np.square(self.values).sum(axis=1), np.empty(len(windows))
-        with threadpool_limits(1, "blas"):
-            for first in range(0, len(windows), QUERIES_AT_ONCE):
-                some = values[first : first + QUERIES_AT_ONCE]
-                apart = squares - 2.0 * some @ self.values.T
-                found[first : first + len(some)] = apart.min(axis=1) + np.square(some).sum(axis=1)
+        for first in range(0, len(windows), QUERIES_AT_ONCE):
+            some = values[first : first + QUERIES_AT_ONCE]
+            apart = squares - 2.0 * some @ self.values.T
+            found[first : first + len(some)] = apart.min(axis=1) + np.square(some).sum(axis=1)
         return np.asarray(np.sqrt(np.maximum(found, 0.0) / (len(POSES) * len(PARENTS))), dtype=np.float64)
 
 

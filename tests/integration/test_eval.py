@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eval.report.render import format_cell
-from eval.report.results import Cell
+from eval.report.results import Cell, format_cell
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid

@@ -225,7 +225,7 @@ def detail_blocks(column: Column, notes: Mapping[RowId, str], seed: int) -> list
         return []
     real = RealDetail.of(column.real, column.train, seed)
     profiles = {row: real.profile(samples).figures for row, samples in column.rows.items() if row != P1}
-    names = tuple(real.profile(column.real).figures)
+    names = tuple(next(iter(profiles.values())))
     rows = []
     if real.ranges is not None:
         for name, bounds in zip((LOWEST, HIGHEST), real.ranges.tolist(), strict=True):

@@ -10,14 +10,14 @@ import torch
 import typer
 from typer.testing import CliRunner
 
-from eval.report.results import Result
+from eval.config import EvalConfig
 from eval.tables import train_for
 from eval.tables.table import Table
 from eval.tables.train_for import table_that_shows
 from motionkit.cli import train as train_module
 from motionkit.cli.options import parse_duration
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
-from motionkit.store import StoreWriter
+from motionkit.store import Store, StoreWriter
 from motionkit.store.commit import read_manifest
 from motionkit.training import loop as loop_module
 from motionkit.training.loop import plan_steps, train_loop
@@ -69,7 +69,7 @@ def loader(*stages: str) -> Loader[object]:
 SYSTEMS = {"ours": loader("field", "denoiser"), "theirs": loader("vae", "latents"), "other": loader("gan")}
 
 
-def build(request: object) -> Result:
+def build(config: EvalConfig, store: Store) -> Content:
     raise NotImplementedError
 
 
