@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eval.config import EvalConfig
-from eval.metrics.reconstruction import mean_vector_distance, mpjpe_global, mpjpe_root_aligned, mre
+from eval.metrics.motion import mean_vector_distance, mpjpe_global, mpjpe_root_aligned, mre
 from eval.report.results import Cell
 from eval.sets.missing import Missing
 from motionkit.core.errors import UsageError

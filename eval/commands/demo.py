@@ -1,15 +1,38 @@
-"""`motionkit demo`: the whole job on the embedded corpus."""
+"""`motionkit demo`: the whole job on the embedded corpus, by the commands' own functions."""
 
-from contextlib import nullcontext, redirect_stdout
+import shutil
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from motionkit.cli.console import print_json, stderr, stdout
 
 if TYPE_CHECKING:
-    from eval.commands.demo_steps import DemoOutcome
+    from motionkit.store.reader import Store
+
+RECIPE = "demo"
+PICTURED_ACTIONS = ("walk", "jump", "wave")
+PICTURED_SECONDS, PICTURED_FPS = 4.0, "60"
+MARKER = "DEMO.txt"
+# Every n-th sequence, settings on top of the recipe, the table's options, generated motions in the picture.
+FULL: dict[str, Any] = {
+    "every": 1,
+    "overrides": [],
+    "table": {"clips": 1024, "replications": 5, "motions": 256},
+    "pictured": 3,
+}
+# Enough to see that every step works; its numbers mean nothing.
+SMALLEST: dict[str, Any] = {
+    "every": 2,
+    "overrides": ["codebook.schedule.steps=8", "field.schedule.steps=40", "denoiser.schedule.steps=40"],
+    "table": {"clips": 128, "replications": 2, "motions": 16},
+    "pictured": 1,
+}
 
 
 def demo(
@@ -26,42 +49,144 @@ def demo(
 
     Example: motionkit demo --smallest
     """
-    import sys
-
-    from eval.commands.demo_steps import FULL, SMALLEST, DemoFolder, run_demo
-
-    # With --json, what the steps print is progress: stdout holds one document.
-    with redirect_stdout(sys.stderr) if as_json else nullcontext():
-        outcome = run_demo(DemoFolder(folder), SMALLEST if smallest else FULL, seed)
-    if as_json:
-        _print_json(outcome)
-    else:
-        _print_places(outcome)
-
-
-def _places(outcome: "DemoOutcome") -> dict[str, str]:
-    folder = outcome.folder
-    return {
-        "corpus": str(folder.corpus),
-        "store": str(folder.store),
-        "run": str(folder.runs),
-        "motions": str(folder.generated),
-        "table": str(folder.results),
-        "picture": str(folder.picture),
-    }
-
-
-def _print_places(outcome: "DemoOutcome") -> None:
-    steps = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in outcome.seconds.items())
-    stderr.print(f"demo: {steps}")
-    for name, place in _places(outcome).items():
-        stdout.print(f"{name + ':':9} {place}")
-
-
-def _print_json(outcome: "DemoOutcome") -> None:
     from dataclasses import asdict
 
     from eval.report.results import read_result
 
-    table = asdict(read_result(outcome.folder.results / "nerm-table2.json"))
-    print_json({"places": _places(outcome), "seconds": outcome.seconds, "table": table})
+    places = {
+        "corpus": folder / "corpus",
+        "store": folder / "store",
+        "run": folder / "runs",
+        "motions": folder / "generated",
+        "table": folder / "results",
+        "picture": folder / "demo.png",
+    }
+    # With --json, what the steps print is progress: stdout holds one document.
+    with redirect_stdout(sys.stderr) if as_json else nullcontext():
+        seconds = _run(places, SMALLEST if smallest else FULL, seed)
+    named = {name: str(place) for name, place in places.items()}
+    if as_json:
+        table = asdict(read_result(places["table"] / "nerm-table2.json"))
+        print_json({"places": named, "seconds": seconds, "table": table})
+        return
+    stderr.print(f"demo: {', '.join(f'{name} {spent:.0f} s' for name, spent in seconds.items())}")
+    for name, place in named.items():
+        stdout.print(f"{name + ':':9} {place}")
+
+
+def _run(places: dict[str, Path], size: dict[str, Any], seed: int) -> dict[str, float]:
+    """The whole chain, replacing an earlier demo; returns the seconds of each step.
+
+    The steps print what their commands print. Raises `UsageError` for a folder with other content, and
+    `MissingExtraError` without the extra `text`.
+    """
+    from eval.commands.eval import evaluate
+    from motionkit.cli.generate import generate
+    from motionkit.cli.ingest import ingest
+    from motionkit.cli.train import train
+    from motionkit.demo_corpus import write_demo_corpus
+    from motionkit.store.reader import Store
+    from motionkit.training.config import flatten
+    from motionkit.training.stage import registered_stages
+    from motionkit.training.text import load_text_encoder
+
+    settings = flatten(registered_stages()["denoiser"].recipe(RECIPE))
+    load_text_encoder(str(settings["denoiser.conditions.text_encoder"]))  # fail now, not after minutes of training
+    _prepare(places)
+    seconds: dict[str, float] = {}
+    with _step("corpus", seconds):
+        write_demo_corpus(places["corpus"], size["every"])
+    with _step("ingest", seconds):
+        ingest([str(places["corpus"])], store=places["store"])
+    with _step("train", seconds):
+        for stage in ("codebook", "field", "denoiser"):
+            train(
+                stage=stage,
+                recipe=RECIPE,
+                store=places["store"],
+                runs=places["run"],
+                overrides=size["overrides"],
+                seed=seed,
+            )
+    with _step("generate", seconds):
+        chosen = _pictured(Store.open(places["store"]))[: size["pictured"]]
+        real = [Store.open(places["store"]).read(sequence_id) for sequence_id in chosen]
+        generate(
+            [motion.captions[0].text for motion in real],
+            fps=PICTURED_FPS,
+            seconds=PICTURED_SECONDS,
+            out=places["motions"],
+            file_format="bvh",
+            run=RECIPE,
+            runs=places["run"],
+            seed=seed,
+        )
+    with _step("eval", seconds):
+        evaluate(
+            table="2",
+            store=places["store"],
+            runs=places["run"],
+            run=RECIPE,
+            results=places["table"],
+            evaluator="kinematic",
+            seed=seed,
+            **size["table"],
+        )
+    with _step("picture", seconds):
+        _draw(places, real)
+    return seconds
+
+
+def _pictured(store: "Store") -> list[str]:
+    """Training sequences to show beside generated motions: the longest of each pictured action."""
+    table = store.sequences
+    long_enough = table[(table["split"] == "train") & (table["duration_seconds"] >= 0.75 * PICTURED_SECONDS)]
+    chosen: list[str] = []
+    for action in PICTURED_ACTIONS:
+        of_action = long_enough[long_enough["action"] == action].sort_values("duration_seconds", ascending=False)
+        chosen += of_action["sequence_id"].tolist()[:1]
+    return chosen
+
+
+def _draw(places: dict[str, Path], real: list[Any]) -> None:
+    """Table 2 as curves, and below them each caption's motion of the corpus above the generated one."""
+    from eval.report.curves import panels_of
+    from eval.report.figures import curves_and_strips_figure, save, strip_of
+    from eval.report.results import read_result
+    from motionkit.io.bvh import read_bvh
+    from motionkit.io.registry import ReadOptions
+
+    # A barely trained model makes bodies of no human size, from which the unit cannot be guessed.
+    options = ReadOptions(unit_metres=0.01)
+    generated = [read_bvh(path, options) for path in sorted(places["motions"].glob("*.bvh"))]
+    strips = []
+    for truth, made in zip(real, generated, strict=True):
+        caption = truth.captions[0].text
+        strips.append(strip_of(truth, f"corpus: “{caption}”", seconds=PICTURED_SECONDS))
+        strips.append(strip_of(made, f"NeRM, asked for “{caption}”", seconds=PICTURED_SECONDS))
+    panels = panels_of(read_result(places["table"] / "nerm-table2.json"), "clip-FID (lower is better)")
+    save(curves_and_strips_figure(panels, strips), places["picture"])
+
+
+def _prepare(places: dict[str, Path]) -> None:
+    """Delete an earlier demo and nothing else."""
+    from motionkit.core.errors import UsageError
+    from motionkit.core.files import is_temporary, write_whole
+
+    folder = places["corpus"].parent
+    marker = folder / MARKER
+    has_content = folder.is_dir() and any(not is_temporary(entry) for entry in folder.iterdir())
+    if has_content and not marker.is_file():
+        raise UsageError(f"{folder} has other content than an earlier demo; choose another folder with --folder")
+    write_whole(marker, "motionkit demo made this folder, and deletes what is in it when it runs again.\n")
+    for place in places.values():
+        if place.is_dir():
+            shutil.rmtree(place)
+
+
+@contextmanager
+def _step(name: str, seconds: dict[str, float]) -> Iterator[None]:
+    stderr.print(f"demo: {name} …")
+    started = time.monotonic()
+    yield
+    seconds[name] = round(time.monotonic() - started, 1)

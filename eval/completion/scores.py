@@ -9,9 +9,9 @@ import numpy as np
 
 from eval.completion.takes import TrueClips
 from eval.metrics.metric import MeanStream, MeanSums, find_metric
+from eval.metrics.motion import to_unit_range
 from eval.metrics.number import Number, with_takes
 from eval.metrics.resampling import Resampling
-from eval.metrics.signal import to_unit_range
 from motionkit.core.moments import stream
 from motionkit.core.shapes import Bool, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22

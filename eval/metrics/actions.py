@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eval.metrics.checks import checked_features
-from eval.metrics.metric import Metric, by_frames
+from eval.metrics.metric import Arguments, Metric, by_frames
 from motionkit.core.shapes import Float, Float64, Int, Int64
 
 
@@ -31,11 +31,6 @@ def shares_of_hits(
         raise ValueError(f"labels run from {labels.min()} to {labels.max()}, but there are {scores.shape[1]} classes")
     best = scores == scores.max(axis=1, keepdims=True)
     return np.asarray(best[np.arange(len(labels)), labels] / best.sum(axis=1))
-
-
-ACCURACY = Metric(
-    "accuracy", "Accuracy", "", True, "action-to-motion (Guo et al. 2020)", "scores, labels", accuracy, by_frames
-)
 
 
 NUM_PAIRS = 10
@@ -65,9 +60,6 @@ def multimodality(
     return float(np.linalg.norm(first - second, axis=-1).mean())
 
 
-MULTIMODALITY = Metric("multimodality", "MultiModality", "", None, "NeRM Eq. 8", "one set", multimodality, by_frames)
-
-
 def multimodality_shared_pairs(
     features: Float[np.ndarray, "texts generations features"], *, rng: np.random.Generator, num_pairs: int = NUM_PAIRS
 ) -> float:
@@ -83,17 +75,6 @@ def multimodality_shared_pairs(
         raise ValueError(f"{num_pairs} pairs need at least {num_pairs} generations of each text, not {generations}")
     first, second = (rng.permutation(generations)[:num_pairs] for _ in range(2))
     return float(np.linalg.norm(values[:, first] - values[:, second], axis=-1).mean())
-
-
-SHARED_PAIRS = Metric(
-    "multimodality_shared_pairs",
-    "MultiModality (shared pairs)",
-    "",
-    None,
-    "text-to-motion (Guo et al. 2022)",
-    "one set",
-    multimodality_shared_pairs,
-)
 
 
 def multimodality_by_class(
@@ -117,17 +98,6 @@ def multimodality_by_class(
     return _by_class(features, labels, draw, least=2)
 
 
-BY_CLASS = Metric(
-    "multimodality_by_class",
-    "MultiModality (by action)",
-    "",
-    None,
-    "motionkit: pairs of two different motions",
-    "one set",
-    multimodality_by_class,
-)
-
-
 def multimodality_by_class_with_replacement(
     features: Float[np.ndarray, "samples features"],
     labels: Int[np.ndarray, "labels"],
@@ -145,17 +115,6 @@ def multimodality_by_class_with_replacement(
         return rng.integers(members, size=num_pairs), rng.integers(members, size=num_pairs)
 
     return _by_class(features, labels, draw, least=1)
-
-
-BY_CLASS_WITH_REPLACEMENT = Metric(
-    "multimodality_by_class_with_replacement",
-    "MultiModality (by action, with replacement)",
-    "",
-    None,
-    "action-to-motion (Guo et al. 2020)",
-    "one set",
-    multimodality_by_class_with_replacement,
-)
 
 
 def _by_class(
@@ -214,9 +173,6 @@ def diversity(
     return _mean_distance(features, first, second)
 
 
-DIVERSITY = Metric("diversity", "Diversity", "", None, "text-to-motion; NeRM Eq. 7", "one set", diversity)
-
-
 def diversity_with_replacement(
     features: Float[np.ndarray, "samples features"], rng: np.random.Generator, num_pairs: int = ACTION_PAIRS
 ) -> float:
@@ -226,17 +182,6 @@ def diversity_with_replacement(
     """
     _check(features)
     return _mean_distance(features, *(rng.integers(len(features), size=num_pairs) for _ in range(2)))
-
-
-DIVERSITY_WITH_REPLACEMENT = Metric(
-    "diversity_with_replacement",
-    "Diversity (with replacement)",
-    "",
-    None,
-    "action-to-motion (Guo et al. 2020)",
-    "one set",
-    diversity_with_replacement,
-)
 
 
 def _check(features: Float[np.ndarray, "samples features"]) -> None:
@@ -251,3 +196,48 @@ def _mean_distance(
 ) -> float:
     differences = features[first].astype(np.float64) - features[second]
     return float(np.linalg.norm(differences, axis=1).mean())
+
+
+_SCORES: Arguments = "scores, labels"
+_ONE: Arguments = "one set"
+METRICS = (
+    Metric("accuracy", "Accuracy", "", True, "action-to-motion (Guo et al. 2020)", _SCORES, accuracy, by_frames),
+    Metric("multimodality", "MultiModality", "", None, "NeRM Eq. 8", _ONE, multimodality, by_frames),
+    Metric(
+        "multimodality_shared_pairs",
+        "MultiModality (shared pairs)",
+        "",
+        None,
+        "text-to-motion (Guo et al. 2022)",
+        _ONE,
+        multimodality_shared_pairs,
+    ),
+    Metric(
+        "multimodality_by_class",
+        "MultiModality (by action)",
+        "",
+        None,
+        "motionkit: pairs of two different motions",
+        _ONE,
+        multimodality_by_class,
+    ),
+    Metric(
+        "multimodality_by_class_with_replacement",
+        "MultiModality (by action, with replacement)",
+        "",
+        None,
+        "action-to-motion (Guo et al. 2020)",
+        _ONE,
+        multimodality_by_class_with_replacement,
+    ),
+    Metric("diversity", "Diversity", "", None, "text-to-motion; NeRM Eq. 7", _ONE, diversity),
+    Metric(
+        "diversity_with_replacement",
+        "Diversity (with replacement)",
+        "",
+        None,
+        "action-to-motion (Guo et al. 2020)",
+        _ONE,
+        diversity_with_replacement,
+    ),
+)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from eval.metrics.checks import checked_features
-from eval.metrics.metric import Metric
+from eval.metrics.metric import Arguments, Metric
 from motionkit.core.shapes import Float, Float64
 
 
@@ -127,13 +127,6 @@ def fid(real: Float[np.ndarray, "n features"], generated: Float[np.ndarray, "m f
         return frechet_distance(fit_gaussian(real), fit_gaussian(generated))
 
 
-FID = Metric("fid", "FID", "", False, "Heusel et al. 2017", "real, generated", fid)
-FID_TRAIN = Metric(
-    "fid_train", "FID (training set)", "", False, "ACTOR (Petrovich et al. 2021)", "real, generated", fid
-)
-FID_TEST = Metric("fid_test", "FID (test set)", "", False, "ACTOR (Petrovich et al. 2021)", "real, generated", fid)
-
-
 @dataclass(frozen=True)
 class Extrapolation:
     """FID at several N and the line through them over 1/N: `limit` is its value at 1/N = 0, `slope` its slope."""
@@ -178,9 +171,6 @@ def fid_infinity(
     return Extrapolation(limit, slope, tuple(sizes.tolist()), tuple(values.tolist()))
 
 
-FID_INFINITY = Metric("fid_infinity", "FID∞", "", False, "Chong & Forsyth 2020", "real, generated", fid_infinity)
-
-
 def _prefix_gaussians(features: Float[np.ndarray, "samples features"], sizes: npt.NDArray[np.int64]) -> list[Gaussian]:
     """Gaussians of the first `sizes[i]` rows; every row is visited once."""
     result: list[Gaussian] = []
@@ -217,9 +207,6 @@ def kid(real: Float[np.ndarray, "n features"], generated: Float[np.ndarray, "m f
     return within_x + within_y - 2.0 * _kernel_sum(x, y) / (n * m)
 
 
-KID = Metric("kid", "KID", "", False, "Bińkowski et al. 2018", "real, generated", kid)
-
-
 def _kernel_sum(x: Float64[np.ndarray, "n features"], y: Float64[np.ndarray, "m features"]) -> float:
     """Σᵢⱼ k(xᵢ, yⱼ), in blocks of rows so that the full matrix is never held."""
     total = 0.0
@@ -234,3 +221,13 @@ def _kernel_sum(x: Float64[np.ndarray, "n features"], y: Float64[np.ndarray, "m 
 def _diagonal_sum(x: Float64[np.ndarray, "n features"]) -> float:
     base = np.einsum("nf,nf->n", x, x) / x.shape[1] + 1.0
     return float((base**3).sum())
+
+
+_SETS: Arguments = "real, generated"
+METRICS = (
+    Metric("fid", "FID", "", False, "Heusel et al. 2017", _SETS, fid),
+    Metric("fid_train", "FID (training set)", "", False, "ACTOR (Petrovich et al. 2021)", _SETS, fid),
+    Metric("fid_test", "FID (test set)", "", False, "ACTOR (Petrovich et al. 2021)", _SETS, fid),
+    Metric("fid_infinity", "FID∞", "", False, "Chong & Forsyth 2020", _SETS, fid_infinity),
+    Metric("kid", "KID", "", False, "Bińkowski et al. 2018", _SETS, kid),
+)

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eval.metrics.checks import checked_features
-from eval.metrics.metric import Metric
+from eval.metrics.metric import Arguments, Metric
 from motionkit.core.shapes import Bool, Float, Float64
 
 BLOCK_ROWS = 512
@@ -68,12 +68,6 @@ def prdc(
     `ValueError` for NaN, sets of no more than k samples, or a real set with identical rows.
     """
     return RealManifold(real, num_neighbours).compare(generated)
-
-
-PRECISION = Metric("precision", "Precision", "", True, "Kynkäänniemi et al. 2019", "real, generated", prdc)
-RECALL = Metric("recall", "Recall", "", True, "Kynkäänniemi et al. 2019", "real, generated", prdc)
-DENSITY = Metric("density", "Density", "", True, "Naeem et al. 2020", "real, generated", prdc)
-COVERAGE = Metric("coverage", "Coverage", "", True, "Naeem et al. 2020", "real, generated", prdc)
 
 
 @dataclass(frozen=True)
@@ -149,3 +143,12 @@ def _squared_radii(points: _Points, num_neighbours: int) -> Float64[np.ndarray, 
         exact = distances.exact(rows.repeat(num_neighbours), nearest.reshape(-1))
         radii[start : start + len(rows)] = exact.reshape(nearest.shape).max(axis=1)
     return radii
+
+
+_SETS: Arguments = "real, generated"
+METRICS = (
+    Metric("precision", "Precision", "", True, "Kynkäänniemi et al. 2019", _SETS, prdc),
+    Metric("recall", "Recall", "", True, "Kynkäänniemi et al. 2019", _SETS, prdc),
+    Metric("density", "Density", "", True, "Naeem et al. 2020", _SETS, prdc),
+    Metric("coverage", "Coverage", "", True, "Naeem et al. 2020", _SETS, prdc),
+)

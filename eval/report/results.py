@@ -284,8 +284,11 @@ def _result(path: Path, document: dict[str, Any]) -> Result:
 
 def _block(document: dict[str, Any]) -> Block:
     rows = tuple(map(_row, document["rows"]))
-    metrics = tuple(Measure(**each) for each in document["metrics"])
-    block = Block(**{**document, "rows": rows, "columns": _texts(document["columns"]), "metrics": metrics})
+    # Older results, which our pages show, declare no metrics, and name what is compared in a block's title alone.
+    metrics = tuple(Measure(**each) for each in document.get("metrics", ()))
+    title = document["title"]
+    known = {"differences_of": title.removesuffix(DIFFERENCES) if title.endswith(DIFFERENCES) else "", **document}
+    block = Block(**{**known, "rows": rows, "columns": _texts(document["columns"]), "metrics": metrics})
     for each in metrics:
         _require(str, *(value for name, value in vars(each).items() if name != "version"))
     _require(str, block.title, block.note, block.differences_of)

@@ -8,7 +8,6 @@ from functools import partial
 import numpy as np
 
 from eval.metrics.number import Resampled
-from eval.metrics.r_precision import RANKS, hits
 from eval.metrics.resampling import (
     Resampling,
     Units,
@@ -17,6 +16,7 @@ from eval.metrics.resampling import (
     units_of,
     weighted_means,
 )
+from eval.metrics.retrieval import RANKS, hits
 from motionkit.core.shapes import Float, Float64, Int64
 
 Pairs = Float[np.ndarray, "_pairs _numbers"]

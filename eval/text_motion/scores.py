@@ -8,8 +8,7 @@ from threadpoolctl import threadpool_limits
 from eval.metrics.actions import diversity, multimodality, multimodality_shared_pairs
 from eval.metrics.gaussian import Gaussian, fid_infinity, fit_gaussian, frechet_distance, kid
 from eval.metrics.number import Scores
-from eval.metrics.r_precision import RANKS, BothWays, RPrecision, pool_distances, ranked_both_ways
-from eval.metrics.retrieval import clip_score, tmr_score
+from eval.metrics.retrieval import RANKS, BothWays, RPrecision, clip_score, pool_distances, ranked_both_ways, tmr_score
 from eval.text_motion.pairs import AddTerms, PairTerms, TextMotionPairs, resampled_multimodality
 from eval.text_motion.protocol import NAN_IS_BEST, KnownBug, TextMotionProtocol, chosen_bugs
 from motionkit.core.shapes import Float, Float32, Int64

@@ -9,7 +9,7 @@ from torchmetrics import Metric
 
 from eval.metrics.actions import NUM_PAIRS, PAIRS, diversity, multimodality
 from eval.metrics.gaussian import FeatureSums, feature_sums, frechet_distance
-from eval.metrics.r_precision import REFERENCE_POOL, r_precision
+from eval.metrics.retrieval import REFERENCE_POOL, r_precision
 from eval.torch_metrics.arrays import array_of, rows_of
 from motionkit.core.shapes import Float
 
@@ -68,7 +68,7 @@ def _merged(state: list[Tensor] | Tensor) -> FeatureSums:
 
 
 class RPrecision(Metric):
-    """R-Precision and MM-Dist of pairs, as `eval.metrics.r_precision.r_precision`: `update(queries, candidates)`.
+    """R-Precision and MM-Dist of pairs, as `eval.metrics.retrieval.r_precision`: `update(queries, candidates)`.
 
     `queries` are embeddings of texts and `candidates` of their motions (the reference protocol), or the other way
     round, [pairs, numbers] each. Pools are drawn in `compute`, from a seed, so they do not depend on the batches.

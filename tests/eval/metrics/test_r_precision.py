@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eval.metrics.r_precision import r_precision, r_precision_both_ways
+from eval.metrics.retrieval import r_precision
 
 
 def naive(queries: np.ndarray, candidates: np.ndarray, order: np.ndarray, pool: int, rank: int) -> float:
@@ -69,18 +69,3 @@ def test_which_side_asks_matters() -> None:
 def test_bad_input_is_refused(queries: np.ndarray, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         r_precision(queries, queries, rng=np.random.default_rng(0))
-
-
-def test_both_directions_come_from_one_matrix() -> None:
-    rng = np.random.default_rng(3)
-    texts = rng.normal(size=(100, 6))
-    motions = texts + rng.normal(size=texts.shape)
-    both = r_precision_both_ways(texts, motions, rng=np.random.default_rng(1))
-    for found, (queries, candidates) in (
-        (both.text_asks, (texts, motions)),
-        (both.motion_asks, (motions, texts)),
-    ):
-        alone = r_precision(queries, candidates, rng=np.random.default_rng(1))
-        assert found.top.tolist() == alone.top.tolist()
-        assert found.matching_distance == pytest.approx(alone.matching_distance, rel=1e-14)
-    assert both.text_asks.top.tolist() != both.motion_asks.top.tolist()

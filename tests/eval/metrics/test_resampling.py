@@ -11,7 +11,6 @@ from eval.metrics.resampling import (
     Resampling,
     UnitSums,
     blocks_for,
-    resampled_scores,
     units_of,
     weighted_means,
 )
@@ -105,15 +104,3 @@ def test_paired_rows_are_distinguished_where_unpaired_ones_are_not() -> None:
     assert min(width for width in widths if width) > 4 * abs(difference.value)
     assert Number(1.0).less(with_takes(2.0, resampled[0])) is None
     assert [Number(value, 0.5).verdict for value in (0.5, 0.6, -0.6)] == ["not told apart", "higher", "lower"]
-
-
-def test_a_set_made_of_the_same_takes_differs_less_than_one_of_others() -> None:
-    rng = np.random.default_rng(3)
-    takes = rng.normal(size=(20, 2))
-    features, unit = np.repeat(takes, 40, axis=0) + 0.3 * rng.normal(size=(800, 2)), np.repeat(np.arange(20), 40)
-    sums = UnitSums(20, takes.mean(axis=0))
-    sums.add(features, unit)
-    own, others = units_of(takes_of(list(range(20)))), units_of(takes_of(list(range(20, 40))))
-    paired, apart = resampled_scores(sums, own, [(sums, own), (sums, others)], frechet_distance, Resampling())
-    assert max(value for value in paired if value is not None) < 1e-9
-    assert np.mean([value for value in apart if value is not None]) > 0.1

@@ -7,8 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
-from eval.metrics.inbetweening import l2p, l2q, l2q_as_signed, npss, npss_weight
-from eval.metrics.signal import psnr, ssim, to_unit_range
+from eval.metrics.motion import l2p, l2q, l2q_as_signed, npss, npss_weight, psnr, ssim, to_unit_range
 
 
 def ssim_of_skimage(x: np.ndarray, y: np.ndarray) -> float:
@@ -39,16 +38,6 @@ def test_psnr_of_whole_clips_agrees_with_scikit_image() -> None:
     predicted, target = np.random.default_rng(6).uniform(size=(2, 30, 5))
     expected = peak_signal_noise_ratio(target, predicted, data_range=1.0)
     assert psnr(predicted, target, np.ones(30, dtype=bool)) == pytest.approx(expected, rel=1e-12)
-
-
-def test_clips_of_one_length_give_the_mean_of_each_alone() -> None:
-    rng = np.random.default_rng(3)
-    predicted, target = rng.uniform(size=(2, 3, 2, 11, 5))
-    synthesised = np.arange(11) % 4 > 0
-    pairs = [(predicted[a, b], target[a, b]) for a in range(3) for b in range(2)]
-    alone = np.mean([psnr(one, other, synthesised) for one, other in pairs])
-    assert psnr(predicted, target, synthesised) == pytest.approx(alone, rel=1e-12)
-    assert ssim(predicted, target) == pytest.approx(np.mean([ssim_of_skimage(*pair) for pair in pairs]), rel=1e-9)
 
 
 def test_unit_range_spans_two_deviations() -> None:

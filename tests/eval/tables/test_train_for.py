@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from eval.config import EvalConfig
 from eval.tables import train_for
-from eval.tables.table import Table
+from eval.tables.table import Content, Table
 from eval.tables.train_for import table_that_shows
 from motionkit.cli import train as train_module
 from motionkit.cli.options import parse_duration

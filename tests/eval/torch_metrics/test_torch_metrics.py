@@ -32,13 +32,11 @@ from eval import (
 from eval.clip_fid import features
 from eval.clip_fid.clips import ClipError
 from eval.metrics.actions import accuracy, diversity, multimodality
-from eval.metrics.feet import skating_speed
 from eval.metrics.gaussian import fid
-from eval.metrics.inbetweening import l2p, l2q, npss
+from eval.metrics.motion import acceleration_error, jerk_error, l2p, l2q, mpjpe_root_aligned, mre, npss, skating_speed
 from eval.metrics.physical import ground_height, jerk
 from eval.metrics.physical_published import gmd_skating_ratio
-from eval.metrics.r_precision import r_precision
-from eval.metrics.reconstruction import acceleration_error, jerk_error, mpjpe_root_aligned, mre
+from eval.metrics.retrieval import r_precision
 
 RNG = np.random.default_rng(0)
 ROWS = RNG.normal(size=(96, 8)) + 1e6

@@ -1,0 +1,459 @@
+"""Errors of motions: positions, angles, pose vectors, bones, derivatives; in-betweening; PSNR and SSIM; feet.
+
+Arrays hold valid frames only, of one sequence or of many concatenated, or clips where a function says so; every frame
+has the same weight. Axes are y up, lengths metres, velocities per second.
+"""
+
+import math
+
+import numpy as np
+
+from eval.metrics.checks import checked_difference, checked_features, checked_fps, checked_quaternions
+from eval.metrics.metric import (
+    Arguments,
+    Metric,
+    by_clip_frames,
+    by_clip_steps,
+    by_clips,
+    by_frames,
+    by_numbers,
+    by_steps,
+)
+from motionkit.core.shapes import Bool, Float, Float64
+
+
+def mpjpe_global(
+    predicted: Float[np.ndarray, "frames joints 3"], target: Float[np.ndarray, "frames joints 3"]
+) -> float:
+    """Mean distance between predicted and true joints in metres, in global coordinates."""
+    difference = checked_difference(predicted, target)
+    return float(np.linalg.norm(difference, axis=-1).mean())
+
+
+def mpjpe_root_aligned(
+    predicted: Float[np.ndarray, "frames joints 3"], target: Float[np.ndarray, "frames joints 3"], root: int = 0
+) -> float:
+    """Mean distance in metres with every frame's root aligned to the true one (the root itself is included, as 0).
+
+    This is what motion-latent-diffusion and the NeRM paper's Table 4 call MPJPE.
+    """
+    difference = checked_difference(predicted, target)
+    difference -= difference[:, root : root + 1].copy()
+    return float(np.linalg.norm(difference, axis=-1).mean())
+
+
+def mpjpe_procrustes(
+    predicted: Float[np.ndarray, "frames joints 3"], target: Float[np.ndarray, "frames joints 3"]
+) -> float:
+    """Mean distance in metres after aligning rotation, translation and scale of every frame (PA-MPJPE; Gower 1975)."""
+    checked_difference(predicted, target)
+    x, y = predicted.astype(np.float64), target.astype(np.float64)
+    x -= x.mean(axis=1, keepdims=True)
+    y -= y.mean(axis=1, keepdims=True)
+    u, singular, vt = np.linalg.svd(np.swapaxes(x, 1, 2) @ y)
+    signs = np.ones_like(singular)
+    signs[:, 2] = np.sign(np.linalg.det(u @ vt))
+    rotation = (u * signs[:, None]) @ vt
+    size = np.einsum("fji,fji->f", x, x)
+    scale = np.where(size > 0, (singular * signs).sum(axis=1) / np.where(size > 0, size, 1.0), 1.0)
+    return float(np.linalg.norm(scale[:, None, None] * (x @ rotation) - y, axis=-1).mean())
+
+
+def rotation_angle_error(
+    predicted: Float[np.ndarray, "frames joints 4"], target: Float[np.ndarray, "frames joints 4"]
+) -> float:
+    """Mean geodesic distance in degrees between predicted and true joint rotations.
+
+    Unit quaternions of either sign, local or global on both sides. Raises `ValueError` for others.
+    """
+    checked_difference(predicted, target)
+    checked_quaternions(predicted, target)
+    p, q = predicted.astype(np.float64), target.astype(np.float64)
+    # ‖p − q‖ and ‖p + q‖ are 2·sin and 2·cos of a quarter of the angle: exact for small angles, where arccos is not.
+    apart, together = np.linalg.norm(p - q, axis=-1), np.linalg.norm(p + q, axis=-1)
+    quarter = np.arctan2(np.minimum(apart, together), np.maximum(apart, together))
+    return float(np.degrees(4.0 * quarter).mean())
+
+
+def mre(predicted: Float[np.ndarray, "frames numbers"], target: Float[np.ndarray, "frames numbers"]) -> float:
+    """Root-mean-square difference over all numbers of the redundant pose vectors, in their raw units.
+
+    The NeRM paper defines MRE as the Euclidean distance between two pose vectors, but its 0.041 beside an MPJPE of
+    0.016 cannot be that norm; `mean_vector_distance` is the literal definition.
+    """
+    difference = checked_difference(predicted, target)
+    return float(np.sqrt(np.mean(difference * difference)))
+
+
+def mean_vector_distance(
+    predicted: Float[np.ndarray, "frames numbers"], target: Float[np.ndarray, "frames numbers"]
+) -> float:
+    """Mean Euclidean distance between pose vectors: MRE as the paper describes it (L2 norm, raw units)."""
+    return float(np.linalg.norm(checked_difference(predicted, target), axis=-1).mean())
+
+
+def bone_length_variation(positions: Float[np.ndarray, "frames joints 3"], parents: tuple[int, ...]) -> float:
+    """Mean over bones of (standard deviation over frames ÷ mean length), ddof 0, of one sequence; 0 for a rigid body.
+
+    `parents` are indices of parent joints, −1 for the root. Bones of length zero (joints on their parent in every
+    frame) are ignored. Raises `ValueError` if no bone is left, for NaN or infinity. Defined here.
+    """
+    lengths = _lengths(positions, parents)
+    mean = lengths.mean(axis=0)
+    if not (mean > 0).any():
+        raise ValueError("all joints lie on their parents: there is no bone to measure")
+    return float((lengths.std(axis=0)[mean > 0] / mean[mean > 0]).mean())
+
+
+def bone_length_error(
+    predicted: Float[np.ndarray, "frames joints 3"],
+    target: Float[np.ndarray, "frames joints 3"],
+    parents: tuple[int, ...],
+) -> float:
+    """Mean absolute difference of predicted and true bone lengths over frames and bones, metres. Defined here."""
+    if predicted.shape != target.shape:
+        raise ValueError(f"predicted is {predicted.shape}, target is {target.shape}; they must agree")
+    return float(np.abs(_lengths(predicted, parents) - _lengths(target, parents)).mean())
+
+
+def _lengths(
+    positions: Float[np.ndarray, "frames joints 3"], parents: tuple[int, ...]
+) -> Float64[np.ndarray, "frames bones"]:
+    if len(parents) != positions.shape[1]:
+        raise ValueError(f"there are {positions.shape[1]} joints and {len(parents)} parents")
+    joints = np.array([joint for joint, parent in enumerate(parents) if parent >= 0], dtype=np.int64)
+    if not joints.size:
+        raise ValueError("a skeleton of roots alone has no bones")
+    values = checked_features(positions.reshape(len(positions), -1), "positions", minimum=1).reshape(positions.shape)
+    return np.asarray(np.linalg.norm(values[:, joints] - values[:, np.array(parents)[joints]], axis=-1))
+
+
+def velocity_error(
+    predicted: Float[np.ndarray, "*clips frames joints 3"],
+    target: Float[np.ndarray, "*clips frames joints 3"],
+    fps: float,
+) -> float:
+    """Mean distance between predicted and true joint velocities, m/s."""
+    return _derivative_error(predicted, target, fps, order=1)
+
+
+def acceleration_error(
+    predicted: Float[np.ndarray, "*clips frames joints 3"],
+    target: Float[np.ndarray, "*clips frames joints 3"],
+    fps: float,
+) -> float:
+    """Mean distance between predicted and true joint accelerations, m/s² ("Accel": Kanazawa et al. 2019)."""
+    return _derivative_error(predicted, target, fps, order=2)
+
+
+def jerk_error(
+    predicted: Float[np.ndarray, "*clips frames joints 3"],
+    target: Float[np.ndarray, "*clips frames joints 3"],
+    fps: float,
+) -> float:
+    """Mean distance between predicted and true joint jerks, m/s³."""
+    return _derivative_error(predicted, target, fps, order=3)
+
+
+def _derivative_error(
+    predicted: Float[np.ndarray, "*clips frames joints 3"],
+    target: Float[np.ndarray, "*clips frames joints 3"],
+    fps: float,
+    *,
+    order: int,
+) -> float:
+    # Clips have an axis of their own, so that no difference is taken across two sequences. Differences are linear: the
+    # difference of derivatives is the derivative of the difference.
+    difference = checked_difference(predicted, target)
+    num_frames = difference.shape[-3]
+    if num_frames <= order:
+        raise ValueError(f"a derivative of order {order} needs at least {order + 1} frames, not {num_frames}")
+    derivative = np.diff(difference, n=order, axis=-3) * checked_fps(fps) ** order
+    return float(np.linalg.norm(derivative, axis=-1).mean())
+
+
+def l2p(
+    predicted: Float[np.ndarray, "clips frames joints 3"],
+    target: Float[np.ndarray, "clips frames joints 3"],
+    std: Float[np.ndarray, "joints 3"],
+) -> float:
+    """Mean over frames of √Σ((p̂ − p)/σ)² over all joints' global coordinates; no unit.
+
+    `std` is that of the *training* windows' global positions, for each coordinate. Source: Harvey et al. 2020
+    (ubisoft-laforge-animation-dataset).
+    """
+    if not (std > 0).all():
+        raise ValueError("a standard deviation of the training positions is not positive")
+    difference = checked_difference(predicted, target) / std
+    return float(np.sqrt(np.square(difference).sum(axis=(-2, -1))).mean())
+
+
+def l2q(
+    predicted: Float[np.ndarray, "clips frames joints 4"], target: Float[np.ndarray, "clips frames joints 4"]
+) -> float:
+    """Mean over frames of √Σ(q̂ − q)² over all joints' global quaternions, each with the sign nearer to the true one.
+
+    q and −q are the same rotation: without aligned signs the value depends on how the quaternions were computed. Raises
+    `ValueError` for quaternions that are not of unit length. Source: Harvey et al. 2020; signs as in delta-interpolator
+    (Oreshkin et al. 2022).
+    """
+    difference = checked_difference(predicted, target)
+    checked_quaternions(predicted, target)
+    opposite = predicted.astype(np.float64) + target
+    squared = np.minimum(np.square(difference).sum(axis=-1), np.square(opposite).sum(axis=-1))
+    return float(np.sqrt(squared.sum(axis=-1)).mean())
+
+
+def l2q_as_signed(
+    predicted: Float[np.ndarray, "clips frames joints 4"], target: Float[np.ndarray, "clips frames joints 4"]
+) -> float:
+    """`l2q` without aligning the signs: what the benchmark's own code computes.
+
+    Signs should be continuous in each clip and start alike on both sides; a body that turns by more than half a turn is
+    then farther from its first pose than by `l2q`. Source: Harvey et al. 2020.
+    """
+    difference = checked_difference(predicted, target)
+    checked_quaternions(predicted, target)
+    return float(np.sqrt(np.square(difference).sum(axis=(-2, -1))).mean())
+
+
+def npss(
+    predicted: Float[np.ndarray, "clips frames numbers"], target: Float[np.ndarray, "clips frames numbers"]
+) -> float:
+    """Distance of normalised power spectra over time, each number of each clip weighted by its true power; 0 is best.
+
+    The distance is the L1 distance of cumulative spectra (an earth mover's distance). As in the LaFAN1 benchmark, power
+    is the square of the **real part** of the Fourier coefficients, not of their modulus: figures are comparable only
+    so, and depend on where a clip starts. A number without predicted power has a zero spectrum; one without true power
+    has no weight. Raises `ValueError` if nothing has power. Source: Gopalakrishnan et al. 2019, §4.2.
+    """
+    checked_difference(predicted, target)
+    true = _power(target)
+    weights = true.sum(axis=1)
+    total = weights.sum()
+    if total == 0:
+        raise ValueError("target has no power in any number: its normalised spectrum does not exist")
+    distance = np.abs(_cumulative(_power(predicted)) - _cumulative(true)).sum(axis=1)
+    return float((distance * weights).sum() / total)
+
+
+def npss_weight(target: Float[np.ndarray, "clips frames numbers"]) -> float:
+    """The total true power: the weight of a batch's NPSS in the NPSS of many batches of equal length."""
+    return float(_power(target).sum())
+
+
+def _power(signal: Float[np.ndarray, "clips frames numbers"]) -> Float64[np.ndarray, "clips frames numbers"]:
+    return np.square(np.fft.fft(signal.astype(np.float64), axis=1).real)
+
+
+def _cumulative(
+    power: Float64[np.ndarray, "clips frames numbers"],
+) -> Float64[np.ndarray, "clips frames numbers"]:
+    total = power.sum(axis=1, keepdims=True)
+    return np.asarray(np.cumsum(power / np.where(total > 0, total, 1.0), axis=1))
+
+
+SSIM_WINDOW = 7
+_C1, _C2 = 0.01**2, 0.03**2
+
+
+def to_unit_range(
+    vectors: Float[np.ndarray, "*frames numbers"],
+    mean: Float[np.ndarray, "numbers"],
+    std: Float[np.ndarray, "numbers"],
+) -> Float64[np.ndarray, "*frames numbers"]:
+    """0.5 + (x − μ)/(4σ), not clipped: ± 2 standard deviations of the *training* data span the range of 1.
+
+    σ must have been floored for each group of features; raises `ValueError` if it is not positive.
+    """
+    if not (std > 0).all():
+        raise ValueError("a standard deviation is not positive: floor it for each group of features")
+    return np.asarray(0.5 + (vectors.astype(np.float64) - mean) / (4.0 * std))
+
+
+def psnr(
+    predicted: Float[np.ndarray, "*clips frames numbers"],
+    target: Float[np.ndarray, "*clips frames numbers"],
+    synthesised: Bool[np.ndarray, "marks"],
+    ceiling_db: float = math.inf,
+) -> float:
+    """−10·log₁₀ of the mean squared error of a clip in the unit range, dB, over its synthesised frames alone.
+
+    Given frames have no error by definition and would raise the value. For several clips with the same frames given,
+    the mean of their dB. Infinite for a clip without error, unless clips are capped at `ceiling_db`.
+    """
+    num_frames = predicted.shape[-2]
+    if synthesised.shape != (num_frames,):
+        raise ValueError(f"there are {num_frames} frames and {len(synthesised)} marks of synthesised ones")
+    if not synthesised.any():
+        raise ValueError("no frame is synthesised: there is nothing to measure")
+    difference = checked_difference(predicted, target)[..., synthesised, :]
+    error = np.mean(difference * difference, axis=(-2, -1))
+    with np.errstate(divide="ignore"):
+        return float(np.mean(np.minimum(-10.0 * np.log10(error), ceiling_db)))
+
+
+def ssim(
+    predicted: Float[np.ndarray, "*clips frames numbers"], target: Float[np.ndarray, "*clips frames numbers"]
+) -> float:
+    """Structural similarity of a clip in the unit range: windows of 7 frames of each number, mean over all.
+
+    Uniform windows wholly inside the clip, sample (N − 1) variances, K₁ = 0.01, K₂ = 0.03: what scikit-image computes
+    with win_size 7, data_range 1, channel_axis −1; of several clips of one length, the mean. At most 1, for identical
+    clips; symmetric. Raises `ValueError` for clips of fewer than 7 frames. Source: Wang et al. 2004.
+    """
+    checked_difference(predicted, target)
+    if predicted.shape[-2] < SSIM_WINDOW:
+        raise ValueError(f"clip: at least {SSIM_WINDOW} samples are needed, there are {predicted.shape[-2]}")
+    x, y = predicted.astype(np.float64), target.astype(np.float64)
+    mean_x, mean_y = _window_means(x), _window_means(y)
+    # n/(n − 1)·(E[xy] − E[x]E[y]): exact to about 1e-15 in a range of 1, where _C2 is 1e-3.
+    unbiased = SSIM_WINDOW / (SSIM_WINDOW - 1)
+    product, squares = mean_x * mean_y, mean_x * mean_x + mean_y * mean_y
+    covariance = unbiased * (_window_means(x * y) - product)
+    variances = unbiased * (_window_means(x * x + y * y) - squares)
+    similarity = (2 * product + _C1) * (2 * covariance + _C2)
+    similarity /= (squares + _C1) * (variances + _C2)
+    return float(similarity.mean())
+
+
+def _window_means(
+    signal: Float64[np.ndarray, "*clips frames numbers"],
+) -> Float64[np.ndarray, "*clips windows numbers"]:
+    num_windows = signal.shape[-2] - SSIM_WINDOW + 1
+    total = signal[..., :num_windows, :].copy()
+    for first in range(1, SSIM_WINDOW):
+        total += signal[..., first : first + num_windows, :]
+    total /= SSIM_WINDOW
+    return total
+
+
+ANKLE_HEIGHT = 0.08
+TOE_HEIGHT = 0.04
+
+
+def skating_speed(
+    feet: Float[np.ndarray, "frames feet 3"],
+    fps: float,
+    heights: tuple[float, ...] = (ANKLE_HEIGHT, TOE_HEIGHT, ANKLE_HEIGHT, TOE_HEIGHT),
+    *,
+    floor: float = 0.0,
+) -> float:
+    """Mean of v·(2 − 2^clamp(h/H, 0, 1)) over frames and foot joints, m/s: lower feet have more weight.
+
+    `heights` are H of each foot joint, 8 cm for ankles and 4 cm for toes; v is horizontal speed from a frame to the
+    next, h the height at the first of the two. Source: Zhang et al. 2018 (MANN), as in NeMF (He et al. 2022).
+    """
+    values, speed = _feet_and_speed(feet, fps)
+    if len(heights) != values.shape[1] or min(heights) <= 0:
+        raise ValueError(f"there are {values.shape[1]} foot joints and heights {heights}: one positive height for each")
+    height = (values[:-1, :, 1] - floor) / np.asarray(heights)
+    return float((speed * (2.0 - np.exp2(np.clip(height, 0.0, 1.0)))).mean())
+
+
+def _feet_and_speed(
+    feet: Float[np.ndarray, "frames feet 3"], fps: float
+) -> tuple[Float64[np.ndarray, "frames feet 3"], Float64[np.ndarray, "steps feet"]]:
+    if feet.shape[1] == 0:
+        raise ValueError("there are no foot joints to measure")
+    values = checked_features(feet.reshape(len(feet), -1), "feet", minimum=2).reshape(feet.shape)
+    steps = np.diff(values[..., ::2], axis=0)
+    return values, np.hypot(steps[..., 0], steps[..., 1]) * checked_fps(fps)
+
+
+CONTACT_SPEED = 0.894
+
+
+def contact_consistency(
+    contacts: Float[np.ndarray, "labels labelled_feet"],
+    feet: Float[np.ndarray, "frames feet 3"],
+    fps: float,
+    contact_speed: float = CONTACT_SPEED,
+) -> float:
+    """Fraction of labels (frames × foot joints) that agree with the speed of the foot at that frame.
+
+    A label above ½ says contact; a foot is in contact when it moves slower than `contact_speed` (m/s, all three axes;
+    0.894 is HumanML3D's threshold at 20 fps) to the next frame. The last frame is ignored. Defined here: there is no
+    published definition.
+    """
+    if feet.shape[:2] != contacts.shape or not contacts.shape[1]:
+        raise ValueError(f"contacts are {contacts.shape}, feet are {feet.shape}: the same frames and foot joints")
+    labels = checked_features(contacts, "contacts", minimum=2) > 0.5
+    values = checked_features(feet.reshape(len(feet), -1), "feet", minimum=2).reshape(feet.shape)
+    speed = np.linalg.norm(np.diff(values, axis=0), axis=-1) * checked_fps(fps)
+    return float((labels[:-1] == (speed < contact_speed)).mean())
+
+
+_PAIR: Arguments = "predicted, target"
+_ONE: Arguments = "one set"
+_CLIPS: Arguments = "predicted, target, fps"
+METRICS = (
+    Metric("mpjpe_global", "MPJPE (global)", "m", False, "Ionescu et al. 2014", _PAIR, mpjpe_global, by_frames),
+    Metric("mpjpe", "MPJPE", "m", False, "motion-latent-diffusion; NeRM Table 4", _PAIR, mpjpe_root_aligned, by_frames),
+    Metric("mpjpe_procrustes", "MPJPE (Procrustes)", "m", False, "Gower 1975", _PAIR, mpjpe_procrustes, by_frames),
+    Metric(
+        "rotation_angle_error",
+        "Rotation error",
+        "°",
+        False,
+        "geodesic distance on SO(3)",
+        _PAIR,
+        rotation_angle_error,
+        by_frames,
+    ),
+    Metric("mre", "MRE", "raw", False, "NeRM Table 4, as a root mean square", _PAIR, mre, by_numbers, exponent=2),
+    Metric(
+        "mean_vector_distance", "MRE (L2 norm)", "raw", False, "NeRM Table 4", _PAIR, mean_vector_distance, by_frames
+    ),
+    Metric(
+        "bone_length_variation", "Bone-length variation", "", False, "motionkit", _ONE, bone_length_variation, by_frames
+    ),
+    Metric("bone_length_error", "Bone-length error", "m", False, "motionkit", _PAIR, bone_length_error, by_frames),
+    Metric(
+        "velocity_error",
+        "Velocity error",
+        "m/s",
+        False,
+        "mean joint distance of differences",
+        _CLIPS,
+        velocity_error,
+        by_clip_steps(1),
+    ),
+    Metric(
+        "acceleration_error",
+        "Acceleration error",
+        "m/s²",
+        False,
+        "Kanazawa et al. 2019",
+        _CLIPS,
+        acceleration_error,
+        by_clip_steps(2),
+    ),
+    Metric(
+        "jerk_error",
+        "Jerk error",
+        "m/s³",
+        False,
+        "mean joint distance of third differences",
+        _CLIPS,
+        jerk_error,
+        by_clip_steps(3),
+    ),
+    Metric("l2p", "L2P", "", False, "Harvey et al. 2020", _PAIR, l2p, by_clip_frames),
+    Metric("l2q", "L2Q", "", False, "Harvey et al. 2020", _PAIR, l2q, by_clip_frames),
+    Metric(
+        "l2q_as_signed",
+        "L2Q (signs as they come)",
+        "",
+        False,
+        "Harvey et al. 2020",
+        _PAIR,
+        l2q_as_signed,
+        by_clip_frames,
+    ),
+    Metric("npss", "NPSS", "", False, "Gopalakrishnan et al. 2019", _PAIR, npss, lambda _, target: npss_weight(target)),
+    Metric("psnr", "PSNR", "dB", True, "motionkit", _PAIR, psnr, by_clips),
+    Metric("ssim", "SSIM", "", True, "Wang et al. 2004", _PAIR, ssim, by_clips),
+    Metric("skating_speed", "Foot skating", "m/s", False, "Zhang et al. 2018; NeMF", _ONE, skating_speed, by_steps),
+    Metric("contact_consistency", "Contact consistency", "", True, "motionkit", _ONE, contact_consistency, by_steps),
+)
