@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,15 @@ from motionkit.edit.encoders import (
 from motionkit.features.rotations import two_columns
 from motionkit.fields.interpolation import INTERPOLATORS, CurveKind, curve
 from motionkit.fields.joints import Joints
-from motionkit.fields.motion_field import MotionEncoder, Observation, Poses, check_observed_alike, check_times
+from motionkit.fields.motion_field import (
+    BatchEncoder,
+    MotionEncoder,
+    Observation,
+    Poses,
+    at_fps,
+    check_observed_alike,
+    check_times,
+)
 from motionkit.training.run import RunFolder, Task, commit, versions
 from motionkit.training.stage import recorded_settings
 
@@ -198,3 +207,23 @@ def _untrained_reason(name: str, loader: EncoderLoader, run: Path | None) -> str
         run_name = run.name if run else ""
         return f"{loader.title}: run {run_name!r} has none; --encoder {name}={others[-1]} shows that of another"
     return f"{loader.title}: not trained ({loader.train_command(run)})"
+
+
+def query_many(
+    encoder: MotionEncoder,
+    observations: Sequence[Observation],
+    times_seconds: Float64[np.ndarray, "times"],
+    fps: Fraction,
+) -> list[Poses]:
+    """Evaluates the fields of many motions, observed at the same times: batched if the encoder can.
+
+    Times may lie beyond the observed span; fields that depend on the framerate get `fps`. Raises `ValueError` for
+    motions that are observed at different times or differ in their joints, and where the encoder cannot go that far.
+    """
+    check_observed_alike(observations)
+    if isinstance(encoder, BatchEncoder):
+        return encoder.query_many(observations, times_seconds)
+    before = max(0.0, observations[0].start_seconds - float(times_seconds.min()))
+    after = max(0.0, float(times_seconds.max()) - observations[0].end_seconds)
+    fields = (encoder.encode(observation, before_seconds=before, after_seconds=after) for observation in observations)
+    return [at_fps(field, fps).query(times_seconds) for field in fields]

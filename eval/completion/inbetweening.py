@@ -4,9 +4,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from eval.completion.encoders import Completer
+from eval.completion.encoders import Completer, query_many
 from eval.completion.protocol import Question
-from eval.completion.queries import query_many
 from eval.completion.scores import Scores, TakeStreams, scores_of
 from eval.completion.windows import FPS, PoseWindows, global_poses
 from motionkit.core.kinematics import continuous_quaternions

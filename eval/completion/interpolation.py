@@ -6,9 +6,8 @@ from fractions import Fraction
 
 import numpy as np
 
-from eval.completion.encoders import Completer
+from eval.completion.encoders import Completer, query_many
 from eval.completion.protocol import InterpolationProtocol, scale_label
-from eval.completion.queries import query_many
 from eval.completion.scores import ClipFrames, PoseScale, Scores, TakeStreams, scores_of
 from eval.completion.takes import TrueClips, TruePoses, observations
 from eval.metrics.metric import MeanStream, all_metrics

@@ -10,9 +10,9 @@ from fractions import Fraction
 
 import numpy as np
 
-from eval.completion.lafan1_benchmark import NUM_PAST_FRAMES
 from motionkit.core.shapes import Bool, Int64
 
+NUM_PAST_FRAMES = 10
 INBETWEENING_VERSION = "inbetweening/1"
 EXTRAPOLATION_VERSION = "extrapolation/1"
 
@@ -24,11 +24,6 @@ class Question:
     label: str
     given: Int64[np.ndarray, "given"]
     asked: Int64[np.ndarray, "asked"]
-
-    @property
-    def last(self) -> int:
-        """The last frame of the window that is used."""
-        return int(max(self.given.max(), self.asked.max()))
 
 
 def gaps(lengths: Sequence[int] = (5, 15, 30, 45)) -> tuple[Question, ...]:

@@ -1,4 +1,8 @@
-"""Windows of 65 frames as LaFAN1's benchmark prepares them: of LaFAN1 itself, and of any data set at 30 fps."""
+"""Windows of 65 frames as LaFAN1's benchmark prepares them: of LaFAN1 itself, and of any data set at 30 fps.
+
+Source: https://github.com/ubisoft/ubisoft-laforge-animation-dataset (lafan1/extract.py and utils.py: windows, centring,
+facing).
+"""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -7,32 +11,70 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eval.completion.lafan1_benchmark import (
-    NUM_PAST_FRAMES,
-    TEST_STEP_FRAMES,
-    TEST_WINDOW_FRAMES,
-    TRAIN_STEP_FRAMES,
-    TRAIN_WINDOW_FRAMES,
-    benchmark_windows,
-)
+from eval.completion.protocol import NUM_PAST_FRAMES
 from eval.completion.scores import split_remark
 from eval.completion.takes import DataSet, NoTakesError, open_clips
 from motionkit.core import kinematics
 from motionkit.core.moments import Moments, stream
-from motionkit.core.shapes import Float32, Float64
+from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.features.rotations import heading, to_window
 from motionkit.io import lafan1
 from motionkit.store.sql import conjunction
 
 if TYPE_CHECKING:
-    from motionkit.core.motion import Motion
     from motionkit.store.reader import Store
 
 FPS = Fraction(30)
 BENCHMARK_WINDOWS = 2232
 LAFAN1 = "source_format = 'lafan1' AND fps = 30"
 CLIPS_AT_ONCE = 512
+TRAIN_WINDOW_FRAMES, TRAIN_STEP_FRAMES = 50, 20
+TEST_WINDOW_FRAMES, TEST_STEP_FRAMES = 65, 40
+
+
+@dataclass(frozen=True)
+class BenchmarkWindows:
+    """Windows of one take as the benchmark prepares them: `start_frames` in the take, root path in metres, rotations.
+
+    Every window is centred on its mean in x and z and rotated about y so that in frame 9 the root's own y axis, along
+    which LaFAN1's hips face, points to +x on the ground. Quaternions have continuous signs over the take.
+    """
+
+    start_frames: Int64[np.ndarray, "windows"]
+    root_translation: Float32[np.ndarray, "windows frames 3"]
+    local_rotations: Float32[np.ndarray, "windows frames joints 4"]
+
+
+def benchmark_windows(motion: Motion, *, window_frames: int, step_frames: int) -> BenchmarkWindows:
+    """Cut a take into the benchmark's windows (test: 65 frames every 40; training: 50 every 20).
+
+    A window starts at every multiple of the step for which start + window < number of frames: the comparison is strict,
+    so a window that ends with the last frame is left out. Raises `ValueError` for a motion without rotations, or for
+    windows too short to have the frame that sets their heading.
+    """
+    if motion.local_rotations is None or motion.root_translation is None:
+        raise ValueError(f"{motion.sequence_id} has no rotations, which the benchmark is about")
+    if window_frames < NUM_PAST_FRAMES or step_frames < 1:
+        raise ValueError(f"windows of {window_frames} frames every {step_frames}, expected at least 10 every 1")
+    starts = np.arange(0, max(motion.num_frames - window_frames, 0), step_frames)
+    frames = starts[:, None] + np.arange(window_frames)
+    rotations = kinematics.continuous_quaternions(motion.local_rotations)[frames].astype(np.float64)
+    root = motion.root_translation[frames].astype(np.float64)
+    root[..., ::2] -= root[..., ::2].mean(axis=1, keepdims=True)
+    back = _turn_to_x(rotations[:, NUM_PAST_FRAMES - 1, 0])[:, None]
+    rotations[:, :, 0] = kinematics.quaternion_multiply(back, rotations[:, :, 0])
+    return BenchmarkWindows(
+        start_frames=starts,
+        root_translation=kinematics.quaternion_rotate(back, root).astype(np.float32),
+        local_rotations=rotations.astype(np.float32),
+    )
+
+
+def _turn_to_x(root: Float64[np.ndarray, "windows 4"]) -> Float64[np.ndarray, "windows 4"]:
+    forward = kinematics.quaternion_rotate(root, np.array([0.0, 1.0, 0.0])) * np.array([1.0, 0.0, 1.0])
+    return kinematics.quaternion_between(forward, np.array([1.0, 0.0, 0.0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +141,7 @@ def _of_subjects(subjects: Iterable[str]) -> str:
     return conjunction(LAFAN1, f"lower(subject) IN ({named})")
 
 
-def _lafan1_takes(store: "Store", subjects: tuple[str, ...]) -> list["Motion"]:
+def _lafan1_takes(store: "Store", subjects: tuple[str, ...]) -> list[Motion]:
     chosen = store.select(_of_subjects(subjects))
     if not len(chosen):
         raise NoTakesError(
@@ -109,13 +151,13 @@ def _lafan1_takes(store: "Store", subjects: tuple[str, ...]) -> list["Motion"]:
     return [store.read(int(index)) for index in paths.sort_values().index]
 
 
-def _advancing(motions: Iterable["Motion"], advance: Callable[[], None]) -> Iterator["Motion"]:
+def _advancing(motions: Iterable[Motion], advance: Callable[[], None]) -> Iterator[Motion]:
     for motion in motions:
         yield motion
         advance()
 
 
-def _training_statistics(motions: Iterable["Motion"]) -> tuple[Moments, Skeleton]:
+def _training_statistics(motions: Iterable[Motion]) -> tuple[Moments, Skeleton]:
     """Moments of the global positions of all training windows' frames, and the first take's skeleton."""
     skeletons: list[Skeleton] = []
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from eval.completion.lafan1_benchmark import (
+from eval.completion.windows import (
     TEST_STEP_FRAMES,
     TEST_WINDOW_FRAMES,
     TRAIN_STEP_FRAMES,
