@@ -3,8 +3,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from eval.reconstruction.errors import DISTANCE
 
+from eval.reconstruction import DISTANCE
 from eval.tables.nerm import table4
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
