@@ -13,6 +13,7 @@ import typer
 from motionkit.cli.console import print_json, stderr, stdout
 
 if TYPE_CHECKING:
+    from motionkit.core.motion import Motion
     from motionkit.store.reader import Store
 
 RECIPE = "demo"
@@ -60,6 +61,7 @@ def demo(
         "motions": folder / "generated",
         "table": folder / "results",
         "picture": folder / "demo.png",
+        "strips": folder / "motions.png",
     }
     # With --json, what the steps print is progress: stdout holds one document.
     with redirect_stdout(sys.stderr) if as_json else nullcontext():
@@ -148,24 +150,29 @@ def _pictured(store: "Store") -> list[str]:
     return chosen
 
 
-def _draw(places: dict[str, Path], real: list[Any]) -> None:
-    """Table 2 as curves, and below them each caption's motion of the corpus above the generated one."""
+def _draw(places: dict[str, Path], real: "list[Motion]") -> None:
+    """Table 2 as curves, and each caption's motion of the corpus above the generated one as strips of poses."""
     from eval.report.curves import panels_of
-    from eval.report.figures import curves_and_strips_figure, save, strip_of
+    from eval.report.figures import curves_figure, save
     from eval.report.results import read_result
+    from motionkit.core.skeleton import SMPL22
+    from motionkit.core.skeletons.mapping import map_joints
     from motionkit.io.bvh import read_bvh
     from motionkit.io.registry import ReadOptions
+    from motionkit.viz.film import write_film
+    from motionkit.viz.player import Panel
 
+    panels = panels_of(read_result(places["table"] / "nerm-table2.json"), "clip-FID (lower is better)")
+    save(curves_figure(panels), places["picture"])
     # A barely trained model makes bodies of no human size, from which the unit cannot be guessed.
     options = ReadOptions(unit_metres=0.01)
     generated = [read_bvh(path, options) for path in sorted(places["motions"].glob("*.bvh"))]
     strips = []
     for truth, made in zip(real, generated, strict=True):
-        caption = truth.captions[0].text
-        strips.append(strip_of(truth, f"corpus: “{caption}”", seconds=PICTURED_SECONDS))
-        strips.append(strip_of(made, f"NeRM, asked for “{caption}”", seconds=PICTURED_SECONDS))
-    panels = panels_of(read_result(places["table"] / "nerm-table2.json"), "clip-FID (lower is better)")
-    save(curves_and_strips_figure(panels, strips), places["picture"])
+        for whose, motion in (("corpus", truth), ("NeRM", made)):
+            positions = map_joints(motion, SMPL22.name)[: int(PICTURED_SECONDS * motion.fps)]
+            strips.append(Panel(f"{whose}: {truth.captions[0].text}", positions, SMPL22, motion.fps))
+    write_film(places["strips"], strips)
 
 
 def _prepare(places: dict[str, Path]) -> None:

@@ -1,4 +1,4 @@
-"""Figures: strips of skeletons over time, and tables as curves over the framerate. No pyplot, no global state."""
+"""Tables as curves over the framerate. No pyplot, no global state."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,14 +7,9 @@ from textwrap import fill
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from motionkit.core.files import whole_file
-from motionkit.core.motion import Motion
-from motionkit.core.shapes import Float32, Float64
-from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.core.skeletons.mapping import map_joints
 
 # Maximum characters of a legend's line in two columns.
 LABEL_WIDTH = 40
@@ -24,22 +19,7 @@ BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE, GREY = (
 )  # fmt: skip
 CURVE_COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, GREY)
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-SIDE_COLOURS = {"left": BLUE, "right": VERMILLION, "middle": "#303030"}
-# The camera is to the front right of the first pose, so that a walk goes to the right of the picture.
-CAMERA_YAW = np.deg2rad(118.0)
-CAMERA_PITCH = np.deg2rad(8.0)
-SLOT_METRES = 0.95
 FRAMERATE_LABEL = "framerate (frames per second)"
-
-
-@dataclass(frozen=True, eq=False)
-class Strip:
-    """One row of a figure: poses [K, J, 3] in metres at times in seconds, and its title."""
-
-    title: str
-    joint_positions: Float32[np.ndarray, "poses joints 3"]
-    seconds: Float64[np.ndarray, " poses"]
-    skeleton: Skeleton
 
 
 @dataclass(frozen=True)
@@ -63,29 +43,6 @@ class Panel:
     from_zero: bool = True
 
 
-def strip_of(motion: Motion, title: str, num_poses: int = 10, seconds: float | None = None) -> Strip:
-    """Frames of a motion, about evenly spaced over its first `seconds` (all of it by default).
-
-    They are drawn in the 22-joint layout. Raises `SkeletonMapError` if the skeleton cannot be mapped to it.
-    """
-    span = motion.timegrid.span_seconds if seconds is None else min(seconds, motion.timegrid.span_seconds)
-    frames = np.round(np.linspace(0.0, span, num_poses) * float(motion.fps)).astype(int)
-    return Strip(title, map_joints(motion, "smpl22")[frames], motion.timegrid.seconds()[frames], SMPL22)
-
-
-def curves_and_strips_figure(panels: Sequence[Panel], strips: Sequence[Strip], width_inches: float = 10.0) -> Figure:
-    """Curves above, each with its own scale; below them strips of skeletons, left limbs blue, right ones vermillion."""
-    heights = (4.0, 1.55 * max(1, len(strips)))
-    figure = Figure(figsize=(width_inches, sum(heights)), layout="constrained")
-    above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=heights).ravel()
-    for axes, panel in zip(np.atleast_1d(above.subplots(1, len(panels))), panels, strict=True):
-        draw_curves(axes, panel)
-    if strips:
-        for axes, strip in zip(np.atleast_1d(below.subplots(len(strips), 1)), strips, strict=True):
-            draw_strip(axes, strip)
-    return figure
-
-
 def curves_figure(panels: Sequence[Panel], width_inches: float = 12.0) -> Figure:
     """Panels of curves only, at most three per line."""
     columns = min(3, len(panels))
@@ -104,45 +61,6 @@ def save(figure: Figure, path: Path) -> Path:
     with whole_file(path) as temporary:
         figure.savefig(temporary, dpi=160)
     return path
-
-
-def draw_strip(axes: Axes, strip: Strip) -> None:
-    """Draw one strip: every pose in a slot of its own over its time, with the floor under it."""
-    segments, colours = strip_segments(strip)
-    axes.add_collection(LineCollection(list(segments), colors=colours, linewidths=1.6, capstyle="round"))
-    places = np.arange(len(strip.seconds)) * SLOT_METRES
-    floor = min(0.0, float(segments[..., 1].min()))
-    axes.axhline(floor, color="#C8C8C8", linewidth=0.8, zorder=0)
-    # A reach or a fall may leave the slot; the limits follow the drawing.
-    left, right = float(segments[..., 0].min()), float(segments[..., 0].max())
-    axes.set_xlim(min(left, -0.5 * SLOT_METRES), max(right, places[-1] + 0.5 * SLOT_METRES))
-    axes.set_ylim(floor - 0.05, max(1.75, float(segments[..., 1].max()) + 0.05))
-    axes.set_aspect("equal")
-    axes.set_xticks(places, [f"{second:.1f} s" for second in strip.seconds], fontsize=7, color=GREY)
-    axes.tick_params(axis="x", length=0, pad=2)
-    axes.set_yticks([])
-    axes.spines[:].set_visible(False)
-    axes.set_title(strip.title, fontsize=8, loc="left", pad=2)
-
-
-def strip_segments(strip: Strip) -> tuple[Float64[np.ndarray, "lines 2 2"], list[str]]:
-    """Lines from parent to child joint on the picture plane in metres, far ones first, and their colours."""
-    positions = strip.joint_positions.astype(np.float64)
-    positions[..., [0, 2]] -= positions[:, :1, [0, 2]]
-    yaw = _heading(positions[0], strip.skeleton) + CAMERA_YAW
-    right = np.array([-np.cos(yaw), 0.0, np.sin(yaw)])
-    away = np.array([np.sin(yaw), 0.0, np.cos(yaw)])
-    depth = positions @ away
-    across = positions @ right + np.arange(len(positions))[:, None] * SLOT_METRES
-    up = positions[..., 1] * np.cos(CAMERA_PITCH) + depth * np.sin(CAMERA_PITCH)
-    plane = np.stack((across, up), axis=-1)
-    children = np.arange(1, strip.skeleton.num_joints)
-    parents = np.array(strip.skeleton.parents[1:])
-    lines = np.stack((plane[:, parents], plane[:, children]), axis=2)
-    order = np.argsort(-(depth[:, parents] + depth[:, children]), axis=1, kind="stable")
-    sides = np.array([SIDE_COLOURS[side] for side in _sides(strip.skeleton)])[children]
-    ordered = np.take_along_axis(lines, order[:, :, None, None], axis=1)
-    return ordered.reshape(-1, 2, 2), sides[order].ravel().tolist()
 
 
 def draw_curves(axes: Axes, panel: Panel) -> None:
@@ -171,19 +89,3 @@ def draw_curves(axes: Axes, panel: Panel) -> None:
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize=8)
     axes.legend(fontsize=7.5, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=2)
-
-
-def _heading(pose: Float64[np.ndarray, "joints 3"], skeleton: Skeleton) -> float:
-    """Yaw of a pose from the first left-right pair of joints, the hips of the standard skeletons; 0 faces +Z."""
-    if not skeleton.left_right_pairs:
-        return 0.0
-    left, right = skeleton.left_right_pairs[0]
-    across = pose[left] - pose[right]
-    return float(np.arctan2(-across[2], across[0]))
-
-
-def _sides(skeleton: Skeleton) -> list[str]:
-    sides = ["middle"] * skeleton.num_joints
-    for left, right in skeleton.left_right_pairs:
-        sides[left], sides[right] = "left", "right"
-    return sides

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from eval.sets.corruptions import low_pass
 from eval.sets.sets import SampleSet
@@ -94,7 +93,6 @@ class TrainingWindows:
         components = np.linalg.svd(some - mean, full_matrices=False)[2][:NUM_COMPONENTS].T
         return cls(mean, components, _reduced(rows - mean, components))
 
-    @threadpool_limits.wrap(1, "blas")  # for matrices of this size the fastest
     def nearest(self, samples: SampleSet) -> Nearest:
         """The nearest training window to every moving window of a set, a quarter of a second apart."""
         motions, movements, best = [], [], []

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from eval.clip_fid.clips import ClipError
 from eval.clip_fid.features import Comparison, FeatureSource, feature_sources
@@ -274,9 +275,11 @@ def copies_block(
     """
     windows = TrainingWindows.of(training)
     found = {}
-    for row, samples in {HELD_OUT: held_out, **others}.items():
-        some = np.sort(np.random.default_rng(0).permutation(samples.num_sequences)[:MAX_COPIES])
-        found[row] = windows.nearest(samples.select(some))
+    # One thread is the fastest for matrices of this size.
+    with threadpool_limits(1, "blas"):
+        for row, samples in {HELD_OUT: held_out, **others}.items():
+            some = np.sort(np.random.default_rng(0).permutation(samples.num_sequences)[:MAX_COPIES])
+            found[row] = windows.nearest(samples.select(some))
     limit, rows = held_out_limit(found[HELD_OUT]), []
     for row, nearest in found.items():
         if not len(nearest.distance):

@@ -1,6 +1,5 @@
 """Table 1: a model that is the real motion scores like it; one that ignores its captions scores chance."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
@@ -11,12 +10,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from eval.commands.eval import evaluate
 from eval.report.render import to_latex, to_markdown
 from eval.report.results import Result, read_result, write_result
 from eval.sets.real import NoRealMotionError
 from eval.sets.sets import SampleSet
-from eval.tables import table as tables
 from eval.tables.nerm import table1
 from eval.tables.nerm.table1 import FLOOR, ORACLE, title_of
 from motionkit.core.errors import MotionkitError, UsageError
@@ -283,36 +280,6 @@ def test_broken_and_too_few_motions_are_reported(
     told = build(store, tmp_path / "results", run)
     assert "real" in rows_of(told) and "NeRM" not in rows_of(told)
     assert any("NeRM, shapes: sample set 'NeRM': sequence 'motion 0' holds NaN" in line for line in told.missing)
-
-
-def test_the_command_passes_everything_on(
-    store: Path,
-    tmp_path: Path,
-    run: Path,
-    models: dict[str, ScriptedModel],
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.setattr(tables, "find_table", lambda paper, number: table1.TABLE)
-    evaluate(
-        table="1",
-        store=store,
-        runs=run.parent,
-        run=run.name,
-        results=tmp_path / "results",
-        motions=32,
-        protocol="momask",
-        compat="float32-distances",
-        draws=2,
-        as_json=True,
-    )
-    printed = json.loads(capsys.readouterr().out)
-    assert printed["definition"]["protocol"]["name"] == "momask"
-    assert printed["definition"]["compat"] == ["float32-distances"]
-    assert models["nano"].asked == 2 * 32 + 30
-    written = json.loads((tmp_path / "results" / "nerm-table1.json").read_text(encoding="utf-8"))
-    assert written["blocks"] == printed["blocks"]
-    assert "Known bugs switched on: float32-distances." in (tmp_path / "results" / "nerm-table1.md").read_text("utf-8")
 
 
 def test_an_evaluator_that_cannot_read_the_captions_leaves_the_others(

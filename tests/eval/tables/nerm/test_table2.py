@@ -15,8 +15,6 @@ from eval.sets.planted import VARIANT_NOTES
 from eval.sets.row_ids import RowId, Variant
 from eval.tables import columns
 from eval.tables.nerm import table2
-from eval.tables.table import find_table
-from motionkit.core.errors import UsageError
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
@@ -167,12 +165,6 @@ def test_clips_that_fit_nowhere_leave_the_column_out(store: Path, tmp_path: Path
     result = build(store, tmp_path, protocol=protocol)
     assert set(rows_of(result)[str(columns.P1)]) == {"60 fps"}
     assert any("no sequence has the 200 poses that a clip at 20 fps" in line for line in result.missing)
-
-
-def test_the_registry_knows_the_table() -> None:
-    assert find_table("nerm", "2") is table2.TABLE
-    with pytest.raises(UsageError, match="no table 2 of 'nobody'"):
-        find_table("nobody", "2")
 
 
 @pytest.mark.usefixtures("without_copies")
