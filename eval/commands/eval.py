@@ -186,7 +186,6 @@ def evaluate(
 
 def _chosen(table: str | None, figure: str | None, calibrate: bool, paper: str) -> "dict[str, Table]":
     """The chosen tables by number; raises `UsageError` without a choice, or for an unknown one."""
-    from eval.tables.calibration import TABLE as CALIBRATION
     from eval.tables.table import find_table
 
     known = plugins.names("TABLES")
@@ -194,7 +193,9 @@ def _chosen(table: str | None, figure: str | None, calibrate: bool, paper: str) 
         listed = ", ".join(known)
         raise UsageError(f"give --table NUMBER, --figure NUMBER or --calibrate; installed tables: {listed}")
     if calibrate:
-        return {"calibration": CALIBRATION}
+        from eval.tables.calibration import TABLE
+
+        return {"calibration": TABLE}
     numbers = [str(table) if figure is None else f"figure{figure}"]
     if table == ALL:
         numbers = [name.removeprefix(f"{paper}-") for name in known if name.startswith(f"{paper}-")]
