@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,68 +13,40 @@ from eval.report.results import Block, Cell, Result, ResultError, Row
 from eval.sets.corruptions import Family, damages
 
 
-@dataclass(frozen=True)
-class CostCurve:
-    """Labelled points (seconds, value ± half-width), and levels without cost: (label, value)."""
+def cost_figure(result: Result, width_inches: float = 6.4) -> Figure | None:
+    """The first block whose columns begin with seconds and end with a quality; None if there is no such block.
 
-    title: str
-    x_label: str
-    y_label: str
-    labels: tuple[str, ...]
-    seconds: tuple[float, ...]
-    values: tuple[float, ...]
-    half_widths: tuple[float, ...]
-    levels: tuple[tuple[str, float], ...]
-
-
-def cost_curve_of(result: Result) -> CostCurve | None:
-    """The first block whose columns begin with seconds and end with a quality; None if there is no such block."""
-    for block in result.blocks:
-        points = _points(block)
-        if points and "seconds" in block.columns[0]:
-            seconds, quality = block.columns[0], block.columns[-1]
-            cells = [row.cells[quality] for row in points]
-            return CostCurve(
-                title=result.title,
-                x_label=seconds,
-                y_label=f"{quality} ({'lower' if block.lower_is_better else 'higher'} is better)",
-                labels=tuple(row.name for row in points),
-                seconds=tuple(row.cells[seconds].value for row in points),
-                values=tuple(cell.value for cell in cells),
-                half_widths=tuple(cell.ci95 or 0.0 for cell in cells),
-                levels=tuple(
-                    (row.name, row.cells[quality].value)
-                    for row in block.rows
-                    if row not in points and quality in row.cells
-                ),
-            )
-    return None
-
-
-def cost_figure(curve: CostCurve, width_inches: float = 6.4) -> Figure:
-    """Both axes begin at zero, so that distances are to scale; levels are dashed lines."""
+    Rows with both are points, others levels (dashed). Both axes begin at zero, so that distances are to scale.
+    """
+    found = [block for block in result.blocks if block.columns and "seconds" in block.columns[0]]
+    block = next((block for block in found if any(block.columns[0] in row.cells for row in block.rows)), None)
+    if block is None:
+        return None
+    seconds, quality = block.columns[0], block.columns[-1]
+    points = [row for row in block.rows if seconds in row.cells and quality in row.cells]
+    levels = [row for row in block.rows if row not in points and quality in row.cells]
+    x = [row.cells[seconds].value for row in points]
+    y = [row.cells[quality].value for row in points]
+    half_widths = [row.cells[quality].ci95 or 0.0 for row in points]
     figure = Figure(figsize=(width_inches, 0.65 * width_inches), layout="constrained")
     axes = figure.subplots()
-    axes.errorbar(curve.seconds, curve.values, curve.half_widths, color=BLUE, marker="o", markersize=4.5, capsize=2.0)
-    for label, x, y in zip(curve.labels, curve.seconds, curve.values, strict=True):
-        axes.annotate(label, (x, y), xytext=(0, -6), textcoords="offset points", fontsize=7.5, rotation=-40, va="top")
-    for label, level in curve.levels:
+    axes.errorbar(x, y, half_widths, color=BLUE, marker="o", markersize=4.5, capsize=2.0)
+    small = {"textcoords": "offset points", "fontsize": 7.5}
+    for row, *place in zip(points, x, y, strict=True):
+        axes.annotate(row.name, tuple(place), xytext=(0, -6), rotation=-40, va="top", **small)
+    for row in levels:
+        level = row.cells[quality].value
         axes.axhline(level, color=GREY, linewidth=0.8, linestyle="--")
-        axes.annotate(label, (0.0, level), xytext=(4, 2), textcoords="offset points", fontsize=7.5, color=GREY)
-    axes.set_xlim(0.0, 1.35 * max(curve.seconds))
-    tops = map(sum, zip(curve.values, curve.half_widths, strict=True))
-    axes.set_ylim(0.0, 1.05 * max((*tops, *(level for _, level in curve.levels))))
-    axes.set_xlabel(curve.x_label, fontsize=9)
-    axes.set_ylabel(curve.y_label, fontsize=9)
-    axes.set_title(curve.title, fontsize=9.5, loc="left")
+        axes.annotate(row.name, (0.0, level), xytext=(4, 2), color=GREY, **small)
+    tops = map(sum, zip(y, half_widths, strict=True))
+    axes.set_xlim(0.0, 1.35 * max(x))
+    axes.set_ylim(0.0, 1.05 * max((*tops, *(row.cells[quality].value for row in levels))))
+    axes.set_xlabel(seconds, fontsize=9)
+    axes.set_ylabel(f"{quality} ({'lower' if block.lower_is_better else 'higher'} is better)", fontsize=9)
+    axes.set_title(result.title, fontsize=9.5, loc="left")
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize=8)
     return figure
-
-
-def _points(block: Block) -> Sequence[Row]:
-    """Rows that have both seconds and a quality."""
-    return [row for row in block.rows if block.columns[0] in row.cells and block.columns[-1] in row.cells]
 
 
 # "120 fps", "×2.4", "15 frames", "λ = 0.5": prefix, number, unit.
@@ -141,12 +112,12 @@ def _number(column: str) -> float:
 
 def figure_of(result: Result) -> Figure | None:
     """A calibration, or a table over framerates or over seconds and a quality, drawn; None for any other."""
-    panels, cost = panels_of(result), cost_curve_of(result)
+    panels = panels_of(result)
     if result.task == TASK:
         return calibration_figure(result)
     if panels:
         return curves_figure(panels)
-    return cost_figure(cost) if cost else None
+    return cost_figure(result)
 
 
 PANEL_INCHES, PANELS_A_LINE = (3.1, 3.0), 3
