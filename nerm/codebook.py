@@ -11,7 +11,7 @@ axes (m/s). The published vector's rotations and contacts are left out: both are
 
 import dataclasses
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from torch import nn
+from torch import Tensor, nn
 from torch.nn.functional import smooth_l1_loss
 
 from motionkit.core.errors import UsageError
@@ -35,7 +35,6 @@ from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
 from motionkit.training.tensors import (
     CheckpointError,
-    fill_checked,
     foreign_tensors,
     load_tensors,
     load_training_tensors,
@@ -63,9 +62,9 @@ class ResidualConvolution(nn.Module):
         self.dilated = nn.Conv1d(width, width, 3, padding=dilation, dilation=dilation)
         self.pointwise = nn.Conv1d(width, width, 1)
 
-    def forward(self, x: Float[torch.Tensor, "batch width frames"]) -> Float[torch.Tensor, "batch width frames"]:
+    def forward(self, x: Float[Tensor, "batch width frames"]) -> Float[Tensor, "batch width frames"]:
         """One block."""
-        updated: torch.Tensor = x + self.pointwise(torch.relu(self.dilated(torch.relu(x))))
+        updated: Tensor = x + self.pointwise(torch.relu(self.dilated(torch.relu(x))))
         return updated
 
 
@@ -100,9 +99,9 @@ def build_decoder(config: CodebookNetworkConfig, num_features: int) -> nn.Sequen
 class Quantised:
     """Features with each vector replaced by its nearest code; `values` pass gradients straight to the features."""
 
-    values: Float[torch.Tensor, "batch code frames"]
-    which: Int64[torch.Tensor, "batch frames"]
-    commitment: Float[torch.Tensor, ""]
+    values: Float[Tensor, "batch code frames"]
+    which: Int64[Tensor, "batch frames"]
+    commitment: Float[Tensor, ""]
 
 
 class Quantiser(nn.Module):
@@ -112,10 +111,10 @@ class Quantiser(nn.Module):
     of the current features (T2M-GPT, models/quantize_cnn.py).
     """
 
-    codes: torch.Tensor
-    sums: torch.Tensor
-    counts: torch.Tensor
-    started: torch.Tensor
+    codes: Tensor
+    sums: Tensor
+    counts: Tensor
+    started: Tensor
 
     def __init__(self, config: CodebookNetworkConfig) -> None:
         super().__init__()
@@ -124,12 +123,12 @@ class Quantiser(nn.Module):
         self.register_buffer("counts", torch.ones(config.num_codes))
         self.register_buffer("started", torch.tensor(False))
 
-    def nearest(self, vectors: Float[torch.Tensor, "vectors code"]) -> Int64[torch.Tensor, "vectors"]:
+    def nearest(self, vectors: Float[Tensor, "vectors code"]) -> Int64[Tensor, "vectors"]:
         """Index of the code closest to each vector."""
         distances = self.codes.square().sum(1) - 2.0 * vectors @ self.codes.T
         return distances.argmin(dim=1)
 
-    def forward(self, features: Float[torch.Tensor, "batch code frames"]) -> Quantised:
+    def forward(self, features: Float[Tensor, "batch code frames"]) -> Quantised:
         """Quantise features."""
         vectors = features.transpose(1, 2).reshape(-1, features.shape[1])
         which = self.nearest(vectors.detach())
@@ -138,7 +137,7 @@ class Quantiser(nn.Module):
         return Quantised(features + (codes - features).detach(), which.reshape(len(features), -1), commitment)
 
     @torch.no_grad()
-    def start(self, features: Float[torch.Tensor, "batch code frames"], generator: torch.Generator) -> None:
+    def start(self, features: Float[Tensor, "batch code frames"], generator: torch.Generator) -> None:
         """Initialise the codes with a batch's features, repeated with a little noise if they are too few."""
         if bool(self.started):
             return
@@ -150,8 +149,8 @@ class Quantiser(nn.Module):
     @torch.no_grad()
     def update(
         self,
-        features: Float[torch.Tensor, "batch code frames"],
-        which: Int64[torch.Tensor, "batch frames"],
+        features: Float[Tensor, "batch code frames"],
+        which: Int64[Tensor, "batch frames"],
         generator: torch.Generator,
     ) -> None:
         """Move the codes towards the features assigned to them, and reset rarely used ones."""
@@ -166,8 +165,8 @@ class Quantiser(nn.Module):
         self.codes.copy_(torch.where(in_use, self.sums / self.counts[:, None].clamp(min=1e-9), replacements))
 
     def _random_features(
-        self, features: Float[torch.Tensor, "batch code frames"], generator: torch.Generator
-    ) -> Float[torch.Tensor, "codes code"]:
+        self, features: Float[Tensor, "batch code frames"], generator: torch.Generator
+    ) -> Float[Tensor, "codes code"]:
         vectors = features.detach().transpose(1, 2).reshape(-1, features.shape[1])
         num_codes, width = self.codes.shape
         repeats = -(-num_codes // len(vectors))
@@ -188,18 +187,14 @@ class CodebookNetwork(nn.Module):
         self.quantiser = Quantiser(config)
         self.decoder = build_decoder(config, num_features)
 
-    def encode(
-        self, vectors: Float[torch.Tensor, "batch frames numbers"]
-    ) -> Float[torch.Tensor, "batch code short_frames"]:
+    def encode(self, vectors: Float[Tensor, "batch frames numbers"]) -> Float[Tensor, "batch code short_frames"]:
         """Features before quantisation; `frames` must be a multiple of 4."""
-        features: torch.Tensor = self.encoder(vectors.transpose(1, 2))
+        features: Tensor = self.encoder(vectors.transpose(1, 2))
         return features
 
-    def decode(
-        self, features: Float[torch.Tensor, "batch code short_frames"]
-    ) -> Float[torch.Tensor, "batch frames numbers"]:
+    def decode(self, features: Float[Tensor, "batch code short_frames"]) -> Float[Tensor, "batch frames numbers"]:
         """Pose vectors from (quantised) features."""
-        vectors: torch.Tensor = self.decoder(features).transpose(1, 2)
+        vectors: Tensor = self.decoder(features).transpose(1, 2)
         return vectors
 
 
@@ -245,12 +240,10 @@ class VectorCorpus:
 
     vectors: Float32[np.ndarray, "rows numbers"]
     first_rows: Int64[np.ndarray, "starts"]
-    mean: Float32[torch.Tensor, "numbers"]
-    scale: Float32[torch.Tensor, "numbers"]
+    mean: Float32[Tensor, "numbers"]
+    scale: Float32[Tensor, "numbers"]
 
-    def windows(
-        self, starts: Int64[torch.Tensor, "batch"], frames: int
-    ) -> Float32[torch.Tensor, "batch frames numbers"]:
+    def windows(self, starts: Int64[Tensor, "batch"], frames: int) -> Float32[Tensor, "batch frames numbers"]:
         """Standardised windows from the n-th possible starts."""
         rows = self.first_rows[starts.numpy()][:, None] + np.arange(frames)
         return (torch.from_numpy(np.asarray(self.vectors[rows])) - self.mean) / self.scale
@@ -304,7 +297,7 @@ def _num_vectors(source: PositionSource) -> Int64[np.ndarray, "sequences"]:
 
 def _statistics(
     vectors: Float32[np.ndarray, "rows numbers"],
-) -> tuple[Float32[torch.Tensor, "numbers"], Float32[torch.Tensor, "numbers"]]:
+) -> tuple[Float32[Tensor, "numbers"], Float32[Tensor, "numbers"]]:
     total = np.zeros(vectors.shape[1])
     squares = np.zeros(vectors.shape[1])
     for start in range(0, len(vectors), 16_384):
@@ -334,7 +327,7 @@ class CodebookTraining:
         self.steps = config.schedule.steps
         self.positions = joint_positions_block((len(corpus.mean) - 1) // 6)
 
-    def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
+    def step(self, step: int, generator: torch.Generator) -> Mapping[str, Tensor]:
         """SmoothL1 + 0.5·SmoothL1 of joint positions + 0.02·commitment, then update the codes' moving averages."""
         config, schedule, quantiser = self.config, self.config.schedule, self.network.quantiser
         starts = torch.randint(len(self.corpus.first_rows), (schedule.batch_size,), generator=generator)
@@ -367,75 +360,35 @@ class CodebookTraining:
             "perplexity": share * perplexity(which, config.network.num_codes),
         }
 
-    def state_tensors(self) -> dict[str, torch.Tensor]:
+    def state_tensors(self) -> dict[str, Tensor]:
         """Weights, codes and moments."""
         return training_tensors("network", self.network, self.optimizer)
 
-    def load_state_tensors(self, tensors: Mapping[str, torch.Tensor]) -> None:
+    def load_state_tensors(self, tensors: Mapping[str, Tensor]) -> None:
         """Restore what `state_tensors` returned."""
         load_training_tensors("network", self.network, self.optimizer, tensors)
 
 
-def perplexity(which: Int64[torch.Tensor, "*shape"], num_codes: int) -> Float32[torch.Tensor, ""]:
+def perplexity(which: Int64[Tensor, "*shape"], num_codes: int) -> Float32[Tensor, ""]:
     """exp of the entropy of the codes' use: the effective number of codes."""
     shares = torch.bincount(which.reshape(-1), minlength=num_codes).float() / which.numel()
     return torch.exp(-torch.xlogy(shares, shares).sum())
 
 
-# T2M-GPT's checkpoint (`net_last.pth`: key `net`, names `vqvae.…`), README, "VQ-VAE training".
-PUBLISHED = CodebookNetworkConfig()
-PUBLISHED_FEATURES = (263, 251)
-PREFIX = "vqvae."
-CODES = "vqvae.quantizer.codebook"
+PUBLISHED_CODES = "vqvae.quantizer.codebook"
 
 
-def load_published(path: Path, config: CodebookNetworkConfig = PUBLISHED) -> CodebookNetwork:
-    """T2M-GPT's own VQ-VAE, of HumanML3D's 263 numbers a pose or KIT's 251.
+def load_published(path: Path) -> Float32[Tensor, "codes dimension"]:
+    """The codes of T2M-GPT's own checkpoint (`net_last.pth`).
 
-    Raises `CheckpointError` for any other file: one that needs unpickling, missing or unexpected names, shapes other
-    than `config`'s, non-finite values, an untrained codebook. Its pose vectors are in the *evaluator's* statistics,
-    root and contacts weighted 25-fold; the field reads the codes alone.
+    Raises `CheckpointError` for any other file: one that needs unpickling, another network's, an untrained codebook.
     """
-    tensors = foreign_tensors(read_foreign(path), "net", path, "T2M-GPT's VQ-VAE")
-    first = f"{PREFIX}encoder.model.0.weight"
-    shape = tuple(tensors[first].shape) if first in tensors else ()
-    if len(shape) != 3 or shape[1] not in PUBLISHED_FEATURES:
-        raise CheckpointError(
-            f"{path}: net/{first} is {shape or 'missing'}; T2M-GPT's VQ-VAE begins with pose vectors of 263 numbers "
-            "(HumanML3D) or 251 (KIT)"
-        )
-    network = CodebookNetwork(config, shape[1]).eval().requires_grad_(False)
-    fill_checked(dict(_own_tensors(network)), tensors, "net", path, "T2M-GPT's VQ-VAE")
-    network.quantiser.started.fill_(True)
-    if len(torch.unique(network.quantiser.codes, dim=0)) < len(network.quantiser.codes) // 2:
+    codes = foreign_tensors(read_foreign(path), "net", path, "T2M-GPT's VQ-VAE").get(PUBLISHED_CODES)
+    if codes is None or codes.dim() != 2 or not bool(torch.isfinite(codes).all()):
+        raise CheckpointError(f"{path}: net/{PUBLISHED_CODES} is no codebook of finite numbers")
+    if len(torch.unique(codes, dim=0)) < len(codes) // 2:
         raise CheckpointError(f"{path}: more than half of its codes are copies of others; a trained codebook has none")
-    return network
-
-
-def published_name(own: str) -> str:
-    """The name in T2M-GPT's checkpoint of a parameter of `CodebookNetwork.encoder` or `.decoder`.
-
-    There each downsampling is a nested block (encdec.py): a convolution and a ResNet, or a ResNet, an upsampling and a
-    convolution.
-    """
-    half, place, *inside = own.split(".")
-    number, rest = int(place), ".".join(inside)
-    rest = rest.replace("dilated", "conv1").replace("pointwise", "conv2")
-    size = 2 if half == "encoder" else 3
-    block, part = divmod(number - 2, size)
-    if number < 2:
-        return f"{PREFIX}{half}.model.{number}.{rest}"
-    if block >= DOWNSAMPLINGS:
-        return f"{PREFIX}{half}.model.{2 + DOWNSAMPLINGS + number - 2 - size * DOWNSAMPLINGS}.{rest}"
-    is_stack = part == (1 if half == "encoder" else 0)
-    return f"{PREFIX}{half}.model.{2 + block}.{part}.{'model.' if is_stack else ''}{rest}"
-
-
-def _own_tensors(network: CodebookNetwork) -> Iterator[tuple[str, torch.Tensor]]:
-    for half in ("encoder", "decoder"):
-        for name, tensor in getattr(network, half).named_parameters(prefix=half):
-            yield published_name(name), tensor
-    yield CODES, network.quantiser.codes
+    return codes.float()
 
 
 STAGE_NAME = "codebook"
@@ -443,7 +396,7 @@ FORMAT = "nerm-codebook"
 FORMAT_VERSION = 1
 
 
-def load_codes(run: RunFolder | Path) -> Float32[torch.Tensor, "codes dimension"]:
+def load_codes(run: RunFolder | Path) -> Float32[Tensor, "codes dimension"]:
     """A run's trained codebook {e_i}; raises `CheckpointError` or `RunError` without one."""
     folder = (run if isinstance(run, RunFolder) else RunFolder(run)).stage(STAGE_NAME)
     if not folder.model_path.is_file():
@@ -458,18 +411,17 @@ def load_codes(run: RunFolder | Path) -> Float32[torch.Tensor, "codes dimension"
 
 
 def train_codebook(context: StageContext, config: NermConfig) -> None:
-    """Train the VQ-VAE, or use T2M-GPT's own; write codes [N, d], network and statistics to model.safetensors."""
+    """Train the VQ-VAE, or take the codes of T2M-GPT's own; write codes [N, d] and network to model.safetensors."""
     store, device, ranks = context.open_store(), resolve_device(context.device), context.ranks
     settings = with_precision_of(config.codebook, device)
     config = dataclasses.replace(config, codebook=settings)
     description = {"format": FORMAT, "version": FORMAT_VERSION, "fps": FPS}
     weights = settings.published.weights
     if weights:
-        published = load_published(Path(weights))
+        codes = load_published(Path(weights))
         folder = context.begin(STAGE_NAME, config, store_fingerprint=store.fingerprint)
         if ranks.is_first:
-            codes = published.quantiser.codes
-            save_tensors(folder.model_path, {"codes": codes} | prefixed("network", published.state_dict()), description)
+            save_tensors(folder.model_path, {"codes": codes}, description)
             folder.finish({"codes": len(codes), "from": weights})
         return
     started = time.perf_counter()

@@ -36,7 +36,7 @@ class CodebookScheduleConfig:
 
 @dataclass(frozen=True)
 class PublishedConfig:
-    """`weights`: T2M-GPT's own checkpoint, used instead of training, with its own sizes."""
+    """`weights`: T2M-GPT's own checkpoint, whose codes are used instead of training."""
 
     weights: str = ""
 

@@ -1,13 +1,11 @@
 """Every row of the ablation tables is a value of the configuration, trains, and differs in what it says alone."""
 
-from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 import pytest
 import torch
 
-from eval.tables.ablation_runs import ablate_command, run_name
 from eval.tables.table import reported_figures
 from motionkit.core.errors import UsageError
 from motionkit.data.corpus import FrameValues
@@ -68,13 +66,6 @@ def test_every_variant_trains(variant: Variant, recipe: str) -> None:
     assert np.mean(losses[-3:]) < np.mean(losses[:3])
 
 
-@pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize("encoding", ["none", "raw", "fourier", "codebook"])
-def test_every_time_encoding_trains_with_either_layout(encoding: str, layout: str) -> None:
-    losses = _losses(_training(_settings("paper", f"field.encoder.kind={encoding}", f"field.latents.layout={layout}")))
-    assert np.mean(losses[-3:]) < np.mean(losses[:3])
-
-
 @pytest.mark.parametrize("table", ["5", "6", "7", "8"])
 def test_the_rows_are_those_of_the_paper_s_tables(table: str) -> None:
     figures = reported_figures("nerm", table)
@@ -91,18 +82,6 @@ def test_a_variant_differs_from_its_layout_in_what_it_says(variant: Variant, rec
     was, now = flatten(base), flatten(ours)
     changed = {key for key in now if now[key] != was[key]}
     assert changed <= {parse_override(setting)[0] for setting in variant.change}
-
-
-def test_names_of_variants_are_names_of_runs() -> None:
-    assert len({variant.name for variant in VARIANTS}) == len(VARIANTS)
-    assert run_name("nano", GLOBAL, 0) == "nano-global"
-    assert run_name("nano", GLOBAL, 3) == "nano-global-seed3"
-    assert ablate_command(NERM, "5", "short", GLOBAL) == "motionkit ablate 5 --run short --only global"
-
-
-@pytest.mark.parametrize("table", ["5", "6", "7", "8", "9"])
-def test_the_full_model_of_the_paper_s_layout_is_in_every_table_of_the_paper(table: str) -> None:
-    assert GLOBAL in NERM.tables[table].variants
 
 
 def test_the_rows_of_a_table_are_different_trainings() -> None:
@@ -145,24 +124,6 @@ class TestFixedFramerate:
             torch.testing.assert_close(ticks, ticks.round(), atol=1e-9, rtol=0)
             assert batch.fps.unique().tolist() == [20.0]
 
-    def test_scales_and_starting_latents_see_that_framerate_only(self) -> None:
-        config = _settings("nano", "field.clips.fixed_fps=20")
-        whole = _training(config)
-        source = analytic_source()
-        between = source.positions.copy()
-        for start, count, fps in zip(source.start_row, source.num_frames, source.fps_numerator, strict=True):
-            frames = np.arange(count)
-            # Every native frame that no tick of 20 fps touches, before or after it, is spoilt.
-            ticks = frames * 20 / fps
-            touched = np.isin(frames, np.floor(np.arange(81) * fps / 20)) | np.isin(
-                frames, np.ceil(np.arange(81) * fps / 20)
-            )
-            assert (~touched).any() == (fps > 40), ticks
-            between[start : start + count][~touched] += 5.0
-        spoilt = _training(config, replace(source, positions=between))
-        torch.testing.assert_close(spoilt.scaling.mean, whole.scaling.mean)
-        torch.testing.assert_close(spoilt.mean.table, whole.mean.table)
-
     def test_slower_sequences_are_left_out_and_reported(self) -> None:
         config = _settings("nano", "field.clips.fixed_fps=60")
         source = analytic_source()
@@ -178,11 +139,6 @@ class TestFixedFramerate:
         assert _settings("nano", "field.clips.fixed_fps=30000/1001").clips.fixed_framerate == Fraction(30000, 1001)
         assert _settings("nano", "field.clips.fixed_fps=12.5").clips.fixed_framerate == Fraction(25, 2)
         assert _settings("nano").clips.fixed_framerate is None
-
-    @pytest.mark.parametrize("fps", ["0", "-20", "1000000", "fast", "20/0"])
-    def test_what_is_no_framerate_is_refused(self, fps: str) -> None:
-        with pytest.raises(UsageError, match=f"field.clips.fixed_fps={fps}.*framerate"):
-            _settings("nano", f"field.clips.fixed_fps={fps}")
 
 
 def test_one_framerate_and_short_windows_are_reported() -> None:

@@ -1,12 +1,11 @@
 """Zero masks, guidance (Eq. 6), and which captions belong to a window."""
 
-import numpy as np
 import pytest
 import torch
 
 from motionkit.core.errors import UsageError
 from motionkit.training.conditions import NO_ACTION, Conditions, ConditionSizes, guided
-from nerm.conditions import ConditionEmbedding, unit_rows
+from nerm.conditions import ConditionEmbedding
 
 
 def conditions(batch: int = 3) -> Conditions:
@@ -75,8 +74,3 @@ def test_unknown_action_is_refused_by_name():
     assert layout.action_index("") == NO_ACTION
     with pytest.raises(UsageError, match=r"no action 'swim'; it knows jump, walk"):
         layout.action_index("swim")
-
-
-def test_unit_rows_leave_zeros_alone():
-    rows = unit_rows(np.array([[3.0, 4.0], [0.0, 0.0]], dtype=np.float32))
-    np.testing.assert_allclose(rows, [[0.6, 0.8], [0.0, 0.0]], rtol=1e-6)

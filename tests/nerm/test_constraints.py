@@ -13,7 +13,6 @@ from motionkit.features.rotations import RotationVectors, smpl_rig
 from motionkit.fields.contact.legs import legs_of
 from motionkit.fields.motion_field import to_motion
 from motionkit.generate.constraints import Constraint
-from motionkit.training.diffusion.process import sample
 from motionkit.training.pose_vectors import joints_of
 from nerm.constraints import ConstraintCost, FootSliding, Search
 from tests.helpers.analytic import analytic_motion
@@ -41,10 +40,6 @@ def test_the_search_finds_the_optimum_of_a_linear_field() -> None:
     found, place = Search(drawn, sigma, lambda numbers: numbers, ConstraintCost(joints, (wanted,))).run(60)
     torch.testing.assert_close(found.double(), best, atol=2e-3, rtol=0)
     assert place.tolist() == [0.0, 0.0, 0.0]
-
-
-def test_constraints_of_one_joint_leave_the_motion_where_it_is() -> None:
-    assert not ConstraintCost(lambda latent: BODY[None], (Constraint.joint("head", (0, 1, 0), 0.0),)).places_motion
 
 
 def test_a_path_says_where_the_motion_lies() -> None:
@@ -104,23 +99,6 @@ def test_feet_that_stand_cost_what_they_slide() -> None:
     base = float(feet.cost(torch.zeros(6)))
     assert float(sliding.cost(torch.zeros(6))) - base > 10.0
     assert float(rising.cost(torch.zeros(6))) == pytest.approx(base, rel=1e-4)
-
-
-def test_what_adjusts_the_sampler_is_what_comes_out() -> None:
-    """Whatever the noise predictor says, the last adjusted prediction is the sample."""
-    alphas = torch.linspace(0.99, 0.01, 100).double()
-    start = torch.ones(1, 3).double()
-    seen: list[int] = []
-
-    def adjust(clean: torch.Tensor, index: int, alpha: float) -> torch.Tensor:
-        seen.append(index)
-        return torch.full_like(clean, 7.0)
-
-    found = sample(lambda latents, steps: 0.3 * latents, start, alphas, (90, 50, 10), adjust=adjust)
-    assert seen == [0, 1, 2] and torch.equal(found, torch.full((1, 3), 7.0).double())
-    plain = sample(lambda latents, steps: 0.3 * latents, start, alphas, (90, 50, 10))
-    same = sample(lambda latents, steps: 0.3 * latents, start, alphas, (90, 50, 10), adjust=lambda clean, *_: clean)
-    torch.testing.assert_close(same, plain)
 
 
 def test_joints_of_rotations_are_those_that_are_decoded() -> None:

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,8 +16,7 @@ from motionkit.data.windows import cut_windows
 from motionkit.fields.completion import complete
 from motionkit.fields.motion_field import MotionEncoder, Observation, Poses, to_motion
 from motionkit.training.pose_vectors import PoseTensors
-from motionkit.training.run import RunError
-from nerm.encoding import NermEncoder, effect_of_numbers, encode_by_optimisation, load, minimise_each, starting_latents
+from nerm.encoding import NermEncoder, effect_of_numbers, encode_by_optimisation, minimise_each, starting_latents
 from nerm.field import TrainedField
 from nerm.field_training import FieldTraining
 from tests.helpers.nerm_corpus import FPS, analytic_positions, analytic_source
@@ -88,11 +86,6 @@ def test_what_cannot_be_encoded_is_named(trained: TrainedField) -> None:
         NermEncoder(trained, overlap_seconds=4.0).encode(Observation.of(motion))
 
 
-def test_a_run_without_a_field_is_named(tmp_path: Path) -> None:
-    with pytest.raises(RunError, match="stage 'field'"):
-        load(tmp_path)
-
-
 def test_encoding_by_optimisation_finds_a_training_window_again(small_field: TrainedField) -> None:
     batch = PoseTensors.of(small_poses().evenly(np.arange(4), 61))
     latents = encode_by_optimisation(small_field, batch)
@@ -132,16 +125,6 @@ def test_each_row_is_minimised_by_itself() -> None:
     found = minimise_each(objective, start, 80)
     torch.testing.assert_close(found, torch.ones_like(start), atol=1e-6, rtol=0.0)
     assert torch.equal(minimise_each(objective, start[:1], 80), found[:1])
-
-
-def test_the_search_improves_on_its_start(small_field: TrainedField) -> None:
-    batch = PoseTensors.of(small_poses().evenly(np.arange(4), 61))
-    found = [
-        starting_latents(small_field, batch),
-        *(encode_by_optimisation(small_field, batch, evaluations=n) for n in (4, 30)),
-    ]
-    errors = [np.mean([error_mm(small_field, latents[row], row, 120) for row in range(4)]) for latents in found]
-    assert errors[2] < errors[1] < errors[0]
 
 
 def test_numbers_are_searched_in_units_of_their_effect(small_field: TrainedField) -> None:

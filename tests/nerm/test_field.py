@@ -20,10 +20,9 @@ from motionkit.training.loop import step_generator
 from motionkit.training.pose_vectors import PoseTensors
 from motionkit.training.run import RunFolder, StageFolder
 from motionkit.training.stage import StageContext
-from motionkit.training.tensors import CheckpointError, save_tensors
 from nerm.encoding import encode_windows
 from nerm.field import TrainedField, load_field, save_field
-from nerm.field_training import RowAdam, kl_divergence, sample_posterior, train_field
+from nerm.field_training import RowAdam, kl_divergence, train_field
 from nerm.recipes import nano
 from tests.helpers.analytic import analytic_motion
 from tests.helpers.nerm_corpus import FPS
@@ -64,23 +63,6 @@ def test_poses_do_not_depend_on_what_else_is_asked_for(small_field: TrainedField
     np.testing.assert_allclose(alone[0, 0], together[2, 1], atol=1e-5)
 
 
-def test_only_so_many_poses_are_decoded_at_once(small_field: TrainedField, monkeypatch: pytest.MonkeyPatch) -> None:
-    times, latents = np.arange(4000) / 1000, small_field.posterior_mean[:2]
-    rows = np.stack((times, times[::-1]))
-    whole, whole_rows = (small_field.decode(latents, each, Fraction(1000)) for each in (times, rows))
-    decoded: list[int] = []
-    counted = small_field.network.output.register_forward_hook(
-        lambda module, inputs, output: decoded.append(output[..., 0].numel())
-    )
-    monkeypatch.setattr("nerm.field.POSES_AT_ONCE", 700)
-    parts, part_rows = (small_field.decode(latents, each, Fraction(1000)) for each in (times, rows))
-    counted.remove()
-    assert max(decoded) == 700
-    assert sum(decoded) == 4 * len(times)
-    np.testing.assert_allclose(parts, whole, atol=1e-5)
-    np.testing.assert_allclose(part_rows, whole_rows, atol=1e-5)
-
-
 def test_a_latent_is_a_motion_field(small_field: TrainedField) -> None:
     motion = small_field.as_motion_field(small_field.posterior_mean[1], 2.5)
     assert (motion.start_seconds, motion.end_seconds, motion.skeleton) == (0.0, 2.5, SMPL22)
@@ -110,11 +92,6 @@ def test_a_transformer_decoders_motion_is_a_function_of_time(monkeypatch: pytest
     assert np.abs(alone - fast[17]).max() > 1e-3
 
 
-def test_the_coordinate_branch_is_kept_for_a_grid(small_field: TrainedField) -> None:
-    times = np.linspace(0, 4, 11)[None] ** 2 / 4
-    assert small_field.encode_times(times, FPS[0]) is small_field.encode_times(times.copy(), FPS[0])
-
-
 @pytest.mark.parametrize("rate", [30.0, 120.0])
 def test_durations_share_the_coordinate_branch(small_field: TrainedField, rate: float) -> None:
     fps = Fraction(30)
@@ -138,12 +115,6 @@ def test_durations_share_the_coordinate_branch(small_field: TrainedField, rate: 
     np.testing.assert_allclose(poses, expected.joint_positions, atol=1e-5)
 
 
-def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
-    save_tensors(tmp_path / "field" / "model.safetensors", {}, {"format": "something", "version": 1})
-    with pytest.raises(CheckpointError, match="'something' version 1, expected 'nerm-field'"):
-        load_field(tmp_path)
-
-
 def test_only_the_batch_s_latents_move() -> None:
     training = small_training(apply_overrides(SMALL, ["schedule.batch_size=1", "clips.seconds_per_visit=10.0"]))
     before = training.mean.table.clone()
@@ -158,19 +129,6 @@ def test_training_without_distributions_leaves_variances_alone() -> None:
     figures = training.step(0, step_generator(3, "field", 0))
     assert torch.equal(training.log_variance.table, before)
     assert torch.equal(figures["loss"], figures["reconstruction"])
-
-
-def test_a_transformer_decoder_has_the_rate_of_attention() -> None:
-    training = small_training(
-        apply_overrides(
-            SMALL,
-            ["decoder.kind=transformer", "schedule.learning_rate=0.01", "optimizer.attention_learning_rate=0.001"],
-        )
-    )
-    rates = {id(parameter): group["lr"] for group in training.optimizer.param_groups for parameter in group["params"]}
-    assert {rates[id(parameter)] for parameter in training.network.layers.parameters()} == {1e-3}
-    assert rates[id(training.network.output.weight)] == 1e-2
-    assert len(rates) == len(list(training.network.parameters()))
 
 
 def test_a_field_with_knots_begins_as_the_ridge_fit() -> None:
@@ -204,17 +162,6 @@ def test_kl_is_that_of_normal_distributions() -> None:
     mean, log_variance = torch.randn(5, 7), torch.randn(5, 7)
     expected = torch.distributions.kl_divergence(Normal(mean, torch.exp(0.5 * log_variance)), Normal(0.0, 1.0)).mean()
     torch.testing.assert_close(kl_divergence(mean, log_variance), expected)
-
-
-def test_samples_have_the_posterior_s_mean_and_deviation() -> None:
-    noise = torch.randn(200_000, 2, generator=torch.Generator().manual_seed(2))
-    mean, log_variance = (
-        torch.tensor([1.0, -2.0]).expand(len(noise), 2),
-        torch.tensor([0.0, -2.0]).expand(len(noise), 2),
-    )
-    samples = sample_posterior(mean, log_variance, noise)
-    torch.testing.assert_close(samples.mean(0), torch.tensor([1.0, -2.0]), atol=0.01, rtol=0)
-    torch.testing.assert_close(samples.std(0), torch.exp(torch.tensor([0.0, -1.0])), atol=0.01, rtol=0)
 
 
 @pytest.fixture(scope="module")

@@ -31,21 +31,14 @@ from nerm.latents import (
     places_of,
     relative_to,
     steps_of,
-    turned,
 )
-from nerm.linear_fit import LinearModel, held, measured_heading, ridge_knots
+from nerm.linear_fit import LinearModel, held, ridge_knots
 from nerm.network import FieldNetwork
 from nerm.settings import FieldConfig, LatentScale
 from tests.helpers.nerm_corpus import MemorySource, analytic_positions, analytic_source
 
 KERNELS: list[Kernel] = ["hann", "lanczos"]
 TIMES = torch.linspace(-1, 1, 301, dtype=torch.float64)
-
-
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_constant_knots_read_as_a_constant_up_to_the_ends(kernel: Kernel) -> None:
-    weights = KnotLayout(12, kernel, 2.0, 2).interpolant(TIMES)
-    torch.testing.assert_close(weights.sum(-1), torch.ones(301, dtype=torch.float64))
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
@@ -86,18 +79,6 @@ def test_ridge_knots_recover_what_knots_made(seed: int, kernel: Kernel, radius: 
     made = mix(knots, layout.basis(times.reshape(-1)).reshape(2, 101, 3, 9))[..., :3]
     found = ridge_knots(made, times, torch.ones_like(times), layout, 1e-9)
     torch.testing.assert_close(found, knots, atol=2e-3, rtol=2e-3)
-
-
-def test_instants_that_do_not_count_are_not_fitted() -> None:
-    layout = KnotLayout(4, "lanczos", 2.0, 0)
-    targets = torch.where(TIMES < 0.5, 1.0, 100.0)[None, :, None]
-    knots = ridge_knots(targets, TIMES[None], (TIMES < 0.5).double()[None], layout, 1e-9)
-    torch.testing.assert_close(knots, torch.ones(1, 4, 1), atol=1e-4, rtol=0)
-
-
-def test_a_layout_needs_knots_that_meet() -> None:
-    with pytest.raises(ValueError, match="at least two knots"):
-        KnotLayout(8, "hann", 0.5, 0)
 
 
 BANKED = apply_overrides(
@@ -153,34 +134,11 @@ def test_poses_relative_to_a_path_come_back() -> None:
     torch.testing.assert_close(placed(relative_to(vectors, path), path), vectors, atol=1e-5, rtol=1e-5)
 
 
-def test_turning_is_about_the_vertical_from_z_towards_x() -> None:
-    vectors = torch.tensor([[0.0, 0.5, 1.0, 0.0, 0.7, 2.0]])
-    quarter = turned(vectors, torch.tensor([np.pi / 2]))
-    torch.testing.assert_close(quarter, torch.tensor([[1.0, 0.5, 0.0, 2.0, 0.7, 0.0]]), atol=1e-6, rtol=0)
-
-
 def test_somebody_who_walks_ahead_feels_forward_speed() -> None:
     heading = torch.tensor([0.3, 2.0, -1.1])
     ahead = torch.stack((torch.sin(heading), torch.cos(heading), torch.zeros(3)), dim=-1)
     felt = path_speed(ahead, torch.stack((torch.ones(3), torch.ones(3), heading), dim=-1))
     torch.testing.assert_close(felt, torch.tensor([[0.0, 1.0, 0.0]]).expand(3, 3), atol=1e-6, rtol=0)
-
-
-def test_heading_goes_on_beyond_a_full_turn() -> None:
-    vectors = PoseTensors.of(_poses(_circling()).evenly(np.array([0]), 100)).vectors
-    heading = measured_heading(vectors)[0]
-    expected = torch.linspace(0, 2 * np.pi * 1.3, 100, dtype=torch.float64)
-    # The analytic body sways, so that the line through hips and shoulders turns a little too.
-    assert float((heading - expected).abs().max()) < 0.8
-    assert float(heading[-1] - heading[0]) > 2 * np.pi
-
-
-def test_banks_split_and_join() -> None:
-    banks = _banks()
-    latents = torch.randn(3, banks.dimension, generator=torch.Generator().manual_seed(1))
-    parts = banks.split(latents)
-    assert [tuple(part.shape) for part in parts] == [(3, 16, 6), (3, 8, 5), (3, 8, 3)]
-    assert torch.equal(banks.join(parts), latents)
 
 
 def test_z_goes_by_stretches_of_time() -> None:

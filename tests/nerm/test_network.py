@@ -17,9 +17,6 @@ from nerm.network import (
     attention,
     distinct,
     frame_numbers,
-    framerate_number,
-    rounded_up,
-    step_features,
 )
 from nerm.recipes import RECIPES
 from nerm.settings import FieldConfig, TransformerConfig
@@ -123,14 +120,6 @@ def test_through_a_context_a_transformers_pose_depends_on_nothing_else_either() 
     assert (decoded([0, 1, 2, 3, 4, 5, 6], 0)[:, 6] - together[:, 6]).abs().max() > 1e-3
 
 
-def test_without_any_time_a_window_is_one_pose() -> None:
-    network = _network("encoder.kind=none")
-    vectors = network(*_clips())
-    torch.testing.assert_close(vectors, vectors[:, :1].expand_as(vectors))
-    moving = _network("encoder.kind=raw")(*_clips())
-    assert float(moving.detach().std(dim=1).mean()) > 1e-4
-
-
 def test_attention_once_per_distinct_coordinate_equals_attention_per_clip() -> None:
     network = _network()
     assert network.fourier is not None
@@ -182,11 +171,6 @@ def test_frame_numbers_count_from_one_at_each_clip_s_framerate() -> None:
     torch.testing.assert_close(numbers, torch.tensor([[1.0, 2.0], [1.0, 1201.0]], dtype=torch.float64))
 
 
-def test_framerates_enter_by_their_logarithm() -> None:
-    numbers = framerate_number(torch.tensor([20.0, 40.0, 160.0], dtype=torch.float64), 0.5)
-    assert numbers.tolist() == [0.0, 0.5, 1.5]
-
-
 def test_periodic_fourier_features_have_no_seam() -> None:
     period = 0.125
     features = FourierFeatures(16, 20.0, period)
@@ -203,15 +187,6 @@ def test_a_local_latent_means_the_same_at_every_knot() -> None:
     here = network(latents.flatten(1), t, fps)
     later = network(torch.roll(latents, 2, dims=1).flatten(1), t + 2 * spacing, fps)
     torch.testing.assert_close(here, later, atol=1e-5, rtol=1e-4)
-
-
-def test_few_shapes_of_coordinates_and_the_same_answers() -> None:
-    counts = [len(rounded_up(torch.arange(count, dtype=torch.float64))) for count in range(1, 3000)]
-    assert all(count <= rounded <= 1.125 * count + 1 for count, rounded in enumerate(counts, start=1))
-    assert len(set(counts)) < 80
-    values = torch.tensor([0.1, 0.2, 0.5] * 11, dtype=torch.float64)
-    torch.testing.assert_close(rounded_up(values)[:33], values)
-    assert rounded_up(values)[33:].tolist() == [0.5] * 3
 
 
 LAYOUT = ConditionSizes(text_dimension=3, actions=("a", "b", "c"))
@@ -258,18 +233,6 @@ def test_skips_carry_the_first_half() -> None:
     first = denoiser(torch.zeros(1, 4), torch.tensor([3]), action_conditions(torch.tensor([0])))
     second = denoiser(torch.ones(1, 4), torch.tensor([3]), action_conditions(torch.tensor([0])))
     assert not torch.allclose(first, second)
-
-
-def test_step_features_tell_all_steps_apart() -> None:
-    features = step_features(torch.arange(1000), 32)
-    distances = torch.cdist(features, features) + 10 * torch.eye(1000)
-    assert float(distances.min()) > 0.1
-
-
-@pytest.mark.parametrize("wrong", [{"num_layers": 4}, {"width": 36}])
-def test_impossible_sizes_are_refused(wrong: dict[str, int]) -> None:
-    with pytest.raises(ValueError, match="must be"):
-        TransformerConfig(**wrong)
 
 
 def test_what_a_motion_does_not_depend_on_is_neither_read_nor_put_out() -> None:

@@ -110,12 +110,6 @@ def test_what_no_rule_knows_has_no_other_wording(text):
     assert options(text) == set()
 
 
-def test_a_negated_sentence_keeps_its_verbs():
-    found = options("a person does not lift the left foot")
-    assert found
-    assert all(each.endswith(" does not lift the left foot") for each in found)
-
-
 def test_inflection():
     verbs = ["walk", "carry", "crouch", "do", "run", "raise", "lie", "throw", "kneel"]
     thirds = ["walks", "carries", "crouches", "does", "runs", "raises", "lies", "throws", "kneels"]

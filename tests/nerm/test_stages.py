@@ -106,9 +106,3 @@ def test_table_4_is_built_from_a_store_and_a_run(store: Path, run: Path, tmp_pat
     for row in mre.rows:
         # No vector is farther than its rms times the root of its 263 numbers.
         assert all(cell.details[DISTANCE] <= cell.value * 263**0.5 for cell in row.cells.values())
-
-
-def test_table_4_of_a_split_that_is_not_there_says_so(store: Path, run: Path, tmp_path: Path) -> None:
-    result = table4.TABLE.build(table_request(store, tmp_path, run=run, split="nobody's"))
-    assert [row.name for row in result.blocks[0].rows] == ROWS[:1]
-    assert any(line.startswith("held-out windows: ") for line in result.missing)
