@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
@@ -47,8 +48,8 @@ class TrainedField:
     network: FieldNetwork
     scaling: VectorScaling
     components: PoseComponents | None
-    posterior_mean: Float32[torch.Tensor, "windows latent"]
-    posterior_log_variance: Float32[torch.Tensor, "windows latent"]
+    posterior_mean: Float32[Tensor, "windows latent"]
+    posterior_log_variance: Float32[Tensor, "windows latent"]
     windows: Windows
     store_fingerprint: str
     vectors: PoseVectors = FIELD_VECTORS
@@ -126,23 +127,20 @@ class TrainedField:
         return encoded
 
     def decode(
-        self,
-        latents: Float[torch.Tensor, "batch latent"],
-        times_seconds: Float64[np.ndarray, "times"] | Float64[np.ndarray, "batch times"],
-        fps: Fraction,
+        self, latents: Float[Tensor, "batch latent"], times_seconds: Float64[np.ndarray, "times"], fps: Fraction
     ) -> Float32[np.ndarray, "batch times 22 3"]:
         """Joint positions in metres of the 22-joint layout, in the windows' own frames, for each latent.
 
-        Times are seconds from the window's start, shared by all latents or one row each; `fps` is the framerate s. At
-        most `POSES_AT_ONCE` poses are decoded at once, to bound memory.
+        Times are seconds from the window's start; `fps` is the framerate s. At most `POSES_AT_ONCE` poses are decoded
+        at once, to bound memory.
         """
         joints = slice(0, SMPL22.num_joints)
         return np.stack([poses.joint_positions[:, joints] for poses in self.poses(latents, times_seconds, fps)])
 
     def poses(
         self,
-        latents: Float[torch.Tensor, "batch latent"],
-        times_seconds: Float64[np.ndarray, "times"] | Float64[np.ndarray, "batch times"],
+        latents: Float[Tensor, "batch latent"],
+        times_seconds: Float64[np.ndarray, "times"],
         fps: Fraction,
         context_seconds: Float64[np.ndarray, "context"] | None = None,
     ) -> list[Poses]:
@@ -151,44 +149,28 @@ class TrainedField:
         A transformer decoder's poses depend on the others decoded with them; with `context_seconds`, only on those at
         these instants.
         """
-        rows = times_seconds[None] if times_seconds.ndim == 1 else times_seconds
-        instants = [self.vectors.instants(row) for row in rows]
-        if len({len(each) for each in instants}) > 1:
-            return [self.poses(latents[row : row + 1], rows[row], fps, context_seconds)[0] for row in range(len(rows))]
-        vectors = self._vectors_at(latents, np.stack(instants), fps, context_seconds)
-        which = range(len(latents)) if len(rows) > 1 else [0] * len(latents)
-        return [self.vectors.decode(each, instants[row], rows[row]) for each, row in zip(vectors, which, strict=True)]
-
-    def _vectors_at(
-        self,
-        latents: Float[torch.Tensor, "batch latent"],
-        rows: Float64[np.ndarray, "rows times"],
-        fps: Fraction,
-        context_seconds: Float64[np.ndarray, "context"] | None,
-    ) -> Float32[np.ndarray, "batch times numbers"]:
-        num_times = rows.shape[1]
+        instants = self.vectors.instants(times_seconds)
         context = np.zeros(0) if context_seconds is None else context_seconds
         at_once = POSES_IN_CONTEXT_AT_ONCE if len(context) else POSES_AT_ONCE
-        found = np.empty((len(latents), num_times, self.vectors.num_features), dtype=np.float32)
-        per_call = max(1, POSES_AT_ONCE // max(1, num_times))
+        vectors = np.empty((len(latents), len(instants), self.vectors.num_features), dtype=np.float32)
+        per_call = max(1, POSES_AT_ONCE // max(1, len(instants)))
         for start in range(0, len(latents), per_call):
             some = latents[start : start + per_call].float().to(self.device)
-            own = rows if len(rows) == 1 else rows[start : start + per_call]
-            for first in range(0, num_times, at_once):
+            for first in range(0, len(instants), at_once):
                 times = slice(first, first + at_once)
-                read = np.concatenate((np.broadcast_to(context, (len(own), len(context))), own[:, times]), axis=1)
-                vectors = self.decode_vectors(some, self.encode_times(read, fps), fps, len(context))
-                found[start : start + per_call, times] = vectors[:, len(context) :].cpu().numpy()
-        return found
+                encoded = self.encode_times(np.concatenate((context, instants[times]))[None], fps)
+                decoded = self.decode_vectors(some, encoded, fps, len(context))
+                vectors[start : start + per_call, times] = decoded[:, len(context) :].cpu().numpy()
+        return [self.vectors.decode(each, instants, times_seconds) for each in vectors]
 
     @torch.no_grad()
     def decode_vectors(
         self,
-        latents: Float32[torch.Tensor, "batch latent"],
+        latents: Float32[Tensor, "batch latent"],
         encoded: EncodedCoordinates,
         fps: Fraction,
         num_context: int = 0,
-    ) -> Float32[torch.Tensor, "batch times numbers"]:
+    ) -> Float32[Tensor, "batch times numbers"]:
         """Unstandardised pose vectors at encoded times (one row of times for each latent, or one for all).
 
         The first `num_context` are the context of a transformer decoder.
@@ -196,11 +178,11 @@ class TrainedField:
         which = encoded.which.expand(len(latents), -1)
         rates = torch.full((len(latents),), float(fps), dtype=torch.float64, device=self.device)
         standardised = self.network.decode(latents, replace(encoded, which=which), rates, num_context)
-        vectors: torch.Tensor = self.scaling.invert(standardised.float())
+        vectors: Tensor = self.scaling.invert(standardised.float())
         return vectors
 
     def contact_probabilities(
-        self, latent: Float[torch.Tensor, "latent"], times_seconds: Float64[np.ndarray, "times"], fps: Fraction
+        self, latent: Float[Tensor, "latent"], times_seconds: Float64[np.ndarray, "times"], fps: Fraction
     ) -> Float32[np.ndarray, "times 2 2"] | None:
         """Contact probabilities of ankle and toe of left and right foot; None without a contact head."""
         if self.contacts is None:
@@ -212,7 +194,7 @@ class TrainedField:
         return found
 
     def as_motion_field(
-        self, latent: Float[torch.Tensor, "latent"], duration_seconds: float, fps: Fraction | None = None
+        self, latent: Float[Tensor, "latent"], duration_seconds: float, fps: Fraction | None = None
     ) -> "LatentMotionField":
         """One latent's motion on [0, duration], at the framerate s = `fps` (default: the highest in training)."""
         return LatentMotionField(self, latent, duration_seconds, fps or self.max_training_fps)
@@ -229,7 +211,7 @@ class LatentMotionField:
     """A `motionkit.fields.motion_field.MotionField`: f_θ for one fixed z and s."""
 
     field: TrainedField
-    latent: Float[torch.Tensor, "latent"]
+    latent: Float[Tensor, "latent"]
     end_seconds: float
     fps: Fraction
     start_seconds: float = 0.0
@@ -301,7 +283,7 @@ def load_field(run: RunFolder | Path, device: str = "cpu") -> TrainedField:
         return _rebuild(tensors, description, where)
 
 
-def _rebuild(tensors: Mapping[str, torch.Tensor], description: Mapping[str, Any], where: torch.device) -> TrainedField:
+def _rebuild(tensors: Mapping[str, Tensor], description: Mapping[str, Any], where: torch.device) -> TrainedField:
     config = from_recorded(FieldConfig, description["config"])
     scaling = VectorScaling(tensors["scaling.mean"], tensors["scaling.scale"])
     network = FieldNetwork(config, len(scaling.mean), tensors.get("network.attention.codebook"))

@@ -19,29 +19,10 @@ from motionkit.training.run import StageFolder
 from nerm.contact import ContactTraining
 from nerm.field import TrainedField, load_field, save_field
 from nerm.field_training import FieldTraining
-from nerm.settings import FieldConfig
 from tests.helpers.nerm_corpus import analytic_source
+from tests.nerm.small_fields import BANKED, finished, small_training
 
-CONFIG = apply_overrides(
-    FieldConfig(),
-    [
-        "windows.max_duration_seconds=4.0",
-        "latents.layout=local",
-        f"latents.dimension={16 * 6 + 8 * 3}",
-        "latents.knots=16",
-        "latents.knot_numbers=6",
-        "latents.path_knots=8",
-        "encoder.kind=fourier",
-        "decoder.width=32",
-        "decoder.num_layers=3",
-        "loss.scaling=group",
-        "clips.contiguous=false",
-        "contact_steps=100",
-        "schedule.epochs=none",
-        "schedule.steps=1",
-        "schedule.batch_size=4",
-    ],
-)
+CONFIG = apply_overrides(BANKED, ["contact_steps=100"])
 
 
 def swinging_left() -> Float32[np.ndarray, "frames 4"]:
@@ -54,17 +35,11 @@ def swinging_left() -> Float32[np.ndarray, "frames 4"]:
 @pytest.fixture(scope="module")
 def trained() -> TrainedField:
     """A field that begins as its linear model, which knows these motions, with contacts learnt on top."""
-    source = analytic_source()
-    windows = cut_windows(source, max_duration_seconds=4.0)
-    poses = WindowPoses(windows, FrameValues.of_positions(source))
-    field = FieldTraining(poses, CONFIG, codebook=None, seed=0, device=torch.device("cpu"))
-    mean, log_variance = field.posteriors()
-    network = field.network.eval().requires_grad_(False)
-    training = ContactTraining(network, mean, windows, swinging_left(), lambda latents, _: latents, seed=0)
+    field = finished(small_training(CONFIG))
+    means, windows = field.posterior_mean, field.windows
+    training = ContactTraining(field.network, means, windows, swinging_left(), lambda latents, _: latents, seed=0)
     assert training.run(ignore) < 0.15
-    return TrainedField(
-        network, field.scaling, field.components, mean, log_variance, windows, "analytic", contacts=training.head.eval()
-    )
+    return replace(field, contacts=training.head.eval())
 
 
 def test_contacts_follow_from_the_latent_at_any_instant(trained: TrainedField) -> None:
