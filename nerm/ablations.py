@@ -37,101 +37,78 @@ def _variant(layout: LatentLayout, name: str = "", *change: str) -> Variant:
 GLOBAL, LOCAL = _variant("global"), _variant("local")
 
 
-def _both(label: str, name: str, change: str, reported: str = "") -> tuple[Entry, Entry]:
-    """The same change to both layouts."""
-    return (
-        Entry(f"global: {label}", _variant("global", name, change), reported),
-        Entry(f"local: {label}", _variant("local", name, change)),
-    )
+def _row(layout: LatentLayout, label: str, name: str = "", change: str = "", reported: str = "") -> Entry:
+    """A row that changes a setting of a layout; `name` is the variant's, "" for the layout as the recipe has it."""
+    variant = _variant(layout, name, change) if name else _variant(layout)
+    return Entry(f"{layout}: {label}", variant, reported)
 
 
-_NO_TIME = _both("no coordinate at all", "no-time", "field.encoder.kind=none")
-_RAW_TIME = _both("the coordinate itself", "raw-time", "field.encoder.kind=raw", "no time encoding")
-_FOURIER = _both("Fourier features", "fourier", "field.encoder.kind=fourier", "fourier")
-_POINT = _both(
-    "one z a window, no distribution (Eq. 9)", "non-variational", "field.latents.variational=false", "non-variational"
+_NO_TIME = ("no coordinate at all", "no-time", "field.encoder.kind=none")
+_FOURIER = ("Fourier features", "fourier", "field.encoder.kind=fourier")
+_POINT = ("one z a window, no distribution (Eq. 9)", "non-variational", "field.latents.variational=false")
+_UNWARMED = ("no warm-up at one framerate", "warmup-0", "field.clips.warmup_fraction=0")
+_WARMED = ("half of the steps at 20 fps", "warmup-50", "field.clips.warmup_fraction=0.5")
+_FIXED = ("all steps at 20 fps (NeRM-fixed)", "fixed-20", "field.clips.fixed_fps=20")
+_TABLES: tuple[tuple[str, str, tuple[str, ...], tuple[Entry, ...]], ...] = (
+    (
+        *("5", "time encoding", BOTH_STAGES),
+        (
+            _row("global", *_NO_TIME),
+            _row("global", "the coordinate itself", "raw-time", "field.encoder.kind=raw", "no time encoding"),
+            _row("global", *_FOURIER, "fourier"),
+            _row("global", "Fourier features and codebook", reported="codebook"),
+            _row("local", *_NO_TIME),
+            _row("local", *_FOURIER),
+            _row("local", "Fourier features and codebook"),
+        ),
+    ),
+    (
+        *("6", "variational latents", BOTH_STAGES),
+        (
+            _row("global", *_POINT, "non-variational"),
+            _row("global", "variational", reported="variational"),
+            _row("local", *_POINT),
+            _row("local", "variational"),
+        ),
+    ),
+    (
+        *("7", "decoder", BOTH_STAGES),
+        (
+            _row("global", "transformer", "transformer", "field.decoder.kind=transformer", "transformer decoder"),
+            _row("global", "MLP", reported="mlp decoder"),
+        ),
+    ),
+    (
+        *("8", "size of z and weight of the KL term", ("field",)),
+        (
+            _row("global", "d = 128", "d-128", "field.latents.dimension=128", "latent_dim=128"),
+            _row("global", "d = 256", reported="latent_dim=256"),
+            _row("global", "d = 512", "d-512", "field.latents.dimension=512", "latent_dim=512"),
+            _row("global", "λ_KL = 1e-5", "kl-1e-5", "field.loss.kl_weight=1e-5", "kl_weight=1e-5"),
+            _row("global", "λ_KL = 1e-4", reported="kl_weight=1e-4"),
+            _row("global", "λ_KL = 1e-3", "kl-1e-3", "field.loss.kl_weight=1e-3", "kl_weight=1e-3"),
+        ),
+    ),
+    (
+        # Knots lie at normalised coordinates, so this table has no rows of the local layout.
+        *("9", "time normalisation", BOTH_STAGES),
+        (
+            _row("global", "frame numbers 1 … T", "frame-numbers", "field.encoder.coordinates=frames"),
+            _row("global", "normalised to [−1, 1]"),
+        ),
+    ),
+    (
+        *("ours", "layout of z, and framerates in training", BOTH_STAGES),
+        (
+            _row("global", "as the recipe"),
+            *(_row("global", *change) for change in (_UNWARMED, _WARMED)),
+            _row("global", *_FIXED, "NeRM-fixed"),
+            _row("local", "as the recipe"),
+            *(_row("local", *change) for change in (_UNWARMED, _WARMED, _FIXED)),
+        ),
+    ),
 )
-_TRANSFORMER = _both("transformer", "transformer", "field.decoder.kind=transformer", "transformer decoder")
-_WARMUP_NONE = _both("no warm-up at one framerate", "warmup-0", "field.clips.warmup_fraction=0")
-_WARMUP_HALF = _both("half of the steps at 20 fps", "warmup-50", "field.clips.warmup_fraction=0.5")
-_FIXED = _both("all steps at 20 fps (NeRM-fixed)", "fixed-20", "field.clips.fixed_fps=20", "NeRM-fixed")
-
-ABLATIONS: dict[str, Ablation] = {
-    ablation.table: ablation
-    for ablation in (
-        Ablation(
-            "5",
-            "time encoding",
-            (
-                _NO_TIME[0],
-                _RAW_TIME[0],
-                _FOURIER[0],
-                Entry("global: Fourier features and codebook", GLOBAL, "codebook"),
-                _NO_TIME[1],
-                _FOURIER[1],
-                Entry("local: Fourier features and codebook", LOCAL),
-            ),
-            BOTH_STAGES,
-        ),
-        Ablation(
-            "6",
-            "variational latents",
-            (
-                _POINT[0],
-                Entry("global: variational", GLOBAL, "variational"),
-                _POINT[1],
-                Entry("local: variational", LOCAL),
-            ),
-            BOTH_STAGES,
-        ),
-        Ablation("7", "decoder", (_TRANSFORMER[0], Entry("global: MLP", GLOBAL, "mlp decoder")), BOTH_STAGES),
-        Ablation(
-            "8",
-            "size of z and weight of the KL term",
-            (
-                Entry("global: d = 128", _variant("global", "d-128", "field.latents.dimension=128"), "latent_dim=128"),
-                Entry("global: d = 256", GLOBAL, "latent_dim=256"),
-                Entry("global: d = 512", _variant("global", "d-512", "field.latents.dimension=512"), "latent_dim=512"),
-                Entry(
-                    "global: λ_KL = 1e-5", _variant("global", "kl-1e-5", "field.loss.kl_weight=1e-5"), "kl_weight=1e-5"
-                ),
-                Entry("global: λ_KL = 1e-4", GLOBAL, "kl_weight=1e-4"),
-                Entry(
-                    "global: λ_KL = 1e-3", _variant("global", "kl-1e-3", "field.loss.kl_weight=1e-3"), "kl_weight=1e-3"
-                ),
-            ),
-            ("field",),
-        ),
-        Ablation(
-            "9",
-            "time normalisation",
-            (
-                # Knots lie at normalised coordinates, so this table has no rows of the local layout.
-                Entry(
-                    "global: frame numbers 1 … T",
-                    _variant("global", "frame-numbers", "field.encoder.coordinates=frames"),
-                ),
-                Entry("global: normalised to [−1, 1]", GLOBAL),
-            ),
-            BOTH_STAGES,
-        ),
-        Ablation(
-            "ours",
-            "layout of z, and framerates in training",
-            (
-                Entry("global: as the recipe", GLOBAL),
-                _WARMUP_NONE[0],
-                _WARMUP_HALF[0],
-                _FIXED[0],
-                Entry("local: as the recipe", LOCAL),
-                _WARMUP_NONE[1],
-                _WARMUP_HALF[1],
-                _FIXED[1],
-            ),
-            BOTH_STAGES,
-        ),
-    )
-}
+ABLATIONS = {table: Ablation(table, title, rows, stages) for table, title, stages, rows in _TABLES}
 
 
 def share_codebook(common: StageContext, run: RunFolder, config: NermConfig) -> None:
