@@ -31,12 +31,10 @@ from motionkit.fields.resample import resample_positions
 from motionkit.store.cache import open_cache
 from motionkit.training.devices import ALONE, Ranks, autocast, float32_products, resolve_device, with_precision_of
 from motionkit.training.loop import seeded_initialisation, set_rate, train_loop
-from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
 from motionkit.training.tensors import (
     CheckpointError,
     foreign_tensors,
-    load_tensors,
     load_training_tensors,
     prefixed,
     read_foreign,
@@ -394,20 +392,6 @@ def load_published(path: Path) -> Float32[Tensor, "codes dimension"]:
 STAGE_NAME = "codebook"
 FORMAT = "nerm-codebook"
 FORMAT_VERSION = 1
-
-
-def load_codes(run: RunFolder | Path) -> Float32[Tensor, "codes dimension"]:
-    """A run's trained codebook {e_i}; raises `CheckpointError` or `RunError` without one."""
-    folder = (run if isinstance(run, RunFolder) else RunFolder(run)).stage(STAGE_NAME)
-    if not folder.model_path.is_file():
-        folder.read_summary()
-    tensors, description = load_tensors(folder.model_path)
-    if (description.get("format"), description.get("version")) != (FORMAT, FORMAT_VERSION) or "codes" not in tensors:
-        raise CheckpointError(
-            f"{folder.model_path} is {description.get('format')!r} version {description.get('version')}, expected "
-            f"{FORMAT!r} version {FORMAT_VERSION}: train it again (motionkit train --stage codebook --overwrite)"
-        )
-    return tensors["codes"]
 
 
 def train_codebook(context: StageContext, config: NermConfig) -> None:

@@ -36,10 +36,10 @@ from motionkit.training.devices import (
 )
 from motionkit.training.loop import scale_rates, seeded_initialisation, step_generator, train_loop
 from motionkit.training.pose_vectors import PoseTensors, VectorScaling, measure_scaling, uniform_of
-from motionkit.training.run import RunError
+from motionkit.training.run import RunError, RunFolder
 from motionkit.training.stage import StageContext
-from motionkit.training.tensors import load_training_tensors, prefixed, training_tensors
-from nerm.codebook import load_codes
+from motionkit.training.tensors import CheckpointError, load_tensors, load_training_tensors, prefixed, training_tensors
+from nerm.codebook import FORMAT, FORMAT_VERSION
 from nerm.contact import ContactTraining, contact_rows
 from nerm.field import TrainedField, save_field
 from nerm.latents import first_read, in_use, local_latents, measured_space
@@ -324,7 +324,7 @@ def train_field(context: StageContext, config: NermConfig) -> None:
     # All checks come before `begin`, which may remove an earlier run (--overwrite).
     vectors, source, frames = _corpus(store, settings)
     windows = training_windows(source, settings)
-    codes = _codes(context, settings)
+    codes = load_codes(context.run) if settings.encoder.kind == "codebook" else None
     builds_on = () if codes is None else ("codebook",)
     folder = context.begin("field", config, store_fingerprint=store.fingerprint, builds_on=builds_on)
     for remark in remarks(source, windows, settings) if ranks.is_first else []:
@@ -394,12 +394,18 @@ def _corpus(store: Store, settings: FieldConfig) -> tuple[PoseVectors, PositionC
     return vectors, *open_frames(vectors, store, where)
 
 
-def _codes(context: StageContext, settings: FieldConfig) -> Float32[Tensor, "codes dimension"] | None:
-    if settings.encoder.kind != "codebook":
-        return None
-    if not context.run.stage("codebook").is_complete:
+def load_codes(run: RunFolder) -> Float32[Tensor, "codes dimension"]:
+    """The codes {e_i} of a run's codebook; raises `RunError` without one, `CheckpointError` for another file."""
+    folder = run.stage("codebook")
+    if not folder.is_complete:
         raise RunError(
-            f"the time encoding 'codebook' needs the stage codebook of {context.run.path}: train it first "
-            f"(motionkit train --stage codebook), or use --set field.encoder.kind=fourier"
+            f"the time encoding 'codebook' needs the stage codebook of {run.path}: train it first (motionkit train "
+            "--stage codebook), or use --set field.encoder.kind=fourier"
         )
-    return load_codes(context.run)
+    tensors, description = load_tensors(folder.model_path)
+    if (description.get("format"), description.get("version")) != (FORMAT, FORMAT_VERSION) or "codes" not in tensors:
+        raise CheckpointError(
+            f"{folder.model_path} is {description.get('format')!r} version {description.get('version')}, expected "
+            f"{FORMAT!r} version {FORMAT_VERSION}: train it again (motionkit train --stage codebook --overwrite)"
+        )
+    return tensors["codes"]

@@ -23,12 +23,12 @@ from nerm.codebook import (
     check_lengths,
     codebook_vectors,
     joint_positions_block,
-    load_codes,
     load_published,
     train_codebook,
     vector_corpus,
     write_vectors,
 )
+from nerm.field_training import load_codes
 from nerm.recipes import NermConfig, nano, paper
 from nerm.settings import CodebookConfig
 from tests.helpers.analytic import analytic_motion
@@ -166,4 +166,4 @@ def test_t2m_gpt_s_codes_are_used_in_place_of_training(tmp_path: Path) -> None:
         train_codebook(context, configured("absent.pth"))
     assert not (tmp_path / "run").exists()
     train_codebook(context, configured("net_last.pth"))
-    assert torch.equal(load_codes(tmp_path / "run"), ANY_CODES)
+    assert torch.equal(load_codes(RunFolder(tmp_path / "run")), ANY_CODES)
