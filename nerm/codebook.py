@@ -216,14 +216,14 @@ def codebook_vectors(
     velocities = (
         field.to_window(np.diff(joint_positions, axis=0)[:, None], facing, np.zeros((len(here), 2)))[:, 0] * rate
     )
-    parts = (
+    blocks = (
         (np.diff(yaw) * rate)[:, None],
         velocities[:, 0, (0, 2)],
         turned[:, 0, 1:2],
         turned[:, 1:].reshape(len(here), -1),
         velocities.reshape(len(here), -1),
     )
-    return np.concatenate(parts, axis=1).astype(np.float32)
+    return np.concatenate(blocks, axis=1).astype(np.float32)
 
 
 SMALLEST_SCALE = 1e-3

@@ -83,16 +83,16 @@ class ConstraintCost:
     ) -> Float32[Tensor, ""]:
         """The sum over constraints, instants and joints; with `bones` also of the poses' bone-length errors."""
         total = latent.new_zeros(())
-        for found, target in zip(self._each(self.joints(latent)), self._targets, strict=True):
-            ahead = _facing(found)
+        for joints, target in zip(self._each(self.joints(latent)), self._targets, strict=True):
+            ahead = _facing(joints)
             if target.constraint.frame == "world":
-                here = _turned(found, torch.cos(place[0]), torch.sin(place[0]))
+                here = _turned(joints, torch.cos(place[0]), torch.sin(place[0]))
                 here = here + torch.stack((place[1], torch.zeros_like(place[1]), place[2]))
             else:
-                under_root = found[:, :1] * found.new_tensor([1.0, 0.0, 1.0])
-                here = _turned(found - under_root, ahead[:, 1:], -ahead[:, :1])
+                under_root = joints[:, :1] * joints.new_tensor([1.0, 0.0, 1.0])
+                here = _turned(joints - under_root, ahead[:, 1:], -ahead[:, :1])
             if bones is not None and target.constraint.kind != "path":
-                total = total + 0.5 * (_bones(found) - bones).square().sum() / BONE_DEVIATION**2
+                total = total + 0.5 * (_bones(joints) - bones).square().sum() / BONE_DEVIATION**2
             apart = torch.where(target.known, here[:, target.constraint.joint_indices] - target.positions, 0.0)
             # The chord of the angle is continuous at half a turn, unlike the angle.
             yaw = torch.atan2(ahead[:, 0], ahead[:, 1]) + place[0] - target.heading
@@ -107,10 +107,10 @@ class ConstraintCost:
         if not self.places_motion:
             return torch.zeros(3)
         mine, given = [], []
-        for found, target in zip(self._each(self.joints(latent)), self._targets, strict=True):
+        for joints, target in zip(self._each(self.joints(latent)), self._targets, strict=True):
             if target.constraint.places_motion:
                 horizontal = target.known[..., 0] & target.known[..., 2]
-                mine.append(found[:, target.constraint.joint_indices][horizontal][:, [0, 2]])
+                mine.append(joints[:, target.constraint.joint_indices][horizontal][:, [0, 2]])
                 given.append(target.positions[horizontal][:, [0, 2]])
         a, b = torch.cat(mine), torch.cat(given)
         a_mean, b_mean = a.mean(dim=0), b.mean(dim=0)

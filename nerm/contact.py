@@ -120,14 +120,14 @@ class ContactTraining:
         self, window: Int64[np.ndarray, "batch"], frame: Int64[np.ndarray, "batch poses"]
     ) -> Float32[Tensor, "batch poses 4"]:
         """Contact labels at frames of windows; left and right are swapped in mirrored windows."""
-        found = self.rows[self.windows.start_row[window][:, None] + frame]
+        down = self.rows[self.windows.start_row[window][:, None] + frame]
         mirrored = self.windows.mirrored[window]
-        found[mirrored] = found[mirrored][..., [2, 3, 0, 1]]
-        return torch.from_numpy(found).to(self.device)
+        down[mirrored] = down[mirrored][..., [2, 3, 0, 1]]
+        return torch.from_numpy(down).to(self.device)
 
 
 def probabilities(head: ContactHead, read: Float[Tensor, "batch times read"]) -> Float32[np.ndarray, "batch times 2 2"]:
     """Contact probabilities of ankle and toe of left and right foot."""
     with torch.no_grad():
-        found = torch.sigmoid(head(read)).cpu().numpy()
-    return np.asarray(found.reshape(*found.shape[:2], 2, 2))
+        flat = torch.sigmoid(head(read)).cpu().numpy()
+    return np.asarray(flat.reshape(*flat.shape[:2], 2, 2))

@@ -289,14 +289,14 @@ def encode_windows(
     `frames` come from opening the field's pose vectors.
     """
     poses = WindowPoses(windows, frames)
-    parts = [
+    latents = [
         encode_by_optimisation(
             trained,
             PoseTensors.of(poses.evenly(np.arange(start, min(start + WINDOWS_AT_ONCE, len(windows))), num_poses)),
         )
         for start in range(0, len(windows), WINDOWS_AT_ONCE)
     ]
-    return torch.cat(parts)
+    return torch.cat(latents)
 
 
 def load(run: Path) -> NermEncoder:

@@ -104,7 +104,7 @@ class TrainedField:
     def encode_times(self, times_seconds: Float64[np.ndarray, "batch times"], fps: Fraction) -> EncodedCoordinates:
         """The coordinate branch at these times; recent grids are cached.
 
-        Motions of any duration share the grid of a whole window at `fps`, or at the rate at which contacts are found.
+        Motions of any duration share the grid of a whole window at `fps`, or at the rate of contact detection.
         """
         rows, count = times_seconds.shape
         for rate in (float(fps), GRID_FPS):
@@ -190,8 +190,8 @@ class TrainedField:
         encoded = self.encode_times(times_seconds[None], fps)
         with torch.no_grad():
             read = self.network.read(latent[None].float().to(self.device), encoded)
-        found: Float32[np.ndarray, "times 2 2"] = probabilities(self.contacts, read)[0]
-        return found
+        contacts: Float32[np.ndarray, "times 2 2"] = probabilities(self.contacts, read)[0]
+        return contacts
 
     def as_motion_field(
         self, latent: Float[Tensor, "latent"], duration_seconds: float, fps: Fraction | None = None

@@ -107,7 +107,7 @@ def kl_divergence(
 ) -> Float[Tensor, ""]:
     """KL(N(μ, Σ) ‖ N(0, I)) of Eq. 3 for diagonal Σ, averaged over latent numbers and windows, in nats.
 
-    With `num_windows` the mean is over that many windows, of which these are a part.
+    With `num_windows` the mean is over that many windows, of which these are some.
     """
     return layers.kl_divergence(mean, log_variance).sum() / (mean.shape[1] * (num_windows or len(mean)))
 

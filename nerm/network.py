@@ -368,7 +368,7 @@ def attention(
 ) -> Float[Tensor, "batch heads queries size"]:
     """softmax(QKᵀ/√size) V over the tokens of the mask `used`."""
     if queries.device.type == "cpu" and queries.dtype == torch.bfloat16:
-        # torch's own kernel takes as long as all matrix products of a step together.
+        # torch's own kernel is as slow as all matrix products of a step together.
         scores = queries @ keys.transpose(-1, -2) * queries.shape[-1] ** -0.5
         if used is not None:
             scores = scores.masked_fill(~used, -torch.inf)

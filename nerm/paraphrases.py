@@ -30,12 +30,12 @@ VerbForm = Literal["base", "third", "ing"]
 
 def paraphrases(text: str, count: int, rng: np.random.Generator) -> tuple[str, ...]:
     """At most `count` paraphrases of a caption, drawn by `rng`, all different from it and from each other."""
-    found: dict[str, None] = {}
+    distinct: dict[str, None] = {}
     for _ in range(4 * count):
-        if len(found) < count:
-            found[paraphrased(text, rng)] = None
-            found.pop(text, None)
-    return tuple(found)
+        if len(distinct) < count:
+            distinct[paraphrased(text, rng)] = None
+            distinct.pop(text, None)
+    return tuple(distinct)
 
 
 def with_paraphrases(
@@ -91,27 +91,27 @@ VERB_PLACE = re.compile(r"((?:^|(?<=, )|(?<=\band )|(?<=\bthen ))(?:[a-z]+ly )*)
 
 def _form_of(predicate: str) -> VerbForm | None:
     """The form of the first verb; None if the predicate doesn't begin with a known one."""
-    found = VERB_PLACE.match(predicate)
-    word = found[2].lower() if found else ""
+    match = VERB_PLACE.match(predicate)
+    word = match[2].lower() if match else ""
     return next((form for form, bases in BASE_OF.items() if word in bases), None)
 
 
 def _inflected(predicate: str, source: VerbForm, form: VerbForm) -> str:
     """The predicate with each verb in the form `source` converted to another one."""
 
-    def other(found: re.Match[str]) -> str:
-        base = BASE_OF[source].get(found[2].lower())
-        return found[0] if base is None else found[1] + INFLECTED[form](base)
+    def other(match: re.Match[str]) -> str:
+        base = BASE_OF[source].get(match[2].lower())
+        return match[0] if base is None else match[1] + INFLECTED[form](base)
 
     return VERB_PLACE.sub(other, predicate)
 
 
 def _performed(text: str) -> Sequence[str]:
     """performs walk turn left → walks and turns left."""
-    found = re.match(r"(.*)\bperforms ([a-z]+)\b(?: ([a-z]+)\b)?(.*)", text, re.IGNORECASE)
-    if found is None or found[2] not in BASE_VERBS:
+    match = re.match(r"(.*)\bperforms ([a-z]+)\b(?: ([a-z]+)\b)?(.*)", text, re.IGNORECASE)
+    if match is None or match[2] not in BASE_VERBS:
         return (text,)
-    start, verb, second, rest = found.groups(default="")
+    start, verb, second, rest = match.groups(default="")
     if second in BASE_VERBS:
         second = "and " + third_person(second)
     return (text, f"{start}{third_person(verb)}{' ' * bool(second)}{second}{rest}")
@@ -119,10 +119,10 @@ def _performed(text: str) -> Sequence[str]:
 
 def _manner(text: str) -> Sequence[str]:
     """… in a happy style → in a happy way, in a happy manner; happy style."""
-    found = re.fullmatch(r"(.*) in an? ([a-z ]+) (?:style|way|manner|fashion)(\.?)", text, re.IGNORECASE)
-    if found is None:
+    match = re.fullmatch(r"(.*) in an? ([a-z ]+) (?:style|way|manner|fashion)(\.?)", text, re.IGNORECASE)
+    if match is None:
         return (text,)
-    start, style, end = found.groups()
+    start, style, end = match.groups()
     article = "an" if style[0].lower() in "aeiou" else "a"
     others = (f"{start} in {article} {style} {word}{end}" for word in ("style", "way", "manner"))
     return (text, *others, f"{start}, {style} style{end}", f"{start}, {style}{end}")
@@ -130,15 +130,15 @@ def _manner(text: str) -> Sequence[str]:
 
 def _verb_form(text: str) -> Sequence[str]:
     """a person walks → a person is walking, a person walking, walking, walk."""
-    found = ANY_SUBJECT.match(text)
-    subject = found[0] if found else "a person"
-    predicate = text[found.end() + 1 :] if found else text
-    if NEGATED.search(text) or " - " in text or (not found and TITLE.match(text)):
+    match = ANY_SUBJECT.match(text)
+    subject = match[0] if match else "a person"
+    predicate = text[match.end() + 1 :] if match else text
+    if NEGATED.search(text) or " - " in text or (not match and TITLE.match(text)):
         return (text,)
-    progressive = found is not None and predicate.startswith("is ")
+    progressive = match is not None and predicate.startswith("is ")
     predicate = predicate[3 * progressive :]
     source = _form_of(predicate)
-    if source is None or (progressive and source != "ing") or (found and source == "base"):
+    if source is None or (progressive and source != "ing") or (match and source == "base"):
         return (text,)
     base, third, ing = (_inflected(predicate, source, form) for form in INFLECTED)
     return (f"{subject} {third}", f"{subject} is {ing}", f"{subject} {ing}", ing, base)
@@ -146,8 +146,8 @@ def _verb_form(text: str) -> Sequence[str]:
 
 def _subject(text: str) -> Sequence[str]:
     """a person → someone, the person, a human, a figure, the subject."""
-    found = SUBJECT.match(text)
-    return (text,) if found is None else (text, *(subject + text[found.end() :] for subject in SUBJECTS))
+    match = SUBJECT.match(text)
+    return (text,) if match is None else (text, *(subject + text[match.end() :] for subject in SUBJECTS))
 
 
 LIMB = r"(?:left|right) (?:hand|arm|foot|leg|knee|elbow)"
@@ -169,10 +169,10 @@ def _particle(text: str) -> Sequence[str]:
 
 def _adverb(text: str) -> Sequence[str]:
     """a person slowly walks forward → a person walks forward slowly, where there is but one clause."""
-    found = re.fullmatch(rf"((?:{ANY_SUBJECT.pattern}) (?:is )?)([a-z]+ly) ([^,;]+?)(\.?)", text, re.IGNORECASE)
-    if found is None or re.search(r"\b(?:and|then|while|but|as|to)\b", text) or _form_of(found[3]) is None:
+    match = re.fullmatch(rf"((?:{ANY_SUBJECT.pattern}) (?:is )?)([a-z]+ly) ([^,;]+?)(\.?)", text, re.IGNORECASE)
+    if match is None or re.search(r"\b(?:and|then|while|but|as|to)\b", text) or _form_of(match[3]) is None:
         return (text,)
-    return (text, f"{found[1]}{found[3]} {found[2]}{found[4]}")
+    return (text, f"{match[1]}{match[3]} {match[2]}{match[4]}")
 
 
 def _clauses(text: str) -> Sequence[str]:
@@ -180,8 +180,8 @@ def _clauses(text: str) -> Sequence[str]:
     then = re.sub(r"(?:,|, and| and) then ", "{} then ", text, count=1)
     if then != text:
         return tuple(then.replace("{}", word, 1) for word in (",", " and", ", and"))
-    found = re.fullmatch(r"([^,;.]+) (while [a-z]+ing\b[^,;.]*)(\.?)", text, re.IGNORECASE)
-    return (text,) if found is None else (text, f"{found[2]}, {found[1]}{found[3]}")
+    match = re.fullmatch(r"([^,;.]+) (while [a-z]+ing\b[^,;.]*)(\.?)", text, re.IGNORECASE)
+    return (text,) if match is None else (text, f"{match[2]}, {match[1]}{match[3]}")
 
 
 def _topic(text: str) -> Sequence[str]:

