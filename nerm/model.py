@@ -22,9 +22,8 @@ from motionkit.training.conditions import Conditions
 from motionkit.training.devices import resolve_device
 from motionkit.training.run import RunError, RunFolder
 from motionkit.training.text import TextEncoder, load_same_encoder
-from nerm.conditions import unit_rows
 from nerm.constraints import sample_constrained
-from nerm.denoiser import TrainedDenoiser, load_denoiser
+from nerm.denoiser import TrainedDenoiser, load_denoiser, unit_rows
 from nerm.field import TrainedField, load_field
 from nerm.names import row_name
 

@@ -9,7 +9,6 @@ from torch import Tensor, nn
 from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64, Shaped
 from motionkit.training.conditions import Conditions, ConditionSizes
 from motionkit.training.layers import through_long_skips
-from nerm.conditions import ConditionEmbedding
 from nerm.latents import KnotWeights, Reading, in_use, local_latents, placed
 from nerm.settings import Activation, FieldConfig, TransformerConfig
 
@@ -395,20 +394,14 @@ class SkipLayer(nn.Module):
         self, tokens: Float[Tensor, "batch tokens width"], used: Bool[Tensor, "batch 1 1 tokens"] | None
     ) -> Float[Tensor, "batch tokens width"]:
         """One layer over all tokens; those not `used` are masked out of the attention."""
-        return self._feed_forward(self._attend(tokens, used))
-
-    def _attend(self, tokens: Tensor, used: Tensor | None) -> Tensor:
         batch, count, width = tokens.shape
         projected = self.queries_keys_values(self.attention_norm(tokens))
         heads = projected.view(batch, count, 3, self.num_heads, width // self.num_heads).permute(2, 0, 3, 1, 4)
         mixed = attention(heads[0], heads[1], heads[2], used)
-        out: Tensor = self.dropout(self.attention_out(mixed.transpose(1, 2).reshape(batch, count, width)))
-        return tokens + out
-
-    def _feed_forward(self, tokens: Tensor) -> Tensor:
+        tokens = tokens + self.dropout(self.attention_out(mixed.transpose(1, 2).reshape(batch, count, width)))
         hidden = self.dropout(nn.functional.gelu(self.ffn_in(self.ffn_norm(tokens))))
-        out: Tensor = self.dropout(self.ffn_out(hidden))
-        return tokens + out
+        out: Tensor = tokens + self.dropout(self.ffn_out(hidden))
+        return out
 
 
 def step_features(steps: Int64[Tensor, "batch"], width: int) -> Float[Tensor, "batch width"]:
@@ -416,6 +409,37 @@ def step_features(steps: Int64[Tensor, "batch"], width: int) -> Float[Tensor, "b
     frequencies = torch.exp(-math.log(10_000.0) * torch.arange(width // 2, device=steps.device) / (width // 2))
     angles = steps[:, None].to(torch.float32) * frequencies
     return torch.cat((angles.cos(), angles.sin()), dim=1)
+
+
+DURATION_FREQUENCIES = 8
+
+
+class ConditionEmbedding(nn.Module):
+    """Conditions → three tokens: text, action, duration (§3.2).
+
+    The null condition is a zero mask: the embedding of the text or action is zeros, so that its token is the
+    projection's bias. Guidance never drops the duration: the field needs it, so both passes of Eq. 6 see it.
+    """
+
+    num_tokens = 3
+
+    def __init__(self, sizes: ConditionSizes, width: int) -> None:
+        super().__init__()
+        self.text_in = nn.Linear(sizes.text_dimension, width)
+        self.actions = nn.Embedding(max(len(sizes.actions), 1), width)
+        self.duration_in = nn.Sequential(nn.Linear(2 * DURATION_FREQUENCIES, width), nn.SiLU(), nn.Linear(width, width))
+        frequencies = 2.0 ** torch.arange(DURATION_FREQUENCIES) * (torch.pi / 8)
+        self.register_buffer("frequencies", frequencies, persistent=False)
+        self.frequencies: Tensor
+
+    def forward(self, conditions: Conditions) -> Float[Tensor, "batch 3 width"]:
+        """One token each; text embeddings are scaled to a root mean square of 1 before the projection."""
+        text = self.text_in(conditions.text * conditions.text.shape[1] ** 0.5)
+        known = (conditions.action >= 0)[:, None].to(text.dtype)
+        action = self.actions(conditions.action.clamp(min=0)) * known
+        angles = conditions.duration[:, None] * self.frequencies
+        duration = self.duration_in(torch.cat((angles.cos(), angles.sin()), dim=1))
+        return torch.stack((text, action, duration), dim=1)
 
 
 class Denoiser(nn.Module):

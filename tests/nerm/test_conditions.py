@@ -5,7 +5,7 @@ import torch
 
 from motionkit.core.errors import UsageError
 from motionkit.training.conditions import NO_ACTION, Conditions, ConditionSizes, guided
-from nerm.conditions import ConditionEmbedding
+from nerm.network import ConditionEmbedding
 
 
 def conditions(batch: int = 3) -> Conditions:

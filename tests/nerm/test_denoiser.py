@@ -11,8 +11,7 @@ from motionkit.training.config import apply_overrides
 from motionkit.training.loop import train_loop
 from motionkit.training.run import RunFolder
 from motionkit.training.tensors import save_tensors
-from nerm.corpus import LatentCorpus
-from nerm.denoiser import DenoiserTraining, TrainedDenoiser, load_denoiser, save_denoiser
+from nerm.denoiser import DenoiserTraining, LatentCorpus, TrainedDenoiser, load_denoiser, save_denoiser
 from nerm.settings import DenoiserConfig, TransformerConfig
 
 TEXTS = ("a person walks", "someone is walking", "a jump")
