@@ -67,11 +67,6 @@ class FourierFeatures(nn.Module):
             frequencies = torch.clamp(torch.round(frequencies.abs() * period), min=1.0) / period
         self.register_buffer("frequencies", frequencies)
 
-    @property
-    def width(self) -> int:
-        """Numbers per coordinate: 2·R."""
-        return 2 * len(self.frequencies)
-
     def forward(self, coordinates: Float64[Tensor, "*shape"]) -> Float[Tensor, "*shape width"]:
         """Features of coordinates; angles in float64, features in float32."""
         angles = 2.0 * math.pi * coordinates[..., None] * self.frequencies
@@ -268,7 +263,7 @@ class FieldNetwork(nn.Module):
 
     def _feature_width(self) -> int:
         if self.fourier is not None:
-            return self.fourier.width
+            return self.config.encoder.query_width
         return 1 if self.config.encoder.kind == "raw" else 0
 
     def encode_coordinates(
