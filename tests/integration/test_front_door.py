@@ -138,7 +138,7 @@ def test_the_page_runs(demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert names["longer"].num_frames == motion.num_frames + 12 + 30
     assert len(names["walks"]) == len(mk.Store.open("walks")) > 0
     assert names["walk"].duration_seconds == 3.0 and len(names["several"]) == 4
-    assert names["score"].mean > 0 and names["score"].ci95 >= 0
+    assert names["score"].value > 0 and names["score"].ci95 >= 0
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/complete.md", "docs/generation.md"])
