@@ -32,10 +32,9 @@ from motionkit.training.diffusion.process import (
     sampling_steps,
 )
 from motionkit.training.loop import (
-    WeightAverage,
+    Learner,
     dropout_from,
     seeded_initialisation,
-    set_rate,
     step_generator,
     train_loop,
 )
@@ -43,11 +42,9 @@ from motionkit.training.run import RunError, RunFolder
 from motionkit.training.stage import StageContext
 from motionkit.training.tensors import (
     load_tensors,
-    load_training_tensors,
     prefixed,
     rebuilding,
     save_tensors,
-    training_tensors,
     unprefixed,
 )
 from motionkit.training.text import TextEncoder, embed_texts, load_text_encoder
@@ -302,15 +299,15 @@ class DenoiserTraining:
         self.steps = config.schedule.num_steps(len(corpus))
         with seeded_initialisation(seed, "denoiser"):
             self.denoiser = Denoiser(config.network, self.first_read, corpus.conditions.sizes).to(device)
-        self.average = WeightAverage(self.denoiser, config.ema_decay)
-        self.optimizer = torch.optim.AdamW(
+        optimizer = torch.optim.AdamW(
             self.denoiser.parameters(), lr=config.schedule.learning_rate, weight_decay=WEIGHT_DECAY
         )
+        self.learner = Learner(self.denoiser, optimizer, config.ema_decay, ranks)
+        self.state_tensors, self.load_state_tensors = self.learner.state_tensors, self.learner.load_state_tensors
 
     def step(self, step: int, generator: torch.Generator) -> Mapping[str, Tensor]:
         """One optimiser step on a fresh batch; returns the loss of Eq. 5 (mean over the numbers in use)."""
         config, diffusion, schedule = self.config, self.config.diffusion, self.config.schedule
-        set_rate(self.optimizer, schedule.factor(step, self.steps) * schedule.learning_rate)
         mine = self.ranks.rows_of(schedule.batch_size)
         rows = torch.randint(len(self.corpus), (schedule.batch_size,), generator=generator)
         latents = self.space.standardise(self.corpus.draw(rows, generator))
@@ -325,18 +322,14 @@ class DenoiserTraining:
         used = in_use(self.first_read, conditions.duration)
         weights = used * self.weights[steps, None].to(torch.float32) / used.sum()
         loss = ((output.float() - target[mine].to(self.device)).square() * weights[mine].to(self.device)).sum()
-        self.optimizer.zero_grad(set_to_none=True)
-        loss.backward()
-        self.ranks.add_up_gradients(self.denoiser.parameters())
-        self.optimizer.step()
-        self.average.update(self.denoiser, step)
+        self.learner.descend(loss, step, schedule.factor(step, self.steps) * schedule.learning_rate)
         return {"loss": loss.detach()}
 
     def finished(self, *, text_fingerprint: str, field_sha256: str) -> TrainedDenoiser:
         """The trained denoiser, with its averaged weights, on the CPU."""
         with seeded_initialisation(0, "denoiser"):
             denoiser = Denoiser(self.config.network, self.first_read, self.corpus.conditions.sizes)
-        denoiser.load_state_dict(self.average.tensors())
+        denoiser.load_state_dict(self.learner.trained_tensors())
         return TrainedDenoiser(
             config=self.config,
             denoiser=denoiser.eval().requires_grad_(False),
@@ -347,15 +340,6 @@ class DenoiserTraining:
             text_fingerprint=text_fingerprint,
             field_sha256=field_sha256,
         )
-
-    def state_tensors(self) -> dict[str, Tensor]:
-        """Weights, their average, the optimiser's moments."""
-        return training_tensors("denoiser", self.denoiser, self.optimizer) | prefixed("average", self.average.tensors())
-
-    def load_state_tensors(self, tensors: Mapping[str, Tensor]) -> None:
-        """Restore what `state_tensors` returned."""
-        load_training_tensors("denoiser", self.denoiser, self.optimizer, tensors)
-        self.average.load(unprefixed("average", tensors))
 
 
 def train_denoiser(context: StageContext, config: NermConfig) -> None:

@@ -29,27 +29,11 @@ from motionkit.training.conditions import Conditions, ConditionSizes
 from motionkit.training.config import Precision, Schedule, from_plain, specialised, to_plain
 from motionkit.training.devices import autocast, float32_products, resolve_device, with_precision_of
 from motionkit.training.diffusion.settings import DiffusionConfig
-from motionkit.training.loop import (
-    WeightAverage,
-    dropout_from,
-    seeded_initialisation,
-    set_rate,
-    step_generator,
-    train_loop,
-)
+from motionkit.training.loop import Learner, dropout_from, seeded_initialisation, step_generator, train_loop
 from motionkit.training.pose_vectors import VectorScaling, vector_tensors, vectors_of
 from motionkit.training.run import RunError, RunFolder
 from motionkit.training.stage import Stage, StageContext
-from motionkit.training.tensors import (
-    CheckpointError,
-    load_tensors,
-    load_training_tensors,
-    prefixed,
-    rebuilding,
-    save_tensors,
-    training_tensors,
-    unprefixed,
-)
+from motionkit.training.tensors import CheckpointError, load_tensors, prefixed, rebuilding, save_tensors, unprefixed
 from motionkit.training.text import TextEncoder, load_same_encoder
 from peers.layers import NetworkInputs, PeerNetwork, TransformerSizes
 from peers.motions import ConditionsConfig, MotionCorpus, MotionsConfig, PoseSpace, SampleBatch, open_corpus
@@ -153,57 +137,30 @@ class PeerStage:
 
 
 class PeerTraining:
-    """A `motionkit.training.loop.Trainable`: owns the network, the average of its weights and the optimiser."""
+    """A `motionkit.training.loop.Trainable`: the training of a stage's network on a corpus."""
 
-    def __init__(
-        self,
-        config: PeerConfig,
-        corpus: MotionCorpus,
-        network: PeerNetwork,
-        device: torch.device,
-    ) -> None:
+    def __init__(self, config: PeerConfig, corpus: MotionCorpus, network: PeerNetwork, device: torch.device) -> None:
         self.config, self.corpus, self.device = config, corpus, device
         self.network = network.to(device)
         self.steps = config.schedule.num_steps(len(corpus))
-        self.average = WeightAverage(network, config.optimizer.ema_decay) if config.optimizer.ema_decay else None
-        self.optimizer = torch.optim.AdamW(
+        optimizer = torch.optim.AdamW(
             network.parameters(), lr=config.schedule.learning_rate, weight_decay=config.optimizer.weight_decay
         )
+        self.learner = Learner(network, optimizer, config.optimizer.ema_decay)
+        self.state_tensors, self.load_state_tensors = self.learner.state_tensors, self.learner.load_state_tensors
 
     def step(self, step: int, generator: torch.Generator) -> Mapping[str, Tensor]:
         """One optimiser step on a fresh batch."""
         schedule = self.config.schedule
-        set_rate(self.optimizer, schedule.factor(step, self.steps) * schedule.learning_rate)
         rows = torch.randint(len(self.corpus), (schedule.batch_size,), generator=generator)
         batch = self.corpus.batch(rows, generator, drop=self.config.conditions.drop).to(self.device)
         self.network.begin_step(step, self.steps)
         self.network.train()
         with dropout_from(generator, self.device), autocast(self.config.precision, self.device):
             figures = self.network.losses(batch, generator)
-        self.optimizer.zero_grad(set_to_none=True)
-        torch.autograd.backward(figures["loss"])
-        if self.config.optimizer.clip_norm:
-            torch.nn.utils.clip_grad_norm_(self.network.parameters(), self.config.optimizer.clip_norm)
-        self.optimizer.step()
-        if self.average is not None:
-            self.average.update(self.network, step)
+        rate = schedule.factor(step, self.steps) * schedule.learning_rate
+        self.learner.descend(figures["loss"], step, rate, self.config.optimizer.clip_norm)
         return {name: figure.detach() for name, figure in figures.items()}
-
-    @property
-    def trained_tensors(self) -> dict[str, Tensor]:
-        """The weights to save: averaged if an average is kept."""
-        return self.network.state_dict() if self.average is None else self.average.tensors()
-
-    def state_tensors(self) -> dict[str, Tensor]:
-        """Weights, their average, the optimiser's moments."""
-        kept = {} if self.average is None else prefixed("average", self.average.tensors())
-        return training_tensors("network", self.network, self.optimizer) | kept
-
-    def load_state_tensors(self, tensors: Mapping[str, Tensor]) -> None:
-        """Restore what `state_tensors` returned."""
-        load_training_tensors("network", self.network, self.optimizer, tensors)
-        if self.average is not None:
-            self.average.load(unprefixed("average", tensors))
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,7 +199,7 @@ def train_stage(stage: PeerStage, context: StageContext, config: PeerConfig) -> 
     with float32_products(config.precision):
         context.fit_budget(training, folder)
         figures = train_loop(training, folder, steps=training.steps, seed=context.seed, on_progress=context.on_progress)
-    tensors = prefixed("network", training.trained_tensors) | {
+    tensors = prefixed("network", training.learner.trained_tensors()) | {
         "scaling.mean": corpus.scaling.mean,
         "scaling.scale": corpus.scaling.scale,
         "durations": torch.from_numpy(corpus.poses.windows.duration_seconds),

@@ -21,7 +21,16 @@ from motionkit.core.files import write_json
 from motionkit.core.progress import OnProgress, ignore, task
 from motionkit.training.devices import ALONE, Ranks
 from motionkit.training.run import RunError, StageFolder, abandon_stage
-from motionkit.training.tensors import CheckpointError, load_tensors, one_line, prefixed, save_tensors, unprefixed
+from motionkit.training.tensors import (
+    CheckpointError,
+    load_tensors,
+    load_training_tensors,
+    one_line,
+    prefixed,
+    save_tensors,
+    training_tensors,
+    unprefixed,
+)
 
 # Measured steps are spread evenly over the training, since early ones may cost less; rounds are repeated until this
 # share of the budget is spent.
@@ -317,6 +326,47 @@ class WeightAverage:
         """Restore averages."""
         for name, average in self.averages.items():
             average.copy_(tensors[name])
+
+
+class Learner:
+    """A network with its optimiser and, with a decay above 0, the average of its weights: the state of a training."""
+
+    def __init__(
+        self,
+        network: torch.nn.Module,
+        optimizer: torch.optim.Optimizer,
+        ema_decay: float = 0.0,
+        ranks: Ranks = ALONE,
+    ) -> None:
+        self.network, self.optimizer, self.ranks = network, optimizer, ranks
+        self.average = WeightAverage(network, ema_decay) if ema_decay else None
+
+    def descend(self, loss: torch.Tensor, step: int, rate: float, clip_norm: float = 0.0) -> None:
+        """One optimiser step at a learning rate, on gradients of all ranks; a norm above 0 clips the gradient's."""
+        set_rate(self.optimizer, rate)
+        self.optimizer.zero_grad(set_to_none=True)
+        torch.autograd.backward(loss)
+        self.ranks.add_up_gradients(self.network.parameters())
+        if clip_norm:
+            torch.nn.utils.clip_grad_norm_(self.network.parameters(), clip_norm)
+        self.optimizer.step()
+        if self.average is not None:
+            self.average.update(self.network, step)
+
+    def trained_tensors(self) -> dict[str, torch.Tensor]:
+        """The weights to save: averaged if an average is kept."""
+        return self.network.state_dict() if self.average is None else self.average.tensors()
+
+    def state_tensors(self) -> dict[str, torch.Tensor]:
+        """Weights, the optimiser's moments, the average."""
+        average = {} if self.average is None else prefixed("average", self.average.tensors())
+        return training_tensors("network", self.network, self.optimizer) | average
+
+    def load_state_tensors(self, tensors: Mapping[str, torch.Tensor]) -> None:
+        """Restore what `state_tensors` returned."""
+        load_training_tensors("network", self.network, self.optimizer, tensors)
+        if self.average is not None:
+            self.average.load(unprefixed("average", tensors))
 
 
 def _state(seed: int, purpose: str, step: int) -> int:

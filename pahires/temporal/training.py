@@ -14,19 +14,10 @@ from motionkit.core.skeleton import Feet, Skeleton
 from motionkit.data.rotation_sequences import open_rotation_sequences
 from motionkit.training.config import from_plain, to_plain
 from motionkit.training.devices import autocast, float32_products, resolve_device
-from motionkit.training.loop import WeightAverage, dropout_from, scale_rates, seeded_initialisation, train_loop
+from motionkit.training.loop import Learner, dropout_from, seeded_initialisation, train_loop
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
-from motionkit.training.tensors import (
-    CheckpointError,
-    load_tensors,
-    load_training_tensors,
-    prefixed,
-    rebuilding,
-    save_tensors,
-    training_tensors,
-    unprefixed,
-)
+from motionkit.training.tensors import CheckpointError, load_tensors, prefixed, rebuilding, save_tensors, unprefixed
 from pahires.temporal.base_curves import Scaling, interpolated
 from pahires.temporal.prediction import Predictor
 from pahires.temporal.settings import Distance, TemporalConfig, TemporalSettings
@@ -54,9 +45,9 @@ class TemporalTraining:
         settings = self.settings
         # Networks expect standardised rows; see `base_curves`.
         self.predictor = Predictor(network, self.scaling.to(device), settings.answer)
-        rate = settings.schedule.learning_rate
-        self.optimizer = torch.optim.Adam([{"params": list(network.parameters()), "base_lr": rate}])
-        self.average = WeightAverage(network, settings.ema_decay) if settings.ema_decay else None
+        optimizer = torch.optim.Adam(network.parameters(), lr=settings.schedule.learning_rate)
+        self.learner = Learner(network, optimizer, settings.ema_decay)
+        self.state_tensors, self.load_state_tensors = self.learner.state_tensors, self.learner.load_state_tensors
         seconds = float(sampler.takes.num_frames.sum()) / float(settings.framerate)
         self.steps = settings.schedule.num_steps(seconds)
 
@@ -69,29 +60,10 @@ class TemporalTraining:
             predicted = self.predictor(batch.window.to(self.device))
         targets = batch.targets.to(self.device)
         loss = (self._weights(batch).to(self.device) * self._loss(predicted, targets)).mean()
-        self.optimizer.zero_grad(set_to_none=True)
-        torch.autograd.backward(loss)
-        scale_rates(self.optimizer, settings.schedule.factor(step, self.steps))
-        self.optimizer.step()
-        if self.average is not None:
-            self.average.update(self.network, step)
+        rate = settings.schedule.factor(step, self.steps) * settings.schedule.learning_rate
+        self.learner.descend(loss, step, rate)
         mse, velocity = losses(predicted.detach(), targets, "squared")
         return {"loss": loss, "mse": mse.mean(), "velocity": velocity.mean()}
-
-    def trained_tensors(self) -> dict[str, torch.Tensor]:
-        """The weights to save: averaged if an average is kept."""
-        return self.network.state_dict() if self.average is None else self.average.tensors()
-
-    def state_tensors(self) -> dict[str, torch.Tensor]:
-        """Weights, moments and averages."""
-        average = {} if self.average is None else prefixed("average", self.average.tensors())
-        return training_tensors("network", self.network, self.optimizer) | average
-
-    def load_state_tensors(self, tensors: Mapping[str, torch.Tensor]) -> None:
-        """Restore what `state_tensors` returned."""
-        load_training_tensors("network", self.network, self.optimizer, tensors)
-        if self.average is not None:
-            self.average.load(unprefixed("average", tensors))
 
     def _weights(self, batch: TrainingBatch) -> Float32[torch.Tensor, "batch"]:
         """Weights of windows: 1, or if `balanced` the inverse of the interpolation's error."""
@@ -169,7 +141,7 @@ def train_network(context: StageContext, stage: str, config: TemporalConfig, mak
     with float32_products(settings.precision):
         context.fit_budget(training, folder)
         figures = train_loop(training, folder, steps=training.steps, seed=context.seed, on_progress=context.on_progress)
-    tensors = prefixed("network", training.trained_tensors()) | prefixed(
+    tensors = prefixed("network", training.learner.trained_tensors()) | prefixed(
         "scaling", {"mean": training.scaling.mean, "scale": training.scaling.scale}
     )
     description = {

@@ -84,13 +84,6 @@ def test_flat_keys_name_every_leaf() -> None:
     ]
 
 
-def test_plain_values_of_another_type_are_refused() -> None:
-    with pytest.raises(UsageError, match="Inner has no colour"):
-        from_plain(Outer, {"field": {"colour": 1}})
-    with pytest.raises(UsageError, match="steps must be a whole number, not '3'"):
-        from_plain(Outer, {"field": {"steps": "3"}})
-
-
 def test_a_value_that_the_dataclass_itself_refuses_is_a_usage_error() -> None:
     @dataclass(frozen=True)
     class Positive:

@@ -6,11 +6,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from motionkit.core.progress import Progress
 from motionkit.training.config import rate_factor
 from motionkit.training.loop import (
     WeightAverage,
-    scale_rates,
     seeded_initialisation,
     set_rate,
     train_loop,
@@ -68,16 +66,6 @@ def _folder(path: Path) -> StageFolder:
 
 def _interrupt_at(step: int, number: int = signal.SIGINT) -> Callable[[int], None]:
     return lambda now: os.kill(os.getpid(), number) if now == step else None
-
-
-def test_every_step_is_reported_to_the_callback(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    reports: list[Progress] = []
-    folder = _folder(tmp_path / "stage")
-    train_loop(Regression(), folder, steps=4, seed=1, log_every=2, on_progress=reports.append)
-    assert [report.done for report in reports if not report.note] == [0, 1]
-    assert reports[-1].finished and (reports[-1].name, reports[-1].done, reports[-1].total) == ("stage", 4, 4)
-    assert reports[-1].note == f"loss {folder.read_metrics()[-1]['loss']:.4g}"
-    assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -145,14 +133,6 @@ def test_rates_warm_up_and_fall_to_zero() -> None:
     assert factors[55] == pytest.approx(0.5)
     assert factors[100] == pytest.approx(0.0)
     assert rate_factor(70, 100, schedule="constant") == 1.0
-
-
-def test_every_group_keeps_its_own_base_rate() -> None:
-    weights = [torch.nn.Parameter(torch.zeros(1)) for _ in range(2)]
-    groups = [{"params": [weight], "base_lr": rate} for weight, rate in zip(weights, (1.0, 0.1), strict=True)]
-    optimizer = torch.optim.SGD(groups, lr=0.0)
-    scale_rates(optimizer, 0.5)
-    assert [group["lr"] for group in optimizer.param_groups] == [0.5, 0.05]
 
 
 def test_a_weight_average_of_constant_weights_is_those_weights() -> None:

@@ -46,14 +46,6 @@ def _context(path: Path, *, resume: bool = False, overwrite: bool = False, seed:
     return StageContext(Path("store"), RunFolder(path), "nano", seed=seed, resume=resume, overwrite=overwrite)
 
 
-def test_a_run_says_what_it_was_made_from(tmp_path: Path) -> None:
-    folder = _context(tmp_path, seed=4).begin("first", Config(), store_fingerprint="abc")
-    written = folder.read_config()
-    assert written["config"] == {"width": 4, "first": {"steps": 5}, "second": {"steps": 5}}
-    assert (written["seed"], written["recipe"], written["store_fingerprint"]) == (4, "nano", "abc")
-    assert {"python", "torch", "motionkit"} <= set(written["versions"])
-
-
 def test_what_exists_is_neither_overwritten_nor_mixed_unasked(tmp_path: Path) -> None:
     folder = _context(tmp_path).begin("first", Config(), store_fingerprint="abc")
     folder.append_metrics({"step": 1.0})

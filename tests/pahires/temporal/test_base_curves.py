@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 
 from motionkit.core.skeleton import SMPL22
 from motionkit.features.rotations import poses_of, rows_of_poses
@@ -97,24 +95,6 @@ def test_forms_add_what_the_network_says(scaling: Scaling) -> None:
     torch.testing.assert_close(made("plain"), answer)
     torch.testing.assert_close(made("residual"), curve_alone + 0.5 * size(window, "gap"))
     torch.testing.assert_close(made("exact"), curve_alone + 0.5 * size(window, "gap") * gate(window))
-
-
-@given(seed=st.integers(0, 2**31), factor=st.floats(0.1, 30.0), count=st.integers(2, 7))
-def test_corrections_sized_by_motion_grow_with_it(seed: int, factor: float, count: int) -> None:
-    rng = np.random.default_rng(seed)
-    times = torch.from_numpy(np.cumsum(rng.uniform(0.03, 0.8, count))).float()[None]
-    queries = torch.linspace(float(times[0, 0]) - 0.3, float(times[0, -1]) + 0.3, 30)[None]
-    frames = torch.from_numpy(rng.normal(size=(1, count, 135))).float()
-    small, large = (
-        size(ObservedWindow(scale * frames, times, queries, torch.ones(1)), "motion")[0, :, 0]
-        for scale in (1.0, factor)
-    )
-    assert (small > 0).all() and torch.isfinite(small).all()
-    # In proportion, but for what is added so that rest is no division by nothing.
-    torch.testing.assert_close(large / factor, small, rtol=2e-3 * max(1.0, factor**-2), atol=0.02 / factor)
-    # It does not depend on where the window lies.
-    moved = size(ObservedWindow(frames + 5.0, times, queries, torch.ones(1)), "motion")[0, :, 0]
-    torch.testing.assert_close(moved, small, rtol=1e-3, atol=1e-4)
 
 
 def test_blended_curves_are_what_the_weights_say(scaling: Scaling) -> None:

@@ -32,7 +32,6 @@ from pahires.temporal.windows import WindowSampler
 from tests.helpers.nerm_corpus import analytic_positions
 from tests.helpers.observed_errors import observed_errors
 from tests.helpers.small_network import SmallConfig, SmallNetwork, load, train, write_store
-from tests.helpers.velocities import joint_velocities
 
 CPU = torch.device("cpu")
 EXACT = SmallConfig(
@@ -84,16 +83,6 @@ def test_answers_depend_neither_on_order_nor_on_company(field: MotionField) -> N
     for some in (slice(0, 1), slice(5, 12)):
         np.testing.assert_allclose(field.query(times[some]).joint_positions, whole[some], atol=2e-5)
     assert len(field.query(np.zeros(0)).joint_positions) == 0
-
-
-def test_observed_frames_stay_where_they_are(field: MotionField) -> None:
-    assert observed_errors(field, Observation.of(capture())).max() < 2e-5
-
-
-def test_nothing_jumps_at_the_seams(field: MotionField) -> None:
-    speed = np.linalg.norm(joint_velocities(field, np.linspace(1.75, 7.15, 2000)), axis=-1)
-    truth = analytic_positions(np.linspace(0, 5, 2000), 1)
-    assert speed.max() < 3 * np.linalg.norm(np.gradient(truth, 5 / 1999, axis=0), axis=-1).max()
 
 
 def test_other_framerates_uneven_times_and_gaps(exact: TrainedNetwork) -> None:

@@ -8,7 +8,6 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motionkit.core.errors import UsageError
 from motionkit.data.rotation_sequences import RotationSequences, open_rotation_sequences
 from motionkit.features.rotations import rotation_rows
 from motionkit.store.reader import Store
@@ -92,14 +91,6 @@ def test_small_sources_have_the_share_of_windows_that_is_asked_for(store: Store,
     assert np.bincount(take, minlength=4) / len(take) == pytest.approx(
         [share * 2 / 3, share / 3, (1 - share) * 0.6, (1 - share) * 0.4], abs=0.01
     )
-
-
-def test_windows_longer_than_every_take_are_refused(store: Store) -> None:
-    settings = replace(
-        SETTINGS, tasks=replace(SMALL_TASKS, interpolate=0.0, scattered=0.0, extend=0.0, longest_gap=500)
-    )
-    with pytest.raises(UsageError, match=r"no chosen take has the \d+ frames"):
-        WindowSampler(takes_of(store, settings), settings).draw(np.random.default_rng(0), "gap", 4)
 
 
 def test_a_window_does_not_depend_on_where_it_happened() -> None:
