@@ -1,21 +1,21 @@
-"""The stage `detail` of `motionkit train`, and a run's detail; nothing heavy is imported before it is used."""
+"""The stage `detail` of `motionkit train`, and a run's detail."""
 
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
 
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import task
 from motionkit.core.skeleton import SMPL22
+from motionkit.fields.detail import GRID_FPS, Detail, fit_detail
+from motionkit.fields.resample import resample_positions
+from motionkit.store.cache import PositionCache, open_cache
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import Stage, StageContext
-
-if TYPE_CHECKING:
-    from motionkit.fields.detail import Detail
-    from motionkit.store.cache import PositionCache
+from motionkit.training.tensors import load_tensors, rebuilding, save_tensors
 
 NAME = "detail"
 
@@ -36,12 +36,6 @@ def train_detail(context: StageContext, config: DetailConfig) -> None:
 
     Raises `UsageError` for a store without training sequences of 120 fps.
     """
-    import torch
-
-    from motionkit.fields.detail import GRID_FPS, fit_detail
-    from motionkit.fields.resample import resample_positions
-    from motionkit.training.tensors import save_tensors
-
     cache, fast = _fast_sequences(context, config)
     captures: list[np.ndarray] = []
     frames = 0
@@ -61,11 +55,8 @@ def train_detail(context: StageContext, config: DetailConfig) -> None:
     folder.finish({"takes": len(captures), "minutes": frames / GRID_FPS / 60})
 
 
-def _fast_sequences(context: StageContext, config: DetailConfig) -> "tuple[PositionCache, list[int]]":
+def _fast_sequences(context: StageContext, config: DetailConfig) -> tuple[PositionCache, list[int]]:
     """The training sequences, and the indices of those with 120 fps or more; raises `UsageError` if none has."""
-    from motionkit.fields.detail import GRID_FPS
-    from motionkit.store.cache import open_cache
-
     cache = open_cache(context.open_store(), layout=SMPL22.name, where=config.where or None)
     rates = map(cache.exact_fps, range(cache.num_sequences))
     fast = [index for index, fps in enumerate(rates) if fps >= GRID_FPS and cache.num_frames[index] > fps / GRID_FPS]
@@ -87,11 +78,8 @@ def has_detail(run: Path) -> bool:
     return RunFolder(run).stage(NAME).is_complete
 
 
-def load_detail(run: Path) -> "Detail":
+def load_detail(run: Path) -> Detail:
     """Load a run's detail; raises `RunError`, with the command that trains it, if it has none."""
-    from motionkit.fields.detail import Detail
-    from motionkit.training.tensors import load_tensors, rebuilding
-
     stage = RunFolder(run).stage(NAME)
     stage.read_summary()
     path = stage.model_path

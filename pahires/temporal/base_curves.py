@@ -10,10 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from motionkit.core.shapes import Float, Float32, Float64, Int64
+from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.core.skeleton import Skeleton
 from motionkit.features import rotations
 from motionkit.fields.interpolation import inner_rates
+from motionkit.training.pose_vectors import VectorScaling
 from pahires.temporal.network import ObservedWindow
 from pahires.temporal.settings import Base
 
@@ -52,27 +53,7 @@ class WindowFrames:
         return rotations.to_world(rows, self.yaw, self.origin)
 
 
-@dataclass(frozen=True, eq=False)
-class Scaling:
-    """(row − mean) / scale, number by number; rows in metres and columns of rotations."""
-
-    mean: Float32[torch.Tensor, "numbers"]
-    scale: Float32[torch.Tensor, "numbers"]
-
-    def apply(self, rows: Float[torch.Tensor, "*frames numbers"]) -> Float[torch.Tensor, "*frames numbers"]:
-        """Own units → standardised."""
-        return (rows - self.mean) / self.scale
-
-    def invert(self, standardised: Float[torch.Tensor, "*frames numbers"]) -> Float[torch.Tensor, "*frames numbers"]:
-        """Standardised → own units."""
-        return standardised * self.scale + self.mean
-
-    def to(self, device: torch.device) -> "Scaling":
-        """On another device."""
-        return Scaling(self.mean.to(device), self.scale.to(device))
-
-
-def measure_scaling(rows: Float32[np.ndarray, "frames numbers"]) -> Scaling:
+def measure_scaling(rows: Float32[np.ndarray, "frames numbers"]) -> VectorScaling:
     """Mean and scale of rows in their windows' frames.
 
     A number's scale is its standard deviation, but at least a quarter of its group's (root mean square): groups are the
@@ -84,7 +65,9 @@ def measure_scaling(rows: Float32[np.ndarray, "frames numbers"]) -> Scaling:
     for group in (slice(0, 3, 2), slice(1, 2), slice(3, 9), slice(9, None)):
         floor = FLOOR_SHARE**2 * variance[group].mean()
         variance[group] = np.maximum(variance[group], max(floor, SMALLEST**2))
-    return Scaling(torch.from_numpy(mean.astype(np.float32)), torch.from_numpy(np.sqrt(variance).astype(np.float32)))
+    return VectorScaling(
+        torch.from_numpy(mean.astype(np.float32)), torch.from_numpy(np.sqrt(variance).astype(np.float32))
+    )
 
 
 DAMPING_SECONDS = 0.2
@@ -98,7 +81,7 @@ _Rates = Float32[torch.Tensor, "batch frames numbers"]
 
 @torch.no_grad()
 def interpolated(
-    window: ObservedWindow, base: Base, scaling: Scaling
+    window: ObservedWindow, base: Base, scaling: VectorScaling
 ) -> Float32[torch.Tensor, "batch queries numbers"]:
     """Standardised rows at the queries by the interpolation `base`; one observed frame stays as it is."""
     segment, fraction = located(window)
@@ -187,7 +170,7 @@ def _on_great_arcs(
     frames: Float32[torch.Tensor, "batch frames numbers"],
     segment: Int64[torch.Tensor, "batch queries"],
     fraction: Float32[torch.Tensor, "batch queries"],
-    scaling: Scaling,
+    scaling: VectorScaling,
 ) -> Float32[torch.Tensor, "batch queries numbers"]:
     rows = scaling.invert(frames)
     root = torch.lerp(_rows(rows[..., :3], segment), _rows(rows[..., :3], segment + 1), fraction[..., None])

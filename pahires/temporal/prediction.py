@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 import torch
 
 from motionkit.core.shapes import Float32
-from pahires.temporal.base_curves import Scaling, interpolated, located, seconds_beyond
+from motionkit.training.pose_vectors import VectorScaling
+from pahires.temporal.base_curves import interpolated, located, seconds_beyond
 from pahires.temporal.network import ObservedWindow, TemporalNetwork
 from pahires.temporal.settings import AnswerSettings, Sizing
 
@@ -86,7 +87,7 @@ class Predictor:
     """
 
     network: TemporalNetwork
-    scaling: Scaling
+    scaling: VectorScaling
     answer: AnswerSettings
 
     def __call__(self, window: ObservedWindow) -> Rows:

@@ -15,10 +15,11 @@ from motionkit.data.rotation_sequences import open_rotation_sequences
 from motionkit.training.config import from_plain, to_plain
 from motionkit.training.devices import autocast, float32_products, resolve_device
 from motionkit.training.loop import Learner, dropout_from, seeded_initialisation, train_loop
+from motionkit.training.pose_vectors import VectorScaling
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
 from motionkit.training.tensors import CheckpointError, load_tensors, prefixed, rebuilding, save_tensors, unprefixed
-from pahires.temporal.base_curves import Scaling, interpolated
+from pahires.temporal.base_curves import interpolated
 from pahires.temporal.prediction import Predictor
 from pahires.temporal.settings import Distance, TemporalConfig, TemporalSettings
 from pahires.temporal.windows import TrainingBatch, WindowSampler
@@ -181,7 +182,7 @@ def load_network(
     where = resolve_device(device)
     with rebuilding(folder.model_path, stage):
         config = from_plain(config_type, description["config"])
-        scaling = Scaling(tensors["scaling.mean"], tensors["scaling.scale"])
+        scaling = VectorScaling(tensors["scaling.mean"], tensors["scaling.scale"])
         network = make(config, len(scaling.mean))
         network.load_state_dict(unprefixed("network", tensors))
         skeleton = _restored(description["skeleton"], tensors["skeleton.offsets"].numpy())

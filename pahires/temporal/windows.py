@@ -15,7 +15,8 @@ from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Bool, Float32, Float64, Int64
 from motionkit.data.rotation_sequences import RotationSequences
 from motionkit.features import rotations
-from pahires.temporal.base_curves import Scaling, WindowFrames, measure_scaling
+from motionkit.training.pose_vectors import VectorScaling
+from pahires.temporal.base_curves import WindowFrames, measure_scaling
 from pahires.temporal.network import ObservedWindow
 from pahires.temporal.settings import TaskSettings, TemporalSettings
 
@@ -166,7 +167,7 @@ class WindowSampler:
         count = layout.observed.shape[1]
         return RawWindows(rows[:, :count], rows[:, count:], layout, self.takes.seconds_between(take, stride))
 
-    def measure(self, rng: np.random.Generator) -> Scaling:
+    def measure(self, rng: np.random.Generator) -> VectorScaling:
         """The scale of rows in their windows' frames, from a few thousand windows of all tasks, by their shares."""
         found = []
         for _ in range(DRAWS_TO_MEASURE):
@@ -175,12 +176,12 @@ class WindowSampler:
             found.append(frames.to_window(np.concatenate((raw.observed[:, ::4], raw.targets[:, ::4]), axis=1)))
         return measure_scaling(np.concatenate([rows.reshape(-1, rows.shape[-1]) for rows in found]))
 
-    def batch(self, rng: np.random.Generator, scaling: Scaling) -> TrainingBatch:
+    def batch(self, rng: np.random.Generator, scaling: VectorScaling) -> TrainingBatch:
         """A batch of one task, in the windows' frames, standardised."""
         task = self.task(rng)
         return self.standardised(self.draw(rng, task, self.settings.schedule.batch_size), task, scaling)
 
-    def standardised(self, raw: RawWindows, task: Task, scaling: Scaling) -> TrainingBatch:
+    def standardised(self, raw: RawWindows, task: Task, scaling: VectorScaling) -> TrainingBatch:
         """Network inputs from world rows."""
         frames = WindowFrames.of(raw.observed, self.takes.skeleton)
         step = raw.seconds_between

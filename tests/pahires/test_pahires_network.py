@@ -11,6 +11,7 @@ from motionkit.edit.encoders import encoder_loader
 from motionkit.fields.motion_field import MotionEncoder
 from motionkit.training.config import apply_overrides
 from motionkit.training.loop import seeded_initialisation
+from motionkit.training.pose_vectors import VectorScaling
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
 from pahires.model import SYSTEM, PaHiRes
@@ -71,7 +72,7 @@ def test_a_trained_network_is_an_encoder(tmp_path: Path) -> None:
 
 def test_one_motion_is_learnt_better_than_any_interpolation_of_it() -> None:
     """A network that can represent a motion beats the curve that its answers correct, on that motion."""
-    from pahires.temporal.base_curves import Scaling, interpolated
+    from pahires.temporal.base_curves import interpolated
     from pahires.temporal.prediction import Predictor
 
     times = torch.arange(0, 65, 8) / 30
@@ -83,7 +84,7 @@ def test_one_motion_is_learnt_better_than_any_interpolation_of_it() -> None:
 
     asked = ObservedWindow(rows(times), times[None], queries[None], torch.full((1,), 1 / 30))
     made = network()
-    predictor = Predictor(made, Scaling(torch.zeros(135), torch.ones(135)), AnswerSettings("exact", "eased"))
+    predictor = Predictor(made, VectorScaling(torch.zeros(135), torch.ones(135)), AnswerSettings("exact", "eased"))
     optimizer = torch.optim.Adam(made.parameters(), lr=3e-3)
     for _ in range(120):
         optimizer.zero_grad()

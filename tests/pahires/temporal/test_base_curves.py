@@ -8,7 +8,8 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.features.rotations import poses_of, rows_of_poses
 from motionkit.fields.interpolation import curve, rotation_curve
 from motionkit.fields.motion_field import Poses
-from pahires.temporal.base_curves import Scaling, interpolated, located, seconds_beyond
+from motionkit.training.pose_vectors import VectorScaling
+from pahires.temporal.base_curves import interpolated, located, seconds_beyond
 from pahires.temporal.network import ObservedWindow
 from pahires.temporal.prediction import Predictor, gate, num_answers, size
 from pahires.temporal.settings import AnswerSettings, Base, Form
@@ -23,7 +24,7 @@ def rows_at(times: np.ndarray) -> np.ndarray:
     return rows_of_poses(Poses(analytic_positions(times, 1)), SMPL22).vectors
 
 
-def asked(times: np.ndarray, queries: np.ndarray, scaling: Scaling) -> ObservedWindow:
+def asked(times: np.ndarray, queries: np.ndarray, scaling: VectorScaling) -> ObservedWindow:
     return ObservedWindow(
         scaling.apply(torch.from_numpy(rows_at(times)[None])),
         torch.from_numpy(times[None].astype(np.float32)),
@@ -33,26 +34,26 @@ def asked(times: np.ndarray, queries: np.ndarray, scaling: Scaling) -> ObservedW
 
 
 @pytest.fixture
-def scaling() -> Scaling:
+def scaling() -> VectorScaling:
     rng = np.random.default_rng(0)
     mean, scale = rng.normal(size=135), rng.uniform(0.1, 2.0, 135)
-    return Scaling(torch.from_numpy(mean.astype(np.float32)), torch.from_numpy(scale.astype(np.float32)))
+    return VectorScaling(torch.from_numpy(mean.astype(np.float32)), torch.from_numpy(scale.astype(np.float32)))
 
 
 @pytest.mark.parametrize("base", ["linear", "catmull-rom"])
-def test_curves_are_those_of_the_reference(base: Base, scaling: Scaling) -> None:
+def test_curves_are_those_of_the_reference(base: Base, scaling: VectorScaling) -> None:
     found = scaling.invert(interpolated(asked(TIMES, QUERIES, scaling), base, scaling))[0].numpy()
     np.testing.assert_allclose(found, curve(base, TIMES, rows_at(TIMES))(QUERIES), atol=2e-5)  # type: ignore[arg-type]
 
 
-def test_the_cubic_is_the_natural_spline(scaling: Scaling) -> None:
+def test_the_cubic_is_the_natural_spline(scaling: VectorScaling) -> None:
     from scipy.interpolate import CubicSpline
 
     found = scaling.invert(interpolated(asked(TIMES, QUERIES, scaling), "cubic", scaling))[0].numpy()
     np.testing.assert_allclose(found, CubicSpline(TIMES, rows_at(TIMES), bc_type="natural")(QUERIES), atol=5e-5)
 
 
-def test_slerp_turns_every_joint_on_its_great_arc(scaling: Scaling) -> None:
+def test_slerp_turns_every_joint_on_its_great_arc(scaling: VectorScaling) -> None:
     found = scaling.invert(interpolated(asked(TIMES, QUERIES, scaling), "slerp", scaling))[0].numpy()
     given = rows_of_poses(Poses(analytic_positions(TIMES, 1)), SMPL22)
     rotations = given.poses().local_rotations
@@ -64,7 +65,7 @@ def test_slerp_turns_every_joint_on_its_great_arc(scaling: Scaling) -> None:
 
 
 @pytest.mark.parametrize("base", BASES)
-def test_observed_frames_are_kept_and_ends_come_to_rest(base: Base, scaling: Scaling) -> None:
+def test_observed_frames_are_kept_and_ends_come_to_rest(base: Base, scaling: VectorScaling) -> None:
     window = asked(TIMES, np.concatenate((TIMES, [-5.0, -6.0, 5.0, 6.0])), scaling)
     found = interpolated(window, base, scaling)[0]
     torch.testing.assert_close(found[:6], window.frames[0], atol=2e-5, rtol=1e-5)
@@ -72,7 +73,7 @@ def test_observed_frames_are_kept_and_ends_come_to_rest(base: Base, scaling: Sca
     torch.testing.assert_close(found[8], found[9])
 
 
-def test_queries_find_their_segment_and_what_lies_beyond(scaling: Scaling) -> None:
+def test_queries_find_their_segment_and_what_lies_beyond(scaling: VectorScaling) -> None:
     window = asked(TIMES, np.array([-0.2, 0.0, 0.05, 0.15, 0.7, 0.8]), scaling)
     segment, fraction = located(window)
     assert segment[0].tolist() == [0, 0, 0, 2, 4, 4]
@@ -84,7 +85,7 @@ def test_queries_find_their_segment_and_what_lies_beyond(scaling: Scaling) -> No
     assert size(window, "gap")[0, :, 0].tolist() == pytest.approx(expected, rel=1e-4)
 
 
-def test_forms_add_what_the_network_says(scaling: Scaling) -> None:
+def test_forms_add_what_the_network_says(scaling: VectorScaling) -> None:
     window = asked(TIMES, QUERIES, scaling)
     answer = torch.ones(1, len(QUERIES), 135)
 
@@ -97,7 +98,7 @@ def test_forms_add_what_the_network_says(scaling: Scaling) -> None:
     torch.testing.assert_close(made("exact"), curve_alone + 0.5 * size(window, "gap") * gate(window))
 
 
-def test_blended_curves_are_what_the_weights_say(scaling: Scaling) -> None:
+def test_blended_curves_are_what_the_weights_say(scaling: VectorScaling) -> None:
     window = asked(TIMES, QUERIES, scaling)
     blended: tuple[Base, ...] = ("catmull-rom", "linear")
 
@@ -113,7 +114,7 @@ def test_blended_curves_are_what_the_weights_say(scaling: Scaling) -> None:
     assert num_answers(AnswerSettings("plain", blended=blended), 135) == 135
 
 
-def test_smooth_corrections_have_half_the_kink_and_leave_frames_alone(scaling: Scaling) -> None:
+def test_smooth_corrections_have_half_the_kink_and_leave_frames_alone(scaling: VectorScaling) -> None:
     times = np.arange(9) * 0.1
     ones = Predictor(
         lambda asked: torch.ones(*asked.queries_seconds.shape, 135), scaling, AnswerSettings("exact", "eased")
