@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from fractions import Fraction
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -17,18 +16,17 @@ from motionkit.features.native import NativeVectors
 from motionkit.training.conditions import Conditions, ConditionSizes
 from motionkit.training.diffusion.settings import DiffusionConfig, Prediction
 from motionkit.training.pose_vectors import VectorScaling
-from peers.actor import ACTOR, Actor, ActorNetworkConfig
-from peers.camdm import CAMDM, Camdm, CamdmNetworkConfig
-from peers.flow import FLOW, AbsoluteCoordinates, Flow, FlowNetworkConfig
-from peers.hier import HIER, Hier, HierNetworkConfig, body_parts
-from peers.inr_mlp import INR_MLP, InrMlp, InrMlpNetworkConfig, fit_mixture, length_intervals
-from peers.jl2p import JL2P, Jl2p, Jl2pNetworkConfig
+from peers.actor import Actor, ActorNetworkConfig
+from peers.camdm import Camdm, CamdmNetworkConfig
+from peers.flow import AbsoluteCoordinates, Flow, FlowNetworkConfig
+from peers.hier import Hier, HierNetworkConfig, body_parts
+from peers.inr_mlp import InrMlp, InrMlpNetworkConfig, fit_mixture, length_intervals
+from peers.jl2p import Jl2p, Jl2pNetworkConfig
 from peers.layers import NetworkInputs, TransformerSizes, diffusion_loss, diffusion_sample
 from peers.mdm import MDM, MDM_50, Mdm, MdmNetworkConfig
 from peers.mld import MLD, MLD_VAE, Mld, MldNetworkConfig, MldVae, MldVaeNetworkConfig
 from peers.motions import MotionBatch, PoseSpace, SampleBatch
-from peers.nemf import NEMF, NEMF_PATH, Nemf, NemfNetworkConfig, NemfPath, NemfPathNetworkConfig, with_velocities
-from peers.t2m import T2M, T2M_AUTOENCODER, T2m, T2mAutoencoder
+from peers.nemf import Nemf, NemfNetworkConfig, NemfPath, NemfPathNetworkConfig, with_velocities
 from tests.helpers.nerm_corpus import analytic_positions
 from tests.peers.plain_transformer import Weights, layer, linear, long_skips, norm, part
 
@@ -69,7 +67,7 @@ def decoder_layer_size(d: int, f: int) -> int:
 
 
 def test_published_sizes_have_the_published_numbers_of_parameters() -> None:
-    """MDM's 17.9 million (its Table 1 of sizes, without CLIP); the others follow from their layers by hand."""
+    """MDM's 17.9 million (its Table 1 of sizes, without CLIP); those of MLD follow from its layers by hand."""
     torch.manual_seed(0)
     for stage in (MDM, MDM_50):
         mdm = Mdm(stage.recipes["paper"]["network"], inputs(space(), ConditionSizes(512, ())))
@@ -181,14 +179,6 @@ def test_nothing_is_copied_from_the_device_in_a_step(sampler: str, prediction: P
     assert (found.device, found.dtype, found.shape) == (device, torch.float64, (2, 3, 4))
 
 
-CLIP = ConditionSizes(512, ())
-ACTIONS = ConditionSizes(0, tuple(f"action-{number}" for number in range(12)))
-
-
-def dense(*widths: int) -> int:
-    return sum(before * after + after for before, after in pairwise(widths))
-
-
 def positions(count: int, width: int) -> Tensor:
     angles = [[place / 10_000 ** (2 * i / width) for i in range(width // 2)] for place in range(count)]
     return torch.tensor([[f(angle) for angle in row for f in (np.sin, np.cos)] for row in angles], dtype=torch.float32)
@@ -198,38 +188,6 @@ def field_space() -> PoseSpace:
     made = space(66)
     made.vectors = FIELD_VECTORS
     return made
-
-
-def test_sizes_of_inr_mlp_actor_t2m_camdm_and_the_flow() -> None:
-    torch.manual_seed(0)
-    # ACTOR on the 150 numbers of HumanAct12: 24 rotations of six numbers, a translation filled up with zeros.
-    actor = Actor(ACTOR.recipes["paper"]["network"], inputs(space(150), ACTIONS))
-    layers = 8 * (encoder_layer_size(256, 1024) + decoder_layer_size(256, 1024))
-    assert count(actor) == dense(150, 256) + dense(256, 150) + 3 * 12 * 256 + layers
-    inr = InrMlp(INR_MLP.recipes["paper"]["network"], inputs(space(147), ACTIONS))
-    codes = 2 * 7 * 128 + 2 * 12 * 128
-    assert count(inr) == codes + dense(512, 1000, 500, 500, 200, 100, 147)
-    configs = [stage.recipes["paper"]["network"] for stage in (T2M_AUTOENCODER, T2M)]
-    autoencoder = T2mAutoencoder(configs[0], inputs(space(), ConditionSizes(0, ())))
-    decoder = (4 * 512 * 512 + 512) + (4 * 512 * 263 + 263) + dense(263, 263)
-    assert count(autoencoder) == (4 * 259 * 512 + 512) + (4 * 512 * 512 + 512) + dense(512, 512) + decoder
-    temporal = T2m(configs[1], inputs(space(), CLIP, {"t2m-autoencoder": autoencoder}))
-
-    def cell(inputs: int) -> int:
-        return dense(inputs, 1024) + 2 * 1024 + 6 * (1024 * 1024 + 1024)
-
-    heads = 2 * 2 * dense(1024, 128) + dense(1024, 1024) + 2 * 1024 + dense(1024, 512)
-    sentence = dense(512, 1024) + dense(1024, 512) + 3 * dense(1024, 1024)
-    assert count(temporal) == decoder + cell(1024) + cell(1536) + cell(1152) + heads + sentence
-    camdm = Camdm(CAMDM.recipes["paper"]["network"], inputs(space(), CLIP))
-    ends = 2 * dense(263, 256) + dense(256, 263) + dense(512, 256) + 2 * dense(256, 256) + 256
-    assert count(camdm) == ends + 4 * encoder_layer_size(256, 1024)
-    flow = Flow(FLOW.recipes["paper"]["network"], inputs(field_space(), CLIP))
-    inside = (
-        dense(512, 6 * 512) + dense(512, 3 * 512) + dense(512, 512) + 2 * 64 + dense(512, 2 * 1365) + dense(1365, 512)
-    )
-    outside = dense(66, 512) + 3 * dense(512, 512) + dense(512, 1024) + dense(512, 66)
-    assert count(flow) == outside + 8 * inside
 
 
 def test_a_pass_of_inr_mlp_is_the_one_by_hand() -> None:
@@ -390,27 +348,6 @@ def batch_of(lengths: list[int]) -> MotionBatch:
     )
 
 
-def test_sizes_of_jl2p_and_hier() -> None:
-    jl2p = Jl2p(JL2P.recipes["paper"]["network"], inputs(space(), CLIP))
-    cell = 3 * (263 * 1024 + 1024) + 3 * (1024 * 1024 + 1024)
-    assert count(jl2p) == dense(512, 1024) + 2 * cell + dense(1024, 263)
-    hier = Hier(HIER.recipes["paper"]["network"], inputs(space(), CLIP))
-    # Arms of 4 joints, legs of 4 with two contacts, 5 joints of the spine; the root has its speed twice and height.
-    arm, leg, trunk = 4 * 12, 4 * 12 + 2, 5 * 12 + 3 + 4
-    assert 2 * arm + 2 * leg + trunk == 263
-
-    def recurrent(inputs: int, width: int) -> int:
-        return 3 * (inputs * width + width) + 3 * (width * width + width)
-
-    leaves = 2 * dense(arm, 32) + 2 * dense(leg, 32) + dense(trunk, 32)
-    encoder = leaves + 4 * dense(64, 128) + 2 * 2 * 256 + 2 * recurrent(256, 512)
-    back = 2 * dense(32, arm) + 2 * dense(32, leg) + dense(32, trunk)
-    cells = recurrent(2 * arm + trunk, 512) + recurrent(2 * leg + trunk, 512)
-    decoder = cells + 2 * dense(512, 256) + 4 * dense(128, 64) + back
-    critic = recurrent(263, 64) + dense(64, 256, 128, 64, 1)
-    assert count(hier) == dense(512, 1024) + encoder + decoder + critic
-
-
 def test_a_pass_of_jl2p_is_the_one_by_hand() -> None:
     torch.manual_seed(1)
     network, batch = Jl2p(Jl2pNetworkConfig(6), inputs(space(), TEXTS)), batch_of([5, 3])
@@ -505,22 +442,6 @@ def cropped(rows: Tensor, lengths: list[int]) -> MotionBatch:
     seen = torch.arange(frames) < torch.tensor(lengths)[:, None]
     every = torch.arange(frames).expand(batch, -1)
     return MotionBatch(rows * seen[..., None], torch.tensor(lengths), nothing, torch.arange(batch), every)
-
-
-def test_sizes_of_nemf() -> None:
-    def convolutions(kernel: int, *widths: int) -> int:
-        return sum(kernel * before * after + after + dense(before, after) for before, after in pairwise(widths))
-
-    path_config, config = (stage.recipes["paper"]["network"] for stage in (NEMF_PATH, NEMF))
-    path = NemfPath(path_config, inputs(space(), NONE))
-    # 21 joints of three coordinates and six numbers of a rotation, their changes, a turn; velocity, height, contacts.
-    poses = 21 * 9
-    assert count(path) == convolutions(15, 2 * poses + 1, 512, 512, 512, 512, 256, 128, 2 + 1 + 4) + 6
-    field = Nemf(config, inputs(space(), NONE, {"nemf-path": path}))
-    encoders = convolutions(4, 2 * poses, 128, 256, 512, 512) + convolutions(4, 6, 128, 256, 512, 512)
-    latents = 2 * dense(8 * 512, 1024) + 2 * dense(8 * 512, 256)
-    layers = dense(14 + 1024, 1024) + 7 * dense(1024 + 1038, 1024) + 3 * dense(1024 + 1038 + 256, 1024) + 11 * 2 * 1024
-    assert count(field) == encoders + latents + layers + dense(1024, poses) + dense(1024, 6)
 
 
 def test_a_field_is_the_one_by_hand() -> None:

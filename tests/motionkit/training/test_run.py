@@ -142,13 +142,6 @@ def test_a_stage_is_not_resumed_upon_another_than_it_was_begun_with(tmp_path: Pa
     _context(tmp_path, resume=True).begin("second", Config(), store_fingerprint="abc", builds_on=("first",))
 
 
-def test_what_auto_chose_is_what_auto_asks_for(tmp_path: Path) -> None:
-    _context(tmp_path).begin("first", Chosen("bfloat16"), store_fingerprint="abc")
-    _context(tmp_path, resume=True).begin("first", Chosen("auto"), store_fingerprint="abc")
-    with pytest.raises(RunError, match="precision 'bfloat16' → 'float32'"):
-        _context(tmp_path, resume=True).begin("first", Chosen("float32"), store_fingerprint="abc")
-
-
 def test_an_untrained_stage_is_named_with_the_command_that_trains_it(tmp_path: Path) -> None:
     with pytest.raises(RunError, match="motionkit train --stage field --run nano"):
         RunFolder(tmp_path / "nano").stage("field").read_config()

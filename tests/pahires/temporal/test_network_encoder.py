@@ -85,16 +85,6 @@ def test_answers_depend_neither_on_order_nor_on_company(field: MotionField) -> N
     assert len(field.query(np.zeros(0)).joint_positions) == 0
 
 
-def test_other_framerates_uneven_times_and_gaps(exact: TrainedNetwork) -> None:
-    motion = capture()
-    keep = np.random.default_rng(3).random(motion.num_frames) < 0.5
-    keep[40:110] = False  # a gap of 2.3 s, longer than any in training
-    for observation in (Observation.of(motion, keep), Observation.of(capture(fps=120)), Observation.of(capture(fps=7))):
-        field = NetworkEncoder(exact, window_frames=16).encode(observation)
-        assert observed_errors(field, observation).max() < 2e-5
-        assert np.isfinite(field.query(random_times(field)).joint_positions).all()
-
-
 @pytest.mark.parametrize("frames", [9, 40])
 def test_many_motions_at_once_are_each_as_alone(exact: TrainedNetwork, frames: int) -> None:
     encoder = NetworkEncoder(exact, window_frames=16)
