@@ -9,6 +9,7 @@ COMMANDS = {
     "study": "eval.commands.study:STUDY",
 }
 STAGES = {"evaluator": "eval.native_evaluator.stage:STAGE", "tmr": "eval.native_evaluator.stage:TMR"}
+ALL = ("evaluator",)
 TABLES = {
     "nerm-1": "eval.tables.nerm.table1:TABLE",
     "nerm-2": "eval.tables.nerm.table2:TABLE",

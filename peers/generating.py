@@ -116,13 +116,12 @@ class PeerStage:
 
     @property
     def stage(self) -> Stage[Any]:
-        """The trainable stage; not part of `--stage all`."""
+        """The trainable stage."""
         return Stage(
             self.name,
             self.description,
             {name: partial(self.config_type, **parts) for name, parts in self.recipes.items()},
             partial(train_stage, self),
-            in_all=False,
             check=check_stage,
             builds_on=lambda config: self.earlier,
             share=self.share,

@@ -110,5 +110,4 @@ TMR = Stage(
         "base": settings.tmr_base,
     },
     train=train_tmr,
-    in_all=False,
 )

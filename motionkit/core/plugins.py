@@ -3,7 +3,8 @@
 The entry point names a module with dictionaries from names to what the package adds (docs/extending.md): `COMMANDS`,
 `STAGES`, `MODELS`, `ENCODERS`, `TEXT_ENCODERS`, `FORMATS`, `TABLES`, `PLANS`, `ABLATIONS`. A value is an object, or its
 place "module:attribute", which is imported when it is used: so that module imports nothing heavy, and names can be
-listed at once. Their order is that of the entry points' names, motionkit's own first, and of the dictionaries.
+listed at once. `ALL` are the names of those stages that `motionkit train --stage all` trains. The order is that of the
+entry points' names, motionkit's own first, and of the dictionaries.
 """
 
 from collections.abc import Callable, Iterator
@@ -17,7 +18,9 @@ from typing import Any, Literal
 from motionkit.core.errors import MotionkitError
 
 GROUP, OWN = "motionkit.plugins", "motionkit"
-Kind = Literal["COMMANDS", "STAGES", "MODELS", "ENCODERS", "TEXT_ENCODERS", "FORMATS", "TABLES", "PLANS", "ABLATIONS"]
+Kind = Literal[
+    "COMMANDS", "STAGES", "MODELS", "ENCODERS", "TEXT_ENCODERS", "FORMATS", "TABLES", "PLANS", "ABLATIONS", "ALL"
+]
 
 
 def names(kind: Kind) -> tuple[str, ...]:
@@ -60,7 +63,7 @@ def lazily(place: str) -> Callable[..., Any]:
     return lambda *arguments, **options: resolve(place)(*arguments, **options)
 
 
-def listed(kind: Kind, foreign: bool = False) -> Iterator[dict[str, Any]]:
+def listed(kind: Kind, foreign: bool = False) -> Iterator[Any]:
     """Each package's list of a kind; a package whose module cannot be imported is left out."""
     for entry in _entry_points():
         if foreign and _is_own(entry):

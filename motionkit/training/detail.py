@@ -93,6 +93,5 @@ STAGE = Stage(
     description="captured motion above 10 Hz, for motionkit generate --detail",
     recipes=dict.fromkeys(("demo", "nano", "small", "base", "paper"), DetailConfig),
     train=train_detail,
-    in_all=False,
     check=_check,
 )

@@ -113,18 +113,16 @@ class Stage(Generic[ConfigT]):
 
     `builds_on(config)` names the stages whose results it reads; `train` passes the same to `StageContext.begin`.
     `check(context, config)` raises errors that can be found before any training, without other stages' results.
-    `in_all`: whether `--stage all` includes it; `recipes` maps names to functions that make a configuration. Stages of
-    one model may share a configuration whose parts are named after the stages: a change of another stage's part doesn't
-    prevent `--resume`. Under torchrun every rank calls the `train` of a `shared` stage (`motionkit.training.devices`);
-    others are trained by the first rank alone. `share` is its share of its system's time budget, relative to the
-    system's other stages (`StagePlan`).
+    `recipes` maps names to functions that make a configuration. Stages of one model may share a configuration whose
+    parts are named after the stages: a change of another stage's part doesn't prevent `--resume`. Under torchrun every
+    rank calls the `train` of a `shared` stage (`motionkit.training.devices`); others are trained by the first rank
+    alone. `share` is its share of its system's time budget, relative to the system's other stages (`StagePlan`).
     """
 
     name: str
     description: str
     recipes: Mapping[str, Callable[[], ConfigT]]
     train: Callable[[StageContext, ConfigT], None]
-    in_all: bool = True
     check: Callable[[StageContext, ConfigT], None] = _nothing_to_check
     shared: bool = False
     share: float = 1.0
@@ -168,7 +166,7 @@ class StagePlan:
 
 
 def registered_stages() -> dict[str, Stage[Any]]:
-    """All installed stages by name, in the order in which `--stage all` trains them."""
+    """All installed stages by name, in the order in which they are trained."""
     return plugins.load_all("STAGES")
 
 
@@ -180,8 +178,7 @@ def recorded_settings(run: RunFolder, stage: str) -> dict[str, Any]:
 
 def choose_stages(name: str) -> tuple[Stage[Any], ...]:
     """The stages that `--stage NAME` selects; raises `UsageError` that lists the known ones."""
-    if name == "all":
-        return tuple(stage for stage in registered_stages().values() if stage.in_all)
-    if name not in (known := plugins.names("STAGES")):
+    known = plugins.names("STAGES")
+    if name not in (*known, "all"):
         raise UsageError(f"no stage is called {name!r}; there are: {', '.join([*known, 'all'])}")
-    return (plugins.load("STAGES", name),)
+    return tuple(plugins.load("STAGES", each) for each in (plugins.names("ALL") if name == "all" else (name,)))

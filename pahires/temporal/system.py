@@ -30,8 +30,8 @@ class TemporalSystem:
 
     @property
     def stage(self) -> Stage[Any]:
-        """The stage that trains the network; not part of `--stage all`."""
-        return Stage(self.name, self.description, self.recipes, self.train, in_all=False, check=check_takes)
+        """The stage that trains the network."""
+        return Stage(self.name, self.description, self.recipes, self.train, check=check_takes)
 
     def train(self, context: StageContext, config: TemporalConfig) -> None:
         """Train the network (`train_network`)."""

@@ -7,7 +7,7 @@ import pytest
 from motionkit.core import plugins
 
 
-def install_only(monkeypatch: pytest.MonkeyPatch, **lists: dict[str, Any]) -> None:
+def install_only(monkeypatch: pytest.MonkeyPatch, **lists: Any) -> None:
     """Let these be all that is installed of their kinds: `STAGES={"walk": STAGE}`."""
     installed = plugins.listed
     monkeypatch.setattr(

@@ -148,10 +148,10 @@ def test_an_untrained_stage_is_named_with_the_command_that_trains_it(tmp_path: P
 
 
 def test_stages_are_chosen_by_name_or_all_of_the_model(monkeypatch: pytest.MonkeyPatch) -> None:
-    def stage(name: str, in_all: bool = True) -> Stage[Config]:
-        return Stage(name, "", {"nano": Config}, lambda context, config: None, in_all)
+    def stage(name: str) -> Stage[Config]:
+        return Stage(name, "", {"nano": Config}, lambda context, config: None)
 
-    install_only(monkeypatch, STAGES={"a": stage("a"), "b": stage("b"), "extra": stage("extra", False)})
+    install_only(monkeypatch, STAGES={name: stage(name) for name in ("a", "b", "extra")}, ALL=("a", "b"))
     assert [chosen.name for chosen in choose_stages("all")] == ["a", "b"]
     assert [chosen.name for chosen in choose_stages("extra")] == ["extra"]
     with pytest.raises(UsageError, match=r"'c'.*: a, b, extra, all"):

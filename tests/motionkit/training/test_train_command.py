@@ -47,7 +47,7 @@ def _train(name: str) -> Stage[Config]:
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    install_only(monkeypatch, STAGES={name: _train(name) for name in ("first", "second")})
+    install_only(monkeypatch, STAGES={name: _train(name) for name in ("first", "second")}, ALL=("first", "second"))
     with StoreWriter.create(tmp_path / "store"):
         pass
     monkeypatch.chdir(tmp_path)
@@ -163,7 +163,9 @@ def test_a_stage_is_not_trained_twice_at_once(
                 CliRunner().invoke(_app(), ["--stage", stage, option], catch_exceptions=False)
             refused.append(caught.value)
 
-    install_only(monkeypatch, STAGES={"first": replace(whole, train=train), "second": _train("second")})
+    install_only(
+        monkeypatch, STAGES={"first": replace(whole, train=train), "second": _train("second")}, ALL=("first", "second")
+    )
     assert [each["steps"] for each in _run("--overwrite")["stages"]] == [5, 5]  # type: ignore[attr-defined]
     assert len(refused) == 1
     _run("--stage", stage, "--overwrite")
