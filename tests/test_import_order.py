@@ -46,7 +46,7 @@ def test_imports_run_one_way() -> None:
         ("motionkit/fields/motion_field.py", "import motionkit.io.registry", "data flows one way in motionkit"),
         ("motionkit/io/registry.py", "import motionkit.store.reader", "data flows one way in motionkit"),
         ("motionkit/store/reader.py", "import motionkit.training.loop", "data flows one way in motionkit"),
-        ("motionkit/training/loop.py", "import motionkit.generate.job", "data flows one way in motionkit"),
+        ("motionkit/training/loop.py", "import motionkit.generate.output", "data flows one way in motionkit"),
         ("motionkit/generate/request.py", "import motionkit.cli.app", "data flows one way in motionkit"),
         ("nerm/latents.py", "import nerm.network", "data flows one way in nerm"),
         ("pahires/activation.py", "import pahires.model", "data flows one way in pahires"),

@@ -88,50 +88,37 @@ def show_warnings() -> None:
     warnings.showwarning = show
 
 
-class ProgressLines:
+def progress_lines(every_seconds: float = 60.0, clock: Callable[[], float] = time.monotonic) -> OnProgress:
     """A progress callback that prints a line on stderr for all running tasks, at most every `every_seconds`.
 
     Tasks that end before that have no line.
     """
+    tasks: dict[str, Progress] = {}
+    printed = clock()
 
-    def __init__(self, every_seconds: float = 60.0, clock: Callable[[], float] = time.monotonic) -> None:
-        self._every, self._clock = every_seconds, clock
-        self._printed = clock()
-        # Each task's first report after a step, with its time, and the latest one: the first step may include
-        # preparations.
-        self._tasks: dict[str, tuple[float, Progress, Progress]] = {}
-
-    def __call__(self, progress: Progress) -> None:
-        """Record a task's new state; print the line if it is due."""
-        now = self._clock()
+    def show(progress: Progress) -> None:
+        nonlocal printed
+        tasks[progress.name] = progress
         if progress.finished:
-            self._tasks.pop(progress.name, None)
-            return
-        since, first, _ = self._tasks.get(progress.name, (now, progress, progress))
-        if first.done == 0:
-            since, first = now, progress
-        self._tasks[progress.name] = since, first, progress
-        if now - self._printed >= self._every:
-            self._printed = now
-            stderr.print("; ".join(_state(*each, now) for each in self._tasks.values()))
+            del tasks[progress.name]
+        elif clock() - printed >= every_seconds:
+            printed = clock()
+            stderr.print("; ".join(map(_state, tasks.values())))
+
+    return show
 
 
-def _state(since: float, first: Progress, latest: Progress, now: float) -> str:
-    """`field: 1,200 of 8,000 (15%), about 4 min left, loss 0.1`."""
-    facts = [f"{latest.done:,}"]
-    if latest.total:
-        facts = [f"{latest.done:,} of {latest.total:,} ({latest.done / latest.total:.0%})"]
-        if latest.done > first.done:
-            left = (latest.total - latest.done) * (now - since) / (latest.done - first.done)
-            facts.append(f"about {left / 60:,.0f} min left" if left >= 90 else f"about {left:.0f} s left")
-    return f"{latest.name}: {', '.join(filter(None, (*facts, latest.note)))}"
+def _state(task: Progress) -> str:
+    """`field: 1,200 of 8,000 (15%), loss 0.1`."""
+    state = f"{task.done:,} of {task.total:,} ({task.done / task.total:.0%})" if task.total else f"{task.done:,}"
+    return f"{task.name}: {state}" + (f", {task.note}" if task.note else "")
 
 
 @contextmanager
 def progress() -> Iterator[OnProgress]:
     """A callback that draws progress bars on stderr, or prints a line every minute if it is no terminal."""
     if not stderr.is_terminal:
-        yield ProgressLines()
+        yield progress_lines()
         return
     import rich.progress as bars  # deferred: it takes longer than a short command
 

@@ -84,14 +84,16 @@ def generate(
     """Generate motions from texts, actions or nothing: any framerate, or poses at arbitrary instants.
 
     Example: motionkit generate --unconditional --seconds 4 --fps 120 -n 4 --out made --format bvh"""
-    from motionkit.generate.output import output_format
+    from motionkit.generate.models import SamplingOptions, load_model, model_of, warn_above_training
+    from motionkit.generate.output import Job, locked_output, output_format
     from motionkit.generate.request import (
         MotionsRequest,
         parse_constraints,
         parse_prompts,
         parse_times,
-        path_and_seconds,
+        read_path,
     )
+    from motionkit.training.detail import load_detail
 
     if resume and overwrite:
         raise UsageError("--resume and --overwrite exclude each other")
@@ -99,17 +101,14 @@ def generate(
         raise UsageError("--times and --fps exclude each other")
     if detail and file_format == "bvh":
         raise UsageError("--detail is for measuring and training: it adds captures' jitter, and isn't written as BVH")
-    table, seconds = path_and_seconds(path, seconds)
+    table = None if path is None else read_path(path)
+    if seconds is None and table is not None and table.seconds is not None:
+        seconds = float(table.seconds[-1])
     chosen = parse_prompts(prompts, texts or [], action or [], unconditional, seconds)
     rate, instants = parse_rate(fps), parse_times(times)
     output = output_format(file_format, instants)
     constraints = parse_constraints(table, join, chosen, pose, joint, placed=pose_placed)
     request = MotionsRequest(tuple(chosen), count, instants, rate, join, overlap, constraints)
-
-    # These import torch, which takes longer than all the checks above.
-    from motionkit.generate.job import Job, locked_output
-    from motionkit.generate.models import SamplingOptions, load_model, model_of, warn_above_training
-    from motionkit.training.detail import load_detail
 
     place = (runs or default_path("runs")) / run
     loaded = load_model(model or model_of(place), place)

@@ -7,8 +7,6 @@ from importlib.metadata import PackageNotFoundError, requires, version
 
 from motionkit.core import __version__
 
-_REQUIREMENT = re.compile(r"""([\w.-]+)[^;]*;.*extra\s*==\s*["']([\w-]+)["']""")
-
 
 def version_lines(verbose: bool) -> Iterator[str]:
     """Lines about the installation; with `verbose`, of packages, device, threads and extras too."""
@@ -27,22 +25,10 @@ def version_lines(verbose: bool) -> Iterator[str]:
         yield f"device cpu (torch is built for {'CUDA ' + torch.version.cuda if torch.version.cuda else 'CPUs'})"
     stated = os.environ.get("OMP_NUM_THREADS", "not set")
     yield f"threads {torch.get_num_threads()} of {os.cpu_count()} processors (OMP_NUM_THREADS {stated})"
-    yield from _extras()
-
-
-def _extras() -> Iterator[str]:
-    """Each extra with the versions of its packages."""
-    extras: dict[str, list[str]] = {}
     for requirement in requires("motionkit") or ():
-        found = _REQUIREMENT.match(requirement)
-        if found and found[2] != "dev":
-            extras.setdefault(found[2], []).append(found[1])
-    for extra, packages in extras.items():
-        yield f"extra {extra}: {', '.join(map(_installed, packages))}"
-
-
-def _installed(package: str) -> str:
-    try:
-        return f"{package} {version(package)}"
-    except PackageNotFoundError:
-        return f"{package} not installed"
+        package, extra = re.match(r"[\w.-]+", requirement), re.search(r"extra == [\"'](?!dev)([\w-]+)", requirement)
+        if package and extra:
+            try:
+                yield f"extra {extra[1]}: {package[0]} {version(package[0])}"
+            except PackageNotFoundError:
+                yield f"extra {extra[1]}: {package[0]} not installed"

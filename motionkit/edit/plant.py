@@ -47,28 +47,21 @@ def plant(motion: Motion | str | Path, *, path: BodyPath = "near") -> Motion:
 
 @dataclass(frozen=True)
 class Change:
-    """Changes of a motion in m, m/s and s; speeds are None for feet without contact.
+    """Changes of a motion in m and m/s; speeds are None for feet without contact.
 
     `sliding` is the mean horizontal speed of feet in contact, weighted towards the steadier of ankle and toe.
-    `below_ground` is the maximum depth of a foot joint below its floor. `largest_level_shift` and
-    `largest_height_shift` are how far the correction moves a foot along the ground, and up or down to it;
-    `has_fixed_bones` is whether positions without rotations were projected onto bones of constant length.
-    `largest_pose_change` is relative to the first joint, so that it ignores a displacement of the whole body.
+    `largest_level_shift` and `largest_height_shift` are how far the correction moves a foot along the ground, and up or
+    down to it; `has_fixed_bones` is whether positions without rotations were projected onto bones of constant length.
     """
 
     num_contacts: int
-    contact_seconds: float
     sliding_before: float | None
     sliding_after: float | None
-    below_ground_before: float
-    below_ground_after: float
     largest_level_shift: float
     largest_height_shift: float
     has_fixed_bones: bool
     largest_change: float
-    largest_pose_change: float
     mean_change: float
-    moved_share: float
 
     def __str__(self) -> str:
         if self.sliding_before is None or self.sliding_after is None:
@@ -142,12 +135,7 @@ def measure_change(
     """Measure what planting changes at these ascending times, and which frames it moves."""
     before, after = planting.field.query(times).joint_positions, planting(times).joint_positions
     correction = planting.correction
-    step = after - before
-    distance = np.linalg.norm(step, axis=-1)
-    depth = [
-        float((correction.ground.floor - planting.legs.foot_paths(positions)[..., 1]).max(initial=0.0))
-        for positions in (before, after)
-    ]
+    distance = np.linalg.norm(after - before, axis=-1)
     contacts, fps = correction.contacts, correction.fps
     feet = correction.offsets[:, :1] + correction.offsets[:, 1:]
     down = np.asarray(contacts.down.any(axis=-1))
@@ -158,17 +146,12 @@ def measure_change(
     moved = distance.max(axis=1) > MOVED_METRES
     change = Change(
         num_contacts=sum(len(runs(down[:, foot])[0]) for foot in range(2)),
-        contact_seconds=int(down.sum()) / fps,
         sliding_before=sliding[0],
         sliding_after=sliding[1],
-        below_ground_before=depth[0],
-        below_ground_after=depth[1],
         largest_level_shift=float(np.hypot(feet[..., 0], feet[..., 2]).max()),
         largest_height_shift=float(np.abs(feet[..., 1]).max()),
         has_fixed_bones=planting.bones is not None,
         largest_change=float(distance.max()),
-        largest_pose_change=float(np.linalg.norm(step - step[:, :1], axis=-1).max()),
         mean_change=float(distance.mean()),
-        moved_share=float(moved.mean()),
     )
     return change, moved

@@ -1,31 +1,56 @@
-"""Generated motions as files: poses sampled from their fields, in every writable format or as HumanML3D's arrays."""
+"""The work of a `motionkit generate` call: poses are sampled from generated fields and written into a folder.
 
+generation.json holds the request and is written first; a motion is complete when its main file is there, since files
+appear whole. motions.csv lists the complete motions when the call ends, also by an error or Ctrl-C. So a stopped call
+can be resumed, and `motionkit ingest` reads the folder with its captions.
+"""
+
+import csv
+import io
+import json
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
 from fractions import Fraction
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 import numpy as np
 
-from motionkit.core.errors import UsageError
-from motionkit.core.files import whole_file, write_whole
+from motionkit.core.errors import UsageError, shown
+from motionkit.core.files import LOCK, is_temporary, locked_folder, read_json, whole_file, write_json, write_whole
 from motionkit.core.motion import Motion
 from motionkit.core.progress import warn
 from motionkit.core.shapes import Float64
 from motionkit.core.skeletons.mapping import SkeletonMapError
 from motionkit.core.timegrid import TimeGrid
-from motionkit.edit.export import HUMANML3D_KIND, Outcome, pose_entry, write_folder_manifest
+from motionkit.edit.export import HUMANML3D_KIND, TABLE, Outcome, captions_json, pose_entry, write_folder_manifest
 from motionkit.fields.contact.planted import planted
+from motionkit.fields.detail import Detail, detailed
 from motionkit.fields.motion_field import MotionField, at_fps
-from motionkit.generate.long_motions import Script, captions_of
+from motionkit.generate.constraints import followed
+from motionkit.generate.long_motions import (
+    Script,
+    captions_of,
+    check_script,
+    constraints_of,
+    generate_scripts,
+    is_joined,
+)
+from motionkit.generate.models import GenerativeModel, SamplingOptions
+from motionkit.generate.request import MotionsRequest
 from motionkit.io import joints_npy, npz
 from motionkit.io.humanml3d import JOINTS_FOLDER, TEXTS_FOLDER, VECTORS_FOLDER
 from motionkit.io.registry import Format, writers
 from motionkit.io.texts import format_texts
+from motionkit.training.run import versions, weights_sha256
 
 SLUG_LENGTH = 40
+MANIFEST = "generation.json"
+FORMAT = "motionkit-generation"
+ANOTHER = "name another folder with --out"
 
 
 def sample_motion(field: MotionField, name: str, script: Script, fps: Fraction) -> Motion:
@@ -157,3 +182,186 @@ def _write_humanml3d(path: Path, motion: Motion) -> None:
     for place, array in ((folder / JOINTS_FOLDER / path.name, entry.joint_positions), (path, entry.vectors)):
         with whole_file(place) as temporary:
             np.save(temporary, np.asarray(array), allow_pickle=False)
+
+
+@dataclass(frozen=True)
+class Job:
+    """A request, a model of a run, and an output format; motions are planted unless `plant` is false.
+
+    With `detail` motions get captures' motion above 10 Hz, from the same seed (docs/detail.md).
+
+    Raises `UsageError`, with the prompt's file and line, for unsupported requests, before anything is generated.
+    """
+
+    request: MotionsRequest
+    model: GenerativeModel
+    run: Path
+    output: OutputFormat
+    seed: int
+    sampling: SamplingOptions
+    plant: bool = True
+    detail: Detail | None = None
+
+    def __post_init__(self) -> None:
+        for prompts in self.request.scripts:
+            try:
+                check_script(self.model, self.request.script_of(prompts), self.sampling, self.request.overlap_seconds)
+            except UsageError as error:
+                where = prompts[0].where if len(prompts) == 1 else ""
+                raise UsageError(f"{where}: {error}" if where else str(error)) from None
+
+    @property
+    def fps(self) -> Fraction:
+        """Framerate of the files."""
+        return self.request.fps or self.output.fps or self.model.max_training_fps
+
+    @property
+    def num_joined(self) -> int:
+        """How many motions are joined from several."""
+        return sum(is_joined(script, self.model.max_duration_seconds) for script in self.request.motions)
+
+    @cached_property
+    def main_files(self) -> list[PurePosixPath]:
+        """Each motion's main file below the folder."""
+        return [self.output.files(motion_name(*each))[0] for each in enumerate(self.request.motions)]
+
+    def manifest(self) -> dict[str, Any]:
+        """The request and the weights' identity: the same manifest gives the same motions."""
+        request = self.request
+        conditions = [prompt.request for prompts in request.scripts for prompt in prompts]
+        names = [motion_name(*each) for each in enumerate(request.motions)]
+        return {
+            "format": FORMAT,
+            "version": 1,
+            "model": self.model.name,
+            "weights_sha256": weights_sha256(self.run),
+            "seed": self.seed,
+            "sampling": asdict(self.sampling),
+            "planted": self.plant,
+            "with_detail": self.detail is not None,
+            "file_format": self.output.name,
+            "fps": None if request.times else str(self.fps),
+            "times_seconds": list(request.times) or None,
+            "max_training_fps": str(self.model.max_training_fps),
+            "count": request.count,
+            "conditions": [
+                {"text": each.text, "action": each.action, "seconds": each.duration_seconds} for each in conditions
+            ],
+            "joined": any(len(script) > 1 for script in request.scripts),
+            "overlap_seconds": request.overlap_seconds if self.num_joined else None,
+            "constraints": [each.plain() for each in request.constraints],
+            "versions": versions(),
+            "files": [*self.output.shared, *(str(file) for name in names for file in self.output.files(name))],
+        }
+
+    def complete_in(self, folder: Path) -> frozenset[int]:
+        """Numbers of the motions whose files are in a folder."""
+        return frozenset(number for number, file in enumerate(self.main_files) if (folder / file).is_file())
+
+    def write(self, folder: Path) -> Iterator[dict[str, Any]]:
+        """Generate and write missing motions one by one; yields facts about each file as JSON.
+
+        Batches are the same whatever is missing, so a resumed call writes the same numbers.
+        """
+        try:
+            for number, field in generate_scripts(
+                self.model,
+                self.request.motions,
+                seed=self.seed,
+                skip=self.complete_in(folder),
+                sampling=self.sampling,
+                overlap_seconds=self.request.overlap_seconds,
+            ):
+                yield self._write_motion(folder / self.main_files[number], number, field)
+        finally:
+            # A row per complete motion, as `motionkit.io.annotations` reads it.
+            fps = "" if self.request.times else str(self.fps)
+            text = io.StringIO(newline="")
+            table = csv.writer(text, lineterminator="\n")
+            table.writerow(("file", "captions", "action", "fps"))
+            for number in sorted(self.complete_in(folder)):
+                script = self.request.motions[number]
+                table.writerow((self.main_files[number], captions_json(captions_of(script)), action_of(script), fps))
+            write_whole(folder / TABLE, text.getvalue())
+
+    def _write_motion(self, path: Path, number: int, field: MotionField) -> dict[str, Any]:
+        script, times = self.request.motions[number], self.request.times
+        if self.plant:
+            field = plant_generated(field, script)
+        if self.detail is not None:
+            field = detailed(field, self.detail, seed=self.seed, number=number)
+        if times:
+            write_instants(path, field, script, np.array(times, dtype=np.float64))
+            num_frames = len(times)
+        else:
+            motion = sample_motion(field, motion_name(number, script), script, self.fps)
+            self.output.write(path, motion)
+            num_frames = motion.num_frames
+        captions = captions_of(script)
+        facts = {
+            "file": str(path),
+            "caption": captions[0].text if len(captions) == 1 else "",
+            "captions": [
+                {"text": each.text, "start_seconds": each.start_seconds, "end_seconds": each.end_seconds}
+                for each in captions
+            ],
+            "action": action_of(script),
+            "duration_seconds": field.end_seconds - field.start_seconds,
+            "fps": None if times else str(self.fps),
+            "num_frames": num_frames,
+        }
+        constraints = [followed(field, each).plain() for each in constraints_of(script)]
+        return facts | ({"constraints": constraints} if constraints else {})
+
+
+@contextmanager
+def locked_output(path: Path, manifest: Mapping[str, Any], *, resume: bool, overwrite: bool) -> Iterator[None]:
+    """Hold the lock of a call's folder, which is new, empty, or one to `resume` or `overwrite`; has generation.json.
+
+    Overwriting deletes the files of an earlier call and nothing else. Raises `BusyError` while another process writes
+    the folder, `UsageError` for one that is not empty or that another call made, `DamagedFileError`.
+    """
+    if path.exists() and not path.is_dir():
+        raise UsageError(f"{path} is a file: name a folder with --out")
+    busy = f"another process is generating into {path}: wait until it has ended, or {ANOTHER}"
+    with locked_folder(path, busy=busy):
+        for entry in filter(is_temporary, path.rglob("*")):  # of a killed call
+            entry.unlink()
+        if (path / MANIFEST).is_file():
+            former = _read_manifest(path)
+            if resume:
+                _check_same(path, former, manifest)
+            elif overwrite:
+                # All but generation.json, which the next one replaces.
+                for name in (TABLE, *former["files"]):
+                    (path / name).unlink(missing_ok=True)
+            else:
+                keeps = "--resume continues them, --overwrite replaces them, --out FOLDER keeps both"
+                raise UsageError(f"{path} holds generated motions: {keeps}")
+        elif any(entry.name != LOCK for entry in path.iterdir()):
+            raise UsageError(f"{path} is not empty: {ANOTHER}")
+        write_json(path / MANIFEST, manifest)
+        yield
+
+
+def _read_manifest(path: Path) -> dict[str, Any]:
+    """The generation.json of an earlier call; raises `UsageError` for another file, or names outside the folder."""
+    value = read_json(path / MANIFEST, f"delete the folder, or {ANOTHER}")
+    files = value.get("files")
+    if value.get("format") != FORMAT or not isinstance(files, list):
+        raise UsageError(f"{path / MANIFEST} was not written by `motionkit generate`: {ANOTHER}")
+    for name in files:
+        if not isinstance(name, str) or ".." in PurePosixPath(name).parts or PurePosixPath(name).is_absolute():
+            raise UsageError(f"{path / MANIFEST} names {name!r}, which lies outside of the folder: {ANOTHER}")
+    return value
+
+
+def _check_same(path: Path, former: Mapping[str, Any], manifest: Mapping[str, Any]) -> None:
+    """Raise `UsageError` for another request, weights or settings than those of generation.json."""
+    now = json.loads(json.dumps(dict(manifest)))
+    for name in sorted({*former, *now} - {"versions", "files"}):
+        if former.get(name) != now.get(name):
+            before, after = (shown(each.get(name)) for each in (former, now))
+            raise UsageError(
+                f"{path} was begun with another {name} ({before}, now {after}): repeat the same call, or {ANOTHER}"
+            )

@@ -226,17 +226,6 @@ def read_path(path: Path) -> PathTable:
     return PathTable(path.name, np.stack((column["x"], column["z"]), axis=1), column.get("seconds"), heading)
 
 
-def path_and_seconds(path: Path | None, seconds: float | None) -> tuple[PathTable | None, float | None]:
-    """The path of a file, if given, and the motion's duration: as stated, else that of a path with seconds.
-
-    Raises what `read_path` raises.
-    """
-    table = None if path is None else read_path(path)
-    if seconds is None and table is not None and table.seconds is not None:
-        seconds = float(table.seconds[-1])
-    return table, seconds
-
-
 def parse_constraints(
     path: PathTable | None,
     is_joined: bool,

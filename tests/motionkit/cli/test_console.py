@@ -1,13 +1,22 @@
+"""What commands print and take: hostile names, progress, tables, framerates and units, curves for TensorBoard."""
+
 import io
 import json
 import warnings
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
 
 import pytest
 
 from motionkit.cli import console
 from motionkit.cli.console import LineConsole, print_json, print_table
-from motionkit.core.errors import MotionkitError, describe, printable
+from motionkit.cli.options import parse_rate, read_options
+from motionkit.cli.train import tensorboard_events
+from motionkit.core.errors import MotionkitError, UsageError, describe, printable
 from motionkit.core.progress import Progress, warn
+from motionkit.training.run import RunFolder
+from motionkit.training.stage import StageContext
 
 HOSTILE = {
     "\x1b[31mred\x1b[0m": r"\x1b[31mred\x1b[0m",
@@ -79,27 +88,23 @@ def test_every_task_has_a_bar_until_it_is_finished(terminal: io.StringIO) -> Non
     assert last.endswith(LINE_ABOVE_ERASED)
 
 
-def test_lines_come_every_minute_with_what_is_left(capsys: pytest.CaptureFixture[str]) -> None:
+def test_lines_come_every_minute(capsys: pytest.CaptureFixture[str]) -> None:
     seconds = [0.0]
-    lines = console.ProgressLines(clock=lambda: seconds[0])
-    for now, done in ((1.0, 99), (9.0, 100), (59.0, 110), (61.0, 150), (119.0, 160), (129.0, 300)):
+    lines = console.progress_lines(clock=lambda: seconds[0])
+    for now, done in ((1.0, 99), (59.0, 110), (61.0, 150), (119.0, 160), (129.0, 300)):
         seconds[0] = now
         lines(Progress("field", done, 1000, f"loss {now:g}"))
     seconds[0] = 200.0
     lines(Progress("read", 7, None, "a\nb"))
-    seconds[0] = 260.0
     lines(Progress("field", 300, finished=True))
-    lines(Progress("read", 8))
     seconds[0] = 330.0
     lines(Progress("read", 9, 10))
     assert capsys.readouterr() == (
         "",
-        # 51 steps in 60 s: 850 take 1,000 s more; 201 in 128 s: 700 take 446 s.
-        "field: 150 of 1,000 (15%), about 17 min left, loss 61\n"
-        "field: 300 of 1,000 (30%), about 7 min left, loss 129\n"
-        "field: 300 of 1,000 (30%), about 12 min left, loss 129; read: 7, a\\nb\n"
-        "read: 8\n"
-        "read: 9 of 10 (90%), about 65 s left\n",
+        "field: 150 of 1,000 (15%), loss 61\n"
+        "field: 300 of 1,000 (30%), loss 129\n"
+        "field: 300 of 1,000 (30%), loss 129; read: 7, a\\nb\n"
+        "read: 9 of 10 (90%)\n",
     )
 
 
@@ -143,3 +148,38 @@ def test_five_framerates_stand_beside_each_other_in_80_columns() -> None:
 def test_names_are_shown_and_not_obeyed(text: str) -> None:
     lines = "\n".join(printed(80, [text], [(text, ["1"])]))
     assert "\x1b" not in lines and lines.count(text.replace("\x1b", r"\x1b")) == 2
+
+
+def test_framerates_are_exact() -> None:
+    assert parse_rate("30000/1001") == Fraction(30000, 1001)
+    assert parse_rate(None) is None
+    with pytest.raises(UsageError, match="--source-fps"):
+        parse_rate("30/0", "--source-fps")
+
+
+@pytest.mark.parametrize("metres", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_unit_is_a_positive_length(metres: float) -> None:
+    with pytest.raises(UsageError, match="--unit-metres"):
+        read_options(None, None, unit_metres=metres)
+
+
+@dataclass(frozen=True)
+class Settings:
+    rate: float = 0.1
+
+
+def test_what_is_logged_goes_to_tensorboard(tmp_path: Path) -> None:
+    """A stage that was resumed has one curve."""
+    accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    lines = {"first": (50, 100), "again": (75, 100)}
+    for session, steps in lines.items():
+        with tensorboard_events(tmp_path / "boards") as told:
+            context = StageContext(tmp_path / "store", RunFolder(tmp_path / session), "nano", on_metrics=told)
+            folder = context.begin("field", Settings(), store_fingerprint="")
+            for step in steps:
+                folder.append_metrics({"step": float(step), "loss": 1.0 / step})
+    board = accumulator.EventAccumulator(str(tmp_path / "boards" / "field"))
+    board.Reload()
+    assert [(event.step, event.value) for event in board.Scalars("loss")] == [
+        (step, pytest.approx(1.0 / step)) for step in (50, 75, 100)
+    ]

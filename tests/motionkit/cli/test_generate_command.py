@@ -8,16 +8,16 @@ import pytest
 from typer.testing import CliRunner
 
 from motionkit.cli.app import build_app
-from motionkit.core.errors import FormatError, UsageError
+from motionkit.core.errors import BusyError, FormatError, MotionkitError, UsageError
 from motionkit.core.motion import Caption
 from motionkit.core.skeleton import SMPL22
 from motionkit.features.humanml3d import positions
 from motionkit.generate.models import GenerationRequest
 from motionkit.generate.output import motion_name
-from motionkit.io.bvh import read_bvh
 from motionkit.io.npz import read_npz
 from motionkit.store import Store
-from tests.helpers.drift_model import GoesOn, rows_of
+from tests.helpers.drift_model import DriftModel, GoesOn, contents, names, rows_of
+from tests.helpers.killing import killed_before
 
 
 def test_texts_become_a_batch_of_files(run_command, tmp_path):
@@ -52,14 +52,6 @@ def test_arbitrary_instants(run_command, tmp_path):
         read_npz(tmp_path / "made" / "0000-unconditional.npz")
 
 
-def test_bvh_reads_back(run_command, tmp_path):
-    run_command("--action", "walk", "--fps", "90", "--seconds", "1", "--format", "bvh", "--out", "made")
-    motion = read_bvh(tmp_path / "made" / "0000-walk.bvh")
-    assert (motion.fps, motion.num_frames) == (Fraction(90), 90)
-    travelled = motion.joint_positions[-1, 0] - motion.joint_positions[0, 0]
-    np.testing.assert_allclose(travelled, [0.0, 0.0, 89 / 90], atol=1e-3)
-
-
 def test_defaults_are_the_models(run_command):
     [motion] = json.loads(run_command("a walk", "--json").stdout)["motions"]
     assert (motion["fps"], motion["num_frames"], motion["duration_seconds"]) == ("120", 360, 3.0)
@@ -78,22 +70,16 @@ def test_framerates_above_the_training_data_warn(run_command, recwarn):
     [
         ((), "exactly one of them"),
         (("a walk", "--unconditional"), "exactly one of them"),
-        (("a walk", "--prompts", "p.txt"), "takes the place of texts"),
         (("--prompts", "absent.txt"), "absent.txt: No such file"),
         (("a walk", "--resume", "--overwrite"), "exclude each other"),
         (("--action", "fly"), "no action 'fly'"),
-        ((" ",), "empty"),
         (("a walk", "--fps", "fast"), "--fps fast"),
-        (("a walk", "--fps", "24000/0"), "--fps 24000/0"),
         (("a walk", "--times", "0.5"), "needs --seconds"),
-        (("a walk", "--times", "x", "--seconds", "1"), "separated by commas"),
         (("a walk", "--times", "0.5,1.5", "--seconds", "1"), "1.5 s lies outside"),
         (("a walk", "--times", "0.5", "--seconds", "1", "--fps", "30"), "exclude each other"),
         (("a walk", "--join"), "needs to know how long each text lasts"),
         (("a walk", "--seconds", "30", "--overlap", "6"), "overlap by more than 0 s and up to 5 s, not by 6 s"),
-        (("a walk", "--seconds", "4000"), "a motion lasts up to 3600 s"),
         (("a walk", "a jump", "--seconds", "0.5", "--join"), "part 1 of 2 of a joined motion lasts 0.5 s"),
-        (("a walk", "a jump", "--seconds", "4", "--join", "--times", "8.5"), "outside the motion's 0 … 8 s"),
         (("a walk", "--format", "fbx"), "one of bvh, amass, joints-npy, npz, csv, robot-csv, gltf, humanml3d"),
         (("a walk", "--times", "0.5", "--seconds", "1", "--format", "bvh"), "one framerate"),
     ],
@@ -143,7 +129,6 @@ def test_a_path_of_a_long_motion_is_given_to_each_piece_by_its_clock(run_command
             r"points\.csv: the model 'Drift' follows no constraints: it cannot follow a path",
         ),
         (("--path", "points.csv", "--seconds", "1"), r"points\.csv: 2 s lies outside the motion's 0 … 1 s"),
-        (("--path", "bad.csv"), r"bad\.csv, line 2: x is a number, not 'a'"),
         (("--joint", "elbow@1=0,0,0", "--seconds", "2"), "no joint is called 'elbow'"),
         (("--joint", "head@3=0,0,0", "--seconds", "2"), "'Drift' follows no constraints"),
         (("--pose", "1=many.npz", "--seconds", "2"), r"many\.npz holds 3 frames: say which by its second"),
@@ -151,22 +136,11 @@ def test_a_path_of_a_long_motion_is_given_to_each_piece_by_its_clock(run_command
 )
 def test_what_a_motion_cannot_be_held_to_is_refused(run_command, tmp_path, arguments, message):
     (tmp_path / "points.csv").write_text(POINTS)
-    (tmp_path / "bad.csv").write_text("x,z\na,1\n")
     poses = np.zeros((3, 22, 3), np.float32)
     np.savez(tmp_path / "many.npz", joint_positions=poses, fps=10.0)
     with pytest.raises(UsageError, match=message):
         run_command("a walk", *arguments)
     assert not (tmp_path / "generated").exists()
-
-
-def test_kinds_that_a_model_does_not_follow_and_instants_outside(run_command, tmp_path):
-    with pytest.raises(UsageError, match="follows path and pose alone: it cannot follow a joint"):
-        run_command("a walk", "--joint", "head@1=0,0,0", "--seconds", "2", model=GoesOn())
-    np.savez(tmp_path / "pose.npz", joint_positions=np.zeros((1, 22, 3), np.float32), fps=10.0)
-    with pytest.raises(UsageError, match=r"pose\.npz at 3 s: 3 s lies outside the motion's 0 … 2 s"):
-        run_command("a walk", "--pose", "3=pose.npz", "--seconds", "2", model=GoesOn())
-    with pytest.raises(UsageError, match="--seconds is needed"):
-        run_command("a walk", "--pose", "3=pose.npz", model=GoesOn())
 
 
 def test_a_motion_beyond_the_longest_is_joined_from_several(run_command, tmp_path):
@@ -204,21 +178,6 @@ def test_texts_in_a_row_are_one_motion(run_command, tmp_path):
     assert motions[0].captions == (Caption("a walk", 0.0, 4.0), Caption("a jump", 4.0, 8.0))
     with pytest.raises(UsageError, match="begun with another joined"):
         run_command(*[part for part in call if part != "--join"], "--out", "made", "--resume")
-
-
-def test_long_and_short_motions_of_one_call_are_numbered_alike(run_command, tmp_path):
-    rows = ["text,seconds", *(f"walk {n},{12 if n % 3 == 1 else 2}" for n in range(7))]
-    (tmp_path / "wanted.csv").write_text("\n".join(rows) + "\n")
-    call = ("--prompts", "wanted.csv", "--fps", "5")
-    run_command(*call, "--out", "whole")
-    places = [read_npz(path).joint_positions[0, 0, 2] for path in sorted((tmp_path / "whole").glob("*.npz"))]
-    assert [round(10 * float(place)) for place in places[::3]] == [0, 3, 6]
-    run_command(*call, "--out", "parts")
-    for number in range(3, 7):
-        (tmp_path / "parts" / f"000{number}-walk-{number}.npz").unlink()
-    run_command(*call, "--out", "parts", "--resume")
-    for path in sorted((tmp_path / "whole").iterdir()):
-        assert (tmp_path / "parts" / path.name).read_bytes() == path.read_bytes()
 
 
 def test_file_names_are_safe_and_short():
@@ -264,3 +223,89 @@ def test_what_was_generated_is_ingested_with_its_captions(run_command, tmp_path)
     assert not json.loads(result.stdout)["problems"]
     [motion] = Store.open(tmp_path / "store").read_many([0])
     assert (motion.fps, motion.captions) == (Fraction(50), (Caption("a walk"),))
+
+
+def test_a_stopped_call_goes_on_where_it_was(run_command, tmp_path):
+    call = ("--unconditional", "-n", "70", "--seconds", "1", "--fps", "5")
+    run_command(*call, "--out", "whole")
+    stopped = run_command(*call, "--out", "parts", "--resume", model=DriftModel(fails_at=64))
+    assert stopped.exit_code != 0
+    assert len(rows_of(tmp_path / "parts" / "motions.csv")) == 64
+    report = json.loads(run_command(*call, "--out", "parts", "--resume", "--json").stdout)
+    assert (report["already_there"], len(report["motions"])) == (64, 6)
+    for name in ("motions.csv", "0063-unconditional.npz", "0069-unconditional.npz"):
+        assert (tmp_path / "parts" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    assert json.loads(run_command(*call, "--out", "parts", "--resume", "--json").stdout)["motions"] == []
+    with pytest.raises(UsageError, match=r"begun with another seed \(0, now 1\)"):
+        run_command(*call, "--out", "parts", "--resume", "--seed", "1")
+
+
+@pytest.mark.parametrize("option", ["--resume", "--overwrite"])
+def test_two_calls_do_not_write_one_folder_at_once(option, run_command, tmp_path):
+    call = ("a walk", "a jump", "--seconds", "1", "--fps", "5", "--out", "made", option)
+    refused = []
+
+    class CallsAgain(DriftModel):
+        def generate(self, requests, **options):
+            with pytest.raises(BusyError, match="another process is generating into made") as caught:
+                run_command(*call)
+            refused.append(caught.value)
+            return super().generate(requests, **options)
+
+    run_command(*call, model=CallsAgain())
+    assert refused
+    assert len(rows_of(tmp_path / "made" / "motions.csv")) == 2
+    assert names(tmp_path / "made") == ["0000-a-walk.npz", "0001-a-jump.npz", "generation.json", "motions.csv"]
+
+
+@pytest.mark.parametrize("option", ["--resume", "--overwrite", "--seed=0"])
+def test_a_call_that_was_killed_while_it_began_is_begun_again(option, run_command, tmp_path):
+    (tmp_path / "made").mkdir()
+    (tmp_path / "made" / ".generation.json.0123abcd.tmp.json").write_text("{")
+    run_command("a walk", "--seconds", "1", "--out", "made", option)
+    assert names(tmp_path / "made") == ["0000-a-walk.npz", "generation.json", "motions.csv"]
+
+
+@pytest.mark.parametrize("file_format", ["npz", "humanml3d"])
+def test_killed_before_any_file_operation_a_call_goes_on_to_the_same_files(file_format, run_command, tmp_path):
+    call = ("a walk", "a jump", "--seconds", "1", "--fps", "5", "--format", file_format, "--resume", "--out")
+    run_command(*call, "whole")
+    expected = contents(tmp_path / "whole")
+    killed = 0
+    for step in range(200):
+        out = tmp_path / str(step)
+        if not killed_before(step, out, lambda out=out: run_command(*call, str(out))):
+            break
+        killed += 1
+        run_command(*call, str(out))
+        assert contents(out) == expected, step
+    assert killed > 15
+
+
+def test_a_damaged_request_is_refused(run_command, tmp_path):
+    call = ("a walk", "--seconds", "1", "--fps", "5", "--out", "made")
+    run_command(*call)
+    manifest = tmp_path / "made" / "generation.json"
+    whole = manifest.read_text()
+    for text in (whole[:-40], whole.replace('"0000-a-walk.npz"', '"../foreign.npz"'), '{"format": "another"}'):
+        manifest.write_text(text)
+        (tmp_path / "foreign.npz").write_text("mine")
+        with pytest.raises(MotionkitError, match=r"generation\.json"):
+            run_command(*call, "--overwrite")
+        assert (tmp_path / "foreign.npz").read_text() == "mine"
+
+
+def test_nothing_is_overwritten_unasked(run_command, tmp_path):
+    run_command("a walk", "--seconds", "1", "--out", "made")
+    with pytest.raises(UsageError, match="--resume continues them, --overwrite replaces them"):
+        run_command("a walk", "--seconds", "1", "--out", "made")
+    (tmp_path / "made" / "mine.txt").write_text("mine")
+    run_command("a jump", "--seconds", "1", "--out", "made", "--overwrite", "--format", "humanml3d")
+    run_command("a hop", "--seconds", "1", "--out", "made", "--overwrite")
+    left = sorted(path.relative_to(tmp_path / "made").as_posix() for path in (tmp_path / "made").rglob("*.*"))
+    assert left == ["0000-a-hop.npz", "generation.json", "mine.txt", "motions.csv"]
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "mine.txt").write_text("mine")
+    for option in ("--resume", "--overwrite"):
+        with pytest.raises(UsageError, match="other is not empty"):
+            run_command("a walk", "--seconds", "1", "--out", "other", option)

@@ -225,15 +225,6 @@ def test_ingested_again(store, export_as, ingest_again, name, fps):
         assert 1.2 < np.ptp(after.joint_positions[:, :, 1], axis=1).max() < 2.4
 
 
-def test_without_the_table_the_folder_still_says_its_framerate(store, export_as, ingest_again):
-    out = export_as(store, "humanml3d", Fraction(60)).folder
-    (out / "motions.csv").unlink()
-    again = ingest_again(out)
-    assert {motion.fps for motion in again} == {Fraction(60)}
-    assert {motion.provenance.stated_fps for motion in again} == {"60.0"}
-    assert [caption.text for caption in again[0].captions] == ["a person walks, then waves", "waves"]
-
-
 def test_what_is_too_short_or_has_no_legs_is_left_out(tmp_path, export_as):
     with StoreWriter.create(tmp_path / "store") as writer:
         good = np.random.default_rng(0).normal(size=(60, 22, 3)).astype(np.float32)

@@ -6,7 +6,7 @@ import pytest
 from motionkit.core.errors import UsageError
 from motionkit.core.kinematics import forward_kinematics
 from motionkit.core.skeleton import SMPL22
-from motionkit.features import field, humanml3d
+from motionkit.features import field, humanml3d, statistics
 from motionkit.features.layout import LAYOUTS, PoseLayout, vector_layout
 from tests.helpers.reference_features import plain_vectors
 
@@ -27,17 +27,6 @@ def wandering_body(body: PoseLayout, num_frames: int, seed: int) -> np.ndarray:
     return joints.astype(np.float32)
 
 
-@pytest.mark.parametrize(("num_joints", "size"), [(22, 263), (21, 251)])
-def test_the_slices_are_the_published_ones(num_joints: int, size: int) -> None:
-    layout = vector_layout(num_joints)
-    assert layout.size == size
-    covered = np.concatenate([np.arange(size)[block] for block in layout.blocks])
-    assert np.array_equal(covered, np.arange(size))
-    if num_joints == 22:
-        assert (layout.joint_rotations, layout.contacts) == (slice(67, 193), slice(259, 263))
-
-
-# Blocks of 200 frames meet in 250.
 @pytest.mark.parametrize(("name", "num_frames"), [("smpl22", 2), ("smpl22", 3), ("smpl22", 250), ("kit21", 40)])
 def test_agrees_with_the_plain_reference(name: str, num_frames: int) -> None:
     joints = wandering_body(LAYOUTS[name], num_frames, seed=num_frames)
@@ -99,3 +88,52 @@ def test_standard_bones_are_the_published_ones_to_seven_digits(golden_humanml3d:
     bones = joints - joints[:, list(SMPL22.parents)]
     published = np.linalg.norm(bones, axis=-1).mean(axis=0)[1:]
     np.testing.assert_allclose(humanml3d.standard_bone_lengths("smpl22")[1:], published, rtol=0, atol=1e-7)
+
+
+PART = vector_layout(22)
+
+
+def published(seed: int = 0) -> statistics.Statistics:
+    rng = np.random.default_rng(seed)
+    std = np.empty(263)
+    for block in PART.blocks:
+        std[block] = rng.uniform(0.5, 1.5)
+    return statistics.Statistics("humanml3d", rng.normal(size=263), std)
+
+
+def evaluators(plain: statistics.Statistics) -> statistics.Statistics:
+    """The published evaluators' weighting: four root numbers and four contacts, std divided by 5 twice."""
+    std = plain.std.copy()
+    std[:4] /= 25
+    std[259:] /= 25
+    return statistics.Statistics("humanml3d", plain.mean, std)
+
+
+def test_the_two_signatures_are_distinguished() -> None:
+    plain = published()
+    weighted = evaluators(plain)
+    statistics.check_statistics(plain, 22, "published")
+    statistics.check_statistics(weighted, 22, "evaluator")
+    with pytest.raises(ValueError, match="these are evaluator statistics"):
+        statistics.check_statistics(weighted, 22, "published")
+    with pytest.raises(ValueError, match="these are published statistics"):
+        statistics.check_statistics(plain, 22, "evaluator")
+    uneven = statistics.Statistics("humanml3d", plain.mean, np.linspace(1, 2, 263))
+    with pytest.raises(ValueError, match="varies inside numbers 1 to 2"):
+        statistics.check_statistics(uneven, 22, "published")
+    with pytest.raises(ValueError, match="have 251 numbers, these have 263"):
+        statistics.check_statistics(plain, 21, "published")
+
+
+def test_signatures_of_the_real_files(captures: Path, golden_humanml3d: Path) -> None:
+    def read(mean: Path, std: Path) -> statistics.Statistics:
+        return statistics.Statistics("humanml3d", np.load(mean).astype(np.float64), np.load(std).astype(np.float64))
+
+    plain = read(golden_humanml3d / "Mean.npy", golden_humanml3d / "Std.npy")
+    statistics.check_statistics(plain, 22, "published")
+    folder = captures / "evaluator-statistics"
+    for name, num_joints in (("t2m", 22), ("kit", 21)):
+        weighted = read(folder / f"{name}_mean.npy", folder / f"{name}_std.npy")
+        statistics.check_statistics(weighted, num_joints, "evaluator")
+        if name == "t2m":
+            assert np.allclose(evaluators(plain).std, weighted.std, rtol=0.02)

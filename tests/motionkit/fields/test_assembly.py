@@ -14,12 +14,10 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.assembly import AssembledField, Piece, assemble, chain, even_starts
-from motionkit.fields.interpolation import INTERPOLATORS, InterpolatedField, Method, interpolate
+from motionkit.fields.interpolation import InterpolatedField, Method, interpolate
 from motionkit.fields.motion_field import (
     MotionField,
-    Observation,
     Poses,
-    to_motion,
 )
 from tests.helpers.analytic import analytic_motion
 from tests.helpers.turning_body import random_motion
@@ -173,13 +171,6 @@ def two(first_at: float, second_at: float, *, scale: float = 1.0) -> list[Piece]
 def test_what_cannot_be_assembled_is_named(pieces: list[Piece], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         assemble(pieces)
-
-
-def test_pieces_have_rotations_all_or_none() -> None:
-    motion = random_motion(1, num_frames=40, fps=Fraction(20))
-    other = INTERPOLATORS["slerp"].encode(Observation(motion.timegrid.seconds(), Poses(motion.joint_positions), SMPL22))
-    with pytest.raises(ValueError, match="all pieces or none have rotations, all or none a root translation"):
-        to_motion(assemble([Piece(wandering(0), 0.0), Piece(other, 1.0)]), Fraction(30))
 
 
 @pytest.mark.parametrize("overlap", [-0.1, 0.0, 5.0, np.nan])

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 import motionkit as mk
+from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import SMPL22
 from motionkit.generate.constraints import Constraint, followed
-from motionkit.generate.request import parse_joint, parse_pose, path_and_seconds, read_path
+from motionkit.generate.models import GenerationRequest
+from motionkit.generate.request import parse_joint, parse_pose, read_path, read_prompts
 from motionkit.io.npz import write_npz
 from tests.helpers.scripted_model import ScriptedField
 
@@ -33,11 +35,6 @@ def test_a_path_goes_through_its_points_and_overshoots_none() -> None:
         np.testing.assert_allclose(places[np.isclose(path.seconds, second)], [place], atol=1e-12)
     assert places.min() >= -1e-12 and places.max() <= 2 + 1e-12
     assert np.isnan(path.positions[:, 0, 1]).all() and np.isnan(path.heading).all()
-
-
-def test_a_heading_turns_the_short_way() -> None:
-    path = Constraint.path([(0, 0), (0, 1)], [0, 1], np.radians([170, -170]))
-    assert np.degrees(path.heading).min() == pytest.approx(170) and np.degrees(path.heading).max() == pytest.approx(190)
 
 
 def test_how_far_a_motion_is_from_its_path() -> None:
@@ -95,11 +92,10 @@ def table(folder: Path, text: str) -> Path:
 
 
 def test_a_table_says_where_and_when(tmp_path: Path) -> None:
-    stated, seconds = path_and_seconds(table(tmp_path, "seconds,x,z,heading_degrees\n0,0,0,0\n2.5,0,3,90\n"), None)
-    assert stated is not None and seconds == 2.5
-    path = stated.constraint(seconds)
+    stated = read_path(table(tmp_path, "seconds,x,z,heading_degrees\n0,0,0,0\n2.5,0,3,90\n"))
+    assert stated.seconds is not None and stated.seconds[-1] == 2.5
+    path = stated.constraint(2.5)
     assert path.name == "points.csv" and np.degrees(path.heading[-1]) == pytest.approx(90)
-    assert path_and_seconds(tmp_path / "points.csv", 4.0)[1] == 4.0 and path_and_seconds(None, None) == (None, None)
 
 
 def test_points_alone_are_walked_evenly(tmp_path: Path) -> None:
@@ -115,10 +111,8 @@ def test_points_alone_are_walked_evenly(tmp_path: Path) -> None:
     [
         ("a,b\n0,0\n", r"points\.csv, line 1: expected the columns x and z"),
         ("x,z\n0,0\n1,north\n", r"points\.csv, line 3: z is a number, not 'north'"),
-        ("x,z\n0,0\n1\n", "line 3: z is a number"),
         ("x,z\n0,0,7\n1,1\n", "line 2: more fields"),
         ("seconds,x,z\n0,0,0\n2,1,1\n1,2,2\n", r"points\.csv: a path has two points or more, at seconds that ascend"),
-        ("seconds,x,z\n-1,0,0\n2,1,1\n", r"points\.csv: instants are seconds from 0 on"),
         ("x,z\n0,0\n0,0\n", r"points\.csv: the same point twice"),
         ("seconds,x,z\n0,0,0\n3,0,3\n7.5,0,6\n", r"points\.csv: 7\.5 s lies outside the motion's 0 … 6 s"),
         ('x,z\n"0,0\n', "not a CSV table"),
@@ -150,11 +144,8 @@ def test_a_pose_of_a_capture_at_an_instant(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("parse", "given", "message"),
     [
-        *(
-            (parse_pose, given, "--pose takes SECONDS=FILE")
-            for given in ("pose.npz", "2=", "=pose.npz", "nan=pose.npz")
-        ),
-        *((parse_joint, given, "--joint takes NAME@FROM-TO=x,y,z") for given in ("hip", "hip@1=0,1", "@1=0,1,2")),
+        *((parse_pose, given, "--pose takes SECONDS=FILE") for given in ("pose.npz", "2=", "nan=pose.npz")),
+        *((parse_joint, given, "--joint takes NAME@FROM-TO=x,y,z") for given in ("hip", "hip@1=0,1")),
         (parse_joint, "head@1=a,b,c", "--joint takes NAME@FROM-TO=x,y,z"),
         (parse_joint, "head@2-1=0,1,2", "1 s lies before 2 s"),
     ],
@@ -164,8 +155,37 @@ def test_words_that_are_no_pose_and_no_joint(parse, given: str, message: str) ->
         parse(given)
 
 
-def test_a_joint_in_words() -> None:
-    joint = parse_joint("left_foot@1.0-1.5=0.2,0.05,-1")
-    assert joint.joints == ("left_foot",) and (joint.seconds.min(), joint.seconds.max()) == (1.0, 1.5)
-    np.testing.assert_allclose(joint.positions[:, 0], [[0.2, 0.05, -1.0]] * len(joint.seconds))
-    assert parse_joint("head@2=0,1.7,0").seconds.tolist() == [2.0]
+def test_one_text_a_line(tmp_path):
+    path = tmp_path / "prompts.txt"
+    path.write_text("a person walks, slowly\n\n  a jump \n")
+    prompts = read_prompts(path, 4.0)
+    assert [prompt.request.text for prompt in prompts] == ["a person walks, slowly", "a jump"]
+    assert {prompt.request.duration_seconds for prompt in prompts} == {4.0}
+    assert prompts[1].where == f"{path}, line 3"
+
+
+def test_a_table_of_texts_and_actions(tmp_path):
+    (tmp_path / "p.csv").write_text('﻿text,seconds,action\n"up, then down",2.5,\n,,jump\n', encoding="utf-8")
+    found = [prompt.request for prompt in read_prompts(tmp_path / "p.csv")]
+    assert found == [GenerationRequest(2.5, text="up, then down"), GenerationRequest(None, action="jump")]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("p.xlsx", "a walk", r"prompts are a \.txt"),
+        ("p.txt", " \n", "holds no prompts"),
+        ("p.txt", "a walk\n\xff\xfe\n", "not UTF-8"),
+        ("p.csv", "words\na walk\n", "line 2: unknown column 'words'"),
+        ("p.csv", "seconds\n2\n", "line 2: give a text or an action, there is neither"),
+        ("p.csv", "text,seconds\na walk, slowly,2\n", "line 2: more fields than the header names"),
+        ("p.csv", "text,action\na walk,walk\n", "line 2: give a text or an action, not both"),
+        ("p.csv", "text,seconds\na walk,-1\n", "line 2: seconds is a positive number, not '-1'"),
+        ("p.csv", "text,seconds\na walk,soon\n", "line 2: seconds is a number, not 'soon'"),
+        ("p.csv", 'text\n"a walk\n', "not a CSV table"),
+    ],
+)
+def test_faults_are_named_with_their_line(tmp_path, name, text, message):
+    (tmp_path / name).write_bytes(text.encode("latin-1"))
+    with pytest.raises(UsageError, match=message):
+        read_prompts(tmp_path / name)

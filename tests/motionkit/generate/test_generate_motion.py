@@ -78,13 +78,6 @@ def test_framerates_lengths_and_conditions_by_default(model: mk.MotionModel) -> 
     assert model.model.sampling == options  # type: ignore[attr-defined]
 
 
-def test_poses_at_any_instants(model: mk.MotionModel) -> None:
-    (field,) = model.fields("walk", seconds=2, seed=3)
-    poses = field.query(np.array([0.0, 1.0])).joint_positions
-    motion = model.generate("walk", fps=20, seconds=2, seed=3)
-    np.testing.assert_allclose(poses, motion.joint_positions[[0, 20]], atol=1e-5)
-
-
 @pytest.mark.parametrize(
     ("given", "message"),
     [
@@ -144,8 +137,3 @@ def test_the_model_that_a_run_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     for (run, name), message in refused.items():
         with pytest.raises(mk.MotionkitError, match=message):
             mk.load_model(run, name)
-
-
-def test_a_run_without_a_model_names_the_command_that_trains_one(tmp_path: Path) -> None:
-    with pytest.raises(mk.UsageError, match="motionkit train --stage denoiser --run nothing trains NeRM"):
-        models.model_of(tmp_path / "nothing")

@@ -9,11 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motionkit.core.errors import UsageError
-from motionkit.core.motion import Caption
 from motionkit.core.skeleton import SMPL22
 from motionkit.fields.assembly import AssembledField
-from motionkit.fields.motion_field import to_motion
-from motionkit.generate.long_motions import captions_of, generate_joined, is_joined, pieces_of
+from motionkit.generate.long_motions import generate_joined, is_joined, pieces_of
 from motionkit.generate.models import GenerationRequest, GenerativeModel
 from tests.helpers.analytic import analytic_motion
 
@@ -110,13 +108,6 @@ def test_a_long_motion_has_no_jump_in_place_or_velocity():
     assert max(gaps) > 0.05
 
 
-def test_30_fps_is_every_second_frame_of_60():
-    field = generate_joined(Performer(), script(11.0), seed=5)
-    slow, fast = (to_motion(field, Fraction(fps)).joint_positions for fps in (30, 60))
-    assert len(fast) == 2 * len(slow) - 1
-    np.testing.assert_allclose(fast[::2], slow, atol=2e-6)
-
-
 def test_a_motion_follows_from_its_seed_and_number():
     instants = np.linspace(0.0, 9.0, 50)
 
@@ -126,9 +117,3 @@ def test_a_motion_follows_from_its_seed_and_number():
     np.testing.assert_array_equal(poses(seed=1, number=2), poses(seed=1, number=2))
     assert np.abs(poses(seed=1, number=2) - poses(seed=1, number=3)).max() > 1e-3
     assert np.abs(poses(seed=1, number=2) - poses(seed=2, number=2)).max() > 1e-3
-
-
-def test_texts_know_their_seconds():
-    assert captions_of(script(4.0)) == (Caption("walks 0"),)
-    assert captions_of((GenerationRequest(4.0, action="jump"),)) == ()
-    assert captions_of(script(4.0, 6.5)) == (Caption("walks 0", 0.0, 4.0), Caption("walks 1", 4.0, 10.5))

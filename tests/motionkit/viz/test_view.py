@@ -8,15 +8,20 @@ import webbrowser
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 import motionkit as mk
 from motionkit.fields.motion_field import to_motion
+from motionkit.store.reader import Store
+from motionkit.store.reports import summarise
+from motionkit.viz.corpus_card import corpus_card
 from motionkit.viz.view import MOST_NOTEBOOK_BYTES
 from tests.helpers.analytic import analytic_motion
 from tests.helpers.packed import unpack
+from tests.helpers.tiny import write_store
 
 HALF_STEP = 5.1e-5
 
@@ -110,3 +115,17 @@ def test_what_cannot_be_drawn_is_text() -> None:
     motion = mk.Motion(np.full((3, 22, 3), np.nan, np.float32), mk.SMPL22, mk.TimeGrid(Fraction(30), 3))
     shown = motion._repr_html_()
     assert shown.startswith("<pre>Motion(") and "not within" in shown
+
+
+def test_every_count_is_drawn_and_a_strangers_names_are_text(tmp_path: Path) -> None:
+    write_store(tmp_path / "<b>store")
+    summary = summarise(Store.open(tmp_path / "<b>store"))
+    (source,) = summary.sources
+    article = corpus_card(summary).strip()
+    assert "<b>store" not in article and "&lt;b&gt;store" in article and "src=" not in article and "http" not in article
+    items = [[text for text in each.itertext() if text.strip()] for each in ElementTree.fromstring(article).iter("li")]
+    for counts in (source.framerates, source.durations, source.splits, source.formats):
+        drawn = [[name or "not stated", f"{count:,}"] for name, count in counts.items()]
+        assert drawn and [each for each in drawn if each not in items] == []
+    assert sum(source.durations.values()) == source.num_sequences
+    assert article.startswith("<article") and "<html" not in article
