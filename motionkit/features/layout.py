@@ -151,11 +151,13 @@ def facing_direction(
 def smooth(values: Float[np.ndarray, "frames columns"], sigma_frames: float) -> Float64[np.ndarray, "frames columns"]:
     """Gaussian smoothing along time, with the end values repeated beyond both ends.
 
-    The kernel is sampled at whole frames and truncated at 4σ.
+    The kernel is sampled at whole frames and truncated at 4σ, as in `scipy.ndimage.gaussian_filter1d(mode="nearest")`,
+    which takes ten times as long at 120 fps.
     """
-    from scipy.ndimage import gaussian_filter1d
-
-    return np.asarray(gaussian_filter1d(values.astype(np.float64), sigma_frames, axis=0, mode="nearest"))
+    reach = int(4.0 * sigma_frames + 0.5)
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma_frames) ** 2)
+    padded = np.pad(values.astype(np.float64), ((reach, reach), (0, 0)), mode="edge")
+    return np.stack([np.convolve(column, kernel / kernel.sum(), mode="valid") for column in padded.T], axis=-1)
 
 
 def to_z_half_angle(direction: Float[np.ndarray, "frames 2"]) -> Float64[np.ndarray, "frames"]:

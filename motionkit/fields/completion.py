@@ -27,7 +27,7 @@ def upsample(motion: Motion, fps: Fraction, encoder: MotionEncoder = SLERP) -> M
     Raises `ValueError` if `fps` is below the motion's.
     """
     if fps < motion.fps:
-        raise ValueError(f"{fps} fps is less than the motion's {motion.fps}: use downsample, which filters first")
+        raise ValueError(f"{fps} fps is less than the motion's {motion.fps}: use resample, which filters first")
     if fps == motion.fps:
         return motion
     return complete(motion, encoder, fps=fps).logged(f"upsample {motion.fps} -> {fps} fps ({encoder.name})")

@@ -27,17 +27,28 @@ PASSBAND = 0.8
 _ROWS_AT_ONCE = 8192
 
 
-def downsample(motion: Motion, fps: Fraction) -> Motion:
-    """The motion at a lower framerate, filtered below the new Nyquist frequency (see `resample_positions`).
+def resample(motion: Motion, fps: Framerate, method: Method = "slerp") -> Motion:
+    """The motion at any framerate: filtered below the new Nyquist frequency downwards, interpolated upwards.
+
+    Upwards the frames of the motion that fall on the new grid are kept, and `method` (an interpolator,
+    docs/motion-fields.md) makes the others. Raises `ValueError` for an invalid framerate or an unknown
+    method.
+
+    >>> motion = mk.read("walk.bvh")
+    >>> mk.resample(motion, 59.94).fps, mk.resample(motion, "120", "squad").num_frames
+    (Fraction(60000, 1001), 479)
+    """
+    rate = parse_fps(fps)
+    interpolator = interpolator_of(method)
+    return _downsampled(motion, rate) if rate < motion.fps else upsample(motion, rate, interpolator)
+
+
+def _downsampled(motion: Motion, fps: Fraction) -> Motion:
+    """The motion at a lower framerate, filtered below the new Nyquist frequency.
 
     Where there are local rotations, these, the root and the bones are filtered and the positions follow by forward
-    kinematics, so that the three agree; quaternions are filtered as four numbers and normalised. Raises `ValueError`
-    where `fps` is above the motion's.
+    kinematics, so that the three agree; quaternions are filtered as four numbers and normalised.
     """
-    if fps > motion.fps:
-        raise ValueError(f"{fps} fps is more than the motion's {motion.fps}: use upsample")
-    if fps == motion.fps:
-        return motion
     rates = (motion.fps, fps)
     rotations, translation = None, motion.root_translation
     if motion.local_rotations is None:
@@ -58,22 +69,6 @@ def downsample(motion: Motion, fps: Fraction) -> Motion:
         root_translation=None if translation is None else _resample(translation, *rates).astype(np.float32),
     )
     return sampled.annotated_like(motion).logged(f"downsample {motion.fps} -> {fps} fps (low-pass)")
-
-
-def resample(motion: Motion, fps: Framerate, method: Method = "slerp") -> Motion:
-    """The motion at any framerate: filtered below the new Nyquist frequency downwards, interpolated upwards.
-
-    Downwards it is `downsample`; upwards the frames of the motion that fall on the new grid are kept, and `method` (an
-    interpolator, docs/motion-fields.md) makes the others. Raises `ValueError` for an invalid framerate or an unknown
-    method.
-
-    >>> motion = mk.read("walk.bvh")
-    >>> mk.resample(motion, 59.94).fps, mk.resample(motion, "120", "squad").num_frames
-    (Fraction(60000, 1001), 479)
-    """
-    rate = parse_fps(fps)
-    interpolator = interpolator_of(method)
-    return downsample(motion, rate) if rate < motion.fps else upsample(motion, rate, interpolator)
 
 
 def resample_positions(

@@ -63,13 +63,15 @@ class Transferred:
         counterparts = counterpart_joints(observation.skeleton)
         own = with_rotations(observation)
         canonical = canonical_observation(observation)
+        moving, above = Rig.of(own).moving, _path_to_root(own.skeleton, counterparts[_PELVIS])
         reach = {"before_seconds": before_seconds, "after_seconds": after_seconds}
         return _Correction(
             own=self.interpolator.encode(own, **reach),
             model=self.encoder.encode(canonical, **reach),
             base=self.interpolator.encode(canonical, **reach),
             counterparts=counterparts,
-            moved_joint=_moved_joint(own, counterparts[_PELVIS]),
+            # The joint nearest the pelvis whose bone is not rigid, else the root.
+            moved_joint=next((joint for joint in above if joint in moving), 0),
             like=observation.poses.rows(slice(0, 0)),
         ).field()
 
@@ -168,12 +170,6 @@ def canonical_observation(observation: Observation) -> Observation:
     motion = Motion(poses.joint_positions, observation.skeleton, grid, poses.local_rotations)
     positions = map_joints(motion, SMPL22.name).astype(np.float32)
     return with_rotations(Observation(observation.times_seconds, Poses(positions, None, positions[:, 0]), SMPL22))
-
-
-def _moved_joint(observation: Observation, pelvis: int) -> int:
-    """The joint that carries the body's path: the one nearest the pelvis whose bone is not rigid, else the root."""
-    moving = Rig.of(observation).moving
-    return next((joint for joint in _path_to_root(observation.skeleton, pelvis) if joint in moving), 0)
 
 
 def _path_to_root(skeleton: Skeleton, joint: int) -> tuple[int, ...]:

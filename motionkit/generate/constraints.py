@@ -170,10 +170,6 @@ class Followed:
     max_metres: float
     mean_degrees: float | None = None
 
-    def plain(self) -> dict[str, Any]:
-        """As JSON."""
-        return {name: value for name, value in vars(self).items() if value is not None}
-
 
 def followed(motion: MotionField, constraint: Constraint) -> Followed:
     """Measure how well a motion in the 22-joint layout meets a constraint."""

@@ -310,7 +310,7 @@ class Job:
             "fps": None if times else str(self.fps),
             "num_frames": num_frames,
         }
-        constraints = [followed(field, each).plain() for each in constraints_of(script)]
+        constraints = [asdict(followed(field, each)) for each in constraints_of(script)]
         return facts | ({"constraints": constraints} if constraints else {})
 
 

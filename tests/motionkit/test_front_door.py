@@ -48,7 +48,7 @@ def test_a_name_that_is_none_is_an_attribute_error() -> None:
 )
 def test_a_function_is_never_the_subpackage_of_its_name(first: str) -> None:
     script = "import motionkit as mk; print(callable(mk.generate), callable(mk.resample))"
-    again = "; from motionkit.generate import output; from motionkit.fields.resample import downsample; "
+    again = "; from motionkit.generate import output; from motionkit.fields.resample import resample; "
     assert run(f"{first}; {script}{again}{script}").split() == ["True"] * 4
 
 

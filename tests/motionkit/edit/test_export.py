@@ -8,7 +8,6 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 import yaml
 
@@ -144,19 +143,6 @@ def test_datasets_reads_the_folder_by_its_card(store, folder, tmp_path, monkeypa
     sequences = datasets.load_dataset(str(folder), "sequences", cache_dir=str(tmp_path / "cache"))["train"]
     assert sequences[1]["fps"] == float(motion.fps)
     assert sequences[1]["captions"][1]["end_seconds"] == 2.25
-
-
-def test_pandas_duckdb_and_polars_read_the_files_as_they_are(store, folder):
-    duckdb, polars = pytest.importorskip("duckdb"), pytest.importorskip("polars")
-    fast = duckdb.sql(
-        f"SELECT sequence_id, len(joint_positions) FROM '{folder}/sequences.parquet' "
-        f"JOIN '{folder}/motions/*.parquet' USING (sequence_id) WHERE fps BETWEEN 59 AND 61"
-    ).fetchall()
-    assert fast == [("lab/take 1", store.read(1).joint_positions.size)]
-    assert polars.read_parquet(f"{folder}/motions/*.parquet")["joint_positions"].list.len().to_list()[1] == fast[0][1]
-    row = pd.read_parquet(folder / "motions").iloc[2]
-    rotations = row["local_rotations"].reshape(row["num_joints"], 4, row["num_frames"]).transpose(2, 0, 1)
-    np.testing.assert_array_equal(rotations, store.read(2).local_rotations)
 
 
 def test_the_card_of_several_licences(store, export_as, tmp_path):

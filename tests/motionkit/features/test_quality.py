@@ -170,12 +170,6 @@ def test_a_capture_is_not_suspected(fps, action, noise):
     assert measure(motion).effective_fps == fps
 
 
-def test_pulldown_from_film_is_held_frames():
-    quality = measure(upsample(capture(Fraction(24), "walk", 6.0, NOISE), "hold", Fraction(30)))
-    assert quality.effective_fps == 24.0
-    assert quality.held_share == pytest.approx(0.2, abs=0.01)
-
-
 @pytest.mark.parametrize(
     ("captured", "stated"), [(10, 20), (Fraction(25, 4), Fraction(25, 2)), (5, 10), (40, 60), (7, 30)]
 )

@@ -78,17 +78,6 @@ def test_world_and_window_are_inverse_and_turn_the_heading(seed: int) -> None:
     np.testing.assert_array_equal(inside[..., [1, *range(9, 135)]], vectors[..., [1, *range(9, 135)]])
 
 
-def test_turned_rows_are_turned_poses() -> None:
-    found = rotations.rotation_rows(moving())
-    yaw, origin = np.array([0.7]), np.array([[1.0, -2.0]])
-    inside = rotations.poses_of(
-        rotations.to_window(found.vectors[None], yaw, origin)[0], found.bones, SMPL22
-    ).joint_positions
-    from motionkit.features.field import to_window
-
-    np.testing.assert_allclose(inside, to_window(moving().joint_positions[None], yaw, origin)[0], atol=5e-6)
-
-
 def test_mirrored_rows_are_the_mirrored_motion() -> None:
     q = random_rotations(3, 6, 22).astype(np.float32)
     root = np.random.default_rng(4).normal(size=(6, 3)).astype(np.float32)

@@ -171,9 +171,3 @@ def two(first_at: float, second_at: float, *, scale: float = 1.0) -> list[Piece]
 def test_what_cannot_be_assembled_is_named(pieces: list[Piece], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         assemble(pieces)
-
-
-@pytest.mark.parametrize("overlap", [-0.1, 0.0, 5.0, np.nan])
-def test_an_overlap_is_shorter_than_the_motions(overlap: float) -> None:
-    with pytest.raises(ValueError, match=r"not \S+ s where motion 0 lasts 1\.95 s"):
-        chain([wandering(0), wandering(0)], overlap)

@@ -31,7 +31,7 @@ def test_upsampling_keeps_frames_captions_and_logs(method: Method) -> None:
     between = to_motion(interpolate(motion, method), Fraction(120))
     assert np.allclose(between.joint_positions, faster.joint_positions, atol=1e-6)
     assert upsample(motion, Fraction(30)) is motion
-    with pytest.raises(ValueError, match="use downsample"):
+    with pytest.raises(ValueError, match="use resample"):
         upsample(motion, Fraction(20), INTERPOLATORS[method])
 
 

@@ -249,24 +249,6 @@ def test_hold_stands_still_and_the_others_go_on() -> None:
             assert np.allclose(bones, bones[0], atol=1e-6)
 
 
-def overhead(times: np.ndarray) -> np.ndarray:
-    """An upper arm circling straight up, 180 degrees from rest, the elbow bent by 90."""
-    circle = 0.1 * np.stack((np.cos(np.pi * times), 0 * times, np.sin(np.pi * times)), axis=-1)
-    local = np.zeros((len(times), 22, 4))
-    local[..., 0] = 1.0
-    raised = Rotation.from_rotvec(circle) * Rotation.from_rotvec([0, 0, np.pi])
-    local[:, SMPL22.index("left_shoulder")] = raised.as_quat(scalar_first=True)
-    local[:, SMPL22.index("left_elbow")] = Rotation.from_rotvec([np.pi / 2, 0, 0]).as_quat(scalar_first=True)
-    return kinematics.forward_kinematics(local, np.zeros((len(times), 3)), SMPL22).astype(np.float32)
-
-
-@pytest.mark.parametrize("method", ON_ROTATIONS)
-def test_arms_overhead_do_not_swing_between_positions(method: Method) -> None:
-    grid = TimeGrid(Fraction(20), 41)
-    found = to_motion(interpolate(Motion(overhead(grid.seconds()), SMPL22, grid), method), Fraction(160))
-    assert np.abs(found.joint_positions - overhead(found.timegrid.seconds())).max() < 2e-4
-
-
 NAMES = ("slerp", "squad", "rotation-cubic")
 
 
