@@ -67,10 +67,6 @@ def complete(
     ] = None,
     file_format: FileFormat = None,
     overwrite: Overwrite = False,
-    compare: Annotated[
-        str | None,
-        typer.Option(metavar="NAME,…", help="Also write an HTML page with moving skeletons: slerp,spline."),
-    ] = None,
     source_fps: SourceFps = None,
     skeleton_map: SkeletonMaps = None,
     store: StorePath = None,
@@ -90,13 +86,11 @@ def complete(
     options = read_options(parse_rate(source_fps, "--source-fps"), skeleton_map, skip_derived=True)
     sources, problems = find_motions(clips, options, store or default_path("store"))
     paths = OutputPaths(COMPLETED, clips, len(sources), out=out, file_format=file_format, overwrite=overwrite)
-    runs_folder = runs or default_path("runs")
-    chosen = choose_encoder(model, run, runs_folder)
-    compared = [choose_encoder(name.strip(), None, runs_folder) for name in compare.split(",")] if compare else []
+    chosen = choose_encoder(model, run, runs or default_path("runs"))
     stderr.print(f"motionkit: completing with {chosen.explanation}")
     _edit_each(
         *("complete", sources, problems),
-        lambda source: complete_file(source, request, chosen, compared, paths),
+        lambda source: complete_file(source, request, chosen, paths),
         as_json,
         {"encoder": chosen.name},
     )
@@ -114,9 +108,6 @@ def plant(
         typer.Option(help="File, or folder for several clips.", show_default="NAME.planted.EXT beside each"),
     ] = None,
     file_format: FileFormat = None,
-    page: Annotated[
-        bool, typer.Option("--page", help="Also write an HTML page with both skeletons, before and after.")
-    ] = False,
     overwrite: Overwrite = False,
     source_fps: SourceFps = None,
     skeleton_map: SkeletonMaps = None,
@@ -127,7 +118,7 @@ def plant(
 
     With --store and no clip, all sequences of the store (or those of --where), into --out.
 
-    Example: motionkit plant takes/walk.bvh --page
+    Example: motionkit plant takes/walk.bvh
     """
     from motionkit.edit.motions import OutputPaths, find_motions
     from motionkit.edit.plant import plant_file
@@ -141,7 +132,7 @@ def plant(
     paths = OutputPaths(PLANTED, clips or (), len(sources), out=out, file_format=file_format, overwrite=overwrite)
     _edit_each(
         *("plant", sources, problems),
-        lambda source: plant_file(source, path, page, paths),
+        lambda source: plant_file(source, path, paths),
         as_json,
         {"path": path},
     )
@@ -213,8 +204,8 @@ def _edit_each(
             done.append(written)
             for remark in written.remarks:
                 stderr.print(f"motionkit: {remark}")
-            for path in () if as_json else filter(None, (written.path, written.page)):
-                stdout.print(str(path))
+            if not as_json:
+                stdout.print(str(written.path))
     if as_json:
         failed = [{"clip": name, "message": message} for name, message in failures]
         print_json({**about, "clips": [each.plain() for each in done], "failed": failed})

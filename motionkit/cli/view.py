@@ -94,10 +94,10 @@ def view(
     print_failures(failures)
     viewed = None
     if panels and film:
-        from motionkit.viz.film import num_pictures, write_film
+        from motionkit.viz.film import pictures_of, write_film
 
         exact = Fraction(speed or 1.0).limit_denominator(1000)
-        with progress() as show, task(show, "draw", num_pictures(panels, exact, film)) as work:
+        with progress() as show, task(show, "draw", pictures_of(panels, exact, film)[0]) as work:
             write_film(page, panels, exact, work.advance)
         viewed = Viewed(page, page.stat().st_size, tuple(panels))
     elif panels:

@@ -29,7 +29,6 @@ from motionkit.fields.completion import begin_completion
 from motionkit.fields.contact.planted import planted
 from motionkit.fields.rig import on_bones
 from motionkit.io.bvh_writing import KnownFrames
-from motionkit.viz.comparison import Version, write_comparison
 
 # More than a minute of extrapolation is probably a typo.
 LONGEST_REACH_SECONDS = 60.0
@@ -203,33 +202,15 @@ def _warnings(chosen: ChosenEncoder, gap: float, reach: float, num_known: int) -
 
 
 def complete_file(
-    source: MotionSource,
-    request: CompletionRequest,
-    chosen: ChosenEncoder,
-    compared: Sequence[ChosenEncoder],
-    paths: OutputPaths,
+    source: MotionSource, request: CompletionRequest, chosen: ChosenEncoder, paths: OutputPaths
 ) -> WrittenMotion:
-    """Read, complete and write one motion, with a page that compares encoders if there are any to compare with.
-
-    Raises `MotionkitError` or `OSError` without leaving files behind.
-    """
+    """Read, complete and write one motion; raises `MotionkitError` or `OSError` without leaving files behind."""
     loaded = source.load()
     path = paths.path(source, loaded, request.fps or loaded.motion.fps)
-    page = path.with_suffix(".html") if compared else None
-    if page is not None:
-        paths.check_free(page)
     completed = completed_motion(loaded, request, chosen)
     motion, num_given = completed.edited.motion, len(completed.edited.known.kept_rows)
     with whole_file(path) as temporary:
         write_edited(completed.edited, loaded, temporary)
-        if page is not None:
-            observed = np.isin(np.arange(loaded.motion.num_frames), completed.edited.known.frames)
-            panel = loaded.panel("the clip")
-            panel = replace(panel, observed=None if observed.all() else observed, gap_label="left out")
-            all_completed = [completed, *(completed_motion(loaded, request, each) for each in compared)]
-            versions = [Version(each.encoder, each.edited.motion, each.edited.is_given) for each in all_completed]
-            page_note = "Dark are frames that were given, orange are those that were made."
-            write_comparison(page, source.name, panel, versions, others="made", note=page_note)
     warnings = [*completed.warnings, *filter(None, [loaded.note])]
     details = {
         "encoder": completed.encoder,
@@ -242,7 +223,7 @@ def complete_file(
         "longest_gap_seconds": completed.longest_gap_seconds,
         "warnings": warnings,
     }
-    return WrittenMotion(source.name, path, page, details, [f"warning: {source.name}: {each}" for each in warnings])
+    return WrittenMotion(source.name, path, details, [f"warning: {source.name}: {each}" for each in warnings])
 
 
 def kept_frames(keep: Sequence[FrameRange] | Frames | None, num_frames: int) -> Frames:

@@ -97,4 +97,4 @@ def convert_file(
         "num_converted_frames": motion.num_frames,
         "num_joints": motion.skeleton.num_joints,
     }
-    return WrittenMotion(source.name, path, None, details)
+    return WrittenMotion(source.name, path, details)

@@ -197,28 +197,19 @@ class EditedMotion:
     motion: Motion
     known: KnownFrames
 
-    @property
-    def is_given(self) -> Bool[np.ndarray, "frames"]:
-        """A mask of the frames that are those of the loaded motion."""
-        mask = np.zeros(self.motion.num_frames, bool)
-        mask[self.known.kept_rows] = True
-        return mask
-
 
 @dataclass(frozen=True)
 class WrittenMotion:
-    """A file that was written, its page if there is one, and what to tell: `details` as JSON, `remarks` as lines."""
+    """A file that was written, and what to tell: `details` as JSON, `remarks` as lines."""
 
     source: str
     path: Path
-    page: Path | None = None
     details: Mapping[str, Any] = field(default_factory=dict)
     remarks: Sequence[str] = ()
 
     def plain(self) -> dict[str, Any]:
         """As JSON."""
-        page = None if self.page is None else str(self.page)
-        return {"clip": self.source, "file": str(self.path), **self.details, "page": page}
+        return {"clip": self.source, "file": str(self.path), **self.details}
 
 
 def write_edited(edited: EditedMotion, loaded: LoadedMotion, path: Path) -> None:
@@ -305,10 +296,6 @@ class OutputPaths:
         other = self._source_of.setdefault(path.absolute(), source.name)
         if other != source.name:
             raise MotionkitError(f"its result would be {path}, as that of {other}: name them one by one with --out")
-        self.check_free(path)
-        return path
-
-    def check_free(self, path: Path) -> None:
-        """Raise `MotionkitError` for a file that exists, unless it may be overwritten."""
         if path.exists() and not self._overwrite:
             raise MotionkitError(f"{path} exists: --overwrite replaces it, --out writes elsewhere")
+        return path

@@ -21,7 +21,6 @@ from motionkit.fields.contact.correction import Path as BodyPath
 from motionkit.fields.contact.detection import runs
 from motionkit.fields.contact.planted import Planting, planted_frames
 from motionkit.io.bvh_writing import KnownFrames
-from motionkit.viz.comparison import Version, write_comparison
 
 MOVED_METRES = 2e-5
 # Smaller changes are not worth a word.
@@ -102,23 +101,13 @@ def planted_motion(loaded: LoadedMotion, path: BodyPath) -> tuple[EditedMotion, 
     return EditedMotion(planted, KnownFrames(np.arange(len(moved)), seconds, unmoved, unmoved)), change
 
 
-def plant_file(source: MotionSource, path_of_body: BodyPath, with_page: bool, paths: OutputPaths) -> WrittenMotion:
-    """Read, plant and write one motion, with a page of both if `with_page`.
-
-    Raises `MotionkitError` or `OSError` without leaving files behind.
-    """
+def plant_file(source: MotionSource, path_of_body: BodyPath, paths: OutputPaths) -> WrittenMotion:
+    """Read, plant and write one motion; raises `MotionkitError` or `OSError` without leaving files behind."""
     loaded = source.load()
     path = paths.path(source, loaded, loaded.motion.fps)
-    page = path.with_suffix(".html") if with_page else None
-    if page is not None:
-        paths.check_free(page)
     edited, change = planted_motion(loaded, path_of_body)
     with whole_file(path) as temporary:
         write_edited(edited, loaded, temporary)
-        if page is not None:
-            version = Version("planted", edited.motion, edited.is_given)
-            note = "Dark are frames that stayed, orange are those that moved."
-            write_comparison(page, source.name, loaded.panel("before"), [version], others="moved", note=note)
     details = {
         "fps": str(loaded.motion.fps),
         "num_frames": loaded.motion.num_frames,
@@ -126,7 +115,7 @@ def plant_file(source: MotionSource, path_of_body: BodyPath, with_page: bool, pa
         "note": loaded.note,
     }
     remarks = [f"warning: {source.name}: {loaded.note}"] if loaded.note else []
-    return WrittenMotion(source.name, path, page, details, [*remarks, f"{source.name}: {change}"])
+    return WrittenMotion(source.name, path, details, [*remarks, f"{source.name}: {change}"])
 
 
 def measure_change(

@@ -40,25 +40,24 @@ MOST_PICTURES = 20_000
 MP4_OPTIONS = ["-pix_fmt", "yuv420p", "-crf", "18", "-threads", "1", "-fflags", "+bitexact"]
 
 
-def film_fps(panels: Sequence[Panel], speed: Fraction, suffix: str) -> Fraction:
-    """Pictures per second: one for every native frame of the fastest motion, at `speed`; at most 50 for a gif."""
+def pictures_of(panels: Sequence[Panel], speed: Fraction, suffix: str) -> tuple[int, Fraction]:
+    """How many pictures a file has, and pictures per second; strips and recordings are one picture.
+
+    There is one for every native frame of the fastest motion, at `speed`; at most 50 per second in a gif. Raises
+    `MotionkitError` for too many.
+    """
     fps = max(panel.fps for panel in panels) * speed
-    return min(fps, GIF_FPS) if suffix == ".gif" else fps
-
-
-def num_pictures(panels: Sequence[Panel], speed: Fraction, suffix: str) -> int:
-    """How many pictures a file has; strips and recordings are one. Raises `MotionkitError` for too many."""
     if suffix in (".png", ".rrd"):
-        return 1
+        return 1, fps
+    fps = min(fps, GIF_FPS) if suffix == ".gif" else fps
     longest = max(panel.duration_seconds for panel in panels)
-    fps = float(film_fps(panels, speed, suffix))
-    count = max(1, int(np.ceil(longest / float(speed) * fps - 1e-6)))
+    count = max(1, int(np.ceil(longest * float(fps / speed) - 1e-6)))
     if count > MOST_PICTURES:
-        enough = int(MOST_PICTURES * float(speed) / fps)
+        enough = int(MOST_PICTURES * float(speed / fps))
         raise MotionkitError(
             f"{count:,} pictures of {longest:,.0f} s, at most {MOST_PICTURES:,}: cut with --from 0 --to {enough}"
         )
-    return count
+    return count, fps
 
 
 def write_film(
@@ -70,7 +69,7 @@ def write_film(
     for an mp4 without the extra `video`, an rrd without `rerun`.
     """
     suffix = path.suffix.lower()
-    count, fps = num_pictures(panels, speed, suffix), film_fps(panels, speed, suffix)
+    count, fps = pictures_of(panels, speed, suffix)
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as temporary:
         if suffix in (".png", ".rrd"):

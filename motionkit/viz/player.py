@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal, TypedDict
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -23,7 +23,6 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.transfer import counterpart_joints
 from motionkit.io.gltf import joint_sides
 
-Colours = Literal["sides", "given", "plain"]
 Line = Float64[np.ndarray, "_ 3"]
 Positions = Float32[np.ndarray, "frames joints 3"]
 
@@ -47,10 +46,9 @@ class Panel:
     """One motion of a page or film: joint positions [T, J, 3] in metres, y up, at its own framerate.
 
     Frame k is at `start_seconds` + k / `fps`, or at `uneven_seconds`[k]. `first_frame` is the number of the first one
-    in its file. `observed` masks the frames that the source has; others are drawn differently and labelled
-    `gap_label`. Bones are coloured by side ("sides"), by given and new frames ("given"), or uniformly ("plain").
-    `labels` are shown below the name, `details` are key-value pairs. `lines` are drawn in the motion's world, on the
-    floor where a height is NaN.
+    in its file. `observed` masks the frames that the source has; others are faint and called lost. `labels` are shown
+    below the name, `details` are key-value pairs. `lines` are drawn in the motion's world, on the floor where a height
+    is NaN.
     """
 
     name: str
@@ -61,8 +59,6 @@ class Panel:
     first_frame: int = 0
     uneven_seconds: Float64[np.ndarray, "frames"] | None = None
     observed: Bool[np.ndarray, "frames"] | None = None
-    gap_label: str = "lost"
-    colours: Colours = "sides"
     captions: tuple[Caption, ...] = ()
     labels: tuple[str, ...] = ()
     details: tuple[tuple[str, str], ...] = ()
@@ -198,11 +194,11 @@ def check_places(panel: Panel) -> None:
         )
 
 
-def page_of(title: str, panels: Sequence[Panel], *, note: str = "", one_camera: bool = False) -> str:
+def page_of(title: str, panels: Sequence[Panel], *, note: str = "") -> str:
     """The page of one or more motions, side by side on one clock in seconds, as HTML that loads nothing.
 
-    `note` is shown below the title. The camera follows each motion from its own front, or with `one_camera` at first
-    all look at the same place. Raises `MotionkitError` as `check_places` does, and for a page that is too large.
+    `note` is shown below the title. The camera follows each motion from its own front. Raises `MotionkitError` as
+    `check_places` does, and for a page that is too large.
     """
     size = sum(packed_bytes(panel.num_frames, panel.skeleton.num_joints) for panel in panels)
     if size > MOST_PAGE_BYTES:
@@ -214,7 +210,7 @@ def page_of(title: str, panels: Sequence[Panel], *, note: str = "", one_camera: 
             f"{MOST_PAGE_BYTES / 1e6:,.0f} MB: show a part with --from {begin:g} --to {end:g}, or fewer motions"
         )
     # A script must not contain anything like its closing tag.
-    text = json.dumps(data_of(title, panels, note, one_camera), ensure_ascii=False, allow_nan=False)
+    text = json.dumps(data_of(title, panels, note), ensure_ascii=False, allow_nan=False)
     return player(title, text.replace("<", "\\u003c"))
 
 
@@ -233,16 +229,16 @@ def player(title: str, data: str) -> str:
     return page.encode("utf-8", "backslashreplace").decode()  # bytes of a file's name may be no letters
 
 
-def write_page(path: Path, title: str, panels: Sequence[Panel], *, note: str = "", one_camera: bool = False) -> int:
+def write_page(path: Path, title: str, panels: Sequence[Panel], *, note: str = "") -> int:
     """Write `page_of` some motions atomically, and return its size in bytes."""
-    content = page_of(title, panels, note=note, one_camera=one_camera).encode("utf-8")
+    content = page_of(title, panels, note=note).encode("utf-8")
     write_whole(path, content)
     return len(content)
 
 
-def data_of(title: str, panels: Sequence[Panel], note: str = "", one_camera: bool = False) -> dict[str, Any]:
+def data_of(title: str, panels: Sequence[Panel], note: str = "") -> dict[str, Any]:
     """The data of the page's script, as plain values; raises `MotionkitError` as `check_places` does."""
-    return {"title": title, "note": note, "oneCamera": one_camera, "takes": [_data(panel) for panel in panels]}
+    return {"title": title, "note": note, "takes": [_data(panel) for panel in panels]}
 
 
 def _data(panel: Panel) -> dict[str, Any]:
@@ -260,8 +256,6 @@ def _data(panel: Panel) -> dict[str, Any]:
         "numFrames": panel.num_frames,
         "unevenSeconds": None if uneven is None else _text(uneven.astype("<f8")),
         "seen": None if panel.observed is None else _text(np.packbits(panel.observed, bitorder="little")),
-        "unseen": panel.gap_label,
-        "colours": panel.colours,
         "jointNames": list(panel.skeleton.joint_names),
         "positions": pack(panel.joint_positions),
         "bones": list(drawing.bones),

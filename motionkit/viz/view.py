@@ -114,18 +114,12 @@ class Interval:
         seconds = panel.frame_seconds()
         first, stop = np.searchsorted(seconds, (begin - 1e-6, end - 1e-6)).tolist()
         if first >= stop:
-            described = ["its beginning" if self.from_seconds is None else f"{begin:g} s"]
-            described += ["its end" if self.to_seconds is None else f"{end:g} s"]
-            raise MotionkitError(
-                f"it has no frame from {' to '.join(described)}: its frames are at {seconds[0]:g} to "
-                f"{seconds[-1]:.6g} s"
-            )
+            raise MotionkitError(f"it has no frame{self}: its frames are at {seconds[0]:g} to {seconds[-1]:.6g} s")
         return panel.frames(first, stop)
 
     def __str__(self) -> str:
         begin = "" if self.from_seconds is None else f" from {self.from_seconds:g} s"
-        end = "" if self.to_seconds is None else f" to {self.to_seconds:g} s"
-        return f"Shown{begin}{end}." if begin or end else ""
+        return begin + ("" if self.to_seconds is None else f" to {self.to_seconds:g} s")
 
 
 @dataclass(frozen=True)
@@ -197,7 +191,9 @@ def write_view(path: Path, panels: Sequence[Panel], interval: Interval) -> Viewe
     """Write the page of panels; raises `MotionkitError`."""
     path.parent.mkdir(parents=True, exist_ok=True)
     title = panels[0].name if len(panels) == 1 else f"{len(panels)} motions"
-    return Viewed(path, write_page(path, title, panels, note=str(interval)), tuple(panels))
+    return Viewed(
+        path, write_page(path, title, panels, note=f"Shown{interval}." if str(interval) else ""), tuple(panels)
+    )
 
 
 def constraint_drawing(path: Path | None, poses: Sequence[str], placed: bool) -> Callable[[Panel], Panel]:

@@ -1,6 +1,5 @@
 """`motionkit complete`, file to file: every kind of clip, what is made of it, and what is said when nothing can be."""
 
-import base64
 import json
 import re
 from collections.abc import Callable
@@ -8,14 +7,11 @@ from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
-from motionkit.core.errors import MotionkitError
 from motionkit.core.motion import Caption, Motion
-from motionkit.edit import complete as complete_module
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import process
 from motionkit.fields.completion import complete
@@ -32,7 +28,6 @@ from tests.helpers.bones import bone_lengths
 from tests.helpers.encoder_package import write_encoder_package
 from tests.helpers.format_samples import NUM_BVH_CHANNELS, bvh_text
 from tests.helpers.outcome import Outcome
-from tests.helpers.packed import unpack
 from tests.helpers.repository import REPOSITORY
 
 Run = Callable[..., Outcome]
@@ -72,7 +67,7 @@ def test_bvh_at_four_times_the_framerate(motionkit: Run, walk: Path) -> None:
 def test_models_of_joint_positions_are_written_with_the_file_s_bones(
     motionkit: Run, walk: Path, motion: Motion, model: str
 ) -> None:
-    outcome = motionkit("complete", walk, "--fps", "60", "--extend", "0.1,0.1", "--model", model, "--compare", "slerp")
+    outcome = motionkit("complete", walk, "--fps", "60", "--extend", "0.1,0.1", "--model", model)
     assert outcome.code == 0
     before, after = read_document(walk), read_document(walk.with_name("walk.completed.bvh"))
     assert after.lines[6:-6:2] == before.lines
@@ -121,12 +116,12 @@ def test_the_page_of_the_docs_is_right_about_python(
     assert (walk.parent / "made.bvh").is_file()
 
 
-def test_gaps_and_ends_with_json_and_a_page(motionkit: Run, walk: Path, motion: Motion) -> None:
+def test_gaps_and_ends_with_json(motionkit: Run, walk: Path, motion: Motion) -> None:
     last = motion.num_frames
     out = walk.parent / "new" / "made.bvh"
     outcome = motionkit(
         *("complete", walk, "--keep", f"0:10,40:{last}", "--extend", "0.2,0.2", "--fps", "60000/1001", "--json"),
-        *("--out", out, "--compare", "slerp,spline", "--model", "squad"),
+        *("--out", out, "--model", "squad"),
     )
     assert outcome.code == 0
     report = json.loads(outcome.stdout)
@@ -136,16 +131,6 @@ def test_gaps_and_ends_with_json_and_a_page(motionkit: Run, walk: Path, motion: 
     made = read_bvh(out)
     assert made.num_frames == clip["num_completed_frames"] == clip["num_given_frames"] + clip["num_made_frames"]
     assert made.num_frames == int(0.2 * 59.94) + int(59.94 * ((last - 1) / 30 + 0.2)) + 1
-    page = out.with_suffix(".html").read_text(encoding="utf-8")
-    data = json.loads(re.search(r'<script id="data" type="application/json">(.*?)</script>', page, re.DOTALL)[1])  # type: ignore[index]
-    assert [take["name"] for take in data["takes"]] == ["the clip", "squad", "slerp", "rotation-cubic"]
-    as_it_was, *ways = data["takes"]
-    assert {take["numFrames"] for take in ways} == {made.num_frames} and as_it_was["numFrames"] == last
-    np.testing.assert_allclose(unpack(ways[0]["positions"]), made.joint_positions, atol=2e-4)
-    # Each has its own frames on one clock; the page says which were given.
-    assert as_it_was["startSeconds"] == 0 and ways[0]["startSeconds"] == pytest.approx(-int(0.2 * 59.94) * 1001 / 60000)
-    given = np.unpackbits(np.frombuffer(base64.b64decode(ways[0]["seen"]), np.uint8), bitorder="little")
-    assert given.sum() == clip["num_given_frames"]
 
 
 def test_npz_keeps_all_it_knows(motionkit: Run, tmp_path: Path, motion: Motion) -> None:
@@ -300,7 +285,7 @@ def test_times_of_npz_that_do_not_ascend_and_frames_that_were_lost(
     np.savez(tmp_path / "dropped.npz", **uneven)  # type: ignore[arg-type]
     outcome = motionkit("complete", tmp_path / "dropped.npz", "--extend", "1")
     assert outcome.code == 1 and "give the fps" in outcome.stderr
-    assert motionkit("complete", tmp_path / "dropped.npz", "--fps", "60", "--compare", "slerp").code == 0
+    assert motionkit("complete", tmp_path / "dropped.npz", "--fps", "60").code == 0
     made = read_npz(tmp_path / "dropped.completed.npz")
     assert made.num_frames == 119
     np.testing.assert_array_equal(made.joint_positions[2 * kept], motion.joint_positions[kept])
@@ -330,9 +315,7 @@ def test_times_of_npz_that_do_not_ascend_and_frames_that_were_lost(
         (["--extend", "1e5"], 2, "at most 60 s"),
         (["--fps", "60", "--model", "sprline"], 2, "'sprline'"),
         (["--fps", "60", "--model", "slerp", "--run", "nano"], 2, "leave out run"),
-        (["--fps", "60", "--compare", "slurp"], 2, "'slurp'"),
         (["--fps", "60", "--model", "nerm", "--runs", "none"], 2, "give the run"),
-        (["--fps", "60", "--compare", "slerp,"], 2, "is empty"),
     ],
 )
 def test_requests_that_make_no_sense(motionkit: Run, walk: Path, arguments: list[str], code: int, message: str) -> None:
@@ -352,18 +335,11 @@ def test_a_folder_that_cannot_be_written(motionkit: Run, walk: Path, tmp_path: P
 
 def test_a_clip_is_replaced_by_its_completion(motionkit: Run, walk: Path) -> None:
     given = read_document(walk).lines
-    arguments = ("--fps", "60", "--model", "slerp", "--compare", "hold", "--out", walk, "--overwrite")
+    arguments = ("--fps", "60", "--model", "slerp", "--out", walk, "--overwrite")
     outcome = motionkit("complete", walk, *arguments)
     assert outcome.code == 0, outcome.stderr
-    assert outcome.stdout.split() == [str(walk), str(walk.with_name("walk.html"))]
+    assert outcome.stdout.split() == [str(walk)]
     assert read_document(walk).lines[::2] == given
-
-
-def test_a_failed_comparison_leaves_nothing(motionkit: Run, walk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(complete_module, "write_comparison", Mock(side_effect=MotionkitError("no page")))
-    outcome = motionkit("complete", walk, "--fps", "60", "--model", "slerp", "--compare", "hold")
-    assert outcome.code == 1 and "no page" in outcome.stderr and outcome.stdout == ""
-    assert [path.name for path in walk.parent.iterdir()] == ["walk.bvh"]
 
 
 def test_formats_that_are_not_written_are_refused(motionkit: Run, walk: Path) -> None:

@@ -200,8 +200,8 @@ function drawPanel(panel, seconds, settings, commonSize) {
   const spacing = gridSpacing(size);
   drawGround(pen, project, take, centre, settings.follow ? 2.4 * size / Math.min(1, view.zoom) : 0.6 * leader.span + size, spacing);
   drawLines(pen, project, take);
-  const isSeen = !take.seen || take.seen[frame] === 1, isMade = !isSeen && take.colours === "given";
-  const colours = (side) => colour(isMade ? "--made" : take.colours !== "sides" || !side ? "--ink" : side < 0 ? "--left" : "--right");
+  const isSeen = !take.seen || take.seen[frame] === 1;
+  const colours = (side) => colour(!side ? "--ink" : side < 0 ? "--left" : "--right");
   pen.lineCap = "round"; pen.lineJoin = "round";
   const places = [], shadows = [];
   for (let joint = 0; joint < take.count; joint++) {
@@ -215,7 +215,7 @@ function drawPanel(panel, seconds, settings, commonSize) {
   pen.stroke();
   pen.globalAlpha = held.state ? 0.25 : 1;
   if (settings.trails) drawTrails(pen, project, take, frame, colours);
-  pen.globalAlpha = held.state ? 0.25 : isSeen || isMade ? 1 : 0.4;
+  pen.globalAlpha = held.state ? 0.25 : isSeen ? 1 : 0.4;
   bones.sort((a, b) => places[a][2] - places[b][2]);
   const wide = Math.max(1.6, Math.min(9, 0.017 * unit));
   for (const joint of bones) {
@@ -241,9 +241,8 @@ function drawPanel(panel, seconds, settings, commonSize) {
 
 function tell(panel, held, isSeen, part) {
   const { take, state } = panel, first = secondsOf(take, held.frame);
-  const kind = held.state < 0 ? "begins later" : held.state > 0 ? "is over" : !isSeen ? take.unseen : take.colours === "given" && take.seen ? "given" : "";
+  const kind = held.state < 0 ? "begins later" : held.state > 0 ? "is over" : !isSeen ? "lost" : "";
   state.textContent = `${kind ? kind + " · " : ""}frame ${take.firstFrame + held.frame}${part ? " +" + part.toFixed(2) : ""}`;
-  state.className = !held.state && !isSeen && take.colours === "given" ? "state made" : "state";
   take.captions.forEach(([, start, end], number) => {
     panel.lines[number].className = !held.state && first >= start - SAME_SECONDS && (end === null || first < end) ? "now" : "";
   });

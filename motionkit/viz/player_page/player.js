@@ -87,7 +87,6 @@ function changeSpeed(by) {
 // A single motion says its name itself.
 document.querySelector("h1").textContent = panels.length > 1 ? data.title : "";
 find("note").textContent = data.note;
-find("shared").checked = data.oneCamera;
 find("shared-label").hidden = panels.length === 1;
 find("again-label").hidden = panels.every(({ take }) => endOf(take) >= page.end - SAME_SECONDS);
 find("panels").append(...panels.map((panel) => panel.figure));

@@ -1,7 +1,9 @@
 """Interpolators: what each restores exactly, what is true of all, and how they look beside scipy's."""
 
+import re
 from dataclasses import replace
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,6 +24,10 @@ from motionkit.fields.motion_field import (
     Poses,
     to_motion,
 )
+from motionkit.io.bvh_writing import write_bvh
+from tests.helpers.analytic import analytic_motion
+from tests.helpers.pages import run_page
+from tests.helpers.repository import REPOSITORY
 from tests.helpers.turning_body import random_motion
 from tests.helpers.velocities import joint_velocities
 
@@ -313,3 +319,15 @@ def test_hips_that_travel_in_a_reference_on_the_floor_do_not_stop_at_the_end(set
     np.testing.assert_allclose(step[:, 0], 0.0, atol=1e-6)
     assert (step[:, 1:] > 0.04).all() and (step[:, 1:] < 0.0501).all()
     np.testing.assert_allclose(step[:, 1], step[:, 2], atol=1e-6)
+
+
+def test_the_page_lists_every_interpolator_and_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = REPOSITORY / "docs" / "motion-fields.md"
+    listed = re.findall(r"^\| `([a-z-]+)` \| .*\| .*\|$", page.read_text(), re.MULTILINE)
+    assert set(INTERPOLATORS) <= set(listed)
+    monkeypatch.chdir(tmp_path)
+    write_bvh(to_motion(analytic_motion("walk", 3.0), Fraction(30)), Path("walk.bvh"))
+    names = run_page(page, lambda words: None)
+    assert names["smooth"].fps == 120 and names["film"].fps == Fraction(24000, 1001)
+    assert names["longer"].num_frames == names["motion"].num_frames + 15
+    assert names["filled"].local_rotations is not None

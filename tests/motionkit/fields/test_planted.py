@@ -15,7 +15,7 @@ from motionkit.fields.contact.bones import Bones
 from motionkit.fields.contact.detection import find_contacts, ground_of
 from motionkit.fields.contact.planted import planted
 from motionkit.fields.interpolation import interpolate
-from motionkit.fields.motion_field import MotionField, Poses, to_motion
+from motionkit.fields.motion_field import DerivedField, MotionField, to_motion
 from tests.helpers.analytic import capture
 from tests.helpers.velocities import joint_velocities
 
@@ -77,27 +77,11 @@ def test_feet_that_slide_stand(rotations: bool) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Knowing:
+class Knowing(DerivedField):
     """A field that says when its feet are on the ground."""
 
-    field: MotionField
     fps: Fraction
     down: np.ndarray
-
-    @property
-    def skeleton(self) -> Skeleton:
-        return self.field.skeleton
-
-    @property
-    def start_seconds(self) -> float:
-        return self.field.start_seconds
-
-    @property
-    def end_seconds(self) -> float:
-        return self.field.end_seconds
-
-    def query(self, times_seconds: np.ndarray) -> Poses:
-        return self.field.query(times_seconds)
 
     def contacts(self, times_seconds: np.ndarray) -> np.ndarray | None:
         row = np.round((times_seconds - self.start_seconds) * float(self.fps)).astype(int)
@@ -111,9 +95,10 @@ def test_contacts_that_the_field_knows_are_taken() -> None:
     down = find_contacts(paths, float(FPS), ground_of(paths, float(FPS))).down
     # So fast that no detection takes it for a foot on the ground.
     fast = interpolate(bare(slid(motion, 2.5)), "cubic")
+    same = (fast, fast.query, lambda fps: fast)
     speeds = [
         steadiest_speed(to_motion(planted(field, "free"), FPS).joint_positions, still, FPS).mean()
-        for field in (fast, Knowing(fast, FPS, down), Knowing(fast, FPS, np.zeros_like(down)))
+        for field in (fast, Knowing(*same, FPS, down), Knowing(*same, FPS, np.zeros_like(down)))
     ]
     assert speeds[0] > 1.0
     assert speeds[1] < 0.1

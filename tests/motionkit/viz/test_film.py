@@ -35,8 +35,7 @@ def test_every_native_frame_of_the_fastest_is_a_picture(
     suffix: str, speed: Fraction, fps: Fraction, count: int
 ) -> None:
     takes = [take(24, Fraction(120)), take(5, Fraction(30))]
-    assert film.film_fps(takes, speed, suffix) == fps
-    assert film.num_pictures(takes, speed, suffix) == count
+    assert film.pictures_of(takes, speed, suffix) == (count, fps)
 
 
 def test_a_gif_lasts_as_long_as_its_motion_and_moves(tmp_path: Path) -> None:
