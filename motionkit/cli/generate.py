@@ -11,7 +11,7 @@ from motionkit.core.errors import UsageError
 from motionkit.core.files import default_path
 from motionkit.core.progress import task
 
-FORMATS = "bvh, amass, joints-npy, npz, csv, robot-csv, gltf, humanml3d"
+FORMATS = "bvh, amass, joints-npy, npz, csv, robot-csv, gltf"
 
 
 def generate(
@@ -23,7 +23,7 @@ def generate(
     ] = None,
     fps: Annotated[
         str | None,
-        typer.Option(help="Any framerate: 144, 23.976, 24000/1001 (else the highest trained; 20 for humanml3d)."),
+        typer.Option(help="Any framerate: 144, 23.976, 24000/1001 (else the highest trained)."),
     ] = None,
     seconds: Annotated[
         float | None, typer.Option(help="Length of each motion; drawn from the training data's by default.")

@@ -29,7 +29,7 @@ from motionkit.core.skeletons.mapping import SkeletonMapError, map_joints
 from motionkit.features import humanml3d
 from motionkit.fields.resample import resample
 from motionkit.io import joints_npy
-from motionkit.io.humanml3d import HUMANML3D, JOINTS_FOLDER, KIT, LAYOUTS, Entry, FolderWriter, Layout
+from motionkit.io.humanml3d import HUMANML3D, JOINTS_FOLDER, KIT, Entry, FolderWriter, Layout
 from motionkit.io.registry import Format, writers
 from motionkit.io.texts import SPLITS
 from motionkit.store import Store, StoreWriter
@@ -209,10 +209,6 @@ class Kind:
     units_per_skeleton_unit: float
     loader_min_frames: int
 
-    def at(self, fps: Fraction) -> "Kind":
-        """The same at another framerate."""
-        return replace(self, layout=replace(self.layout, fps=fps))
-
 
 # 22 joints in metres and vectors of 263 numbers; 21 joints in thousandths of the body's height and vectors of 251.
 HUMANML3D_KIND = Kind(HUMANML3D, 1.0, 40)
@@ -222,11 +218,11 @@ KIT_KIND = Kind(KIT, 1000.0, 24)
 def export_pose_folder(selection: Selection, folder: Path, kind: Kind) -> Iterator[Outcome]:
     """Write a folder of the published form at the selection's framerate; yields the outcome of each sequence."""
     (fps,) = selection.framerates
-    kind = kind.at(fps)
+    layout, published = replace(kind.layout, fps=fps), kind.layout.fps
     names = [name.name for name in file_names(selection.sequence_ids)]
     if len(set(names)) < len(names):
         names = list(map(str, file_names(selection.sequence_ids, flat=True)))
-    writer = FolderWriter(folder, kind.layout)
+    writer = FolderWriter(folder, layout)
     lacks: Counter[str] = Counter()
     with motion_table(folder) as add_row:
         for motion, name in zip(selection.motions(), names, strict=True):
@@ -240,8 +236,16 @@ def export_pose_folder(selection: Selection, folder: Path, kind: Kind) -> Iterat
             lacks["split"] += entry.split not in SPLITS
             lacks["length"] += len(entry.joint_positions) < kind.loader_min_frames
             yield Outcome(motion.sequence_id)
-    num_sequences, layout, published = writer.finish(), kind.layout, LAYOUTS[kind.layout.name].fps
-    write_folder_manifest(folder, layout)
+    num_sequences = writer.finish()
+    # Framerate, layout and unit for readers, the convention and its published framerate.
+    manifest = {
+        "fps": str(fps),
+        "layout": layout.skeleton.name,
+        "unit_metres": layout.unit_metres,
+        "vectors": humanml3d.CONVENTION,
+        "published_fps": str(published),
+    }
+    write_json(folder / joints_npy.MANIFEST, manifest)
     text = render(
         "pose_folder.md.j2",
         layout=layout,
@@ -272,18 +276,6 @@ def pose_entry(motion: Motion, name: str, kind: Kind) -> Entry | Outcome:
     if not np.isfinite(vectors).all():
         return Outcome(motion.sequence_id, "degenerate", "the legs of frame 0 have no length: nothing says the scale")
     return Entry(name, humanml3d.positions(vectors, layout), vectors, motion.captions, motion.split)
-
-
-def write_folder_manifest(folder: Path, layout: Layout) -> None:
-    """Write motions.json: framerate, layout and unit for readers, the convention and its published framerate."""
-    manifest = {
-        "fps": str(layout.fps),
-        "layout": layout.skeleton.name,
-        "unit_metres": layout.unit_metres,
-        "vectors": humanml3d.CONVENTION,
-        "published_fps": str(LAYOUTS[layout.name].fps),
-    }
-    write_json(folder / joints_npy.MANIFEST, manifest)
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,11 @@ import csv
 import io
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from fractions import Fraction
-from functools import cache, cached_property
+from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -26,7 +26,7 @@ from motionkit.core.progress import warn
 from motionkit.core.shapes import Float64
 from motionkit.core.skeletons.mapping import SkeletonMapError
 from motionkit.core.timegrid import TimeGrid
-from motionkit.edit.export import HUMANML3D_KIND, TABLE, Outcome, captions_json, pose_entry, write_folder_manifest
+from motionkit.edit.export import TABLE, captions_json
 from motionkit.fields.contact.planted import planted
 from motionkit.fields.detail import Detail, detailed
 from motionkit.fields.motion_field import MotionField, at_fps
@@ -41,10 +41,8 @@ from motionkit.generate.long_motions import (
 )
 from motionkit.generate.models import GenerativeModel, SamplingOptions
 from motionkit.generate.request import MotionsRequest
-from motionkit.io import joints_npy, npz
-from motionkit.io.humanml3d import JOINTS_FOLDER, TEXTS_FOLDER, VECTORS_FOLDER
+from motionkit.io import npz
 from motionkit.io.registry import Format, writers
-from motionkit.io.texts import format_texts
 from motionkit.training.run import versions, weights_sha256
 
 SLUG_LENGTH = 40
@@ -110,78 +108,14 @@ def motion_name(index: int, script: Script) -> str:
     return f"{index:04d}-{slug[:SLUG_LENGTH].strip('-') or 'motion'}"
 
 
-@dataclass(frozen=True)
-class OutputFormat:
-    """An output format: `write` writes one motion, given the path of its main file.
-
-    `patterns` are a motion's files below the folder, the main one first; `shared` are files of all motions. `fps` is
-    the default framerate (None: the highest of the training data).
-    """
-
-    name: str
-    patterns: tuple[str, ...]
-    write: Callable[[Path, Motion], None]
-    fps: Fraction | None = None
-    shared: tuple[str, ...] = ()
-
-    def files(self, motion: str) -> tuple[PurePosixPath, ...]:
-        """The files of a motion of this name, the main one first."""
-        return tuple(PurePosixPath(pattern.format(motion)) for pattern in self.patterns)
-
-
-@cache
-def output_formats() -> Mapping[str, OutputFormat]:
-    """All output formats by name: a file per motion in every writable format, and HumanML3D's folder."""
-    humanml3d = OutputFormat(
-        "humanml3d",
-        (f"{VECTORS_FOLDER}/{{}}.npy", f"{JOINTS_FOLDER}/{{}}.npy", f"{TEXTS_FOLDER}/{{}}.txt"),
-        _write_humanml3d,
-        fps=HUMANML3D_KIND.layout.fps,
-        shared=(joints_npy.MANIFEST,),
-    )
-    return {**{name: _one_file(format) for name, format in writers().items()}, humanml3d.name: humanml3d}
-
-
-def output_format(name: str, times: tuple[float, ...] = ()) -> OutputFormat:
+def output_format(name: str, times: tuple[float, ...] = ()) -> Format:
     """The output format of a name; raises `UsageError` for an unknown one, or one that does not support `times`."""
-    output = output_formats().get(name)
-    if output is None:
-        raise UsageError(f"--format is one of {', '.join(output_formats())}, not {name!r}")
+    formats = writers()
+    if name not in formats:
+        raise UsageError(f"--format is one of {', '.join(formats)}, not {name!r}")
     if times and name != "npz":
         raise UsageError(f"a {name} file has one framerate: --times goes with --format npz")
-    return output
-
-
-def _one_file(format: Format) -> OutputFormat:
-    def write(path: Path, motion: Motion) -> None:
-        assert format.write is not None
-        with whole_file(path) as temporary:
-            format.write(motion, temporary)
-
-    shared = (format.shared_file,) if format.shared_file else ()
-    return OutputFormat(format.name, (f"{{}}{format.suffixes[0]}",), write, shared=shared)
-
-
-def _write_humanml3d(path: Path, motion: Motion) -> None:
-    """Write motions.json, texts/NAME.txt, new_joints/NAME.npy and new_joint_vecs/NAME.npy [T − 1, 263] (`path`).
-
-    The vectors are at the motion's framerate; the published steps run on the motion (one skeleton, floor, origin,
-    facing Z+). Raises `UsageError` for fewer than two poses.
-    """
-    name, folder = motion.sequence_id, path.parents[1]
-    kind = HUMANML3D_KIND.at(motion.fps)
-    entry = pose_entry(motion, name, kind)
-    if isinstance(entry, Outcome):
-        raise UsageError(f"{name}: {entry.message}")
-    if not (folder / joints_npy.MANIFEST).is_file():
-        write_folder_manifest(folder, kind.layout)
-    if entry.captions:
-        text = format_texts(entry.captions, len(entry.joint_positions) / float(motion.fps))
-        write_whole(folder / TEXTS_FOLDER / f"{name}.txt", text)
-    # The main file last: a motion that has it is complete.
-    for place, array in ((folder / JOINTS_FOLDER / path.name, entry.joint_positions), (path, entry.vectors)):
-        with whole_file(place) as temporary:
-            np.save(temporary, np.asarray(array), allow_pickle=False)
+    return formats[name]
 
 
 @dataclass(frozen=True)
@@ -196,7 +130,7 @@ class Job:
     request: MotionsRequest
     model: GenerativeModel
     run: Path
-    output: OutputFormat
+    output: Format
     seed: int
     sampling: SamplingOptions
     plant: bool = True
@@ -213,7 +147,7 @@ class Job:
     @property
     def fps(self) -> Fraction:
         """Framerate of the files."""
-        return self.request.fps or self.output.fps or self.model.max_training_fps
+        return self.request.fps or self.model.max_training_fps
 
     @property
     def num_joined(self) -> int:
@@ -221,15 +155,15 @@ class Job:
         return sum(is_joined(script, self.model.max_duration_seconds) for script in self.request.motions)
 
     @cached_property
-    def main_files(self) -> list[PurePosixPath]:
-        """Each motion's main file below the folder."""
-        return [self.output.files(motion_name(*each))[0] for each in enumerate(self.request.motions)]
+    def files(self) -> list[str]:
+        """The name of each motion's file."""
+        suffix = self.output.suffixes[0]
+        return [f"{motion_name(*each)}{suffix}" for each in enumerate(self.request.motions)]
 
     def manifest(self) -> dict[str, Any]:
         """The request and the weights' identity: the same manifest gives the same motions."""
         request = self.request
         conditions = [prompt.request for prompts in request.scripts for prompt in prompts]
-        names = [motion_name(*each) for each in enumerate(request.motions)]
         return {
             "format": FORMAT,
             "version": 1,
@@ -251,12 +185,12 @@ class Job:
             "overlap_seconds": request.overlap_seconds if self.num_joined else None,
             "constraints": [each.plain() for each in request.constraints],
             "versions": versions(),
-            "files": [*self.output.shared, *(str(file) for name in names for file in self.output.files(name))],
+            "files": [*filter(None, [self.output.shared_file]), *self.files],
         }
 
     def complete_in(self, folder: Path) -> frozenset[int]:
         """Numbers of the motions whose files are in a folder."""
-        return frozenset(number for number, file in enumerate(self.main_files) if (folder / file).is_file())
+        return frozenset(number for number, file in enumerate(self.files) if (folder / file).is_file())
 
     def write(self, folder: Path) -> Iterator[dict[str, Any]]:
         """Generate and write missing motions one by one; yields facts about each file as JSON.
@@ -272,7 +206,7 @@ class Job:
                 sampling=self.sampling,
                 overlap_seconds=self.request.overlap_seconds,
             ):
-                yield self._write_motion(folder / self.main_files[number], number, field)
+                yield self._write_motion(folder / self.files[number], number, field)
         finally:
             # A row per complete motion, as `motionkit.io.annotations` reads it.
             fps = "" if self.request.times else str(self.fps)
@@ -281,7 +215,7 @@ class Job:
             table.writerow(("file", "captions", "action", "fps"))
             for number in sorted(self.complete_in(folder)):
                 script = self.request.motions[number]
-                table.writerow((self.main_files[number], captions_json(captions_of(script)), action_of(script), fps))
+                table.writerow((self.files[number], captions_json(captions_of(script)), action_of(script), fps))
             write_whole(folder / TABLE, text.getvalue())
 
     def _write_motion(self, path: Path, number: int, field: MotionField) -> dict[str, Any]:
@@ -295,7 +229,9 @@ class Job:
             num_frames = len(times)
         else:
             motion = sample_motion(field, motion_name(number, script), script, self.fps)
-            self.output.write(path, motion)
+            assert self.output.write is not None
+            with whole_file(path) as temporary:
+                self.output.write(motion, temporary)
             num_frames = motion.num_frames
         captions = captions_of(script)
         facts = {

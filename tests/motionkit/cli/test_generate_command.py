@@ -11,7 +11,6 @@ from motionkit.cli.app import build_app
 from motionkit.core.errors import BusyError, FormatError, MotionkitError, UsageError
 from motionkit.core.motion import Caption
 from motionkit.core.skeleton import SMPL22
-from motionkit.features.humanml3d import positions
 from motionkit.generate.models import GenerationRequest
 from motionkit.generate.output import motion_name
 from motionkit.io.npz import read_npz
@@ -80,7 +79,7 @@ def test_framerates_above_the_training_data_warn(run_command, recwarn):
         (("a walk", "--join"), "needs to know how long each text lasts"),
         (("a walk", "--seconds", "30", "--overlap", "6"), "overlap by more than 0 s and up to 5 s, not by 6 s"),
         (("a walk", "a jump", "--seconds", "0.5", "--join"), "part 1 of 2 of a joined motion lasts 0.5 s"),
-        (("a walk", "--format", "fbx"), "one of bvh, amass, joints-npy, npz, csv, robot-csv, gltf, humanml3d"),
+        (("a walk", "--format", "fbx"), "one of bvh, amass, joints-npy, npz, csv, robot-csv, gltf"),
         (("a walk", "--times", "0.5", "--seconds", "1", "--format", "bvh"), "one framerate"),
     ],
 )
@@ -186,23 +185,6 @@ def test_file_names_are_safe_and_short():
     assert len(motion_name(0, (GenerationRequest(1.0, text="a person " * 30),))) <= 45
 
 
-def test_pose_vectors_at_the_published_framerate_and_at_others(run_command, tmp_path):
-    run_command("a walk", "--seconds", "3", "--format", "humanml3d", "--out", "published")
-    run_command("a walk", "--seconds", "3", "--format", "humanml3d", "--fps", "60", "--out", "fast")
-    for name, fps, rows in (("published", "20", 59), ("fast", "60", 179)):
-        folder = tmp_path / name
-        vectors = np.load(folder / "new_joint_vecs" / "0000-a-walk.npy", allow_pickle=False)
-        assert vectors.shape == (rows, 263)
-        # 1 m/s along Z+, per frame.
-        np.testing.assert_allclose(vectors[:, 2], 1 / int(fps), atol=1e-3)
-        np.testing.assert_allclose(positions(vectors, "smpl22"), np.load(folder / "new_joints" / "0000-a-walk.npy"))
-        manifest = json.loads((folder / "motions.json").read_text())
-        assert (manifest["fps"], manifest["published_fps"], manifest["vectors"]) == (fps, "20", "humanml3d")
-        assert (folder / "texts" / "0000-a-walk.txt").read_text().startswith("a walk#")
-        [row] = rows_of(folder / "motions.csv")
-        assert (row["file"], row["fps"]) == ("new_joint_vecs/0000-a-walk.npy", fps)
-
-
 def test_a_file_of_prompts(run_command, tmp_path):
     (tmp_path / "wanted.csv").write_text('text,action,seconds\n"walks, then stops",,2\n,jump,\n')
     report = json.loads(run_command("--prompts", "wanted.csv", "-n", "2", "--fps", "20", "--json").stdout)
@@ -266,9 +248,8 @@ def test_a_call_that_was_killed_while_it_began_is_begun_again(option, run_comman
     assert names(tmp_path / "made") == ["0000-a-walk.npz", "generation.json", "motions.csv"]
 
 
-@pytest.mark.parametrize("file_format", ["npz", "humanml3d"])
-def test_killed_before_any_file_operation_a_call_goes_on_to_the_same_files(file_format, run_command, tmp_path):
-    call = ("a walk", "a jump", "--seconds", "1", "--fps", "5", "--format", file_format, "--resume", "--out")
+def test_killed_before_any_file_operation_a_call_goes_on_to_the_same_files(run_command, tmp_path):
+    call = ("a walk", "a jump", "--seconds", "1", "--fps", "5", "--resume", "--out")
     run_command(*call, "whole")
     expected = contents(tmp_path / "whole")
     killed = 0
@@ -300,7 +281,7 @@ def test_nothing_is_overwritten_unasked(run_command, tmp_path):
     with pytest.raises(UsageError, match="--resume continues them, --overwrite replaces them"):
         run_command("a walk", "--seconds", "1", "--out", "made")
     (tmp_path / "made" / "mine.txt").write_text("mine")
-    run_command("a jump", "--seconds", "1", "--out", "made", "--overwrite", "--format", "humanml3d")
+    run_command("a jump", "--seconds", "1", "--out", "made", "--overwrite", "--format", "bvh")
     run_command("a hop", "--seconds", "1", "--out", "made", "--overwrite")
     left = sorted(path.relative_to(tmp_path / "made").as_posix() for path in (tmp_path / "made").rglob("*.*"))
     assert left == ["0000-a-hop.npz", "generation.json", "mine.txt", "motions.csv"]
