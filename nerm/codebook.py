@@ -29,8 +29,8 @@ from motionkit.data.windows import PositionSource
 from motionkit.features import field
 from motionkit.fields.resample import resample_positions
 from motionkit.store.cache import open_cache
-from motionkit.training.devices import ALONE, Ranks, autocast, float32_products, resolve_device, with_precision_of
-from motionkit.training.loop import seeded_initialisation, set_rate, train_loop
+from motionkit.training.devices import ALONE, Ranks, autocast, resolve_device, with_precision_of
+from motionkit.training.loop import seeded_initialisation, set_rate
 from motionkit.training.stage import StageContext
 from motionkit.training.tensors import (
     CheckpointError,
@@ -416,11 +416,7 @@ def train_codebook(context: StageContext, config: NermConfig) -> None:
     ranks.on_first(partial(write_vectors, source, settings, vectors))
     corpus = vector_corpus(source, settings, vectors)
     training = CodebookTraining(corpus, settings, seed=context.seed, device=device, ranks=ranks)
-    with float32_products(settings.precision):
-        context.fit_budget(training, folder)
-        figures = train_loop(
-            training, folder, steps=training.steps, seed=context.seed, ranks=ranks, on_progress=context.on_progress
-        )
+    figures = context.train(training, folder, settings.precision)
     if not ranks.is_first:
         return
     tensors = {"codes": training.network.quantiser.codes, "mean": corpus.mean, "scale": corpus.scale}

@@ -20,7 +20,7 @@ from motionkit.store.cache import cache_root
 from motionkit.store.reader import Store
 from motionkit.training.conditions import Conditions, ConditionSizes, WindowConditions, guided, window_conditions
 from motionkit.training.config import from_plain, to_plain
-from motionkit.training.devices import ALONE, Ranks, autocast, float32_products, resolve_device, with_precision_of
+from motionkit.training.devices import ALONE, Ranks, autocast, resolve_device, with_precision_of
 from motionkit.training.diffusion.process import (
     Adjust,
     add_noise,
@@ -36,7 +36,6 @@ from motionkit.training.loop import (
     dropout_from,
     seeded_initialisation,
     step_generator,
-    train_loop,
 )
 from motionkit.training.run import RunError, RunFolder
 from motionkit.training.stage import StageContext
@@ -373,11 +372,7 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
         raise _without_captions(f"none of the field's {len(corpus)} training windows", settings)
     folder = context.begin(STAGE_NAME, config, store_fingerprint=store.fingerprint, builds_on=("field",))
     training = DenoiserTraining(settings, corpus, seed=context.seed, device=device, ranks=ranks)
-    with float32_products(settings.precision):
-        context.fit_budget(training, folder)
-        figures = train_loop(
-            training, folder, steps=training.steps, seed=context.seed, ranks=ranks, on_progress=context.on_progress
-        )
+    figures = context.train(training, folder, settings.precision)
     if not ranks.is_first:
         return
     trained = training.finished(

@@ -30,11 +30,10 @@ from motionkit.training.devices import (
     DealtRows,
     Ranks,
     autocast,
-    float32_products,
     resolve_device,
     with_precision_of,
 )
-from motionkit.training.loop import scale_rates, seeded_initialisation, step_generator, train_loop
+from motionkit.training.loop import scale_rates, seeded_initialisation, step_generator
 from motionkit.training.pose_vectors import PoseTensors, VectorScaling, measure_scaling, uniform_of
 from motionkit.training.run import RunError, RunFolder
 from motionkit.training.stage import StageContext
@@ -337,11 +336,7 @@ def train_field(context: StageContext, config: NermConfig) -> None:
         device=device,
         ranks=ranks,
     )
-    with float32_products(settings.precision):
-        context.fit_budget(training, folder)
-        figures = train_loop(
-            training, folder, steps=training.steps, seed=context.seed, ranks=ranks, on_progress=context.on_progress
-        )
+    figures = context.train(training, folder, settings.precision)
     mean, log_variance = training.posteriors()
     if not ranks.is_first:
         return

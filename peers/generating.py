@@ -27,9 +27,9 @@ from motionkit.fields.motion_field import MotionField, Observation
 from motionkit.generate.models import GenerationRequest, SamplingOptions
 from motionkit.training.conditions import Conditions, ConditionSizes
 from motionkit.training.config import Precision, Schedule, from_plain, specialised, to_plain
-from motionkit.training.devices import autocast, float32_products, resolve_device, with_precision_of
+from motionkit.training.devices import autocast, resolve_device, with_precision_of
 from motionkit.training.diffusion.settings import DiffusionConfig
-from motionkit.training.loop import Learner, dropout_from, seeded_initialisation, step_generator, train_loop
+from motionkit.training.loop import Learner, dropout_from, seeded_initialisation, step_generator
 from motionkit.training.pose_vectors import VectorScaling, vector_tensors, vectors_of
 from motionkit.training.run import RunError, RunFolder
 from motionkit.training.stage import Stage, StageContext
@@ -195,9 +195,7 @@ def train_stage(stage: PeerStage, context: StageContext, config: PeerConfig) -> 
         network = stage.make_network(config.network, inputs)
     folder = context.begin(stage.name, config, store_fingerprint=store.fingerprint, builds_on=stage.earlier)
     training = PeerTraining(config, corpus, network, device)
-    with float32_products(config.precision):
-        context.fit_budget(training, folder)
-        figures = train_loop(training, folder, steps=training.steps, seed=context.seed, on_progress=context.on_progress)
+    figures = context.train(training, folder, config.precision)
     tensors = prefixed("network", training.learner.trained_tensors()) | {
         "scaling.mean": corpus.scaling.mean,
         "scaling.scale": corpus.scaling.scale,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Generic
 from motionkit.core import plugins
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import OnProgress, ignore
-from motionkit.training.config import ConfigLike, ConfigT, apply_overrides, flatten, parse_override, to_plain
+from motionkit.training.config import ConfigLike, ConfigT, Precision, apply_overrides, flatten, parse_override, to_plain
 from motionkit.training.run import (
     STAGE_NAME,
     OnMetrics,
@@ -84,6 +84,22 @@ class StageContext:
             "builds_on": self.run.fingerprints(builds_on),
             "budget_seconds": self.budget_seconds,
         }
+
+    def train(self, training: "Rescheduled", folder: StageFolder, precision: Precision) -> dict[str, float]:
+        """Run a training's steps, as many as the budget allows if there is one; returns the figures of `train_loop`."""
+        from motionkit.training.devices import float32_products
+        from motionkit.training.loop import train_loop
+
+        with float32_products(precision):
+            self.fit_budget(training, folder)
+            return train_loop(
+                training,
+                folder,
+                steps=training.steps,
+                seed=self.seed,
+                ranks=self.ranks,
+                on_progress=self.on_progress,
+            )
 
     def fit_budget(self, trainable: "Rescheduled", folder: StageFolder) -> None:
         """Set a training's number of steps by the budget, if there is one; errors as in `plan_steps`."""

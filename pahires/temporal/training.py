@@ -13,8 +13,8 @@ from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import Feet, Skeleton
 from motionkit.data.rotation_sequences import open_rotation_sequences
 from motionkit.training.config import from_plain, to_plain
-from motionkit.training.devices import autocast, float32_products, resolve_device
-from motionkit.training.loop import Learner, dropout_from, seeded_initialisation, train_loop
+from motionkit.training.devices import autocast, resolve_device
+from motionkit.training.loop import Learner, dropout_from, seeded_initialisation
 from motionkit.training.pose_vectors import VectorScaling
 from motionkit.training.run import RunFolder
 from motionkit.training.stage import StageContext
@@ -139,9 +139,7 @@ def train_network(context: StageContext, stage: str, config: TemporalConfig, mak
     with seeded_initialisation(context.seed, stage):
         network = make(config, takes.num_features)
     training = TemporalTraining(network, WindowSampler(takes, settings), seed=context.seed, device=device)
-    with float32_products(settings.precision):
-        context.fit_budget(training, folder)
-        figures = train_loop(training, folder, steps=training.steps, seed=context.seed, on_progress=context.on_progress)
+    figures = context.train(training, folder, settings.precision)
     tensors = prefixed("network", training.learner.trained_tensors()) | prefixed(
         "scaling", {"mean": training.scaling.mean, "scale": training.scaling.scale}
     )

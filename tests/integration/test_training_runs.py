@@ -13,7 +13,6 @@ from pathlib import Path
 import pytest
 import torch
 
-import nerm.field_training as field_stage
 from motionkit.core.errors import DamagedFileError
 from motionkit.core.files import RECORD, write_json
 from motionkit.training import devices, loop
@@ -40,7 +39,7 @@ def one_thread() -> Iterator[None]:
 def two_lines() -> Iterator[None]:
     """The field logs its fifth step too."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(field_stage, "train_loop", partial(loop.train_loop, log_every=5))
+        patch.setattr(loop, "train_loop", partial(loop.train_loop, log_every=5))
         yield
 
 
@@ -105,7 +104,6 @@ from pathlib import Path
 import torch
 from motionkit.training import loop
 from motionkit.training.loop import step_generator
-import nerm.field_training as field_stage
 from tests.helpers.tiny import train_stage
 
 def killing(seed, purpose, step):
@@ -115,7 +113,7 @@ def killing(seed, purpose, step):
 
 torch.set_num_threads(1)
 loop.step_generator = killing
-field_stage.train_loop = partial(loop.train_loop, checkpoint_seconds=0.0, log_every=5)
+loop.train_loop = partial(loop.train_loop, checkpoint_seconds=0.0, log_every=5)
 train_stage("field", Path(sys.argv[1]), Path(sys.argv[2]))
 """
 
