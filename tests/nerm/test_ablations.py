@@ -1,7 +1,5 @@
 """Every row of the ablation tables is a value of the configuration, trains, and differs in what it says alone."""
 
-from fractions import Fraction
-
 import numpy as np
 import pytest
 import torch
@@ -134,18 +132,3 @@ class TestFixedFramerate:
         ]
         with pytest.raises(UsageError, match=r"no training sequence has 250 fps .* the fastest has 120"):
             training_windows(source, _settings("nano", "field.clips.fixed_fps=250"))
-
-    def test_the_framerate_is_exact(self) -> None:
-        assert _settings("nano", "field.clips.fixed_fps=30000/1001").clips.fixed_framerate == Fraction(30000, 1001)
-        assert _settings("nano", "field.clips.fixed_fps=12.5").clips.fixed_framerate == Fraction(25, 2)
-        assert _settings("nano").clips.fixed_framerate is None
-
-
-def test_one_framerate_and_short_windows_are_reported() -> None:
-    source = analytic_source(rates=(30, 30), seconds=1.0)
-    config = _settings("paper")
-    windows = training_windows(source, config)
-    one, short = remarks(source, windows, config)
-    assert "every training sequence has 30 fps" in one
-    assert "2 of 2 windows are shorter than a clip of field.clips.num_poses=32" in short
-    assert remarks(analytic_source(), training_windows(analytic_source(), config), config) == []

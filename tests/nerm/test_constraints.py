@@ -9,11 +9,9 @@ import pytest
 import torch
 
 from motionkit.core.skeleton import SMPL22
-from motionkit.features.rotations import RotationVectors, smpl_rig
 from motionkit.fields.contact.legs import legs_of
 from motionkit.fields.motion_field import to_motion
 from motionkit.generate.constraints import Constraint
-from motionkit.training.pose_vectors import joints_of
 from nerm.constraints import ConstraintCost, FootSliding, Search
 from tests.helpers.analytic import analytic_motion
 
@@ -99,13 +97,3 @@ def test_feet_that_stand_cost_what_they_slide() -> None:
     base = float(feet.cost(torch.zeros(6)))
     assert float(sliding.cost(torch.zeros(6))) - base > 10.0
     assert float(rising.cost(torch.zeros(6))) == pytest.approx(base, rel=1e-4)
-
-
-def test_joints_of_rotations_are_those_that_are_decoded() -> None:
-    rng = np.random.default_rng(1)
-    vectors = RotationVectors(smpl_rig(rng.normal(size=(22, 3)).astype(np.float32)))
-    numbers = rng.normal(size=(5, vectors.num_features)).astype(np.float32)
-    seconds = np.arange(5.0)
-    expected = vectors.decode(numbers, seconds, seconds).joint_positions
-    found = joints_of(torch.from_numpy(numbers), vectors)
-    np.testing.assert_allclose(found.numpy(), expected, atol=1e-4)

@@ -16,7 +16,7 @@ from motionkit.data.windows import cut_windows
 from motionkit.fields.completion import complete
 from motionkit.fields.motion_field import MotionEncoder, Observation, Poses, to_motion
 from motionkit.training.pose_vectors import PoseTensors
-from nerm.encoding import NermEncoder, effect_of_numbers, encode_by_optimisation, minimise_each, starting_latents
+from nerm.encoding import NermEncoder, encode_by_optimisation, minimise_each
 from nerm.field import TrainedField
 from nerm.field_training import FieldTraining
 from tests.helpers.nerm_corpus import FPS, analytic_positions, analytic_source
@@ -125,20 +125,3 @@ def test_each_row_is_minimised_by_itself() -> None:
     found = minimise_each(objective, start, 80)
     torch.testing.assert_close(found, torch.ones_like(start), atol=1e-6, rtol=0.0)
     assert torch.equal(minimise_each(objective, start[:1], 80), found[:1])
-
-
-def test_numbers_are_searched_in_units_of_their_effect(small_field: TrainedField) -> None:
-    batch = PoseTensors.of(small_poses().evenly(np.arange(4), 61))
-    encoded = small_field.network.encode_coordinates(batch.coordinates, batch.fps)
-    start = starting_latents(small_field, batch)
-    effect = effect_of_numbers(small_field, start, encoded, batch.fps)
-    here = small_field.network.decode(start, encoded, batch.fps)
-    moved = [
-        small_field.network.decode(start + 1e-2 * number, encoded, batch.fps)
-        for number in torch.eye(small_field.latent_dimension)
-    ]
-    measured = torch.stack([(each - here).square().sum(dim=(1, 2)).sqrt() for each in moved], dim=1)
-    assert float(measured.max() / measured.min()) > 30.0
-    for estimate, true in zip(effect, measured, strict=True):
-        # Estimated from a few random signs.
-        assert float(torch.corrcoef(torch.stack((estimate.log(), true.log())))[0, 1]) > 0.8

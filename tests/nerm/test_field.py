@@ -90,29 +90,6 @@ def test_a_transformer_decoders_motion_is_a_function_of_time(monkeypatch: pytest
     assert np.abs(alone - fast[17]).max() > 1e-3
 
 
-@pytest.mark.parametrize("rate", [30.0, 120.0])
-def test_durations_share_the_coordinate_branch(small_field: TrainedField, rate: float) -> None:
-    fps = Fraction(30)
-    assert small_field.network.fourier is not None
-    encoded: list[int] = []
-    counted = small_field.network.fourier.register_forward_hook(lambda *_: encoded.append(1))
-    for seconds in (1.0, 4.0, 0.0, 3.5):
-        times = np.arange(int(seconds * rate) + 1) / rate
-        poses = small_field.decode(small_field.posterior_mean[:1], times, fps)[0]
-        some = small_field.decode(small_field.posterior_mean[:1], times[:1], fps)[0]
-        np.testing.assert_allclose(some[0], poses[0], atol=1e-5)
-    counted.remove()
-    # One for the grid, and for single instants, which lie on the grid at the framerate.
-    assert len(encoded) <= 2
-    vectors = small_field.network(
-        small_field.posterior_mean[:1],
-        torch.from_numpy(times[None] / 2 - 1),
-        torch.tensor([float(fps)], dtype=torch.float64),
-    )
-    expected = small_field.vectors.decode(small_field.scaling.invert(vectors)[0].numpy(), times, times)
-    np.testing.assert_allclose(poses, expected.joint_positions, atol=1e-5)
-
-
 def test_only_the_batch_s_latents_move() -> None:
     training = small_training(apply_overrides(SMALL, ["schedule.batch_size=1", "clips.seconds_per_visit=10.0"]))
     before = training.mean.table.clone()

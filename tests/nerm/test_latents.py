@@ -26,7 +26,6 @@ from nerm.latents import (
     local_latents,
     measured_space,
     mix,
-    path_speed,
     placed,
     places_of,
     relative_to,
@@ -41,25 +40,10 @@ KERNELS: list[Kernel] = ["hann", "lanczos"]
 TIMES = torch.linspace(-1, 1, 301, dtype=torch.float64)
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_a_steady_walk_goes_on_beyond_the_first_and_the_last_knot(kernel: Kernel) -> None:
-    layout = KnotLayout(12, kernel, 2.0, 0)
-    walked = layout.interpolant(TIMES) @ layout.centres()
-    assert float((walked - TIMES).abs().max()) < 0.1 * layout.spacing
-
-
 def test_lanczos_passes_through_inner_knots_and_hann_does_not() -> None:
     lanczos, hann = (KnotLayout(9, kernel, 2.0, 0) for kernel in ("lanczos", "hann"))  # type: ignore[arg-type]
     torch.testing.assert_close(lanczos.interpolant(lanczos.centres()), torch.eye(9, dtype=torch.float64))
     assert float(hann.interpolant(hann.centres())[4, 4]) == pytest.approx(0.5)
-
-
-def test_an_instant_sees_the_knots_within_reach() -> None:
-    layout = KnotLayout(10, "hann", 2.0, 3)
-    basis = layout.basis(TIMES)
-    assert basis.shape == (301, 7, 10)
-    far = (TIMES[:, None] - layout.centres()).abs() >= 2.0 * layout.spacing
-    assert not basis[far[:, None].expand_as(basis)].any()
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
@@ -132,13 +116,6 @@ def test_poses_relative_to_a_path_come_back() -> None:
     generator = torch.Generator().manual_seed(4)
     vectors, path = torch.randn(3, 5, 66, generator=generator), 3 * torch.randn(3, 5, 3, generator=generator)
     torch.testing.assert_close(placed(relative_to(vectors, path), path), vectors, atol=1e-5, rtol=1e-5)
-
-
-def test_somebody_who_walks_ahead_feels_forward_speed() -> None:
-    heading = torch.tensor([0.3, 2.0, -1.1])
-    ahead = torch.stack((torch.sin(heading), torch.cos(heading), torch.zeros(3)), dim=-1)
-    felt = path_speed(ahead, torch.stack((torch.ones(3), torch.ones(3), heading), dim=-1))
-    torch.testing.assert_close(felt, torch.tensor([[0.0, 1.0, 0.0]]).expand(3, 3), atol=1e-6, rtol=0)
 
 
 def test_z_goes_by_stretches_of_time() -> None:
@@ -331,10 +308,3 @@ def test_numbers_that_nobody_uses_do_not_count() -> None:
     space = measured_space(torch.where(used, draws, torch.full_like(draws, 1000.0)), used, BANKS, "number")
     assert float(space.mean.abs().max()) < 0.2
     assert space.deviation[~used[0]].tolist() == [1.0] * int((~used[0]).sum())
-
-
-def test_components_share_a_scale_over_all_knots() -> None:
-    kinds = kinds_of_numbers(BANKS.dimension, BANKS, "component")
-    # A path's first position is no step: its three numbers are kinds of their own.
-    assert torch.bincount(kinds).sort().values.tolist() == [1, 1, 1, 3, 3, 3, 4, 4, 4, 8, 8]
-    assert kinds_of_numbers(256, None, "component").tolist() == list(range(256))

@@ -10,13 +10,10 @@ from motionkit.training.conditions import Conditions, ConditionSizes
 from motionkit.training.config import apply_overrides
 from nerm.latents import ALWAYS, in_use
 from nerm.network import (
-    CodebookCoordinateAttention,
     Denoiser,
     FieldNetwork,
-    FourierFeatures,
     attention,
     distinct,
-    frame_numbers,
 )
 from nerm.recipes import RECIPES
 from nerm.settings import FieldConfig, TransformerConfig
@@ -140,15 +137,6 @@ def test_the_codebook_is_frozen_and_travels_with_the_weights() -> None:
         FieldNetwork(TINY, 66)
 
 
-def test_attention_adds_to_the_features() -> None:
-    attention = CodebookCoordinateAttention(CODES, width=16, num_queries=8, heads=4, layers=3)
-    for weight in (attention.to_prototypes.merge, attention.to_prototypes.feed_forward[2]):
-        torch.nn.init.zeros_(weight.weight)
-        torch.nn.init.zeros_(weight.bias)
-    features = torch.randn(11, 16)
-    torch.testing.assert_close(attention(features), features)
-
-
 def test_the_decoder_is_the_paper_s() -> None:
     config = RECIPES["paper"]().field
     decoder, encoder = config.decoder, config.encoder
@@ -163,19 +151,6 @@ def test_instants_reached_at_two_framerates_are_one_coordinate() -> None:
     values, which = distinct(-1 + 2 * seconds / 10)
     assert len(values) == 4
     assert torch.equal(which[0], which[1])
-
-
-def test_frame_numbers_count_from_one_at_each_clip_s_framerate() -> None:
-    coordinates = torch.tensor([[-1.0, -1.0 + 0.2 / 20], [-1.0, 1.0]], dtype=torch.float64)
-    numbers = frame_numbers(coordinates, torch.tensor([20.0, 120.0], dtype=torch.float64), 10.0)
-    torch.testing.assert_close(numbers, torch.tensor([[1.0, 2.0], [1.0, 1201.0]], dtype=torch.float64))
-
-
-def test_periodic_fourier_features_have_no_seam() -> None:
-    period = 0.125
-    features = FourierFeatures(16, 20.0, period)
-    t = torch.rand(9, dtype=torch.float64)
-    torch.testing.assert_close(features(t), features(t + 3 * period), atol=1e-5, rtol=0)
 
 
 def test_a_local_latent_means_the_same_at_every_knot() -> None:
@@ -251,11 +226,6 @@ def test_what_a_motion_does_not_depend_on_is_neither_read_nor_put_out() -> None:
     torch.testing.assert_close(changed, out, rtol=0, atol=0)
     alone = denoiser(latents[:1], steps[:1], conditions.rows(slice(0, 1)))
     torch.testing.assert_close(alone, out[:1], rtol=1e-5, atol=1e-6)
-
-
-def test_a_latent_that_cannot_be_cut_is_refused() -> None:
-    with pytest.raises(ValueError, match="cannot be cut"):
-        Denoiser(TransformerConfig(latent_tokens=3), torch.full((256,), ALWAYS), LAYOUT)
 
 
 def test_attention_in_bfloat16_is_that_in_float32() -> None:
