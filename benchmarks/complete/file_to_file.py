@@ -22,12 +22,12 @@ PIECE_SECONDS = 60.0
 FLOOR = """
 import sys
 from pathlib import Path
-from motionkit.io import number_table
+from motionkit.io import source_file
 from motionkit.io.bvh import split_text
 path, repeats = Path(sys.argv[1]), int(sys.argv[2])
 head, body = split_text(path.read_bytes(), path)
-table = number_table.read_table(body, head.num_frames, head.hierarchy.num_channels, path, head.body_line)
-Path(sys.argv[3]).write_bytes(number_table.format_table(table.repeat(repeats, axis=0)))
+table = source_file.read_table(body, head.num_frames, head.num_channels, path, head.body_line)
+Path(sys.argv[3]).write_bytes(source_file.format_table(table.repeat(repeats, axis=0)))
 """
 COMPLETE = "from motionkit.cli.app import main; main()"
 
@@ -35,7 +35,7 @@ COMPLETE = "from motionkit.cli.app import main; main()"
 def write_clip(path: Path, minutes: float) -> None:
     """A BVH file at 30 fps: a minute's motion, repeated forwards and backwards."""
     from motionkit.fields.motion_field import to_motion
-    from motionkit.io.bvh_writing import write_bvh
+    from motionkit.io.bvh import write_bvh
     from tests.helpers.analytic import analytic_motion
 
     field = analytic_motion("walk", PIECE_SECONDS)

@@ -29,7 +29,7 @@ from pymotion.io.bvh import BVH
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from motionkit.io.bvh import cached_hierarchy, read_bvh
+from motionkit.io.bvh import parse_hierarchy, read_bvh
 
 pa.set_cpu_count(1)
 
@@ -110,7 +110,7 @@ def measure(files: list[Path], repeats: int) -> dict[str, Any]:
     ours(files[0]), peer(files[0]), numpy_scipy(files[0]), arrow(blocks[0])
     best = [dict.fromkeys(seconds, float("inf")) for _ in files]
     for _ in range(repeats):
-        cached_hierarchy.cache_clear()
+        parse_hierarchy.cache_clear()
         for name, work, arguments in (
             ("motionkit", ours, files),
             ("pymotion", peer, files),

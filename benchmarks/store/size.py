@@ -16,7 +16,6 @@ from rich.table import Table
 
 from benchmarks.command import arguments_parser, print_json
 from motionkit.cli.console import stdout
-from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import scan
 from motionkit.store import StoreWriter

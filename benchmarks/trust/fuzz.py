@@ -30,9 +30,8 @@ from motionkit.core.errors import MotionkitError
 from motionkit.core.skeletons.mapping import read_skeleton_map
 from motionkit.generate.request import read_prompts
 from motionkit.io.indexes import read_index
-from motionkit.io.reading import read, read_rules
 from motionkit.io.registry import ReadOptions, readers
-from motionkit.io.scan import scan
+from motionkit.io.scan import read, read_rules, scan
 from tests.helpers import published_layouts
 from tests.helpers.every_format import SOURCES
 from tests.helpers.side_files import BESIDE, RULES

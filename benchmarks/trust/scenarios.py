@@ -151,7 +151,7 @@ SCENARIOS: dict[str, Scenario] = {
 def write_takes(folder: str, first: str, count: str, seconds: str) -> None:
     """Write takes FIRST … FIRST + COUNT − 1 of so many seconds as BVH files, with a table of captions and splits."""
     from motionkit.fields.motion_field import to_motion
-    from motionkit.io.bvh_writing import write_bvh
+    from motionkit.io.bvh import write_bvh
     from tests.helpers.analytic import analytic_motion
 
     path, rows = Path(folder), ["file,fps,action,subject,caption,split\n"]

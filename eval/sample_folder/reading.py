@@ -30,8 +30,8 @@ from motionkit.features.statistics import Statistics
 from motionkit.io import humanml3d, joints_npy, npy, source_file, texts
 from motionkit.io.annotations import Annotation
 from motionkit.io.npy import MAX_NUMBER
-from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions, SourceItem
+from motionkit.io.scan import read
 
 MOST_SIDECAR_BYTES = 1 << 16
 CHECKED_ROWS = 20_000

@@ -76,7 +76,7 @@ def _show_file(path: Path, up: str | None, init: Path | None, as_json: bool) -> 
     from motionkit.core.files import write_whole
     from motionkit.core.skeletons.mapping import draft_map
     from motionkit.io.files import read_all
-    from motionkit.io.reading import NO_FRAMERATE
+    from motionkit.io.scan import NO_FRAMERATE
     from motionkit.store.reports import describe_motion, describe_rig
 
     if init is not None and init.exists():

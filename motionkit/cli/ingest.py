@@ -92,8 +92,8 @@ def ingest(
     is refused. The result does not depend on the engine or the number of workers.
 
     Example: motionkit ingest takes"""
-    from motionkit.io.reading import read_rules
     from motionkit.io.registry import IndexOptions
+    from motionkit.io.scan import read_rules
     from motionkit.store.ingest import ingest as ingest_sources
 
     if not index and (texts or splits or mirrored or compat):

@@ -17,7 +17,7 @@ from motionkit.core.kinematics import forward_kinematics, rotation_vector_to_qua
 from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io.bvh_writing import write_bvh
+from motionkit.io.bvh import write_bvh
 
 FOLDER = Path(__file__).parent
 RADIANS_PER_STEP = np.pi / 32767

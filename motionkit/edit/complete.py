@@ -28,7 +28,7 @@ from motionkit.fields.anchoring import anchored
 from motionkit.fields.completion import begin_completion
 from motionkit.fields.contact.planted import planted
 from motionkit.fields.rig import on_bones
-from motionkit.io.bvh_writing import KnownFrames
+from motionkit.io.bvh import KnownFrames
 
 # More than a minute of extrapolation is probably a typo.
 LONGEST_REACH_SECONDS = 60.0

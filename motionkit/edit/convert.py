@@ -21,7 +21,7 @@ from motionkit.edit.motions import (
 )
 from motionkit.fields.resample import resample
 from motionkit.io.body_frame import GIVEN_AXES, log_lines, turned
-from motionkit.io.bvh_writing import KnownFrames
+from motionkit.io.bvh import KnownFrames
 from motionkit.io.character import Character, read_character
 from motionkit.io.files import read_options
 from motionkit.io.registry import ReadOptions

@@ -20,7 +20,7 @@ from motionkit.edit.motions import (
 from motionkit.fields.contact.correction import Path as BodyPath
 from motionkit.fields.contact.detection import runs
 from motionkit.fields.contact.planted import Planting, planted_frames
-from motionkit.io.bvh_writing import KnownFrames
+from motionkit.io.bvh import KnownFrames
 
 MOVED_METRES = 2e-5
 # Smaller changes are not worth a word.

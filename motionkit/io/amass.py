@@ -205,6 +205,5 @@ FORMAT = Format(
     write=write_amass,
     suffixes=(".npz",),
     accepts=accepts,
-    beside=("shape.npz", "*_stagei.npz"),
     turns_up=True,
 )

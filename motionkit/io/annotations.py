@@ -32,10 +32,7 @@ COLUMNS = frozenset(
 )
 # Columns that motionkit itself writes, for information and for its own checks.
 OTHER_COLUMNS = frozenset(("file", "sequence_id", "seconds", "files_sha256", "checksum"))
-SHOWN = 5
 CAPTION_KEYS = frozenset(("text", "start_seconds", "end_seconds", "tokens"))
-# In bytes, on Linux.
-LONGEST_NAME, LONGEST_PATH = 255, 4096
 
 
 class Annotation(TypedDict, total=False):
@@ -139,23 +136,17 @@ def annotated(item: SourceItem, tables: Iterable[AnnotationTable]) -> SourceItem
 def _unknown_columns(names: Sequence[str], path: Path) -> Iterator[FormatError]:
     unknown = [name for name in names if name not in COLUMNS | OTHER_COLUMNS]
     if unknown:
-        listed = _listed([f"{shown(name)}{suggestion(name, COLUMNS)}" for name in unknown])
-        message = f"{'columns that are' if len(unknown) > 1 else 'a column that is'} not read: {listed}"
-        yield FormatError(message, path=path, reason="unknown-column", line=1)
+        listed = ", ".join(f"{shown(name)}{suggestion(name, COLUMNS)}" for name in unknown)
+        yield FormatError(f"columns that are not read: {listed}", path=path, reason="unknown-column", line=1)
 
 
 def _unknown_splits(rows: Iterable[Annotation], path: Path) -> Iterator[FormatError]:
     unknown = [row for row in rows if row.get("split", SPLITS[0]) not in SPLITS]
     if unknown:
         counts = Counter(f"{shown(row['split'])}{suggestion(row['split'], SPLITS)}" for row in unknown)
-        listed = _listed([f"{split} in {count:,} row{'s'[: count > 1]}" for split, count in counts.most_common()])
+        listed = ", ".join(f"{split} in {count:,} rows" for split, count in counts.most_common())
         message = f"split {listed}; commands know {', '.join(SPLITS)}"
         yield FormatError(message, path=path, reason="unknown-split", line=unknown[0]["line"])
-
-
-def _listed(words: Sequence[str]) -> str:
-    more = f" and {len(words) - SHOWN:,} more" if len(words) > SHOWN else ""
-    return ", ".join(words[:SHOWN]) + more
 
 
 def _inside(name: str | None, folder: Path, path: Path, line: int) -> Path:
@@ -166,9 +157,6 @@ def _inside(name: str | None, folder: Path, path: Path, line: int) -> Path:
     target = os.path.normpath(f"{within}/{relative}")
     if not name or "\0" in name or relative.startswith("/") or not f"{target}/".startswith(f"{within}/"):
         message = f"file {shown(name)} is empty or leaves the folder; expected a path inside it"
-        raise FormatError(message, path=path, reason="path", line=line)
-    if len(target.encode()) >= LONGEST_PATH or max(len(part.encode()) for part in relative.split("/")) > LONGEST_NAME:
-        message = f"file {shown(name)} is longer than a file's name can be"
         raise FormatError(message, path=path, reason="path", line=line)
     return Path(target)
 
@@ -188,16 +176,11 @@ def _annotation(row: Mapping[str, str | None], path: Path, line: int) -> Annotat
             stated["fps"] = parse_fps(cells["fps"])
         except ValueError as error:
             raise fault("fps", error, "frame-time") from None
-    if "num_frames" in cells:
-        number = whole_number(cells["num_frames"])
-        if not number:
-            raise fault("num_frames", "expected how many frames are motion")
-        stated["num_frames"] = number
-    if "skip_frames" in cells:
-        number = whole_number(cells["skip_frames"])
-        if number is None:
-            raise fault("skip_frames", "expected how many frames to leave out at the start")
-        stated["skip_frames"] = number
+    numbers = {name: whole_number(cells[name]) for name in ("num_frames", "skip_frames") if name in cells}
+    for name, number in numbers.items():
+        if number is None or (name == "num_frames" and number == 0):
+            raise fault(name, "expected a number of frames")
+    stated.update(cast(Annotation, numbers))
     sentences = dict.fromkeys(cells[name] for name in ("caption", "caption_kit") if name in cells)
     try:
         more = [_caption(value) for value in parse_json(cells.get("captions", "[]"))]

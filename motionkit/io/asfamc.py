@@ -21,8 +21,8 @@ from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import MAX_JOINTS, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import source_file
-from motionkit.io.number_table import INLINE_BYTES, Words, blocks, find_words, parse_number, to_numbers
 from motionkit.io.registry import Format, ReadOptions, of_path
+from motionkit.io.source_file import INLINE_BYTES, find_words, parse_number, to_numbers
 
 ROTATIONS = {"rx": "X", "ry": "Y", "rz": "Z"}
 ROOT_CHANNELS: tuple[str, ...] = ("tx", "ty", "tz", "rx", "ry", "rz")
@@ -307,21 +307,18 @@ def _skeleton(name: str, bones: tuple[AsfBone, ...], parents: Mapping[str, str],
 def parse_amc(data: bytes, path: Path) -> AmcTable:
     """The channel values of all frames; raises `FormatError` naming the line and the frame.
 
-    Files whose frames all have the layout of the first one, as those written by programs do, are parsed by array
-    operations.
+    Files whose frames all have the lines of the first one, as those written by programs do, are read as a table.
     """
     start = re.search(rb"(?m)^[ \t]*\d+[ \t]*\r?$", data)
-    if start is None or b":FULLY-SPECIFIED" not in data[: start.start()].upper():
-        raise FormatError(
-            f"looks like {source_file.describe_content(data)}, expected an AMC file with :FULLY-SPECIFIED and frames",
-            path=path,
-            reason="not-what-it-says",
-        )
-    if b":RADIANS" in data[: start.start()].upper():
+    head = data[: start.start()].upper() if start else b""
+    if start is None or b":FULLY-SPECIFIED" not in head:
+        message = f"looks like {source_file.describe_content(data)}, expected an AMC file with :FULLY-SPECIFIED and "
+        raise FormatError(message + "frames", path=path, reason="not-what-it-says")
+    if b":RADIANS" in head:
         raise FormatError("angles in radians, expected :DEGREES", path=path, reason="radians")
-    body = data[start.start() :].strip() + b"\n"
+    body = data[start.start() :].strip()
     second = re.search(rb"\n[ \t]*\d+[ \t\r]*\n", body)
-    first = body if second is None else body[: second.start() + 1]
+    first = body if second is None else body[: second.start()]
     words = [line.split() for line in first.splitlines()[1:] if line.strip()]
     if not words:
         line = data[: start.start()].count(b"\n") + 1
@@ -330,50 +327,28 @@ def parse_amc(data: bytes, path: Path) -> AmcTable:
     values = _parse_regular(body, first)
     if values is None:
         return _parse_lines(data, bones, path)
-    numbers = values[:, 0]
-    return AmcTable(np.delete(values, 0, axis=1), bones, int(numbers[0]))
+    return AmcTable(np.ascontiguousarray(values[:, 1:]), bones, int(values[0, 0]))
 
 
 def _parse_regular(body: bytes, first: bytes) -> Float64[np.ndarray, "frames values"] | None:
-    # Frame numbers and channel values, or None if a frame deviates from the first one's layout: the same names at the
-    # same positions in the same lines, and numbers elsewhere.
-    pattern = find_words(first)
-    width = len(pattern.starts)
-    is_name = pattern.opens_line.copy()
-    is_name[0] = False
-    names = pattern.take(np.flatnonzero(is_name))
-    if names.lengths.max(initial=0) > INLINE_BYTES:
+    """Frame numbers and channel values; None if a frame has other words than names where the first one has names."""
+    pattern, words = find_words(first), find_words(body)
+    is_name = np.array([place == 0 for line in first.splitlines() for place, _ in enumerate(line.split())])
+    is_name[0] = False  # the frame's number
+    longest = int(pattern.lengths[is_name].max())
+    if len(words.starts) % len(is_name) or longest > INLINE_BYTES:
         return None
-    frames = []
-    rest = b""
-    for block in blocks(body):
-        words = find_words(rest + block)
-        whole = len(words.starts) // width * width
-        if not whole:
-            return None
-        rest = words.padded[words.starts[whole] :].rstrip() + b"\n" if whole < len(words.starts) else b""
-        places = np.arange(whole).reshape(-1, width)
-        opens_line = words.opens_line[places]
-        if (opens_line != pattern.opens_line).any() or not _same_words(words.take(places[:, is_name]), names):
-            return None
-        values = to_numbers(words.take(places[:, ~is_name]))
-        if values is None:
-            return None
-        frames.append(values.reshape(len(places), -1))
-    numbers = np.concatenate(frames)
-    if rest or (np.diff(numbers[:, 0]) != 1).any() or numbers[0, 0] % 1:
+    starts, lengths = (each.reshape(-1, len(is_name)) for each in (words.starts, words.lengths))
+    letters, expected = (
+        each.windows(INLINE_BYTES)[places.ravel()].view(np.uint8).reshape(len(places), -1, INLINE_BYTES)
+        for each, places in ((words, starts[:, is_name]), (pattern, pattern.starts[None, is_name]))
+    )
+    beyond = np.arange(INLINE_BYTES) >= pattern.lengths[is_name, None]
+    if (lengths[:, is_name] != pattern.lengths[is_name]).any() or not ((letters == expected) | beyond).all():
         return None
-    return numbers
-
-
-def _same_words(words: Words, expected: Words) -> bool:
-    # Whether the words are the expected ones, repeated; only the first 12 bytes are compared.
-    repeats = len(words.starts) // max(1, len(expected.starts))
-    if (words.lengths.reshape(repeats, -1) != expected.lengths).any():
-        return False
-    counts = np.arange(INLINE_BYTES) < expected.lengths[:, None]
-    letters = words.inline().view(np.uint8).reshape(repeats, -1, INLINE_BYTES)
-    return bool(((letters == expected.inline().view(np.uint8).reshape(-1, INLINE_BYTES)) | ~counts).all())
+    numbers = to_numbers(words._replace(starts=starts[:, ~is_name].ravel(), lengths=lengths[:, ~is_name].ravel()))
+    values = None if numbers is None else numbers.reshape(len(starts), -1)
+    return None if values is None or (np.diff(values[:, 0]) != 1).any() or values[0, 0] % 1 else values
 
 
 def _parse_lines(data: bytes, bones: tuple[tuple[str, int], ...], path: Path) -> AmcTable:
@@ -456,6 +431,4 @@ FORMAT = Format(
     name="asfamc",
     read=of_path(read_asfamc),
     suffixes=(".amc",),
-    beside=("*.asf",),
-    begins=b":FULLY-SPECIFIED",
 )

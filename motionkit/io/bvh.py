@@ -4,15 +4,16 @@ Channels are degrees and file units; a joint's rotation is the product of its ro
 they are listed; position channels replace the joint's OFFSET. Source: M. Meredith and S. Maddock, "Motion Capture File
 Formats Explained", University of Sheffield CS-01-11, 2001.
 
-`read_bvh` reads a file's motion. `read_document` also keeps its text, its lines and its numbers, from which
-`bvh_writing` writes the file again.
+`read_bvh` reads a file's motion. `read_document` also keeps its text, its lines and its numbers, with which
+`rewrite_bvh` writes the file again with other frames. `write_bvh` writes any motion.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,9 +26,8 @@ from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64
 from motionkit.core.skeleton import MAX_JOINTS, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, body_axis, rest_positions, with_layout_map
 from motionkit.core.timegrid import TimeGrid, parse_fps
-from motionkit.io import body_frame, number_table, source_file
-from motionkit.io.body_frame import infer_up, log_lines, skeleton_to_y_up, to_y_up, turn_of
-from motionkit.io.number_table import parse_number
+from motionkit.io import body_frame, source_file
+from motionkit.io.body_frame import from_y_up, infer_up, log_lines, skeleton_to_y_up, to_y_up, turn_of
 from motionkit.io.registry import Format, ReadOptions, of_path
 
 if TYPE_CHECKING:
@@ -42,9 +42,12 @@ T_POSE_DROPPED = "frame 0 dropped: a T-pose (root unturned, all angles whole deg
 NO_BONE = 1e-3
 # The arrays of so many frames fit into a core's cache.
 BLOCK_FRAMES = 4096
-LARGEST_HEAD_BYTES = 64 << 20
-# Of blank lines at the end of a file.
-LONGEST_END_BYTES = 1 << 16
+WRITTEN_DECIMALS = 6
+# Tolerance of written positions against the expected ones, and of rotations, which are float32.
+_SAME_METRES = 2e-6
+_SAME_RADIANS = 2e-6
+# Gimbal lock: nearer to the pole than this cosine, only the sum of the first and the last angle is determined.
+_POLE_COSINE = 1e-5
 _MOTION = re.compile(rb"(?m)^[ \t]*MOTION[ \t]*\r?$")
 _NAN = re.compile(rb"(?i)(?<![^\s])[-+]?nan(?![^\s])")
 _BLANK = bytes(range(33))
@@ -64,31 +67,23 @@ class BvhJoint:
 
 
 @dataclass(frozen=True)
-class BvhHierarchy:
-    """The joints in file order (parents first) and the number of channels of one frame."""
-
-    joints: tuple[BvhJoint, ...]
-    num_channels: int
-
-    def joints_by_order(self) -> dict[str, list[int]]:
-        """The joints with rotation channels, by the order of their axes."""
-        orders: dict[str, list[int]] = {}
-        for index, joint in enumerate(self.joints):
-            if joint.order:
-                orders.setdefault(joint.order, []).append(index)
-        return orders
-
-
-@dataclass(frozen=True)
 class BvhHead:
-    """The lines before the numbers: `text` ends with the word MOTION, the numbers begin in line `body_line`."""
+    """The lines before the numbers: `text` ends with the word MOTION, the numbers begin in line `body_line`.
+
+    `joints` are in file order, parents first; a frame has `num_channels` numbers.
+    """
 
     text: bytes
-    hierarchy: BvhHierarchy
+    joints: tuple[BvhJoint, ...]
     num_frames: int
     frame_time: str
     frame_time_line: int
     body_line: int
+
+    @property
+    def num_channels(self) -> int:
+        """The number of channels of one frame."""
+        return sum(len(joint.position_columns) + len(joint.rotation_columns) for joint in self.joints)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,27 +171,27 @@ def _read(path: Path, options: ReadOptions, *, allow_nan: bool, any_size: bool) 
     head, body = split_text(data if b"\n" in data else data.replace(b"\r", b"\n"), path)
     provenance = source_file.provenance(path, data, "bvh", (), stated_fps=f"Frame Time: {head.frame_time}")
     del data  # before the memory of the numbers is needed
-    hierarchy = head.hierarchy
+    num_channels = head.num_channels
     fps, operations = source_file.fps_in_use(options.fps, lambda: _stated_fps(head, path))
     # A number takes at least a digit and a separator: a shorter text is truncated, which its last line says.
-    if 2 * head.num_frames * hierarchy.num_channels - 1 <= len(body):
-        source_file.check_size(head.num_frames, len(hierarchy.joints), path)
+    if 2 * head.num_frames * num_channels - 1 <= len(body):
+        source_file.check_size(head.num_frames, len(head.joints), path)
     has_nan = allow_nan and _NAN.search(body) is not None
     numbers = body
     if has_nan:  # zeros keep the counts of lines and frames right
-        zeros = b" ".join([b"0"] * hierarchy.num_channels)
+        zeros = b" ".join([b"0"] * num_channels)
         numbers = b"\n".join(zeros if _NAN.search(line) else line for line in body.split(b"\n"))
-    table = number_table.read_table(numbers, head.num_frames, hierarchy.num_channels, path, head.body_line)
+    table = source_file.read_table(numbers, head.num_frames, num_channels, path, head.body_line)
     valid = np.ones(len(table), bool)
     if has_nan:
         valid = np.array([_NAN.search(line) is None for line in _lines(body)], bool)
-    has_reference = bool(valid[:2].all()) and _starts_with_t_pose(table, hierarchy)
+    has_reference = bool(valid[:2].all()) and _starts_with_t_pose(table, head.joints)
     if has_reference:
         table, valid = table[1:], valid[1:]
         operations.append(T_POSE_DROPPED)
     if not valid.all():
-        table = table[_last_valid(valid, path)]
-    pose = _decode(table, hierarchy, path.stem)
+        table = table[source_file.last_valid(valid, path)]
+    pose = _decode(table, head.joints, path.stem)
     pose = replace(pose, skeleton=with_layout_map(pose.skeleton, options.skeleton_maps))
     unit_metres, reason = _unit(pose, options, path, any_size)
     skeleton, moving = _settle_offsets(pose, RIGID_METRES / unit_metres)
@@ -248,13 +243,6 @@ def _lines(body: bytes) -> list[bytes]:
     return [stripped for line in body.split(b"\n") if (stripped := line.strip(_BLANK))]
 
 
-def _last_valid(valid: Bool[np.ndarray, "frames"], path: Path) -> Int64[np.ndarray, "frames"]:
-    """For each frame the last valid one up to it; the first valid one before that."""
-    if not valid.any():
-        raise FormatError("every frame holds nan: nothing is observed", path=path, reason="nan")
-    return np.asarray(np.maximum.accumulate(np.where(valid, np.arange(len(valid)), int(np.argmax(valid)))))
-
-
 def _unit(pose: "_ChannelPose", options: ReadOptions, path: Path, any_size: bool) -> tuple[float, str]:
     if options.unit_metres is not None:
         return options.unit_metres, "given"
@@ -291,45 +279,28 @@ def split_text(data: bytes, path: Path) -> tuple[BvhHead, bytes]:
     Raises `FormatError` naming the line where something is missing, or if it is not a BVH file.
     """
     if not data[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()[:9].upper().startswith(b"HIERARCHY"):
-        raise FormatError(
-            f"looks like {source_file.describe_content(data)}, expected a BVH file that begins with HIERARCHY",
-            path=path,
-            reason="not-what-it-says",
-            line=1,
-        )
+        message = f"looks like {source_file.describe_content(data)}, expected a BVH file that begins with HIERARCHY"
+        raise FormatError(message, path=path, reason="not-what-it-says", line=1)
     motion = _MOTION.search(data)
-    end_of_hierarchy = motion.start() if motion else len(data)
-    if end_of_hierarchy > LARGEST_HEAD_BYTES:
-        message = f"no frames within the first {LARGEST_HEAD_BYTES >> 20} MiB, expected a hierarchy and MOTION"
-        raise FormatError(message, path=path, reason="too-large")
-    hierarchy = parse_hierarchy(source_file.decode(data[:end_of_hierarchy], path), path)
+    try:
+        joints = parse_hierarchy(source_file.decode(data[: motion.start() if motion else len(data)], path))
+    except FormatError as error:
+        raise FormatError(error.message, path=path, reason=error.reason, line=error.line) from None
     if motion is None:
-        raise FormatError(
-            f"the file ends after the hierarchy of {len(hierarchy.joints)} joints, expected MOTION",
-            path=path,
-            reason="truncated",
-            line=data.count(b"\n") + 1,
-        )
-    if not hierarchy.num_channels:
-        raise FormatError("no joint has CHANNELS, so nothing moves", path=path, reason="channels")
+        message = f"the file ends after the hierarchy of {len(joints)} joints, expected MOTION"
+        raise FormatError(message, path=path, reason="truncated", line=data.count(b"\n") + 1)
     clock_lines, body_start = _clock_lines(data, motion.end(), path)
     count, count_line = clock_lines["frames"]
-    frame_time, frame_time_line = clock_lines["frame time"]
     if not (count.isascii() and count.isdecimal() and len(count) < 12):
         message = f"'Frames: {count[:40]}', expected a whole number"
         raise FormatError(message, path=path, reason="frame-count", line=count_line)
     if int(count) == 0:
         raise FormatError("0 frames, expected at least one", path=path, reason="no-frames", line=count_line)
-    head = BvhHead(
-        text=data[: motion.end()],
-        hierarchy=hierarchy,
-        num_frames=int(count),
-        frame_time=frame_time,
-        frame_time_line=frame_time_line,
-        body_line=data.count(b"\n", 0, body_start) + 1,
-    )
-    end = data[-LONGEST_END_BYTES:]
-    return head, data[body_start : len(data) - len(end) + len(end.rstrip())]
+    body_line = data.count(b"\n", 0, body_start) + 1
+    head = BvhHead(data[: motion.end()], joints, int(count), *clock_lines["frame time"], body_line)
+    if not head.num_channels:
+        raise FormatError("no joint has CHANNELS, so nothing moves", path=path, reason="channels")
+    return head, data[body_start:].rstrip()
 
 
 def _clock_lines(data: bytes, start: int, path: Path) -> tuple[dict[str, tuple[str, int]], int]:
@@ -337,6 +308,9 @@ def _clock_lines(data: bytes, start: int, path: Path) -> tuple[dict[str, tuple[s
     values: dict[str, tuple[str, int]] = {}
     line = data.count(b"\n", 0, start)
     while len(values) < 2:
+        if start > len(data):
+            message = "the file ends before its first frame, expected 'Frames:' and 'Frame Time:'"
+            raise FormatError(message, path=path, reason="truncated", line=line)
         line += 1
         end = data.find(b"\n", start)
         end = len(data) if end < 0 else end
@@ -347,19 +321,8 @@ def _clock_lines(data: bytes, start: int, path: Path) -> tuple[dict[str, tuple[s
             values[key] = value.strip(), line
         elif text:
             missing = "Frame Time: seconds" if "frames" in values else "Frames: count"
-            raise FormatError(
-                f"{text[:40]!r} where '{missing}' was expected",
-                path=path,
-                reason="frame-time" if "frames" in values else "frame-count",
-                line=line,
-            )
-        if end == len(data) and len(values) < 2:
-            raise FormatError(
-                "the file ends before its first frame, expected 'Frames:' and 'Frame Time:'",
-                path=path,
-                reason="truncated",
-                line=line,
-            )
+            reason = "frame-time" if "frames" in values else "frame-count"
+            raise FormatError(f"{text[:40]!r}, expected '{missing}'", path=path, reason=reason, line=line)
         start = end + 1
     return values, start
 
@@ -367,134 +330,87 @@ def _clock_lines(data: bytes, start: int, path: Path) -> tuple[dict[str, tuple[s
 def _stated_fps(head: BvhHead, path: Path) -> Fraction:
     try:
         return _fps_of(head.frame_time)
-    except (ValueError, OverflowError) as error:
-        raise FormatError(
-            f"'Frame Time: {head.frame_time[:40]}' is not a usable time between frames in seconds ({error}); "
-            "correct it, or give the framerate",
-            path=path,
-            reason="frame-time",
-            line=head.frame_time_line,
-        ) from None
+    except (ValueError, ZeroDivisionError, OverflowError) as error:
+        message = f"'Frame Time: {head.frame_time[:40]}' is not a usable time between frames in seconds ({error}); "
+        message += "correct it, or give the framerate"
+        raise FormatError(message, path=path, reason="frame-time", line=head.frame_time_line) from None
 
 
 @lru_cache(maxsize=256)  # a corpus has few different frame times
 def _fps_of(frame_time: str) -> Fraction:
-    seconds = float(frame_time)
-    if not seconds > 0:
-        raise ValueError("it must be positive")
-    return parse_fps(1.0 / seconds)
-
-
-def parse_hierarchy(text: str, path: Path) -> BvhHierarchy:
-    """Read the lines from HIERARCHY up to MOTION; raises `FormatError` (`hierarchy`, `channels`) naming the line."""
-    try:
-        return cached_hierarchy(text)
-    except FormatError as error:
-        raise FormatError(error.message, path=path, reason=error.reason, line=error.line) from None
+    return parse_fps(1.0 / float(frame_time))
 
 
 @lru_cache(maxsize=64)  # the takes of a corpus have identical hierarchies
-def cached_hierarchy(text: str) -> BvhHierarchy:
-    """`parse_hierarchy` of a file without a name."""
-    return _HierarchyParser().parse(text)
+def parse_hierarchy(text: str) -> tuple[BvhJoint, ...]:
+    """The joints in the lines from HIERARCHY up to MOTION.
 
+    Raises `FormatError` (`hierarchy`, `channels`) without a path, naming the line.
+    """
+    joints: list[BvhJoint] = []
+    opened: list[int] = []  # joints whose braces are open; −1 stands for an End Site
+    pending: list[int] = []  # what the next "{" opens
+    num_channels, line = 0, 0
 
-class _HierarchyParser:
-    def __init__(self) -> None:
-        self.line = 0
-        self.joints: list[BvhJoint] = []
-        self.num_channels = 0
-        self.open: list[int] = []  # joints whose braces are open; −1 stands for an End Site
-        self.pending: int | None = None  # what the next "{" opens
+    def fault(message: str, reason: str = "hierarchy") -> FormatError:
+        return FormatError(message, path="", reason=reason, line=line)
 
-    def parse(self, text: str) -> BvhHierarchy:
-        for self.line, line in enumerate(text.splitlines(), start=1):
-            for statement in map(str.strip, re.split(r"([{}])", line)):
-                if statement:
-                    self.statement(statement)
-        if self.open or self.pending is not None:
-            raise self.fault("the hierarchy ends inside a joint, expected '}'")
-        if not self.joints:
-            raise self.fault("no ROOT joint in the hierarchy")
-        return BvhHierarchy(tuple(self.joints), self.num_channels)
-
-    def fault(self, message: str, reason: str = "hierarchy") -> FormatError:
-        return FormatError(message, path="", reason=reason, line=self.line)
-
-    def statement(self, text: str) -> None:
-        keyword, *words = text.split()
-        match keyword.upper():
-            case "HIERARCHY" if not self.joints:
-                return
-            case "ROOT" | "JOINT":
-                self.begin_joint(keyword.upper(), text[len(keyword) :].strip())
-            case "END":
-                if not self.open or self.open[-1] < 0:
-                    raise self.fault("an End Site outside a joint")
-                self.pending = -1
-            case "{":
-                if self.pending is None:
-                    raise self.fault("'{' without a joint before it")
-                self.open.append(self.pending)
-                self.pending = None
-            case "}":
-                if not self.open or self.pending is not None:
-                    raise self.fault("'}' without a '{' before it")
-                joint = self.open.pop()
-                if joint >= 0 and self.joints[joint].offset is None:
-                    raise self.fault(f"joint {self.joints[joint].name!r} has no OFFSET")
-            case "OFFSET":
-                self.offset(words)
-            case "CHANNELS":
-                self.channels(words)
-            case _:
-                raise self.fault(f"{text[:40]!r}, expected ROOT, JOINT, End Site, OFFSET, CHANNELS, '{{' or '}}'")
-
-    def begin_joint(self, keyword: str, name: str) -> None:
-        # A name may hold spaces and colons.
-        if self.pending is not None or (keyword == "JOINT") != bool(self.open) or (self.open and self.open[-1] < 0):
-            where = "inside the ROOT" if keyword == "JOINT" else "once, as the outermost joint"
-            raise self.fault(f"{keyword} {name!r} is out of place: a {keyword} belongs {where}")
-        if keyword == "ROOT" and self.joints:
-            raise self.fault(f"a second ROOT {name!r}: one skeleton to a file is expected")
-        if len(self.joints) >= MAX_JOINTS:
-            raise self.fault(f"more than {MAX_JOINTS} joints")
-        self.joints.append(BvhJoint(name or f"joint{len(self.joints)}", self.open[-1] if self.open else -1))
-        self.pending = len(self.joints) - 1
-
-    def offset(self, words: list[str]) -> None:
-        if not self.open or self.pending is not None:
-            raise self.fault("OFFSET outside a joint")
-        if len(words) != 3:
-            raise self.fault(f"OFFSET with {len(words)} numbers, expected 3")
-        x, y, z = (parse_number(word, Path(), self.line) for word in words)
-        if self.open[-1] >= 0:
-            self.joints[self.open[-1]].offset = (x, y, z)
-        else:
-            owner = self.joints[self.open[-2]]
-            owner.end_site = owner.end_site or (x, y, z)
-
-    def channels(self, words: list[str]) -> None:
-        if not self.open or self.open[-1] < 0 or self.pending is not None:
-            raise self.fault("CHANNELS outside a joint", "channels")
-        joint = self.joints[self.open[-1]]
-        if joint.order or joint.position_columns:
-            raise self.fault(f"joint {joint.name!r} has CHANNELS twice", "channels")
-        if not words or words[0] != str(len(words) - 1):
-            raise self.fault(f"CHANNELS {' '.join(words)[:60]!r}: expected a count and that many names", "channels")
-        for word in words[1:]:
-            axis, kind = CHANNELS.get(word.capitalize(), ("", ""))
-            if not axis or (kind == "position" and "XYZ".index(axis) in joint.position_columns):
-                raise self.fault(f"channel {word!r}: expected each of {', '.join(CHANNELS)} at most once", "channels")
-            if kind == "position":
-                joint.position_columns["XYZ".index(axis)] = self.num_channels
-            else:
-                joint.rotation_columns.append(self.num_channels)
-                joint.order += axis
-            self.num_channels += 1
-        if len(joint.order) > 3:
-            message = f"joint {joint.name!r} has {len(joint.order)} rotation channels, expected at most 3"
-            raise self.fault(message, "channels")
+    for line, content in enumerate(text.splitlines(), start=1):
+        for statement in filter(None, map(str.strip, re.split(r"([{}])", content))):
+            keyword, *words = statement.split()
+            inner = joints[opened[-1]] if opened and opened[-1] >= 0 and not pending else None
+            match keyword.upper():
+                case "HIERARCHY" if not joints:
+                    continue
+                case "ROOT" if joints:
+                    raise fault(f"a second {statement!r}: one skeleton to a file is expected")
+                case "JOINT" if inner is None:
+                    raise fault(f"{statement!r} is not inside the ROOT")
+                case "ROOT" | "JOINT":  # a name may hold spaces and colons
+                    name = statement[len(keyword) :].strip() or f"joint{len(joints)}"
+                    joints.append(BvhJoint(name, opened[-1] if opened else -1))
+                    pending.append(len(joints) - 1)
+                    if len(joints) > MAX_JOINTS:
+                        raise fault(f"more than {MAX_JOINTS} joints")
+                case "END" if inner is not None:
+                    pending.append(-1)
+                case "{" if pending:
+                    opened.append(pending.pop())
+                case "}" if opened and not pending:
+                    opened.pop()
+                    if inner is not None and inner.offset is None:
+                        raise fault(f"joint {inner.name!r} has no OFFSET")
+                case "OFFSET" if opened and not pending:
+                    if len(words) != 3:
+                        raise fault(f"OFFSET with {len(words)} numbers, expected 3")
+                    x, y, z = (source_file.parse_number(word, Path(), line) for word in words)
+                    if inner is not None:
+                        inner.offset = (x, y, z)
+                    else:
+                        owner = joints[opened[-2]]
+                        owner.end_site = owner.end_site or (x, y, z)
+                case "CHANNELS" if inner is not None:
+                    if not words or words[0] != str(len(words) - 1) or inner.order or inner.position_columns:
+                        expected = f"expected a count and that many names, once for joint {inner.name!r}"
+                        raise fault(f"{statement[:60]!r}: {expected}", "channels")
+                    for column, word in enumerate(words[1:], start=num_channels):
+                        axis, kind = CHANNELS.get(word.capitalize(), ("", ""))
+                        if kind == "position" and "XYZ".index(axis) not in inner.position_columns:
+                            inner.position_columns["XYZ".index(axis)] = column
+                        elif kind == "rotation" and len(inner.order) < 3:
+                            inner.rotation_columns.append(column)
+                            inner.order += axis
+                        else:
+                            expected = f"at most 3 rotations, and each of {', '.join(CHANNELS)} at most once"
+                            raise fault(f"channel {word!r} of joint {inner.name!r}: expected {expected}", "channels")
+                    num_channels += len(words) - 1
+                case "END" | "{" | "}" | "OFFSET" | "CHANNELS":
+                    raise fault(f"{statement[:40]!r} is out of place")
+                case _:
+                    raise fault(f"{statement[:40]!r}, expected ROOT, JOINT, End Site, OFFSET, CHANNELS, '{{' or '}}'")
+    if not joints or opened or pending:
+        raise fault("the hierarchy ends inside a joint, expected '}'" if joints else "no ROOT joint in the hierarchy")
+    return tuple(joints)
 
 
 @dataclass(frozen=True)
@@ -509,9 +425,8 @@ class _ChannelPose:
     operations: tuple[str, ...]
 
 
-def _decode(table: Float64[np.ndarray, "frames channels"], hierarchy: BvhHierarchy, name: str) -> _ChannelPose:
-    joints = hierarchy.joints
-    names, operations = unique_names([joint.name for joint in joints])
+def _decode(table: Float64[np.ndarray, "frames channels"], joints: tuple[BvhJoint, ...], name: str) -> _ChannelPose:
+    names, operations = source_file.unique_names([joint.name for joint in joints])
     offsets = np.array([joint.offset for joint in joints], dtype=np.float64)
     skeleton = Skeleton(
         name=name,
@@ -529,19 +444,23 @@ def _decode(table: Float64[np.ndarray, "frames channels"], hierarchy: BvhHierarc
             places[:, place, axis] = table[:, column]
     rotations = np.empty((len(table), len(joints), 4), np.float32)
     for start in range(0, len(table), BLOCK_FRAMES):
-        rotations[start : start + BLOCK_FRAMES] = local_rotations(table[start : start + BLOCK_FRAMES], hierarchy)
+        rotations[start : start + BLOCK_FRAMES] = local_rotations(table[start : start + BLOCK_FRAMES], joints)
     return _fold_reference(_ChannelPose(skeleton, rotations, places[:, 0], placed, places[:, 1:], operations))
 
 
 def local_rotations(
-    table: Float64[np.ndarray, "frames channels"], hierarchy: BvhHierarchy
+    table: Float64[np.ndarray, "frames channels"], joints: tuple[BvhJoint, ...]
 ) -> Float32[np.ndarray, "frames joints 4"]:
     """The rotations of all joints, as the file has them, from the channels of some frames."""
     # Component-major in memory, as forward kinematics needs it. Joints with the same order of axes are batched.
-    components = np.zeros((4, len(hierarchy.joints), len(table)), np.float32)
+    components = np.zeros((4, len(joints), len(table)), np.float32)
     components[0] = 1.0
-    for order, members in hierarchy.joints_by_order().items():
-        columns = [hierarchy.joints[index].rotation_columns[axis] for axis in range(len(order)) for index in members]
+    by_order: dict[str, list[int]] = {}
+    for index, joint in enumerate(joints):
+        if joint.order:
+            by_order.setdefault(joint.order, []).append(index)
+    for order, members in by_order.items():
+        columns = [joints[index].rotation_columns[axis] for axis in range(len(order)) for index in members]
         degrees = np.ascontiguousarray(table.take(columns, axis=1).T)
         angles = np.radians(degrees).astype(np.float32).reshape(len(order), len(members), len(table))
         components[:, members] = kinematics.euler_to_quaternion(np.moveaxis(angles, 0, -1), order).transpose(2, 0, 1)
@@ -568,20 +487,20 @@ def _positions(
     return positions
 
 
-def _starts_with_t_pose(table: Float64[np.ndarray, "frames channels"], hierarchy: BvhHierarchy) -> bool:
+def _starts_with_t_pose(table: Float64[np.ndarray, "frames channels"], joints: tuple[BvhJoint, ...]) -> bool:
     """Whether frame 0 is the T-pose that B. Hahne's conversions of the CMU database begin with.
 
     The rule: in frame 0 the root has no rotation and every angle is a whole number of degrees, in frame 1 neither
     holds, and the root's position is the same in both. Captured poses do not satisfy it.
     """
-    root = hierarchy.joints[0]
+    root = joints[0]
     places = list(root.position_columns.values())
-    if len(table) < 2 or not places or len(root.rotation_columns) != 3 or len(hierarchy.joints) < 15:
+    if len(table) < 2 or not places or len(root.rotation_columns) != 3 or len(joints) < 15:
         return False
     first, second = table[0], table[1]
     if first[root.rotation_columns].any() or not second[root.rotation_columns].any():
         return False
-    angles = [column for joint in hierarchy.joints for column in joint.rotation_columns]
+    angles = [column for joint in joints for column in joint.rotation_columns]
     whole = table[:2, angles] == np.round(table[:2, angles])
     return bool(whole[0].all() and not whole[1].all() and np.array_equal(first[places], second[places]))
 
@@ -655,24 +574,296 @@ def _settle_offsets(pose: _ChannelPose, tolerance: float) -> tuple[Skeleton, tup
     return replace(pose.skeleton, offsets=offsets), tuple(moving)
 
 
-def unique_names(names: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names made unique by _2, _3 …, and a log line if any was changed."""
-    used: set[str] = set()
-    unique: list[str] = []
-    for name in names:
-        candidate, number = name, 2
-        while candidate in used:
-            candidate, number = f"{name}_{number}", number + 1
-        used.add(candidate)
-        unique.append(candidate)
-    changed = [new for old, new in zip(names, unique, strict=True) if old != new]
-    return tuple(unique), (f"repeated joint names made unique: {', '.join(changed)}",) if changed else ()
+def write_bvh(motion: Motion, path: Path, *, unit_metres: float = 0.01) -> None:
+    """Write a motion with its skeleton: in centimetres unless `unit_metres` is given, ZXY rotations, six decimals.
+
+    Reading it back gives the same framerate, the joints (depth first), and positions within 0.15 mm. A motion without
+    rotations gets them by inverse kinematics on its own bones. If rigid bones miss no joint by more than 2 mm, only the
+    root has position channels (and joints are within that distance); else every joint has them. The frame time is
+    written with all its digits.
+    """
+    from motionkit.io.joint_rotations import joint_channels  # reading a file loads no motion fields
+
+    animated = joint_channels(motion)
+    skeleton, translations = animated.skeleton, animated.translations
+    rotations = animated.rotations.astype(np.float64)
+    # In gimbal lock angles are ratios of small numbers, which float32's deviations from unit length would decide.
+    rotations /= np.linalg.norm(rotations, axis=-1, keepdims=True)
+    angles = np.degrees(_zxy_angles(kinematics.quaternion_to_matrix(rotations)))
+    scale = 1.0 / unit_metres
+    order, lines = _hierarchy(skeleton, translations, scale)
+    columns = []
+    for joint in order:
+        if joint in translations:
+            columns.append(translations[joint].astype(np.float64) * scale)
+        columns.append(angles[:, joint])
+    table = np.round(np.concatenate(columns, axis=1), WRITTEN_DECIMALS) + 0.0
+    lines += ["MOTION", f"Frames: {motion.num_frames}", f"Frame Time: {float(1 / motion.fps)!r}", ""]
+    path.write_bytes("\n".join(lines).encode() + source_file.format_table(table))
 
 
-def _write(motion: Motion, path: Path) -> None:
-    from motionkit.io.bvh_writing import write_bvh
+def _zxy_angles(matrices: Float64[np.ndarray, "frames joints 3 3"]) -> Float64[np.ndarray, "frames joints 3"]:
+    # R = Rz·Rx·Ry; in gimbal lock, where only z ± y is determined, y is set to zero.
+    across = np.hypot(matrices[..., 0, 1], matrices[..., 1, 1])
+    pole = across < 1e-9
+    x = np.arctan2(matrices[..., 2, 1], across)
+    z = np.where(
+        pole,
+        np.arctan2(matrices[..., 1, 0], matrices[..., 0, 0]),
+        np.arctan2(-matrices[..., 0, 1], matrices[..., 1, 1]),
+    )
+    y = np.where(pole, 0.0, np.arctan2(-matrices[..., 2, 0], matrices[..., 2, 2]))
+    return np.stack((z, x, y), axis=-1)
 
-    write_bvh(motion, path)
+
+def _hierarchy(skeleton: Skeleton, translated: Iterable[int], scale: float) -> tuple[list[int], list[str]]:
+    """The joints depth first, as a file lists them, and the lines of the hierarchy, in metres × `scale`."""
+    order: list[int] = []
+    lines = ["HIERARCHY"]
+    tips = dict(skeleton.end_sites)
+
+    def offset(vector: Iterable[float]) -> str:
+        return "OFFSET " + " ".join(f"{value * scale:.6f}" for value in vector)
+
+    waiting: list[tuple[int, str, bool]] = [(0, "", False)]  # joints to open, or to close, with their indentation
+    while waiting:
+        joint, indent, is_open = waiting.pop()
+        children = skeleton.children(joint)
+        if is_open:
+            tip = tips.get(joint, None if children else (0.0, 0.0, 0.0))
+            if tip is not None:
+                lines += [f"{indent}\tEnd Site", f"{indent}\t{{", f"{indent}\t\t{offset(tip)}", f"{indent}\t}}"]
+            lines.append(f"{indent}}}")
+            continue
+        places = "Xposition Yposition Zposition " if joint in translated else ""
+        lines += [
+            f"{indent}{'JOINT' if order else 'ROOT'} {skeleton.joint_names[joint]}",
+            f"{indent}{{",
+            f"{indent}\t{offset(skeleton.offsets[joint].tolist())}",
+            f"{indent}\tCHANNELS {6 if places else 3} {places}Zrotation Xrotation Yrotation",
+        ]
+        order.append(joint)
+        waiting += [(joint, indent, True), *((child, f"{indent}\t", False) for child in reversed(children))]
+    return order, lines
+
+
+def check_writable(document: BvhDocument) -> None:
+    """Raise `FormatError` (`channels`) for a joint whose angles do not follow from its rotation."""
+    for joint in document.head.joints:
+        if any(first == second for first, second in pairwise(joint.order)):
+            message = (
+                f"joint {joint.name!r} turns twice in a row about one axis ({joint.order}): its angles are not unique"
+            )
+            raise FormatError(message, path=document.path, reason="channels")
+
+
+@dataclass(frozen=True, eq=False)
+class KnownFrames:
+    """The frames of a document, ascending, that are known among new ones, and their times in the written file.
+
+    Row `kept_rows[i]` of the written file is the document's frame `kept_frames[i]`; all ascend.
+    """
+
+    frames: Int64[np.ndarray, "known"]
+    seconds: Float64[np.ndarray, "known"]
+    kept_rows: Int64[np.ndarray, "kept"]
+    kept_frames: Int64[np.ndarray, "kept"]
+
+
+def rewrite_bvh(document: BvhDocument, path: Path, motion: Motion, known: KnownFrames) -> None:
+    """Write a motion of the document's skeleton, with rotations, with the document's own text and channels.
+
+    Kept rows are the document's lines, unchanged. The angles of the others continue those of the known frames, and a
+    channel that is constant between two known frames keeps its exact digits. Raises `FormatError` as `check_writable`.
+    """
+    check_writable(document)
+    from motionkit.fields.motion_field import Poses  # reading a file loads no motion fields
+
+    rows = _channel_rows(document, Poses.of(motion), motion.timegrid.seconds(), known)
+    lines = source_file.format_table(np.round(rows, WRITTEN_DECIMALS) + 0.0).splitlines()
+    for row, frame in zip(known.kept_rows.tolist(), known.kept_frames.tolist(), strict=True):
+        lines[row] = document.lines[frame]
+    path.write_bytes(document.heading(len(lines), motion.fps) + b"\n".join((*lines, b"")))
+
+
+def _channel_rows(
+    document: BvhDocument, poses: "Poses", seconds: Float64[np.ndarray, "times"], known: KnownFrames
+) -> Float64[np.ndarray, "times channels"]:
+    anchors = document.table[known.frames]
+    after = np.searchsorted(known.seconds, seconds + 1e-9, side="right") - 1
+    expected = _interpolated(anchors, known.seconds, seconds)
+    rows = np.empty_like(expected)
+    # Rows before the first known frame continue it backwards in time.
+    for places in (np.flatnonzero(after < 0)[::-1], np.flatnonzero(after >= 0)):
+        if places.size:
+            after_anchor = np.maximum(after[places], 0)
+            rows[places] = _converted(document, poses.rows(places), expected[places], anchors, after_anchor)
+    return rows
+
+
+def _interpolated(
+    anchors: Float64[np.ndarray, "known channels"],
+    known_seconds: Float64[np.ndarray, "known"],
+    seconds: Float64[np.ndarray, "times"],
+) -> Float64[np.ndarray, "times channels"]:
+    """Channels interpolated linearly between known frames, and constant beyond them."""
+    left = np.clip(np.searchsorted(known_seconds, seconds, side="right") - 1, 0, max(0, len(anchors) - 2))
+    right = np.minimum(left + 1, len(anchors) - 1)
+    span = np.where(right > left, known_seconds[right] - known_seconds[left], 1.0)
+    fraction = np.clip((seconds - known_seconds[left]) / span, 0.0, 1.0)[:, None]
+    return np.asarray(anchors[left] + fraction * (anchors[right] - anchors[left]))
+
+
+def _converted(
+    document: BvhDocument,
+    poses: "Poses",
+    expected: Float64[np.ndarray, "times channels"],
+    anchors: Float64[np.ndarray, "known channels"],
+    after: Int64[np.ndarray, "times"],
+) -> Float64[np.ndarray, "times channels"]:
+    """Poses as rows of channels; row t continues the rows after anchor `after[t]`."""
+    joints, skeleton = document.head.joints, document.motion.skeleton
+    rotations, positions = _file_axes(document, poses)
+    placed = (0, *document.moving)
+    places = _places(rotations, positions, skeleton, placed)
+    # If the file's root only carries the next joint, that one is the body's root.
+    carried = len(joints) - skeleton.num_joints
+    if carried:
+        back = kinematics.quaternion_conjugate(local_rotations(expected, joints)[:, 0].astype(np.float64))
+        rotations[:, 0] = kinematics.quaternion_multiply(back, rotations[:, 0])
+        root = joints[0]
+        carrier = np.repeat(np.array([root.offset], np.float64), len(expected), axis=0)
+        carrier[:, list(root.position_columns)] = expected[:, list(root.position_columns.values())]
+        places[:, 0] = kinematics.quaternion_rotate(back, places[:, 0] - carrier * document.unit_metres)
+    rows = expected.copy()
+    for place, body_joint in enumerate(placed):
+        for axis, column in joints[body_joint + carried].position_columns.items():
+            value = places[:, place, axis] / document.unit_metres
+            close = np.abs(value - expected[:, column]) * document.unit_metres < _SAME_METRES
+            rows[:, column] = np.where(close, expected[:, column], value)
+    for index, joint in enumerate(joints):
+        if joint.order and index >= carried:
+            columns = joint.rotation_columns
+            rows[:, columns] = anchored_angles(
+                rotations[:, index - carried], joint.order, expected[:, columns], anchors[:, columns], after
+            )
+    return rows
+
+
+def _file_axes(
+    document: BvhDocument, poses: "Poses"
+) -> tuple[Float64[np.ndarray, "times joints 4"], Float64[np.ndarray, "times joints 3"]]:
+    """Rotations and positions along the file's axes again."""
+    assert poses.local_rotations is not None
+    rotations, positions = poses.local_rotations.astype(np.float64), poses.joint_positions.astype(np.float64)
+    if document.up == "y":
+        return rotations, positions
+    if document.rest_has_same_up:
+        rotations[..., 1:] = from_y_up(rotations[..., 1:], document.up)
+    else:
+        back = kinematics.quaternion_conjugate(turn_of(document.up).astype(np.float64))
+        rotations[:, 0] = kinematics.quaternion_multiply(back, rotations[:, 0])
+    return rotations, from_y_up(positions, document.up)
+
+
+def _places(
+    rotations: Float64[np.ndarray, "times joints 4"],
+    positions: Float64[np.ndarray, "times joints 3"],
+    skeleton: Skeleton,
+    joints: tuple[int, ...],
+) -> Float64[np.ndarray, "times placed 3"]:
+    """Positions of joints in their parent's frame; the root's in the world."""
+    places = positions[:, list(joints)]
+    if len(joints) > 1:
+        world = kinematics.global_rotations(rotations, skeleton)
+        for column, joint in enumerate(joints[1:], start=1):
+            parent = skeleton.parents[joint]
+            back = kinematics.quaternion_conjugate(world[:, parent])
+            places[:, column] = kinematics.quaternion_rotate(back, positions[:, joint] - positions[:, parent])
+    return places
+
+
+def anchored_angles(
+    rotations: Float64[np.ndarray, "times 4"],
+    order: str,
+    expected: Float64[np.ndarray, "times axes"],
+    anchors: Float64[np.ndarray, "anchors axes"],
+    after: Int64[np.ndarray, "times"],
+) -> Float64[np.ndarray, "times axes"]:
+    """Euler angles in degrees about the axes of `order` (one to three) of each rotation of one joint.
+
+    Row t is continuous with row t − 1 if both come after the same anchor, else with the anchor `after[t]` (degrees). If
+    the `expected` angles give the rotation, they are returned, so a constant channel keeps its exact digits. An order
+    of fewer than three axes gives the angles of the nearest rotation about those axes.
+    """
+    axes = order + "".join(axis for axis in "XYZ" if axis not in order) if len(order) < 3 else order
+    pad = ((0, 0), (0, 3 - len(order)))
+    expected, anchors = np.radians(np.pad(expected, pad)), np.radians(np.pad(anchors, pad))
+    principal = _principal_angles(rotations, axes, expected)
+    angles = _continued(principal, anchors, after, is_proper=axes[0] == axes[2])
+    between = kinematics.quaternion_multiply(
+        kinematics.quaternion_conjugate(kinematics.euler_to_quaternion(expected, axes)), rotations
+    )
+    same = 2 * np.arctan2(np.linalg.norm(between[:, 1:], axis=-1), np.abs(between[:, 0])) < _SAME_RADIANS
+    return np.degrees(np.where(same[:, None], expected, angles))[:, : len(order)]
+
+
+def _principal_angles(
+    rotations: Float64[np.ndarray, "times 4"], axes: str, expected: Float64[np.ndarray, "times 3"]
+) -> Float64[np.ndarray, "times 3"]:
+    """One triple per rotation; in gimbal lock the one with the expected last angle."""
+    import warnings
+
+    from scipy.spatial.transform import Rotation
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about gimbal lock, handled below
+        angles = np.array(Rotation.from_quat(rotations, scalar_first=True).as_euler(axes))  # type: ignore[call-overload]
+    second = angles[:, 1]
+    pole = np.abs(np.sin(second) if axes[0] == axes[2] else np.cos(second)) < _POLE_COSINE
+    if pole.any():
+        last_two = np.stack((second[pole], expected[pole, 2]), axis=-1)
+        rest = kinematics.quaternion_conjugate(kinematics.euler_to_quaternion(last_two, axes[1:]))
+        first = kinematics.quaternion_multiply(rotations[pole], rest)
+        angles[pole, 0] = 2 * np.arctan2(first[:, "XYZ".index(axes[0]) + 1], first[:, 0])
+        angles[pole, 2] = expected[pole, 2]
+    return angles
+
+
+def _continued(
+    principal: Float64[np.ndarray, "times 3"],
+    anchors: Float64[np.ndarray, "anchors 3"],
+    after: Int64[np.ndarray, "times"],
+    *,
+    is_proper: bool,
+) -> Float64[np.ndarray, "times 3"]:
+    """The triples and full turns that continue the anchors.
+
+    A rotation has two triples. The shorter step from one row to the next is between the same of both, or between
+    different ones; which of them a row has is thus the parity of the changes since its anchor.
+    """
+    first, second, third = principal.T
+    other = np.stack((first + np.pi, -second if is_proper else np.pi - second, third + np.pi), axis=-1)
+    is_first = np.concatenate(([True], after[1:] != after[:-1]))  # of the rows after the same anchor
+    first_row = np.maximum.accumulate(np.where(is_first, np.arange(len(after)), 0))
+    start = anchors[after]
+
+    def steps_to(angles: Float64[np.ndarray, "times 3"], rows: Float64[np.ndarray, "times 3"]) -> np.ndarray:
+        previous = np.where(is_first[:, None], start, np.concatenate((start[:1], rows[:-1])))
+        return _within_half_turn(angles - previous)
+
+    changes = np.abs(steps_to(other, principal)).sum(axis=-1) < np.abs(steps_to(principal, principal)).sum(axis=-1)
+    total = np.cumsum(changes)
+    is_other = (total - total[first_row] + changes[first_row]) % 2 == 1
+    chosen = np.where(is_other[:, None], other, principal)
+    steps = np.cumsum(steps_to(chosen, chosen), axis=0)
+    unwound = start + steps - np.where(first_row[:, None] > 0, steps[first_row - 1], 0.0)
+    # The sum gives only the number of full turns, so that rounding errors of the angle do not accumulate.
+    return np.asarray(chosen + 2 * np.pi * np.rint((unwound - chosen) / (2 * np.pi)))
+
+
+def _within_half_turn(angles: Float64[np.ndarray, "*shape"]) -> Float64[np.ndarray, "*shape"]:
+    return np.asarray(angles - 2 * np.pi * np.rint(angles / (2 * np.pi)))
 
 
 FORMAT = Format(
@@ -680,7 +871,6 @@ FORMAT = Format(
     read=of_path(read_bvh),
     document=read_document,
     suffixes=(".bvh",),
-    begins=b"HIERARCHY",
-    write=_write,
+    write=write_bvh,
     turns_up=True,
 )

@@ -25,7 +25,6 @@ from motionkit.core.shapes import Float64
 from motionkit.core.timegrid import TimeGrid, parse_fps
 from motionkit.io import source_file
 from motionkit.io.body_frame import AXES, log_lines, to_y_up
-from motionkit.io.bvh import unique_names
 from motionkit.io.markers import UNITS, Markers, checked_metres, marker_skeleton, some, unit_of, without_gaps
 from motionkit.io.registry import Format, ReadOptions, of_path
 
@@ -55,10 +54,6 @@ class C3dFile:
         """A parameter's strings, stripped; empty if there are none."""
         return tuple(value for value in self.parameters.get(name, ()) if isinstance(value, str))
 
-    def numbers(self, name: str) -> tuple[float, ...]:
-        """A parameter's numbers; empty if there are none."""
-        return _numbers(self.parameters, name)
-
 
 def read_c3d(path: Path, options: ReadOptions | None = None) -> Motion:
     """Read the markers of one file as positions in metres, y up; unlabelled ones and model outputs are left out.
@@ -72,7 +67,7 @@ def read_c3d(path: Path, options: ReadOptions | None = None) -> Motion:
     options = options or ReadOptions()
     data = source_file.read_bytes(path)
     file = parse_c3d(data, path)
-    stated = file.numbers("POINT:RATE")
+    stated = numbers_of(file.parameters, "POINT:RATE")
     rate = stated[0] if stated else file.header_rate
     fps, log = source_file.fps_in_use(options.fps, lambda: _stated_fps(rate, path), words=f"{rate:g}")
     markers = without_gaps(_labelled(file, path), fps, path)
@@ -123,7 +118,7 @@ def _labelled(file: C3dFile, path: Path) -> Markers:
         operations.append(f"no positions, left out: {some(modelled)}")
     if not kept:
         raise FormatError("no point is a labelled marker", path=path, reason="no-markers")
-    names, renamed = unique_names(_without_subject([labels[point] for point in kept]))
+    names, renamed = source_file.unique_names(_without_subject([labels[point] for point in kept]))
     points = file.points[:, kept]
     positions = points[..., :3].copy()
     if np.isinf(positions).any():
@@ -233,7 +228,8 @@ def _cut_off(path: Path) -> FormatError:
     return FormatError("the parameters end in the middle of one", path=path, reason="truncated")
 
 
-def _numbers(parameters: Mapping[str, Parameter], name: str) -> tuple[float, ...]:
+def numbers_of(parameters: Mapping[str, Parameter], name: str) -> tuple[float, ...]:
+    """A parameter's numbers; empty if there are none."""
     return tuple(value for value in parameters.get(name, ()) if not isinstance(value, str))
 
 
@@ -247,7 +243,7 @@ def _points(
         raise FormatError("0 frames, expected at least one", path=path, reason="no-frames")
     if num_points < 1:
         raise FormatError("0 points, expected markers", path=path, reason="no-markers")
-    scale = next(iter(_numbers(parameters, "POINT:SCALE")), float(_floats(data[12:16], processor)[0]))
+    scale = next(iter(numbers_of(parameters, "POINT:SCALE")), float(_floats(data[12:16], processor)[0]))
     if not np.isfinite(scale) or scale == 0:
         raise FormatError(f"POINT:SCALE is {scale}, expected a number", path=path, reason="parameters")
     size = 4 if scale < 0 else 2
@@ -262,12 +258,8 @@ def _points(
             reason="truncated",
         )
     if num_frames == MAX_FRAME_WORD and available > needed + BLOCK:
-        raise FormatError(
-            f"the header can state no more than 65,535 frames and no TRIAL:ACTUAL_END_FIELD states more, but there are "
-            f"bytes for {available // (num_values * size)}; write it again with that parameter, or as several files",
-            path=path,
-            reason="frame-count",
-        )
+        message = "the header states 65,535 frames, its largest number, and more follow: state them in "
+        raise FormatError(message + "TRIAL:ACTUAL_END_FIELD", path=path, reason="frame-count")
     # Analog values follow the points of each frame, and are often most of a file.
     values = np.frombuffer(data, f"<u{size}", num_frames * num_values, start).reshape(num_frames, num_values)
     body, shape = values[:, : 4 * num_points].tobytes(), (num_frames, num_points, 4)
@@ -281,7 +273,7 @@ def _points(
 def _num_frames(first_frame: int, last_frame: int, parameters: Mapping[str, Parameter]) -> int:
     """The header's words hold frames up to 65,535; longer takes state them in parameters, as two words or a number."""
     whole = {
-        name: [int(value) for value in _numbers(parameters, name) if np.isfinite(value)]
+        name: [int(value) for value in numbers_of(parameters, name) if np.isfinite(value)]
         for name in ("TRIAL:ACTUAL_START_FIELD", "TRIAL:ACTUAL_END_FIELD", "POINT:LONG_FRAMES", "POINT:FRAMES")
     }
     start, end = whole["TRIAL:ACTUAL_START_FIELD"], whole["TRIAL:ACTUAL_END_FIELD"]

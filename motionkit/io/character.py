@@ -13,8 +13,7 @@ from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.contact.planted import planted_frames
 from motionkit.fields.motion_field import Observation
-from motionkit.io.bvh import BvhDocument, read_document
-from motionkit.io.bvh_writing import KnownFrames, check_writable, rewrite_bvh
+from motionkit.io.bvh import BvhDocument, KnownFrames, check_writable, read_document, rewrite_bvh
 from motionkit.io.gltf import read_rig
 from motionkit.io.registry import Format, ReadOptions
 from motionkit.io.retargeting import retarget, standing_skeleton, stands

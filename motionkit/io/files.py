@@ -1,6 +1,5 @@
 """Motions of files and folders: `read`, `read_all`, and the sequences that lie at a path."""
 
-import re
 from collections.abc import Iterator, Sequence
 from os import PathLike
 from pathlib import Path
@@ -12,10 +11,11 @@ from motionkit.core.motion import Motion
 from motionkit.core.progress import warn
 from motionkit.core.skeletons.mapping import read_skeleton_map
 from motionkit.core.timegrid import Framerate, parse_fps
-from motionkit.io import joints_npy, npy, reading
+from motionkit.io import joints_npy, npy
 from motionkit.io.body_frame import GIVEN_AXES
 from motionkit.io.humanml3d import JOINTS_FOLDER, LAYOUTS, VECTORS_FOLDER
 from motionkit.io.registry import ReadOptions, SourceItem
+from motionkit.io.scan import read as read_item
 from motionkit.io.scan import scan
 from motionkit.io.source_file import dangling
 
@@ -65,7 +65,7 @@ def read(
     if path.is_file():
         for problem in problems:
             warn(str(problem))
-    return _read_item(items[0], options)
+    return read_item(items[0], options)
 
 
 def read_all(
@@ -88,26 +88,21 @@ def read_all(
     """
     options = read_options(format, fps, unit_metres, up, skeleton_map)
     items, problems = _items_at(existing_path(path), options)
-    return _each(items, problems, options, on_error)
 
-
-def _each(
-    items: Sequence[SourceItem],
-    problems: Sequence[FormatError],
-    options: ReadOptions,
-    on_error: Literal["stop", "skip"],
-) -> Iterator[Motion]:
-    for problem in problems:
-        if on_error == "stop":
-            raise problem
-        warn(str(problem))
-    for item in items:
-        try:
-            yield _read_item(item, options)
-        except FormatError as error:
+    def motions() -> Iterator[Motion]:
+        for problem in problems:
             if on_error == "stop":
-                raise
-            warn(str(error))
+                raise problem
+            warn(str(problem))
+        for item in items:
+            try:
+                yield read_item(item, options)
+            except FormatError as error:
+                if on_error == "stop":
+                    raise
+                warn(str(error))
+
+    return motions()
 
 
 def read_options(
@@ -185,22 +180,7 @@ def _items_at(path: Path, options: ReadOptions) -> tuple[list[SourceItem], list[
     if is_store(path):
         raise UsageError(f"{path} is a store: Store.open({str(path)!r}) reads it")
     sequences, problems = sequences_at(path, options)
-    return [item for _, item in sequences], list(map(_of_python, problems))
-
-
-def _read_item(item: SourceItem, options: ReadOptions) -> Motion:
-    try:
-        return reading.read(item, options)
-    except FormatError as error:
-        raise _of_python(error).with_traceback(error.__traceback__) from None
-
-
-def _of_python(error: FormatError) -> FormatError:
-    """The error with arguments of `read` for remedies (`fps=`), where readers name the command line's (`--fps`)."""
-    message = re.sub(
-        r"--(fps|unit-metres|skeleton-map)(?![\w-])", lambda said: said[1].replace("-", "_") + "=", error.message
-    )
-    return FormatError(message, path=error.path, reason=error.reason, line=error.line, frame=error.frame)
+    return [item for _, item in sequences], problems
 
 
 def _ids(items: Sequence[SourceItem]) -> str:

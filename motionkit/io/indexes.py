@@ -35,7 +35,6 @@ from motionkit.core.motion import Caption
 from motionkit.io import source_file
 from motionkit.io.cuts import Cut, StepCut, TimeCut
 from motionkit.io.registry import IndexOptions, ScanResult, SourceItem
-from motionkit.io.scan import walk
 from motionkit.io.texts import SPLITS, read_splits, read_texts
 
 Key = tuple[str, ...]
@@ -48,8 +47,6 @@ MIRROR = "M"
 HUMANML3D_COLUMNS = ("source_path", "start_frame", "end_frame", "new_name")
 HUMANACT12 = "humanact12"
 WHOLE_FILE = -1
-# Cells beyond the last column.
-EXTRA = "\0"
 # A day at 20 fps: no capture has more frames.
 MAX_FRAME = 24 * 3600 * 20
 MAX_NAME, MAX_PATH, MAX_SECONDS = 120, 4096, 1e6
@@ -260,7 +257,7 @@ def _seconds(value: object, what: str) -> float:
 
 
 def _read_humanml3d(text: str, path: Path) -> Index:
-    reader = csv.DictReader(text.splitlines(keepends=True), restkey=EXTRA, strict=True)
+    reader = csv.DictReader(text.splitlines(keepends=True), strict=True)
 
     def rows() -> Iterator[tuple[str, int, Mapping[str, str | None]]]:
         for row in reader:
@@ -279,7 +276,7 @@ def _read_humanml3d(text: str, path: Path) -> Index:
 
 
 def _humanml3d(name: str, row: Mapping[str, str | None]) -> Entry:
-    if row.get(EXTRA):
+    if None in row:
         raise _BadEntry("more cells than columns; a path with a comma needs quotes")
     parts = _source_parts(row["source_path"])
     start, end = (_frame(row, column) for column in ("start_frame", "end_frame"))
@@ -376,20 +373,19 @@ def _text(label: dict[str, Any]) -> str:
 # Finding the files of an index
 
 
-def scan_indexes(sources: Sequence[Path], options: IndexOptions, item_of: ItemOf) -> ScanResult:
-    """The sequences of all indexes whose files are below the sources; the others are problems (`missing-file`).
+def scan_indexes(places: Iterable[tuple[Path, Path]], options: IndexOptions, item_of: ItemOf) -> ScanResult:
+    """The sequences of all indexes whose files are among `places`; the others are problems (`missing-file`).
 
-    Sequences of one file are consecutive, in the order in which the indexes first name the file. Raises `UsageError`
-    for sources that are not folders and options that exclude each other, `FormatError` for an unreadable index.
+    A place is a file and its source. Sequences of one file are consecutive, in the order in which the indexes first
+    name the file. Raises `UsageError` for options that exclude each other, `FormatError` for an unreadable index.
     """
     indexes = [_chosen(read_index(path), options) for path in options.paths]
     warnings: list[FormatError] = []
-    files = _find_files(sources, {entry.key for index in indexes for entry in index.entries}, warnings.append)
+    files = _by_key(places, {entry.key for index in indexes for entry in index.entries})
     items_by_file: dict[Path, list[SourceItem]] = {}
     problems: list[FormatError] = []
     missing: Counter[str] = Counter()
     refused: Counter[str] = Counter()
-    below = ", ".join(map(str, sources))
     for index in indexes:
         splits, of_splits = _splits(index, options)
         warnings += of_splits
@@ -398,11 +394,11 @@ def scan_indexes(sources: Sequence[Path], options: IndexOptions, item_of: ItemOf
         found: dict[Key, SourceItem | None] = {}
         for entry in index.entries:
             if entry.key not in found:
-                places = (item_of(path, root) for path, root in files.get(entry.key, ()))
-                found[entry.key] = next((item for item in places if item is not None), None)
+                of_key = (item_of(path, root) for path, root in files.get(entry.key, ()))
+                found[entry.key] = next((item for item in of_key if item is not None), None)
             file = found[entry.key]
             if file is None:
-                message = f"{entry.name}: there is no {'/'.join(entry.parts)} below {below}, in any known spelling"
+                message = f"{entry.name}: there is no {'/'.join(entry.parts)} in the sources, in any known spelling"
                 problems.append(FormatError(message, path=index.path, reason="missing-file", line=entry.line))
                 missing[entry.dataset] += 1
                 continue
@@ -440,24 +436,17 @@ def _chosen(index: Index, options: IndexOptions) -> Index:
     return replace(index, name=name, entries=tuple(entries))
 
 
-def _find_files(
-    sources: Sequence[Path], keys: set[Key], on_problem: Callable[[FormatError], None]
-) -> dict[Key, list[tuple[Path, Path]]]:
-    """Files below the sources by their `file_key`, best first, each with its source."""
+def _by_key(places: Iterable[tuple[Path, Path]], keys: set[Key]) -> dict[Key, list[tuple[Path, Path]]]:
+    """The places whose files have one of the keys (`file_key`), by key, best first."""
     found: dict[Key, list[tuple[Path, Path]]] = {}
-    for source in sources:
-        if not source.is_dir():
-            raise UsageError(f"{source} is not a folder; an index names files below a folder")
-        root = source.resolve()
-        for path in (path for _, files in walk(root, lambda folder: False, on_problem) for path in files):
-            # The source may itself be a dataset's folder.
-            parts = path.relative_to(root).parts
-            named = (root.name, *parts)
-            key = file_key(named if dataset_of(named) else parts)
-            if key in keys:
-                found.setdefault(key, []).append((path, root))
-    for places in found.values():
-        places.sort(key=lambda place: [place[0].stem.endswith(ending) for ending in ENDINGS], reverse=True)
+    for path, root in places:
+        parts = path.relative_to(root).parts
+        named = (root.name, *parts)  # the source may itself be a dataset's folder
+        key = file_key(named if dataset_of(named) else parts)
+        if key in keys:
+            found.setdefault(key, []).append((path, root))
+    for of_key in found.values():
+        of_key.sort(key=lambda place: [place[0].stem.endswith(ending) for ending in ENDINGS], reverse=True)
     return found
 
 

@@ -27,9 +27,8 @@ from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
 TIME, FRAME = "time_seconds", "frame"
 AXES = ("x", "y", "z")
 HEADER_BYTES = 1 << 20
-# pyarrow's messages; rows are lines, the header is the first.
-NO_NUMBER = re.compile(r"column #(\d+): Row #(\d+): .*invalid value '(.{0,40}?)'")
-OTHER_WIDTH = re.compile(r"Row #(\d+): Expected (\d+) columns, got (\d+)")
+# In pyarrow's messages; rows are lines, the header is the first.
+ROW = re.compile(r"Row #(\d+): ")
 
 
 def accepts(head: FileHead) -> bool:
@@ -114,7 +113,14 @@ def _table(data: bytes, names: tuple[str, ...], path: Path) -> Float64[np.ndarra
             convert_options=pc.ConvertOptions(column_types=dict.fromkeys(names, pa.float64()), null_values=[]),
         )
     except (pa.ArrowException, ValueError) as error:
-        raise _unreadable(str(error).splitlines()[0], names, path) from None
+        message = str(error).splitlines()[0][:160]
+        row, is_width = ROW.search(message), " columns, got " in message
+        raise FormatError(
+            f"{message}; numbers have points (1.5), columns are separated by commas",
+            path=path,
+            reason="channel-count" if is_width else "not-a-number",
+            line=int(row[1]) if row else None,
+        ) from None
     if not table.num_rows:
         raise FormatError("0 frames, expected at least one row below the header", path=path, reason="no-frames")
     values = np.stack([table[name].to_numpy() for name in names], axis=1)
@@ -124,17 +130,6 @@ def _table(data: bytes, names: tuple[str, ...], path: Path) -> Float64[np.ndarra
             message = f"{values[frame, column]} in column {names[column]!r}"
             raise FormatError(message, path=path, reason=reason, frame=frame)
     return values
-
-
-def _unreadable(message: str, names: tuple[str, ...], path: Path) -> FormatError:
-    if (match := NO_NUMBER.search(message)) is not None:
-        column, line, value = int(match[1]), int(match[2]), match[3]
-        what = f"{value!r} in column {names[column]!r}, expected a number with a point (1.5, not 1,5)"
-        return FormatError(what, path=path, reason="not-a-number", line=line)
-    if (match := OTHER_WIDTH.search(message)) is not None:
-        what = f"{match[3]} values, expected {match[2]}; numbers have points (1.5), not commas"
-        return FormatError(what, path=path, reason="channel-count", line=int(match[1]))
-    return FormatError(message[:160], path=path, reason="not-a-number")
 
 
 def _clock(

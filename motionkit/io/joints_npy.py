@@ -72,7 +72,7 @@ def read_joints_npy(path: Path, options: ReadOptions | None = None) -> Motion:
             reason="no-framerate",
         )
     data = source_file.read_bytes(path)
-    positions = npy.read_npy(path, data, (None, None, 3))
+    positions = npy.read_npy(path, data, (None, None, 3), fill_missing=options.fill_missing)
     skeleton = _skeleton(positions.shape[1], manifest, path)
     # Without that file nothing else can state a framerate.
     operations = source_file.replaced_fps(fps, manifest.fps or fps, who=MANIFEST)
@@ -174,8 +174,6 @@ FORMAT = Format(
     read=of_path(read_joints_npy),
     suffixes=(".npy",),
     accepts=accepts,
-    beside=(MANIFEST,),
-    begins=npy.MAGIC,
     write=write_joints_npy,
     turns_up=True,
     shared_file=MANIFEST,
@@ -186,5 +184,4 @@ HUMANACT12_FORMAT = Format(
     read=of_path(read_humanact12),
     suffixes=(".npy",),
     accepts=accepts_humanact12,
-    beside=(MANIFEST,),
 )

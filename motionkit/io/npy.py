@@ -37,9 +37,9 @@ Shape = tuple[int | None, ...] | None
 """The expected shape of an array: None for any, as a whole or per axis."""
 
 
-def read_npy(path: Path, data: bytes, shape: Shape) -> Float32[np.ndarray, "..."]:
+def read_npy(path: Path, data: bytes, shape: Shape, *, fill_missing: bool = False) -> Float32[np.ndarray, "..."]:
     """The numbers in a .npy file's bytes as float32; raises `FormatError` as `parse_npy` and `checked_numbers` do."""
-    return checked_numbers(parse_npy(path, data, shape), path)
+    return checked_numbers(parse_npy(path, data, shape), path, fill_missing=fill_missing)
 
 
 def parse_npy(path: Path, data: bytes, shape: Shape, kinds: str = NUMBERS, name: str = "") -> np.ndarray:
@@ -95,8 +95,10 @@ def peek_shape(path: Path) -> tuple[int, ...] | None:
         return None
 
 
-def checked_numbers(array: np.ndarray, path: Path, name: str = "") -> Float32[np.ndarray, "..."]:
-    """An array as float32, frames first.
+def checked_numbers(
+    array: np.ndarray, path: Path, name: str = "", *, fill_missing: bool = False
+) -> Float32[np.ndarray, "..."]:
+    """An array as float32, frames first; with `fill_missing`, frames with NaN repeat the last valid one.
 
     Raises `FormatError` for an empty one (`no-frames`), and with the first frame that has NaN (`nan`) or a number
     beyond a million (`range`).
@@ -107,6 +109,9 @@ def checked_numbers(array: np.ndarray, path: Path, name: str = "") -> Float32[np
     if array.dtype == np.float16:
         array = array.astype(np.float32)  # a million is beyond the range of float16
     rows = array.reshape(len(array) if array.ndim else 1, -1)
+    if fill_missing:
+        rows = rows[source_file.last_valid(np.isfinite(rows).all(axis=1), path)]
+        array = rows.reshape(array.shape)
     for reason, bad in (("nan", ~np.isfinite(rows)), ("range", (rows > MAX_NUMBER) | (rows < -MAX_NUMBER))):
         if bad.any():
             frame = int(np.flatnonzero(bad.any(axis=1))[0])
@@ -137,9 +142,9 @@ class Archive:
         """An array with its own dtype, which is of `kinds`; NaN is allowed."""
         return parse_npy(self.path, self._content(key), shape, kinds, key)
 
-    def numbers(self, key: str, shape: Shape) -> Float32[np.ndarray, "..."]:
+    def numbers(self, key: str, shape: Shape, *, fill_missing: bool = False) -> Float32[np.ndarray, "..."]:
         """An array as float32, checked by `checked_numbers`."""
-        return checked_numbers(self.array(key, shape), self.path, key)
+        return checked_numbers(self.array(key, shape), self.path, key, fill_missing=fill_missing)
 
     def exact(self, key: str, shape: Shape) -> Float64[np.ndarray, "..."]:
         """An array as float64, for clocks, indices and bounds; NaN and empty arrays are allowed."""

@@ -126,19 +126,20 @@ def read_npz(path: Path, options: ReadOptions | None = None) -> Motion:
     options = options or ReadOptions()
     data = source_file.read_bytes(path)
     archive = npy.open_archive(path, data)
-    positions = archive.numbers("joint_positions", (None, None, 3))
+    fill = options.fill_missing
+    positions = archive.numbers("joint_positions", (None, None, 3), fill_missing=fill)
     num_frames, num_joints, _ = positions.shape
     grid, stated_fps, operations = _clock(archive, num_frames, options)
     rotations = root = None
     if "local_rotations" in archive:
-        rotations = archive.numbers("local_rotations", (num_frames, num_joints, 4))
+        rotations = archive.numbers("local_rotations", (num_frames, num_joints, 4), fill_missing=fill)
         error = np.abs(np.linalg.norm(rotations, axis=-1) - 1.0).max(axis=1)
         if error.max() > MAX_LENGTH_ERROR:
             message = f"local_rotations: a quaternion's length is off 1 by {error.max():.3g}, expected unit quaternions"
             frame = int(np.argmax(error > MAX_LENGTH_ERROR))
             raise FormatError(message, path=path, reason="range", frame=frame)
     if "root_translation" in archive:
-        root = archive.numbers("root_translation", (num_frames, 3))
+        root = archive.numbers("root_translation", (num_frames, 3), fill_missing=fill)
     motion = Motion(
         joint_positions=positions,
         skeleton=read_skeleton(archive, positions),

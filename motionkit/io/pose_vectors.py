@@ -84,7 +84,7 @@ def read_pose_vectors(path: Path, options: ReadOptions | None = None) -> Motion:
     """
     options = options or ReadOptions()
     data = source_file.read_bytes(path)
-    vectors = _rows(path, data)
+    vectors = _rows(path, data, options)
     layout = LAYOUT_BY_WIDTH[vectors.shape[1]]
     positions = humanml3d.recover_positions(vectors, layout.skeleton.num_joints)
     positions = positions * np.float32(options.unit_metres or layout.unit_metres)
@@ -95,7 +95,7 @@ def read_pose_vectors(path: Path, options: ReadOptions | None = None) -> Motion:
 def read_interhuman(item: SourceItem, options: ReadOptions) -> Motion:
     """Read one person of InterHuman's vectors: joint positions in metres, y up, in scene coordinates."""
     path, data = item.path, source_file.read_bytes(item.path)
-    values = npy.read_npy(path, data, None)
+    values = npy.read_npy(path, data, None, fill_missing=options.fill_missing)
     if not _is_interhuman(values.shape):
         message = f"array of shape {values.shape}, expected rows of 262, 2 × 262 or 492 numbers"
         raise FormatError(message, path=path, reason="channel-count")
@@ -114,7 +114,7 @@ def read_motionstreamer(path: Path, options: ReadOptions | None = None) -> Motio
     """
     options = options or ReadOptions()
     data = source_file.read_bytes(path)
-    values = _rows(path, data).astype(np.float64)
+    values = _rows(path, data, options).astype(np.float64)
     # Vectors are relative to the heading: rotating by minus the yaw gives world coordinates.
     yaw = np.cumsum(np.arctan2(values[:, YAW][:, 2], values[:, YAW][:, 0]))
     back = np.stack((np.cos(-yaw / 2), 0 * yaw, np.sin(-yaw / 2), 0 * yaw), axis=-1)
@@ -129,8 +129,8 @@ def read_motionstreamer(path: Path, options: ReadOptions | None = None) -> Motio
     return joint_rotations.with_rotations(motion, local)
 
 
-def _rows(path: Path, data: bytes) -> Float32[np.ndarray, "frames numbers"]:
-    values = npy.read_npy(path, data, None)
+def _rows(path: Path, data: bytes, options: ReadOptions) -> Float32[np.ndarray, "frames numbers"]:
+    values = npy.read_npy(path, data, None, fill_missing=options.fill_missing)
     return values.reshape(-1, values.shape[-1])
 
 
@@ -180,14 +180,11 @@ def _check_body(positions: Positions, skeleton: Skeleton, path: Path) -> None:
         )
 
 
-FORMAT = Format(name="pose-vectors", read=of_path(read_pose_vectors), suffixes=(".npy",), accepts=accepts,
-                beside=(joints_npy.MANIFEST,))  # fmt: skip
+FORMAT = Format(name="pose-vectors", read=of_path(read_pose_vectors), suffixes=(".npy",), accepts=accepts)
 INTERHUMAN_FORMAT = Format(
     name="interhuman", read=read_interhuman, suffixes=(".npy",), accepts=accepts_interhuman, keys=persons,
-    beside=(joints_npy.MANIFEST,),
     turns_up=True,
 )  # fmt: skip
 MOTIONSTREAMER_FORMAT = Format(
     name="motionstreamer", read=of_path(read_motionstreamer), suffixes=(".npy",), accepts=accepts_motionstreamer,
-    beside=(joints_npy.MANIFEST,),
 )  # fmt: skip

@@ -59,9 +59,10 @@ class ReadOptions:
     annotations; `captions` is a CSV file of annotations whose cells replace those found beside the motions.
     `skeleton_maps` are the user's tables, as returned by `skeletons.mapping.read_skeleton_map`; a skeleton keeps the
     one that fits it. `fps_rules` are the user's corrections of framerates, before the shipped ones
-    (`motionkit.io.reading`). `body_models` is the user's folder of SMPL-family models. `index` selects segments of a
+    (`motionkit.io.scan`). `body_models` is the user's folder of SMPL-family models. `index` selects segments of a
     source's files. `skip_frames` frames are dropped at the start of every whole file whose annotations give no number.
-    `skip_derived` skips the outputs of `motionkit complete` and `motionkit plant` in folders.
+    `skip_derived` skips the outputs of `motionkit complete` and `motionkit plant` in folders. With `fill_missing`,
+    frames of .npz and .npy arrays that hold NaN repeat the last valid one; they are refused otherwise.
     """
 
     format: str = "auto"
@@ -75,6 +76,7 @@ class ReadOptions:
     index: IndexOptions | None = None
     skip_frames: int = 0
     skip_derived: bool = False
+    fill_missing: bool = False
 
 
 @dataclass(frozen=True)
@@ -166,11 +168,9 @@ Reader = Callable[[SourceItem, ReadOptions], Motion]
 class Format:
     """A format: how its files are recognised and read, and how a motion is written.
 
-    A file format has `suffixes`, and `accepts` if the suffix is ambiguous; a single file with another name is
-    recognised by the word that it `begins` with, apart from comments. A folder format has `claims`, which recognises a
-    folder, and `find`, which lists its sequences; a claimed folder is not searched further.
-    `beside` are names, or patterns of names, of other files that belong to a folder of its sequences. `keys` names the
-    sequences of a file that holds several. A text format whose files can be written again with their own lines has
+    A file format has `suffixes`, and `accepts` if the suffix is ambiguous. A folder format has `claims`, which
+    recognises a folder, and `find`, which lists its sequences; a claimed folder is not searched further. `keys` names
+    the sequences of a file that holds several. A text format whose files can be written again with their own lines has
     `document`, which reads the same motion as `read`, with the file's text.
 
     `turns_up` is whether `read` applies `ReadOptions.up`; motions of other formats are turned after they are read.
@@ -183,10 +183,8 @@ class Format:
     read: Reader | None = None
     suffixes: tuple[str, ...] = ()
     accepts: Callable[[FileHead], bool] = lambda head: True
-    begins: bytes = b""
     claims: Callable[[Path], bool] | None = None
     find: Callable[[Path, Path], ScanResult] | None = None
-    beside: tuple[str, ...] = ()
     keys: Callable[[FileHead], tuple[str, ...]] = lambda head: ()
     document: Callable[[Path, ReadOptions], Any] | None = None
     turns_up: bool = False
@@ -293,14 +291,6 @@ def recognise(head: FileHead, name: str = "auto") -> Format | None:
         yield from (reader_of(each.name) for each in _BUILT_IN if each.may_read(head.path))
 
     return next((each for each in candidates() if name in ("auto", each.name) and each.accepts(head)), None)
-
-
-def recognise_unnamed(head: FileHead, name: str = "auto") -> Format | None:
-    """The format of a file whose suffix does not say it, by its first word."""
-    lines = map(bytes.strip, head.content.removeprefix(b"\xef\xbb\xbf").splitlines())
-    first = next((line for line in lines if line and not line.startswith(b"#")), b"").upper()
-    kinds = (each for each in readers().values() if name in ("auto", each.name) and each.begins)
-    return next((each for each in kinds if first.startswith(each.begins) and each.accepts(head)), None)
 
 
 def recognise_folder(folder: Path, name: str = "auto") -> Format | None:

@@ -1,7 +1,12 @@
-"""Finding the sequences of a source, to be read by `motionkit.io.reading`.
+"""Finding the sequences of a source (`scan`), and reading one of them (`read`): so ingest scans once, and many read.
 
-`scan` lists folders and reads the beginnings of files whose suffix is ambiguous, `read` reads one sequence: so ingest
-can scan once and read in many processes.
+`scan` lists folders and reads the beginnings of files whose suffix is ambiguous. `read` reads a sequence's file,
+corrects its framerate by rules, crops and mirrors it, and adds what annotation tables state.
+
+A rule corrects framerates that files state wrongly. It has globs of files (`pathlib.PurePath.match`), the wrong
+framerate that they state (`stated`; omitted: any), the right one, and its source. The user's rules come first, and the
+first matching rule applies; an explicit framerate (--fps, or the column fps of an annotation table) overrides all
+rules. The shipped ones are framerate_rules.toml.
 """
 
 import os
@@ -10,15 +15,25 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
-from functools import cache
-from pathlib import Path
+from functools import cache, lru_cache
+from importlib import resources
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any
 
-from motionkit.core.errors import FormatError, UsageError
-from motionkit.core.files import is_store
+from motionkit.core.errors import FormatError, UsageError, shown
+from motionkit.core.files import LONGEST_TOML, is_store, parse_toml, read_at_most
+from motionkit.core.mirror import mirror
+from motionkit.core.motion import Motion, captions_within
+from motionkit.core.skeletons.mapping import with_layout_map
+from motionkit.core.timegrid import TimeGrid, parse_fps
 from motionkit.io.annotations import AnnotationTable, annotated, read_annotations, tables_in
+from motionkit.io.body_frame import check_unit, log_lines, turned
+from motionkit.io.cuts import crop
 from motionkit.io.registry import (
     FileHead,
     Format,
+    FramerateRule,
+    Reader,
     ReadOptions,
     ScanResult,
     SourceItem,
@@ -26,18 +41,25 @@ from motionkit.io.registry import (
     readers,
     recognise,
     recognise_folder,
-    recognise_unnamed,
 )
-from motionkit.io.source_file import dangling, unreadable
+from motionkit.io.source_file import check_size, dangling, unreadable
 
-# Limits of messages about what was not read, and of a licence's line.
-SHOWN_KINDS, SHOWN_NAMES, MAX_LICENCE_LINE = 3, 8, 120
+if TYPE_CHECKING:
+    from motionkit.io.bvh import BvhDocument
+
+# The kinds of files that a message names, and the letters of a licence.
+SHOWN_KINDS, MAX_LICENCE_LETTERS = 3, 120
 # Folders above a single file whose tables may describe it.
 LEVELS_ABOVE_A_FILE = 3
+# Files that belong to motions, or describe them: they are not reported as ignored.
+SIDE_FILES = ("licen[cs]e*", "*.asf", "shape.npz", "*_stagei.npz", "motions.json", "frame_cuts.csv")
 # Files that are never loaded; docs/formats.md has the lines that convert them.
 REFUSED_SUFFIXES = (".fbx", ".pt", ".pth", ".pkl", ".pickle")
 COMPLETED, PLANTED = "completed", "planted"
 DERIVED_FOLDER = re.compile(rf"({COMPLETED}|{PLANTED})-[\d.-]+fps")
+# Reasons for refusing a file that lacks only a usable framerate.
+NO_FRAMERATE = frozenset({"no-framerate", "framerate", "frame-time"})
+RULE_KEYS = frozenset({"files", "stated", "fps", "reason", "source"})
 
 
 def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanResult:
@@ -77,46 +99,33 @@ def walk(
 ) -> Iterator[tuple[Path, list[Path]]]:
     """The folders below `root`, itself first, in sorted order, each with its files; hidden ones are left out.
 
-    A folder that `is_whole` is not entered. Links to folders are followed after all real folders, so that a folder
-    reachable both ways gets its real path; folders already visited, those that contain the source, and stores are
-    skipped. What cannot be listed or looked at (`unreadable`, `dangling-link`) goes to `on_problem`.
+    A folder that `is_whole` is not entered. Links to folders are followed; folders already visited, those that contain
+    the source, and stores are skipped. What cannot be listed or looked at (`unreadable`, `dangling-link`) goes to
+    `on_problem`.
     """
-    visited: set[tuple[int, int]] = set()
-    waiting, links = [root], list[Path]()
-    while waiting or links:
-        folder = waiting.pop() if waiting else links.pop(0)
-        try:
-            status = folder.stat()
-            entries = sorted(os.scandir(folder), key=lambda entry: entry.name)
-        except OSError as error:
-            on_problem(unreadable(folder, error))
-            continue
-        if (status.st_dev, status.st_ino) in visited:
-            continue
-        visited.add((status.st_dev, status.st_ino))
-        below: list[Path] = []
-        linked: list[Path] = []
+    visited = {root.resolve()}
+    listed = os.walk(
+        root, followlinks=True, onerror=lambda error: on_problem(unreadable(Path(str(error.filename)), error))
+    )
+    for name, folders, entries in listed:
+        folder = Path(name)
         files: list[Path] = []
-        for entry in entries:
-            path = folder / entry.name
+        for path in (folder / entry for entry in sorted(entries) if not entry.startswith(".")):
             try:
-                if entry.name.startswith("."):
-                    continue
-                if entry.is_file():  # not a pipe, which would block
+                if path.is_file():  # not a pipe, which would block
                     files.append(path)
-                elif not entry.is_dir():
+                else:
                     path.stat()  # raises for a link that leads nowhere
-                elif entry.name.startswith("__") or is_store(path):
-                    continue
-                elif not entry.is_symlink():
-                    below.append(path)
-                elif not root.is_relative_to(path.resolve()):
-                    linked.append(path)
             except OSError as error:
                 on_problem(unreadable(path, error))
-        if not is_whole(folder):
-            waiting += reversed(below)
-            links += linked
+        below = [] if is_whole(folder) else sorted(folders, key=lambda entry: ((folder / entry).is_symlink(), entry))
+        folders.clear()
+        for entry in below:
+            real = (folder / entry).resolve()
+            is_inner = real not in visited and not root.is_relative_to(real)
+            if is_inner and not entry.startswith((".", "__")) and not is_store(folder / entry):
+                visited.add(real)
+                folders.append(entry)
         yield folder, files
 
 
@@ -135,7 +144,9 @@ class _SideFiles:
             return self._of_folder[folder]
         given = () if self._given is None else (self._given,)
         licence, above = ("", given) if folder == self._top else self.of(folder.parent)
-        tables, problems = tables_in(folder, None if self._given is None else self._given.path)
+        tables, problems = list[AnnotationTable](), list[FormatError]()
+        if next(folder.glob("*.csv"), None):
+            tables, problems = tables_in(folder, None if self._given is None else self._given.path)
         if folder.is_relative_to(self._root):
             licence = find_licence(folder) or licence
             self.tables += tables
@@ -174,7 +185,9 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
             continue
         for head in heads:
             path = head.path
-            kind = recognise(head, options.format) or (None if is_folder else recognise_unnamed(head, options.format))
+            kind = recognise(head, options.format)
+            if kind is None and not is_folder and options.format != "auto":
+                kind = reader_of(options.format)  # whatever the file is called
             if kind is None:
                 others.append(path)
             # The source folder's own name is ignored: whoever names a folder of completed clips means them.
@@ -197,8 +210,7 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
     warnings += _without_caption(items, side_files, {warning.path for warning in warnings})
     known = {problem.path for problem in problems} | {table.path for table in side_files.tables}
     known |= set() if given is None else {given.path.parent.resolve() / given.path.name}
-    formats = {item.format for item in items}
-    ignored = [path for path in others if is_folder and path not in known and not _belongs(path, formats)]
+    ignored = [path for path in others if is_folder and path not in known and not _is_side_file(path)]
     return ScanResult(tuple(items), tuple(problems), tuple(warnings), ignored=tuple(ignored))
 
 
@@ -265,17 +277,14 @@ def find_licence(folder: Path) -> str:
 def _first_line(path: Path) -> str:
     try:
         with path.open(encoding="utf-8", errors="replace") as file:
-            lines = file.read(4096).splitlines()
+            words = file.read(4096).strip().partition("\n")[0].split()
     except OSError:
         return ""
-    return next((" ".join(line.split())[:MAX_LICENCE_LINE] for line in lines if line.strip()), "")
+    return " ".join(words)[:MAX_LICENCE_LETTERS]
 
 
-def _belongs(path: Path, formats: Iterable[str]) -> bool:
-    """Whether a file that is no sequence belongs to sequences of these formats, or states their licence."""
-    name = path.name.lower()
-    patterns = ("licen[cs]e*", *(pattern.lower() for each in formats for pattern in reader_of(each).beside))
-    return any(fnmatchcase(name, pattern) for pattern in patterns)
+def _is_side_file(path: Path) -> bool:
+    return any(fnmatchcase(path.name.lower(), pattern) for pattern in SIDE_FILES)
 
 
 def _no_motion(source: Path, others: Sequence[Path], options: ReadOptions) -> FormatError:
@@ -283,20 +292,13 @@ def _no_motion(source: Path, others: Sequence[Path], options: ReadOptions) -> Fo
     if any(path.suffix.lower() in REFUSED_SUFFIXES for path in (source, *others)):
         expected += "; docs/formats.md#fbx-and-pickles converts FBX files and pickles"
     if source.is_file():
-        message = f"of no known format{_arrays_of(FileHead(source))}, expected {expected}"
+        message = f"of no known format, expected {expected}"
         return FormatError(message, path=source, reason="unknown-format")
     kinds = Counter(path.suffix.lower() or path.name for path in others).most_common(SHOWN_KINDS)
     there = ", ".join(f"{count:,} {kind}" for kind, count in kinds)
     there += f", the first: {others[0].relative_to(source.resolve())}" if others else "no files"
     message = f"no motions in this folder (it has {there}), expected {expected}"
     return FormatError(message, path=source, reason="empty-folder")
-
-
-def _arrays_of(head: FileHead) -> str:
-    if head.array_names:
-        names = sorted(head.array_names)
-        return f" (an archive of {', '.join(names[:SHOWN_NAMES])}{', …' if len(names) > SHOWN_NAMES else ''})"
-    return f" (an array of shape {head.array_shape})" if head.array_shape is not None else ""
 
 
 def _scan_indexes(sources: Sequence[Path], options: ReadOptions) -> ScanResult:
@@ -315,8 +317,19 @@ def _scan_indexes(sources: Sequence[Path], options: ReadOptions) -> ScanResult:
         (item,) = _items_of_file(kind, head, root, licence)
         return replace(annotated(item, tables), captions=(), split="")
 
-    found = scan_indexes(sources, options.index, item_of)
-    problems, warnings = list(found.problems), list(found.warnings)
+    unlisted: list[FormatError] = []
+
+    def files() -> Iterator[tuple[Path, Path]]:
+        for source in sources:
+            if not source.is_dir():
+                raise UsageError(f"{source} is not a folder; an index names files below a folder")
+            root = source.resolve()
+            yield from (
+                (path, root) for _, paths in walk(root, lambda folder: False, unlisted.append) for path in paths
+            )
+
+    found = scan_indexes(files(), options.index, item_of)
+    problems, warnings = list(found.problems), [*unlisted, *found.warnings]
     for side_files in roots.values():
         problems += side_files.problems
         warnings += (warning for table in side_files.tables for warning in table.warnings)
@@ -333,3 +346,200 @@ def _unique(found: ScanResult) -> ScanResult:
             message = f"its id {item.sequence_id!r} is already taken by {first.path.name}; rename it or its folder"
             problems.append(FormatError(message, path=item.path, reason="duplicate-id"))
     return replace(found, items=tuple(kept.values()), problems=tuple(problems))
+
+
+# Reading a sequence
+
+
+def read(item: SourceItem, options: ReadOptions | None = None) -> Motion:
+    """Read one sequence with its annotations; raises `FormatError`, `too-large` beyond a store's limit."""
+    options = _with_fps(item, options)
+    if item.cut is None and not item.mirrored:
+        motion = _read_file(item, options)
+        motion = _without_first(replace(motion, captions=item.captions or motion.captions), item, options)
+    else:
+        motion = _read_segment(item, options)
+    return _annotated(motion, item, options)
+
+
+def read_document(item: SourceItem, options: ReadOptions | None = None) -> "BvhDocument | None":
+    """The document of a whole file with its annotations, None if its format has none.
+
+    Its motion is that of `read`. Raises `FormatError`.
+    """
+    options, document_of = _with_fps(item, options), reader_of(item.format).document
+    if document_of is None:
+        return None
+    documents: list[BvhDocument] = []
+
+    def read_file(item: SourceItem, options: ReadOptions) -> Motion:
+        documents.append(document_of(item.path, options))
+        return documents[-1].motion
+
+    motion = replace(_corrected(item, options, read_file), captions=item.captions)
+    kept = _without_first(motion, item, options)
+    document = documents[-1].frames(motion.num_frames - kept.num_frames, motion.num_frames)
+    return replace(document, motion=_annotated(kept, item, options))
+
+
+def _with_fps(item: SourceItem, options: ReadOptions | None) -> ReadOptions:
+    options = options or ReadOptions()
+    return replace(options, fps=item.fps) if options.fps is None else options
+
+
+def _read_file(item: SourceItem, options: ReadOptions) -> Motion:
+    kind = reader_of(item.format)
+    assert kind.read is not None
+    motion = _corrected(item, options, kind.read)
+    if not options.up or kind.turns_up:
+        return motion
+    motion = turned(motion, options.up)
+    for line in log_lines(options.up, options.up):
+        motion = motion.logged(line)
+    return motion
+
+
+def _without_first(motion: Motion, item: SourceItem, options: ReadOptions) -> Motion:
+    """The motion without its first frames, its clock starting at 0; raises `FormatError` if no frame is left.
+
+    Captions, whose seconds count from the file's first frame, move with it; those of the left-out frames are dropped.
+    """
+    num_frames = options.skip_frames if item.skip_frames is None else item.skip_frames
+    if num_frames == 0:
+        return motion
+    if num_frames >= motion.num_frames:
+        message = f"{motion.num_frames} frames, of which the first {num_frames} are to be left out"
+        raise FormatError(message, path=item.path, reason="skip-frames")
+    kept = motion.frames(num_frames, motion.num_frames)
+    seconds = float(num_frames / motion.fps)
+    captions = tuple(
+        replace(
+            caption,
+            start_seconds=max(0.0, caption.start_seconds - seconds),
+            end_seconds=None if caption.end_seconds is None else caption.end_seconds - seconds,
+        )
+        for caption in captions_within(motion.captions, kept.timegrid)
+    )
+    line = f"the first {num_frames} of {motion.num_frames} frames left out (skip_frames)"
+    return replace(kept, timegrid=TimeGrid(motion.fps, kept.num_frames), captions=captions).logged(line)
+
+
+def _read_segment(item: SourceItem, options: ReadOptions) -> Motion:
+    whole = SourceItem(item.format, item.path, item.root, sequence_id="", key=item.key, fps=item.fps)
+    try:
+        status = item.path.stat()
+        version = status.st_mtime_ns, status.st_size
+    except OSError:
+        version = 0, 0  # the reader will report it
+    motion = _read_once(whole, options, version)
+    stated_fps = item.stated_fps or motion.provenance.stated_fps  # which frames an index counted depends on it
+    provenance = replace(motion.provenance, stated_fps=stated_fps)
+    captions = item.captions or motion.captions
+    motion = replace(motion, captions=captions, provenance=provenance, sequence_id=item.sequence_id)
+    if item.cut is not None:
+        motion = crop(motion, item.cut, item.path)
+    if not item.mirrored:
+        return motion
+    try:
+        return mirror(motion)
+    except ValueError as error:
+        raise FormatError(f"cannot be mirrored: {error}", path=item.path, reason="mirror") from None
+
+
+@lru_cache(maxsize=1)
+def _read_once(whole: SourceItem, options: ReadOptions, version: tuple[int, int]) -> Motion:
+    # The segments of a file are consecutive, and reading it costs far more than cutting it. A file that has changed
+    # since is read again.
+    return _read_file(whole, options)
+
+
+def _annotated(motion: Motion, item: SourceItem, options: ReadOptions) -> Motion:
+    check_unit(motion.skeleton, motion.joint_positions[:1], options.unit_metres, item.path)
+    check_size(motion.num_frames, motion.skeleton.num_joints, item.path)
+    provenance = replace(
+        motion.provenance,
+        source=item.source,
+        subset=item.subset,
+        source_path=item.path.relative_to(item.root).as_posix(),
+        licence=item.licence or motion.provenance.licence,
+        subject=item.subject or motion.provenance.subject,
+        stated_fps=item.stated_fps or motion.provenance.stated_fps,
+    )
+    return replace(
+        motion,
+        skeleton=with_layout_map(motion.skeleton, options.skeleton_maps),
+        sequence_id=item.sequence_id,
+        action=item.action or motion.action,
+        style=item.style or motion.style,
+        split=item.split or motion.split,
+        provenance=provenance,
+    )
+
+
+# Rules of framerates
+
+
+def read_rules(path: Path) -> tuple[FramerateRule, ...]:
+    """The rules of a TOML file in its order; raises `UsageError` that names the file, the rule and the fault."""
+    try:
+        text = read_at_most(path, LONGEST_TOML).decode("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
+    return parse_rules(text, str(path))
+
+
+@cache
+def shipped_rules() -> tuple[FramerateRule, ...]:
+    """The corrections that motionkit ships, each with its source."""
+    text = resources.files(__package__).joinpath("framerate_rules.toml").read_text(encoding="utf-8")
+    return parse_rules(text, "shipped")
+
+
+def parse_rules(text: str, name: str) -> tuple[FramerateRule, ...]:
+    """The rules in TOML text; `name` is for messages. Raises `UsageError`."""
+    try:
+        tables = parse_toml(text)["rule"]
+        return tuple(_rule(table, f"{Path(name).name}, rule {number}") for number, table in enumerate(tables, start=1))
+    except (ValueError, KeyError, TypeError) as error:
+        expected = "expected tables [[rule]] with files, fps and, if you like, stated, reason, source (docs/formats.md)"
+        raise UsageError(f"{name}: {error}; {expected}") from None
+
+
+def _rule(table: dict[str, Any], where: str) -> FramerateRule:
+    if not {"files", "fps"} <= set(table) <= RULE_KEYS:
+        raise ValueError(f"{where} has {shown(table)}")
+    globs = (table["files"],) if isinstance(table["files"], str) else tuple(table["files"])
+    if not globs or not all(isinstance(each, str) and each.strip("./") for each in globs):
+        raise ValueError(f"{where}: files must be a glob in quotes, or a list of them, not {shown(globs)}")
+    try:
+        fps, stated = (parse_fps(table[key]) if key in table else None for key in ("fps", "stated"))
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"{where}: {error}") from None
+    assert fps is not None
+    return FramerateRule(globs, fps, stated, str(table.get("source", "")), where)
+
+
+def matching_rules(path: Path, root: Path, rules: tuple[FramerateRule, ...]) -> tuple[FramerateRule, ...]:
+    """The rules whose globs match a file's path, relative to the parent folder of its source."""
+    place = PurePosixPath(root.name, path.relative_to(root).as_posix())
+    return tuple(rule for rule in rules if any(map(place.match, rule.files)))
+
+
+def _corrected(item: SourceItem, options: ReadOptions, read: Reader) -> Motion:
+    # The whole file, its framerate corrected by a rule unless the user has given one.
+    if options.fps is not None:
+        return read(item, options)
+    rules = matching_rules(item.path, item.root, (*options.fps_rules, *shipped_rules()))
+    try:
+        motion = read(item, options)
+    except FormatError as problem:
+        rule = next((rule for rule in rules if rule.stated is None), None)
+        if rule is None or problem.reason not in NO_FRAMERATE:
+            raise
+        return read(item, replace(options, fps=rule.fps)).logged(f"framerate by rule ({rule.where})")
+    rule = next((rule for rule in rules if rule.stated in (None, motion.fps)), None)
+    if rule is None or rule.fps == motion.fps:
+        return motion
+    by = f"({rule.where}{f', {rule.source}' if rule.source else ''})"
+    line = f"framerate set to {rule.fps} by rule {by}; the file says {motion.fps}"
+    return replace(motion, timegrid=replace(motion.timegrid, fps=rule.fps)).logged(line)

@@ -1,21 +1,26 @@
-"""What all readers share: a file's bytes, hash and text, and the framerate in use.
+"""What all readers share: a file's bytes, hash and text, tables of numbers in it, and the framerate in use.
 
 Mislabelled files are identified for messages; time stamps of frames become a uniform grid, or an error says why not.
+
+Tables are read block by block: array operations find all words of some lines and view them as Arrow's 16-byte string
+views (https://arrow.apache.org/docs/format/Columnar.html, variable-size binary view layout), which Arrow casts to
+float64, so that no word becomes a Python object. A block that this fails to parse is parsed line by line.
 """
 
 import hashlib
 import os
 import re
 import stat
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Provenance
-from motionkit.core.shapes import Float64
+from motionkit.core.shapes import Bool, Float64, Int64
 from motionkit.core.timegrid import TimeGrid, parse_fps
 
 MAX_BYTES = 4 << 30
@@ -25,6 +30,15 @@ UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 # 9.7 hours at 120 fps; and frames × joints, about 80 bytes of memory each: 5 GB.
 MAX_FRAMES = 1 << 22
 MAX_POSES = 1 << 26
+# Of a number in a text.
+LARGEST_VALUE = 1e9
+# A block and its word tables fit into a core's cache, and each is small enough for malloc to reuse its memory: from
+# 128 KB on every table would be mapped anew, with a page fault for each 4 KB, a third of the time of parsing.
+BLOCK_BYTES = 3 << 15
+# Arrow's string view of a word: its length, then the word itself if it is short.
+LENGTH_BYTES, INLINE_BYTES = 4, 12
+VIEW_BYTES = LENGTH_BYTES + INLINE_BYTES
+NEWLINE, SPACE = 10, 32
 
 
 def read_bytes(path: Path) -> bytes:
@@ -229,3 +243,164 @@ def _framerate(seconds: Float64[np.ndarray, "frames"], path: Path) -> Fraction:
 
 def _fault(message: str, path: Path, frame: int) -> FormatError:
     return FormatError(message, path=path, reason="frame-time", frame=frame)
+
+
+def last_valid(valid: Bool[np.ndarray, "frames"], path: Path) -> Int64[np.ndarray, "frames"]:
+    """For each frame the last valid one up to it, the first valid one before that; raises `FormatError` (`nan`)."""
+    if not valid.any():
+        raise FormatError("every frame holds nan: nothing is observed", path=path, reason="nan")
+    return np.asarray(np.maximum.accumulate(np.where(valid, np.arange(len(valid)), int(np.argmax(valid)))))
+
+
+def unique_names(names: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names made unique by _2, _3 …, and a log line if any was changed."""
+    unique: dict[str, None] = {}
+    changed: list[str] = []
+    for name in names:
+        candidate, number = name, 2
+        while candidate in unique:
+            candidate, number = f"{name}_{number}", number + 1
+        unique[candidate] = None
+        changed += [candidate] if candidate != name else []
+    return tuple(unique), (f"repeated joint names made unique: {', '.join(changed)}",) if changed else ()
+
+
+# Tables of numbers
+
+
+def read_table(
+    text: bytes, num_rows: int, num_columns: int, path: Path, first_line: int
+) -> Float64[np.ndarray, "rows columns"]:
+    """The numbers of a text with one line for each row, separated by white space; empty lines are skipped.
+
+    `first_line` is the number of its first line in the file. Raises `FormatError` (`truncated`, `channel-count`,
+    `frame-count`, `not-a-number`, `nan`, `range`) naming the line and the frame.
+    """
+    # A number takes at least a digit and a separator.
+    most_rows = len(text) // (2 * num_columns) + 1
+    table = np.empty((min(num_rows, most_rows), num_columns))
+    row, line, num_read = 0, first_line, 0
+    for block in _blocks(text):
+        num_read += len(block)
+        rows = _rows_of_block(block, num_columns)
+        if rows is None or row + len(rows) > num_rows:
+            rows = _rows_of_lines(block, num_columns, path, line, row, num_rows, is_last=num_read == len(text))
+        table[row : row + len(rows)] = rows
+        row += len(rows)
+        line += block.count(b"\n")
+    if row < num_rows:
+        message = f"the file ends after {row} frames, expected {num_rows}"
+        raise FormatError(message, path=path, reason="truncated", line=line, frame=row)
+    return table
+
+
+def format_table(table: Float64[np.ndarray, "rows columns"]) -> bytes:
+    """One line per row, numbers separated by spaces, each with its shortest exact digits."""
+    import pyarrow as pa
+    from pyarrow import csv
+
+    columns = pa.table({str(column): values for column, values in enumerate(np.ascontiguousarray(table.T))})
+    buffer = pa.BufferOutputStream()
+    csv.write_csv(columns, buffer, csv.WriteOptions(include_header=False, delimiter=" ", quoting_style="none"))
+    return bytes(buffer.getvalue().to_pybytes())
+
+
+def _blocks(text: bytes) -> Iterator[bytes]:
+    """The text in pieces of whole lines, each about `BLOCK_BYTES` long."""
+    start = 0
+    while start < len(text):
+        stop = text.find(b"\n", start + BLOCK_BYTES) + 1 or len(text)
+        yield text[start:stop]
+        start = stop
+
+
+class Words(NamedTuple):
+    """The words of a text, between newlines: each begins at `starts` of `padded` and has `lengths` bytes."""
+
+    padded: bytes
+    starts: Int64[np.ndarray, "words"]
+    lengths: Int64[np.ndarray, "words"]
+
+    def windows(self, num_bytes: int) -> np.ndarray:
+        """The `num_bytes` bytes from every offset of the text, as opaque values, without a copy."""
+        return np.ndarray((len(self.padded) - num_bytes,), f"V{num_bytes}", self.padded, strides=(1,))
+
+
+def find_words(text: bytes) -> Words:
+    """All words of a text, which are separated by white space."""
+    padded = b"".join((b"\n" * LENGTH_BYTES, text, b"\n" * (VIEW_BYTES + 1)))
+    solid = np.frombuffer(padded, np.uint8) > SPACE
+    edges = np.flatnonzero(solid[1:] != solid[:-1]) + 1
+    return Words(padded, edges[::2], edges[1::2] - edges[::2])
+
+
+def to_numbers(words: Words) -> Float64[np.ndarray, "words"] | None:
+    """The words as numbers; None if one is not a finite number in the valid range."""
+    import pyarrow as pa
+
+    # A view begins before its word, to leave room for the length.
+    views = words.windows(VIEW_BYTES)[words.starts - LENGTH_BYTES].view("<i4").reshape(-1, 4)
+    views[:, 0] = words.lengths
+    long = np.flatnonzero(words.lengths > INLINE_BYTES)
+    if long.size:  # these are four bytes, a buffer's number and an offset into it
+        views[long, 2], views[long, 3] = 0, words.starts[long]
+    buffers = [None, pa.py_buffer(views), pa.py_buffer(words.padded)]
+    try:
+        column = pa.Array.from_buffers(pa.string_view(), len(views), buffers).cast(pa.float64())
+    except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
+        return None
+    values = np.frombuffer(column.buffers()[1], np.float64, len(column))  # `to_numpy` would import pandas: 0.3 s
+    return values if (np.abs(values) < LARGEST_VALUE).all() else None
+
+
+def _rows_of_block(block: bytes, num_columns: int) -> Float64[np.ndarray, "rows columns"] | None:
+    """The rows of a block; None if a line has another number of words, or a word is no number."""
+    words = find_words(block)
+    if len(words.starts) % num_columns:
+        return None
+    newlines = np.flatnonzero(np.frombuffer(words.padded, np.uint8) == NEWLINE)
+    first = np.searchsorted(newlines, words.starts[::num_columns])
+    last = np.searchsorted(newlines, words.starts[num_columns - 1 :: num_columns])
+    if (first != last).any() or (first[1:] == last[:-1]).any():
+        return None
+    numbers = to_numbers(words)
+    return None if numbers is None else numbers.reshape(-1, num_columns)
+
+
+def _rows_of_lines(
+    block: bytes, num_columns: int, path: Path, first_line: int, first_row: int, num_rows: int, *, is_last: bool
+) -> Float64[np.ndarray, "rows columns"]:
+    """The rows of a block, line by line; raises what `read_table` raises. `is_last`: the text ends with the block."""
+    numbers: list[list[float]] = []
+    lines = block.rstrip().split(b"\n")
+    for line, text in enumerate(lines, start=first_line):
+        words, frame = text.split(), first_row + len(numbers)
+        if not words:
+            continue
+        if frame == num_rows:
+            message = f"a line of numbers after the {num_rows} declared frames; expected the end of the file"
+            raise FormatError(message, path=path, reason="frame-count", line=line)
+        if len(words) != num_columns:
+            is_cut = is_last and len(words) < num_columns and line == first_line + len(lines) - 1
+            message = f"{len(words)} numbers, expected {num_columns} (one for each channel)"
+            message += ": the file ends here" if is_cut else ""
+            reason = "truncated" if is_cut else "channel-count"
+            raise FormatError(message, path=path, reason=reason, line=line, frame=frame)
+        numbers.append([parse_number(word, path, line, frame) for word in words])
+    return np.array(numbers, dtype=np.float64).reshape(len(numbers), num_columns)
+
+
+def parse_number(word: bytes | str, path: Path, line: int, frame: int | None = None) -> float:
+    """A finite number in the valid range; raises `FormatError` (`not-a-number`, `nan`, `range`) naming the line."""
+    shown = word.decode("utf-8", "backslashreplace") if isinstance(word, bytes) else word
+    try:
+        value = float(shown.replace("_", "?"))  # Python's numbers may have underscores
+    except ValueError:
+        message, reason = f"{shown[:40]!r} where a number was expected", "not-a-number"
+    else:
+        if abs(value) < LARGEST_VALUE:
+            return value
+        message, reason = f"{shown[:40]} where a finite number was expected", "nan"
+        if np.isfinite(value):
+            message, reason = f"{value:g} is beyond ±{LARGEST_VALUE:g}; no channel of a body is", "range"
+    raise FormatError(message, path=path, reason=reason, line=line, frame=frame)

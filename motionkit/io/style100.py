@@ -141,6 +141,5 @@ FORMAT = Format(
     document=read_100style_document,
     suffixes=(".bvh",),
     accepts=accepts,
-    beside=(CUTS_FILE,),
     turns_up=True,
 )

@@ -15,9 +15,8 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float64
 from motionkit.core.skeletons.mapping import with_layout_map
 from motionkit.core.timegrid import TimeGrid, parse_fps
-from motionkit.io import number_table, source_file
+from motionkit.io import source_file
 from motionkit.io.body_frame import upright
-from motionkit.io.bvh import unique_names
 from motionkit.io.markers import Markers, checked_metres, marker_skeleton, unit_of, without_gaps
 from motionkit.io.registry import Format, ReadOptions, of_path
 
@@ -43,7 +42,7 @@ def read_trc(path: Path, options: ReadOptions | None = None) -> Motion:
     fps, log = source_file.fps_in_use(options.fps, lambda: _stated_fps(rate, table[:, 1], path), words=rate[:20])
     points = table[:, 2:].reshape(len(table), len(names), 3)
     points[~points.any(axis=-1) | np.isnan(points).any(axis=-1)] = np.nan
-    unique, renamed = unique_names(names)
+    unique, renamed = source_file.unique_names(names)
     markers = without_gaps(Markers(unique, points, renamed), fps, path)
     unit, why = unit_of(stated.get("Units", ""), "Units", options.unit_metres, path)
     positions = checked_metres(markers, markers.positions * unit, path)
@@ -87,7 +86,7 @@ def _table(lines: list[str], num_columns: int, path: Path) -> Float64[np.ndarray
             raise FormatError(message, path=path, reason="channel-count", line=number, frame=len(rows))
         words = (cell.strip() for cell in cells[:num_columns])
         row = [
-            np.nan if word.lower() in NOT_SEEN else number_table.parse_number(word, path, number, len(rows))
+            np.nan if word.lower() in NOT_SEEN else source_file.parse_number(word, path, number, len(rows))
             for word in words
         ]
         rows.append(row)
@@ -105,4 +104,4 @@ def _stated_fps(rate: str, seconds: Float64[np.ndarray, "frames"], path: Path) -
     return source_file.grid_of_seconds(seconds, path, fps).fps
 
 
-FORMAT = Format(name="trc", read=of_path(read_trc), suffixes=(".trc",), begins=b"PATHFILETYPE", turns_up=True)
+FORMAT = Format(name="trc", read=of_path(read_trc), suffixes=(".trc",), turns_up=True)

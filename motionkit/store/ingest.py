@@ -20,9 +20,8 @@ from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, parse_layout_map, rest_positions
 from motionkit.io.body_frame import standing_metres
 from motionkit.io.cuts import missing_seconds, unlike_stated_seconds
-from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions, ScanResult, SourceItem
-from motionkit.io.scan import scan
+from motionkit.io.scan import read, scan
 from motionkit.store.commit import pending_part, read_manifest
 from motionkit.store.schema import MOTIONS_FOLDER, EncodedMotion, RefusedMotion, Row, encode
 from motionkit.store.workers import LOCAL, WorkerDied, Workers, check_engine, start_workers, usable_cores

@@ -9,8 +9,7 @@ import numpy as np
 from motionkit.fields.completion import begin_completion
 from motionkit.fields.motion_field import MotionEncoder, Observation
 from motionkit.fields.rig import on_bones
-from motionkit.io.bvh import BvhDocument
-from motionkit.io.bvh_writing import KnownFrames, rewrite_bvh
+from motionkit.io.bvh import BvhDocument, KnownFrames, rewrite_bvh
 
 
 def write_completed(

@@ -17,8 +17,7 @@ from motionkit.features.humanml3d import process
 from motionkit.fields.completion import complete
 from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.motion_field import Observation, to_motion
-from motionkit.io.bvh import read_bvh, read_document
-from motionkit.io.bvh_writing import write_bvh
+from motionkit.io.bvh import read_bvh, read_document, write_bvh
 from motionkit.io.humanml3d import Entry, write_humanml3d
 from motionkit.io.joints_npy import read_joints_npy
 from motionkit.io.npz import motion_arrays, read_npz, write_npz

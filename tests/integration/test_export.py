@@ -19,7 +19,7 @@ from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.edit.export import export_kinds
-from motionkit.io.bvh_writing import write_bvh
+from motionkit.io.bvh import write_bvh
 from motionkit.io.registry import writers
 from motionkit.io.smpl_body import mean_shape_skeleton
 from motionkit.store import Store, StoreWriter

@@ -12,8 +12,7 @@ import pytest
 import motionkit as mk
 from motionkit.core.motion import Motion
 from motionkit.fields.contact.legs import legs_of
-from motionkit.io.bvh import read_bvh
-from motionkit.io.bvh_writing import write_bvh
+from motionkit.io.bvh import read_bvh, write_bvh
 from motionkit.io.npz import read_npz, write_npz
 from motionkit.store import Store, StoreWriter
 from tests.helpers.analytic import capture

@@ -16,13 +16,11 @@ from motionkit.core.motion import Caption, Motion
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import process
 from motionkit.fields.motion_field import to_motion
-from motionkit.io.bvh import read_bvh
-from motionkit.io.bvh_writing import write_bvh
+from motionkit.io.bvh import read_bvh, write_bvh
 from motionkit.io.humanml3d import Entry, write_humanml3d
 from motionkit.io.npz import motion_arrays, write_npz
-from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions
-from motionkit.io.scan import scan
+from motionkit.io.scan import read, scan
 from motionkit.store import StoreWriter
 from tests.helpers.analytic import analytic_motion
 from tests.helpers.every_format import SOURCES

@@ -9,10 +9,9 @@ import pytest
 
 from motionkit.demo_corpus import FOLDER, read_demo_corpus, write_demo_corpus
 from motionkit.features.quality import measure
-from motionkit.io import reading
 from motionkit.io.asfamc import read_asfamc
 from motionkit.io.registry import ReadOptions
-from motionkit.io.scan import scan
+from motionkit.io.scan import read, scan
 from tests.helpers.repository import REPOSITORY
 
 RATES = {Fraction(rate) for rate in (20, 30, 60, 120)}
@@ -39,10 +38,10 @@ def test_what_is_written_is_read_by_the_scan(tmp_path: Path) -> None:
     written = write_demo_corpus(tmp_path / "corpus", every=10)
     found = scan([tmp_path / "corpus"])
     assert found.problems == () and found.warnings == ()
-    read = {item.path.stem: reading.read(item) for item in found.items}
-    assert len(read) == len(written) == 12
+    motions = {item.path.stem: read(item) for item in found.items}
+    assert len(motions) == len(written) == 12
     for motion in written:
-        again = read[motion.sequence_id]
+        again = motions[motion.sequence_id]
         assert (again.fps, again.num_frames, again.captions) == (motion.fps, motion.num_frames, motion.captions)
         assert (again.action, again.split) == (motion.action, motion.split)
         assert again.provenance.subject == motion.provenance.subject

@@ -23,9 +23,8 @@ from motionkit.core.skeletons.mapping import (
 )
 from motionkit.core.timegrid import TimeGrid, parse_fps
 from motionkit.io.npz import read_npz, write_npz
-from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions
-from motionkit.io.scan import scan
+from motionkit.io.scan import read, scan
 from tests.helpers.bones import bone, check_body
 from tests.helpers.format_samples import bvh_text
 

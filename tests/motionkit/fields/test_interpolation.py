@@ -24,7 +24,7 @@ from motionkit.fields.motion_field import (
     Poses,
     to_motion,
 )
-from motionkit.io.bvh_writing import write_bvh
+from motionkit.io.bvh import write_bvh
 from tests.helpers.analytic import analytic_motion
 from tests.helpers.pages import run_page
 from tests.helpers.repository import REPOSITORY

@@ -8,9 +8,8 @@ from scipy.spatial.transform import Rotation
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.skeletons.mapping import rest_positions
-from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions
-from motionkit.io.scan import scan
+from motionkit.io.scan import read, scan
 from motionkit.io.smpl_body import mean_shape_skeleton
 from tests.helpers.amass_samples import WIDTHS, smplh_fields, stageii_fields, standing_poses, write_amass
 

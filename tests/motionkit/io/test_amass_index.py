@@ -10,9 +10,8 @@ from motionkit.core.motion import Motion
 from motionkit.edit.export import Selection, export, export_kinds
 from motionkit.features import humanml3d
 from motionkit.io.amass import read_amass
-from motionkit.io.reading import read
 from motionkit.io.registry import IndexOptions, ReadOptions, SourceItem
-from motionkit.io.scan import scan
+from motionkit.io.scan import read, scan
 from motionkit.io.smpl_body import LAYOUTS, find_body_model
 from motionkit.store import Store
 from motionkit.store.ingest import ingest

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
-from motionkit.io.asfamc import parse_amc, read_asf, read_asfamc
+from motionkit.io.asfamc import parse_amc, read_asfamc
 from motionkit.io.bvh import read_bvh
 from motionkit.io.registry import ReadOptions
 from tests.helpers.format_samples import ASF, amc_text, write_asfamc
@@ -147,27 +147,3 @@ def test_fast_and_exact_parsers_agree(variant: str) -> None:
     table = parse_amc(variant.encode(), Path("a.amc"))
     assert table.bones == (("root", 6), ("lfemur", 3), ("ltibia", 1))
     assert table.values[2].tolist() == [0, 18, 0, 0, 20, 0, 10, 3.5e-15, 2, 32]
-
-
-def bones_of(count: int, deep: bool) -> str:
-    """An ASF file of so many bones, in a row or all from the first."""
-    bones = "".join(
-        f"begin\nid {i}\nname b{i}\ndirection 0 1 0\nlength 1\naxis 0 0 0 XYZ\ndof rx\nend\n" for i in range(count)
-    )
-    hierarchy = "".join(f"b{i if deep else 0} b{i + 1}\n" for i in range(count - 1))
-    head, _ = ASF.split(":bonedata")
-    return f"{head}:bonedata\n{bones}:hierarchy\nbegin\nroot b0\n{hierarchy}end\n"
-
-
-@pytest.mark.parametrize("deep", [True, False])
-def test_a_skeleton_of_thousands_of_bones_is_read_or_refused(tmp_path: Path, deep: bool) -> None:
-    path = tmp_path / "07.asf"
-    path.write_text(bones_of(9_999, deep))
-    skeleton = read_asf(path).skeleton
-    assert skeleton.num_joints == 10_000 and skeleton.parents[-1] == (9_998 if deep else 1)
-    path.write_text(bones_of(10_000, deep))
-    with pytest.raises(FormatError, match="more than 10,000 bones"):
-        read_asf(path)
-    path.write_bytes(b"\n" * 1_000_000 + b"x")
-    with pytest.raises(FormatError, match="expected an ASF skeleton"):
-        read_asf(path)

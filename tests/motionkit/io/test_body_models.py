@@ -9,9 +9,8 @@ import torch
 
 from motionkit.core.errors import FormatError
 from motionkit.core.skeleton import SMPL22
-from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions
-from motionkit.io.scan import scan
+from motionkit.io.scan import read, scan
 from motionkit.io.smpl_body import LAYOUTS, PoseLayout, find_body_model
 from tests.helpers.amass_samples import smplh_fields, stageii_fields, write_amass
 from tests.motionkit.io.test_amass import read_one

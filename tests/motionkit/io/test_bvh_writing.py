@@ -23,10 +23,9 @@ from motionkit.edit.encoders import choose_encoder
 from motionkit.edit.motions import LoadedMotion, OutputPaths, find_motions
 from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.motion_field import Observation
-from motionkit.io.bvh import BvhDocument, read_bvh, read_document
-from motionkit.io.bvh_writing import anchored_angles, check_writable, write_bvh
-from motionkit.io.reading import parse_rules
+from motionkit.io.bvh import BvhDocument, anchored_angles, check_writable, read_bvh, read_document, write_bvh
 from motionkit.io.registry import ReadOptions
+from motionkit.io.scan import parse_rules
 from motionkit.store import Store
 from motionkit.store.ingest import ingest
 from tests.helpers.completed_bvh import write_completed

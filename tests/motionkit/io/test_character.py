@@ -14,7 +14,7 @@ from motionkit.core import kinematics
 from motionkit.core.errors import FormatError, MotionkitError, UsageError
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.motion_field import to_motion
-from motionkit.io.bvh_writing import write_bvh
+from motionkit.io.bvh import write_bvh
 from motionkit.io.character import read_character
 from motionkit.io.gltf import GlbBuffer
 from motionkit.io.registry import ReadOptions

@@ -10,9 +10,8 @@ import pytest
 
 from motionkit.core.errors import FormatError
 from motionkit.io.deepmimic import humanoid3d, read_deepmimic
-from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions
-from motionkit.io.scan import scan
+from motionkit.io.scan import read, scan
 from tests.helpers.bones import check_body
 
 REAL_FRAMERATES = {"16": 2, "24": 4, "30": 5, "60": 9, "120": 53}

@@ -4,8 +4,6 @@ import io
 import os
 import shutil
 import struct
-import subprocess
-import sys
 import tracemalloc
 import zipfile
 from fractions import Fraction
@@ -20,9 +18,8 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.features.quality import measure
 from motionkit.io import registry
-from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions, readers
-from motionkit.io.scan import scan
+from motionkit.io.scan import read, scan
 from tests.helpers.damage import damaged, damaged_archive
 from tests.helpers.every_format import SOURCES
 
@@ -130,32 +127,6 @@ def test_more_frames_than_the_file_can_hold_are_refused_before_memory_is_taken(t
         tracemalloc.stop()
 
 
-@pytest.mark.parametrize("name", ["npz", "uestc", "amass", "joints-npy", "humanact12"])
-def test_objects_are_never_unpickled(tmp_path, name):
-    """An array of objects is a pickle, and a pickle can run anything."""
-    path = SOURCES[name](tmp_path)
-    with np.load(path) if path.suffix == ".npz" else io.BytesIO() as archive:
-        keys = list(archive) if path.suffix == ".npz" else []
-    trap = np.array([_Trap(tmp_path / "sprung")], dtype=object)
-    if keys:
-        np.savez(path, **dict.fromkeys(keys, trap))
-    else:
-        np.save(path, trap, allow_pickle=True)
-    motions, problems = read_source(tmp_path)
-    assert problems and not motions
-    assert not (tmp_path / "sprung").exists()
-
-
-class _Trap:
-    """Makes a folder when it is unpickled."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def __reduce__(self) -> tuple[object, ...]:
-        return os.mkdir, (str(self.path),)
-
-
 @pytest.mark.parametrize("fps", ["0", "-0.01", "nan", "inf", "1e-9", "1e9", "0.0,0333", "", "x"])
 def test_clocks_that_no_capture_has_are_refused(tmp_path, fps):
     """As the frame time of text, and as the number of an archive."""
@@ -170,16 +141,3 @@ def test_clocks_that_no_capture_has_are_refused(tmp_path, fps):
     np.savez(path, **(arrays | {"fps": np.array(float(fps) if fps not in ("0.0,0333", "", "x") else fps)}))
     motions, problems = read_source(tmp_path, ReadOptions())
     assert problems and not motions
-
-
-def test_a_good_name_is_not_called_a_bad_one(tmp_path):
-    """Where the locale is not UTF-8, Python reads the names of files as something else."""
-    SOURCES["bvh"](tmp_path).rename(tmp_path / "gäng.bvh")
-    script = (
-        "import sys; from pathlib import Path; from motionkit.store.ingest import ingest; "
-        "[problem] = ingest([Path(sys.argv[1])], Path(sys.argv[2]), num_workers=1).problems; print(ascii(str(problem)))"
-    )
-    arguments = [sys.executable, "-c", script, str(tmp_path), str(tmp_path / "store")]
-    environment = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
-    result = subprocess.run(arguments, capture_output=True, text=True, env=environment, check=False)
-    assert "set PYTHONUTF8=1" in result.stdout, result.stderr

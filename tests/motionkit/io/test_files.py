@@ -3,7 +3,6 @@
 from fractions import Fraction
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import motionkit as mk
@@ -78,14 +77,6 @@ def test_a_unit_that_makes_giants_or_dwarfs_is_refused(tmp_path: Path, unit_metr
     for wrong in ({"fps": "fast"}, {"fps": 0}, {"unit_metres": 0.0}, {"unit_metres": -1.0}):
         with pytest.raises(ValueError):
             mk.read(tmp_path / "walk.bvh", **wrong)
-
-
-def test_remedies_are_arguments_of_read(tmp_path: Path) -> None:
-    (tmp_path / "new_joints").mkdir()
-    np.save(tmp_path / "new_joints" / "walk.npy", np.zeros((9, 24, 3), np.float32))
-    for read in (mk.read, lambda path: next(mk.read_all(path))):
-        with pytest.raises(mk.FormatError, match="or use fps="):
-            read(tmp_path / "new_joints")
 
 
 def test_a_store_says_how_it_is_read(takes: Path, tmp_path: Path) -> None:

@@ -8,9 +8,8 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Caption
 from motionkit.io import humanml3d
 from motionkit.io.humanml3d import Entry, recover_positions, write_humanml3d
-from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions
-from motionkit.io.scan import scan
+from motionkit.io.scan import read, scan
 from motionkit.io.texts import read_texts
 
 

@@ -10,9 +10,8 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io.joints_npy import read_humanact12, read_joints_npy, write_joints_npy
-from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions
-from motionkit.io.scan import scan
+from motionkit.io.scan import read, scan
 
 
 def standing(num_frames: int = 5, num_joints: int = 22) -> np.ndarray:

@@ -7,8 +7,7 @@ import pytest
 
 from motionkit.core.motion import Motion
 from motionkit.io.lafan1 import read_lafan1
-from motionkit.io.reading import read
-from motionkit.io.scan import scan
+from motionkit.io.scan import read, scan
 from tests.helpers.bones import check_body
 from tests.helpers.format_samples import lafan1_text
 

@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motionkit.io import number_table
-from motionkit.io.number_table import format_table, read_table
+from motionkit.io import source_file
+from motionkit.io.source_file import format_table, read_table
 
 NUMBERS = st.one_of(
     st.floats(-1e8, 1e8).map(repr),
@@ -32,7 +32,7 @@ def test_any_regular_table_is_read_as_python_reads_it(data: st.DataObject, rows:
 def test_a_table_of_thousands_of_rows() -> None:
     table = np.random.default_rng(0).normal(size=(4000, 12)).round(6)
     text = format_table(table)
-    assert len(text) > 3 * number_table.BLOCK_BYTES
+    assert len(text) > 3 * source_file.BLOCK_BYTES
     assert np.array_equal(table_of(text, 4000, 12), table)
 
 

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 
 from motionkit.core.errors import FormatError, MotionkitError
 from motionkit.core.skeletons.mapping import read_skeleton_map
-from motionkit.io.reading import read, read_rules
 from motionkit.io.registry import ReadOptions
-from motionkit.io.scan import scan
+from motionkit.io.scan import read, read_rules, scan
 from motionkit.io.source_file import read_bytes
 from tests.helpers.damage import damaged
 from tests.helpers.every_format import SOURCES
@@ -68,17 +67,6 @@ def test_hostile_files_beside_motions_are_explained(tmp_path: Path, side: str, c
     read_all(tmp_path, OPTIONS if side == "annotations" else ReadOptions())
 
 
-@pytest.mark.parametrize("side", BESIDE)
-@settings(max_examples=40, suppress_health_check=list(HealthCheck))
-@given(data=st.data())
-def test_damaged_files_beside_motions_are_explained(
-    tmp_path_factory: pytest.TempPathFactory, side: str, data: st.DataObject
-) -> None:
-    folder = tmp_path_factory.mktemp("side", numbered=True)
-    write_beside(folder, side, data.draw(damaged(BESIDE[side][2])))
-    read_all(folder, ReadOptions())
-
-
 @pytest.mark.parametrize(("content", "reader"), [(RULES, read_rules), (MAP, read_skeleton_map)], ids=["rules", "map"])
 @settings(max_examples=80, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
@@ -91,18 +79,6 @@ def test_tables_of_the_user_are_explained(
         reader(path)
     except MotionkitError as problem:
         assert path.name in str(problem)
-
-
-@pytest.mark.parametrize("suffix", [".bvh", ".amc", ".c3d", ".json", ".npz", ".pkl", ".npy", ".csv", ".txt", ".asf"])
-def test_links_and_folders_that_are_named_like_files_are_no_motions(tmp_path: Path, suffix: str) -> None:
-    SOURCES["csv"](tmp_path)
-    (tmp_path / f"walk{suffix}").symlink_to(tmp_path / f"walk{suffix}")
-    (tmp_path / f"gone{suffix}").symlink_to(tmp_path / "nowhere")
-    (tmp_path / f"run{suffix}").mkdir()
-    (tmp_path / "LICENSE").symlink_to(tmp_path / "LICENSE")
-    (tmp_path / "LICENCE").mkdir()
-    (tmp_path / "motions.json").mkdir()
-    read_all(tmp_path, OPTIONS)
 
 
 def test_a_pipe_among_the_files_is_not_waited_for(tmp_path: Path) -> None:

@@ -5,9 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from motionkit.core.errors import FormatError
-from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions
-from motionkit.io.scan import scan
+from motionkit.io.scan import read, scan
 from motionkit.io.smpl import read_motion_x, read_smpl
 from tests.helpers.amass_samples import smplh_fields, write_amass
 

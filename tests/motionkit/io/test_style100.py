@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 
 from motionkit.core.errors import FormatError
-from motionkit.io.reading import read
-from motionkit.io.scan import scan
+from motionkit.io.scan import read, scan
 from motionkit.io.style100 import read_100style
 from tests.helpers.format_samples import NUM_BVH_CHANNELS, bvh_text
 

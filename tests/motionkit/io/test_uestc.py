@@ -14,9 +14,8 @@ from scipy.spatial.transform import Rotation
 from motionkit.core.errors import FormatError
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints
-from motionkit.io.reading import read
 from motionkit.io.registry import ReadOptions
-from motionkit.io.scan import scan
+from motionkit.io.scan import read, scan
 from motionkit.io.smpl_body import SMPL
 from motionkit.io.uestc import ACTIONS, TRAIN_SUBJECTS, read_uestc
 from tests.helpers.bones import check_body
