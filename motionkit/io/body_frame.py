@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -34,17 +34,9 @@ TRUNK_AND_LEGS = (
 )
 
 
-@dataclass(frozen=True)
-class Unit:
-    """Metres per file unit, and where the figure comes from."""
-
-    metres: float
-    reason: str
-
-
 @lru_cache(maxsize=64)  # the takes of a corpus share their skeletons
-def infer_unit(skeleton: Skeleton) -> Unit | None:
-    """The unit of a skeleton whose offsets are in file units; None if no unit gives a human body.
+def infer_unit(skeleton: Skeleton) -> tuple[float, str] | None:
+    """Metres per unit of a skeleton in file units, and the reason; None if no unit gives a human body.
 
     A family with its own unit (the CMU database: 0.0254 / 0.45 m; MakeHuman: a decimetre) gets it if the body is then
     plausible. Otherwise it is the one among m, cm, mm, inch and the CMU database's that brings the rest skeleton's
@@ -54,13 +46,13 @@ def infer_unit(skeleton: Skeleton) -> Unit | None:
     size, typical, what = _size(skeleton)
     own = family_unit_metres(skeleton)
     if own is not None and _factor(size * own, typical) <= 1.5:
-        return Unit(own, f"the unit of the family whose joint names they are; {what} is {size * own:.2f} m")
+        return (own, f"the unit of the family whose joint names they are; {what} is {size * own:.2f} m")
     if size <= 0:
         return None
     name, metres = min(UNITS.items(), key=lambda unit: _factor(size * unit[1], typical))
     if _factor(size * metres, typical) > PLAUSIBLE_FACTOR:
         return None
-    return Unit(metres, f"inferred: in {name} {what} is {size * metres:.2f} m")
+    return (metres, f"inferred: in {name} {what} is {size * metres:.2f} m")
 
 
 def standing_metres(skeleton: Skeleton, joint_positions: Float32[np.ndarray, "frames joints 3"]) -> float:

@@ -248,7 +248,7 @@ def _unit(pose: "_ChannelPose", options: ReadOptions, path: Path, any_size: bool
         return options.unit_metres, "given"
     unit = body_frame.infer_unit(_first_skeleton(pose))
     if unit is not None:
-        return unit.metres, unit.reason
+        return unit
     if any_size:
         return 1.0, "in no unit the size of a human body"
     raise FormatError(

@@ -79,4 +79,4 @@ def _valid_frames(path: Path) -> Bool[np.ndarray, "frames"]:
     finite = [np.isfinite(array.reshape(len(array), -1)).all(axis=1) for array in arrays]
     if len({len(each) for each in finite}) != 1:
         raise FormatError("its arrays have different numbers of frames", path=path, reason="channel-count")
-    return np.logical_and.reduce(finite)
+    return np.asarray(np.logical_and.reduce(finite))

@@ -153,8 +153,6 @@ def describe_content(data: bytes) -> str:
         (b"\x1f\x8b", "a gzip archive"),
         (b"\x89PNG", "a PNG image"),
         (b"Kaydara FBX", "an FBX file"),
-        (b":FULLY-SPECIFIED", "an AMC file"),
-        (b":version", "an ASF skeleton"),
         (b"<", "an XML or HTML page"),
         (b"{", "a JSON file"),
         (b"version https://git-lfs", "a Git LFS pointer (fetch the real file with `git lfs pull`)"),
@@ -162,10 +160,6 @@ def describe_content(data: bytes) -> str:
     for signature, name in signatures:
         if head.startswith(signature):
             return name
-    if b":FULLY-SPECIFIED" in head:
-        return "an AMC file"
-    if b":bonedata" in head or b":root" in head:
-        return "an ASF skeleton"
     return "binary data" if b"\0" in head else "some other text"
 
 

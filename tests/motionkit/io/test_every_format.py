@@ -125,19 +125,3 @@ def test_more_frames_than_the_file_can_hold_are_refused_before_memory_is_taken(t
         assert tracemalloc.get_traced_memory()[1] < MOST_BYTES
     finally:
         tracemalloc.stop()
-
-
-@pytest.mark.parametrize("fps", ["0", "-0.01", "nan", "inf", "1e-9", "1e9", "0.0,0333", "", "x"])
-def test_clocks_that_no_capture_has_are_refused(tmp_path, fps):
-    """As the frame time of text, and as the number of an archive."""
-    path = SOURCES["bvh"](tmp_path)
-    path.write_text(path.read_text().replace("Frame Time: 0.0333333", f"Frame Time: {fps}"))
-    motions, problems = read_source(tmp_path, ReadOptions())
-    assert problems and not motions
-    path.unlink()
-    path = SOURCES["npz"](tmp_path)
-    with np.load(path) as archive:
-        arrays = dict(archive)
-    np.savez(path, **(arrays | {"fps": np.array(float(fps) if fps not in ("0.0,0333", "", "x") else fps)}))
-    motions, problems = read_source(tmp_path, ReadOptions())
-    assert problems and not motions

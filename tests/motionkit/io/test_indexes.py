@@ -109,10 +109,7 @@ def test_what_a_spreadsheet_does_to_an_index(tmp_path):
 @pytest.mark.parametrize(
     ("row", "reason", "message"),
     [
-        ("../../etc/passwd,0,5,a.npy", "path", "could leave"),
-        ("/etc/passwd,0,5,a.npy", "path", "could leave"),
-        ("KIT/\0x.npy,0,5,a.npy", "path", "could leave"),
-        (",0,5,a.npy", "path", "empty"),
+        (",0,5,a.npy", "path", "the path is ''"),
         ("KIT/x.npy,0,5,../a.npy", "path", "plain file name"),
         ("KIT/x.npy,-1,5,a.npy", "index-entry", "[-1, 5)"),
         ("KIT/x.npy,5,5,a.npy", "index-entry", "[5, 5)"),
@@ -169,7 +166,6 @@ def test_annotations_of_parts(tmp_path):
     ("value", "reason"),
     [
         ({"path": 5}, "path"),
-        ({"path": "../x"}, "path"),
         ({"annotations": "walk"}, "index-entry"),
         ({"annotations": [{"start": 0, "end": 1}]}, "index-entry"),
         ({"annotations": [{"text": "a", "start": -1, "end": 1}]}, "index-entry"),
