@@ -17,7 +17,7 @@ from rich.table import Table
 from benchmarks.command import arguments_parser, print_json
 from motionkit.cli.console import stdout
 from motionkit.io.registry import ReadOptions
-from motionkit.io.scan import scan
+from motionkit.io.scan import read, scan
 from motionkit.store import StoreWriter
 
 ZSTD = pa.Codec("zstd", compression_level=3)

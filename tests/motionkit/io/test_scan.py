@@ -8,7 +8,7 @@ import pytest
 
 from motionkit.core.errors import FormatError, UsageError
 from motionkit.io.registry import ReadOptions
-from motionkit.io.scan import scan
+from motionkit.io.scan import read, scan
 from motionkit.store.ingest import read_or_fault
 from tests.helpers.amass_samples import smplh_fields, write_amass
 from tests.helpers.every_format import SOURCES, bodies
