@@ -88,31 +88,31 @@ def _show_file(path: Path, up: str | None, init: Path | None, as_json: bool) -> 
         if error.reason not in NO_FRAMERATE:
             raise
         motion, has_framerate = next(read_all(path, fps=1, up=up)), False
-    found = {**describe_motion(motion, has_framerate=has_framerate), **describe_rig(motion.skeleton)}
-    print_json({"file": str(path), **found}) if as_json else _print_lines([str(path), *_file_lines(found)])
+    described = {**describe_motion(motion, has_framerate=has_framerate), **describe_rig(motion.skeleton)}
+    print_json({"file": str(path), **described}) if as_json else _print_lines([str(path), *_file_lines(described)])
     if init is not None:
         write_whole(init, draft_map(motion.skeleton, init.stem))
         stderr.print(f"{init}: complete it; motionkit view {path} --skeleton-map {init} shows it")
 
 
-def _file_lines(found: dict[str, Any]) -> Iterator[str]:
-    stated = f" (the file says {found['stated_fps']})" if found["stated_fps"] else ""
-    seconds = "" if found["duration_seconds"] is None else f", {found['duration_seconds']:.6g} s"
-    maps = f"maps by {found['family']}" if found["family"] else "no mapping; provide --skeleton-map"
-    rotations = "rotations" if found["has_rotations"] else "positions only"
-    yield f"motion      {found['sequence_id']} ({found['format']})"
-    yield f"fps         {'nothing says it: use --fps' if found['fps'] is None else found['fps']}{stated}"
-    yield f"frames      {found['num_frames']:,}{seconds}"
-    if found["height_metres"] is not None:
-        yield f"height      {found['height_metres']:.3g} m from ankles to head"
-    yield f"unit        {found['unit_metres']:g} m ({found['unit']})"
-    yield f"up          {found['up']}"
-    yield f"skeleton    {found['skeleton']}: {found['num_joints']} joints, {rotations}, {maps}"
-    if found["missing"]:
-        yield f"missing     {', '.join(found['missing'])}"
-    yield f"captions    {found['num_captions']:,}"
-    if found["quality_flags"]:
-        yield f"flags       {', '.join(found['quality_flags'])}"
+def _file_lines(described: dict[str, Any]) -> Iterator[str]:
+    stated = f" (the file says {described['stated_fps']})" if described["stated_fps"] else ""
+    seconds = "" if described["duration_seconds"] is None else f", {described['duration_seconds']:.6g} s"
+    maps = f"maps by {described['family']}" if described["family"] else "no mapping; provide --skeleton-map"
+    rotations = "rotations" if described["has_rotations"] else "positions only"
+    yield f"motion      {described['sequence_id']} ({described['format']})"
+    yield f"fps         {'nothing says it: use --fps' if described['fps'] is None else described['fps']}{stated}"
+    yield f"frames      {described['num_frames']:,}{seconds}"
+    if described["height_metres"] is not None:
+        yield f"height      {described['height_metres']:.3g} m from ankles to head"
+    yield f"unit        {described['unit_metres']:g} m ({described['unit']})"
+    yield f"up          {described['up']}"
+    yield f"skeleton    {described['skeleton']}: {described['num_joints']} joints, {rotations}, {maps}"
+    if described["missing"]:
+        yield f"missing     {', '.join(described['missing'])}"
+    yield f"captions    {described['num_captions']:,}"
+    if described["quality_flags"]:
+        yield f"flags       {', '.join(described['quality_flags'])}"
 
 
 def _quality_lines(report: dict[str, Any]) -> Iterator[str]:

@@ -114,7 +114,7 @@ def printable(text: str) -> str:
 
     Also direction marks, and bytes of a file name that are not UTF-8.
     """
-    return UNSAFE_LETTERS.sub(lambda found: found[0].encode("unicode_escape", "surrogatepass").decode("ascii"), text)
+    return UNSAFE_LETTERS.sub(lambda letter: letter[0].encode("unicode_escape", "surrogatepass").decode("ascii"), text)
 
 
 def markdown_text(text: str) -> str:

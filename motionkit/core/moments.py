@@ -44,8 +44,8 @@ def stream(parts: Iterable[npt.NDArray[np.floating]]) -> Moments:
     """Moments of many parts [rows, numbers], one at a time in memory; raises `ValueError` without parts."""
     total: Moments | None = None
     for part in parts:
-        found = moments(part)
-        total = found if total is None else merge(total, found)
+        own = moments(part)
+        total = own if total is None else merge(total, own)
     if total is None:
         raise ValueError("statistics need at least one part")
     return total

@@ -174,7 +174,7 @@ def worker_died(item: SourceItem) -> FormatError:
 
 @dataclass(frozen=True)
 class DatasetCount:
-    """Counts of an index's sequences of one dataset: files found, missing and failed."""
+    """Counts of an index's sequences of one dataset: files that are there, missing ones, failed ones."""
 
     dataset: str
     num_found: int
@@ -258,12 +258,12 @@ def ingest(
     appends = is_store(store) and not overwrite
     writer = StoreWriter.append(store) if appends else StoreWriter.create(store, overwrite=overwrite)
     with task(on_progress, "ingest", note="scanning") as work:
-        found = scan(sources, options)
+        scanned = scan(sources, options)
         work.note("")
-        work.set_total(len(found.items))
+        work.set_total(len(scanned.items))
         run = _Ingest(writer, options, on_error == "stop", work, on_problem, on_warning)
         try:
-            run.store_all(found, engine, num_workers)
+            run.store_all(scanned, engine, num_workers)
             committed = True
         except _Stopped:
             committed = False
@@ -278,17 +278,17 @@ def ingest(
         num_in_store=read_manifest(store).num_sequences if is_store(store) else 0,
         problems=tuple(run.problems),
         warnings=tuple(run.warnings),
-        datasets=_datasets(found, run.failed_by_dataset) if options.index else (),
-        ignored=tuple(path for path in found.ignored if not path.is_relative_to(store.resolve())),
+        datasets=_datasets(scanned, run.failed_by_dataset) if options.index else (),
+        ignored=tuple(path for path in scanned.ignored if not path.is_relative_to(store.resolve())),
     )
 
 
-def _datasets(found: ScanResult, failed_by_dataset: Counter[str]) -> tuple[DatasetCount, ...]:
-    with_file = Counter(item.subset for item in found.items) + Counter(found.refused)
-    failed = failed_by_dataset + Counter(found.refused)
+def _datasets(scanned: ScanResult, failed_by_dataset: Counter[str]) -> tuple[DatasetCount, ...]:
+    with_file = Counter(item.subset for item in scanned.items) + Counter(scanned.refused)
+    failed = failed_by_dataset + Counter(scanned.refused)
     return tuple(
-        DatasetCount(name, with_file[name], found.missing.get(name, 0), failed[name])
-        for name, _ in (with_file + Counter(found.missing)).most_common()
+        DatasetCount(name, with_file[name], scanned.missing.get(name, 0), failed[name])
+        for name, _ in (with_file + Counter(scanned.missing)).most_common()
     )
 
 
@@ -314,20 +314,20 @@ class _Ingest:
     rigs: set[tuple[tuple[str, ...], str]] = field(default_factory=set)
     bodies: set[Skeleton] = field(default_factory=set)
 
-    def store_all(self, found: ScanResult, engine: str, num_workers: int | None) -> None:
+    def store_all(self, scanned: ScanResult, engine: str, num_workers: int | None) -> None:
         """Report the faults of a scan, read its items and commit them; raises `_Stopped` if there is none to commit."""
-        for warning in found.warnings:
+        for warning in scanned.warnings:
             self._warn(warning)
-        for problem in found.problems:
+        for problem in scanned.problems:
             self._fail(problem)
-        if not found.items:
+        if not scanned.items:
             raise _Stopped
         if engine == LOCAL:
-            num_workers = num_workers or sum(1 for _ in islice(chunks_of(found.items), usable_cores()))
+            num_workers = num_workers or sum(1 for _ in islice(chunks_of(scanned.items), usable_cores()))
         # Arrow loads pandas to convert a row.
         with self.writer, start_workers(engine, num_workers, preload=["motionkit.store.ingest", "pandas"]) as workers:
             function = partial(read_chunk, store=self.writer.path.absolute(), options=self.options)
-            chunks = self._numbered_chunks(found.items)
+            chunks = self._numbered_chunks(scanned.items)
             with closing(workers.map(function, chunks, partial(_read_again, workers, function))) as results:
                 for chunk, result in results:
                     self._add_chunk(chunk, result)

@@ -278,8 +278,8 @@ def _checked(shares: Mapping[str, float]) -> dict[str, float]:
         raise UsageError(f"no split is called {unknown[0]!r}: there are {', '.join(SPLITS)}")
     wrong = [share for share in shares.values() if not 0 < share < float("inf")]
     if wrong or not shares:
-        found = wrong[0] if wrong else "none"
-        raise UsageError(f"shares are positive numbers, such as train=0.8,test=0.2, not {found}")
+        given = wrong[0] if wrong else "none"
+        raise UsageError(f"shares are positive numbers, such as train=0.8,test=0.2, not {given}")
     return {name: shares[name] / sum(shares.values()) for name in SPLITS if name in shares}
 
 

@@ -38,7 +38,7 @@ from motionkit.store.schema import (
     motion_from_row,
     part_name,
 )
-from motionkit.store.sql import UnknownTable, query
+from motionkit.store.sql import query
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -324,8 +324,6 @@ class Store:
             if "motions" in sql.lower():
                 views["motions"] = self._motions()
             return query(views, sql)
-        except UnknownTable as error:
-            raise UsageError(f"{error}; the tables of a store are sequences, motions and skeletons") from None
         except FileNotFoundError as error:
             check_still_there(self.path, self.manifest.parts)
             raise StoreError(f"{error}: 'motionkit validate --store {self.path}' says what is missing") from None

@@ -14,24 +14,17 @@ if TYPE_CHECKING:
     import duckdb
     import pyarrow as pa
 
-# How versions of duckdb report that a view could not be read, and how Arrow reports the cause.
-_OF_DAMAGED_VIEWS = ("reading the stream registered as", "get_next failed", "could not verify page integrity")
 # Arrow tables and datasets.
 Views = Mapping[str, Any]
 # How long to wait before interrupting duckdb again: between two statements it forgets an interrupt.
 INTERRUPT_SECONDS = 0.05
 
 
-class UnknownTable(UsageError):
-    """A statement names an unknown table."""
-
-
 def query(views: Views, sql: str) -> "pa.Table":
     """Result of one SQL statement over the views as an Arrow table; a name that comes again gets _1, _2 …
 
     The statement can neither read nor write files, and what it creates is gone when it ends. Raises `UsageError` for
-    anything but one reading statement, and with duckdb's words where it cannot run; `OSError` where a view cannot be
-    read. Ctrl-C stops a statement that runs.
+    anything but one reading statement, and with duckdb's words where it cannot run. Ctrl-C stops a statement that runs.
     """
     with _database(os.getpid()).cursor() as connection, ThreadPoolExecutor(1, "query") as thread:
         # Within duckdb, Ctrl-C would be ignored until the statement ends, or become an error of the statement.
@@ -70,12 +63,11 @@ def _query(connection: "duckdb.DuckDBPyConnection", views: Views, sql: str) -> "
         return _with_unique_names(connection.sql(sql).to_arrow_table())
     except duckdb.Error as error:
         said = " ".join(str(error).split())
-        if any(words in said for words in _OF_DAMAGED_VIEWS):
-            raise OSError(said) from None
         if isinstance(error, duckdb.CatalogException) and said.startswith("Catalog Error: Table with name"):
             # What duckdb suggests are tables of its own.
             missing = said.removeprefix("Catalog Error: Table with name ").split(" ")[0]
-            raise UnknownTable(f"there is no table {missing}") from None
+            message = f"there is no table {missing}; the tables of a store are sequences, motions and skeletons"
+            raise UsageError(message) from None
         raise UsageError(f"duckdb: {said}") from None
     finally:
         connection.rollback()
@@ -83,11 +75,11 @@ def _query(connection: "duckdb.DuckDBPyConnection", views: Views, sql: str) -> "
 
 def _with_unique_names(table: "pa.Table") -> "pa.Table":
     # SELECT * over a join repeats names, and whoever reads columns by name would see one of them twice.
-    seen: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     names = []
     for name in table.column_names:
-        names.append(f"{name}_{seen[name]}" if seen[name] else name)
-        seen[name] += 1
+        names.append(f"{name}_{counts[name]}" if counts[name] else name)
+        counts[name] += 1
     return table.rename_columns(names)
 
 

@@ -146,12 +146,12 @@ def find_family(names: tuple[str, ...]) -> SkeletonFamily | None:
 def draft_map(skeleton: Skeleton, name: str) -> str:
     """A table for `read_skeleton_map` as TOML text, of joint names that shipped families have, to be completed."""
     names = canonical_names(skeleton.joint_names)
-    found: dict[str, str] = {}
+    sources: dict[str, str] = {}
     for row in SMPL22.joint_names:
         ways = (way for family in shipped_families() for way in family.rows[row])
-        found[row] = next((joint for way in ways for joint in way if len(way) == 1 and joint in names), "")
-    requires = json.dumps(list(dict.fromkeys(filter(None, found.values()))))
-    lines = [f'{row} = "{joint}"' if joint else f'# {row} = ""' for row, joint in found.items()]
+        sources[row] = next((joint for way in ways for joint in way if len(way) == 1 and joint in names), "")
+    requires = json.dumps(list(dict.fromkeys(filter(None, sources.values()))))
+    lines = [f'{row} = "{joint}"' if joint else f'# {row} = ""' for row, joint in sources.items()]
     head = "# Drafted from joint names: correct it, and complete the rows that begin with #."
     return "\n".join((head, f"name = {json.dumps(name)}", f"requires = {requires}", "", "[smpl22]", *lines, ""))
 

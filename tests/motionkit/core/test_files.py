@@ -19,7 +19,6 @@ from motionkit.core.errors import BusyError, DamagedFileError
 from motionkit.core.files import (
     LOCK,
     defer_signals,
-    exclusive_lock,
     is_temporary,
     locked_folder,
     parse_json,
@@ -74,25 +73,6 @@ def test_an_error_of_reading_names_the_file(tmp_path: Path, read: Callable[[Path
     with pytest.raises(OSError) as caught:
         read(tmp_path / "broken")
     assert caught.value.filename == str(tmp_path / "broken")
-
-
-def write_slowly(path: Path, content: str, seconds: float) -> None:
-    with whole_file(path) as temporary:
-        temporary.write_text(content)
-        time.sleep(seconds)
-
-
-def test_writers_of_the_same_path_do_not_meet(tmp_path: Path) -> None:
-    path = tmp_path / "walk.json"
-    context = multiprocessing.get_context("fork")
-    writers = [context.Process(target=write_slowly, args=(path, str(number) * 1000, 0.05)) for number in range(4)]
-    for writer in writers:
-        writer.start()
-    for writer in writers:
-        writer.join()
-    assert [writer.exitcode for writer in writers] == [0] * 4
-    assert path.read_text() in [str(number) * 1000 for number in range(4)]
-    assert names(tmp_path) == ["walk.json"]
 
 
 def test_a_link_at_the_path_is_replaced_and_not_written_through(tmp_path: Path) -> None:
@@ -278,20 +258,6 @@ def test_a_store_is_written_without_locks(tmp_path: Path, hide: str, message: st
     done = subprocess.run([sys.executable, "-c", script, str(tmp_path / "store")], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert re.fullmatch(rf"1; .*{message}.*\n", done.stdout)
-
-
-def test_without_a_text_a_lock_is_waited_for(tmp_path: Path) -> None:
-    ready = tmp_path / "ready"
-    script = (
-        "import sys, time; from pathlib import Path; from motionkit.core.files import exclusive_lock\n"
-        f"with exclusive_lock(Path({str(tmp_path / 'lock')!r}), busy='busy'):\n"
-        f"    Path({str(ready)!r}).touch(); time.sleep(0.3)"
-    )
-    with subprocess.Popen([sys.executable, "-c", script]):
-        while not ready.exists():
-            time.sleep(0.01)
-        with exclusive_lock(tmp_path / "lock", busy=None):
-            pass
 
 
 def test_too_large_a_file_is_not_read(tmp_path: Path) -> None:

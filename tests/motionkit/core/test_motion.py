@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from motionkit.core.motion import Caption, Motion
-from motionkit.core.skeleton import KIT21, SMPL22, STANDARD_SKELETONS, Skeleton
+from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io.npz import read_npz
 
@@ -35,13 +35,6 @@ def test_shapes_must_agree_with_the_clock_and_the_skeleton() -> None:
 def test_parents_must_precede_children() -> None:
     with pytest.raises(ValueError, match="precede"):
         Skeleton("bad", ("a", "b", "c"), (-1, 2, 0), np.zeros((3, 3), np.float32))
-
-
-@pytest.mark.parametrize("skeleton", STANDARD_SKELETONS.values(), ids=lambda skeleton: skeleton.name)
-def test_standard_skeletons_are_symmetric(skeleton: Skeleton) -> None:
-    for left, right in skeleton.left_right_pairs:
-        assert skeleton.offsets[left][0] == pytest.approx(-skeleton.offsets[right][0], abs=0.01)
-        assert np.allclose(skeleton.offsets[left][1:], skeleton.offsets[right][1:], atol=0.01)
 
 
 def test_equal_skeletons_share_a_fingerprint_whatever_their_name() -> None:

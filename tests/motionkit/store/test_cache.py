@@ -1,11 +1,10 @@
 """The training cache holds the store's frames bit by bit, follows the store, and is rebuilt when damaged."""
 
+import itertools
 import os
 import pickle
-import signal
 import subprocess
 import sys
-import textwrap
 from fractions import Fraction
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from motionkit.core.skeletons.mapping import map_joints
 from motionkit.store import Store, StoreWriter, cache
 from motionkit.store.cache import PositionCache, open_cache
 from motionkit.store.life import compact
+from tests.helpers.killing import killed_before
 
 CHAIN = Skeleton("chain", ("a", "b", "c"), (-1, 0, 1), np.eye(3, dtype=np.float32))
 
@@ -162,34 +162,17 @@ def test_a_cache_travels_to_another_process(small_store, make_motion):
         pickle.loads(pickled)  # noqa: S301
 
 
-KILLED = textwrap.dedent(
-    """
-    import os, signal, sys
-    from motionkit.core import files
-    from motionkit.store import Store
-    from motionkit.store.cache import open_cache
-
-    sync, left = files.sync, [int(sys.argv[2])]
-    def dying(path):
-        if left[0] == 0: os.kill(os.getpid(), signal.SIGKILL)
-        left[0] -= 1
-        sync(path)
-    files.sync = dying
-    open_cache(Store.open(sys.argv[1]))
-    """
-)
-
-
-@pytest.mark.parametrize("moment", [0, 1])
-def test_a_killed_builder_leaves_nothing_that_is_used(small_store, moment):
-    """It is killed before it flushes positions.npy or cache.json."""
-    child = subprocess.run([sys.executable, "-c", KILLED, str(small_store), str(moment)], check=False)
-    assert child.returncode == -signal.SIGKILL
+def test_a_killed_builder_leaves_nothing_that_is_used(small_store):
     store = Store.open(small_store)
-    built = open_cache(store)
-    for n in range(built.num_sequences):
-        np.testing.assert_array_equal(built.sequence_positions(n), store.read(n).joint_positions)
-    assert folders(small_store) == [built.path], "what a killed builder left is removed"
+    for step in itertools.count():
+        if not killed_before(step, small_store, lambda: open_cache(store)):
+            break
+        built = open_cache(store)
+        for n in range(built.num_sequences):
+            np.testing.assert_array_equal(built.sequence_positions(n), store.read(n).joint_positions)
+        assert folders(small_store) == [built.path], "what a killed builder left is removed"
+        shutil.rmtree(small_store / "cache")
+    assert step > 4
 
 
 def test_two_builders_at_once(small_store):

@@ -180,23 +180,6 @@ def test_the_lock_of_a_killed_writer_is_free(small_store, make_motion):
     assert remove(small_store, ["take-3"]) == ("take-3",)
 
 
-def test_a_table_that_gets_its_name_while_it_is_looked_for_is_found(small_store, monkeypatch):
-    table, pending = small_store / "sequences.parquet", small_store / "sequences.parquet.new"
-    content = table.read_bytes()
-    pending.write_bytes(content)
-    table.write_bytes(content[:-1] + b"0")  # the table of the commit before
-    read = Path.read_bytes
-
-    def read_slowly(path: Path) -> bytes:
-        found = read(path)
-        if pending.exists():
-            pending.replace(table)
-        return found
-
-    monkeypatch.setattr(Path, "read_bytes", read_slowly)
-    assert all("a caption lasts" in fault for fault in faults(small_store))
-
-
 def test_create_and_append_say_what_is_wrong(small_store, tmp_path, make_motion):
     with pytest.raises(StoreError, match="already is a store"), StoreWriter.create(small_store):
         pass
@@ -266,16 +249,6 @@ def test_files_that_are_links_are_replaced_and_not_written_through(small_store, 
     CHANGES[change](link, make_motion)
     assert content_of(theirs) == before
     assert list(faults(link)) == [] and link.is_symlink()
-
-
-def test_a_pending_table_that_is_a_link_is_not_the_committed_one(small_store, make_motion):
-    table = (small_store / "sequences.parquet").rename(small_store.with_name("table"))
-    content = table.read_bytes()
-    (small_store / "sequences.parquet.new").symlink_to(table)
-    assert Store.open(small_store).num_sequences == 6
-    with pytest.raises(StoreError, match="validate"):
-        append(small_store, make_motion)
-    assert table.read_bytes() == content
 
 
 def test_files_of_a_users_own_among_the_parts_stay(small_store, make_motion):

@@ -15,7 +15,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from motionkit.core.errors import StoreError
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import KIT21, SMPL22, Feet, Skeleton
 from motionkit.store import RefusedMotion, Store, StoreWriter, schema
@@ -156,15 +155,6 @@ def test_an_append_leaves_old_parts_alone(small_store, make_motion):
     assert Store.open(small_store).fingerprint == after.fingerprint
 
 
-def test_an_overwrite_replaces_everything(small_store, make_motion):
-    with StoreWriter.create(small_store, overwrite=True) as writer:
-        writer.add(make_motion("only"))
-    store = Store.open(small_store)
-    assert list(store) == ["only"]
-    assert len(list((small_store / "motions").iterdir())) == 1
-    assert_same(store.read("only"), make_motion("only"))
-
-
 def test_motions_that_may_not_enter(tmp_path, make_motion, monkeypatch):
     bad = make_motion("bad")
     bad.joint_positions[7, 3, 1] = np.nan
@@ -188,14 +178,6 @@ def test_motions_that_may_not_enter(tmp_path, make_motion, monkeypatch):
     assert_same(store.read("b"), make_motion("b"))
     with StoreWriter.append(tmp_path / "store") as writer, pytest.raises(RefusedMotion, match="'a'"):
         writer.add(make_motion("a"))
-
-
-def test_a_sequence_that_is_not_there(small_store):
-    store = Store.open(small_store)
-    with pytest.raises(StoreError, match="no sequence 'nobody'"):
-        store.read("nobody")
-    with pytest.raises(StoreError, match="no sequence 6: its indices are from 0 to 5"):
-        store.read(6)
 
 
 def test_parquet_is_laid_out_as_documented(small_store):
