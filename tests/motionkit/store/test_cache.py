@@ -3,6 +3,7 @@
 import itertools
 import os
 import pickle
+import shutil
 import subprocess
 import sys
 from fractions import Fraction
