@@ -43,16 +43,6 @@ def view(
         typer.Option("--format", help="A film, a strip of poses or a recording instead of a page.", show_default=False),
     ] = None,
     skeleton_map: SkeletonMaps = None,
-    path: Annotated[
-        Path | None,
-        typer.Option("--path", help="Draw this path on the floor: a CSV as for `motionkit generate --path`."),
-    ] = None,
-    pose: Annotated[
-        list[str] | None, typer.Option("--pose", metavar="S=FILE[@S]", help="Draw this pose too; may be repeated.")
-    ] = None,
-    pose_placed: Annotated[
-        bool, typer.Option("--pose-placed", help="Draw poses at the position in their files, not where the motion is.")
-    ] = False,
     out: Annotated[Path | None, typer.Option(help="File to write.", show_default="NAME.view.html here")] = None,
     speed: Annotated[
         float | None,
@@ -68,7 +58,7 @@ def view(
 
     Example: motionkit view takes/walk.bvh takes/jump.bvh"""
     from motionkit.edit.motions import find_motions
-    from motionkit.viz.view import PAGE_SUFFIX, Interval, Viewed, constraint_drawing, page_path, read_panels, write_view
+    from motionkit.viz.view import PAGE_SUFFIX, Interval, Viewed, page_path, read_panels, write_view
 
     interval = Interval(from_seconds, to_seconds)
     suffix = f".{film_format}" if film_format else "" if out is None else out.suffix.lower()
@@ -87,9 +77,8 @@ def view(
     page = page_path(out, sources, film or PAGE_SUFFIX) if sources else Path()
     if sources and page.exists() and not overwrite:
         raise MotionkitError(f"{page} exists: --overwrite replaces it, --out writes elsewhere")
-    drawn = constraint_drawing(path, pose or (), pose_placed)
     with progress() as show, task(show, "read", len(sources)) as work:
-        panels, failed = read_panels(sources, interval, work.advance, drawn)
+        panels, failed = read_panels(sources, interval, work.advance)
     failures = [*((str(problem.path), str(problem)) for problem in problems), *failed]
     print_failures(failures)
     viewed = None

@@ -23,7 +23,6 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.transfer import counterpart_joints
 from motionkit.io.gltf import joint_sides
 
-Line = Float64[np.ndarray, "_ 3"]
 Positions = Float32[np.ndarray, "frames joints 3"]
 
 # Opens in a few seconds in a browser, on phones too.
@@ -47,8 +46,7 @@ class Panel:
 
     Frame k is at `start_seconds` + k / `fps`, or at `uneven_seconds`[k]. `first_frame` is the number of the first one
     in its file. `observed` masks the frames that the source has; others are faint and called lost. `labels` are shown
-    below the name, `details` are key-value pairs. `lines` are drawn in the motion's world, on the floor where a height
-    is NaN.
+    below the name, `details` are key-value pairs.
     """
 
     name: str
@@ -62,7 +60,6 @@ class Panel:
     captions: tuple[Caption, ...] = ()
     labels: tuple[str, ...] = ()
     details: tuple[tuple[str, str], ...] = ()
-    lines: tuple[Line, ...] = ()
 
     @property
     def num_frames(self) -> int:
@@ -263,11 +260,6 @@ def _data(panel: Panel) -> dict[str, Any]:
         "head": drawing.head,
         "ends": list(drawing.ends),
         "yaw": drawing.yaw,
-        # To 0.1 mm; None for NaN.
-        "lines": [
-            [[None if np.isnan(number) else round(number, 4) for number in point] for point in line.tolist()]
-            for line in panel.lines
-        ],
     }
 
 

@@ -3,7 +3,7 @@
 import html
 import webbrowser
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,17 +12,11 @@ import numpy as np
 from motionkit.core.errors import MotionkitError, UsageError, describe, printable
 from motionkit.core.motion import Motion
 from motionkit.core.progress import warn
-from motionkit.core.shapes import Float64
-from motionkit.core.skeleton import SMPL22
 from motionkit.edit.motions import MotionSource, find_motions
-from motionkit.features.field import heading, to_world
-from motionkit.features.layout import SMPL22_LAYOUT
-from motionkit.generate.constraints import Constraint
-from motionkit.generate.request import parse_pose, read_path
 from motionkit.io.files import existing_path
 from motionkit.io.registry import ReadOptions
 from motionkit.viz import MOST_MOTIONS
-from motionkit.viz.player import Line, Panel, check_places, packed_bytes, page_of, panel_of, write_page
+from motionkit.viz.player import Panel, check_places, packed_bytes, page_of, panel_of, write_page
 
 PAGE_SUFFIX = ".view.html"
 # Names combined from many files may exceed the system's limit, which is in bytes.
@@ -154,19 +148,15 @@ def read_panels(
     sources: Sequence[MotionSource],
     interval: Interval,
     advance: Callable[[], None],
-    drawn: Callable[[Panel], Panel] = lambda panel: panel,
 ) -> tuple[list[Panel], list[tuple[str, str]]]:
-    """The panels of sources, and name and message of each that cannot be shown.
-
-    `drawn` may add drawings to a whole panel.
-    """
+    """The panels of sources, and name and message of each that cannot be shown."""
     panels: list[Panel] = []
     failures: list[tuple[str, str]] = []
     # File names without folders, if these are unique.
     are_unique = len({source.short_name for source in sources}) == len(sources)
     for source in sources:
         try:
-            panel = interval.of(drawn(source.load().panel(source.short_name if are_unique else source.name)))
+            panel = interval.of(source.load().panel(source.short_name if are_unique else source.name))
             check_places(panel)
         except (MotionkitError, OSError) as error:
             failures.append((source.name, describe(error)))
@@ -194,39 +184,3 @@ def write_view(path: Path, panels: Sequence[Panel], interval: Interval) -> Viewe
     return Viewed(
         path, write_page(path, title, panels, note=f"Shown{interval}." if str(interval) else ""), tuple(panels)
     )
-
-
-def constraint_drawing(path: Path | None, poses: Sequence[str], placed: bool) -> Callable[[Panel], Panel]:
-    """A function that draws a panel's constraints, for options of `motionkit generate`: a path's file, and poses.
-
-    The path is a line on the floor, a pose its bones; one without a position is drawn where the motion is at its time.
-    Raises what reading raises; the function raises `UsageError` for a path point beyond the motion's end, and for such
-    a pose if the motion does not have the 22 joints.
-    """
-    table, parsed = None if path is None else read_path(path), [parse_pose(each, placed=placed) for each in poses]
-
-    def drawn(panel: Panel) -> Panel:
-        lines: list[Line] = []
-        if table is not None:
-            lines.append(table.constraint(panel.duration_seconds).positions[:, 0])
-        for pose in parsed:
-            joints = _placed(panel, pose)
-            bones = [joints[[parent, joint]] for joint, parent in enumerate(SMPL22.parents) if parent >= 0]
-            lines += [bone for bone in bones if np.isfinite(bone).all()]
-        return replace(panel, lines=tuple(lines))
-
-    return drawn
-
-
-def _placed(panel: Panel, pose: Constraint) -> Float64[np.ndarray, "22 3"]:
-    """All 22 joints of a pose in the panel's world; unconstrained ones are NaN."""
-    joints = np.full((SMPL22.num_joints, 3), np.nan)
-    joints[pose.joint_indices] = pose.positions[0]
-    if pose.frame == "world":
-        return joints
-    if panel.skeleton.joint_names != SMPL22.joint_names:
-        raise UsageError(f"{panel.name}: a pose is shown with motions of the 22 joints of {SMPL22.name}")
-    frame = int(np.abs(panel.frame_seconds() - pose.seconds[0]).argmin())
-    here = panel.joint_positions[[frame]].astype(np.float64)
-    yaw, place = heading(here, SMPL22_LAYOUT.facing), here[:, 0, [0, 2]]
-    return np.asarray(to_world(joints[None, None], yaw, place)[0, 0], np.float64)

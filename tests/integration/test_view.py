@@ -67,20 +67,6 @@ def test_a_bvh_file_at_its_own_framerate(motionkit: Run, motion: Motion) -> None
     assert motionkit("view", "walk.bvh", "--overwrite").code == 0
 
 
-def test_what_a_motion_was_held_to_is_drawn(motionkit: Run, motion: Motion) -> None:
-    write_npz(motion, Path("walk.npz"))
-    Path("points.csv").write_text("x,z\n0,0\n0,1\n2,1\n")
-    asked = ("--path", "points.csv", "--pose", "1.0=walk.npz@1.0")
-    (take,) = takes_of(motionkit("view", "walk.npz", *asked))
-    path, *bones = take["lines"]
-    assert path[0] == [0.0, None, 0.0] and path[-1] == [2.0, None, 1.0]
-    # The motion's own pose, from the floor under its root, is back where it was.
-    ends = np.array([bone[1] for bone in bones])
-    np.testing.assert_allclose(ends, motion.joint_positions[30, 1:], atol=2e-4)
-    late = motionkit("view", "walk.npz", "--path", "late.csv", "--overwrite")
-    assert late.code == 2 and "late.csv" in late.stderr
-
-
 def test_a_name_that_is_nearly_an_id(motionkit: Run, motion: Motion) -> None:
     assert "no store at store that could hold" in motionkit("view", "walk").stderr
     with StoreWriter.create(Path("store")) as writer:

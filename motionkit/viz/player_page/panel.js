@@ -143,17 +143,6 @@ function drawGround(pen, project, take, centre, extent, spacing) {
   pen.stroke();
 }
 
-// What the motion was asked for, in its world; on the floor where no height is said.
-function drawLines(pen, project, take) {
-  pen.strokeStyle = colour("--made"); pen.lineWidth = 2.5; pen.lineCap = pen.lineJoin = "round"; pen.globalAlpha = 0.55;
-  for (const line of take.lines) {
-    pen.beginPath();
-    for (const [x, y, z] of line) pen.lineTo(...project(x, y ?? take.ground, z));
-    pen.stroke();
-  }
-  pen.globalAlpha = 1;
-}
-
 function drawTrails(pen, project, take, frame, colours) {
   const first = frameAt(take, secondsOf(take, frame) - TRAIL_SECONDS).frame, parts = 5;
   for (const joint of take.ends) {
@@ -199,7 +188,6 @@ function drawPanel(panel, seconds, settings, commonSize) {
   const project = projection(width, height, centre, settings.follow ? size : Math.max(size, leader.span), yaw);
   const spacing = gridSpacing(size);
   drawGround(pen, project, take, centre, settings.follow ? 2.4 * size / Math.min(1, view.zoom) : 0.6 * leader.span + size, spacing);
-  drawLines(pen, project, take);
   const isSeen = !take.seen || take.seen[frame] === 1;
   const colours = (side) => colour(!side ? "--ink" : side < 0 ? "--left" : "--right");
   pen.lineCap = "round"; pen.lineJoin = "round";

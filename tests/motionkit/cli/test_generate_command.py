@@ -8,14 +8,14 @@ import pytest
 from typer.testing import CliRunner
 
 from motionkit.cli.app import build_app
-from motionkit.core.errors import BusyError, FormatError, MotionkitError, UsageError
+from motionkit.core.errors import FormatError, MotionkitError, UsageError
 from motionkit.core.motion import Caption
 from motionkit.core.skeleton import SMPL22
 from motionkit.generate.models import GenerationRequest
 from motionkit.generate.output import motion_name
 from motionkit.io.npz import read_npz
 from motionkit.store import Store
-from tests.helpers.drift_model import DriftModel, GoesOn, contents, names, rows_of
+from tests.helpers.drift_model import DriftModel, GoesOn, contents, rows_of
 from tests.helpers.killing import killed_before
 
 
@@ -220,32 +220,6 @@ def test_a_stopped_call_goes_on_where_it_was(run_command, tmp_path):
     assert json.loads(run_command(*call, "--out", "parts", "--resume", "--json").stdout)["motions"] == []
     with pytest.raises(UsageError, match=r"begun with another seed \(0, now 1\)"):
         run_command(*call, "--out", "parts", "--resume", "--seed", "1")
-
-
-@pytest.mark.parametrize("option", ["--resume", "--overwrite"])
-def test_two_calls_do_not_write_one_folder_at_once(option, run_command, tmp_path):
-    call = ("a walk", "a jump", "--seconds", "1", "--fps", "5", "--out", "made", option)
-    refused = []
-
-    class CallsAgain(DriftModel):
-        def generate(self, requests, **options):
-            with pytest.raises(BusyError, match="another process is generating into made") as caught:
-                run_command(*call)
-            refused.append(caught.value)
-            return super().generate(requests, **options)
-
-    run_command(*call, model=CallsAgain())
-    assert refused
-    assert len(rows_of(tmp_path / "made" / "motions.csv")) == 2
-    assert names(tmp_path / "made") == ["0000-a-walk.npz", "0001-a-jump.npz", "generation.json", "motions.csv"]
-
-
-@pytest.mark.parametrize("option", ["--resume", "--overwrite", "--seed=0"])
-def test_a_call_that_was_killed_while_it_began_is_begun_again(option, run_command, tmp_path):
-    (tmp_path / "made").mkdir()
-    (tmp_path / "made" / ".generation.json.0123abcd.tmp.json").write_text("{")
-    run_command("a walk", "--seconds", "1", "--out", "made", option)
-    assert names(tmp_path / "made") == ["0000-a-walk.npz", "generation.json", "motions.csv"]
 
 
 def test_killed_before_any_file_operation_a_call_goes_on_to_the_same_files(run_command, tmp_path):

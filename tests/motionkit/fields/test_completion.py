@@ -135,15 +135,6 @@ def test_an_anchored_field_passes_through_every_observed_frame(method: Method, r
     assert jump(1e-3) < 0.2 * jump(1e-2) + 0.1
 
 
-def test_given_frames_join_without_a_jump_at_higher_framerates() -> None:
-    motion = random_motion(1)
-    loose = complete(motion, Forgetful("cubic"), fps=Fraction(240)).joint_positions
-    led = complete(motion, Anchored(Forgetful("cubic")), fps=Fraction(240)).joint_positions
-    assert np.array_equal(led[::8], motion.joint_positions)
-    largest = [np.abs(np.diff(positions, 2, axis=0)).max() for positions in (loose, led)]
-    assert largest[1] < 0.2 * largest[0]
-
-
 def test_a_field_is_led_through_frames_of_its_own_joints_only() -> None:
     field = INTERPOLATORS["slerp"].encode(Observation.of(random_motion(2)))
     with pytest.raises(ValueError, match=r"'smpl22' \(22 joints\), the observation of 'kit21' \(21\)"):

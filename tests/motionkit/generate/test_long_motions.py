@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 
 from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import SMPL22
-from motionkit.fields.assembly import AssembledField
 from motionkit.generate.long_motions import generate_joined, is_joined, pieces_of
-from motionkit.generate.models import GenerationRequest, GenerativeModel
+from motionkit.generate.models import GenerationRequest
 from tests.helpers.analytic import analytic_motion
 
 
@@ -79,33 +78,6 @@ def test_what_one_motion_is_enough_for_is_not_joined():
 def test_what_cannot_be_joined(seconds, overlap, message):
     with pytest.raises(UsageError, match=message):
         pieces_of(script(*seconds), 4.0, overlap)
-
-
-def test_a_long_motion_has_no_jump_in_place_or_velocity():
-    assert isinstance(Performer(), GenerativeModel)
-    field = generate_joined(Performer(), script(9.0, 5.0), seed=3)
-    assert isinstance(field, AssembledField)
-    assert field.end_seconds == pytest.approx(14.0)
-    assert len(field.pieces) == 5
-    joints = np.concatenate((field.fade_start, field.fade_end))
-
-    def jumps(step):
-        around = np.concatenate([joints + count * step for count in (-2, -1, 1, 2)])
-        before, left, right, after = np.split(field.query(around).joint_positions.astype(np.float64), 4)
-        return np.abs(right - left).max(), np.abs((after - right) - (left - before)).max() / step
-
-    place, velocity = jumps(1e-3)
-    nearer_place, nearer_velocity = jumps(2.5e-4)
-    # What is continuous shrinks with the step; 1 mm or 0.2 m/s would stay.
-    assert nearer_place < 0.4 * place + 5e-4
-    assert nearer_velocity < 0.4 * velocity + 0.1
-    # And the pieces do disagree: without the cross-fade there would be a jump.
-    ends = np.array([piece.end_seconds for piece in field.pieces[:-1]])
-    gaps = [
-        np.abs(after.query(end[None]).joint_positions - before.query(end[None]).joint_positions).max()
-        for before, after, end in zip(field.pieces, field.pieces[1:], ends, strict=False)
-    ]
-    assert max(gaps) > 0.05
 
 
 def test_a_motion_follows_from_its_seed_and_number():
