@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -31,7 +32,7 @@ def cost_figure(result: Result, width_inches: float = 6.4) -> Figure | None:
     figure = Figure(figsize=(width_inches, 0.65 * width_inches), layout="constrained")
     axes = figure.subplots()
     axes.errorbar(x, y, half_widths, color=BLUE, marker="o", markersize=4.5, capsize=2.0)
-    small = {"textcoords": "offset points", "fontsize": 7.5}
+    small: dict[str, Any] = {"textcoords": "offset points", "fontsize": 7.5}
     for row, *place in zip(points, x, y, strict=True):
         axes.annotate(row.name, tuple(place), xytext=(0, -6), rotation=-40, va="top", **small)
     for row in levels:
