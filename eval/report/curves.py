@@ -33,8 +33,8 @@ def cost_figure(result: Result, width_inches: float = 6.4) -> Figure | None:
     axes = figure.subplots()
     axes.errorbar(x, y, half_widths, color=BLUE, marker="o", markersize=4.5, capsize=2.0)
     small: dict[str, Any] = {"textcoords": "offset points", "fontsize": 7.5}
-    for row, *place in zip(points, x, y, strict=True):
-        axes.annotate(row.name, tuple(place), xytext=(0, -6), rotation=-40, va="top", **small)
+    for row, place in zip(points, zip(x, y, strict=True), strict=True):
+        axes.annotate(row.name, place, xytext=(0, -6), rotation=-40, va="top", **small)
     for row in levels:
         level = row.cells[quality].value
         axes.axhline(level, color=GREY, linewidth=0.8, linestyle="--")
