@@ -29,8 +29,9 @@ ROOT_CHANNELS: tuple[str, ...] = ("tx", "ty", "tz", "rx", "ry", "rz")
 INCH = 0.0254
 LONGEST_MESSAGE = 400
 
-# A line's number and its words.
+# A line's number and its words; and the lines of a block by their first words, which are not among the words.
 Line = tuple[int, list[str]]
+Block = Mapping[str, Line]
 Vector = Float64[np.ndarray, "3"]
 
 
@@ -141,8 +142,20 @@ def _parsed_asf(data: bytes, path: Path, unit_metres: float | None) -> AsfSkelet
             section = sections.setdefault(words[0][1:].lower(), [])
         elif words:
             section.append((number, words))
-    length_unit, degrees = _units(sections.get("units", []), path)
-    root, root_position = _root(sections.get("root", []), degrees, path)
+    units, root_lines = (_block(sections.get(name, [])) for name in ("units", "root"))
+    length_unit = _numbers(units, "length", 1, path)[0] if "length" in units else 1.0
+    line, angle = units.get("angle", (0, ["deg"]))
+    if not length_unit > 0 or angle not in (["deg"], ["rad"]):
+        message = f"length unit {length_unit} and angle {' '.join(angle)!r}, expected a positive number, and deg or rad"
+        raise _fault(message, path, line or units["length"][0])
+    degrees = angle == ["deg"]
+    line, order = root_lines.get("order", (0, list(ROOT_CHANNELS)))
+    dof = tuple(word.lower() for word in order)
+    if len(set(dof)) != len(dof) or not set(dof) <= set(ROOT_CHANNELS):
+        raise _fault(f"root order {' '.join(dof)!r}, expected TX TY TZ RX RY RZ in some order", path, line)
+    axis_line, axis = root_lines.get("axis", (0, []))
+    frame = _axis_frame(_numbers(root_lines, "orientation", 3, path), (axis_line, axis), degrees, path)
+    root, root_position = AsfBone("root", np.zeros(3), frame, dof), np.array(_numbers(root_lines, "position", 3, path))
     bones = _bones(sections.get("bonedata", []), degrees, path)
     parents = _parents(sections.get("hierarchy", []), bones, path)
     ordered = _depth_first(parents)
@@ -160,103 +173,66 @@ def _fault(message: str, path: Path, line: int | None = None) -> FormatError:
     return FormatError(message, path=path, reason="asf", line=line)
 
 
-def _numbers(words: list[str], count: int, path: Path, line: int) -> list[float]:
+def _block(lines: list[Line]) -> Block:
+    return {words[0].lower(): (line, words[1:]) for line, words in lines}
+
+
+def _numbers(block: Block, keyword: str, count: int, path: Path) -> list[float]:
+    """The first numbers of a keyword's line; zeros without such a line."""
+    line, words = block.get(keyword, (0, ["0"] * count))
     if len(words) < count:
-        raise _fault(f"{len(words)} numbers, expected {count}", path, line)
+        raise _fault(f"{keyword} with {len(words)} numbers, expected {count}", path, line)
     return [parse_number(word, path, line) for word in words[:count]]
 
 
-def _units(lines: list[Line], path: Path) -> tuple[float, bool]:
-    """The length unit, and whether angles are degrees."""
-    length_unit, degrees = 1.0, True
-    for line, words in lines:
-        if words[0] == "length":
-            (length_unit,) = _numbers(words[1:], 1, path, line)
-            if not length_unit > 0:
-                raise _fault(f"length unit {length_unit}, expected a positive number", path, line)
-        elif words[0] == "angle":
-            if words[1:] not in (["deg"], ["rad"]):
-                raise _fault(f"angle {' '.join(words[1:])!r}, expected deg or rad", path, line)
-            degrees = words[1] == "deg"
-    return length_unit, degrees
-
-
-def _axis_order(words: list[str], path: Path, line: int) -> str:
+def _axis_frame(angles: list[float], axis: Line, degrees: bool, path: Path) -> Float64[np.ndarray, "4"]:
+    """C as a quaternion: the angles are about fixed axes, in the order that the line of axes lists."""
+    line, words = axis
     order = "".join(words).upper() or "XYZ"
     if sorted(order) != ["X", "Y", "Z"]:
         raise _fault(f"axis order {order!r}, expected a permutation of XYZ", path, line)
-    return order
-
-
-def _axis_frame(angles: list[float], order: str, degrees: bool) -> Float64[np.ndarray, "4"]:
-    """C as a quaternion: the angles are about fixed axes, in the order listed."""
     return kinematics.euler_to_quaternion(
         np.array(angles) * (np.pi / 180.0 if degrees else 1.0), order, kind="extrinsic"
     )
 
 
-def _root(lines: list[Line], degrees: bool, path: Path) -> tuple[AsfBone, Vector]:
-    """The root, and its rest position."""
-    dof, order, angles, position = ROOT_CHANNELS, "XYZ", [0.0, 0.0, 0.0], np.zeros(3)
-    for line, words in lines:
-        match words[0].lower():
-            case "order":
-                dof = tuple(word.lower() for word in words[1:])
-                if len(set(dof)) != len(dof) or not set(dof) <= set(ROOT_CHANNELS):
-                    message = f"root order {' '.join(dof)!r}, expected TX TY TZ RX RY RZ in some order"
-                    raise _fault(message, path, line)
-            case "axis":
-                order = _axis_order(words[1:], path, line)
-            case "position":
-                position = np.array(_numbers(words[1:], 3, path, line))
-            case "orientation":
-                angles = _numbers(words[1:], 3, path, line)
-    return AsfBone("root", np.zeros(3), _axis_frame(angles, order, degrees), dof), position
-
-
 def _bones(lines: list[Line], degrees: bool, path: Path) -> dict[str, AsfBone]:
     """The bones of all begin … end blocks by name."""
     bones: dict[str, AsfBone] = {}
-    block: dict[str, Line] | None = None
+    block: list[Line] | None = None
     for line, words in lines:
         keyword = words[0].lower()
         if keyword == "begin":
-            block = {}
+            block = []
         elif block is None:
             raise _fault(f"{words[0]!r} outside begin … end", path, line)
         elif keyword == "end":
-            bone = _bone(block, degrees, path)
+            bone = _bone(_block(block), degrees, path)
             if not bone.name or bone.name in bones or bone.name == "root":
                 raise _fault(f"bone name {bone.name!r} is missing or repeated", path, line)
             if len(bones) >= MAX_JOINTS - 1:
                 raise _fault(f"more than {MAX_JOINTS:,} bones", path, line)
             bones[bone.name], block = bone, None
         else:
-            block[keyword] = line, words[1:]
+            block.append((line, words))
     if block is not None or not bones:
         last_line = lines[-1][0] if lines else None
         raise _fault("the bone data ends early, expected begin … end blocks", path, last_line)
     return bones
 
 
-def _bone(block: Mapping[str, Line], degrees: bool, path: Path) -> AsfBone:
-    def numbers(keyword: str, count: int) -> list[float]:
-        if keyword not in block:
-            return [0.0] * count
-        line, words = block[keyword]
-        return _numbers(words, count, path, line)
-
+def _bone(block: Block, degrees: bool, path: Path) -> AsfBone:
     line, dof = block.get("dof", (0, []))
     unknown = [word.lower() for word in dof if word.lower() not in ROTATIONS]
     if unknown:
         raise _fault(f"degrees of freedom {', '.join(unknown)}, expected rx, ry, rz", path, line)
-    direction = np.array(numbers("direction", 3))
+    direction = np.array(_numbers(block, "direction", 3, path))
     norm = float(np.linalg.norm(direction))
     axis_line, axis = block.get("axis", (0, []))
     return AsfBone(
         name=" ".join(block.get("name", (0, []))[1]),
-        end=(direction / norm if norm > 0 else direction) * numbers("length", 1)[0],
-        axis_frame=_axis_frame(numbers("axis", 3), _axis_order(axis[3:], path, axis_line), degrees),
+        end=(direction / norm if norm > 0 else direction) * _numbers(block, "length", 1, path)[0],
+        axis_frame=_axis_frame(_numbers(block, "axis", 3, path), (axis_line, axis[3:]), degrees, path),
         dof=tuple(word.lower() for word in dof),
     )
 
