@@ -136,20 +136,20 @@ def _parsed_asf(data: bytes, path: Path, unit_metres: float | None) -> AsfSkelet
         )
     sections: dict[str, list[Line]] = {}
     section: list[Line] = []
-    for number, line in enumerate(source_file.decode(data, path).splitlines(), start=1):
-        words = line.split("#", 1)[0].split()
+    for number, text in enumerate(source_file.decode(data, path).splitlines(), start=1):
+        words = text.split("#", 1)[0].split()
         if words and words[0].startswith(":"):
             section = sections.setdefault(words[0][1:].lower(), [])
         elif words:
             section.append((number, words))
     units, root_lines = (_block(sections.get(name, [])) for name in ("units", "root"))
     length_unit = _numbers(units, "length", 1, path)[0] if "length" in units else 1.0
-    line, angle = units.get("angle", (0, ["deg"]))
+    line, angle = units.get("angle", (None, ["deg"]))
     if not length_unit > 0 or angle not in (["deg"], ["rad"]):
         message = f"length unit {length_unit} and angle {' '.join(angle)!r}, expected a positive number, and deg or rad"
-        raise _fault(message, path, line or units["length"][0])
+        raise _fault(message, path, line)
     degrees = angle == ["deg"]
-    line, order = root_lines.get("order", (0, list(ROOT_CHANNELS)))
+    line, order = root_lines.get("order", (None, list(ROOT_CHANNELS)))
     dof = tuple(word.lower() for word in order)
     if len(set(dof)) != len(dof) or not set(dof) <= set(ROOT_CHANNELS):
         raise _fault(f"root order {' '.join(dof)!r}, expected TX TY TZ RX RY RZ in some order", path, line)
