@@ -24,7 +24,6 @@ from motionkit.io.smpl_body import SMPL, posed_skeleton
 
 FPS = Fraction(30)
 NUM_BETAS = 10
-PICKLE = "vibe_cache_refined.pkl"
 NAME = re.compile(r"a(?P<action>\d{1,2})_d(?P<view>\d)_p(?P<subject>\d{1,3})_c(?P<side>\d)(_\w+)?", re.IGNORECASE)
 FRONT_SIDE = "1"
 MOVING_VIEW = 8
@@ -51,9 +50,8 @@ FROM_CAMERA = turn_of("-y")
 
 
 def accepts(head: FileHead) -> bool:
-    """Whether a file is, by its name, a converted sequence or the pickle, which is refused with instructions."""
-    path = head.path
-    return path.name == PICKLE or (path.suffix.lower() == ".npz" and NAME.fullmatch(path.stem) is not None)
+    """Whether a file is a converted sequence, by its name."""
+    return NAME.fullmatch(head.path.stem) is not None
 
 
 def read_uestc(path: Path, options: ReadOptions | None = None) -> Motion:
@@ -61,17 +59,9 @@ def read_uestc(path: Path, options: ReadOptions | None = None) -> Motion:
 
     The joints are the 22 of SMPL's mean shape, or with `options.body_models` those of the neutral SMPL model with the
     sequence's mean betas. The pelvis is at `trans`, relative to the first frame; without it the pelvis stays in place.
-    Action, subject and ACTOR's split come from the name. Raises `FormatError`, with the reason `pickle` for the
-    published file itself.
+    Action, subject and ACTOR's split come from the name. Raises `FormatError`.
     """
     options = options or ReadOptions()
-    if path.suffix.lower() != ".npz":
-        raise FormatError(
-            "a Python pickle, which can run code when it is loaded and is not; docs/formats.md, UESTC, shows the lines "
-            "that turn it into .npz files",
-            path=path,
-            reason="pickle",
-        )
     name = NAME.fullmatch(path.stem)
     if name is None or int(name["action"]) >= len(ACTIONS):
         raise FormatError(
@@ -129,6 +119,6 @@ def read_uestc(path: Path, options: ReadOptions | None = None) -> Motion:
 FORMAT = Format(
     name="uestc",
     read=of_path(read_uestc),
-    suffixes=(".npz", ".pkl"),
+    suffixes=(".npz",),
     accepts=accepts,
 )

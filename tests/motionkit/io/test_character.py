@@ -87,8 +87,6 @@ def test_a_bvh_keeps_its_hierarchy_and_moves_as_the_source(walk: mk.Motion, rig:
     )
 
 
-
-
 def write_glb_rig(path: Path, rig: Skeleton) -> list[dict[str, object]]:
     """A skinned rig as Blender writes it: centimetres below an armature that lies down, every bone along its own y."""
     rng = np.random.default_rng(0)

@@ -91,14 +91,6 @@ def test_a_body_model_gives_the_joints_of_these_betas(tmp_path: Path) -> None:
     assert motion.skeleton != read_uestc(write(path), ReadOptions(body_models=models)).skeleton
 
 
-def test_the_pickle_is_not_loaded(tmp_path: Path) -> None:
-    (tmp_path / "vibe_cache_refined.pkl").write_bytes(b"cos\nsystem\n(S'touch /tmp/owned'\ntR.")
-    (item,) = scan([tmp_path]).items
-    with pytest.raises(FormatError, match=r"a Python pickle, which can run code .* docs/formats.md, UESTC") as caught:
-        read(item)
-    assert caught.value.reason == "pickle"
-
-
 def test_the_documented_lines_make_files_that_are_read(tmp_path: Path) -> None:
     docs = (REPOSITORY / "docs" / "formats.md").read_text(encoding="utf-8")
     (lines,) = re.findall(r"```python\n(import pickle, pathlib.*?)```", docs, flags=re.DOTALL)
