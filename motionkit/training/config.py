@@ -166,7 +166,7 @@ def _replaced(config: ConfigT, changes: Mapping[str, str], prefix: str) -> Confi
     for field in dataclasses.fields(config):
         key = prefix + field.name
         if key in changes:
-            values[field.name] = _converted(_parsed(changes[key], hints[field.name]), hints[field.name], key)
+            values[field.name] = _converted(changes[key], hints[field.name], key)
         elif any(changed.startswith(key + ".") for changed in changes):
             values[field.name] = _replaced(getattr(config, field.name), changes, key + ".")
     try:
@@ -176,40 +176,30 @@ def _replaced(config: ConfigT, changes: Mapping[str, str], prefix: str) -> Confi
         raise UsageError(f"{settings}: {error}") from None
 
 
-def _parsed(text: str, annotation: Any) -> Any:
-    """An override's text as a JSON value of the annotated type, or unchanged where it is none."""
-    origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
-    if origin in (typing.Union, types.UnionType):
-        return None if text.lower() in ("none", "null", "") else _parsed(text, _not_none(arguments))
-    if origin is tuple:
-        return [_parsed(item.strip(), arguments[0]) for item in text.split(",") if item.strip()]
-    if annotation is bool:
-        return {"true": True, "false": False}.get(text.lower(), text)
-    if annotation in (int, float):
-        with suppress(ValueError):
-            return annotation(text) if math.isfinite(float(text)) else text
-    return text
-
-
 def _converted(value: Any, annotation: Any, key: str) -> Any:
-    """A JSON value as the annotated type; raises `UsageError` that names the key and the type."""
+    """A JSON value, or an override's text, as the annotated type; raises `UsageError` that names key and type."""
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
+    text = value if isinstance(value, str) else None
+    if origin in (typing.Union, types.UnionType):
+        kind = next(argument for argument in arguments if argument is not types.NoneType)
+        is_none = value is None or (text is not None and text.lower() in ("none", "null", ""))
+        return None if is_none else _converted(value, kind, key)
     if isinstance(annotation, type) and dataclasses.is_dataclass(annotation) and isinstance(value, dict):
         return from_plain(annotation, value)
-    if origin in (typing.Union, types.UnionType):
-        return None if value is None else _converted(value, _not_none(arguments), key)
+    if origin is tuple and text is not None:
+        value = [item.strip() for item in text.split(",") if item.strip()]
     if origin is tuple and isinstance(value, list):
         return tuple(_converted(item, arguments[0], key) for item in value)
+    if annotation is bool and text is not None:
+        value = {"true": True, "false": False}.get(text.lower(), text)
+    if annotation in (int, float) and text is not None:
+        with suppress(ValueError):
+            value = annotation(text) if math.isfinite(float(text)) else text
     if annotation is float and type(value) is int:
         return float(value)
     if value in arguments if origin is Literal else type(value) is annotation:
         return value
     raise UsageError(f"{key} must be {_described(annotation)}, not {value!r}")
-
-
-def _not_none(arguments: tuple[Any, ...]) -> Any:
-    """T of `T | None`."""
-    return next(argument for argument in arguments if argument is not types.NoneType)
 
 
 def _described(annotation: Any) -> str:
