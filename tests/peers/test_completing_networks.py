@@ -1,7 +1,7 @@
-"""The grid peers (LIIF, Meta-SR, A-LIIF, LMF): sizes by hand, plain references, and what their papers promise."""
+"""The networks that complete motion: plain references, what attends to what, what their papers promise."""
 
+import math
 from collections.abc import Callable
-from itertools import pairwise
 
 import pytest
 import torch
@@ -10,9 +10,11 @@ from torch import Tensor, nn
 from pahires.temporal.network import ObservedWindow
 from peers.a_liif import ALiif, ALiifNetworkConfig
 from peers.completing import EdsrConfig, EdsrEncoder
+from peers.delta_interp import DeltaInterp, DeltaInterpNetworkConfig
 from peers.liif import Liif, LiifNetworkConfig
 from peers.lmf import Lmf, LmfNetworkConfig
 from peers.meta_sr import MetaSr, MetaSrNetworkConfig
+from peers.ts_former import RelativeEncoder, TsFormer, TsFormerNetworkConfig
 
 NUMBERS = 135
 SMALL = EdsrConfig(blocks=1, features=4)
@@ -58,23 +60,6 @@ def test_the_encoder_has_edsr_baselines_size_and_sees_69_frames() -> None:
     felt = torch.nonzero(frames.grad[0].abs().sum(dim=1)).flatten()
     assert felt.tolist() == list(range(100 - 34, 100 + 35))
     assert len(felt) == 69
-
-
-def test_sizes_are_those_of_the_papers() -> None:
-    edsr, unfold = 433_600, 192
-
-    def layers(*widths: int) -> int:
-        return sum(before * after + after for before, after in pairwise(widths))
-
-    assert num_parameters(Liif(LiifNetworkConfig(), NUMBERS)) == edsr + layers(unfold + 2, *[256] * 4, NUMBERS)
-    assert num_parameters(MetaSr(MetaSrNetworkConfig(), NUMBERS)) == edsr + layers(2, 256, unfold * NUMBERS)
-    assert num_parameters(ALiif(ALiifNetworkConfig(), NUMBERS)) == (
-        edsr + layers(unfold + 2, *[256] * 4, 10) + 10 * layers(unfold + 2, *[16] * 4, NUMBERS)
-    )
-    for width, latent in ((16, 208), (64, 832)):
-        assert num_parameters(Lmf(LmfNetworkConfig(width=width), NUMBERS)) == (
-            edsr + layers(unfold + 1, 208, latent) + layers(width + 2, *[width] * 6, NUMBERS)
-        )
 
 
 def _dense(layers: list[nn.Linear], vector: Tensor) -> Tensor:
@@ -195,3 +180,143 @@ def test_an_answer_does_not_depend_on_what_else_is_asked_for(name: str) -> None:
     together = network(window_of(kept, [1.0, 4.0, 8.0]))[0]
     torch.testing.assert_close(network(window_of(kept, [4.0]))[0, 0], together[1])
     torch.testing.assert_close(network(window_of(kept, [8.0, 1.0, 4.0]))[0, [1, 2, 0]], together)
+
+
+POSE = 9
+# Ten frames of the past and one of the future around a gap of six, as the LaFAN1 benchmark has them.
+AROUND = [*range(10), 16]
+GAP = [10.0, 11.0, 12.0, 13.0, 14.0, 15.0]
+
+
+def delta_interp() -> DeltaInterp:
+    torch.manual_seed(0)
+    config = DeltaInterpNetworkConfig(width=8, blocks=2, layers=2, heads=2, embedding=3, positions=20)
+    return DeltaInterp(config, POSE).eval()
+
+
+def ts_former() -> TsFormer:
+    torch.manual_seed(0)
+    return TsFormer(TsFormerNetworkConfig(width=8, layers=2, heads=2, head_width=4, inner=8), POSE)
+
+
+NETWORKS = {"delta-interp": delta_interp, "ts-former": ts_former}
+
+
+def gap_window(kept: list[int], asked: list[float], fps: float = 30.0) -> ObservedWindow:
+    frames = torch.randn(2, len(kept), POSE, generator=torch.Generator().manual_seed(len(kept)))
+    times, queries = torch.tensor(kept) / fps, torch.tensor(asked, dtype=torch.float32) / fps
+    return ObservedWindow(frames, times.expand(2, -1), queries.expand(2, -1), torch.full((2,), 1 / fps))
+
+
+def _attended(attention: nn.MultiheadAttention, rows: Tensor, keys: Tensor) -> Tensor:
+    """softmax(QKᵀ/√d)V, head by head and row by row."""
+    width, heads = attention.embed_dim, attention.num_heads
+    assert attention.in_proj_weight is not None
+    q, k, v = (
+        what @ attention.in_proj_weight[part * width : (part + 1) * width].T
+        + attention.in_proj_bias[part * width : (part + 1) * width]
+        for part, what in enumerate((rows, keys, keys))
+    )
+    size = width // heads
+    out = torch.zeros_like(rows)
+    for row in range(len(rows)):
+        for head in range(heads):
+            part = slice(head * size, (head + 1) * size)
+            scores = torch.tensor([float(q[row, part] @ k[key, part]) / math.sqrt(size) for key in range(len(keys))])
+            out[row, part] = sum(  # type: ignore[assignment]
+                share * v[key, part] for key, share in enumerate(torch.exp(scores) / torch.exp(scores).sum())
+            )
+    return attention.out_proj(out)  # type: ignore[no-any-return]
+
+
+def test_delta_interp_is_its_plain_reference() -> None:
+    network = delta_interp().requires_grad_(False)
+    window = gap_window(AROUND, GAP)
+    made = network(window)
+    for batch in range(2):
+        poses = window.frames[batch]
+        length = network.length(torch.tensor([6.0]))[0]
+
+        def entered(layer: nn.Linear, pose: Tensor, position: float, length: Tensor = length) -> Tensor:
+            return layer(torch.cat((pose, network.position(torch.tensor([float(position)]))[0], length)))  # type: ignore[no-any-return]
+
+        given = torch.stack([entered(network.given, poses[row] - poses[9], AROUND[row]) for row in range(len(AROUND))])
+        missing = torch.stack([entered(network.missing, torch.zeros(POSE), frame) for frame in GAP])
+        for block in network.blocks:
+
+            def passed(rows: Tensor, keys: Tensor, block: nn.Module = block) -> Tensor:
+                hidden = torch.relu(block.norm(rows + _attended(block.attention, rows, keys)))
+                first, _, _, second, _ = block.residual
+                leaky = nn.functional.leaky_relu
+                return hidden + leaky(second(leaky(first(hidden))))  # type: ignore[no-any-return]
+
+            given = passed(given, given)
+            missing = passed(missing, given)
+        torch.testing.assert_close(made[batch], network.output(missing), rtol=1e-4, atol=1e-5)
+
+
+def _encoded(
+    encoder: RelativeEncoder, rows: Tensor, positions: Tensor, keys: int, added: Tensor | None = None
+) -> Tensor:
+    """A relative transformer encoder, head by head and pair by pair; rows attend to the first `keys`."""
+    rows = encoder.enter(rows) + (0 if added is None else added)
+    for layer in encoder.layers:
+        attention, normed = layer.attention, layer.before_attention(rows)
+        q, k, v = attention.query(normed), attention.key(normed[:keys]), attention.value(normed[:keys])
+        size = q.shape[1] // attention.heads
+        mixed = torch.zeros_like(q)
+        for row in range(len(rows)):
+            for head in range(attention.heads):
+                part = slice(head * size, (head + 1) * size)
+                scores = torch.stack(
+                    [
+                        q[row, part] @ (k[key, part] + encoder.distance((positions[key] - positions[row])[None]))
+                        for key in range(keys)
+                    ]
+                ) / math.sqrt(rows.shape[1])
+                mixed[row, part] = torch.softmax(scores, 0) @ v[:, part]
+        rows = rows + attention.out(mixed)
+        rows = rows + layer.inner(layer.before_inner(rows))
+    return encoder.leave(encoder.norm(rows))  # type: ignore[no-any-return]
+
+
+def test_ts_former_is_its_plain_reference_of_two_stages() -> None:
+    network = ts_former().requires_grad_(False)
+    window = gap_window(AROUND, GAP)
+    made = network(window)
+    for batch in range(2):
+        poses = window.frames[batch]
+        placeholders = torch.zeros(6, POSE)
+        for number, frame in enumerate(GAP):
+            share = (frame - 9) / 7
+            placeholders[number, :3] = (1 - share) * poses[9, :3] + share * poses[10, :3]
+        known = torch.cat((torch.ones(11, 1), torch.zeros(6, 1)))
+        positions = torch.tensor([*AROUND, *GAP])
+        keyframes = network.keyframe_position(torch.stack((positions - 9, 16 - positions), dim=1))
+        entered = torch.cat((torch.cat((poses, placeholders)), known), dim=1)
+        draft = _encoded(network.context, entered, positions, keys=11, added=keyframes)[11:]
+        # In the second stage everything attends to everything: the given frames and all six drafts.
+        refined = _encoded(network.detail, torch.cat((torch.cat((poses, draft)), known), dim=1), positions, keys=17)
+        torch.testing.assert_close(made[batch], draft + refined[11:], rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_an_inbetweeners_answer_depends_on_its_instant_alone_and_moves_with_it(name: str) -> None:
+    network = NETWORKS[name]().requires_grad_(False)
+    together = network(gap_window(AROUND, [*GAP, 11.5, 9.0, 17.0, -1.0]))
+    torch.testing.assert_close(network(gap_window(AROUND, [11.5, 13.0])), together[:, [6, 3]], rtol=1e-4, atol=1e-5)
+    near = network(gap_window(AROUND, [12.0, 12.001, 12.5, 13.0]))
+    moved = (near[:, 1:] - near[:, :1]).abs().amax(dim=(0, 2))
+    assert float(moved[0]) < 0.01 * float(moved[2])
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_every_parameter_is_learnt_from_a_gap_and_one_frame_is_an_answer(name: str) -> None:
+    network = NETWORKS[name]()
+    for kept in ([0], [0, 1]):
+        alone = network(gap_window(kept, [0.0, 1.0, 5.0]))
+        assert alone.shape == (2, 3, POSE)
+        assert bool(torch.isfinite(alone).all())
+    network(gap_window(AROUND, GAP)).square().sum().backward()
+    still = [key for key, each in network.named_parameters() if each.grad is None or not bool(each.grad.any())]
+    assert still == []
