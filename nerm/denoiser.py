@@ -247,7 +247,7 @@ def load_denoiser(run: RunFolder, device: torch.device | None = None) -> Trained
     folder = run.stage(STAGE_NAME)
     folder.read_summary()
     tensors, description = load_tensors(folder.model_path)
-    with rebuilding(folder.model_path, STAGE_NAME):
+    with rebuilding(folder.model_path, STAGE_NAME, tensors):
         trained = _rebuild(tensors, description)
     if device is not None:
         trained.denoiser.to(device)

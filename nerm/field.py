@@ -279,7 +279,7 @@ def load_field(run: RunFolder | Path, device: str = "cpu") -> TrainedField:
             f"'nerm-field' version {FORMAT_VERSION}: train it again (motionkit train --stage field --overwrite)"
         )
     where = resolve_device(device)
-    with rebuilding(folder.model_path, STAGE_NAME):
+    with rebuilding(folder.model_path, STAGE_NAME, tensors):
         return _rebuild(tensors, description, where)
 
 

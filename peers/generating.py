@@ -259,7 +259,7 @@ def load_stage(run: RunFolder, stage: PeerStage, device: torch.device) -> Traine
             f"motionkit train --stage {name} --run {run.path.name} --overwrite"
         )
     earlier = {each.name: load_stage(run, each, device).network for each in stage.builds_on}
-    with rebuilding(folder.model_path, name), seeded_initialisation(0, name):
+    with rebuilding(folder.model_path, name, tensors), seeded_initialisation(0, name):
         config = from_plain(stage.config_type, description["config"])
         vectors = vectors_of(config.motions.pose_vectors, tensors)
         scaling = VectorScaling(tensors["scaling.mean"], tensors["scaling.scale"])

@@ -208,7 +208,7 @@ def _load(run: Path, stage: str) -> NativeEvaluator:
             f"{folder.model_path} is of version {description.get('version')!r}, expected {version!r}: "
             f"train it again (motionkit train --stage {stage} --run {run.name} --overwrite)"
         )
-    with rebuilding(folder.model_path, stage):
+    with rebuilding(folder.model_path, stage, tensors):
         config = from_plain(NativeNetworkConfig, description["config"]["network"])
         network = NativeNetwork(config)
         text = TextProjection(int(description["text_dimension"]), config)

@@ -35,6 +35,8 @@ from motionkit.core.files import (
 # A pattern. Without a hyphen first, as options have.
 STAGE_NAME = r"\w[\w-]*"
 SHOWN_SETTINGS, SHOWN_LETTERS = 6, 24
+# Keys of config.json that others read.
+CONFIG_TYPES = {"config": dict, "recipe": str, "seed": int, "store_fingerprint": str, "builds_on": dict}
 RECORDED_PACKAGES = ("motionkit", "torch", "numpy", "scipy", "safetensors")
 
 
@@ -85,7 +87,14 @@ class StageFolder:
 
     def read_config(self) -> dict[str, Any]:
         """Read config.json; raises `RunError` if the stage is not trained, `DamagedFileError`."""
-        return self._read(self.config_path)
+        config = self._read(self.config_path)
+        for name, kind in CONFIG_TYPES.items():
+            if name in config and not isinstance(config[name], kind):
+                raise DamagedFileError(self.config_path, f"{name} is {shown(config[name])}", HINT)
+        for name, sha256 in config.get("builds_on", {}).items():
+            if not isinstance(sha256, str):
+                raise DamagedFileError(self.config_path, f"{shown(name)} in builds_on is {shown(sha256)}", HINT)
+        return config
 
     def read_summary(self) -> dict[str, Any]:
         """The final metrics; raises `RunError` if the stage is not complete, `DamagedFileError`."""
@@ -111,7 +120,11 @@ class StageFolder:
 
     def read_budget(self) -> dict[str, Any]:
         """Read budget.json; raises `RunError` if there is none, `DamagedFileError`."""
-        return self._read(self.budget_path)
+        budget = {"steps": None} | self._read(self.budget_path)
+        for name, value in budget.items():
+            if not isinstance(value, float | int) or isinstance(value, bool):
+                raise DamagedFileError(self.budget_path, f"{name} is {shown(value)}", HINT)
+        return budget
 
     def append_metrics(self, values: Mapping[str, float]) -> None:
         """Add a line to metrics.jsonl."""

@@ -1,6 +1,7 @@
 """Tensors in safetensors files with a JSON description, and checkpoints of others; no pickle is executed."""
 
 import json
+import threading
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -10,6 +11,7 @@ from typing import Any
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
+from torch.nn.modules.module import register_module_parameter_registration_hook
 
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.core.files import whole_file
@@ -17,6 +19,10 @@ from motionkit.training.run import check_recorded
 
 DESCRIPTION = "description"
 HINT = "train the stage again with --overwrite, or restore the file from a copy"
+
+# Limit of a network's size relative to its file: parameters may be replaced during construction, and missing tensors
+# should be reported by name.
+LARGER = 4
 
 
 class CheckpointError(MotionkitError):
@@ -69,18 +75,42 @@ def one_line(error: Exception, longest: int = 200) -> str:
 
 
 @contextmanager
-def rebuilding(path: Path, stage: str) -> Iterator[None]:
+def rebuilding(path: Path, stage: str, tensors: Mapping[str, torch.Tensor]) -> Iterator[None]:
     """Context for building a stage's network from the result of `load_tensors` on `path`.
 
-    Raises `CheckpointError` for settings and tensors that do not make one.
+    Raises `CheckpointError` for settings whose network is far larger than the tensors, before memory is allocated, and
+    for missing tensors or other types.
     """
     try:
-        yield
+        with _parameters_of(tensors):
+            yield
     except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError, UsageError) as error:
         raise CheckpointError(
             f"{path}: not a {stage} of this version of motionkit ({one_line(error)}); train it again "
             f"(motionkit train --stage {stage} --overwrite)"
         ) from None
+
+
+@contextmanager
+def _parameters_of(tensors: Mapping[str, torch.Tensor]) -> Iterator[None]:
+    """Raise `ValueError` in the block if modules get far more, or larger, parameters than there are tensors."""
+    thread, left = threading.get_ident(), LARGER * len(tensors)
+    numbers_left = LARGER * sum(tensor.numel() for tensor in tensors.values())
+
+    def check(module: torch.nn.Module, name: str, parameter: torch.nn.Parameter) -> None:
+        nonlocal left, numbers_left
+        if threading.get_ident() != thread:
+            return
+        left, numbers_left = left - 1, numbers_left - parameter.numel()
+        if left < 0 or numbers_left < 0:
+            place, shape = f"{type(module).__name__}.{name}", tuple(parameter.shape)
+            raise ValueError(f"its tensors are too few or too small for {place} of shape {shape}")
+
+    hook = register_module_parameter_registration_hook(check)
+    try:
+        yield
+    finally:
+        hook.remove()
 
 
 def prefixed(prefix: str, tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:

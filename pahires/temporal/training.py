@@ -178,7 +178,7 @@ def load_network(
     if found != (FORMAT, FORMAT_VERSION, stage):
         raise CheckpointError(f"{folder.model_path} is {found}, expected {(FORMAT, FORMAT_VERSION, stage)}: {again}")
     where = resolve_device(device)
-    with rebuilding(folder.model_path, stage):
+    with rebuilding(folder.model_path, stage, tensors):
         config = from_plain(config_type, description["config"])
         scaling = VectorScaling(tensors["scaling.mean"], tensors["scaling.scale"])
         network = make(config, len(scaling.mean))

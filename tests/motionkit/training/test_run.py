@@ -2,11 +2,12 @@ import re
 import subprocess
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from motionkit.core.errors import DamagedFileError, UsageError
-from motionkit.core.files import remove_entry
+from motionkit.core.files import remove_entry, write_json
 from motionkit.training.devices import resolve_device
 from motionkit.training.run import RunError, RunFolder, commit
 from motionkit.training.stage import Stage, StageContext, choose_stages
@@ -187,3 +188,21 @@ def test_the_commit_is_that_of_this_code_and_of_no_checkout_around_it(tmp_path: 
 def test_a_stage_has_a_name_that_is_a_folder_and_no_option(name: str) -> None:
     with pytest.raises(UsageError, match=re.escape(repr(name))):
         Stage(name, "", {"nano": Config}, lambda context, config: None)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"config": 7},
+        {"recipe": ["nano"]},
+        {"seed": "0"},
+        {"store_fingerprint": [1]},
+        {"builds_on": [1]},
+        {"builds_on": {"first": 7}},
+    ],
+)
+def test_a_config_of_other_types_is_named(changed: dict[str, Any], tmp_path: Path) -> None:
+    folder = _context(tmp_path).begin("first", Config(), store_fingerprint="abc")
+    write_json(folder.config_path, folder.read_config() | changed)
+    with pytest.raises(DamagedFileError, match=rf"config\.json is damaged .*{min(changed)}"):
+        _context(tmp_path, resume=True).begin("first", Config(), store_fingerprint="abc")

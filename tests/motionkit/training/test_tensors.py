@@ -66,14 +66,26 @@ def test_tensors_that_share_memory_are_saved(tmp_path: Path) -> None:
 
 
 def test_a_network_is_built_from_the_tensors_that_fill_it() -> None:
-    with rebuilding(PATH, "field"):
+    with rebuilding(PATH, "field", TENSORS):
         network = torch.nn.Linear(2, 3)
         network.load_state_dict(TENSORS)
     assert not network.weight.any()
 
 
+def test_a_network_of_another_size_uses_no_memory() -> None:
+    message = r"too small for Linear.weight of shape \(100000000, 2\).*--stage field --overwrite"
+    with pytest.raises(CheckpointError, match=message), rebuilding(PATH, "field", TENSORS):
+        torch.nn.Linear(2, 100_000_000)
+
+
+def test_a_network_of_more_layers_comes_to_an_end() -> None:
+    with pytest.raises(CheckpointError, match="too few or too small"), rebuilding(PATH, "field", TENSORS):
+        while True:
+            torch.nn.Linear(2, 3)
+
+
 @pytest.mark.parametrize("error", [AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError])
 def test_whatever_is_missing_is_explained(error: type[Exception]) -> None:
     message = "not a field of this version of motionkit"
-    with pytest.raises(CheckpointError, match=message), rebuilding(PATH, "field"):
+    with pytest.raises(CheckpointError, match=message), rebuilding(PATH, "field", TENSORS):
         raise error("width")
