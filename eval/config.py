@@ -27,7 +27,7 @@ class EvalConfig:
     and encoders of `run`, folders of samples by the systems' names, `encoders` (pairs of an encoder's name and a run);
     a model generates at most `max_motions` motions, `draws` times. `evaluators` are feature sets or recognisers, None
     for all; `guo` and `motion_clip` are files of published ones. `clips` is clip-FID's protocol, before which every set
-    is low-passed at `low_pass_hz`; `protocol` and `compat` are of tables of whole motions. `fps` None means the table's
+    is low-passed at `low_pass_hz`; `protocol` is of tables of whole motions. `fps` None means the table's
     own columns. `on_progress` is called during long steps.
     """
 
@@ -47,7 +47,6 @@ class EvalConfig:
     clips: Protocol = field(default_factory=Protocol)
     low_pass_hz: float | None = None
     protocol: str = "native"
-    compat: tuple[str, ...] = ()
     fps: tuple[Fraction, ...] | None = None
     seed: int = 0
     on_progress: OnProgress = field(default=ignore, compare=False, repr=False)

@@ -123,10 +123,6 @@ def evaluate(
             PROTOCOL, "Of texts: native, nerm, t2m, mdm, mld, t2m-gpt, momask, mardm, tmr, kimodo; of actions: a2m, …"
         ),
     ] = "native",
-    compat: Annotated[
-        str | None,
-        _option(PROTOCOL, "Known bugs of that protocol's code to switch on, by name.", metavar="BUGS"),
-    ] = None,
 ) -> None:
     """Build one of the papers' tables or figures, or calibrate the features that clip-FID is computed on.
 
@@ -161,7 +157,6 @@ def evaluate(
         clips=Protocol(_sizes(sizes), num_clips=clips, replications=replications, seed=seed),
         low_pass_hz=low_pass,
         protocol=protocol,
-        compat=tuple(compat.split(",")) if compat else (),
         fps=framerates(fps, "--fps") if fps else None,
         seed=seed,
     )

@@ -90,9 +90,7 @@ class PairTerms:
         }
 
     def resampled_means(self) -> dict[str, Resampled]:
-        """R-Precision and MM-Dist in the bootstrap; none if pools have a known bug."""
-        if not self._rows:
-            return {}
+        """R-Precision and MM-Dist in the bootstrap."""
         units = self._units(None)
         unit, weights = units.unit[np.concatenate(self._rows)], units.weights(Resampling())
         return {name: weighted_means(np.concatenate(values), unit, weights) for name, values in self._values.items()}

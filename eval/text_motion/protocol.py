@@ -4,52 +4,12 @@ They follow the sources, which were not run. The published loaders also draw one
 crop to a multiple of four frames in every replication; that is not part of a protocol here.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from math import floor
 from typing import Literal
 
 from motionkit.core.errors import UsageError
-
-
-@dataclass(frozen=True)
-class KnownBug:
-    """A bug of published code that changes numbers; `part` is the component that it affects."""
-
-    name: str
-    part: Literal["scores", "evaluator"]
-    description: str
-
-
-FLOAT32_DISTANCES = KnownBug(
-    "float32-distances",
-    "scores",
-    "R-Precision and MM-Dist from √(a² + b² − 2ab) in float32: equal vectors give NaN, which ranks last and makes "
-    "MM-Dist NaN; ties go to the candidate that comes first",
-)
-NAN_IS_BEST = KnownBug(
-    "nan-is-best",
-    "scores",
-    "the same distances, and NaN becomes 0: a distance that cannot be computed is the best match",
-)
-PADDING_LEAK = KnownBug(
-    "padding-leak",
-    "evaluator",
-    "the motion encoder's last valid step sees three frames past a motion's end, whatever stands there",
-)
-KNOWN_BUGS = (FLOAT32_DISTANCES, NAN_IS_BEST, PADDING_LEAK)
-
-
-def chosen_bugs(protocol: str, has: Sequence[str], asked: Sequence[str]) -> tuple[KnownBug, ...]:
-    """The requested bugs by name. Raises `UsageError` for one that the protocol's code does not have."""
-    for name in asked:
-        if name not in has:
-            raise UsageError(
-                f"--compat {name}: the evaluation of protocol {protocol!r} has no such bug; "
-                f"it has {', '.join(has) or 'none that is known here'}"
-            )
-    return tuple(bug for bug in KNOWN_BUGS if bug.name in asked)
 
 
 @dataclass(frozen=True)
@@ -122,9 +82,8 @@ class TextMotionProtocol:
     `num_motions`: number of generated motions used, None for all. `reference`: FID against the whole real set
     ("whole"), the real motions of the same texts ("paired") or another random order of the real set with its own
     remainder ("redraw"). `asks`: the direction of the source's R-Precision; both are computed. `details`: metrics that
-    are computed once, on the first draw. `retrieval`: tables of retrieval. `known_bugs`: names in
-    `eval.text_motion.protocol` that its published code has. `leak`: content of the padding leak, zeros or the generated
-    frames that follow. `kit_lengths` are the `lengths` of KIT-ML. Raises `ValueError` for invalid numbers.
+    are computed once, on the first draw. `retrieval`: tables of retrieval. `kit_lengths` are the `lengths` of KIT-ML.
+    Raises `ValueError` for invalid numbers.
     """
 
     name: str
@@ -143,8 +102,6 @@ class TextMotionProtocol:
     kit_lengths: LengthRule = PUBLISHED_KIT_LENGTHS
     details: tuple[str, ...] = ()
     retrieval: tuple[RetrievalRule, ...] = ()
-    known_bugs: tuple[str, ...] = ()
-    leak: Literal["zeros", "frames"] = "zeros"
     remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -177,7 +134,6 @@ T2M = TextMotionProtocol(
     title="text-to-motion",
     source="Guo et al. 2022, final_evaluations.py",
     reference="redraw",
-    known_bugs=(FLOAT32_DISTANCES.name, PADDING_LEAK.name),
 )
 MDM = TextMotionProtocol(
     name="mdm",
@@ -186,9 +142,6 @@ MDM = TextMotionProtocol(
     num_motions=1024,
     reference="redraw",
     multimodality=MultiModalityRule(num_texts=128, replications=5),
-    known_bugs=(FLOAT32_DISTANCES.name, PADDING_LEAK.name),
-    # Its generated motions are passed to the evaluator with 196 frames, whatever their length.
-    leak="frames",
     remarks=("MDM generates 1,024 motions: its FID does not compare with that of 4,640.",),
 )
 MLD = TextMotionProtocol(
@@ -196,14 +149,12 @@ MLD = TextMotionProtocol(
     title="MLD",
     source="Chen et al. 2023, mld/models/metrics/tm2t.py and mm.py",
     remainder="R-Precision",
-    known_bugs=(NAN_IS_BEST.name, PADDING_LEAK.name),
 )
 T2M_GPT = TextMotionProtocol(
     name="t2m-gpt",
     title="T2M-GPT",
     source="Zhang et al. 2023, utils/eval_trans.py",
     multimodality=MultiModalityRule(num_texts=None),
-    known_bugs=(FLOAT32_DISTANCES.name,),
     remarks=(OWN_LENGTHS,),
 )
 MOMASK = TextMotionProtocol(
@@ -211,7 +162,6 @@ MOMASK = TextMotionProtocol(
     title="MoMask",
     source="Guo et al. 2024, utils/eval_t2m.py",
     multimodality=MultiModalityRule(num_texts=96),
-    known_bugs=(FLOAT32_DISTANCES.name, PADDING_LEAK.name),
 )
 NERM = TextMotionProtocol(
     name="nerm",
@@ -229,9 +179,6 @@ MARDM = TextMotionProtocol(
     title="MARDM",
     source="neu-vi/MARDM @ 443313b, evaluation_MARDM.py and utils/eval_utils.py",
     multimodality=MultiModalityRule(num_texts=96),
-    known_bugs=(FLOAT32_DISTANCES.name, PADDING_LEAK.name),
-    # A batch is decoded to the length of its longest motion, and passed on like that.
-    leak="frames",
     remarks=("MARDM's evaluators read 67 numbers (KIT-ML: 64): --evaluator guo,motion-clip with its own weights.",),
 )
 WHOLE_SET = (

@@ -8,51 +8,10 @@ from threadpoolctl import threadpool_limits
 from eval.metrics.actions import diversity, multimodality, multimodality_shared_pairs
 from eval.metrics.gaussian import Gaussian, fid_infinity, fit_gaussian, frechet_distance, kid
 from eval.metrics.number import Scores
-from eval.metrics.retrieval import RANKS, BothWays, RPrecision, clip_score, pool_distances, ranked_both_ways, tmr_score
+from eval.metrics.retrieval import clip_score, pool_distances, ranked_both_ways, tmr_score
 from eval.text_motion.pairs import AddTerms, PairTerms, TextMotionPairs, resampled_multimodality
-from eval.text_motion.protocol import NAN_IS_BEST, KnownBug, TextMotionProtocol, chosen_bugs
-from motionkit.core.shapes import Float, Float32, Int64
-
-
-def ranked_as_published(
-    texts: Float[np.ndarray, "pairs numbers"],
-    motions: Float[np.ndarray, "pairs numbers"],
-    order: Int64[np.ndarray, "chosen"],
-    pool: int,
-    bug: str,
-) -> BothWays:
-    """R-Precision and MM-Dist of pools of the pairs in `order`, with a bug of `eval.text_motion.protocol`.
-
-    "float32-distances": a rounding error below zero under the root gives NaN, which ranks last and makes MM-Dist NaN.
-    "nan-is-best": the same NaN becomes 0, the smallest distance. Ties are broken by the candidates' order. The random
-    order, float64 sums and exact counts are this project's. Source: text-to-motion utils/metrics.py; MLD tm2t.py.
-    """
-    if len(order) < pool:
-        raise ValueError(f"R-Precision in pools of {pool} needs at least {pool} pairs, there are {len(order)}")
-    pools = order[: len(order) // pool * pool].reshape(-1, pool)
-    distances = np.stack([_float32_distances(texts[members], motions[members]) for members in pools])
-    if bug == NAN_IS_BEST.name:
-        distances = np.nan_to_num(distances)
-    return BothWays(_ranked(distances), _ranked(distances.swapaxes(1, 2)))
-
-
-def _float32_distances(
-    texts: Float[np.ndarray, "pool numbers"], motions: Float[np.ndarray, "pool numbers"]
-) -> Float32[np.ndarray, "pool pool"]:
-    a, b = texts.astype(np.float32), motions.astype(np.float32)
-    squared = np.float32(-2) * (a @ b.T) + np.square(a).sum(axis=1)[:, None] + np.square(b).sum(axis=1)
-    with np.errstate(invalid="ignore"):
-        return np.asarray(np.sqrt(squared), dtype=np.float32)
-
-
-def _ranked(distances: Float32[np.ndarray, "pools pool pool"]) -> RPrecision:
-    """Ranks by a stable sort, NaN last."""
-    place = np.argsort(distances, axis=-1, kind="stable")
-    rank = (place == np.arange(distances.shape[1])[None, :, None]).argmax(axis=-1)
-    top = np.array([(rank < limit).mean() for limit in range(1, RANKS + 1)])
-    own = np.diagonal(distances, axis1=1, axis2=2)
-    return RPrecision(top, float(own.astype(np.float64).mean()), own.size)
-
+from eval.text_motion.protocol import TextMotionProtocol
+from motionkit.core.shapes import Float, Int64
 
 PAIR_SCORES = {"clip_score": clip_score, "tmr_score": tmr_score}
 GENERATED, REAL, DIVERSITY, MULTIMODALITY = range(4)
@@ -68,7 +27,6 @@ def score_text_motion(
     seed: int,
     *,
     repeated: Float[np.ndarray, "texts generations features"] | None = None,
-    compat: Sequence[str] = (),
     pair_score: str = "",
     on_replication: Callable[[], None] = lambda: None,
 ) -> Scores:
@@ -78,15 +36,12 @@ def score_text_motion(
     draws than replications the interval covers less than the protocol's, and a remark says so. `repeated` holds several
     motions of one text for MultiModality, which is left out without it. With the protocol's reference "paired", row i
     of a draw was generated for the text of row i of `real`. To score real motion itself give `[real]`: its FID is then
-    0, or what the dropped remainders leave ("redraw"). `compat` names known bugs to switch on, `pair_score` a metric of
-    pairs of embeddings of length 1 (`CosineEvaluator`).
+    0, or what the dropped remainders leave ("redraw"). `pair_score` is a metric of pairs of embeddings of length 1.
 
-    Raises `ValueError` for pairs that do not fit together or are not finite, fewer than a pool of them, and
-    `UsageError` for a bug that the protocol does not have.
+    Raises `ValueError` for pairs that do not fit together or are not finite, and fewer than a pool of them.
     """
     if not draws:
         raise ValueError("there is no set of motions to score")
-    bugs = chosen_bugs(protocol.name, protocol.known_bugs, compat)
     for draw in draws:
         _check(real, draw, protocol)
     scores, fids, terms = Scores(remarks=list(protocol.remarks)), _Fids(real, draws, protocol), PairTerms(draws)
@@ -97,7 +52,7 @@ def score_text_motion(
             draw = draws[which]
             order = np.random.default_rng((seed, replication, GENERATED)).permutation(len(draw.motions))
             order = order[: _counted(len(order), protocol)]
-            _add_precision(draw, order, protocol, bugs, scores, terms.of_draw(which))
+            _add_precision(draw, order, protocol, scores, terms.of_draw(which))
             scores.add("fid", fids.value(which, order, seed, replication))
             rng = np.random.default_rng((seed, replication, DIVERSITY))
             if pair_score:
@@ -152,24 +107,16 @@ def _add_precision(
     draw: TextMotionPairs,
     order: Order,
     protocol: TextMotionProtocol,
-    bugs: tuple[KnownBug, ...],
     scores: Scores,
     terms: AddTerms,
 ) -> None:
-    names = [bug.name for bug in bugs if bug.part == "scores"]
-    if names:
-        found = ranked_as_published(draw.texts, draw.motions, order, protocol.pool, names[-1])
-    else:
-        distances = pool_distances(draw.texts, draw.motions, order, protocol.pool)
-        found = ranked_both_ways(distances)
-        terms(distances, order)
+    distances = pool_distances(draw.texts, draw.motions, order, protocol.pool)
+    found = ranked_both_ways(distances)
+    terms(distances, order)
     for suffix, direction in (("", found.text_asks), ("_motion_asks", found.motion_asks)):
         for rank, share in enumerate(direction.top.tolist(), start=1):
             scores.add(f"r_precision_top{rank}{suffix}", share)
-    if np.isfinite(found.text_asks.matching_distance):
-        scores.add("mm_dist", found.text_asks.matching_distance)
-    else:
-        scores.remark("MM-Dist is NaN in some replications, which are left out of it (--compat float32-distances)")
+    scores.add("mm_dist", found.text_asks.matching_distance)
 
 
 class _Fids:

@@ -27,14 +27,11 @@ from eval.tables.nerm.sample_motions import sample_embeddings
 from eval.tables.table import SOURCES, Content, Table, printed_block, reported_figures
 from eval.text_motion.embedding_cache import FOLDER, Embedder
 from eval.text_motion.evaluator import CosineEvaluator, TextMotionEvaluator
-from eval.text_motion.guo.kind import Padding
 from eval.text_motion.model_motions import ModelMotions
 from eval.text_motion.pairs import PairTerms, TextMotionPairs
 from eval.text_motion.protocol import (
-    PADDING_LEAK,
     RetrievalRule,
     TextMotionProtocol,
-    chosen_bugs,
     find_text_motion_protocol,
 )
 from eval.text_motion.real_pairs import MADE_OF_22, CaptionedMotions, captioned_motions, kit_bone_lengths, limited
@@ -94,7 +91,7 @@ def compute(config: EvalConfig, store: Store) -> Content:
     """
     protocol, folders = find_text_motion_protocol(config.protocol), config.sample_folders
     with task(config.on_progress, "loading"):
-        evaluators = text_motion_evaluators(config, protocol)
+        evaluators = text_motion_evaluators(config)
         models = _models(config)
         check_sample_names(config.samples, models)
         for each in models.values():
@@ -123,7 +120,6 @@ def compute(config: EvalConfig, store: Store) -> Content:
         blocks=(*blocks, *map(paper_block, dict.fromkeys(fps for fps, _ in real))),
         definition={
             "protocol": asdict(protocol),
-            "compat": list(config.compat),
             "draws": config.draws,
             "motions": config.max_motions,
             "real_motions": {
@@ -156,16 +152,15 @@ TABLE = Table(
 )
 
 
-def text_motion_evaluators(config: EvalConfig, protocol: TextMotionProtocol) -> list[TextMotionEvaluator]:
+def text_motion_evaluators(config: EvalConfig) -> list[TextMotionEvaluator]:
     """The requested evaluators, by default `native`.
 
     Raises `UsageError` for a name that is not a text-motion evaluator, for a known bug that the protocol or the
     evaluator does not have, and if no evaluator is available.
     """
-    chosen_bugs(protocol.name, protocol.known_bugs, config.compat)
     known: dict[str, Callable[[], TextMotionEvaluator]] = {
         "native": lambda: _native(config),
-        "guo": lambda: _guo(config, protocol.leak),
+        "guo": lambda: _guo(config),
         "motion-clip": lambda: _motion_clip(config),
         "tmr": lambda: _tmr(config),
     }
@@ -184,22 +179,18 @@ def text_motion_evaluators(config: EvalConfig, protocol: TextMotionProtocol) -> 
 def _native(config: EvalConfig) -> TextMotionEvaluator:
     from eval.native_evaluator.evaluator import NativeTextMotion, load_native
 
-    if PADDING_LEAK.name in config.compat:
-        raise UsageError(f"--compat {PADDING_LEAK.name} is a bug of Guo's evaluator: --evaluator guo --weights FILE")
     if config.run is None:
         raise MotionkitError("it belongs to a run, and none was given (motionkit train --stage evaluator)")
     return NativeTextMotion(load_native(config.run))
 
 
-def _guo(config: EvalConfig, leak: Padding) -> TextMotionEvaluator:
+def _guo(config: EvalConfig) -> TextMotionEvaluator:
     from eval.text_motion.guo.evaluator import load_guo
 
     if config.guo is None:
         raise UsageError("--evaluator guo needs its weights: --weights finest.tar (docs/evaluators.md)")
     if config.guo.glove is None:
         raise UsageError("--evaluator guo reads captions with GloVe's word vectors: --glove DIR (docs/evaluators.md)")
-    if PADDING_LEAK.name in config.compat and config.guo.padding == "masked":
-        return load_guo(replace(config.guo, padding=leak))
     return load_guo(config.guo)
 
 
@@ -391,7 +382,6 @@ class _OneEvaluator:
                 self.protocol,
                 self.config.seed,
                 repeated=repeated,
-                compat=self.config.compat,
                 pair_score=self.pair_score,
                 on_replication=work.advance,
             )
@@ -572,8 +562,6 @@ def _caption(config: EvalConfig, protocol: TextMotionProtocol, real: Mapping[_Si
         f"Whole motions and their captions, protocol {protocol.name!r} ({protocol.title}): mean over "
         f"{protocol.replications} replications ± half the 95 % interval over takes, {config.real}."
     )
-    if config.compat:
-        caption += f" Known bugs switched on: {', '.join(config.compat)}."
     fewest = min(each.samples.num_sequences for each in real.values())
     if fewest < SMALL:
         caption += (

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from eval.sets.sets import SampleSet
-from eval.text_motion.guo.kind import REACH_FRAMES, GuoError, GuoFiles, GuoKind, Padding, read_statistics
+from eval.text_motion.guo.kind import GuoError, GuoFiles, GuoKind, read_statistics
 from eval.text_motion.guo.networks import (
     FRAMES_PER_TOKEN,
     PUBLISHED,
@@ -50,7 +50,6 @@ class GuoEvaluator:
     networks: MotionNetworks
     statistics: Statistics
     words: WordVectors | None = None
-    padding: Padding = "masked"
 
     @property
     def kind(self) -> GuoKind:
@@ -60,7 +59,7 @@ class GuoEvaluator:
     @property
     def name(self) -> str:
         """Name for tables."""
-        return self.kind.name if self.padding == "masked" else f"{self.kind.name} (padding: {self.padding})"
+        return self.kind.name
 
     @property
     def fps(self) -> Fraction:
@@ -79,8 +78,8 @@ class GuoEvaluator:
 
     @cached_property
     def fingerprint(self) -> str:
-        """First 16 hex digits of the sha256 over version, padding, weights, statistics and word vectors."""
-        digest = hashlib.sha256(f"{VERSION} {self.kind.name} {self.kind.dataset} {self.padding}".encode())
+        """First 16 hex digits of the sha256 over version, weights, statistics and word vectors."""
+        digest = hashlib.sha256(f"{VERSION} {self.kind.name} {self.kind.dataset} masked".encode())
         for key, tensors in self.networks.published().items():
             for name in sorted(tensors):
                 digest.update(f"{key}/{name}".encode() + tensors[name].numpy().astype("<f8").tobytes())
@@ -196,15 +195,10 @@ class GuoEvaluator:
     def _inputs(
         self, motion: Float[np.ndarray, "frames numbers"], num_frames: int
     ) -> Float64[np.ndarray, "inputs read"]:
-        """Standardised frames of whole tokens, followed by the padding within the convolutions' reach."""
+        """Standardised frames of whole tokens; nothing past a motion's end, so an embedding is the motion's own."""
         own, num_inputs = num_frames // FRAMES_PER_TOKEN * FRAMES_PER_TOKEN, self.kind.num_inputs
-        reach = 0 if self.padding == "masked" or own >= MAX_FRAMES else REACH_FRAMES
-        inputs = np.zeros((own + reach, num_inputs))
-        # Published loaders crop real motion to whole tokens: only frames stored past a motion's end are read.
-        follows = reach if self.padding == "frames" and len(motion) > num_frames else 0
-        seen = motion[: own + follows, :num_inputs].astype(np.float64)
-        inputs[: len(seen)] = (seen - self.statistics.mean[:num_inputs]) / self.statistics.std[:num_inputs]
-        return inputs
+        seen = motion[:own, :num_inputs].astype(np.float64)
+        return (seen - self.statistics.mean[:num_inputs]) / self.statistics.std[:num_inputs]
 
     def _in_batches(
         self, sizes: Sequence[int], embed: Callable[[list[int]], torch.Tensor]
@@ -273,7 +267,7 @@ def load_guo(files: GuoFiles, widths: GuoWidths = PUBLISHED) -> GuoEvaluator:
             "--statistics DIR (Comp_v6_KLD01/meta of the published archive; docs/evaluators.md)"
         )
     words = None if files.glove is None else read_word_vectors(files.glove)
-    return GuoEvaluator(networks, read_statistics(folder, networks.kind), words, files.padding)
+    return GuoEvaluator(networks, read_statistics(folder, networks.kind), words)
 
 
 def _published_statistics(weights: Path) -> Path | None:

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -137,14 +136,6 @@ def _title(kind: GuoKind) -> str:
     return f"the {kind.name} evaluator of {kind.dataset}"
 
 
-REACH_FRAMES = 3
-"""Reach of the last token's convolutions past its own frames."""
-
-Padding = Literal["masked", "zeros", "frames"]
-"""Input of the last token past a motion's end: nothing (`masked`), standardised zeros up to frame 196 (`zeros`: the
-published protocol), or the frames that follow there, then zeros (`frames`: where generated ones were left in)."""
-
-
 @dataclass(frozen=True)
 class GuoFiles:
     """What `eval.text_motion.guo.evaluator.load_guo` loads: `statistics` None means those beside the weights."""
@@ -152,4 +143,3 @@ class GuoFiles:
     weights: Path
     glove: Path | None = None
     statistics: Path | None = None
-    padding: Padding = "masked"

@@ -178,32 +178,6 @@ def test_what_the_data_cannot_give_is_reported() -> None:
     assert any("N = 40 for 64 features" in remark for remark in score_text_motion(wide, [wide], few, 0).remarks)
 
 
-def test_known_bugs_are_off_until_they_are_named() -> None:
-    # Texts and motions that are the same vectors: every distance is 0, and float32's formula makes some of them NaN.
-    texts = np.random.default_rng(0).normal(size=(320, 64)).astype(np.float32) * 30
-    same = TextMotionPairs(texts, texts)
-    few = {name: replace(find_text_motion_protocol(name), replications=1) for name in ("t2m", "mld")}
-    for protocol in few.values():
-        clean = score_text_motion(same, [same], protocol, 0).replications
-        assert clean["r_precision_top1"] == [1.0]
-        assert clean["mm_dist"] == [0.0]
-    worst = score_text_motion(same, [same], few["t2m"], 0, compat=("float32-distances",))
-    assert worst.values["r_precision_top1"].value < 0.9
-    assert "mm_dist" not in worst.values
-    assert any("MM-Dist is NaN" in remark for remark in worst.remarks)
-    best = score_text_motion(same, [same], few["mld"], 0, compat=("nan-is-best",))
-    assert best.replications["r_precision_top1"] == [1.0]
-    assert np.isfinite(best.values["mm_dist"].value)
-    with pytest.raises(UsageError, match="'momask' has no such bug; it has float32-distances, padding-leak"):
-        score("momask", compat=("nan-is-best",))
-
-
-def test_without_nan_the_published_distances_give_the_same_ranks() -> None:
-    plain, published = score("t2m"), score("t2m", compat=("float32-distances",))
-    for name in plain.values:
-        assert published.replications[name] == pytest.approx(plain.replications[name], rel=1e-5)
-
-
 @pytest.mark.parametrize(
     ("texts", "motions", "message"),
     [

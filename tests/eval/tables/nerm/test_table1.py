@@ -259,7 +259,6 @@ def test_what_there_is_not_is_named(
         ({"published": "mmd"}, "no text-to-motion protocol 'mmd'"),
         ({"features": ("kinematic",)}, "--evaluator kinematic: not an evaluator of text and motion"),
         ({"fps": (Fraction(20), Fraction(60))}, "give one --fps"),
-        ({"compat": ("nan-is-best",)}, "protocol 'native' has no such bug"),
         ({"max_motions": 31}, "--motions 31: a text chooses among 32"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Guo et al.'s evaluator beside plain loops over the same random weights; rows in order; what the padding lets in."""
+"""Guo et al.'s evaluator beside plain loops over the same random weights; rows in order."""
 
 from fractions import Fraction
 from pathlib import Path
@@ -12,7 +12,7 @@ from eval.sets.sets import sample_set
 from eval.text_motion.evaluator import TextMotionEvaluator
 from eval.text_motion.guo import evaluator as guo
 from eval.text_motion.guo.evaluator import GuoEvaluator, load_guo
-from eval.text_motion.guo.kind import GuoError, GuoFiles, Padding
+from eval.text_motion.guo.kind import GuoError, GuoFiles
 from eval.text_motion.guo.networks import GuoWidths
 from motionkit.core.motion import Caption
 from motionkit.core.skeleton import SMPL22
@@ -41,10 +41,6 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> GuoFiles:
 @pytest.fixture(scope="module")
 def evaluator(files: GuoFiles) -> GuoEvaluator:
     return load_guo(files, SMALL)
-
-
-def with_padding(evaluator: GuoEvaluator, padding: Padding) -> GuoEvaluator:
-    return GuoEvaluator(evaluator.networks, evaluator.statistics, evaluator.words, padding)
 
 
 def state_of(key: str, num_inputs: int = 259) -> State:
@@ -97,28 +93,20 @@ def plain_sequence(steps: np.ndarray, state: State) -> np.ndarray:
     return state["output_net.3.weight"] @ leaky(y) + state["output_net.3.bias"]
 
 
-def plain_motion(vectors: np.ndarray, length: int, padding: Padding, evaluator: GuoEvaluator) -> np.ndarray:
-    """As the published wrapper does it, on the whole padded array; contacts are dropped."""
+def plain_motion(vectors: np.ndarray, length: int, evaluator: GuoEvaluator) -> np.ndarray:
+    """One motion's whole tokens; contacts are dropped."""
     standardised = (vectors.astype(np.float64) - evaluator.statistics.mean) / evaluator.statistics.std
-    own = length // 4 * 4
-    if padding == "masked":
-        seen = standardised[:own]
-    else:
-        seen = np.zeros((196, 263))
-        kept = standardised[: own if padding == "zeros" else 196]
-        seen[: len(kept)] = kept
-    tokens = plain_tokens(seen[:, :-4], state_of("movement_encoder"))[: length // 4]
+    tokens = plain_tokens(standardised[: length // 4 * 4, :-4], state_of("movement_encoder"))
     return plain_sequence(tokens, state_of("motion_encoder"))
 
 
 LENGTHS = (24, 196, 7, 40, 24, 197, 50, 4)
 
 
-@pytest.mark.parametrize("padding", ["masked", "zeros", "frames"])
-def test_motions_agree_with_the_plain_reference(evaluator: GuoEvaluator, padding: Padding) -> None:
+def test_motions_agree_with_the_plain_reference(evaluator: GuoEvaluator) -> None:
     motions = [pose_vectors(max(196, length), seed) for seed, length in enumerate(LENGTHS)]
-    found = with_padding(evaluator, padding).embed_vectors(motions, LENGTHS)
-    expected = [plain_motion(*each, padding, evaluator) for each in zip(motions, LENGTHS, strict=True)]
+    found = evaluator.embed_vectors(motions, LENGTHS)
+    expected = [plain_motion(*each, evaluator) for each in zip(motions, LENGTHS, strict=True)]
     np.testing.assert_allclose(found, expected, atol=1e-10)
     assert found.dtype == np.float64 and np.ptp(found, axis=0).min() > 0.01
 
@@ -184,28 +172,6 @@ def test_rows_come_in_order_and_do_not_depend_on_the_batch(
     captions = [Caption("…", tokens=tokens) for tokens in (*CAPTIONS, *CAPTIONS[:2])]
     sentences = np.concatenate([evaluator.embed_texts([caption]) for caption in captions])
     np.testing.assert_allclose(evaluator.embed_texts(captions), sentences, atol=1e-12)
-
-
-def test_what_lies_past_the_end_leaks_only_where_asked(evaluator: GuoEvaluator) -> None:
-    plain = pose_vectors(60, 0)
-    three, fourth = plain.copy(), plain.copy()
-    three[40:43] = pose_vectors(3, 9)
-    fourth[43:] = pose_vectors(17, 9)
-
-    def row(padding: Padding, motion: np.ndarray, length: int = 40) -> np.ndarray:
-        return with_padding(evaluator, padding).embed_vectors([motion], [length])[0]
-
-    for padding in ("masked", "zeros"):
-        np.testing.assert_array_equal(row(padding, plain), row(padding, three))
-    np.testing.assert_allclose(row("masked", plain), row("masked", plain[:40]), atol=1e-12)
-    assert np.abs(row("zeros", plain) - row("masked", plain)).max() > 1e-4
-    assert np.abs(row("frames", plain) - row("frames", three)).max() > 1e-4
-    np.testing.assert_array_equal(row("frames", plain), row("frames", fourth))
-    np.testing.assert_allclose(row("frames", plain[:40]), row("zeros", plain), atol=1e-12)
-    both = evaluator.embed_vectors(np.stack([plain, three]), [40, 60])
-    np.testing.assert_allclose(both, [row("masked", plain), row("masked", three, 60)], atol=1e-12)
-    longest = pose_vectors(196, 1)
-    np.testing.assert_array_equal(row("masked", longest, 196), row("zeros", longest, 196))
 
 
 def walking(num_poses: int, seed: int) -> np.ndarray:
@@ -291,7 +257,6 @@ def test_what_it_cannot_read_is_explained(evaluator: GuoEvaluator) -> None:
 def test_the_fingerprint_is_of_everything_that_numbers_depend_on(evaluator: GuoEvaluator, tmp_path: Path) -> None:
     others = [
         evaluator,
-        with_padding(evaluator, "zeros"),
         GuoEvaluator(evaluator.networks, evaluator.statistics),
         load_guo(GuoFiles(write_archive(tmp_path / "other", SMALL, seed=8)), SMALL),
         load_guo(GuoFiles(write_archive(tmp_path / "kit", SMALL, num_inputs=247)), SMALL),

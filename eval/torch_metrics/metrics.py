@@ -1,0 +1,244 @@
+"""The project's metrics as torchmetrics metrics: means by their declared names, FID, R-Precision and clip-FID."""
+
+from collections.abc import Sequence
+from functools import cached_property
+from inspect import signature
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+from torchmetrics import Metric
+from torchmetrics.utilities import dim_zero_cat
+
+from eval.clip_fid.clips import Protocol
+from eval.clip_fid.features import Comparison, kinematic_source
+from eval.clip_fid.motions import Motions, samples_of
+from eval.metrics.gaussian import fid
+from eval.metrics.metric import MeanSums, find_metric
+from eval.metrics.retrieval import REFERENCE_POOL, r_precision
+from motionkit.core.shapes import Float, Int
+from motionkit.core.timegrid import Framerate, parse_fps
+
+
+def array_of(values: Tensor | npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Values as an array; half-precision types, which numpy lacks in part, become float32, exactly."""
+    if not isinstance(values, Tensor):
+        return np.asarray(values)
+    if values.is_floating_point() and values.dtype not in (torch.float32, torch.float64):
+        values = values.float()
+    array: npt.NDArray[Any] = values.detach().cpu().numpy()
+    return array
+
+
+def rows_of(state: list[Tensor] | Tensor, what: str) -> npt.NDArray[Any]:
+    """All rows of a list state, including those of other processes. Raises `ValueError` if there are none."""
+    if not len(state):
+        raise ValueError(f"there are no {what}: call update first")
+    return array_of(dim_zero_cat(state))
+
+
+class DeclaredMean(Metric):
+    """A metric of `eval.metrics` that is a mean, by its name there, over batches and processes.
+
+    `update` takes the function's arrays by position; settings, such as `fps`, are passed here. Other keywords are
+    torchmetrics' own. A batch is weighted by the number of elements that its value is a mean over, so the result does
+    not depend on the batches. Raises `KeyError` for a name that is not declared and `ValueError` for a metric that is
+    not a mean.
+
+    >>> metric = DeclaredMean("velocity_error", fps=60)
+    >>> metric.update(torch.zeros(2, 30, 22, 3), torch.zeros(2, 30, 22, 3))
+    >>> metric.compute()
+    tensor(0., dtype=torch.float64)
+    """
+
+    full_state_update = False
+    is_differentiable = False
+    total: Tensor
+    weight: Tensor
+
+    def __init__(self, declared: str, **settings: Any) -> None:
+        metric = find_metric(declared)
+        if metric.weight is None:
+            raise ValueError(f"{metric.name} is not a mean over batches: its function needs all samples")
+        own = {name: settings.pop(name) for name in signature(metric.function).parameters if name in settings}
+        if "fps" in own:
+            own["fps"] = float(own["fps"])
+        super().__init__(**settings)
+        self.metric_name, self.settings = metric.name, own
+        self.add_state("total", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
+        self.add_state("weight", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
+
+    @property
+    def higher_is_better(self) -> bool | None:  # type: ignore[override]
+        """As the metric is declared."""
+        return find_metric(self.metric_name).higher_is_better
+
+    def update(self, *arrays: Tensor | npt.NDArray[Any]) -> None:
+        """Add a batch. Raises as the function."""
+        metric, given = find_metric(self.metric_name), [array_of(each) for each in arrays]
+        assert metric.weight is not None
+        value = metric.function(*given, **self.settings)
+        assert isinstance(value, float)
+        batch = MeanSums().added(value**metric.exponent, metric.weight(*given))
+        self.total += batch.total
+        self.weight += batch.weight
+
+    def compute(self) -> Tensor:
+        """The mean over all batches, float64. Raises `ValueError` if there are none."""
+        mean = MeanSums(float(self.total), float(self.weight)).mean
+        exponent = 1 / find_metric(self.metric_name).exponent
+        return torch.tensor(mean**exponent, dtype=torch.float64, device=self.total.device)
+
+
+class FID(Metric):
+    """Fréchet distance of two sets of features, as `eval.metrics.gaussian.fid`: `update(features, real=True | False)`.
+
+    Features of any network: [samples, features]. The states are all rows.
+
+    >>> metric = FID()
+    >>> features = torch.randn(100, 4, generator=torch.Generator().manual_seed(0))
+    >>> metric.update(features, real=True)
+    >>> metric.update(features + 2, real=False)
+    >>> round(float(metric.compute()), 4)  # four features, each moved by 2
+    16.0
+    """
+
+    full_state_update = False
+    is_differentiable = False
+    higher_is_better = False
+    real: list[Tensor]
+    generated: list[Tensor]
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.add_state("real", [], dist_reduce_fx="cat")
+        self.add_state("generated", [], dist_reduce_fx="cat")
+
+    def update(self, features: Float[Tensor, "samples features"], real: bool) -> None:
+        """Add a batch to one side."""
+        (self.real if real else self.generated).append(features.detach().double())
+
+    def compute(self) -> Float[Tensor, ""]:
+        """The distance, float64. Raises `ValueError` for NaN, infinity, or a side of fewer than 2 samples."""
+        distance = fid(rows_of(self.real, "real samples"), rows_of(self.generated, "generated samples"))
+        return torch.tensor(distance, dtype=torch.float64, device=self.device)
+
+
+class RPrecision(Metric):
+    """R-Precision and MM-Dist of pairs, as `eval.metrics.retrieval.r_precision`: `update(queries, candidates)`.
+
+    `queries` are embeddings of texts and `candidates` of their motions (the reference protocol), or the other way
+    round, [pairs, numbers] each. Pools are drawn in `compute`, from a seed, so they do not depend on the batches.
+
+    >>> metric = RPrecision(pool=4)
+    >>> texts = 10 * torch.eye(8)
+    >>> metric.update(texts, texts + 1)
+    >>> {name: round(float(value), 4) for name, value in metric.compute().items()}
+    {'r_precision_top1': 1.0, 'r_precision_top2': 1.0, 'r_precision_top3': 1.0, 'mm_dist': 2.8284}
+    """
+
+    full_state_update = False
+    is_differentiable = False
+    queries: list[Tensor]
+    candidates: list[Tensor]
+
+    def __init__(self, pool: int = REFERENCE_POOL, seed: int = 0, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.pool, self.seed = pool, seed
+        self.add_state("queries", [], dist_reduce_fx="cat")
+        self.add_state("candidates", [], dist_reduce_fx="cat")
+
+    def update(self, queries: Float[Tensor, "pairs numbers"], candidates: Float[Tensor, "pairs numbers"]) -> None:
+        """Add pairs. Raises `ValueError` for unequal shapes."""
+        if queries.shape != candidates.shape:
+            raise ValueError(f"queries are {tuple(queries.shape)}, candidates {tuple(candidates.shape)}")
+        self.queries.append(queries.detach().double())
+        self.candidates.append(candidates.detach().double())
+
+    def compute(self) -> dict[str, Float[Tensor, ""]]:
+        """`r_precision_top1` … `3` and `mm_dist`, float64. Raises `ValueError` for fewer pairs than a pool."""
+        queries, candidates = rows_of(self.queries, "pairs"), rows_of(self.candidates, "pairs")
+        found = r_precision(queries, candidates, rng=np.random.default_rng(self.seed), pool=self.pool)
+        values = {f"r_precision_top{rank}": share for rank, share in enumerate(found.top.tolist(), start=1)}
+        values["mm_dist"] = found.matching_distance
+        return {name: torch.tensor(value, dtype=torch.float64, device=self.device) for name, value in values.items()}
+
+
+class ClipFID(Metric):
+    """clip-FID of generated motions against real ones at one framerate, as `eval.clip_fid` computes it.
+
+    `real` are the reference motions, and `train` those that the descriptor is fitted on (by default the real ones):
+    `Motion`s of `fps`, or arrays [frames, 22, 3] in metres, y up. `update` takes motions of any lengths and keeps them,
+    since clips are drawn in proportion to the duration of all of them. The value is that of `eval.clip_fid` on the same
+    motions in the same order. Scores are comparable only for the same real motions, framerate and number of clips.
+
+    Raises `UsageError`, `ClipError` and `MotionkitError` as `eval.clip_fid` does, for the real motions when the metric
+    is first computed.
+
+    >>> rng = np.random.default_rng(0)
+    >>> walks = [rng.normal(size=(90, 22, 3)).cumsum(axis=0) / 100 for _ in range(4)]
+    >>> metric = ClipFID(fps=60, real=walks, clips=128, replications=2)
+    >>> metric.update([torch.from_numpy(walk) for walk in walks[:2]])
+    >>> metric.update(torch.zeros(2, 90, 22, 3), num_frames=torch.tensor([90, 64]))
+    >>> sorted(metric.compute())
+    ['clip_fid', 'clip_fid_ci95']
+    """
+
+    full_state_update = False
+    is_differentiable = False
+    higher_is_better = False
+    positions: list[Tensor]
+    num_frames: list[Tensor]
+
+    def __init__(
+        self,
+        fps: Framerate,
+        real: Motions,
+        *,
+        train: Motions | None = None,
+        clips: int = 4096,
+        replications: int = 20,
+        seed: int = 0,
+        **settings: Any,
+    ) -> None:
+        super().__init__(**settings)
+        self.fps = parse_fps(fps)
+        self._real = samples_of("real", real, self.fps)
+        self._train = self._real if train is None else samples_of("train", train, self.fps)
+        self._protocol = Protocol(num_clips=clips, replications=replications, detailed_replications=0, seed=seed)
+        self.add_state("positions", [], dist_reduce_fx="cat")
+        self.add_state("num_frames", [], dist_reduce_fx="cat")
+
+    def update(
+        self,
+        motions: Sequence[Float[Tensor, "_frames 22 3"]] | Float[Tensor, "motions frames 22 3"],
+        num_frames: Int[Tensor, "motions"] | None = None,
+    ) -> None:
+        """Add motions [frames, 22, 3] of any lengths, or a padded batch with each motion's `num_frames`.
+
+        Raises `UsageError` for other shapes, and `ValueError` for lengths beyond the batch or NaN.
+        """
+        lengths = [len(motion) for motion in motions] if num_frames is None else [int(each) for each in num_frames]
+        if len(lengths) != len(motions) or any(
+            not 0 < length <= len(motion) for length, motion in zip(lengths, motions, strict=False)
+        ):
+            raise ValueError(f"{len(motions)} motions of at most {max(map(len, motions), default=0)} frames: {lengths}")
+        own = [motion[:length] for motion, length in zip(motions, lengths, strict=True)]
+        samples = samples_of("generated", [array_of(motion) for motion in own], self.fps)
+        self.positions.append(torch.from_numpy(samples.sequences.values).to(self.device))
+        self.num_frames.append(torch.tensor(lengths, device=self.device))
+
+    def compute(self) -> dict[str, Float[Tensor, ""]]:
+        """`clip_fid` and half the width of its 95 % interval, `clip_fid_ci95`, float64."""
+        ends = np.cumsum(rows_of(self.num_frames, "motions"))
+        generated = np.split(rows_of(self.positions, "motions"), ends[:-1])
+        samples = samples_of("generated", generated, self.fps)
+        found = self._comparison.scores({"generated": samples})["generated"]
+        values = {"clip_fid": found.value, "clip_fid_ci95": found.ci95}
+        return {name: torch.tensor(value, dtype=torch.float64, device=self.device) for name, value in values.items()}
+
+    @cached_property
+    def _comparison(self) -> Comparison:
+        return kinematic_source().comparison(self._real, self._train, self._protocol)
