@@ -6,17 +6,12 @@ fast motion has figures of its own (`eval.detail`; docs/results/games.md).
 """
 
 import hashlib
-import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
-from pathlib import Path
-from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
-import numpy.typing as npt
 
 from eval.clip_fid.channels import (
     NUM_GROUPS,
@@ -28,8 +23,6 @@ from eval.clip_fid.channels import (
 )
 from eval.clip_fid.threads import in_threads
 from eval.sets.sets import Ragged, SampleSet
-from motionkit.core.errors import DamagedFileError
-from motionkit.core.files import whole_file
 from motionkit.core.shapes import Float, Float32, Float64
 
 VERSION = "kinematic/3"
@@ -97,7 +90,7 @@ class KinematicDescriptor:
     def fingerprint(self) -> str:
         """First 16 hex digits of the sha256 over version, framerate and every fitted number."""
         digest = hashlib.sha256(f"{VERSION} {self.fps}".encode())
-        for array in self._arrays().values():
+        for array in (self.pose_mean, self.pose_components, self.centre, self.scale):
             digest.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
         return digest.hexdigest()[:16]
 
@@ -122,36 +115,6 @@ class KinematicDescriptor:
             raise ValueError(f"this descriptor was fitted at {self.fps} fps; clips at {fps} fps need one of their own")
         described: Float64[np.ndarray, "clips features"] = (_raw_features(clips) - self.centre) * self.scale
         return described
-
-    def save(self, path: Path) -> None:
-        """Write the fitted numbers as .npz, readable without pickle."""
-        about = {"version": VERSION, "fps": str(self.fps), "fingerprint": self.fingerprint}
-        arrays: dict[str, Any] = {name: np.array(text) for name, text in about.items()} | self._arrays()
-        with whole_file(path) as temporary, temporary.open("wb") as file:
-            np.savez(file, **arrays)
-
-    def _arrays(self) -> dict[str, npt.NDArray[np.float64]]:
-        return {each.name: getattr(self, each.name) for each in fields(self) if each.name != "fps"}
-
-
-def load_kinematic(path: Path) -> KinematicDescriptor:
-    """Read a descriptor that `save` wrote.
-
-    Raises `DamagedFileError` for a damaged file, and `ValueError` for another version.
-    """
-    try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
-            arrays = dict(file)
-        version, fps = str(arrays.pop("version")), Fraction(str(arrays.pop("fps")))
-        written = str(arrays.pop("fingerprint"))
-        descriptor = KinematicDescriptor(fps, **arrays) if version == VERSION else None
-    except (ArithmeticError, BadZipFile, EOFError, KeyError, TypeError, ValueError) as error:
-        raise DamagedFileError(path, str(error), "fit it again") from None
-    if descriptor is None:
-        raise ValueError(f"{path} holds a descriptor of version {version}, this is {VERSION}: fit it again")
-    if written != descriptor.fingerprint:
-        raise DamagedFileError(path, "its numbers do not match its fingerprint", "fit it again")
-    return descriptor
 
 
 def fit_kinematic(motions: Sequence[Channels], fps: Fraction) -> KinematicDescriptor:

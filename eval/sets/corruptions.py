@@ -71,7 +71,7 @@ class Family:
 def families(skeleton: Skeleton = SMPL22) -> tuple[Family, ...]:
     """Every family, for motions on a skeleton: two ways of upsampling, foot sliding, joint jitter, low-pass."""
     rates = (60.0, 40.0, 30.0, 20.0, 15.0, 10.0)
-    slerp = partial(_corrupt_slerp, parents=skeleton.parents)
+    slerp = partial(upsample_slerp, parents=skeleton.parents)
     return (
         Family("upsampling-slerp", "fps", "rate", rates, 100.0, 8.0, 1.0, slerp),
         Family("upsampling-linear", "fps", "rate", rates, 100.0, 8.0, 1.0, upsample_linear),
@@ -214,16 +214,6 @@ def shift_between_frames(
         return np.asarray(weights @ np.exp(2j * np.pi * np.outer(taps, frequencies)), dtype=np.complex128)
 
     return _restore(_filter(flat, transfer, delay), positions)
-
-
-def _corrupt_slerp(
-    positions: Array,
-    fps: float,
-    strength: float | npt.NDArray[np.float64],
-    rng: np.random.Generator,
-    parents: tuple[int, ...],
-) -> Array:
-    return upsample_slerp(positions, fps, strength, rng, parents)
 
 
 def _corrupt_low_pass(

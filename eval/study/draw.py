@@ -48,9 +48,7 @@ def draw_trials(systems: Sequence[System], design: Design) -> PartialResult[tupl
     trials: list[Trial] = []
     missing: list[str] = []
     for other in range(1, len(systems)):
-        drawn = _of_pair(systems, other, design, rng)
-        trials += drawn.value
-        missing += drawn.missing
+        trials += _of_pair(systems, other, design, rng, missing)
     if not trials:
         raise MotionkitError("; ".join(missing))
     order = rng.permutation(len(trials)).tolist()
@@ -58,15 +56,17 @@ def draw_trials(systems: Sequence[System], design: Design) -> PartialResult[tupl
 
 
 def _of_pair(
-    systems: Sequence[System], other: int, design: Design, rng: np.random.Generator
-) -> PartialResult[list[Trial]]:
+    systems: Sequence[System], other: int, design: Design, rng: np.random.Generator, missing: list[str]
+) -> list[Trial]:
+    """Trials of the first system against another one; what there are too few motions for is added to `missing`."""
     first, second = systems[0], systems[other]
     pair = f"{first.name} and {second.name}"
     captioned = any(first.captions) and any(second.captions)
     matched = list(_matched(first, second, captioned, rng))
-    missing = [] if captioned else [f"{pair}: one of them has no captions: the question about the text is left out"]
+    if not captioned:
+        missing.append(f"{pair}: one of them has no captions: the question about the text is left out")
     if not matched:
-        return PartialResult([], (f"{pair}: no caption is common to both, nothing is compared",))
+        missing.append(f"{pair}: no caption is common to both, nothing is compared")
     trials: list[Trial] = []
     used = 0
     for fps in design.fps:
@@ -78,15 +78,11 @@ def _of_pair(
         for question in questions if there else ():
             sides = rng.permutation(np.arange(design.cases) % 2).tolist()
             for swapped in sides:
-                one, two = there[used % len(there)]
-                trial = Trial(question, fps, first.captions[one] if captioned else "", (0, other), (one, two))
-                trials.append(_swapped(trial) if swapped else trial)
+                motions = there[used % len(there)]
+                caption, step = first.captions[motions[0]] if captioned else "", -1 if swapped else 1
+                trials.append(Trial(question, fps, caption, (0, other)[::step], motions[::step]))
                 used += 1
-    return PartialResult(trials, tuple(missing))
-
-
-def _swapped(trial: Trial) -> Trial:
-    return Trial(trial.question, trial.fps, trial.caption, trial.systems[::-1], trial.motions[::-1])
+    return trials
 
 
 def _matched(first: System, second: System, captioned: bool, rng: np.random.Generator) -> Iterator[tuple[int, int]]:

@@ -1,10 +1,10 @@
 """Preferences of people: their answers, read with the key, as shares with intervals."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import TypeGuard
+from typing import Any
 
 from scipy.stats import binomtest
 
@@ -68,36 +68,20 @@ def read_key(path: Path) -> Key:
     if document.get("format") != KEY_FORMAT:
         raise StudyError(f"{path}: not the key of a study (format {shown(str(document.get('format')))})")
     try:
-        study, systems, trials = (document[name] for name in ("study", "systems", "trials"))
-        if not isinstance(study, str) or not isinstance(trials, list):
-            raise ValueError("expected a text 'study' and a list 'trials'")
-        if not _are_names(systems) or len(systems) < 2:
-            raise ValueError(f"systems {shown(systems)}, expected two or more different names")
-        return Key(study, systems[0], tuple(_trial(number, each, systems) for number, each in enumerate(trials)))
-    except KeyError as error:
-        raise StudyError(f"{path}: a key without {error}: {RESTORE}") from None
-    except ValueError as error:
-        raise StudyError(f"{path}: not a valid key ({error}): {RESTORE}") from None
+        systems = document["systems"]
+        key = Key(document["study"], systems[0], tuple(map(_trial, document["trials"])))
+        for number, trial in enumerate(key.trials):
+            one, two = trial.systems
+            is_known = trial.question in QUESTIONS and {one, two} <= set(systems)
+            if not is_known or one == two or key.first not in (one, two):
+                raise ValueError(f"trial {number}: expected a question of the study about its first system and another")
+        return key
+    except (LookupError, TypeError, ValueError) as error:
+        raise StudyError(f"{path}: not a valid key ({shown(repr(error))}): {RESTORE}") from None
 
 
-def _trial(number: int, trial: object, systems: Sequence[str]) -> KeyTrial:
-    if not isinstance(trial, dict):
-        raise ValueError(f"trial {number}: {shown(trial)}, expected an object")
-    question, fps, pair = (trial[name] for name in ("question", "fps", "systems"))
-    if not isinstance(question, str) or question not in QUESTIONS:
-        raise ValueError(f"trial {number}: question {shown(question)}, expected {' or '.join(QUESTIONS)}")
-    if not _are_names(pair) or len(pair) != 2 or systems[0] not in pair or not set(pair) <= set(systems):
-        raise ValueError(f"trial {number}: systems {shown(pair)}, expected {shown(systems[0])} and another of the key")
-    if not isinstance(fps, str):
-        raise ValueError(f"trial {number}: fps {shown(fps)}, expected a text such as '60'")
-    return KeyTrial(question, parse_fps(fps), (pair[0], pair[1]))
-
-
-def _are_names(values: object) -> TypeGuard[list[str]]:
-    """Whether a value is a list of different texts."""
-    if not isinstance(values, list):
-        return False
-    return all(isinstance(value, str) for value in values) and len(set(values)) == len(values)
+def _trial(trial: Mapping[str, Any]) -> KeyTrial:
+    return KeyTrial(trial["question"], parse_fps(trial["fps"]), tuple(trial["systems"]))
 
 
 def read_answers(paths: Iterable[Path], key: Key) -> PartialResult[dict[str, dict[int, str]]]:

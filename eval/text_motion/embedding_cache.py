@@ -1,8 +1,8 @@
-"""Cache of embeddings: one file per (data, evaluator, settings), checked when it is read.
+"""Cache of embeddings: one file per (data, evaluator, settings).
 
 The files are in RESULTS/embeddings; when any part of the key changes, embeddings are recomputed. Deleting the folder is
 safe. Only embeddings of whole motions and of texts are cached: clip-FID draws other clips in every replication,
-hundreds of megabytes per table, and `eval.tables.parts` caches its final numbers if tables share them.
+hundreds of megabytes per table.
 """
 
 import hashlib
@@ -13,8 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
 
 from eval.sets.sets import SampleSet
 from eval.text_motion.evaluator import TextMotionEvaluator
@@ -24,8 +22,7 @@ from motionkit.core.progress import warn
 from motionkit.core.shapes import Float32, Float64
 
 FOLDER = "embeddings"
-FORMAT = "motionkit-embeddings/1"
-TENSOR = "embeddings"
+FORMAT = "motionkit-embeddings/2"
 
 Embeddings = Float64[np.ndarray, "rows features"]
 
@@ -54,23 +51,28 @@ class Embedder:
     def kept(self, key: Mapping[str, Any], num_rows: int, compute: Callable[[], Embeddings]) -> Embeddings:
         """The cached embeddings of this key and evaluator, else `compute()`, which is cached.
 
-        A file that is damaged, of another key or shape, or not finite is recomputed with a warning. Raises `ValueError`
-        if `compute` returns another number of rows.
+        A file that is damaged, of another shape, or not finite is recomputed with a warning. Raises `ValueError` if
+        `compute` returns another number of rows.
         """
         whole = {"format": FORMAT, "evaluator": [self.evaluator.name, self.evaluator.fingerprint], **key}
-        text = json.dumps(whole, sort_keys=True)
-        path = None
-        if self.folder is not None:
-            path = self.folder / f"{hashlib.sha256(text.encode()).hexdigest()[:24]}.safetensors"
-            found = _read(path, text, num_rows)
-            if found is not None:
-                return found
-        made = compute()
-        if len(made) != num_rows:
-            raise ValueError(f"evaluator {self.evaluator.name!r} gave {len(made)} rows for {num_rows}")
+        digest = hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()
+        path = None if self.folder is None else self.folder / f"{digest}.npy"
+        if path is not None and path.is_file():
+            try:
+                cached = np.load(path, allow_pickle=False)
+                if cached.ndim == 2 and len(cached) == num_rows and np.isfinite(cached).all():
+                    return np.asarray(cached, dtype=np.float64)
+                reason = "it holds other rows than it was named for"
+            except (OSError, ValueError, EOFError) as error:
+                reason = str(error)
+            warn(f"{path}: not usable ({reason}); computing it anew")
+        embeddings = compute()
+        if len(embeddings) != num_rows:
+            raise ValueError(f"evaluator {self.evaluator.name!r} gave {len(embeddings)} rows for {num_rows}")
         if path is not None:
-            _write(path, text, made)
-        return made
+            with whole_file(path) as temporary, temporary.open("wb") as file:
+                np.save(file, embeddings, allow_pickle=False)
+        return embeddings
 
 
 def fingerprint_of(samples: SampleSet) -> str:
@@ -88,28 +90,3 @@ def fingerprint_of_vectors(motions: Sequence[Float32[np.ndarray, "_frames number
         digest.update(repr(motion.shape).encode())
         digest.update(np.ascontiguousarray(motion, dtype="<f4").data.cast("B"))
     return digest.hexdigest()
-
-
-def _read(path: Path, key: str, num_rows: int) -> Embeddings | None:
-    if not path.is_file():
-        return None
-    reason = "it holds other rows than it was named for"
-    try:
-        with safe_open(path, framework="np") as opened:
-            found = opened.get_tensor(TENSOR) if (opened.metadata() or {}).get("key") == key else None
-        if found is not None and _is_whole(found, num_rows):
-            return np.asarray(found)
-    except (SafetensorError, OSError) as error:
-        reason = str(error)
-    warn(f"{path}: not usable ({reason}); computing it anew")
-    return None
-
-
-def _is_whole(found: np.ndarray, num_rows: int) -> bool:
-    shaped = found.ndim == 2 and len(found) == num_rows and found.dtype == np.float64
-    return shaped and bool(np.isfinite(found).all())
-
-
-def _write(path: Path, key: str, embeddings: Embeddings) -> None:
-    with whole_file(path) as temporary:
-        save_file({TENSOR: np.ascontiguousarray(embeddings, dtype=np.float64)}, temporary, metadata={"key": key})

@@ -1,7 +1,6 @@
 """The kinematic descriptor: its blocks, and that noise above 8 Hz neither wins nor loses."""
 
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,11 +8,10 @@ import pytest
 from eval.clip_fid import features, kinematic
 from eval.clip_fid.clips import REAL, Protocol, describe_clips, draw_clips, place_clips, readable
 from eval.clip_fid.features import fit_on
-from eval.clip_fid.kinematic import BLOCKS, NUM_FEATURES, WEIGHTS, KinematicDescriptor, fit_kinematic, load_kinematic
+from eval.clip_fid.kinematic import BLOCKS, NUM_FEATURES, WEIGHTS, KinematicDescriptor, fit_kinematic
 from eval.metrics.gaussian import Gaussian, fit_gaussian, frechet_distance
 from eval.sets.corruptions import low_pass
 from eval.sets.sets import SampleSet, sample_set
-from motionkit.core.errors import DamagedFileError
 from motionkit.core.skeleton import SMPL22
 
 FPS = Fraction(120)
@@ -95,16 +93,6 @@ def test_noise_above_eight_hertz_neither_wins_nor_loses(real: SampleSet, descrip
     reference = gaussian(real, descriptor)
     plain, noisy = (frechet_distance(reference, gaussian(each, descriptor)) for each in sets)
     assert noisy == pytest.approx(plain, rel=0.02)
-
-
-def test_it_is_saved_without_pickle_and_read_back(descriptor: KinematicDescriptor, tmp_path: Path) -> None:
-    path = tmp_path / "fit.npz"
-    descriptor.save(path)
-    again = load_kinematic(path)
-    assert again.fingerprint == descriptor.fingerprint
-    path.write_bytes(path.read_bytes()[:-40])
-    with pytest.raises(DamagedFileError):
-        load_kinematic(path)
 
 
 def test_other_framerates_and_no_motion_are_refused(real: SampleSet, descriptor: KinematicDescriptor) -> None:
