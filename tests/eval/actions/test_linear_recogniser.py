@@ -58,20 +58,6 @@ def test_statistics_do_not_depend_on_place_heading_or_length_beyond_what_they_se
     np.testing.assert_array_equal(statistics_of(whole), statistics_of(part))
 
 
-def test_the_path_is_in_the_bodys_own_directions() -> None:
-    names = slice(63 * 4, 63 * 4 + 4)
-    left, right = (motion_statistics(acted(action, 1), 20.0)[names] for action in ACTIONS[1:])
-    np.testing.assert_allclose(left[0], 0.4, atol=0.05)
-    np.testing.assert_allclose(right[0], -0.4, atol=0.05)
-    np.testing.assert_allclose((left[1], right[1]), 0.0, atol=0.05)
-
-
-def test_the_same_motions_give_the_same_fit() -> None:
-    train = motions(11, 0)
-    fewer = train.select([i for i in range(train.num_sequences) if i % 11])
-    assert fit_linear(train).fingerprint == fit_linear(train).fingerprint != fit_linear(fewer).fingerprint
-
-
 def test_what_cannot_be_learnt_or_described_is_said() -> None:
     with pytest.raises(MotionkitError, match="made: 0 actions have 10 motions or more at 20 fps"):
         fit_linear(motions(9, 0))

@@ -52,16 +52,6 @@ def test_pairs_of_a_class_have_the_distribution_of_the_reference() -> None:
     assert different == pytest.approx(np.mean(exact), rel=0.03)
 
 
-def test_two_motions_a_class_are_always_paired_with_each_other() -> None:
-    features = np.array([[0.0], [3.0], [10.0], [15.0]])
-    labels = np.array([0, 0, 1, 1])
-    assert multimodality_by_class(features, labels, rng=np.random.default_rng(0)) == 4.0
-    with pytest.raises(ValueError, match="class 1 has a single motion"):
-        multimodality_by_class(features[:3], labels[:3], rng=np.random.default_rng(0))
-    with pytest.raises(ValueError, match="3 motions and 4 labels"):
-        multimodality_by_class(features[:3], labels, rng=np.random.default_rng(0))
-
-
 def plain_fid(x: np.ndarray, y: np.ndarray) -> float:
     a, b = np.cov(x, rowvar=False), np.cov(y, rowvar=False)
     root = np.sqrt(np.maximum(np.linalg.eigvals(a @ b).real, 0)).sum()

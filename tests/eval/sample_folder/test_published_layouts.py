@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from eval.sample_folder import SampleFolder, SampleFolderError, SampleOptions, read_sample_folder
-from motionkit.core.errors import FormatError
 from motionkit.core.moments import moments
 from tests.helpers import published_layouts as published
 
@@ -111,18 +110,6 @@ def test_kit_joints_want_their_unit(tmp_path: Path) -> None:
     assert 1.4 < samples.sequences.values[:, 15, 1].max() < 2.0
 
 
-def test_kit_vectors_are_in_its_unit_by_definition(tmp_path: Path) -> None:
-    from motionkit.features import humanml3d
-
-    for index, joints in enumerate(published.motions("kit21", Fraction(25, 2))):
-        rows = humanml3d.vectors(joints * np.float32(published.KIT_HEIGHT), "kit21")
-        np.save(tmp_path / f"{index}.npy", rows)
-    (tmp_path / "samples.toml").write_text('statistics = "raw"')
-    samples = read_sample_folder("mine", tmp_path)
-    assert set(samples.fps) == {Fraction(25, 2)}
-    assert 1.4 < samples.sequences.values[:, 15, 1].max() < 2.0
-
-
 def test_a_folder_of_this_project_says_everything_itself(tmp_path: Path) -> None:
     for index, joints in enumerate(published.motions()):
         np.savez(tmp_path / f"{index}.npz", joint_positions=joints, fps=20 + 10 * (index % 2), captions=["walks"])
@@ -133,11 +120,3 @@ def test_a_folder_of_this_project_says_everything_itself(tmp_path: Path) -> None
     at_30 = samples.at(Fraction(30))
     np.testing.assert_array_equal(at_30.sequences[1], published.motions()[1])
     assert len(at_30.sequences[0]) == 79
-
-
-def test_a_pickle_that_would_run_code_is_named(tmp_path: Path) -> None:
-    np.save(tmp_path / "results.npy", {"motion": np.zeros((1, 22, 3, 4)), "model": Path("x")})  # type: ignore[arg-type]
-    with pytest.raises(SampleFolderError, match=r"results.npy: a pickle that is not read: .*code to run") as told:
-        read(tmp_path)
-    assert isinstance(told.value, SampleFolderError)
-    assert not isinstance(told.value, FormatError)

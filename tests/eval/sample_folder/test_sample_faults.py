@@ -9,7 +9,6 @@ import pytest
 
 from eval.sample_folder import SampleFolder, SampleFolderError, SampleOptions, read_sample_folder
 from eval.sample_folder.arrays import read_stored, split_motions
-from eval.sample_folder.bodies import root_disagreement
 from eval.sample_folder.manifest import name_expression, read_manifest
 from motionkit.core.errors import FormatError
 from motionkit.core.moments import moments
@@ -142,15 +141,6 @@ def test_bodies_lie_on_purpose_where_up_is_stated(tmp_path: Path) -> None:
     np.testing.assert_array_equal(samples.sequences[1], LYING)
 
 
-def test_somebody_who_lies_for_half_of_the_time_is_a_body(tmp_path: Path) -> None:
-    half = len(JOINTS) // 2
-    arrays = {
-        "down": np.concatenate((JOINTS[:half], LYING[half:])),
-        "up": np.concatenate((LYING[:half], JOINTS[half:])),
-    }
-    assert read(folder_of(tmp_path, **arrays)).sequence_ids == ("down", "up")
-
-
 def test_one_file_without_a_framerate_is_left_out_by_name(tmp_path: Path) -> None:
     folder = folder_of(tmp_path, "", a=JOINTS)
     np.savez(folder / "b.npz", joint_positions=JOINTS, fps=60)
@@ -246,19 +236,12 @@ def test_statistics_that_do_not_fit_are_refused(
     assert says in fault(normalised(tmp_path, of, restore_with, claim))
 
 
-def test_a_standing_root_says_nothing_about_statistics() -> None:
-    rows = np.zeros((40, 263), np.float32)
-    rows[:, 1:3] = 1e-4 * np.random.default_rng(0).normal(size=(40, 2))
-    assert root_disagreement(rows) == 1.0
-
-
 @pytest.mark.parametrize(
     ("text", "says"),
     [
         ("fps = ", "not TOML"),
         ("frames = 20", "unknown key 'frames'"),
         ("fps = true", "expected a framerate"),
-        ("fps = 0", "framerate must lie between"),
         ("unit_metres = -1", "length of the files' unit"),
         ('up = "down"', "expected 'x' or 'y' or 'z'"),
         ('statistics = "published"', "expected 'raw' or 'normalised'"),
@@ -272,7 +255,6 @@ def test_a_standing_root_says_nothing_about_statistics() -> None:
         ('name = "{any}{any}"', "{any} occurs twice"),
         (f'name = "{"{any}" * 300}"', "1,500 letters, expected at most 1,000"),
         (f"fps = 0x{'f' * 5000}", "a framerate must lie between 1 and 10000"),
-        (f"fps = {'9' * 5000}", "not TOML"),
         (f"fps = '{'9' * 400}/1'", "not a number of that many digits"),
         (f"files = {'[' * 5000}", "not TOML (nested too deep)"),
     ],
@@ -333,16 +315,11 @@ def test_a_csv_row_without_its_file_is_reported(tmp_path: Path) -> None:
     ("extra", "reason"),
     [
         ({"text": 5}, "text"),
-        ({"text": [["a"], ["b"]]}, "text"),
         ({"text": [[[["x"] * 99] * 99] * 99] * 2}, "text"),  # a million letters, if it were written out
         ({"lengths": [[1, 2], [3]]}, "lengths"),
-        ({"lengths": [1.5, 2]}, "lengths"),
-        ({"lengths": {}}, "lengths"),
         ({"num_samples": 1, "num_repetitions": [2]}, "channel-count"),
-        ({"num_samples": 1, "num_repetitions": "2"}, "channel-count"),
         ({"num_samples": 16**9000, "num_repetitions": 1}, "channel-count"),
         ({"fps": [20]}, "framerate"),
-        ({"fps": 10**400}, "framerate"),
     ],
 )
 def test_dictionaries_that_say_nonsense(tmp_path: Path, extra: dict[str, object], reason: str) -> None:
@@ -353,29 +330,6 @@ def test_dictionaries_that_say_nonsense(tmp_path: Path, extra: dict[str, object]
     assert told.value.reason == reason and len(str(told.value)) < 400
 
 
-def test_a_column_that_is_not_read_is_reported(tmp_path: Path) -> None:
-    folder = folder_of(tmp_path, a=JOINTS)
-    (folder / "texts.csv").write_text("file,caption,frames\na.npy,walks,9\n")
-    assert "texts.csv: a column that is not read: 'frames' (did you mean num_frames?)" in read(folder).describe()
-
-
-def test_an_empty_manifest_says_nothing(tmp_path: Path) -> None:
-    folder = published.write_t2m_gpt(tmp_path / "gpt")
-    (folder / "samples.toml").touch()
-    assert read_sample_folder("mine", folder, SampleOptions(Fraction(20))).num_motions == 6
-    (folder / "samples.toml").write_text("fps = ", encoding="utf-8")
-    with pytest.raises(FormatError, match="not TOML"):
-        read_sample_folder("mine", folder)
-
-
-def test_rows_of_files_with_impossible_names_are_left_out(tmp_path: Path) -> None:
-    folder = folder_of(tmp_path, a=JOINTS)
-    (folder / "lengths.csv").write_text(f"file,num_frames\n{'x' * 300}.npy,10\na.npy,30\n")
-    samples = read(folder)
-    assert samples.sequences.num_frames.tolist() == [30]
-    assert [problem.reason for problem in samples.left_out] == ["path"]
-
-
 @pytest.mark.parametrize("wild", [3e38, np.inf, -np.inf])
 def test_a_motion_of_wild_numbers_costs_only_itself(tmp_path: Path, wild: float) -> None:
     raw = published.vectors()
@@ -384,8 +338,3 @@ def test_a_motion_of_wild_numbers_costs_only_itself(tmp_path: Path, wild: float)
     samples = read(folder_of(tmp_path, 'statistics = "raw"', a=bad, b=raw[1], c=raw[2]))
     assert samples.sequence_ids == ("b", "c")
     assert [problem.frame for problem in samples.left_out] == [3]
-
-
-def test_half_precision_is_read(tmp_path: Path) -> None:
-    half = JOINTS.astype(np.float16)
-    np.testing.assert_array_equal(read(folder_of(tmp_path, a=half)).sequences.values, half.astype(np.float32))

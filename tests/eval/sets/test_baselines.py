@@ -35,11 +35,6 @@ def test_slerp_keeps_every_known_pose_and_who_is_who() -> None:
         np.testing.assert_allclose(after[::3], before, atol=1e-5)
 
 
-def test_slerp_to_the_same_framerate_changes_nothing() -> None:
-    low = walkers(20)
-    np.testing.assert_array_equal(upsampled(low, Fraction(20), "same").sequences.values, low.sequences.values)
-
-
 def test_low_pass_removes_what_is_above_the_cutoff_and_nothing_else() -> None:
     clean = walkers(120)
     time = np.arange(len(clean.sequences.values))[:, None, None] / 120
@@ -64,13 +59,6 @@ def test_unscaled_vectors_multiply_the_path(factor: int) -> None:
         grown = np.linalg.norm(after[-1, 0] - after[0, 0])
         assert grown == pytest.approx(factor * length, rel=0.05)
         np.testing.assert_allclose(after[:, 15, 1], before[0, 15, 1], atol=1e-3)
-
-
-def test_vectors_at_the_same_framerate_restore_the_motion() -> None:
-    low = walkers(20)
-    same = upsample_as_vectors(low, Fraction(20), "same")
-    before, after = low.sequences[0], same.sequences[0]
-    np.testing.assert_allclose(after - after[:, :1], before[: len(after)] - before[: len(after), :1], atol=1e-4)
 
 
 @pytest.mark.parametrize(("fps_from", "fps_to"), [("20", "60"), ("20", "50"), ("25/2", "20"), ("20", "30000/1001")])

@@ -81,19 +81,6 @@ def test_slerp_of_a_single_turning_bone_agrees_with_quaternions() -> None:
     assert np.allclose(result[:, 1], expected, atol=1e-9)
 
 
-@pytest.mark.parametrize("upsample", [corruptions.upsample_linear, corruptions.upsample_slerp])
-@pytest.mark.parametrize("kept", [60.0, 90.0])
-def test_keeping_every_pose_changes_nothing(upsample, kept: float) -> None:  # type: ignore[no-untyped-def]
-    clips = swinging()
-    assert np.allclose(upsample(clips, 60.0, kept, np.random.default_rng(0)), clips, atol=1e-6)
-
-
-@pytest.mark.parametrize("kept", [7.0, 13.0, 25.0])
-def test_constant_velocity_survives_linear_upsampling(kept: float) -> None:
-    line = np.arange(50.0)[:, None, None] * np.array([0.01, 0.0, 0.02]) + np.random.default_rng(0).normal(size=(22, 3))
-    assert np.allclose(corruptions.upsample_linear(line, 60.0, kept, np.random.default_rng(1)), line)
-
-
 def test_sliding_is_a_horizontal_drift_at_the_stated_speed() -> None:
     clips = swinging()
     drift = (corruptions.slide(clips, 60.0, np.array([0.1, 0.2, 0.3]), np.random.default_rng(0)) - clips)[:, -1]
@@ -132,33 +119,6 @@ def test_flat_transforms_keep_distances_and_differences() -> None:
     assert np.allclose(turned[..., 1], clips[..., 1])
     assert np.allclose(np.diff(moved, axis=1), np.diff(clips, axis=1), atol=1e-5)
     assert np.allclose(corruptions.turn(turned, np.array([-0.3, -1.0, 2.0])), clips, atol=1e-5)
-
-
-def test_half_a_frame_twice_is_one_frame() -> None:
-    seconds = np.arange(400) / 100
-    wave = np.sin(2 * np.pi * 9.0 * seconds)[:, None, None] * np.ones((1, 2, 3))
-    half = corruptions.shift_between_frames(wave, 0.5)
-    assert np.allclose(half[60:-60, 0, 0], np.sin(2 * np.pi * 9.0 * (seconds + 0.005))[60:-60], atol=2e-3)
-    once = corruptions.shift_between_frames(half, 0.5)
-    assert np.allclose(once[60:-60], wave[61:-59], atol=5e-3)
-
-
-def test_a_shift_of_no_frame_or_a_whole_one_is_exact_and_clips_of_a_batch_have_their_own() -> None:
-    clips = swinging()
-    shifted = corruptions.shift_between_frames(clips, np.array([0.0, 1.0, 0.5]))
-    assert np.allclose(shifted[0], clips[0], atol=1e-6)
-    assert np.allclose(shifted[1, :-1], clips[1, 1:], atol=1e-5)
-    assert np.allclose(shifted[2], corruptions.shift_between_frames(clips[2], 0.5), atol=1e-6)
-
-
-def test_a_shift_carries_a_glitch_no_further_than_its_kernel() -> None:
-    still = np.zeros((400, 22, 3))
-    glitch = still.copy()
-    glitch[200, 3, 1] = 1.0
-    moved = np.abs(corruptions.shift_between_frames(glitch, 0.5)).max(axis=(1, 2))
-    assert moved[199] > 0.5
-    assert moved[: 199 - corruptions.SHIFT_REACH_FRAMES].max() < 1e-12
-    assert moved[201 + corruptions.SHIFT_REACH_FRAMES :].max() < 1e-12
 
 
 def test_a_shift_keeps_what_lies_below_the_nyquist_frequency() -> None:

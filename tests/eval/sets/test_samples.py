@@ -110,13 +110,6 @@ def test_long_sequences_become_windows_of_equal_length() -> None:
     assert (windows[3].request.text, windows[3].request.action) == ("caption 1", "")
 
 
-def test_a_model_gets_caption_and_action_and_takes_what_it_knows() -> None:
-    parts = [np.zeros((31, 22, 3), dtype=np.float32)] * 2
-    real = sample_set("real", Fraction(20), parts, ["a", "b"], ["", "waves"], ["wave", "wave"])
-    requests = [window.request for window in windows_of(real, 4.0)]
-    assert [(request.text, request.action) for request in requests] == [("", "wave"), ("waves", "wave")]
-
-
 @dataclass(frozen=True)
 class ToldField:
     """A field that answers with the framerate it was told."""

@@ -7,7 +7,7 @@ import pytest
 
 from eval.sets.real import NoRealMotionError
 from eval.text_motion.protocol import LengthRule, find_text_motion_protocol
-from eval.text_motion.real_pairs import captioned_motions, limited, middle
+from eval.text_motion.real_pairs import captioned_motions, limited
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
@@ -56,12 +56,6 @@ def test_each_motion_is_the_stretch_of_its_first_caption(store: Store) -> None:
     assert [caption.text for caption in chosen.captions] == ["jumps", "walks"]
 
 
-def test_published_rules_leave_long_motions_out(store: Store) -> None:
-    found = captioned_motions(store, "test", None, Fraction(20), LengthRule(1.0, 3.0, "left out"))
-    assert found.samples.sequence_ids == ("plain", "part", "rest")
-    assert found.left_out["longer than 3 s"] == 1
-
-
 def test_a_model_that_makes_less_shortens_the_real_motions() -> None:
     published = LengthRule(2.0, 10.0, "left out")
     assert limited(published, 10.0) is published
@@ -77,15 +71,6 @@ def test_published_lengths_are_those_of_the_loaders_at_either_framerate() -> Non
         assert float(rule.shortest_seconds * fps) == pytest.approx(fewest)
         # The longest that Guo's evaluators take whole.
         assert find_text_motion_protocol("native").lengths_at(fps).most_frames(fps) - 1 == 196
-
-
-@pytest.mark.parametrize(("frames", "kept"), [(61, 61), (62, 61), (100, 61), (3, 3)])
-def test_the_middle_is_no_longer_than_asked(frames: int, kept: int) -> None:
-    positions = np.arange(frames, dtype=np.float32)[:, None, None] * np.ones((1, 22, 3), dtype=np.float32)
-    found = middle(positions, 61)
-    assert len(found) == kept
-    before, after = found[0, 0, 0], frames - 1 - found[-1, 0, 0]
-    assert abs(before - after) <= 1
 
 
 def test_too_few_motions_are_reported(store: Store) -> None:

@@ -178,18 +178,6 @@ def test_what_the_data_cannot_give_is_reported() -> None:
     assert any("N = 40 for 64 features" in remark for remark in score_text_motion(wide, [wide], few, 0).remarks)
 
 
-@pytest.mark.parametrize(
-    ("texts", "motions", "message"),
-    [
-        (np.zeros((3, 4)), np.zeros((3, 5)), "one of either for each pair"),
-        (np.zeros((0, 4)), np.zeros((0, 4)), "one of either for each pair"),
-    ],
-)
-def test_pairs_that_do_not_belong_together(texts: np.ndarray, motions: np.ndarray, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        TextMotionPairs(texts, motions)
-
-
 def test_refusals() -> None:
     native = find_text_motion_protocol("native")
     with pytest.raises(ValueError, match="no set of motions"):
@@ -208,10 +196,3 @@ def test_refusals() -> None:
     with pytest.raises(ValueError, match="do not fill a pool"):
         replace(native, num_motions=31)
     assert MultiModalityRule(pairs="distinct").metric == "multimodality"
-
-
-def test_the_same_seed_gives_the_same_numbers_and_another_one_others() -> None:
-    assert score("t2m").values == score("t2m").values
-    few = replace(find_text_motion_protocol("t2m"), replications=2)
-    other = score_text_motion(make_pairs(96, 0), [make_pairs(96, 1)], few, 1)
-    assert other.values["diversity"] != score("t2m").values["diversity"]
