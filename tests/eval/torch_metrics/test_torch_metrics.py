@@ -23,7 +23,7 @@ RNG = np.random.default_rng(0)
 ROWS = RNG.normal(size=(96, 8)) + 1e6
 OTHERS = ROWS + RNG.normal(size=(96, 8))
 SCORES, LABELS = RNG.normal(size=(96, 5)), RNG.integers(5, size=96)
-PREDICTED, TARGET = MOVED = tuple(RNG.normal(size=(2, 96, 20, 4, 3)))
+PREDICTED, TARGET = RNG.normal(size=(2, 96, 20, 4, 3))
 TURNED = RNG.normal(size=(2, 96, 20, 4, 4))
 TURNED /= np.linalg.norm(TURNED, axis=-1, keepdims=True)
 STD = np.ones((4, 3))
@@ -47,7 +47,7 @@ CASES = {
         (PREDICTED, TARGET),
         acceleration_error(PREDICTED, TARGET, 30.0),
     ),
-    "jerk": (DeclaredMean("jerk_error", fps=30), MOVED, jerk_error(*MOVED, 30.0)),
+    "jerk": (DeclaredMean("jerk_error", fps=30), (PREDICTED, TARGET), jerk_error(PREDICTED, TARGET, 30.0)),
     "l2p": (DeclaredMean("l2p", std=STD), (PREDICTED, TARGET), l2p(PREDICTED, TARGET, STD)),
     "l2q": (DeclaredMean("l2q"), tuple(TURNED), l2q(*TURNED)),
     "npss": (DeclaredMean("npss"), (PREDICTED[..., 0], TARGET[..., 0]), npss(PREDICTED[..., 0], TARGET[..., 0])),
