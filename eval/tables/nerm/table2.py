@@ -8,7 +8,6 @@ from threadpoolctl import threadpool_limits
 
 from eval.clip_fid.clips import ClipError
 from eval.clip_fid.features import Comparison, FeatureSource, feature_sources
-from eval.clip_fid.kinematic import KinematicDescriptor
 from eval.clip_fid.score import CLIP_FID, VERSION
 from eval.config import EvalConfig
 from eval.detail import LEAST_FPS, Figure, RealDetail
@@ -97,8 +96,6 @@ class _Sheet:
                 comparison, column.rows, config.missing, lambda: work.advance(next(left)), column.subset_sizes
             )
         features = comparison.features
-        if isinstance(features, KinematicDescriptor):
-            features.save(config.results / "features" / f"kinematic-{features.fingerprint}.npz")
         for row, cell in cells.items():
             self.cells.setdefault(row, {})[column.label] = cell
         for pair, difference in differences.items():

@@ -17,7 +17,7 @@ ALL, SAME, FEW, POOLS = TMR.retrieval
 
 
 def value(rule, pairs: TextMotionPairs, name: str, **more) -> float:
-    return score_retrieval(REAL, [pairs], rule, SENTENCES, 0, **more)[name].mean
+    return score_retrieval(REAL, [pairs], rule, SENTENCES, 0, **more)[name].value
 
 
 def test_real_pairs_are_found_and_random_ones_are_not() -> None:
@@ -52,7 +52,7 @@ def test_an_evaluator_that_cannot_tell_texts_apart_wins_kimodos_rule_and_not_tmr
 def test_motions_ask_for_the_real_ones_and_draws_are_averaged() -> None:
     (rule,) = KIMODO.retrieval
     near, far = TextMotionPairs(TEXTS, REAL.motions + 1e-4 * MOTIONS), TextMotionPairs(TEXTS, MOTIONS)
-    values = [score_retrieval(REAL, [each], rule, SENTENCES, 0)["recall_at_1_real_asked"].mean for each in (near, far)]
+    values = [score_retrieval(REAL, [each], rule, SENTENCES, 0)["recall_at_1_real_asked"].value for each in (near, far)]
     assert values[0] == 1.0 and values[1] < 0.1
     both = score_retrieval(REAL, [near, far], rule, SENTENCES, 0)["recall_at_1_real_asked"]
     assert both.mean == pytest.approx(np.mean(values)) and both.replications == 2
