@@ -107,8 +107,7 @@ def test_a_model_that_is_the_real_motion_reaches_the_floor(
     assert [row.name for row in copied.rows] == [str(table2.HELD_OUT), NERM]
     assert result.definition["generated_motions"] == {"20 fps": {"NeRM": 12}, "60 fps": {"NeRM": 12}}
     assert result.provenance["run"] == "run"
-    hashes = result.blocks[0].provenance["fingerprints"].values()
-    assert {path.name for path in (tmp_path / "features").iterdir()} == {f"kinematic-{each}.npz" for each in hashes}
+    assert len(set(result.blocks[0].provenance["fingerprints"].values())) == 2
 
 
 @pytest.mark.usefixtures("without_copies")
