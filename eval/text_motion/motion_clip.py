@@ -9,7 +9,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +17,12 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from eval.sets.sets import SampleSet
 from eval.text_motion.guo.evaluator import GuoEvaluator
 from eval.text_motion.guo.kind import KINDS, GuoError, GuoKind, read_statistics
 from eval.text_motion.guo.networks import FRAMES_PER_TOKEN
 from motionkit.core.errors import MissingExtraError
 from motionkit.core.motion import Caption
-from motionkit.core.shapes import Float, Float32, Float64, Int64
+from motionkit.core.shapes import Float, Float64, Int64
 from motionkit.training.tensors import CheckpointError, fill_checked, foreign_tensors, read_foreign
 
 WHAT = "MARDM's MotionCLIP"
@@ -135,70 +134,20 @@ def clip_tokens(
     return rows
 
 
-@dataclass(frozen=True, eq=False)
-class MotionClipEvaluator:
-    """The networks with statistics and tokeniser; embeddings have length 1, their cosine is MARDM's CLIP-score."""
-
-    networks: MotionClip
-    motions: GuoEvaluator
-    tokenizer: Any
-
-    @property
-    def name(self) -> str:
-        """Name for tables."""
-        return "motion-clip"
-
-    @property
-    def pair_score(self) -> str:
-        """The score of pairs that its authors report."""
-        return "clip_score"
-
-    @property
-    def fingerprint(self) -> str:
-        """Hash of weights and statistics."""
-        return f"{self.motions.fingerprint}-clip"
-
-    @property
-    def fps(self) -> Fraction:
-        """The required framerate of the motions: 20, or 12.5 for KIT."""
-        return self.motions.fps
-
-    @property
-    def layout(self) -> str:
-        """Joint layout of the motions that it reads."""
-        return self.motions.layout
-
-    @property
-    def vector_size(self) -> int:
-        """Size of the pose vectors, of which it reads the first 67 numbers (KIT: 64)."""
-        return self.motions.vector_size
-
-    def remark_at(self, fps: Fraction) -> str:
-        """Empty: other framerates are refused."""
-        return ""
-
-    def embed_motions(self, samples: SampleSet) -> Float64[np.ndarray, "sequences features"]:
-        """One row per sequence, in order; raises as `GuoEvaluator.embed_motions`."""
-        return self.motions.embed_motions(samples)
-
-    def embed_vectors(
-        self, motions: Sequence[Float32[np.ndarray, "_frames numbers"]], lengths: Sequence[int] | None = None
-    ) -> Float64[np.ndarray, "motions features"]:
-        """One row per motion given as pose vectors in their own units; raises as `GuoEvaluator.embed_vectors` does."""
-        return self.motions.embed_vectors(motions, lengths)
-
-    def embed_texts(self, captions: Sequence[Caption]) -> Float64[np.ndarray, "texts features"]:
-        """One row per caption, in order; texts of more than 75 tokens are truncated."""
-        plain = [self.tokenizer(caption.text, add_special_tokens=False)["input_ids"] for caption in captions]
-        start, end = (int(self.tokenizer.convert_tokens_to_ids(token)) for token in (START, END))
-        tokens = torch.from_numpy(clip_tokens(plain, start, end, self.networks.sizes.context))
-        with torch.inference_mode():
-            rows = [self.networks.embed_texts(some) for some in torch.split(tokens, TEXTS_AT_ONCE)]
-        return np.asarray(torch.cat(rows).double().numpy())
+def _embed_captions(
+    networks: MotionClip, tokenizer: Any, captions: Sequence[Caption]
+) -> Float64[np.ndarray, "texts features"]:
+    """One row per caption, in order; texts of more than 75 tokens are truncated."""
+    plain = [tokenizer(caption.text, add_special_tokens=False)["input_ids"] for caption in captions]
+    start, end = (int(tokenizer.convert_tokens_to_ids(token)) for token in (START, END))
+    tokens = torch.from_numpy(clip_tokens(plain, start, end, networks.sizes.context))
+    with torch.inference_mode():
+        rows = [networks.embed_texts(some) for some in torch.split(tokens, TEXTS_AT_ONCE)]
+    return np.asarray(torch.cat(rows).double().numpy())
 
 
-def load_motion_clip(folder: Path, sizes: MotionClipSizes = PUBLISHED) -> MotionClipEvaluator:
-    """Load a folder with MARDM's weights and statistics and CLIP's vocabulary.
+def load_motion_clip(folder: Path, sizes: MotionClipSizes = PUBLISHED) -> GuoEvaluator:
+    """Load a folder with MARDM's weights and statistics and CLIP's vocabulary, as an evaluator of cosines.
 
     finest.tar of its `text_mot_match_clip/model`; eval_mean.npy and eval_std.npy of `utils/eval_mean_std`; vocab.json
     and merges.txt.
@@ -214,7 +163,8 @@ def load_motion_clip(folder: Path, sizes: MotionClipSizes = PUBLISHED) -> Motion
     networks = MotionClip(KINDS[shape[1]], sizes)
     fill_checked(networks.published()[KEY], found, KEY, weights, WHAT)
     statistics = read_statistics(folder, networks.kind)
-    return MotionClipEvaluator(networks, GuoEvaluator(networks, statistics), _tokenizer(folder, sizes))
+    captions = partial(_embed_captions, networks, _tokenizer(folder, sizes))
+    return GuoEvaluator(networks, statistics, captions=captions, title="motion-clip", pair_score="clip_score")
 
 
 def _tokenizer(folder: Path, sizes: MotionClipSizes) -> Any:

@@ -45,11 +45,18 @@ MOST_HEIGHT_FACTOR = 10.0
 
 @dataclass(frozen=True, eq=False)
 class GuoEvaluator:
-    """The networks with their statistics and word vectors; `words` is None if no captions are read."""
+    """The networks with their statistics and word vectors; `words` is None if no captions are read.
+
+    Other networks of the same inputs embed captions by `captions`, under the name `title`; `pair_score` names the score
+    of pairs that their authors report, empty for Euclidean distances.
+    """
 
     networks: MotionNetworks
     statistics: Statistics
     words: WordVectors | None = None
+    captions: Callable[[Sequence[Caption]], Float64[np.ndarray, "texts features"]] | None = None
+    title: str = ""
+    pair_score: str = ""
 
     @property
     def kind(self) -> GuoKind:
@@ -59,7 +66,7 @@ class GuoEvaluator:
     @property
     def name(self) -> str:
         """Name for tables."""
-        return self.kind.name
+        return self.title or self.kind.name
 
     @property
     def fps(self) -> Fraction:
@@ -89,7 +96,7 @@ class GuoEvaluator:
             arrays.append(self.words.vectors[list(self.words.row.values())])
         for array in arrays:
             digest.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
-        return digest.hexdigest()[:16]
+        return digest.hexdigest()[:16] + ("" if self.captions is None else "-clip")
 
     def remark_at(self, fps: Fraction) -> str:
         """Empty: other framerates are refused."""
@@ -125,6 +132,8 @@ class GuoEvaluator:
 
         Raises `GuoError` without word vectors, and for a caption without `word/POS` tokens.
         """
+        if self.captions is not None:
+            return self.captions(captions)
         networks = self.networks
         if self.words is None or not isinstance(networks, GuoNetworks):
             raise GuoError("the word vectors that Guo's text encoder reads were not given: --glove DIR (our_vab_*)")

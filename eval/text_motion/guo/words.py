@@ -104,39 +104,23 @@ def read_word_vectors(folder: Path) -> WordVectors:
 
     Raises `GuoError` if one is missing, damaged, holds anything but words and numbers, or if they disagree.
     """
-    words, places = _read_words(folder / f"{PREFIX}_words.pkl"), _read_places(folder / f"{PREFIX}_idx.pkl")
+    words, places = (_read_plain(folder / f"{PREFIX}_{name}.pkl") for name in ("words", "idx"))
+    if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
+        raise GuoError(f"{folder / PREFIX}_words.pkl: expected a list of words")
+    if not isinstance(places, dict) or not all(isinstance(row, int) for row in places.values()):
+        raise GuoError(f"{folder / PREFIX}_idx.pkl: expected a dictionary from words to their rows")
     path = folder / f"{PREFIX}_data.npy"
     try:
         vectors = npy.parse_npy(path, source_file.read_bytes(path), (None, NUM_NUMBERS))
     except FormatError as error:
         raise GuoError(str(error)) from None
-    if vectors.dtype.kind != "f":
-        raise GuoError(f"{path}: {vectors.dtype} numbers, expected floating-point ones")
-    if not np.isfinite(vectors).all():
-        raise GuoError(f"{path}: holds numbers that are not finite")
-    vectors = vectors.astype(np.float64)
+    if vectors.dtype.kind != "f" or not np.isfinite(vectors).all():
+        raise GuoError(f"{path}: expected finite floating-point numbers")
     for word in (START, END, UNKNOWN, *words):
-        if word not in places:
-            raise GuoError(f"{folder}: the word {word!r} is missing in {PREFIX}_idx.pkl")
-        if not 0 <= places[word] < len(vectors):
-            raise GuoError(f"{folder}: the word {word!r} is row {places[word]} of {len(vectors)} in {PREFIX}_data.npy")
-    return WordVectors(vectors, {word: places[word] for word in (START, END, UNKNOWN, *words)})
-
-
-def _read_words(path: Path) -> list[str]:
-    found = _read_plain(path)
-    if not isinstance(found, list) or not all(isinstance(word, str) for word in found):
-        raise GuoError(f"{path}: expected a list of words")
-    return found
-
-
-def _read_places(path: Path) -> dict[str, int]:
-    found = _read_plain(path)
-    items = found.items() if isinstance(found, dict) else ()
-    places = {word: place for word, place in items if isinstance(word, str) and isinstance(place, int)}
-    if not isinstance(found, dict) or len(places) != len(found):
-        raise GuoError(f"{path}: expected a dictionary from words to their rows")
-    return places
+        if not 0 <= places.get(word, -1) < len(vectors):
+            found = f"row {places[word]} of {len(vectors)}" if word in places else "missing"
+            raise GuoError(f"{folder}: the word {word!r} is {found} in {PREFIX}_idx.pkl")
+    return WordVectors(vectors.astype(np.float64), {word: places[word] for word in (START, END, UNKNOWN, *words)})
 
 
 def _read_plain(path: Path) -> object:
