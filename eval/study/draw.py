@@ -78,9 +78,12 @@ def _of_pair(
         for question in questions if there else ():
             sides = rng.permutation(np.arange(design.cases) % 2).tolist()
             for swapped in sides:
-                motions = there[used % len(there)]
-                caption, step = first.captions[motions[0]] if captioned else "", -1 if swapped else 1
-                trials.append(Trial(question, fps, caption, (0, other)[::step], motions[::step]))
+                one, two = there[used % len(there)]
+                caption = first.captions[one] if captioned else ""
+                if swapped:
+                    trials.append(Trial(question, fps, caption, (other, 0), (two, one)))
+                else:
+                    trials.append(Trial(question, fps, caption, (0, other), (one, two)))
                 used += 1
     return trials
 

@@ -155,8 +155,7 @@ TABLE = Table(
 def text_motion_evaluators(config: EvalConfig) -> list[TextMotionEvaluator]:
     """The requested evaluators, by default `native`.
 
-    Raises `UsageError` for a name that is not a text-motion evaluator, for a known bug that the protocol or the
-    evaluator does not have, and if no evaluator is available.
+    Raises `UsageError` for a name that is not a text-motion evaluator, and if no evaluator is available.
     """
     known: dict[str, Callable[[], TextMotionEvaluator]] = {
         "native": lambda: _native(config),

@@ -207,7 +207,7 @@ class GuoEvaluator:
         """Standardised frames of whole tokens; nothing past a motion's end, so an embedding is the motion's own."""
         own, num_inputs = num_frames // FRAMES_PER_TOKEN * FRAMES_PER_TOKEN, self.kind.num_inputs
         seen = motion[:own, :num_inputs].astype(np.float64)
-        return (seen - self.statistics.mean[:num_inputs]) / self.statistics.std[:num_inputs]
+        return np.asarray((seen - self.statistics.mean[:num_inputs]) / self.statistics.std[:num_inputs])
 
     def _in_batches(
         self, sizes: Sequence[int], embed: Callable[[list[int]], torch.Tensor]

@@ -290,7 +290,7 @@ def test_an_evaluator_that_cannot_read_the_captions_leaves_the_others(
         def embed_texts(self, captions: Sequence[Caption]) -> np.ndarray:
             raise MotionkitError("captions have no word/POS tokens")
 
-    monkeypatch.setattr(table1, "_guo", lambda request, leak: Deaf())
+    monkeypatch.setattr(table1, "_guo", lambda config: Deaf())
     result = build(store, kept, run, features=("guo", "native"))
     assert [block.provenance["evaluator"] for block in result.blocks[:2]] == ["shapes", "shapes"]
     assert "evaluator 'deaf': captions have no word/POS tokens" in result.missing
