@@ -74,6 +74,7 @@ def make(
 
     Example: motionkit study make --samples "ours=takes" --samples "theirs=takes"
     """
+    from eval.sets.missing import Missing
     from eval.study.draw import Design, draw_trials
     from eval.study.page import write_study
     from eval.study.systems import of_model, require_two
@@ -93,9 +94,10 @@ def make(
             loaded = load_model(model or model_of(folder), folder)
             systems = [of_model(loaded, systems, seed, seconds), *systems]
         require_two(systems)
-        trials = draw_trials(systems, design)
-        written = write_study(out, key, systems, trials.value, design, seconds, show)
-    for line in trials.missing:
+        missing = Missing()
+        trials = draw_trials(systems, design, missing)
+        written = write_study(out, key, systems, trials, design, seconds, show)
+    for line in missing.lines:
         stderr.print(f"motionkit: {line}")
     if as_json:
         print_json(
@@ -104,7 +106,7 @@ def make(
                 "key": str(key),
                 "bytes": written.num_bytes,
                 "questions": written.num_trials,
-                "missing": list(trials.missing),
+                "missing": list(missing.lines),
             }
         )
         return
@@ -145,23 +147,25 @@ def score(
     """
     from dataclasses import asdict
 
+    from eval.sets.missing import Missing
     from eval.study.preference import StudyError, preferences, read_answers, read_key
 
     known = read_key(key)
-    read = read_answers(answers, known)
-    for fault in read.missing:
+    missing = Missing()
+    read = read_answers(answers, known, missing)
+    for fault in missing.lines:
         stderr.print(f"left out: {fault}")
-    found = preferences(known, read.value.values())
-    given = sum(map(len, read.value.values()))
+    found = preferences(known, read.values())
+    given = sum(map(len, read.values()))
     if as_json:
         print_json(
-            {"study": known.study, "people": len(read.value), "answers": given, "preferences": list(map(asdict, found))}
+            {"study": known.study, "people": len(read), "answers": given, "preferences": list(map(asdict, found))}
         )
     elif found:
         _print(found)
-        stderr.print(f"{len(read.value)} people, {given} of {len(read.value) * len(known.trials)} questions answered")
-    if read.missing:
-        raise StudyError(f"{len(read.missing)} of {len(answers)} files were left out (see above)")
+        stderr.print(f"{len(read)} people, {given} of {len(read) * len(known.trials)} questions answered")
+    if missing.lines:
+        raise StudyError(f"{len(missing.lines)} of {len(answers)} files were left out (see above)")
 
 
 def _print(found: "list[Preference]") -> None:

@@ -6,7 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from eval.sets.partial import PartialResult
+from eval.sets.missing import Missing
 from eval.study.systems import System
 from motionkit.core.errors import MotionkitError
 
@@ -38,25 +38,24 @@ class Trial:
     motions: tuple[int, int]
 
 
-def draw_trials(systems: Sequence[System], design: Design) -> PartialResult[tuple[Trial, ...]]:
-    """Trials of the first system against each of the others, in random order with balanced sides; and what is missing.
+def draw_trials(systems: Sequence[System], design: Design, missing: Missing) -> tuple[Trial, ...]:
+    """Trials of the first system against each of the others, in random order with balanced sides.
 
     Two motions share a caption; if one of the systems has no captions, they are any two, without the question about the
-    text. Raises `MotionkitError` if there are no pairs.
+    text. What is left out is added to `missing`. Raises `MotionkitError` if there are no pairs.
     """
     rng = np.random.default_rng(design.seed)
     trials: list[Trial] = []
-    missing: list[str] = []
     for other in range(1, len(systems)):
         trials += _of_pair(systems, other, design, rng, missing)
     if not trials:
-        raise MotionkitError("; ".join(missing))
+        raise MotionkitError("; ".join(missing.lines))
     order = rng.permutation(len(trials)).tolist()
-    return PartialResult(tuple(trials[number] for number in order), tuple(missing))
+    return tuple(trials[number] for number in order)
 
 
 def _of_pair(
-    systems: Sequence[System], other: int, design: Design, rng: np.random.Generator, missing: list[str]
+    systems: Sequence[System], other: int, design: Design, rng: np.random.Generator, missing: Missing
 ) -> list[Trial]:
     """Trials of the first system against another one; what there are too few motions for is added to `missing`."""
     first, second = systems[0], systems[other]
@@ -64,9 +63,9 @@ def _of_pair(
     captioned = any(first.captions) and any(second.captions)
     matched = list(_matched(first, second, captioned, rng))
     if not captioned:
-        missing.append(f"{pair}: one of them has no captions: the question about the text is left out")
+        missing.add(f"{pair}: one of them has no captions: the question about the text is left out")
     if not matched:
-        missing.append(f"{pair}: no caption is common to both, nothing is compared")
+        missing.add(f"{pair}: no caption is common to both, nothing is compared")
     trials: list[Trial] = []
     used = 0
     for fps in design.fps:
@@ -74,7 +73,7 @@ def _of_pair(
         questions = tuple(QUESTIONS) if captioned else (REALISTIC,)
         if len(there) < design.cases * len(questions):
             few = f"{len(there)} pairs of motions at {fps} fps for {design.cases * len(questions)} cases"
-            missing.append(f"{pair}: {few}" + (", some are shown twice" if there else ", none is shown"))
+            missing.add(f"{pair}: {few}" + (", some are shown twice" if there else ", none is shown"))
         for question in questions if there else ():
             sides = rng.permutation(np.arange(design.cases) % 2).tolist()
             for swapped in sides:

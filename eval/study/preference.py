@@ -8,7 +8,7 @@ from typing import Any
 
 from scipy.stats import binomtest
 
-from eval.sets.partial import PartialResult
+from eval.sets.missing import Missing
 from eval.study.draw import QUESTIONS
 from eval.study.page import ANSWERS_FORMAT, KEY_FORMAT
 from motionkit.core.errors import MotionkitError, shown
@@ -84,24 +84,23 @@ def _trial(trial: Mapping[str, Any]) -> KeyTrial:
     return KeyTrial(trial["question"], parse_fps(trial["fps"]), tuple(trial["systems"]))
 
 
-def read_answers(paths: Iterable[Path], key: Key) -> PartialResult[dict[str, dict[int, str]]]:
-    """Each participant's choices ("a" or "b") by trial, and problems of other files.
+def read_answers(paths: Iterable[Path], key: Key, missing: Missing) -> dict[str, dict[int, str]]:
+    """Each participant's choices ("a" or "b") by trial; the problems of other files are added to `missing`.
 
     A participant counts once.
     """
     found: dict[str, dict[int, str]] = {}
-    faults: list[str] = []
     for path in paths:
         try:
             participant, choices = _answers(path, key)
         except (MotionkitError, OSError) as error:
-            faults.append(str(error))
+            missing.add(str(error))
             continue
         if participant in found:
-            faults.append(f"{path}: the answers of participant {participant} are in another file already")
+            missing.add(f"{path}: the answers of participant {participant} are in another file already")
         else:
             found[participant] = choices
-    return PartialResult(found, tuple(faults))
+    return found
 
 
 def _answers(path: Path, key: Key) -> tuple[str, dict[int, str]]:

@@ -11,6 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from eval.commands.study import STUDY
+from eval.sets.missing import Missing
 from eval.study.draw import CONSISTENT, REALISTIC, Design, draw_trials
 from eval.study.page import ANSWERS_FORMAT, KEY_FORMAT
 from eval.study.preference import Key, KeyTrial, StudyError, preferences, read_key
@@ -33,28 +34,30 @@ CAPTIONS = tuple(f"a person does thing {number}" for number in range(40))
 
 def test_pairs_answer_one_caption_and_sides_are_even() -> None:
     ours, theirs = system("ours", CAPTIONS), system("theirs", tuple(each.upper() for each in reversed(CAPTIONS[:36])))
-    drawn = draw_trials([ours, theirs], Design(cases=8, seed=3))
-    assert not drawn.missing and drawn == draw_trials([ours, theirs], Design(cases=8, seed=3))
-    assert drawn.value != draw_trials([ours, theirs], Design(cases=8, seed=4)).value
+    missing = Missing()
+    drawn = draw_trials([ours, theirs], Design(cases=8, seed=3), missing)
+    assert not missing.lines and drawn == draw_trials([ours, theirs], Design(cases=8, seed=3), missing)
+    assert drawn != draw_trials([ours, theirs], Design(cases=8, seed=4), missing)
     systems = (ours, theirs)
-    for trial in drawn.value:
+    for trial in drawn:
         one, two = (systems[place].captions[motion] for place, motion in zip(trial.systems, trial.motions, strict=True))
         assert one.casefold() == two.casefold() == trial.caption
     # 32 captions for 32 questions: none twice, and ours is A in half of each kind.
-    assert len({trial.caption for trial in drawn.value}) == 32
-    kinds = Counter((trial.question, trial.fps, trial.systems) for trial in drawn.value)
+    assert len({trial.caption for trial in drawn}) == 32
+    kinds = Counter((trial.question, trial.fps, trial.systems) for trial in drawn)
     assert len(kinds) == 8 and set(kinds.values()) == {4}
 
 
 def test_slow_captures_and_missing_captions_leave_questions_out() -> None:
     real = system("real motion", CAPTIONS, (Fraction(30),) * 40)
     mute = system("mute", ("",) * 5)
-    drawn = draw_trials([system("ours", CAPTIONS), real, mute], Design(cases=2))
-    of_real = [trial for trial in drawn.value if 1 in trial.systems]
+    missing = Missing()
+    drawn = draw_trials([system("ours", CAPTIONS), real, mute], Design(cases=2), missing)
+    of_real = [trial for trial in drawn if 1 in trial.systems]
     assert {(trial.question, trial.fps) for trial in of_real} == {(REALISTIC, 20), (CONSISTENT, 20)}
-    assert {trial.question for trial in drawn.value if 2 in trial.systems} == {REALISTIC}
-    assert any("0 pairs of motions at 120 fps" in line for line in drawn.missing)
-    assert any("no captions" in line for line in drawn.missing)
+    assert {trial.question for trial in drawn if 2 in trial.systems} == {REALISTIC}
+    assert any("0 pairs of motions at 120 fps" in line for line in missing.lines)
+    assert any("no captions" in line for line in missing.lines)
 
 
 def test_shares_have_wilsons_interval_and_the_binomial_test() -> None:
