@@ -38,6 +38,11 @@ class TextMotionEvaluator(Protocol):
         """Joint layout of the motions that it reads: `smpl22` or `kit21`."""
         ...
 
+    @property
+    def pair_score(self) -> str:
+        """Name, in `eval.metrics.metric`, of the score of pairs of unit vectors that its authors report; or empty."""
+        ...
+
     def remark_at(self, fps: Fraction) -> str:
         """The remark of a table on its numbers at a framerate; may be empty."""
         ...
@@ -48,16 +53,6 @@ class TextMotionEvaluator(Protocol):
 
     def embed_texts(self, captions: Sequence[Caption]) -> Float64[np.ndarray, "texts features"]:
         """One row per caption, in order. Raises `MotionkitError` if one cannot be read."""
-        ...
-
-
-@runtime_checkable
-class CosineEvaluator(TextMotionEvaluator, Protocol):
-    """An evaluator with embeddings of length 1; texts and motions match by the cosine of their angle."""
-
-    @property
-    def pair_score(self) -> str:
-        """Name, in `eval.metrics.metric`, of the score of pairs that its authors report."""
         ...
 
 
@@ -73,7 +68,7 @@ class PoseVectorEvaluator(TextMotionEvaluator, Protocol):
     def embed_vectors(
         self, motions: Sequence[Float32[np.ndarray, "_frames numbers"]], lengths: Sequence[int] | None = None
     ) -> Float64[np.ndarray, "motions features"]:
-        """One row per motion given as pose vectors in their own units; frames past `lengths` are padding.
+        """One row per motion given as pose vectors in their own units; frames past `lengths` are not read.
 
         Raises `MotionkitError` for invalid pose vectors.
         """

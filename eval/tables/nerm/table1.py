@@ -26,7 +26,7 @@ from eval.tables.models import Trained, TrainedModel, trained_models, training_n
 from eval.tables.nerm.sample_motions import sample_embeddings
 from eval.tables.table import SOURCES, Content, Table, printed_block, reported_figures
 from eval.text_motion.embedding_cache import FOLDER, Embedder
-from eval.text_motion.evaluator import CosineEvaluator, TextMotionEvaluator
+from eval.text_motion.evaluator import TextMotionEvaluator
 from eval.text_motion.model_motions import ModelMotions
 from eval.text_motion.pairs import PairTerms, TextMotionPairs
 from eval.text_motion.protocol import (
@@ -275,7 +275,7 @@ class _OneEvaluator:
             texts, motions = self.embedder.texts(real.captions), self.embedder.motions(real.samples)
             self.pairs = TextMotionPairs(texts, motions, real.samples.sequence_ids)
         self.chosen = self._chosen()
-        self.pair_score = evaluator.pair_score if isinstance(evaluator, CosineEvaluator) else ""
+        self.pair_score = evaluator.pair_score
         # Embeddings of the real motions' captions by an encoder independent of the evaluators, for retrieval.
         self.sentences: Float32[np.ndarray, "pairs numbers"] | None = None
         if protocol.retrieval:

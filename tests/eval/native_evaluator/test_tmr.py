@@ -14,7 +14,7 @@ from eval.native_evaluator.settings import TmrConfig, TmrTrainingConfig
 from eval.native_evaluator.stage import train_tmr
 from eval.native_evaluator.training import retrieval_loss
 from eval.sets.sets import SampleSet, sample_set
-from eval.text_motion.evaluator import CosineEvaluator
+from eval.text_motion.evaluator import TextMotionEvaluator
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
@@ -107,7 +107,7 @@ def test_it_finds_the_motions_of_captions(run: Path) -> None:
 
 def test_embeddings_have_length_1_and_are_each_motions_own(run: Path) -> None:
     evaluator = load_tmr(run)
-    assert isinstance(evaluator, CosineEvaluator)
+    assert isinstance(evaluator, TextMotionEvaluator) and evaluator.pair_score == "tmr_score"
     samples, captions = held_out()
     together = evaluator.embed_motions(samples)
     np.testing.assert_allclose(np.linalg.norm(together, axis=1), 1.0, atol=1e-6)

@@ -15,7 +15,7 @@ class Counting:
     """An evaluator that counts what it is asked for."""
 
     name = "counting"
-    fps, layout = None, "smpl22"
+    fps, layout, pair_score = None, "smpl22", ""
 
     def __init__(self, fingerprint: str = "a") -> None:
         self.fingerprint = fingerprint
