@@ -23,7 +23,7 @@ NATIVE, PAIRED = find_text_motion_protocol("native"), find_text_motion_protocol(
 class First:
     """An evaluator whose embedding of a motion is its first number, its length, and of a caption its tokens' length."""
 
-    name, fingerprint, fps, layout = "first", "1", None, "smpl22"
+    name, fingerprint, fps, layout, pair_score = "first", "1", None, "smpl22", ""
 
     def remark_at(self, fps: Fraction) -> str:
         return ""

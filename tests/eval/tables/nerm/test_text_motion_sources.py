@@ -18,7 +18,7 @@ from tests.helpers.table_request import table_request
 class Loaded:
     """What `load_guo` would have loaded."""
 
-    name, fingerprint, fps, layout = "guo", "1", None, "smpl22"
+    name, fingerprint, fps, layout, pair_score = "guo", "1", None, "smpl22", ""
 
     def __init__(self, files: GuoFiles) -> None:
         self.files = files
