@@ -333,36 +333,31 @@ def _parse_lines(data: bytes, bones: tuple[tuple[str, int], ...], path: Path) ->
         raise FormatError("a bone is listed twice in the first frame", path=path, reason="bones")
     rows: list[list[float]] = []
     numbers: list[int] = []
-    missing: list[tuple[str, int]] = []  # bones of the current frame that follow, the next one last
 
     def fault(message: str, reason: str) -> FormatError:
         return FormatError(message, path=path, reason=reason, line=line, frame=max(len(rows) - 1, 0))
 
-    line = 0
+    place, line = -1, 0  # in the frame: its number, then its bones
     for line, text in enumerate(data.splitlines(), start=1):
         words = text.split()
         if not words or words[0][:1] in (b"#", b":"):
             continue
-        if len(words) == 1 and words[0].isdigit():
-            if missing:
-                break
-            number = int(words[0][:15])
-            rows.append([])
-            if numbers and number != numbers[-1] + 1:
-                raise fault(f"frame number {number} after {numbers[-1]}, expected {numbers[-1] + 1}", "frame-number")
-            numbers.append(number)
-            missing = list(reversed(bones))
-            continue
-        name = words[0].decode("utf-8", "replace")
-        if not missing or name != missing[-1][0]:
-            expected = missing[-1][0] if missing else "a frame number"
-            raise fault(f"{name[:40]!r}, expected {expected}, as in the first frame", "bones")
-        _, count = missing.pop()
+        place = (place + 1) % (1 + len(bones))
+        first = words[0].decode("utf-8", "replace")
+        name, count = bones[place - 1] if place else ("a frame number", 0)
+        if first != name and (place or not first.isdecimal()):
+            raise fault(f"{first[:40]!r}, expected {name}, as in the first frame", "bones")
         if len(words) - 1 != count:
             raise fault(f"{len(words) - 1} numbers for {name}, expected {count}", "channel-count")
-        rows[-1] += [parse_number(word, path, line, len(rows) - 1) for word in words[1:]]
-    if missing:
-        raise fault(f"the frame ends without {missing[-1][0]}; expected {len(bones)} bones", "truncated")
+        if place:
+            rows[-1] += [parse_number(word, path, line, len(rows) - 1) for word in words[1:]]
+            continue
+        rows.append([])
+        numbers.append(int(first[:15]))
+        if len(numbers) > 1 and numbers[-1] != numbers[-2] + 1:
+            raise fault(f"frame number {first[:15]} after {numbers[-2]}, expected {numbers[-2] + 1}", "frame-number")
+    if place != len(bones):
+        raise fault(f"the frame ends without {bones[place][0]}; expected {len(bones)} bones", "truncated")
     return AmcTable(np.array(rows, dtype=np.float64), bones, numbers[0])
 
 

@@ -1,24 +1,19 @@
 """Files beside the motions (tables, texts, manifests, licences, rules, maps) that are hostile or broken."""
 
 import os
-from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from motionkit.core.errors import FormatError, MotionkitError
-from motionkit.core.skeletons.mapping import read_skeleton_map
 from motionkit.io.registry import ReadOptions
-from motionkit.io.scan import read, read_rules, scan
+from motionkit.io.scan import read, scan
 from motionkit.io.source_file import read_bytes
-from tests.helpers.damage import damaged
 from tests.helpers.every_format import SOURCES
 from tests.helpers.format_samples import bvh_text
-from tests.helpers.side_files import BESIDE, MAP, RULES
+from tests.helpers.side_files import BESIDE
 
 OPTIONS = ReadOptions(fps=Fraction(30))
 DEEP = b"[" * 100_000
@@ -65,20 +60,6 @@ def read_all(folder: Path, options: ReadOptions) -> None:
 def test_hostile_files_beside_motions_are_explained(tmp_path: Path, side: str, content: str) -> None:
     write_beside(tmp_path, side, HOSTILE[content])
     read_all(tmp_path, OPTIONS if side == "annotations" else ReadOptions())
-
-
-@pytest.mark.parametrize(("content", "reader"), [(RULES, read_rules), (MAP, read_skeleton_map)], ids=["rules", "map"])
-@settings(max_examples=80, suppress_health_check=list(HealthCheck))
-@given(data=st.data())
-def test_tables_of_the_user_are_explained(
-    tmp_path: Path, content: bytes, reader: Callable[[Path], object], data: st.DataObject
-) -> None:
-    path = tmp_path / "table.toml"
-    path.write_bytes(data.draw(damaged(content) | st.sampled_from(sorted(HOSTILE.values()))))
-    try:
-        reader(path)
-    except MotionkitError as problem:
-        assert path.name in str(problem)
 
 
 def test_a_pipe_among_the_files_is_not_waited_for(tmp_path: Path) -> None:
