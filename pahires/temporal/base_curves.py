@@ -24,6 +24,10 @@ FLOOR_SHARE = 0.25
 SMALLEST = 1e-4
 
 
+PoseRows = Float32[np.ndarray, "batch frames numbers"]
+"""World or window rows of B windows."""
+
+
 @dataclass(frozen=True, eq=False)
 class WindowFrames:
     """The coordinate frames of B windows in the world: yaw in radians and origin (x, z) in metres.
@@ -35,20 +39,16 @@ class WindowFrames:
     origin: Float64[np.ndarray, "batch 2"]
 
     @classmethod
-    def of(cls, observed: Float32[np.ndarray, "batch frames numbers"], skeleton: Skeleton) -> "WindowFrames":
+    def of(cls, observed: PoseRows, skeleton: Skeleton) -> "WindowFrames":
         """The coordinate frames of windows from their observed world rows."""
         middle = observed[:, (observed.shape[1] - 1) // 2]
         return cls(rotations.heading(middle, skeleton), middle[:, (0, 2)].astype(np.float64))
 
-    def to_window(
-        self, rows: Float32[np.ndarray, "batch frames numbers"]
-    ) -> Float32[np.ndarray, "batch frames numbers"]:
+    def to_window(self, rows: PoseRows) -> PoseRows:
         """World → window."""
         return rotations.to_window(rows, self.yaw, self.origin)
 
-    def to_world(
-        self, rows: Float32[np.ndarray, "batch frames numbers"]
-    ) -> Float32[np.ndarray, "batch frames numbers"]:
+    def to_world(self, rows: PoseRows) -> PoseRows:
         """Window → world."""
         return rotations.to_world(rows, self.yaw, self.origin)
 

@@ -32,12 +32,7 @@ class ObservedWindow:
 
     def to(self, device: torch.device) -> "ObservedWindow":
         """Move to a device."""
-        return ObservedWindow(
-            self.frames.to(device),
-            self.times_seconds.to(device),
-            self.queries_seconds.to(device),
-            self.query_spacing_seconds.to(device),
-        )
+        return ObservedWindow(*(tensor.to(device) for tensor in vars(self).values()))
 
 
 @runtime_checkable

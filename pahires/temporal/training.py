@@ -116,12 +116,6 @@ class TrainedNetwork:
         longest = max(np.ceil(tasks.largest_factor), tasks.longest_gap + 1 if tasks.gap > 0 else 0)
         return float(longest) * self.spacing_seconds
 
-    def __repr__(self) -> str:
-        return (
-            f"TrainedNetwork({self.name}, {self.settings.answer.form}, {self.settings.fps} fps, {self.skeleton.name}, "
-            f"store {self.store_fingerprint[:12]})"
-        )
-
 
 # (configuration, numbers per row) → network, initialised by torch's global generator.
 NetworkMaker = Callable[[Any, int], torch.nn.Module]

@@ -46,13 +46,6 @@ def test_curves_are_those_of_the_reference(base: Base, scaling: VectorScaling) -
     np.testing.assert_allclose(found, curve(base, TIMES, rows_at(TIMES))(QUERIES), atol=2e-5)  # type: ignore[arg-type]
 
 
-def test_the_cubic_is_the_natural_spline(scaling: VectorScaling) -> None:
-    from scipy.interpolate import CubicSpline
-
-    found = scaling.invert(interpolated(asked(TIMES, QUERIES, scaling), "cubic", scaling))[0].numpy()
-    np.testing.assert_allclose(found, CubicSpline(TIMES, rows_at(TIMES), bc_type="natural")(QUERIES), atol=5e-5)
-
-
 def test_slerp_turns_every_joint_on_its_great_arc(scaling: VectorScaling) -> None:
     found = scaling.invert(interpolated(asked(TIMES, QUERIES, scaling), "slerp", scaling))[0].numpy()
     given = rows_of_poses(Poses(analytic_positions(TIMES, 1)), SMPL22)
@@ -62,15 +55,6 @@ def test_slerp_turns_every_joint_on_its_great_arc(scaling: VectorScaling) -> Non
     made = poses_of(found, given.bones[:1], SMPL22).local_rotations
     assert made is not None
     np.testing.assert_allclose(np.abs(np.sum(made * expected, axis=-1)), 1.0, atol=1e-5)
-
-
-@pytest.mark.parametrize("base", BASES)
-def test_observed_frames_are_kept_and_ends_come_to_rest(base: Base, scaling: VectorScaling) -> None:
-    window = asked(TIMES, np.concatenate((TIMES, [-5.0, -6.0, 5.0, 6.0])), scaling)
-    found = interpolated(window, base, scaling)[0]
-    torch.testing.assert_close(found[:6], window.frames[0], atol=2e-5, rtol=1e-5)
-    torch.testing.assert_close(found[6], found[7])
-    torch.testing.assert_close(found[8], found[9])
 
 
 def test_queries_find_their_segment_and_what_lies_beyond(scaling: VectorScaling) -> None:

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from motionkit.core.motion import Motion
-from motionkit.core.skeleton import KIT21, SMPL22
+from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.data.rotation_sequences import open_rotation_sequences
 from motionkit.features.rotations import rows_of_poses
@@ -30,7 +30,6 @@ from pahires.temporal.encoder import NetworkEncoder
 from pahires.temporal.training import TemporalTraining, TrainedNetwork
 from pahires.temporal.windows import WindowSampler
 from tests.helpers.nerm_corpus import analytic_positions
-from tests.helpers.observed_errors import observed_errors
 from tests.helpers.small_network import SmallConfig, SmallNetwork, load, train, write_store
 
 CPU = torch.device("cpu")
@@ -103,14 +102,6 @@ def test_many_motions_at_once_are_each_as_alone(exact: TrainedNetwork, frames: i
         encoder.query_many([observations[0], observations[1].rows(slice(0, -1))], times)
 
 
-@pytest.mark.parametrize("count", [1, 2])
-def test_one_or_two_frames_are_a_motion(exact: TrainedNetwork, count: int) -> None:
-    observation = Observation.of(capture()).rows(slice(0, count))
-    field = NetworkEncoder(exact).encode(observation, before_seconds=0.1, after_seconds=0.1)
-    assert observed_errors(field, observation).max() < 2e-5
-    assert np.isfinite(field.query(random_times(field)).joint_positions).all()
-
-
 def test_beyond_what_training_saw(exact: TrainedNetwork) -> None:
     observation = Observation.of(capture())
     reach = exact.reach_seconds
@@ -137,15 +128,6 @@ def test_true_rotations_come_back_as_rotations(exact: TrainedNetwork) -> None:
     np.testing.assert_allclose(made.root_translation, root, atol=2e-5)
     signs = np.sum(made.local_rotations[1:] * made.local_rotations[:-1], axis=-1)
     assert signs.min() > 0
-
-
-def test_what_makes_no_sense_is_refused(exact: TrainedNetwork) -> None:
-    encoder = NetworkEncoder(exact)
-    with pytest.raises(ValueError, match="0 or more"):
-        encoder.encode(Observation.of(capture()), after_seconds=-1.0)
-    other = Observation(np.zeros(1), Poses(np.zeros((1, 21, 3), np.float32)), KIT21)
-    with pytest.raises(ValueError, match="map the motion first"):
-        encoder.encode(other)
 
 
 def test_a_training_that_was_interrupted_goes_on_as_if_it_was_not(folder: Path, tmp_path: Path) -> None:

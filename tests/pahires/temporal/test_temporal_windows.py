@@ -80,19 +80,6 @@ def test_windows_hold_what_was_captured_at_their_times(store: Store, finer: bool
     assert rates == ({30, 40, 60, 120} if finer else {30})
 
 
-@pytest.mark.parametrize(("evenness", "share"), [(0.0, 0.9), (0.5, 0.75), (1.0, 0.5)])
-def test_small_sources_have_the_share_of_windows_that_is_asked_for(store: Store, evenness: float, share: float) -> None:
-    takes = takes_of(store, SETTINGS)
-    assert takes.source.tolist() == [0] * 4
-    # Places for 11 frames: 900 in two takes of one source, 100 in two of another.
-    takes = replace(takes, num_frames=np.array([610, 310, 70, 50]), source=np.array([1, 1, 0, 0]))
-    sampler = WindowSampler(takes, replace(SETTINGS, source_evenness=evenness))
-    take, _ = sampler._places(np.random.default_rng(2), np.full(20_000, 11))
-    assert np.bincount(take, minlength=4) / len(take) == pytest.approx(
-        [share * 2 / 3, share / 3, (1 - share) * 0.6, (1 - share) * 0.4], abs=0.01
-    )
-
-
 def test_a_window_does_not_depend_on_where_it_happened() -> None:
     rng = np.random.default_rng(5)
     from motionkit.core.skeleton import SMPL22
