@@ -30,16 +30,14 @@ from motionkit.features import field
 from motionkit.fields.resample import resample_positions
 from motionkit.store.cache import open_cache
 from motionkit.training.devices import ALONE, Ranks, autocast, resolve_device, with_precision_of
-from motionkit.training.loop import seeded_initialisation, set_rate
+from motionkit.training.loop import Learner, seeded_initialisation
 from motionkit.training.stage import StageContext
 from motionkit.training.tensors import (
     CheckpointError,
     foreign_tensors,
-    load_training_tensors,
     prefixed,
     read_foreign,
     save_tensors,
-    training_tensors,
 )
 from nerm.recipes import NermConfig
 from nerm.settings import CodebookConfig, CodebookNetworkConfig
@@ -316,12 +314,14 @@ class CodebookTraining:
         self.corpus, self.config, self.device, self.ranks = corpus, config, device, ranks
         with seeded_initialisation(seed, "codebook"):
             self.network = CodebookNetwork(config.network, len(corpus.mean)).to(device)
-        self.optimizer = torch.optim.AdamW(
+        optimizer = torch.optim.AdamW(
             self.network.parameters(),
             lr=config.schedule.learning_rate,
             betas=(0.9, 0.99),
             weight_decay=0.0,
         )
+        self.learner = Learner(self.network, optimizer, ranks=ranks)
+        self.state_tensors, self.load_state_tensors = self.learner.state_tensors, self.learner.load_state_tensors
         self.steps = config.schedule.steps
         self.positions = joint_positions_block((len(corpus.mean) - 1) // 6)
 
@@ -343,12 +343,8 @@ class CodebookTraining:
         positions = smooth_l1_loss(decoded[..., self.positions], vectors[..., self.positions])
         terms = reconstruction + POSITION_WEIGHT * positions
         loss = share * (terms + COMMITMENT_WEIGHT * quantised.commitment)
-        self.optimizer.zero_grad(set_to_none=True)
-        torch.autograd.backward(loss)
         dropped = step * schedule.steps >= schedule.drop_at * self.steps
-        set_rate(self.optimizer, schedule.learning_rate * (RATE_DROP if dropped else 1.0))
-        self.ranks.add_up_gradients(self.network.parameters())
-        self.optimizer.step()
+        self.learner.descend(loss, step, schedule.learning_rate * (RATE_DROP if dropped else 1.0))
         which = self.ranks.all_rows(quantised.which, schedule.batch_size)
         quantiser.update(everywhere, which, generator)
         return {
@@ -357,14 +353,6 @@ class CodebookTraining:
             "commitment": share * quantised.commitment,
             "perplexity": share * perplexity(which, config.network.num_codes),
         }
-
-    def state_tensors(self) -> dict[str, Tensor]:
-        """Weights, codes and moments."""
-        return training_tensors("network", self.network, self.optimizer)
-
-    def load_state_tensors(self, tensors: Mapping[str, Tensor]) -> None:
-        """Restore what `state_tensors` returned."""
-        load_training_tensors("network", self.network, self.optimizer, tensors)
 
 
 def perplexity(which: Int64[Tensor, "*shape"], num_codes: int) -> Float32[Tensor, ""]:
