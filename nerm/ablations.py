@@ -15,7 +15,6 @@ from nerm.stages import CODEBOOK, DENOISER, FIELD
 LAYOUTS: dict[LatentLayout, tuple[str, ...]] = {
     "global": (
         "field.latents.layout=global",
-        "field.latents.dimension=256",
         "field.optimizer.latent_learning_rate=1e-1",
         "denoiser.network.latent_tokens=1",
     ),

@@ -63,7 +63,7 @@ class TrainedField:
     @property
     def latent_dimension(self) -> int:
         """d."""
-        return self.config.latents.dimension
+        return self.posterior_mean.shape[1]
 
     @property
     def skeleton(self) -> Skeleton:

@@ -117,7 +117,6 @@ def _local_field(*, steps: int, stride_seconds: float = 2.0) -> FieldConfig:
         clips=ClipsConfig(num_poses=8, contiguous=False, seconds_per_visit=2.5, warmup_fraction=0.02, lowest_fps=20.0),
         latents=LatentsConfig(
             layout="local",
-            dimension=768,
             knots=(32, 16),
             knot_numbers=(16, 13),
             path_knots=16,

@@ -103,7 +103,7 @@ class ClipsConfig:
 
 @dataclass(frozen=True)
 class LatentsConfig:
-    """Latents N(μ, Σ) of the windows, of `dimension` numbers (d).
+    """Latents N(μ, Σ) of the windows: in the layout `global` of `dimension` numbers (d).
 
     The layout `local` reads z as banks of knots along time (nerm/latents.py): bank i has knots[i] knots of
     knot_numbers[i] pose components each; `path_knots` knots hold the body's path (0: no such bank). `kernel`, `radius`
@@ -123,18 +123,9 @@ class LatentsConfig:
     ridge: float = 1e-2
 
     def __post_init__(self) -> None:
-        if self.layout == "global":
-            return
         if len(self.knots) != len(self.knot_numbers) or not self.knots:
             raise ValueError(
                 f"knots and knot_numbers need one value per bank, not {self.knots} and {self.knot_numbers}"
-            )
-        banks = zip((*self.knots, self.path_knots), (*self.knot_numbers, 3), strict=True)
-        total = sum(knots * numbers for knots, numbers in banks)
-        if self.dimension != total:
-            raise ValueError(
-                f"knots={self.knots} of knot_numbers={self.knot_numbers} and path_knots={self.path_knots} of 3 make "
-                f"dimension={total}, not {self.dimension}"
             )
 
     @property
@@ -225,8 +216,7 @@ class FieldConfig:
             raise ValueError(f"contact_steps must be 0 or more, not {self.contact_steps}")
         if latents.has_path and self.pose_vectors != "field":
             raise ValueError(
-                f"a path bank needs positions: pose_vectors={self.pose_vectors} needs latents.path_knots=0 and "
-                f"latents.dimension={latents.dimension - 3 * latents.path_knots}"
+                f"a path bank needs positions: pose_vectors={self.pose_vectors} needs latents.path_knots=0"
             )
         if latents.has_path and self.loss.scaling != "group":
             raise ValueError("a path bank rotates poses, so x and z need the same scale: loss.scaling=group")

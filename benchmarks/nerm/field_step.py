@@ -51,7 +51,9 @@ def main() -> None:
         apply_overrides(FieldConfig(), [f"decoder.width={arguments.hidden}"]), 66, torch.randn(512, 512)
     )
     coordinates, fps = draw_clips(arguments.clips, arguments.poses, network.config.windows.max_duration_seconds)
-    latents = torch.randn(arguments.clips, network.config.latents.dimension)
+    latents = torch.randn(
+        arguments.clips, network.config.latents.dimension if network.local is None else network.local.dimension
+    )
 
     def loss_of(encode: Callable[[], EncodedCoordinates]) -> torch.Tensor:
         network.zero_grad()

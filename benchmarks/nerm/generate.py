@@ -56,7 +56,8 @@ def random_model(recipe: str) -> NermModel:
         origin=np.zeros((1, 2), np.float32),
         mirrored=np.zeros(1, bool),
     )
-    size = config.field.latents.dimension
+    banks = local_latents(config.field)
+    size = config.field.latents.dimension if banks is None else banks.dimension
     field = TrainedField(
         network=network,
         scaling=VectorScaling(torch.zeros(NUM_NUMBERS), torch.ones(NUM_NUMBERS)),
@@ -66,7 +67,7 @@ def random_model(recipe: str) -> NermModel:
         windows=windows,
         store_fingerprint="",
     )
-    layout, banks = ConditionSizes(768, ()), local_latents(config.field)
+    layout = ConditionSizes(768, ())
     reach = first_read(size, banks)
     denoiser = TrainedDenoiser(
         config=config.denoiser,

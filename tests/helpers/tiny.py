@@ -41,7 +41,6 @@ NERM = NermConfig(
             "windows.max_duration_seconds=3.0",
             "windows.stride_seconds=1.0",
             "latents.layout=local",
-            "latents.dimension=64",
             "latents.knots=8",
             "latents.knot_numbers=8",
             "latents.ridge=0.1",

@@ -185,7 +185,7 @@ def test_what_a_short_window_does_not_reach_holds_its_last_pose() -> None:
         assert float(late.abs().max()) > 0.4
 
 
-@pytest.mark.parametrize("wrong", ["latents.dimension=100", "latents.knots=16", "loss.scaling=number"])
+@pytest.mark.parametrize("wrong", ["latents.knots=16", "loss.scaling=number"])
 def test_banks_that_do_not_add_up_are_refused(wrong: str) -> None:
     with pytest.raises(UsageError, match=wrong.partition("=")[0].rpartition(".")[2]):
         apply_overrides(BANKED, [wrong])
