@@ -40,8 +40,6 @@ RIGID_METRES = 1e-3
 T_POSE_DROPPED = "frame 0 dropped: a T-pose (root unturned, all angles whole degrees, root where frame 1 is)"
 # Bones are longer than this, relative to their OFFSET.
 NO_BONE = 1e-3
-# The arrays of so many frames fit into a core's cache.
-BLOCK_FRAMES = 4096
 WRITTEN_DECIMALS = 6
 # Tolerance of written positions against the expected ones, and of rotations, which are float32.
 _SAME_METRES = 2e-6
@@ -139,13 +137,6 @@ class BvhDocument:
             valid=self.valid[start:stop],
         )
 
-    def heading(self, num_frames: int, fps: Fraction) -> bytes:
-        """Everything before the first frame, for another number of frames and framerate."""
-        frame_time = self.head.frame_time if fps == self.motion.fps else repr(float(1 / fps))
-        clock_lines = f"\nFrames: {num_frames + self.has_reference}\nFrame Time: {frame_time}\n"
-        reference = _lines(self.body)[0] + b"\n" if self.has_reference else b""
-        return self.head.text.rstrip().replace(b"\r\n", b"\n") + clock_lines.encode() + reference
-
 
 def read_bvh(path: Path, options: ReadOptions | None = None) -> Motion:
     """Read one BVH file: positions in metres, y up, true local rotations, at the stated framerate.
@@ -201,7 +192,12 @@ def _read(path: Path, options: ReadOptions, *, allow_nan: bool, any_size: bool) 
         operations.append(f"positions only: these bones change their length or place ({names})")
     skeleton = skeleton.scaled(unit_metres)
     root = (pose.root * unit_metres).astype(np.float32)
-    positions = _positions(pose, root, skeleton, moving, unit_metres)
+    offsets = None  # of every frame
+    if moving:
+        columns = [pose.placed_joints.index(joint) for joint in moving]
+        offsets = np.repeat(skeleton.offsets[None], len(root), axis=0)
+        offsets[:, list(moving)] = pose.places[:, columns] * unit_metres
+    positions = kinematics.forward_kinematics(pose.rotations, root, skeleton, offsets)
     up, rest_has_same_up = _up(skeleton, positions, options.up)
     operations += log_lines(up, options.up)
     rotations = pose.rotations
@@ -442,9 +438,7 @@ def _decode(table: Float64[np.ndarray, "frames channels"], joints: tuple[BvhJoin
     for place, index in enumerate((0, *placed)):
         for axis, column in joints[index].position_columns.items():
             places[:, place, axis] = table[:, column]
-    rotations = np.empty((len(table), len(joints), 4), np.float32)
-    for start in range(0, len(table), BLOCK_FRAMES):
-        rotations[start : start + BLOCK_FRAMES] = local_rotations(table[start : start + BLOCK_FRAMES], joints)
+    rotations = np.ascontiguousarray(local_rotations(table, joints))
     return _fold_reference(_ChannelPose(skeleton, rotations, places[:, 0], placed, places[:, 1:], operations))
 
 
@@ -465,26 +459,6 @@ def local_rotations(
         angles = np.radians(degrees).astype(np.float32).reshape(len(order), len(members), len(table))
         components[:, members] = kinematics.euler_to_quaternion(np.moveaxis(angles, 0, -1), order).transpose(2, 0, 1)
     return components.transpose(2, 1, 0)
-
-
-def _positions(
-    pose: _ChannelPose,
-    root: Float32[np.ndarray, "frames 3"],
-    skeleton: Skeleton,
-    moving: tuple[int, ...],
-    unit_metres: float,
-) -> Float32[np.ndarray, "frames joints 3"]:
-    """Joint positions in metres along the file's axes."""
-    positions = np.empty((len(root), skeleton.num_joints, 3), np.float32)
-    columns = [pose.placed_joints.index(joint) for joint in moving]
-    for start in range(0, len(root), BLOCK_FRAMES):
-        block = slice(start, start + BLOCK_FRAMES)
-        offsets = None
-        if moving:
-            offsets = np.repeat(skeleton.offsets[None], len(root[block]), axis=0)
-            offsets[:, list(moving)] = pose.places[block, columns] * unit_metres
-        positions[block] = kinematics.forward_kinematics(pose.rotations[block], root[block], skeleton, offsets)
-    return positions
 
 
 def _starts_with_t_pose(table: Float64[np.ndarray, "frames channels"], joints: tuple[BvhJoint, ...]) -> bool:
@@ -681,9 +655,13 @@ def rewrite_bvh(document: BvhDocument, path: Path, motion: Motion, known: KnownF
 
     rows = _channel_rows(document, Poses.of(motion), motion.timegrid.seconds(), known)
     lines = source_file.format_table(np.round(rows, WRITTEN_DECIMALS) + 0.0).splitlines()
+    frame_time = document.head.frame_time if motion.fps == document.motion.fps else repr(float(1 / motion.fps))
+    clock_lines = f"Frames: {len(lines) + document.has_reference}\nFrame Time: {frame_time}"
+    before = [document.head.text.rstrip().replace(b"\r\n", b"\n"), clock_lines.encode()]
+    before += [_lines(document.body)[0]] if document.has_reference else []
     for row, frame in zip(known.kept_rows.tolist(), known.kept_frames.tolist(), strict=True):
         lines[row] = document.lines[frame]
-    path.write_bytes(document.heading(len(lines), motion.fps) + b"\n".join((*lines, b"")))
+    path.write_bytes(b"\n".join((*before, *lines, b"")))
 
 
 def _channel_rows(

@@ -319,7 +319,7 @@ def test_every_kind_is_completed_and_read_again(tmp_path: Path, kind: str) -> No
     before = source.load()
     request = CompletionRequest(fps=2 * before.motion.fps)
     slerp = choose_encoder("slerp", None, tmp_path)
-    complete_file(source, request, slerp, (), OutputPaths("completed", [str(path)], 1, out=out))
+    complete_file(source, request, slerp, OutputPaths("completed", [str(path)], 1, out=out))
     old, new = before.motion.joint_positions, loaded_from(out).motion.joint_positions
     assert len(new) == 2 * len(old) - 1
     np.testing.assert_allclose(new[::2], old, atol=1e-5)
