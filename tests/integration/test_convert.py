@@ -48,9 +48,9 @@ def heights(motion: mk.Motion) -> np.ndarray:
     return np.ptp(motion.joint_positions[..., 1], axis=1)
 
 
-@pytest.mark.parametrize("source", ["walk.bvh", "walk.npz", "walk.csv", "amass.npz"])
+@pytest.mark.parametrize("source", ["walk.bvh", "walk.csv", "amass.npz"])
 @pytest.mark.parametrize("out", ["out.npz", "out.bvh", "out.csv", "out.npy"])
-@pytest.mark.parametrize("fps", [None, "60", "20", "30000/1001"])
+@pytest.mark.parametrize("fps", [None, "30000/1001"])
 def test_any_format_to_any_other_at_any_framerate(
     motionkit: Run, walk: mk.Motion, source: str, out: str, fps: str | None
 ) -> None:
@@ -89,13 +89,6 @@ def test_onto_a_rig(motionkit: Run, walk: mk.Motion, rig: str, out: str) -> None
         np.testing.assert_allclose(heights(read), heights(made), atol=1e-3)
     if out == rig.replace("hero", "out"):  # the character's own file
         assert b"left_hip" in Path(out).read_bytes()
-
-
-def test_the_axis_of_the_file_that_points_up(motionkit: Run, walk: mk.Motion) -> None:
-    assert motionkit("convert", "z-up.npz", "up.npz", "--up", "z").code == 0
-    np.testing.assert_allclose(mk.read("up.npz").joint_positions, walk.joint_positions, atol=1e-5)
-    in_memory = mk.Motion.from_joints(mk.read("z-up.npz", up="y").joint_positions, 30)
-    np.testing.assert_allclose(mk.convert(in_memory, up="z").joint_positions, walk.joint_positions, atol=1e-5)
 
 
 def test_a_folder_and_a_stored_sequence(motionkit: Run, walk: mk.Motion) -> None:

@@ -11,12 +11,10 @@ import pytest
 from typer.testing import CliRunner
 
 from motionkit.cli.app import build_app
-from motionkit.core.errors import DamagedFileError, UsageError
 from motionkit.fields.resample import resample_positions
 from motionkit.generate.models import GenerationRequest
 from motionkit.store.writer import StoreWriter
 from motionkit.training.detail import has_detail, load_detail
-from motionkit.training.run import RunError
 from tests.helpers.analytic import capture
 from tests.helpers.scripted_model import PosesAt, ScriptedModel
 
@@ -74,36 +72,3 @@ def test_a_store_teaches_detail_that_generated_motion_then_has(project: Path) ->
     assert json.loads((project / "b" / "generation.json").read_text())["with_detail"] is True
     other = generate(project, "d", "--detail", "--seed", 1)
     assert np.abs(other - fine).max() > 0.001
-
-
-def test_a_run_without_detail_names_the_command(project: Path) -> None:
-    with pytest.raises(RunError, match=r"stage 'detail' of run .* is not trained \(motionkit train --stage detail"):
-        generate(project, "a", "--detail")
-    assert not (project / "a").exists()
-
-
-def test_bvh_is_for_people(project: Path) -> None:
-    train(project)
-    with pytest.raises(UsageError, match="isn't written as BVH"):
-        generate(project, "a", "--detail", "--format", "bvh")
-
-
-def test_slow_captures_teach_no_detail(project: Path) -> None:
-    with pytest.raises(UsageError, match="captures of 120 fps or more, and none of the 1 sequences"):
-        train(project, "--set", "where=split = 'test'")
-
-
-def test_a_damaged_file_is_reported(project: Path) -> None:
-    train(project)
-    path = project / "runs" / "nano" / "detail" / "model.safetensors"
-    content = bytearray(path.read_bytes())
-    content[-100] ^= 1
-    path.write_bytes(bytes(content))
-    with pytest.raises(DamagedFileError):
-        load_detail(project / "runs" / "nano")
-
-
-def test_the_minutes_bound_what_is_read(project: Path) -> None:
-    train(project, "--set", "minutes=0.01")
-    summary = json.loads((project / "runs" / "nano" / "detail" / "summary.json").read_text())
-    assert summary["takes"] == 1

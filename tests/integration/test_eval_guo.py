@@ -18,7 +18,7 @@ from motionkit.features import humanml3d
 from motionkit.features.humanml3d import process
 from motionkit.io.humanml3d import recover_positions
 from motionkit.store.writer import StoreWriter
-from tests.helpers.published_guo import PLAIN, write_archive, write_glove, write_statistics
+from tests.helpers.published_guo import write_archive, write_glove
 
 SMALL = GuoWidths(movement=6, motion=5, text=4, shared=8)
 CLIPS = ("--clips", 64, "--replications", 1, "--sizes", "16:16")
@@ -78,23 +78,6 @@ def test_a_column_at_20_fps_and_none_elsewhere(
     assert {"real, independent draws (P1)", "real kept at 20 fps, SLERP"} <= {row["name"] for row in found["rows"]}
     missing = json.loads(outcome.stdout)["missing"]
     assert any("40 fps, guo" in line and "was trained at 20 fps" in line for line in missing)
-
-
-def test_wrong_files_are_one_line(motionkit: Callable[..., Any], store: Path, weights: Path, tmp_path: Path) -> None:
-    table = ("eval", "--table", 2, "--store", store, "--results", tmp_path, "--fps", 20, *CLIPS)
-    for arguments, code, message in (
-        (("--evaluator", "guo"), 2, "--evaluator guo needs its weights: --weights finest.tar"),
-        (("--glove", tmp_path), 2, "--glove needs a published evaluator"),
-    ):
-        outcome = motionkit(*table, *arguments)
-        assert outcome.code == code and message in " ".join(outcome.stderr.split())
-    plain = write_statistics(tmp_path / "plain", PLAIN)
-    outcome = motionkit(*table, "--evaluator", "kinematic,guo", "--weights", weights, "--statistics", plain)
-    assert (
-        outcome.code == 0 and "features 'guo'" in outcome.stdout and "these are published statistics" in outcome.stdout
-    )
-    outcome = motionkit(*table, "--evaluator", "guo", "--weights", weights, "--statistics", plain)
-    assert outcome.code == 1 and "these are published statistics" in " ".join(outcome.stderr.split())
 
 
 @pytest.fixture(scope="module")

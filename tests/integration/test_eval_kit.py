@@ -185,15 +185,3 @@ class Lengths:
 
     def embed_texts(self, captions: Any) -> np.ndarray:
         return np.zeros((len(captions), 3))
-
-
-def test_another_unit_or_framerate_is_reported(
-    motionkit: Callable[..., Any], published: Path, files: tuple[object, ...], tmp_path: Path
-) -> None:
-    store = tmp_path / "store"
-    refused = motionkit("ingest", published, "--store", store, "--unit-metres", 1.0)
-    assert refused.code == 1 and "makes a body of" in " ".join(refused.stderr.split())
-    assert motionkit("ingest", published, "--store", store).code == 0
-    table = ("eval", "--table", 1, "--store", store, "--results", tmp_path / "results", *files)
-    told = motionkit(*table, "--fps", 20)
-    assert told.code == 2 and "is only valid at 12.5 fps" in " ".join(told.stderr.split())

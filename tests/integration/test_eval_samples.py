@@ -10,7 +10,6 @@ import pytest
 from motionkit.core.motion import Caption, Motion
 from motionkit.fields.motion_field import to_motion
 from motionkit.store.writer import StoreWriter
-from motionkit.training.run import RunFolder
 from tests.helpers import published_layouts as published
 from tests.helpers.analytic import ACTIONS, analytic_motion
 
@@ -100,52 +99,3 @@ def test_broken_samples_are_left_out_and_cost_the_exit_code(motionkit, store, tm
     names = ("000009_pred.npy, frame 0: nan", "000010_pred.npy", "000011_pred.npy")
     assert all(name in line for name, line in zip(names, first, strict=True))
     assert "built without broken samples (3 of 'mine'); --allow-broken accepts that" in done.stderr
-
-
-def test_samples_without_a_row_cost_the_exit_code_and_are_reported(motionkit, store, tmp_path):
-    folder = published.write_t2m_gpt(tmp_path / "gpt")
-    arguments = ("--store", store, "--results", tmp_path / "results", "--samples-fps", 20, *SMALL)
-    done = motionkit("eval", "--table", 2, "--samples", f"mine={folder}", *arguments, "--sizes", "16:80", "--json")
-    assert done.code == 1 and json.loads(done.stdout)["blocks"]
-    told = " ".join(done.stderr.split())
-    assert "no row for mine, 20 fps: mine: no sequence has the 80 poses" in told
-    assert "the table was written without rows for 'mine'" in told
-
-
-@pytest.mark.parametrize(
-    ("samples", "says"),
-    [
-        (("mine=a", "mine=b"), "there are samples of this name already"),
-        (("NeRM=a",), "there is a row 'NeRM' already"),
-        (("mine",), "give NAME=DIR"),
-    ],
-)
-def test_names_of_rows_are_distinguished(motionkit, store, tmp_path, samples, says):
-    denoiser = RunFolder(tmp_path / "runs" / "nano").stage("denoiser")
-    denoiser.path.mkdir(parents=True)
-    denoiser.summary_path.write_text("{}")
-    named = [part for each in samples for part in ("--samples", each)]
-    where = ("--store", store, "--runs", tmp_path / "runs", "--results", tmp_path)
-    done = motionkit("eval", "--table", 2, *where, *named, *SMALL)
-    assert done.code == 2 and says in " ".join(done.stderr.split())
-
-
-def test_a_table_without_rows_of_samples_says_so(motionkit, store, tmp_path):
-    done = motionkit("eval", "--table", 4, "--store", store, "--results", tmp_path, "--samples", f"mine={tmp_path}")
-    assert done.code == 2 and "has no rows of samples: leave out --samples" in " ".join(done.stderr.split())
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (("--samples-fps", "fast"), "--samples-fps fast"),
-        ((), "000000_pred.npy: nothing says its framerate; write fps = 20"),
-    ],
-)
-def test_faults_are_reported_before_anything_is_computed(motionkit, store, tmp_path, arguments, says):
-    folder = published.write_t2m_gpt(tmp_path / "gpt")
-    done = motionkit("eval", "--table", 2, "--store", store, "--samples", f"mine={folder}", *arguments, *SMALL)
-    assert done.code in (1, 2)
-    assert says in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1
-    assert done.stdout == ""

@@ -21,16 +21,6 @@ from tests.helpers.repository import REPOSITORY
 PAGE = REPOSITORY / "docs" / "extending.md"
 NAMED_BLOCK = re.compile(r"^```\w+\n# (?P<path>[\w/]+\.(?:py|toml))\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
 APP = "from motionkit.cli.app import main; main()"
-GENERATE = """
-import numpy as np, sys
-from pathlib import Path
-from motionkit.generate.models import GenerationRequest, load_model
-model = load_model("standstill", Path(sys.argv[1]))
-first, second = model.generate([GenerationRequest(2.0), GenerationRequest(3.0, text="a person walks")], seed=0)
-poses = second.query(np.array([0.0, 0.1, 3.0])).joint_positions
-assert poses.shape == (3, 22, 3) and (poses == poses[:1]).all()
-print(model.name, first.end_seconds)
-"""
 
 
 @pytest.fixture(scope="module")
@@ -96,12 +86,6 @@ def test_the_command_answers(site: Path, run: Path) -> None:
     told = python(site, APP, "standing-height", str(run), "--json")
     assert told.returncode == 0, told.stderr
     assert json.loads(told.stdout)["height_metres"] == pytest.approx(1.7, abs=1e-5)
-
-
-def test_the_model_is_found_by_name(site: Path, run: Path) -> None:
-    told = python(site, GENERATE, str(run))
-    assert told.returncode == 0, told.stderr
-    assert told.stdout.split() == ["standing", "still", "2.0"]
 
 
 def test_the_page_uses_it_as_any_model(site: Path, run: Path) -> None:
@@ -176,16 +160,6 @@ def test_a_format_of_one_file_is_read_ingested_and_exported(site: Path) -> None:
     assert "broken.xyz" in broken.stderr and "expected 'fps'" in broken.stderr
     without = python(site, APP, "ingest", "in", "--store", "third", installed=False)
     assert without.returncode != 0 and "no motions in this folder" in without.stderr
-
-
-def test_a_format_that_is_generated(site: Path, run: Path) -> None:
-    made = python(
-        site, APP, "generate", "a walk", "--seconds", "1", "--fps", "20", "--runs", "../runs", "--run", "idle",
-        "--format", "xyz", "--out", "made", "--json",
-    )  # fmt: skip
-    assert made.returncode == 0, made.stderr
-    (path,) = (site / "beside" / "made").glob("*.xyz")
-    assert path.read_text().startswith("fps 20\n")
 
 
 def test_a_stage_that_nobody_brought_is_a_usage_error(site: Path) -> None:

@@ -1,7 +1,6 @@
 """From a store to generated motions by the commands: train field and denoiser (tiny), generate, read back."""
 
 import json
-import shutil
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -11,7 +10,6 @@ import pytest
 from typer.testing import CliRunner
 
 from motionkit.cli.app import build_app
-from motionkit.core.errors import UsageError
 from motionkit.core.motion import Caption
 from motionkit.fields.motion_field import to_motion
 from motionkit.generate.constraints import Constraint
@@ -19,8 +17,6 @@ from motionkit.generate.long_motions import generate_joined
 from motionkit.generate.models import GenerationRequest, load_model
 from motionkit.generate.output import plant_generated
 from motionkit.store.writer import StoreWriter
-from motionkit.training.run import RunError, RunFolder, StageFolder
-from motionkit.training.tensors import load_tensors, save_tensors
 from tests.helpers.analytic import analytic_motion
 
 pytest.importorskip("transformers", reason="needs the extra motionkit[text]")
@@ -80,14 +76,6 @@ def positions(motion: dict[str, object]) -> np.ndarray:
         return found
 
 
-def test_the_stage_leaves_a_whole_run(trained: Path) -> None:
-    summary = RunFolder(trained / "runs" / "nano").stage("denoiser").read_summary()
-    assert summary["windows"] == 12  # each sequence and its mirror image
-    assert summary["actions"] == 5
-    assert summary["captions"] == 12
-    assert list((trained / "store" / "cache").glob("text-embeddings-*.safetensors"))
-
-
 def test_texts_at_two_framerates_are_one_motion(trained: Path) -> None:
     call = ("a person walks", "--seconds", "2", "--seed", "3", "--no-plant")
     [slow] = generate(trained, "slow", *call, "--fps", "20")
@@ -98,12 +86,6 @@ def test_texts_at_two_framerates_are_one_motion(trained: Path) -> None:
     for motion, fps in ((slow, 20), (fast, 60)):
         expected = field.at_fps(Fraction(fps)).query(np.arange(2 * fps) / fps).joint_positions
         np.testing.assert_allclose(positions(motion), expected, atol=1e-5)
-
-
-def test_instants_are_those_of_the_whole_motion(trained: Path) -> None:
-    [whole] = generate(trained, "whole", "--action", "run", "--fps", "60", "--seconds", "2", "--seed", "3")
-    [some] = generate(trained, "some", "--action", "run", "--times", "1.5,0.5", "--seconds", "2", "--seed", "3")
-    np.testing.assert_allclose(positions(some), positions(whole)[[90, 30]], atol=1e-5)
 
 
 def test_feet_stand_and_bones_keep_their_length(trained: Path) -> None:
@@ -124,12 +106,6 @@ def test_feet_stand_and_bones_keep_their_length(trained: Path) -> None:
     [written] = generate(trained, "animation", *call, "--format", "bvh")
     text = Path(str(written["file"])).read_text()
     assert (text.count("CHANNELS 6"), text.count("CHANNELS 3")) == (1, 21)  # places of the root alone
-
-
-def test_lengths_are_drawn_from_the_data(trained: Path) -> None:
-    motions = generate(trained, "free", "--unconditional", "-n", "3")
-    assert all(3.0 <= float(str(motion["duration_seconds"])) < 3.1 for motion in motions)
-    assert {motion["fps"] for motion in motions} == {"60"}
 
 
 def test_a_long_motion_of_several_texts_is_one_at_every_framerate(trained: Path) -> None:
@@ -169,75 +145,3 @@ def test_a_path_and_a_pose_are_kept_to(trained: Path, tmp_path: Path) -> None:
     [alone] = model.generate([GenerationRequest(3.0, "a person walks")], seed=4)
     np.testing.assert_allclose(free.query(instants).joint_positions, alone.query(instants).joint_positions, atol=1e-4)
     assert np.linalg.norm(positions(fast)[::2] - positions(slow), axis=-1).mean() < 0.05
-
-
-def test_a_long_motion_goes_on_where_a_piece_ends(trained: Path) -> None:
-    model = load_model("nerm", trained / "runs" / "nano")
-    field = generate_joined(model, (GenerationRequest(14.0, text="a person walks"),), seed=2)
-    before, after = field.pieces  # type: ignore[attr-defined]
-    instants = np.linspace(after.start_seconds, before.end_seconds, 9)
-    apart = np.linalg.norm(after.query(instants).joint_positions - before.query(instants).joint_positions, axis=-1)
-    assert apart.mean() < 0.05
-
-
-def test_numbers_of_a_seed_do_not_depend_on_the_batch(trained: Path) -> None:
-    model = load_model("nerm", trained / "runs" / "nano")
-    requests = [GenerationRequest(None)] * 3
-    whole = model.generate(requests, seed=5)
-    [last] = model.generate(requests[2:], seed=5, first=2)
-    assert last.end_seconds == whole[2].end_seconds
-    instants = np.array([0.0, 1.0])
-    expected = whole[2].query(instants).joint_positions
-    np.testing.assert_allclose(last.query(instants).joint_positions, expected, atol=1e-4)
-
-
-def test_what_the_model_cannot_do_is_refused(trained: Path) -> None:
-    model = load_model("nerm", trained / "runs" / "nano")
-    with pytest.raises(UsageError, match="up to 10 s"):
-        model.generate([GenerationRequest(12.0)], seed=0)
-    with pytest.raises(UsageError, match="no action 'fly'"):
-        model.generate([GenerationRequest(2.0, action="fly")], seed=0)
-
-
-def train_again(path: Path) -> None:
-    """As if another training had written the file: one number differs."""
-    tensors, description = load_tensors(path)
-    tensors["scaling.mean"][0] += 1
-    save_tensors(path, tensors, description)
-    StageFolder(path.parent).finish(StageFolder(path.parent).read_summary())
-
-
-def test_a_field_that_was_trained_again_is_noticed(trained: Path, tmp_path: Path) -> None:
-    shutil.copytree(trained / "runs" / "nano", tmp_path / "nano")
-    field = tmp_path / "nano" / "field" / "model.safetensors"
-    train_again(field)
-    with pytest.raises(RunError, match="train the denoiser again"):
-        load_model("nerm", tmp_path / "nano")
-    with pytest.raises(RunError, match="not trained"):
-        load_model("nerm", tmp_path / "nothing")
-
-
-def test_a_denoiser_is_not_resumed_upon_another_field(trained: Path, tmp_path: Path) -> None:
-    shutil.copytree(trained / "runs" / "nano", tmp_path / "runs" / "nano")
-    places = ("--store", str(trained / "store"), "--runs", str(tmp_path / "runs"))
-    settings = [part for setting in TINY for part in ("--set", setting)]
-    denoiser, field = (RunFolder(tmp_path / "runs" / "nano").stage(name) for name in ("denoiser", "field"))
-    command("train", "--stage", "denoiser", *places, *settings, "--resume")
-    train_again(field.model_path)
-    for complete in (True, False):
-        if not complete:
-            denoiser.summary_path.unlink()
-        before = denoiser.checkpoint_path.read_bytes()
-        with pytest.raises(RunError, match=r"\(builds_on.field .* --stage denoiser --run nano --overwrite"):
-            command("train", "--stage", "denoiser", *places, *settings, "--resume")
-        assert denoiser.checkpoint_path.read_bytes() == before
-
-
-def test_a_store_that_has_changed_since_the_field_is_noticed(trained: Path, tmp_path: Path) -> None:
-    shutil.copytree(trained, tmp_path / "project")
-    store, runs = tmp_path / "project" / "store", tmp_path / "project" / "runs"
-    performance = analytic_motion("run", 2.5)
-    with StoreWriter.append(store) as writer:
-        writer.add(replace(to_motion(performance, Fraction(30)), sequence_id="late", split="train"))
-    with pytest.raises(RunError, match="train the field again"):
-        command("train", "--stage", "denoiser", "--store", str(store), "--runs", str(runs), "--overwrite")

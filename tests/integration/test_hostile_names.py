@@ -5,7 +5,6 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from motionkit.core.errors import printable
@@ -73,28 +72,3 @@ def test_pages_hold_names_as_text(motionkit: Run, tmp_path: Path) -> None:
     assert motionkit("view", path, "--out", tmp_path / "page.html").code == 0
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "<script>alert" not in page and page.count("</script>") == page.count("<script")
-
-
-def test_the_system_s_own_errors_name_the_file_in_one_line(motionkit: Run, takes: Path, tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    for command in (
-        ["view", takes / "alpha.bvh", "--out", tmp_path / "file" / "x" / "page.html"],
-        ["complete", takes / "alpha.bvh", "--fps", 240, "--out", tmp_path / "file" / "x" / "made.bvh"],
-    ):
-        outcome = check(motionkit(*command))
-        assert outcome.code == 1 and "Errno" not in outcome.stderr
-        assert outcome.error_lines[-1].endswith(": Not a directory") and str(tmp_path / "file") in outcome.stderr
-
-
-def test_a_device_is_no_table(motionkit: Run, takes: Path, tmp_path: Path) -> None:
-    for option in ("--fps-rules", "--skeleton-map"):
-        outcome = check(motionkit("ingest", takes, "--store", tmp_path / "store", option, "/dev/zero"))
-        assert outcome.code in (1, 2) and "/dev/zero: cannot be read (File too large)" in outcome.stderr
-
-
-def test_samples(motionkit: Run, tmp_path: Path) -> None:
-    folder = tmp_path / "samples"
-    folder.mkdir()
-    np.save(folder / "a\x1b[31m\nb.npy", np.zeros((4, 5)))
-    outcome = check(motionkit("samples", folder, "--fps", 20))
-    assert outcome.code == 1 and r"a\x1b[31m\nb.npy" in outcome.stderr

@@ -2,23 +2,17 @@
 
 import json
 import shutil
-from itertools import pairwise
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from motionkit.core.skeleton import SMPL22
 from motionkit.store import Store
-from motionkit.store import ingest as ingesting
 from tests.helpers.humanml3d_checkout import (
     FPS,
-    HEADER,
     WINDOWS,
     frame_numbers,
     write_amass_tree,
     write_checkout,
-    write_take,
 )
 
 
@@ -70,25 +64,6 @@ def test_clips_at_their_native_framerates(motionkit, amass, humanml3d, tmp_path)
     assert motionkit("validate", "--store", tmp_path / "s").code == 0
 
 
-def test_splits_of_another_corpus_are_reported_with_an_example_of_each_side(motionkit, amass, humanml3d, tmp_path):
-    other = tmp_path / "other"
-    other.mkdir()
-    (other / "train.txt").write_text("00001\nM00001\n")
-    (other / "test.txt").write_text("000004\n")
-    (amass / "SFU").symlink_to("/nowhere/SFU")
-    outcome = motionkit(
-        "ingest", amass, "--index", humanml3d / "index.csv", "--splits", other, "--store", tmp_path / "s"
-    )
-    warned = [line for line in outcome.stderr.splitlines() if "train.txt" in line or "SFU" in line]
-    assert outcome.code == 0 and warned == [
-        f"warning: {amass}/SFU: is a link to /nowhere/SFU, which leads nowhere (No such file or directory): fix "
-        "the link or remove it",
-        f"warning: {other}/train.txt: none of its 2 names is in index.csv: it lists '00001', index.csv has '000000'; "
-        "so nothing is of the split train",
-    ]
-    assert set(Store.open(tmp_path / "s").sequences["split"]) == {"", "test"}
-
-
 def test_the_published_frames_instead(motionkit, amass, humanml3d, tmp_path):
     motionkit(
         "ingest", amass, "--index", humanml3d / "index.csv", "--compat", "humanml3d-20fps", "--store", tmp_path / "s",
@@ -100,23 +75,6 @@ def test_the_published_frames_instead(motionkit, amass, humanml3d, tmp_path):
         start, stop = WINDOWS[name]
         assert frame_numbers(store, f"humanml3d-20fps/{name}") == list(range(start, stop, step)), name
         assert store.read(f"humanml3d-20fps/{name}").fps == 20
-
-
-def test_mirrored_clips_have_captions_and_splits_of_their_own(motionkit, amass, humanml3d, tmp_path):
-    outcome = motionkit(
-        "ingest", amass, "--index", humanml3d / "index.csv", "--texts", humanml3d / "texts", "--store", tmp_path / "s",
-        "--mirrored", "--workers", 1,
-    )  # fmt: skip
-    assert outcome.code == 0
-    store = Store.open(tmp_path / "s")
-    assert len(store.sequences) == 14
-    plain, mirrored = store.read("humanml3d/000004"), store.read("humanml3d/M000004")
-    left, right = SMPL22.index("left_knee"), SMPL22.index("right_knee")
-    assert np.array_equal(mirrored.joint_positions[:, left], plain.joint_positions[:, right] * np.float32([-1, 1, 1]))
-    assert (mirrored.split, mirrored.captions[0].text) == ("test", "a mirrored person stands")
-    # Clips of one file follow each other, so that it is read once.
-    paths = store.sequences["source_path"].tolist()
-    assert sum(path != after for path, after in pairwise(paths)) == len(set(paths)) - 1
 
 
 def test_what_is_missing_is_counted_by_dataset(motionkit, amass, humanml3d, tmp_path):
@@ -146,68 +104,6 @@ def test_what_is_missing_is_counted_by_dataset(motionkit, amass, humanml3d, tmp_
     assert "KIT: 3 found, 0 missing, 2 failed" in again.stdout.splitlines()
     stopped = motionkit(*arguments, "--on-error", "stop", "--overwrite")
     assert stopped.code == 1
-
-
-def test_captions_that_cannot_be_read_cost_their_sequence(motionkit, amass, humanml3d, tmp_path):
-    (humanml3d / "texts/000002.txt").write_text("a person walks#a/DET\n")
-    (humanml3d / "texts/000003.txt").unlink()
-    outcome = motionkit(
-        "ingest", amass, "--index", humanml3d / "index.csv", "--texts", humanml3d / "texts", "--store", tmp_path / "s",
-        "--workers", 1, "--json",
-    )  # fmt: skip
-    told = json.loads(outcome.stdout)
-    assert told["failed"] == {"text": 1}
-    assert told["warnings"] == {"no-caption": 1, "shortened": 1}
-    assert told["datasets"]["CMU"] == {"found": 2, "missing": 0, "failed": 1}
-    assert told["stored"] == 6
-
-
-def test_thousands_of_missing_files_are_reported_once(motionkit, amass, tmp_path):
-    rows = "".join(f"KIT/3/none_{number}_poses.npy,0,5,{number:06}.npy\n" for number in range(50))
-    (tmp_path / "index.csv").write_text(HEADER + "KIT/3/kick_poses.npy,0,5,a.npy\n" + rows)
-    outcome = motionkit("ingest", amass, "--index", tmp_path / "index.csv", "--store", tmp_path / "s", "--workers", 1)
-    assert len(outcome.error_lines) == 6
-    assert outcome.error_lines[-1] == "more of the kind missing-file: counted at the end, --json names them all"
-    assert "failed: 50 (50 missing-file)" in outcome.stdout
-
-
-def test_only_the_files_that_are_named_are_opened(motionkit, amass, humanml3d, tmp_path):
-    for path in (amass / "KIT/3/never_named_poses.npy", amass / "KIT/3/broken_poses.npy"):
-        path.unlink()
-        path.mkdir()  # which nothing could open
-    outcome = motionkit("ingest", amass, "--index", humanml3d / "index.csv", "--store", tmp_path / "s", "--workers", 1)
-    assert outcome.code == 0
-    assert "failed" not in outcome.stdout.splitlines()[1]
-
-
-def test_the_source_may_be_one_dataset_and_there_may_be_several(motionkit, amass, humanml3d, tmp_path):
-    outcome = motionkit(
-        "ingest", amass / "KIT", amass / "BMLrub", "--index", humanml3d / "index.csv", "--store", tmp_path / "s",
-        "--workers", 1,
-    )  # fmt: skip
-    assert outcome.code == 0
-    assert set(Store.open(tmp_path / "s").sequences["sequence_id"]) == {"humanml3d/000000", "humanml3d/009707"}
-
-
-def test_of_two_releases_the_one_that_was_counted_on_is_read(motionkit, amass, tmp_path):
-    write_take(amass / "0-smplx/KIT/3/kick_stageii.npy", 300)
-    (tmp_path / "index.csv").write_text(HEADER + "KIT/3/kick_poses.npy,0,5,a.npy\n")
-    outcome = motionkit("ingest", amass, "--index", tmp_path / "index.csv", "--store", tmp_path / "s", "--workers", 1)
-    assert outcome.code == 0
-    assert Store.open(tmp_path / "s").sequences["source_path"].tolist() == ["KIT/3/kick_poses.npy"]
-
-
-def test_a_dataset_may_be_a_link_and_links_in_circles_end(motionkit, amass, humanml3d, tmp_path):
-    (amass / "KIT").rename(tmp_path / "elsewhere")
-    (amass / "KIT").symlink_to(tmp_path / "elsewhere")
-    (amass / "KIT/3/up").symlink_to(amass)
-    (amass / "again").symlink_to(amass)
-    (amass / "dangling").symlink_to(tmp_path / "nowhere")
-    outcome = motionkit("ingest", amass, "--index", humanml3d / "index.csv", "--store", tmp_path / "s", "--workers", 1)
-    assert (outcome.code, outcome.error_lines) == (0, [])
-    rows = Store.open(tmp_path / "s").sequences.set_index("sequence_id")
-    assert len(rows) == 7
-    assert rows["source_path"]["humanml3d/000000"] == "KIT/3/kick_poses.npy"
 
 
 def test_kit_and_babel_in_one_store(motionkit, amass, tmp_path):
@@ -256,77 +152,6 @@ def test_kit_and_babel_in_one_store(motionkit, amass, tmp_path):
         "kitml/M00001",
         "kitml/00002",
     ]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("--texts", "."), "give one with --index"),
-        (("--compat", "humanml3d-20fps"), "give one with --index"),
-        (("--index", "index.csv", "--captions", "x.csv"), "are about whole files"),
-        (("--index", "index.csv", "--texts", "nowhere"), "is not a folder of texts"),
-        (("--index", "index.csv", "--splits", "texts"), "has none of train.txt"),
-        (("--index", "kitml.json", "--compat", "humanml3d-20fps"), "only HumanML3D's index.csv has frames at 20 fps"),
-        (("--index", "babel.json", "--mirrored"), "has no mirrored sequences"),
-        (("--index", "humanml3d.json", "--compat", "humanml3d-20fps"), "only HumanML3D's index.csv has frames"),
-        (("--index", "humanml3d.json", "--mirrored"), "has no mirrored sequences"),
-        (("babel.json", "--index", "index.csv"), "babel.json is not a folder"),
-        (("nowhere", "--index", "index.csv"), "nowhere is not a folder"),
-    ],
-)
-def test_requests_that_make_no_sense(motionkit, amass, humanml3d, monkeypatch, arguments, message):
-    monkeypatch.chdir(humanml3d)
-    Path("babel.json").write_text('{"1": {"feat_p": "CMU/CMU/01/01_01_poses.npz"}}')
-    for name in ("kitml.json", "humanml3d.json"):
-        Path(name).write_text('{"1": {"path": "CMU/01/01_01_poses", "annotations": []}}')
-    outcome = motionkit("ingest", amass, *arguments, "--store", "s", "--workers", 1)
-    assert outcome.code == 2
-    assert message in outcome.stderr
-    assert not Path("s").exists()
-
-
-def test_a_bad_table_beside_the_files_is_reported(motionkit, amass, humanml3d, tmp_path):
-    (amass / "notes.csv").write_text("file,fps\nKIT/3/kick_poses.npy,fast\nBMLrub/rub110/x.npy,30\n")
-    outcome = motionkit("ingest", amass, "--index", humanml3d / "index.csv", "--store", tmp_path / "s", "--workers", 1)
-    assert outcome.code == 0
-    assert outcome.error_lines == [
-        f"{amass}/notes.csv, line 2: fps 'fast': a framerate is a number such as 120, 59.94 or 30000/1001, not 'fast'"
-    ]
-
-
-def test_humanact12_at_15_fps_by_a_rule(motionkit, amass, humanml3d, tmp_path):
-    rules = tmp_path / "rules.toml"
-    rules.write_text('[[rule]]\nfiles = "humanact12/**/*.npy"\nfps = 15\n')
-    outcome = motionkit(
-        "ingest", amass, "--index", humanml3d / "index.csv", "--texts", humanml3d / "texts", "--fps-rules", rules,
-        "--store", tmp_path / "s", "--workers", 1,
-    )  # fmt: skip
-    assert outcome.code == 0
-    motion = Store.open(tmp_path / "s").read("humanml3d/000001")
-    assert (motion.fps, motion.num_frames, motion.provenance.stated_fps) == (15, 64, "20")
-    # Half a published second is 10 frames.
-    assert motion.captions[1].start_seconds == pytest.approx(10 / 15)
-
-
-def test_an_index_that_is_none(motionkit, amass, tmp_path):
-    (tmp_path / "index.csv").write_text("file,caption\na,b\n")
-    outcome = motionkit("ingest", amass, "--index", tmp_path / "index.csv", "--store", tmp_path / "s")
-    assert outcome.code == 1
-    assert len(outcome.error_lines) == 1
-    assert "expected an index: HumanML3D's index.csv" in outcome.stderr
-
-
-def test_workers_make_the_same_store(motionkit, amass, humanml3d, tmp_path, monkeypatch):
-    monkeypatch.setattr(ingesting, "CHUNK_BYTES", 1)  # each file for itself
-    contents = []
-    for workers in (1, 2):
-        store = tmp_path / f"s{workers}"
-        motionkit(
-            "ingest", amass, "--index", humanml3d / "index.csv", "--mirrored", "--store", store, "--workers", workers
-        )
-        contents.append({path.name: path.read_bytes() for path in sorted(store.rglob("*.parquet"))})
-    assert contents[0] == contents[1]
-    assert len(contents[0]) > 4
 
 
 def test_the_published_index_on_real_takes_of_the_cmu_database(motionkit, captures, tmp_path):

@@ -59,17 +59,3 @@ def test_json_holds_the_same(motionkit, store):
     assert worst["offenders"] == [{"sequence_id": "glitch", "value": 2.0, "seconds": 1.5, "frame": 90}]
     [slow] = report["upsampled"]
     assert slow == {"sequence_id": "slow", "stated_fps": "0.0083333", "fps": 120.0, "effective_fps": 24.0}
-
-
-def test_a_condition_narrows_it(motionkit, store):
-    report = json.loads(motionkit("info", "--quality", "--json", "--store", store, "--where", "fps = 120").stdout)
-    assert [source["source"] for source in report["sources"]] == ["theirs"]
-    nothing = motionkit("info", "--quality", "--store", store, "--where", "fps = 1")
-    assert nothing.code == 0
-    assert "0 sequences where fps = 1" in nothing.stdout
-
-
-def test_options_that_make_no_sense_are_refused(motionkit, store):
-    assert motionkit("info", "--store", store, "--where", "fps = 120").code == 2
-    assert motionkit("info", "--store", store, "--up", "y").code == 2
-    assert motionkit("info", "--store", store, "--quality", "--where", "bad sql").code == 2

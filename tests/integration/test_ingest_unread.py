@@ -34,33 +34,6 @@ def test_the_last_line_counts_what_was_ignored(motionkit, arrays, tmp_path):
     assert sorted(summary["ignored_paths"]) == sorted(map(str, arrays.glob("unknown*")))
 
 
-def test_nothing_is_said_where_nothing_was_ignored(motionkit, takes, tmp_path):
-    store = takes / "store"  # what is in it is no source
-    motionkit("ingest", takes, "--store", store)
-    again = motionkit("ingest", takes, "--store", store)
-    assert (again.code, "ignored" in again.stdout) == (0, False)
-    summary = json.loads(motionkit("ingest", takes, "--store", store, "--json").stdout)
-    assert (summary["ignored"], summary["ignored_paths"]) == ({}, [])
-
-
-def test_an_array_named_singly_is_reported_with_what_it_holds(motionkit, arrays, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    outcome = motionkit("ingest", "arrays/unknown-0.npz", "--store", tmp_path / "store")
-    assert outcome.code == 1
-    assert outcome.error_lines[0].startswith("arrays/unknown-0.npz: of no known format (an archive of xyz), expected ")
-
-
-@pytest.mark.parametrize("on_error", ["skip", "stop"])
-def test_an_ingest_that_stored_nothing_and_failed_exits_1(motionkit, takes, tmp_path, on_error):
-    store = tmp_path / "store"
-    motionkit("ingest", takes, "--store", store)
-    (takes / "broken.bvh").write_text(bvh_text()[:-30])
-    outcome = motionkit("ingest", takes, "--store", store, "--on-error", on_error)
-    assert outcome.code == 1
-    assert outcome.error_lines[-1].endswith(f"the store {store} is as it was")
-    assert len(Store.open(store).sequences) == 3
-
-
 @pytest.mark.parametrize("workers", [1, 2])
 def test_of_files_of_one_name_the_first_is_read(motionkit, tmp_path, workers):
     folder = tmp_path / "takes"
@@ -76,22 +49,3 @@ def test_of_files_of_one_name_the_first_is_read(motionkit, tmp_path, workers):
     (folder / "take.bvh").write_text(bvh_text()[:-30])
     outcome = motionkit("ingest", folder, "--store", tmp_path / "other", "--workers", workers)
     assert outcome.code == 1 and "failed: 3 (2 duplicate-id, 1 truncated)" in outcome.stdout
-
-
-def test_under_stop_two_files_of_one_name_are_a_problem(motionkit, takes, tmp_path):
-    np.savez(takes / "alpha.npz", joint_positions=np.zeros((5, 22, 3)), fps=30)
-    outcome = motionkit("ingest", takes, "--store", tmp_path / "store", "--on-error", "stop")
-    assert outcome.code == 1 and "is already taken by alpha.bvh" in outcome.error_lines[0]
-
-
-@pytest.mark.skipif(not Path("/proc/self/mem").exists(), reason="needs a file that opens and cannot be read")
-@pytest.mark.parametrize("name", ["table.csv", "walk.bvh", "walk.npy", "walk.npz", "walk.amc", "walk.c3d", "train.txt"])
-def test_a_file_that_cannot_be_read_is_named_and_costs_no_other(motionkit, takes, tmp_path, name):
-    """Reading fails with the system's error for a broken disk, which names no file."""
-    (takes / name).symlink_to("/proc/self/mem")
-    outcome = motionkit("ingest", takes, "--store", tmp_path / "store", "--workers", 1, "--json")
-    report = json.loads(outcome.stdout)
-    assert (outcome.code, report["stored"]) == (0, 3)
-    assert name in outcome.stderr or f".{name.split('.')[1]}" in report["ignored"]
-    alone = motionkit("ingest", takes / name, "--store", tmp_path / "other")
-    assert alone.code == 1 and name in alone.stderr

@@ -32,18 +32,3 @@ def test_the_suffix_of_out_decides_the_format(
         assert out.read_bytes()[:4] == b"glTF"
     else:
         assert mk.read(out).fps == (60 if name == "complete" else 30)
-
-
-@pytest.mark.parametrize(
-    ("out", "options", "several"),
-    [("made.fbx", (), False), ("made.glb", ("--format", "npz"), False), ("made.glb", (), True)],
-)
-@pytest.mark.parametrize("command", [("complete", "--fps", "60"), ("plant",)])
-def test_an_out_that_is_no_file_of_the_format_is_refused(
-    motionkit: Run, walk: Path, command: tuple[str, ...], out: str, options: tuple[str, ...], several: bool
-) -> None:
-    name, *given = command
-    clips = [walk, walk.parent] if several else [walk]
-    outcome = motionkit(name, *clips, *given, *options, "--out", walk.parent / out)
-    assert outcome.code == 2 and Path(out).suffix in outcome.stderr
-    assert [path.name for path in walk.parent.iterdir()] == ["walk.bvh"]

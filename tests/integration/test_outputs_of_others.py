@@ -9,10 +9,8 @@ import pytest
 import motionkit as mk
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.features import humanml3d
-from motionkit.io.kimodo import SKELETONS
 from tests.helpers import vector_samples
 from tests.helpers.analytic import analytic_motion
-from tests.helpers.every_format import TRC_JOINTS, trc_text
 from tests.helpers.vector_samples import interhuman_rows, motionstreamer_rows
 
 FRAMES = 40
@@ -56,18 +54,6 @@ def test_they_are_ingested(motionkit, outputs, tmp_path):
     )
 
 
-def test_they_are_samples(motionkit, outputs):
-    outcome = motionkit("samples", outputs)
-    assert outcome.code == 0 and " 8, " in outcome.stdout.splitlines()[0]
-    assert "30 fps (8)" in outcome.stdout
-
-
-def test_a_robot_s_joints_are_reported(motionkit, tmp_path):
-    np.savez(tmp_path / "g1.npz", posed_joints=np.zeros((4, 34, 3), np.float32))
-    (line,) = motionkit("view", tmp_path / "g1.npz").error_lines
-    assert f"34 joints, expected {', '.join(str(count) for count in SKELETONS)}"[:20] in line
-
-
 def test_one_file_of_pose_vectors_goes_everywhere(motionkit, tmp_path):
     rows = humanml3d.vectors(vector_samples.walk(20).joint_positions, "smpl22")
     np.save(tmp_path / "000021.npy", rows)
@@ -81,29 +67,6 @@ def test_one_file_of_pose_vectors_goes_everywhere(motionkit, tmp_path):
     assert found.fps == 20 and found.num_frames == len(rows)
     stated = motionkit("samples", tmp_path / "000021.npy")
     assert stated.code == 1 and "statistics" in stated.stderr
-
-
-def test_two_persons_are_two_motions_of_a_page(motionkit, outputs):
-    outcome = motionkit("view", outputs / "two.npy", "--json", "--out", outputs / "two.html")
-    assert outcome.code == 0 and "person1" in outcome.stdout and "person2" in outcome.stdout
-
-
-def test_normalised_vectors_are_reported_and_how_to_restore_them(motionkit, tmp_path):
-    np.save(tmp_path / "raw.npy", np.random.default_rng(0).normal(size=(40, 263)))
-    outcome = motionkit("ingest", tmp_path / "raw.npy", "--store", tmp_path / "store")
-    assert outcome.code == 1 and "* std + mean" in outcome.stderr
-
-
-def test_tracks_of_a_markerless_system(motionkit, tmp_path):
-    points = vector_samples.walk().joint_positions[:30, list(TRC_JOINTS.values())]
-    takes, store = tmp_path / "takes", tmp_path / "store"
-    takes.mkdir()
-    (takes / "walk.trc").write_text(trc_text(points))
-    outcome = motionkit("ingest", takes, "--store", store)
-    assert outcome.code == 0 and "stored 1 sequence" in outcome.stdout and "cannot be mapped" not in outcome.stderr
-    (takes / "markers.trc").write_text(trc_text(points, [f"M{number}" for number in range(len(TRC_JOINTS))]))
-    outcome = motionkit("ingest", takes, "--store", store)
-    assert outcome.stderr.count("cannot be mapped") == 1 and "--skeleton-map" in outcome.stderr
 
 
 @pytest.mark.parametrize("suffix", [".fbx", ".pt", ".pth", ".pkl", ".pickle"])

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from motionkit.core.files import read_json
 from motionkit.demo_corpus import write_demo_corpus
 from motionkit.store.ingest import ingest
 
@@ -31,23 +30,6 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_demo_corpus(folder / "corpus", every=8)
     ingest([folder / "corpus"], folder / "store", num_workers=1)
     return folder / "store"
-
-
-def test_tables_are_written_as_json_and_markdown(motionkit: Callable[..., object], store: Path, tmp_path: Path) -> None:
-    """All that can be built, and what the others lack."""
-    everything = ("--paper", "pahires", "--table", "all", "--store", store, "--results", tmp_path, "--json")
-    outcome = motionkit("eval", *everything, "--fps", "30", "--runs", tmp_path, *COMMON)
-    assert outcome.code == 2
-    results = {result["task"]: result for result in json.loads(outcome.stdout)}
-    assert list(results) == [f"pahires-{name}" for name in ("table1", "table2", "table3", "extrapolation")]
-    assert "4 of 7 were built. 4: " in outcome.stderr and "; figure5: " in outcome.stderr
-    result = results["pahires-table1"]
-    assert {"format": "motionkit-result/1", **result} == read_json(tmp_path / "pahires-table1.json", "")
-    psnr = next(block for block in result["blocks"] if block["title"].endswith("30 fps: PSNR (dB)"))
-    values = {row["name"]: row["cells"]["×4"]["value"] for row in psnr["rows"]}
-    assert values["hold"] < values["SLERP"]
-    assert "| SLERP |" in (tmp_path / "pahires-table1.md").read_text()
-    assert any("PA-HiRes: not trained (motionkit train --stage pahires" in line for line in result["missing"])
 
 
 def test_variants_are_trained_and_shown_by_two_commands(
@@ -82,25 +64,3 @@ def test_variants_are_trained_and_shown_by_two_commands(
     assert ours["cells"]["S = 3"] == psnr["own parameters in every layer"]["ζ = 16"]
     assert motionkit("report", "--results", tmp_path / "figure", "--format", "png").code == 0
     assert (tmp_path / "figure" / "pahires-figure6.png").stat().st_size > 10_000
-
-
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (("--table", "1", "--encoder", "liif"), "--encoder liif: give NAME=RUN"),
-        (("--table", "1", "--encoder", "liif=nobody"), "there is no run"),
-        (("--table", "2", "--fps", "29"), "motionkit: no chosen sequence of"),
-        (("--table", "3", "--where", "fps = 50"), "CMU, 30 fps: no"),
-        (("--table", "2", "--where", "speed > 1"), "the condition"),
-        (("--table", "4"), "motionkit ablate 4 --paper pahires --run nano trains"),
-        (("--figure", "6"), "motionkit ablate figure6 --paper pahires --run nano trains"),
-        (("--table", "extrapolation", "--split", "nowhere"), "no sequence"),
-    ],
-)
-def test_what_cannot_be_had_is_reported_in_a_line(
-    motionkit: Callable[..., object], store: Path, tmp_path: Path, arguments: tuple[str, ...], told: str
-) -> None:
-    outcome = motionkit("eval", "--paper", "pahires", "--store", store, "--results", tmp_path, *arguments)
-    assert outcome.code == 1 or outcome.code == 2
-    assert told in " ".join(outcome.stderr.split())
-    assert "Traceback" not in outcome.stderr

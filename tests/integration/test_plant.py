@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import motionkit as mk
 from motionkit.core.motion import Motion
 from motionkit.fields.contact.legs import legs_of
 from motionkit.io.bvh import read_bvh, write_bvh
@@ -112,42 +111,3 @@ def test_a_folder_a_store_and_arrays(motionkit: Run, sliding: Motion, tmp_path: 
     assert outcome.code == 0, outcome.stderr
     assert steadiest(read_npz(tmp_path / "made" / "walk.npz")) < 0.3 * steadiest(Store.open(store)["walk"])
     assert motionkit("plant").code == 2
-
-
-def test_in_python(sliding: Motion) -> None:
-    made = mk.plant(sliding)
-    assert steadiest(made) < 0.3 * steadiest(sliding)
-    assert made.sequence_id == "walk"
-    assert made.provenance.operations[-1].startswith("plant ")
-    free = mk.plant(sliding, path="free")
-    assert steadiest(free) < 0.3 * steadiest(sliding)
-
-
-def test_what_is_completed_stands_and_given_frames_stay(sliding: Motion) -> None:
-    kept = np.ones(sliding.num_frames, bool)
-    kept[60:180] = np.arange(120) % 30 == 0
-    plain = mk.complete(sliding, keep=kept, model="slerp")
-    made = mk.complete(sliding, keep=kept, model="slerp", plant=True)
-    np.testing.assert_array_equal(made.joint_positions[kept], sliding.joint_positions[kept])
-    assert np.abs(made.joint_positions - plain.joint_positions).max() > 0.001
-    parents = list(sliding.skeleton.parents[1:])
-    places = [each.joint_positions for each in (made, sliding)]
-    lengths = [np.linalg.norm(each[:, 1:] - each[:, parents], axis=-1) for each in places]
-    np.testing.assert_allclose(lengths[0], np.broadcast_to(lengths[1].mean(axis=0), lengths[0].shape), atol=1e-4)
-
-
-def test_frames_that_are_lost_are_refused(motionkit: Run, sliding: Motion, tmp_path: Path) -> None:
-    places = sliding.joint_positions.copy()
-    places[10:12] = np.nan
-    write_npz(replace(sliding, joint_positions=places, local_rotations=None), tmp_path / "lost.npz")
-    outcome = motionkit("plant", tmp_path / "lost.npz")
-    assert outcome.code == 1
-    assert "hold nan: complete it first" in outcome.stderr
-
-
-def test_bones_that_change_their_length_are_reported(motionkit: Run, standing: Motion, tmp_path: Path) -> None:
-    places = standing.joint_positions.copy()
-    places[:120, legs_of(standing.skeleton).left.knee, 1] += 0.1
-    write_npz(replace(standing, joint_positions=places, local_rotations=None), tmp_path / "walk.npz")
-    (told,) = json.loads(motionkit("plant", tmp_path / "walk.npz", "--json").stdout)["clips"]
-    assert told["has_fixed_bones"] and told["largest_change"] > 0.02

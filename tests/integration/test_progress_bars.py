@@ -7,8 +7,6 @@ from pathlib import Path
 import pytest
 
 from motionkit.cli.console import stderr
-from motionkit.training.config import flatten, setting_text
-from tests.helpers.tiny import NERM, STEPS, write_store
 
 Draw = Callable[..., str]
 BAR, ERASED = "━", "\x1b[2K"
@@ -42,20 +40,3 @@ def test_commands_on_stores(drawn: Draw, takes: Path, tmp_path: Path) -> None:
     assert "read" in drawn("view", takes / "alpha.bvh", "--out", tmp_path / "page.html")
     text = drawn("complete", takes / "alpha.bvh", "--fps", 240, "--out", tmp_path / "completed")
     assert "complete" in text
-
-
-def test_training_and_tables(drawn: Draw, tmp_path: Path) -> None:
-    store, runs = write_store(tmp_path / "store"), tmp_path / "runs"
-    settings = [
-        f"--set={name}={setting_text(value)}" for name, value in flatten(NERM).items() if name.startswith("field.")
-    ]
-    text = drawn(
-        "train", "--stage", "field", "--store", store, "--runs", runs, "--run", "tiny", *settings,
-        "--set=field.encoder.kind=fourier",
-    )  # fmt: skip
-    assert "cache smpl22" in text and f"0/{STEPS}" in text
-    text = drawn(
-        "eval", "--table", 2, "--store", store, "--split", "all", "--fps", 20, "--clips", 64, "--replications", 2,
-        "--evaluator", "kinematic", "--results", tmp_path / "results",
-    )  # fmt: skip
-    assert "real sets" in text and "0/300" in text

@@ -7,7 +7,6 @@ import typer
 from typer.testing import CliRunner
 
 from motionkit.cli.store import split
-from motionkit.core.errors import UsageError
 from motionkit.store import Store
 
 
@@ -42,21 +41,3 @@ def test_people_are_held_out(store):
     assert report["fingerprint"] == Store.open(store).fingerprint
     (only,) = report["splits"]
     assert (only["split"], only["num_groups"], only["num_sequences"], only["share"]) == ("test", 2, 3, 1.0)
-
-
-@pytest.mark.parametrize(
-    ("shares", "message"),
-    [
-        ("train", "--shares takes SPLIT=NUMBER"),
-        ("train=many", "--shares takes SPLIT=NUMBER"),
-        ("train=nan", "--shares takes SPLIT=NUMBER"),
-        ("train=1,train=2", "names 'train' twice"),
-        ("train=1,dev=2", "no split is called 'dev'"),
-        ("train=8,val=1,test=1", "cannot fill 3 splits"),
-    ],
-)
-def test_shares_that_make_no_sense(store, shares, message):
-    before = Store.open(store).fingerprint
-    with pytest.raises(UsageError, match=message):
-        run("--shares", shares, "--store", store)
-    assert Store.open(store).fingerprint == before

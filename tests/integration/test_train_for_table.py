@@ -53,11 +53,3 @@ def test_a_table_has_a_row_for_every_installed_system(motionkit, store, tmp_path
     for model in models:
         title = model.load(run.path).name
         assert {title, f"{title}, planted"} <= rows, result["missing"]
-
-
-def test_a_store_without_captions_is_reported_before_anything_is_trained(motionkit, tmp_path):
-    bare = write_captioned_store(tmp_path / "bare", captioned=False)
-    done = motionkit("train", "--for", "table:2", "--store", bare, "--runs", tmp_path / "runs")
-    assert done.code == 2 and "has a caption" in done.stderr
-    assert done.stderr.count("\n") == 1
-    assert not list(tmp_path.glob("runs/*/*"))

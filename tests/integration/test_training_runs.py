@@ -3,8 +3,6 @@
 import os
 import shutil
 import signal
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -13,16 +11,12 @@ from pathlib import Path
 import pytest
 import torch
 
-from motionkit.core.errors import DamagedFileError
-from motionkit.core.files import RECORD, write_json
 from motionkit.training import devices, loop
 from motionkit.training.config import apply_overrides
 from motionkit.training.loop import step_generator
 from motionkit.training.run import RunError, RunFolder, StageFolder
 from motionkit.training.stage import StageContext
-from motionkit.training.tensors import CheckpointError
 from nerm.stages import CODEBOOK, DENOISER, FIELD
-from tests.helpers.repository import REPOSITORY
 from tests.helpers.tiny import NERM, STAGES, train_stage, write_store
 
 
@@ -95,76 +89,6 @@ def test_an_interrupted_run_equals_an_uninterrupted_one_bit_by_bit(
     torch.rand(3)  # the global generator plays no part
     train_stage(name, store, folder.path.parent, resume=True)
     assert_the_same(folder, RunFolder(run).stage(name))
-
-
-KILLED = """
-import os, signal, sys
-from functools import partial
-from pathlib import Path
-import torch
-from motionkit.training import loop
-from motionkit.training.loop import step_generator
-from tests.helpers.tiny import train_stage
-
-def killing(seed, purpose, step):
-    if step == 6:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return step_generator(seed, purpose, step)
-
-torch.set_num_threads(1)
-loop.step_generator = killing
-loop.train_loop = partial(loop.train_loop, checkpoint_seconds=0.0, log_every=5)
-train_stage("field", Path(sys.argv[1]), Path(sys.argv[2]))
-"""
-
-
-def test_a_killed_run_that_left_half_a_line_is_resumed_bit_by_bit(
-    store: Path, run: Path, other_run: Callable[[str], StageFolder]
-) -> None:
-    folder = other_run("field")
-    command = [sys.executable, "-c", KILLED, str(store), str(folder.path.parent)]
-    killed = subprocess.run(command, cwd=REPOSITORY, check=False)
-    assert killed.returncode == -signal.SIGKILL
-    with folder.metrics_path.open("a") as log:
-        log.write('{"step": 8.0, "lo')
-    assert [line["step"] for line in folder.read_metrics()] == [5.0]
-    train_stage("field", store, folder.path.parent, resume=True)
-    assert_the_same(folder, RunFolder(run).stage("field"))
-
-
-def test_a_checkpoint_cut_in_half_is_reported_and_left_alone(
-    store: Path, other_run: Callable[[str], StageFolder], run: Path
-) -> None:
-    folder = other_run("codebook")
-    shutil.copytree(RunFolder(run).stage("codebook").path, folder.path)
-    folder.summary_path.unlink()
-    whole = folder.checkpoint_path.read_bytes()
-    folder.checkpoint_path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(DamagedFileError, match=r"codebook/checkpoint\.safetensors is damaged .*--overwrite"):
-        train_stage("codebook", store, folder.path.parent, resume=True)
-    assert len(folder.checkpoint_path.read_bytes()) == len(whole) // 2
-    assert figures(folder) == figures(RunFolder(run).stage("codebook"))
-
-
-def test_a_checkpoint_of_other_sizes_is_reported(
-    store: Path, other_run: Callable[[str], StageFolder], run: Path
-) -> None:
-    folder = other_run("codebook")
-    shutil.copytree(RunFolder(run).stage("codebook").path, folder.path)
-    shutil.copy(RunFolder(run).stage("field").checkpoint_path, folder.checkpoint_path)
-    with pytest.raises(CheckpointError, match="is of stage 'field', not 'codebook': train the stage again"):
-        train_stage("codebook", store, folder.path.parent, resume=True)
-
-
-def test_a_run_goes_on_only_with_what_it_was_begun_with(
-    store: Path, other_run: Callable[[str], StageFolder], run: Path
-) -> None:
-    folder = other_run("codebook")
-    shutil.copytree(RunFolder(run).stage("codebook").path, folder.path)
-    write_json(folder.config_path, folder.read_config() | {"seed": 2})
-    (folder.path / RECORD).unlink()
-    with pytest.raises(RunError, match=r"begun from other inputs \(seed 2 → 1\)"):
-        train_stage("codebook", store, folder.path.parent, resume=True)
 
 
 def test_the_chosen_precision_is_written_down_and_hardly_changes_what_is_learnt(

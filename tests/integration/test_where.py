@@ -7,16 +7,11 @@ from pathlib import Path
 import pytest
 
 from motionkit.cli import train as train_command
-from motionkit.cli.train import narrowed
-from motionkit.core.errors import UsageError
 from motionkit.core.motion import Motion
 from motionkit.core.timegrid import TimeGrid
 from motionkit.features.quality import measure
 from motionkit.fields.motion_field import to_motion
-from motionkit.store.sql import conjunction
 from motionkit.store.writer import StoreWriter
-from motionkit.training.config import flatten
-from motionkit.training.stage import registered_stages
 from tests.helpers.analytic import analytic_motion
 
 CLEAN = "NOT list_contains(quality_flags, 'teleport')"
@@ -65,42 +60,6 @@ def test_training_leaves_out_what_the_condition_does(motionkit, store, tmp_path)
     # The condition is part of the run: it cannot be resumed as another one.
     done = motionkit("train", "--stage", "field", "--run", "clean", "--resume", *places, *settings)
     assert done.code != 0 or "kept" in done.stderr
-
-
-def test_the_condition_reaches_every_stage_that_reads_sequences():
-    stages = tuple(registered_stages().values())
-    configs = narrowed(stages, [stage.recipe("nano") for stage in stages], CLEAN)
-    found = {stage.name: flatten(config) for stage, config in zip(stages, configs, strict=True)}
-    assert found["codebook"]["codebook.where"] == f"(split = 'train') AND ({CLEAN})"
-    assert found["field"]["field.where"] == f"(split = 'train') AND ({CLEAN})"
-    assert found["evaluator"]["training.where"] == f"(split NOT IN ('val', 'test')) AND ({CLEAN})"
-    denoiser = tuple(stage for stage in stages if stage.name == "denoiser")
-    with pytest.raises(UsageError, match="takes its sequences from another stage"):
-        narrowed(denoiser, [stage.recipe("nano") for stage in denoiser], CLEAN)
-
-
-def test_conditions_are_put_together():
-    assert conjunction(None, "", "a OR b") == "a OR b"
-    assert conjunction("a OR b", "c") == "(a OR b) AND (c)"
-    assert conjunction(None, "") == ""
-
-
-def test_evaluation_compares_with_what_the_condition_leaves(motionkit, store, tmp_path):
-    small = ("--fps", "60", "--clips", "64", "--replications", "1", "--features", "kinematic", "--json")
-    done = motionkit("eval", "--table", "2", "--store", store, "--results", tmp_path, "--where", CLEAN, *small)
-    assert done.code == 0, done.stderr
-    result = json.loads(done.stdout)
-    assert result["definition"]["where"] == CLEAN
-    assert result["definition"]["real_sets"]["60 fps"]["sequences"] == 3
-    assert f"split 'test' where {CLEAN}" in result["caption"]
-
-
-@pytest.mark.parametrize("command", [("train", "--stage", "field", "--run", "bad"), ("eval", "--table", "2")])
-def test_bad_sql_is_reported(motionkit, store, tmp_path, command):
-    place = ("--runs", tmp_path) if command[0] == "train" else ("--results", tmp_path)
-    done = motionkit(*command, "--store", store, *place, "--where", "no_such_column = 1")
-    assert done.code == 2
-    assert "no_such_column" in done.stderr
 
 
 @pytest.mark.parametrize(
