@@ -10,6 +10,3 @@ from benchmarks.trust.mutate import mutate
 def damaged(content: bytes) -> st.SearchStrategy[bytes]:
     """A file's bytes after one to four accidents; of an archive, mostly to one of its members."""
     return st.integers(0, 2**32).map(lambda seed: mutate(Random(seed), "", content))
-
-
-damaged_archive = damaged

@@ -16,7 +16,7 @@ from motionkit.features.quality import measure
 from motionkit.io import registry
 from motionkit.io.registry import ReadOptions, readers
 from motionkit.io.scan import read, scan
-from tests.helpers.damage import damaged, damaged_archive
+from tests.helpers.damage import damaged
 from tests.helpers.every_format import SOURCES
 
 OPTIONS = ReadOptions(fps=Fraction(30))
@@ -64,8 +64,7 @@ def test_only_explained_errors_come_out(tmp_path_factory, name, data, stated):
     folder = tmp_path_factory.mktemp("source", numbered=True)
     try:
         path = SOURCES[name](folder)
-        damage = damaged_archive if path.suffix == ".npz" else damaged
-        path.write_bytes(data.draw(damage(path.read_bytes())))
+        path.write_bytes(data.draw(damaged(path.read_bytes())))
         motions, problems = read_source(folder, OPTIONS if stated else ReadOptions())
     finally:
         shutil.rmtree(folder)
