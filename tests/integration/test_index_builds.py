@@ -96,9 +96,7 @@ def test_what_is_missing_is_counted_by_dataset(motionkit, amass, humanml3d, tmp_
         "Transitions_mocap": {"found": 1, "missing": 0, "failed": 0},
     }
     assert told["failed"] == {"missing-file": 2, "path": 1, "not-what-it-says": 1, "beyond-end": 1}
-    assert f"{humanml3d}/index.csv, line 4: 000002: there is no CMU/01/01_01_poses.npy below {amass}" in outcome.stderr
-    asked = "the index names [200, 240) of one frame in 5 as 'humanml3d/000007', that is frames [1000, 1200)"
-    assert asked in outcome.stderr
+    assert f"{humanml3d}/index.csv, line 4: 000002" in outcome.stderr and "humanml3d/000007" in outcome.stderr
     again = motionkit(*arguments)
     assert "already there: 5" in again.stdout
     assert "KIT: 3 found, 0 missing, 2 failed" in again.stdout.splitlines()
