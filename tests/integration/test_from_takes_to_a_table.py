@@ -58,7 +58,7 @@ def test_takes_without_captions_and_then_with(motionkit, takes, monkeypatch):
     names = [name for name, _ in said]
     assert names == ["ingest", "info", "split", "train", "eval", "generate", "view", "report"]
     assert follows == [["split"], [], ["train"], ["eval"], [], [], [], []]
-    assert re.search(r"^quality: ", said[0][1], re.MULTILINE) and "real, disjoint halves" in said[4][1]
+    assert "real, disjoint halves" in said[4][1]
     assert len(list(Path("made").glob("*.bvh"))) == 1
     page = Path("results/report.html").read_text(encoding="utf-8")
     assert "Run nano" in page and page.count("<iframe ") == 2 and "real motion" in page

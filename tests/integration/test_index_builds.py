@@ -82,7 +82,6 @@ def test_what_is_missing_is_counted_by_dataset(motionkit, amass, humanml3d, tmp_
     with (humanml3d / "index.csv").open("a") as file:
         file.write("./pose_data/KIT/3/broken_poses.npy,0,10,000006.npy\n")
         file.write("./pose_data/KIT/3/kick_poses.npy,200,240,000007.npy\n")
-        file.write("./pose_data/../../x.npy,0,10,000008.npy\n")
     arguments = ("ingest", amass, "--index", humanml3d / "index.csv", "--store", tmp_path / "s", "--workers", 1)
     outcome = motionkit(*arguments, "--json")
     assert outcome.code == 0
@@ -95,7 +94,7 @@ def test_what_is_missing_is_counted_by_dataset(motionkit, amass, humanml3d, tmp_
         "BioMotionLab_NTroje": {"found": 1, "missing": 0, "failed": 0},
         "Transitions_mocap": {"found": 1, "missing": 0, "failed": 0},
     }
-    assert told["failed"] == {"missing-file": 2, "path": 1, "not-what-it-says": 1, "beyond-end": 1}
+    assert told["failed"] == {"missing-file": 2, "not-what-it-says": 1, "beyond-end": 1}
     assert f"{humanml3d}/index.csv, line 4: 000002" in outcome.stderr and "humanml3d/000007" in outcome.stderr
     again = motionkit(*arguments)
     assert "already there: 5" in again.stdout
