@@ -112,17 +112,17 @@ def _upward(poses: Float[np.ndarray, "*batch 22 3"]) -> Float[np.ndarray, "*batc
 
 def _size_message(metres: float, advice: str) -> str:
     """What is wrong with a body's size; `advice` is what to do with the unit's metres."""
-    found = f"a body measures {metres:.3g} m from ankle to head, people {TYPICAL_HEIGHT_METRES} m"
+    measured = f"a body measures {metres:.3g} m from ankle to head, people {TYPICAL_HEIGHT_METRES} m"
     units = {**UNITS, "KIT-ML's unit": humanml3d.KIT.unit_metres}
     fitting = [(name, unit) for name, unit in units.items() if is_plausible(metres * unit)]
     if not fitting:
         needed = TYPICAL_HEIGHT_METRES / metres if metres > 0 else np.inf
         return (
-            f"{found}, which no usual unit explains (a unit of {needed:.3g} m would): are these positions of the 22 "
+            f"{measured}, which no usual unit explains (a unit of {needed:.3g} m would): are these positions of the 22 "
             "SMPL joints?"
         )
     name, unit = min(fitting, key=lambda entry: abs(np.log(metres * entry[1] / TYPICAL_HEIGHT_METRES)))
-    return f"{found}; {advice.format(unit)} if the positions are in {name} ({metres * unit:.2f} m)"
+    return f"{measured}; {advice.format(unit)} if the positions are in {name} ({metres * unit:.2f} m)"
 
 
 def upright(motions: Sequence[SampleMotion], up: str) -> tuple[list[SampleMotion], str]:
@@ -193,11 +193,11 @@ def root_disagreement(vectors: Float[np.ndarray, "rows numbers"]) -> float:
     1 for vectors in the right units, and if both vary too little to tell.
     """
     layout = LAYOUT_BY_WIDTH[vectors.shape[1]]
-    part = layout_of(layout.skeleton.num_joints).vector
-    first = part.joint_velocities.start
+    slices = layout_of(layout.skeleton.num_joints).vector
+    first = slices.joint_velocities.start
     own, joint = (
         float(np.linalg.norm(vectors[:, columns].std(axis=0, dtype=np.float64))) * layout.unit_metres
-        for columns in (part.root_velocity, [first, first + 2])
+        for columns in (slices.root_velocity, [first, first + 2])
     )
     return own / joint if max(own, joint) > LEAST_STEP_METRES and joint > 0 else 1.0
 
@@ -206,7 +206,7 @@ def _local_joints(vectors: Float[np.ndarray, "rows numbers"]) -> Float32[np.ndar
     """Poses in metres, without their path."""
     layout = LAYOUT_BY_WIDTH[vectors.shape[1]]
     joints = np.zeros((len(vectors), layout.skeleton.num_joints, 3), dtype=np.float32)
-    part = layout_of(layout.skeleton.num_joints).vector
-    joints[:, 1:] = vectors[:, part.joint_positions].reshape(len(vectors), -1, 3)
-    joints[:, 0, 1] = vectors[:, part.root_height][:, 0]
+    slices = layout_of(layout.skeleton.num_joints).vector
+    joints[:, 1:] = vectors[:, slices.joint_positions].reshape(len(vectors), -1, 3)
+    joints[:, 0, 1] = vectors[:, slices.root_height][:, 0]
     return joints * np.float32(layout.unit_metres)

@@ -63,10 +63,10 @@ def list_samples(name: str, source: Path) -> Listing:
     # What cannot be listed is one of the problems that `scan` finds below.
     folders = list(walk(root, _is_claimed, lambda error: None)) if only is None else [(root, [only])]
     rows, problems, warnings = _rows(folders)
-    found = scan([source])
+    scanned = scan([source])
     known = {problem.path for problem in problems}
-    problems += [each for each in found.problems if each.reason not in HANDLED_HERE and each.path not in known]
-    items = [item for item in found.items if item.format not in PLAIN_ARRAYS]
+    problems += [each for each in scanned.problems if each.reason not in HANDLED_HERE and each.path not in known]
+    items = [item for item in scanned.items if item.format not in PLAIN_ARRAYS]
     taken = {item.path for item in items}
     arrays = [
         path

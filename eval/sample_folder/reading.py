@@ -57,11 +57,11 @@ def read_sample_folder(
     num_of_arrays = 0
     files: tuple[Path | SourceItem, ...] = (*listing.arrays, *listing.items)
     for number, file in enumerate(files):
-        for found in reader.motions(file):
-            if isinstance(found, FormatError):
-                left_out.append(found)
+        for motion in reader.motions(file):
+            if isinstance(motion, FormatError):
+                left_out.append(motion)
             else:
-                motions.append(found)
+                motions.append(motion)
                 paths.append(file.path if isinstance(file, SourceItem) else file)
         if number + 1 == len(listing.arrays):
             num_of_arrays = len(motions)

@@ -89,18 +89,18 @@ def read_answers(paths: Iterable[Path], key: Key, missing: Missing) -> dict[str,
 
     A participant counts once.
     """
-    found: dict[str, dict[int, str]] = {}
+    answers: dict[str, dict[int, str]] = {}
     for path in paths:
         try:
             participant, choices = _answers(path, key)
         except (MotionkitError, OSError) as error:
             missing.add(str(error))
             continue
-        if participant in found:
+        if participant in answers:
             missing.add(f"{path}: the answers of participant {participant} are in another file already")
         else:
-            found[participant] = choices
-    return found
+            answers[participant] = choices
+    return answers
 
 
 def _answers(path: Path, key: Key) -> tuple[str, dict[int, str]]:
@@ -108,8 +108,8 @@ def _answers(path: Path, key: Key) -> tuple[str, dict[int, str]]:
     if document.get("format") != ANSWERS_FORMAT:
         raise StudyError(f"{path}: not the answers of a study: the page's last button downloads these")
     if document.get("study") != key.study:
-        found = shown(str(document.get("study")))
-        raise StudyError(f"{path}: answers of another study, {found}; the key is of {key.study}")
+        other = shown(str(document.get("study")))
+        raise StudyError(f"{path}: answers of another study, {other}; the key is of {key.study}")
     try:
         answers = [each for each in document["answers"] if each is not None]
         choices = {each["trial"]: each["choice"] for each in answers}

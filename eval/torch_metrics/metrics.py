@@ -160,9 +160,9 @@ class RPrecision(Metric):
     def compute(self) -> dict[str, Float[Tensor, ""]]:
         """`r_precision_top1` … `3` and `mm_dist`, float64. Raises `ValueError` for fewer pairs than a pool."""
         queries, candidates = rows_of(self.queries, "pairs"), rows_of(self.candidates, "pairs")
-        found = r_precision(queries, candidates, rng=np.random.default_rng(self.seed), pool=self.pool)
-        values = {f"r_precision_top{rank}": share for rank, share in enumerate(found.top.tolist(), start=1)}
-        values["mm_dist"] = found.matching_distance
+        precision = r_precision(queries, candidates, rng=np.random.default_rng(self.seed), pool=self.pool)
+        values = {f"r_precision_top{rank}": share for rank, share in enumerate(precision.top.tolist(), start=1)}
+        values["mm_dist"] = precision.matching_distance
         return {name: torch.tensor(value, dtype=torch.float64, device=self.device) for name, value in values.items()}
 
 
@@ -235,8 +235,8 @@ class ClipFID(Metric):
         ends = np.cumsum(rows_of(self.num_frames, "motions"))
         generated = np.split(rows_of(self.positions, "motions"), ends[:-1])
         samples = samples_of("generated", generated, self.fps)
-        found = self._comparison.scores({"generated": samples})["generated"]
-        values = {"clip_fid": found.value, "clip_fid_ci95": found.ci95}
+        score = self._comparison.scores({"generated": samples})["generated"]
+        values = {"clip_fid": score.value, "clip_fid_ci95": score.ci95}
         return {name: torch.tensor(value, dtype=torch.float64, device=self.device) for name, value in values.items()}
 
     @cached_property

@@ -118,8 +118,8 @@ def read_word_vectors(folder: Path) -> WordVectors:
         raise GuoError(f"{path}: expected finite floating-point numbers")
     for word in (START, END, UNKNOWN, *words):
         if not 0 <= places.get(word, -1) < len(vectors):
-            found = f"row {places[word]} of {len(vectors)}" if word in places else "missing"
-            raise GuoError(f"{folder}: the word {word!r} is {found} in {PREFIX}_idx.pkl")
+            place = f"row {places[word]} of {len(vectors)}" if word in places else "missing"
+            raise GuoError(f"{folder}: the word {word!r} is {place} in {PREFIX}_idx.pkl")
     return WordVectors(vectors.astype(np.float64), {word: places[word] for word in (START, END, UNKNOWN, *words)})
 
 
