@@ -115,8 +115,3 @@ def test_disjoint_halves_score_more_than_independent_draws() -> None:
     assert halves.value > 5 * independent.value
     with pytest.raises(ClipError, match="cannot be split"):
         score_disjoint_halves(real.select([0]), FirstAndLastHeight(), SMALL)
-
-
-def test_framerates_must_agree() -> None:
-    with pytest.raises(ValueError, match="at 20 fps, the real set at 60"):
-        score_rows(ramps("a", [90]), {"b": ramps("b", [90], fps=Fraction(20))}, FirstAndLastHeight(), SMALL)
