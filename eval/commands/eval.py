@@ -290,14 +290,8 @@ def _build(config: "EvalConfig", table: "Table") -> "Result":
         command = f"motionkit train --for {table.target}{paper}{named}"
         stderr.print(f"no rows of {', '.join(lacking)}: {command} trains the missing ones")
     path = write_result(result, config.results)
-    if result.figure:
-        from eval.report.curves import calibration_figure
-        from eval.report.figures import save
-
-        save(calibration_figure(result), config.results / result.figure)
     write_whole(path.with_suffix(".md"), to_markdown(result))
-    beside = " and ".join(filter(None, (path.with_suffix(".md").name, result.figure)))
-    stderr.print(f"written: {path}, beside it {beside}")
+    stderr.print(f"written: {path}, beside it {path.with_suffix('.md').name}")
     return result
 
 

@@ -92,42 +92,6 @@ def mean_vector_distance(
     return float(np.linalg.norm(checked_difference(predicted, target), axis=-1).mean())
 
 
-def bone_length_variation(positions: Float[np.ndarray, "frames joints 3"], parents: tuple[int, ...]) -> float:
-    """Mean over bones of (standard deviation over frames ÷ mean length), ddof 0, of one sequence; 0 for a rigid body.
-
-    `parents` are indices of parent joints, −1 for the root. Bones of length zero (joints on their parent in every
-    frame) are ignored. Raises `ValueError` if no bone is left, for NaN or infinity. Defined here.
-    """
-    lengths = _lengths(positions, parents)
-    mean = lengths.mean(axis=0)
-    if not (mean > 0).any():
-        raise ValueError("all joints lie on their parents: there is no bone to measure")
-    return float((lengths.std(axis=0)[mean > 0] / mean[mean > 0]).mean())
-
-
-def bone_length_error(
-    predicted: Float[np.ndarray, "frames joints 3"],
-    target: Float[np.ndarray, "frames joints 3"],
-    parents: tuple[int, ...],
-) -> float:
-    """Mean absolute difference of predicted and true bone lengths over frames and bones, metres. Defined here."""
-    if predicted.shape != target.shape:
-        raise ValueError(f"predicted is {predicted.shape}, target is {target.shape}; they must agree")
-    return float(np.abs(_lengths(predicted, parents) - _lengths(target, parents)).mean())
-
-
-def _lengths(
-    positions: Float[np.ndarray, "frames joints 3"], parents: tuple[int, ...]
-) -> Float64[np.ndarray, "frames bones"]:
-    if len(parents) != positions.shape[1]:
-        raise ValueError(f"there are {positions.shape[1]} joints and {len(parents)} parents")
-    joints = np.array([joint for joint, parent in enumerate(parents) if parent >= 0], dtype=np.int64)
-    if not joints.size:
-        raise ValueError("a skeleton of roots alone has no bones")
-    values = checked_features(positions.reshape(len(positions), -1), "positions", minimum=1).reshape(positions.shape)
-    return np.asarray(np.linalg.norm(values[:, joints] - values[:, np.array(parents)[joints]], axis=-1))
-
-
 def velocity_error(
     predicted: Float[np.ndarray, "*clips frames joints 3"],
     target: Float[np.ndarray, "*clips frames joints 3"],
@@ -361,29 +325,6 @@ def _feet_and_speed(
     return values, np.hypot(steps[..., 0], steps[..., 1]) * checked_fps(fps)
 
 
-CONTACT_SPEED = 0.894
-
-
-def contact_consistency(
-    contacts: Float[np.ndarray, "labels labelled_feet"],
-    feet: Float[np.ndarray, "frames feet 3"],
-    fps: float,
-    contact_speed: float = CONTACT_SPEED,
-) -> float:
-    """Fraction of labels (frames × foot joints) that agree with the speed of the foot at that frame.
-
-    A label above ½ says contact; a foot is in contact when it moves slower than `contact_speed` (m/s, all three axes;
-    0.894 is HumanML3D's threshold at 20 fps) to the next frame. The last frame is ignored. Defined here: there is no
-    published definition.
-    """
-    if feet.shape[:2] != contacts.shape or not contacts.shape[1]:
-        raise ValueError(f"contacts are {contacts.shape}, feet are {feet.shape}: the same frames and foot joints")
-    labels = checked_features(contacts, "contacts", minimum=2) > 0.5
-    values = checked_features(feet.reshape(len(feet), -1), "feet", minimum=2).reshape(feet.shape)
-    speed = np.linalg.norm(np.diff(values, axis=0), axis=-1) * checked_fps(fps)
-    return float((labels[:-1] == (speed < contact_speed)).mean())
-
-
 _PAIR: Arguments = "predicted, target"
 _ONE: Arguments = "one set"
 _CLIPS: Arguments = "predicted, target, fps"
@@ -405,10 +346,6 @@ METRICS = (
     Metric(
         "mean_vector_distance", "MRE (L2 norm)", "raw", False, "NeRM Table 4", _PAIR, mean_vector_distance, by_frames
     ),
-    Metric(
-        "bone_length_variation", "Bone-length variation", "", False, "motionkit", _ONE, bone_length_variation, by_frames
-    ),
-    Metric("bone_length_error", "Bone-length error", "m", False, "motionkit", _PAIR, bone_length_error, by_frames),
     Metric(
         "velocity_error",
         "Velocity error",
@@ -455,5 +392,4 @@ METRICS = (
     Metric("psnr", "PSNR", "dB", True, "motionkit", _PAIR, psnr, by_clips),
     Metric("ssim", "SSIM", "", True, "Wang et al. 2004", _PAIR, ssim, by_clips),
     Metric("skating_speed", "Foot skating", "m/s", False, "Zhang et al. 2018; NeMF", _ONE, skating_speed, by_steps),
-    Metric("contact_consistency", "Contact consistency", "", True, "motionkit", _ONE, contact_consistency, by_steps),
 )

@@ -105,8 +105,7 @@ def contact_share(positions: Positions, fps: Framerate) -> float | None:
 def height_speed_agreement(positions: Positions, fps: Framerate) -> float | None:
     """Fraction of (time × foot joints) in which height and speed agree on contact: low and under 0.25 m/s, or neither.
 
-    They disagree for a foot that slides on the ground or stops in the air, which real feet do too, but less. Needs no
-    labels; `contact_consistency` compares labels with the speed.
+    They disagree for a foot that slides on the ground or stops in the air, which real feet do too, but less.
     """
     rests = foot_rests(positions, fps)
     return float((rests.low == (rests.speed < SLIDING_SPEED)).mean()) if len(rests.low) else None

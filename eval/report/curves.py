@@ -1,17 +1,12 @@
-"""Results as curves: seconds against quality, columns of a table over the framerate, calibrations."""
+"""Results as curves: seconds against quality, columns of a table over the framerate."""
 
 import re
-from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from eval.calibration import DISJOINT, FLAT, MAX_FLAT_RATIO, TASK, level_name
-from eval.report.figures import BLUE, CURVE_COLOURS, FRAMERATE_LABEL, GREY, MARKERS, Curve, Panel, curves_figure
-from eval.report.results import Block, Cell, Result, ResultError, Row
-from eval.sets.corruptions import Family, damages
+from eval.report.figures import BLUE, FRAMERATE_LABEL, GREY, Curve, Panel, curves_figure
+from eval.report.results import Block, Result, Row
 
 
 def cost_figure(result: Result, width_inches: float = 6.4) -> Figure | None:
@@ -112,95 +107,6 @@ def _number(column: str) -> float:
 
 
 def figure_of(result: Result) -> Figure | None:
-    """A calibration, or a table over framerates or over seconds and a quality, drawn; None for any other."""
+    """A table over framerates, or over seconds and a quality, drawn; None for any other."""
     panels = panels_of(result)
-    if result.task == TASK:
-        return calibration_figure(result)
-    if panels:
-        return curves_figure(panels)
-    return cost_figure(result)
-
-
-PANEL_INCHES, PANELS_A_LINE = (3.1, 3.0), 3
-
-
-def calibration_figure(result: Result) -> Figure:
-    """Scores of every level in multiples of the same-take floor, on a logarithmic axis, with 95 % intervals.
-
-    The shaded band is where a harmless transform must stay, the dotted lines are the floors of disjoint takes (P2).
-    Raises `ResultError` if the result is not a calibration.
-    """
-    blocks = [block for block in result.blocks if block.provenance.get("shows") == "scores" and block.columns]
-    if not blocks:
-        raise ResultError(f"{result.title}: there is no calibration to draw in this result")
-    kinds = damages()
-    width, height = PANEL_INCHES
-    lines = -(-(len(kinds) + 1) // PANELS_A_LINE)
-    size = (width * PANELS_A_LINE, height * lines * len(blocks) + 0.7)
-    figure = Figure(figsize=size, layout="constrained")
-    grid = figure.subplots(lines * len(blocks), PANELS_A_LINE, squeeze=False, sharey=True)
-    for number, block in enumerate(blocks):
-        rows = {row.name: row for row in block.rows}
-        places = grid[number * lines : (number + 1) * lines].ravel()
-        _draw_flat(places[0], block, [row for row in block.rows if row.name.startswith(FLAT)])
-        for axes, family in zip(places[1:], kinds, strict=False):
-            _draw_family(axes, block, rows, family)
-        for axes in places[: len(kinds) + 1]:
-            _finish(axes, block, rows)
-        for axes in places[len(kinds) + 1 :]:
-            axes.set_visible(False)
-        places[0].set_ylabel(f"{block.provenance['features']}\nmultiples of the same-take floor", fontsize=9)
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=9, frameon=False)
-    return figure
-
-
-def _draw_flat(axes: Axes, block: Block, rows: Sequence[Row]) -> None:
-    for index, column in enumerate(block.columns):
-        _draw_curve(axes, index, column, [row.cells.get(column) for row in rows], line="")
-    labels = [row.name.removeprefix(FLAT) for row in rows]
-    axes.set_xticks(range(len(rows)), [_wrapped(label) for label in labels], fontsize=6.5, rotation=35, ha="right")
-    axes.set_title("harmless", fontsize=10, loc="left")
-
-
-def _draw_family(axes: Axes, block: Block, rows: dict[str, Row], family: Family) -> None:
-    """A family's levels from mild to severe; levels without damage at a framerate are left out of its curve."""
-    for index, column in enumerate(block.columns):
-        found = [rows.get(level_name(family, level)) for level in family.levels]
-        _draw_curve(axes, index, column, [row.cells.get(column) if row else None for row in found], line="-")
-    axes.set_xticks(range(len(family.levels)), [f"{level:g}" for level in family.levels], fontsize=8)
-    axes.set_xlabel(family.unit, fontsize=8.5)
-    axes.set_title(family.name, fontsize=10, loc="left")
-
-
-def _draw_curve(axes: Axes, index: int, column: str, cells: Sequence[Cell | None], line: str) -> None:
-    present = [(place, cell) for place, cell in enumerate(cells) if cell is not None]
-    if not present:
-        return
-    places = np.array([place for place, _ in present], dtype=np.float64)
-    values = np.array([cell.value for _, cell in present])
-    widths = np.array([cell.ci95 or 0.0 for _, cell in present])
-    colour, marker = CURVE_COLOURS[index % len(CURVE_COLOURS)], MARKERS[index % len(MARKERS)]
-    below = np.minimum(widths, 0.99 * values)
-    axes.errorbar(
-        places, values, yerr=np.stack((below, widths)), fmt=f"{line}{marker}", color=colour, label=column,
-        markersize=4, linewidth=1.4, elinewidth=1.0, capsize=2,
-    )  # fmt: skip
-
-
-def _finish(axes: Axes, block: Block, rows: dict[str, Row]) -> None:
-    axes.set_yscale("log")
-    axes.axhspan(1.0 / MAX_FLAT_RATIO, MAX_FLAT_RATIO, color=GREY, alpha=0.15, linewidth=0)
-    for index, column in enumerate(block.columns):
-        cell = rows[DISJOINT].cells.get(column) if DISJOINT in rows else None
-        if cell is not None:
-            axes.axhline(cell.value, color=CURVE_COLOURS[index % len(CURVE_COLOURS)], linestyle=":", linewidth=0.9)
-    axes.grid(axis="y", color="#E4E4E4", linewidth=0.6)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.tick_params(axis="y", labelsize=8)
-
-
-def _wrapped(label: str, width: int = 20) -> str:
-    import textwrap
-
-    return "\n".join(textwrap.wrap(label, width))
+    return curves_figure(panels) if panels else cost_figure(result)

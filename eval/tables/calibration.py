@@ -29,7 +29,6 @@ from eval.tables.table import Content, Table
 from motionkit.core.progress import task
 from motionkit.store.reader import Store
 
-FIGURE = f"{TASK}.png"
 CLIP_FID_COLUMN = "clip-FID"
 HIDDEN = "hidden from every figure"
 PROFILE_NOTE = (
@@ -68,7 +67,6 @@ def compute(config: EvalConfig, store: Store) -> Content:
         blocks=blocks,
         definition={"min_spearman": MIN_SPEARMAN, "max_flat_ratio": MAX_FLAT_RATIO},
         notes=(f"Real sets: {'; '.join(sets)}.",) if held else (),
-        figure=FIGURE if blocks else "",
     )
 
 

@@ -44,7 +44,6 @@ class Content:
     notes: tuple[str, ...] = ()
     runs: tuple[Path, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    figure: str = ""
 
 
 @dataclass(frozen=True)
@@ -100,7 +99,6 @@ class Table:
             notes=content.notes,
             missing=config.missing.lines,
             provenance=config.provenance(store, *content.runs, **content.provenance),
-            figure=content.figure,
         )
 
 

@@ -130,13 +130,6 @@ def test_calibration(motionkit: Command, store: Path, tmp_path: Path) -> None:
     assert abs(timing["low-passed at 8 Hz"]) < 0.2
     assert len(timing) == 68
     assert result["notes"] == ["Real sets: 60 fps: 4 sequences, 20 s."]
-    assert "](calibration.png)" in (tmp_path / "calibration.md").read_text()
-    drawn = (tmp_path / "calibration.png").read_bytes()
-    assert drawn.startswith(b"\x89PNG")
-    (tmp_path / "calibration.png").unlink()
-    again = motionkit("report", "--results", tmp_path, "--format", "png")
-    assert again.stdout.split() == [str(tmp_path / "calibration.png")]
-    assert (tmp_path / "calibration.png").read_bytes() == drawn
 
 
 def test_sets_that_mislead_are_named_under_the_table(motionkit: Command, store: Path, tmp_path: Path) -> None:

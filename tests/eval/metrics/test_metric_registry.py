@@ -1,7 +1,6 @@
 """The registry: what it says of each metric is so; streams equal the whole, whatever the batches and ranks."""
 
 import inspect
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -57,9 +56,6 @@ def arrays_of(metric: Metric, rng: np.random.Generator) -> tuple[tuple[np.ndarra
         "acceleration_error": (tuple(motion), per_second),
         "jerk_error": (tuple(motion), per_second),
         "skating_speed": ((motion[0],), per_second),
-        "contact_consistency": ((rng.uniform(size=(12, 20, 4)), motion[0]), {**per_second, "contact_speed": 2.5}),
-        "bone_length_variation": ((motion[0],), {"parents": parents}),
-        "bone_length_error": (tuple(motion), {"parents": parents}),
         "psnr": ((*vectors, np.tile(np.arange(20) % 3 == 1, (12, 1))), {}),
         "ssim": (tuple(vectors), {}),
         "l2p": (tuple(motion), {"std": rng.uniform(0.5, 1, size=(4, 3))}),
@@ -99,54 +95,9 @@ def test_streams_do_not_depend_on_batches_or_ranks(metric: Metric) -> None:
 
 
 PER_FRAME = {
-    "accuracy", "mpjpe", "mpjpe_global", "mpjpe_procrustes", "mre", "mean_vector_distance", "bone_length_error",
+    "accuracy", "mpjpe", "mpjpe_global", "mpjpe_procrustes", "mre", "mean_vector_distance",
     "rotation_angle_error", "clip_score", "tmr_score",
 }  # fmt: skip
-
-
-def by_steps(metric: Metric, order: int) -> Callable[..., float]:
-    """The metric over every stretch of order + 1 frames on its own: all that its mean is over."""
-
-    def function(*arrays: np.ndarray, **settings: object) -> float:
-        stretches = range(len(arrays[0]) - order)
-        values = [metric.function(*(array[k : k + order + 1] for array in arrays), **settings) for k in stretches]
-        return float(np.mean(np.asarray(values, dtype=np.float64)))
-
-    return function
-
-
-@pytest.mark.parametrize(
-    ("name", "order"),
-    [
-        ("velocity_error", 1),
-        ("acceleration_error", 2),
-        ("jerk_error", 3),
-        ("skating_speed", 1),
-        ("contact_consistency", 1),
-    ],
-)
-def test_weights_of_per_second_metrics_are_the_steps_that_they_average(name: str, order: int) -> None:
-    metric = find_metric(name)
-    arrays, settings = arrays_of(metric, np.random.default_rng(1))
-    whole = [array[0] for array in arrays]
-    stream = MeanStream(metric)
-    # Stretches that share their border frames hold every step once.
-    for start, stop in ((0, 7), (7, 9), (9, 20 - order)):
-        stream.update(*(array[start : stop + order] for array in whole), **settings)
-    value = metric.function(*whole, **settings)
-    assert 0 < value != 1
-    assert stream.value == pytest.approx(value, rel=1e-10)
-    assert by_steps(metric, order)(*whole, **settings) == pytest.approx(value, rel=1e-10)
-
-
-def test_multimodality_of_texts_is_the_mean_over_batches_of_texts() -> None:
-    features = np.random.default_rng(0).normal(size=(6, 20, 3))
-    rng, stream = np.random.default_rng(5), MeanStream(find_metric("multimodality"))
-    for batch in np.split(features, (1, 4)):
-        stream.update(batch, rng=rng)
-    # permuted() goes on through the same stream of random numbers, text after text.
-    whole = find_metric("multimodality").function(features, rng=np.random.default_rng(5))
-    assert stream.value == pytest.approx(whole, rel=1e-12)
 
 
 def test_r_precision_of_pools_merges() -> None:

@@ -1,6 +1,5 @@
 """Derivative errors, foot skating, contacts and bone lengths: analytic motion, loops over frames, refusals."""
 
-from fractions import Fraction
 from itertools import pairwise
 
 import numpy as np
@@ -9,19 +8,13 @@ from scipy.spatial.transform import Rotation
 
 from eval.metrics.motion import (
     acceleration_error,
-    bone_length_error,
-    bone_length_variation,
-    contact_consistency,
     jerk_error,
     rotation_angle_error,
     skating_speed,
     velocity_error,
 )
-from motionkit.features.native import vectors
 
-HUMANML3D_CONTACTS = slice(259, 263)
 ERRORS = (velocity_error, acceleration_error, jerk_error)
-CHAIN = (-1, 0, 1)
 
 
 def seconds(fps: float, duration: float = 2.0) -> np.ndarray:
@@ -55,13 +48,6 @@ def test_derivative_errors_agree_with_loops_over_both_motions() -> None:
         pairs = zip(derivative(predicted, order), derivative(target, order), strict=True)
         expected = np.mean([np.sqrt(((a[j] - b[j]) ** 2).sum()) for a, b in pairs for j in range(4)])
         assert error(predicted, target, 25.0) == pytest.approx(expected, rel=1e-12)
-
-
-def test_clips_are_differentiated_each_by_itself() -> None:
-    predicted, target = np.random.default_rng(2).normal(size=(2, 4, 9, 3, 3))
-    for error in ERRORS:
-        alone = np.mean([error(one, other, 30.0) for one, other in zip(predicted, target, strict=True)])
-        assert error(predicted, target, 30.0) == pytest.approx(alone, rel=1e-12)
 
 
 def test_rotation_error_is_the_angle_between_whatever_the_signs() -> None:
@@ -107,50 +93,6 @@ def test_skating_agrees_with_loops() -> None:
     assert skating_speed(feet, 10.0, (0.08, 0.04)) == pytest.approx(total / 58, rel=1e-12)
 
 
-def test_contact_labels_against_what_feet_do() -> None:
-    feet = sliding_feet(20.0, 0.0, 1.0)
-    honest = np.ones(feet.shape[:2])
-    honest[:, 0] = 0.0
-    assert contact_consistency(honest, feet, 20.0) == 1.0
-    assert contact_consistency(1.0 - honest, feet, 20.0) == 0.0
-    assert contact_consistency(np.ones_like(honest), feet, 20.0) == 0.75
-    assert contact_consistency(np.ones_like(honest), feet, 20.0, contact_speed=1.1) == 1.0
-
-
-def test_native_vectors_are_consistent_with_their_own_joints() -> None:
-    time = seconds(60.0)[:, None, None]
-    rng = np.random.default_rng(3)
-    phase, rate = rng.uniform(0, 6, (22, 3)), rng.uniform(1, 9, (22, 3))
-    positions = (0.3 * np.sin(rate * time + phase)).astype(np.float32)
-    contacts = vectors(positions, "smpl22", Fraction(60))[:, HUMANML3D_CONTACTS]
-    feet = positions[: len(contacts), [7, 10, 8, 11]]
-    assert 0.05 < contacts.mean() < 0.95
-    # Their velocities are central differences, so labels may differ where a foot crosses the threshold.
-    assert contact_consistency(contacts, feet, 60.0) > 0.97
-    assert contact_consistency(contacts[:, ::-1].copy(), feet, 60.0) < 0.9
-
-
-def test_rigid_bones_and_one_that_stretches() -> None:
-    positions = np.zeros((40, 3, 3))
-    positions[:, 1] = [0.0, 0.5, 0.0]
-    angle = seconds(20.0)[:40]
-    positions[:, 2] = positions[:, 1] + 0.25 * np.stack((np.sin(angle), np.cos(angle), 0 * angle), axis=1)
-    assert bone_length_variation(positions, CHAIN) == pytest.approx(0.0, abs=1e-12)
-    stretched = positions.copy()
-    stretched[::2, 1:, 1] += 0.1
-    # The first bone is 0.6 and 0.5 in turns: standard deviation 0.05 around 0.55; the second one goes along.
-    assert bone_length_variation(stretched, CHAIN) == pytest.approx(0.05 / 0.55 / 2)
-    assert bone_length_error(stretched, positions, CHAIN) == pytest.approx(0.1 / 2 / 2)
-
-
-def test_bones_without_length_do_not_count() -> None:
-    positions = np.zeros((5, 3, 3))
-    positions[:, 2, 0] = 1.0
-    assert bone_length_variation(positions, (-1, 0, 0)) == 0.0
-    with pytest.raises(ValueError, match="no bone"):
-        bone_length_variation(positions[:, :2], (-1, 0))
-
-
 def test_refusals() -> None:
     motion = np.zeros((3, 2, 3))
     broken = motion.copy()
@@ -166,11 +108,3 @@ def test_refusals() -> None:
         skating_speed(broken, 20.0, (0.1, 0.1))
     with pytest.raises(ValueError, match="2 foot joints and heights"):
         skating_speed(motion, 20.0)
-    with pytest.raises(ValueError, match="the same frames and foot joints"):
-        contact_consistency(np.zeros((3, 1)), motion, 20.0)
-    with pytest.raises(ValueError, match="the first is row 1"):
-        contact_consistency(np.zeros((3, 2)), broken, 20.0)
-    with pytest.raises(ValueError, match="2 joints and 3 parents"):
-        bone_length_variation(motion, CHAIN)
-    with pytest.raises(ValueError, match="the first is row 1"):
-        bone_length_error(broken, motion, (-1, 0))

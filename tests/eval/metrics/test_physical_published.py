@@ -11,7 +11,6 @@ from eval.metrics.physical_published import (
     kimodo_skate_ratio,
     mbench_foot_floating,
     mbench_foot_sliding,
-    mbench_jitter,
     mbench_penetration,
     mdm_contact_loss,
     mdm_contact_share,
@@ -96,17 +95,6 @@ def test_feet_that_hang_by_mbench() -> None:
     waving[:, TOES, 2] += 0.05 * np.arange(len(waving))[:, None]
     waving[:, TOES[0], 0] += 0.3 * np.sin(2 * np.pi * np.arange(len(waving)) / 8)
     assert mbench_foot_floating(waving, 20.0) == 1.0
-
-
-def test_jitter_of_a_parabola_falls_with_the_square_of_the_framerate() -> None:
-    for fps in (20.0, 120.0):
-        time = np.arange(int(2 * fps))[:, None] / fps
-        positions = np.zeros((len(time), 22, 3))
-        positions[:, :, 1] = 3.0 * time**2
-        # All joints alike: nothing moves relative to the root.
-        assert mbench_jitter(positions, fps) == pytest.approx(6.0 / fps**2)
-        positions[:, 0] = 0.0
-        assert mbench_jitter(positions, fps) == pytest.approx(2 * 21 / 22 * 6.0 / fps**2)
 
 
 @pytest.mark.parametrize("seed", range(4))

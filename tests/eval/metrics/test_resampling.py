@@ -63,14 +63,6 @@ def test_a_weighted_gaussian_is_the_gaussian_of_repeated_takes(counts: list[int]
     np.testing.assert_allclose(found.covariance, expected.covariance, atol=1e-12)
 
 
-def test_a_resampling_without_takes_has_no_number() -> None:
-    sums = UnitSums(1, np.zeros(2))
-    sums.add(np.ones((5, 2)), np.zeros(5, dtype=np.int64))
-    assert list(sums.gaussians(np.zeros((1, 1)))) == [None]
-    values = weighted_means(np.array([1.0, 3.0]), np.array([0, 1]), np.array([[0.0, 0.0], [1.0, 3.0]]))
-    assert values == (None, 2.5)
-
-
 def test_the_quick_distance_is_the_distance() -> None:
     rng = np.random.default_rng(0)
     a, b = (fit_gaussian(rng.normal(size=(50, 6)) @ rng.normal(size=(6, 6))) for _ in range(2))

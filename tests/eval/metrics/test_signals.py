@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from skimage.metrics import peak_signal_noise_ratio, structural_similarity
+from skimage.metrics import structural_similarity
 
-from eval.metrics.motion import l2p, l2q, l2q_as_signed, npss, npss_weight, psnr, ssim, to_unit_range
+from eval.metrics.motion import l2p, l2q, npss, npss_weight, psnr, ssim, to_unit_range
 
 
 def ssim_of_skimage(x: np.ndarray, y: np.ndarray) -> float:
@@ -34,19 +34,6 @@ def test_psnr_counts_synthesised_frames_only() -> None:
     assert psnr(predicted, target, ~synthesised) == math.inf
 
 
-def test_psnr_of_whole_clips_agrees_with_scikit_image() -> None:
-    predicted, target = np.random.default_rng(6).uniform(size=(2, 30, 5))
-    expected = peak_signal_noise_ratio(target, predicted, data_range=1.0)
-    assert psnr(predicted, target, np.ones(30, dtype=bool)) == pytest.approx(expected, rel=1e-12)
-
-
-def test_unit_range_spans_two_deviations() -> None:
-    mean, std = np.array([1.0, -2.0]), np.array([0.5, 3.0])
-    np.testing.assert_allclose(
-        to_unit_range(mean + np.outer([-2, 0, 2], std), mean, std), [[0] * 2, [0.5] * 2, [1] * 2]
-    )
-
-
 def test_l2p_is_a_norm_of_the_whole_pose() -> None:
     rng = np.random.default_rng(1)
     predicted, target = rng.normal(size=(2, 3, 5, 4, 3))
@@ -70,16 +57,6 @@ def test_l2q_knows_that_both_signs_are_one_rotation() -> None:
     # A turn by θ is a chord of 2·sin(θ/4) between unit quaternions; four joints make it twice as long.
     turned = Rotation.from_euler("y", 0.8) * Rotation.from_quat(target.reshape(-1, 4))
     assert l2q(turned.as_quat().reshape(target.shape), target) == pytest.approx(2 * 2 * math.sin(0.2), rel=1e-9)
-
-
-def test_signed_l2q_is_that_of_the_numbers_as_they_are() -> None:
-    rng = np.random.default_rng(4)
-    predicted, target = rng.normal(size=(2, 2, 3, 5, 4))
-    predicted, target = (q / np.linalg.norm(q, axis=-1, keepdims=True) for q in (predicted, target))
-    norms = [np.linalg.norm((predicted[c, t] - target[c, t]).ravel()) for c in range(2) for t in range(3)]
-    assert l2q_as_signed(predicted, target) == pytest.approx(np.mean(norms), rel=1e-12)
-    assert l2q(predicted, target) < l2q_as_signed(predicted, target)
-    assert l2q_as_signed(-target, target) == pytest.approx(2 * math.sqrt(5), rel=1e-12)
 
 
 def npss_by_loops(predicted: np.ndarray, target: np.ndarray) -> float:

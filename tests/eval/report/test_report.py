@@ -100,22 +100,6 @@ def test_no_name_in_a_result_leads_out_of_its_folder(key: str, name: str, result
         read_result(path)
 
 
-@pytest.mark.parametrize("value", ["1e999", "-1e999", "1" + 400 * "0", '"0.5"', "null", "[]"])
-def test_a_value_that_is_no_finite_number_is_named_and_nothing_else_is_lost(
-    value: str, result: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    broken = write_result(replace(result, task="broken"), tmp_path)
-    document = json.loads(broken.read_text())
-    broken.write_text(json.dumps(document).replace("0.01234", value))
-    write_result(result, tmp_path)
-    with pytest.raises(ResultError, match=f"1 of 2 results in '{tmp_path}' could not be read"):
-        report(tmp_path)
-    message = capsys.readouterr()
-    assert "broken.json" in message.err.replace("\n", "")
-    assert message.out == f"{tmp_path / 'report.html'}\n"
-    assert "Table 2" in (tmp_path / "report.html").read_text()
-
-
 def places(document: object, at: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
     """Where values lie in a document, itself among them."""
     yield at
@@ -157,14 +141,6 @@ def test_results_of_another_version_are_named(
     assert "skipped, not results: mine.json" in message
 
 
-def test_the_page_is_not_written_through_a_link(result: Result, tmp_path: Path) -> None:
-    write_result(result, tmp_path)
-    (tmp_path / "foreign").write_text("mine")
-    (tmp_path / "report.html").symlink_to(tmp_path / "foreign")
-    report(tmp_path)
-    assert (tmp_path / "foreign").read_text() == "mine"
-
-
 def test_nan_is_never_written(result: Result, tmp_path: Path) -> None:
     row = Row("nan", "ours", {"20 fps": Cell(float("nan"))})
     with pytest.raises(ValueError, match="JSON compliant"):
@@ -178,15 +154,6 @@ def test_markdown(result: Result) -> None:
     assert "- NeRM: no run" in text
     assert "nerm-table2, version clip-fid/1." in text
     assert "\n\n\n" not in text
-
-
-def test_further_metrics_leave_out_rows_and_columns_without_them(result: Result) -> None:
-    block = replace(result.blocks[0], rows=(*result.blocks[0].rows, Row("NeRM", "ours", {"20 fps": Cell(1.0)})))
-    whole = replace(result, blocks=(block,))
-    for text in (to_markdown(whole), to_html([whole])):
-        kid = text.split("KID")[1].split("</details>")[0]
-        assert "20 fps" in kid and "40 fps" not in kid
-        assert "real &" in kid.replace("&amp;", "&") and "NeRM" not in kid
 
 
 def test_latex_escapes_what_it_must(result: Result) -> None:
@@ -233,11 +200,6 @@ def test_a_notebook_shows_the_numbers_and_runs_nothing(result: Result) -> None:
     shown = result._repr_html_()
     assert "<td>real &amp; &lt;true&gt;</td><td>0.0123 ± 0.0010</td>" in shown
     assert "<true>" not in shown and "<script" not in shown
-
-
-def test_cards_stand_in_front_of_results(result: Result) -> None:
-    text = to_html([result], cards=["<article>corpus</article>"])
-    assert text.index("<article>corpus</article>") < text.index("Table 2</h2>")
 
 
 def test_csv_holds_every_number(result: Result) -> None:

@@ -38,15 +38,3 @@ def test_columns_are_values_of_any_one_quantity() -> None:
         if panels:
             assert panels[0].curves[0].places == tuple(float(column.strip("× framesλ=")) for column in columns)
             assert curves_figure(panels).axes[0].get_ylim()[0] > 0
-
-
-def test_blocks_without_numbers_have_no_panel() -> None:
-    empty = Block("not trained", COLUMNS, (Row("absent", "ours", {}),))
-    assert [panel.title for panel in panels_of(result(empty, OURS))] == ["kinematic"]
-
-
-def test_five_panels_stand_in_two_lines_and_the_sixth_place_is_empty() -> None:
-    figure = curves_figure(panels_of(result(*[OURS] * 5)))
-    assert [axes.get_visible() for axes in figure.axes] == [True] * 5 + [False]
-    tops = {round(axes.get_subplotspec().get_position(figure).y1, 3) for axes in figure.axes}
-    assert len(tops) == 2

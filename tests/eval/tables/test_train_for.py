@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
@@ -16,11 +16,11 @@ from eval.tables.table import Content, Table
 from eval.tables.train_for import table_that_shows
 from motionkit.cli import train as train_module
 from motionkit.cli.options import parse_duration
-from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
+from motionkit.core.errors import DamagedFileError, UsageError
 from motionkit.store import Store, StoreWriter
 from motionkit.store.commit import read_manifest
 from motionkit.training import loop as loop_module
-from motionkit.training.loop import plan_steps, train_loop
+from motionkit.training.loop import train_loop
 from motionkit.training.run import Loader, StageFolder
 from motionkit.training.stage import Stage, StageContext
 from motionkit.training.tensors import load_tensors, save_tensors
@@ -170,18 +170,6 @@ def test_what_is_complete_is_kept_and_the_rest_goes_on(world: World, monkeypatch
         assert first.read_bytes() == second.read_bytes()
 
 
-def test_a_table_says_how_its_systems_are_trained(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(train_for, "table_that_shows", lambda paper, target: replace(TABLE, settings=("steps=4",)))
-    assert {stage["steps"] for stage in run().values()} == {4}
-    assert {stage["steps"] for stage in run("--run", "other", "--set", "steps=5").values()} == {5}
-    assert table_that_shows(None, "table:3").settings == ("conditions.kind=action",)
-
-
-def test_nothing_is_trained_for_a_stage_that_needs_nothing(world: World) -> None:
-    run("--set", "codes=false")
-    assert world.trained == [name for name in ORDER if name != "codes"]
-
-
 def test_every_system_has_the_same_budget(world: World) -> None:
     found = run("--budget", "40m")
     seconds = {name: summary.get("budget_seconds") for name, summary in found.items()}
@@ -215,13 +203,6 @@ def test_a_budget_that_was_measured_is_not_measured_again(world: World, monkeypa
         run("--budget", "40m")
 
 
-def test_a_budget_too_short_leaves_nothing_behind(world: World) -> None:
-    with pytest.raises(UsageError, match=r"codes: 8 s of processor time are 0 steps of 2 s; give a larger --budget"):
-        run("--budget", "40s")
-    assert not Path("runs/nano/codes").exists()
-    assert "gan" in run("--budget", "40m")
-
-
 def test_a_budget_is_spent_by_one_thread(world: World) -> None:
     before = torch.get_num_threads()
     torch.set_num_threads(2)
@@ -231,65 +212,6 @@ def test_a_budget_is_spent_by_one_thread(world: World) -> None:
         assert torch.get_num_threads() == 2
     finally:
         torch.set_num_threads(before)
-
-
-def test_a_part_of_a_training_is_measured_all_over_it(tmp_path: Path) -> None:
-    """Early steps may be cheap: half of these cost nothing."""
-
-    class Uneven(Climb):
-        def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
-            self.clock.now += 0.0 if step < self.steps / 2 else 2.0
-            return {}
-
-    clock, folder = Clock(), StageFolder(tmp_path)
-    training = Uneven(1000, clock)
-    plan_steps(training, folder, 2000.0, 0, clock)
-    assert json.loads(folder.budget_path.read_text())["measured_seconds_a_step"] == 1.0
-    assert 1900 < training.steps < 2000
-
-
-REFUSED = {
-    "stage": (("--stage", "gan"), "give one of them"),
-    "budget": (("--budget", "20"), "--budget 20: a number above 0 with its unit, such as 90s, 20m or 1.5h"),
-    "setting": (("--set", "stepps=4"), "no setting is called 'stepps', perhaps steps"),
-    "recipe": (("--recipe", "big"), "has no recipe 'big'; it has: nano"),
-    "both": (("--resume", "--overwrite"), "exclude each other"),
-}
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_what_is_asked_amiss_is_one_line(world: World, name: str) -> None:
-    arguments, told = REFUSED[name]
-    with pytest.raises(UsageError) as found:
-        run(*arguments)
-    assert told in str(found.value) and "\n" not in str(found.value)
-    assert not world.trained
-
-
-def test_half_a_run_and_other_stores_are_found_before_anything_is_trained(world: World, tmp_path: Path) -> None:
-    run("--run", "mine")
-    mine = Path("runs/mine")
-    world.trained.clear()
-
-    def refuses(told: str, *arguments: str) -> None:
-        with pytest.raises(MotionkitError) as found:
-            run("--run", "mine", *arguments)
-        assert told in str(found.value) and "\n" not in str(found.value) and not world.trained
-
-    refuses("field was begun from other inputs (budget_seconds None → 36.0)", "--budget", "1m")
-    (mine / "judge" / "summary.json").unlink()
-    refuses("judge was begun from other inputs (seed 0 → 1)", "--seed", "1")
-    (mine / "judge" / "config.json").unlink()
-    refuses("judge cannot be resumed, for it has no config.json: train the stage again with --overwrite")
-    for path in (mine / "judge").iterdir():
-        path.unlink()
-    (mine / "field" / "summary.json").unlink()
-    refuses("denoiser was begun from other inputs (builds_on.field")
-    with StoreWriter.create(tmp_path / "store", overwrite=True) as writer:
-        from tests.motionkit.training.test_train_command import MOTION
-
-        writer.add(MOTION)
-    refuses("codes was begun from other inputs (store_fingerprint")
 
 
 def test_a_budget_of_stages_of_no_system_is_refused(world: World) -> None:
@@ -315,13 +237,6 @@ def test_tables_are_known_by_what_they_show() -> None:
         with pytest.raises(UsageError) as found:
             table_that_shows(paper, wanted)
         assert told in str(found.value)
-
-
-def test_a_system_whose_stage_is_not_installed_is_reported(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    ghost = replace(TABLE, shown=lambda: {"ghost": loader("ghost")})
-    monkeypatch.setattr(train_for, "table_that_shows", lambda paper, target: ghost)
-    with pytest.raises(UsageError, match="no stage is called 'ghost'"):
-        run()
 
 
 def test_durations_have_units() -> None:

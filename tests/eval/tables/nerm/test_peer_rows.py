@@ -9,9 +9,7 @@ import pytest
 
 from eval.clip_fid import features
 from eval.clip_fid.clips import Protocol
-from eval.sets.missing import Missing
 from eval.sets.row_ids import RowId, Variant
-from eval.tables.models import trained_models, training_note
 from eval.tables.nerm import table2
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
@@ -67,12 +65,3 @@ def test_a_peer_of_a_run_has_rows_and_the_others_have_commands(
     commands = " && ".join(f"motionkit train --stage {stage} --run run" for stage in ("mld-vae", "mld"))
     assert f"MLD: run 'run' has none ({commands})" in result.missing
     assert not any(line.startswith(NAME) for line in result.missing)
-
-
-def test_a_note_says_what_summaries_say(store: Path, tmp_path: Path) -> None:
-    config = replace(tiny_config("mdm-50"), conditions=ConditionsConfig(kind="none"))
-    train_peer("mdm-50", store, tmp_path / "run", config)
-    (trained,) = trained_models(tmp_path / "run", Missing()).values()
-    numbers = sum(parameter.numel() for parameter in trained.loaded.trained.network.parameters())
-    assert training_note(trained).startswith(f"mdm-50: {STEPS} steps, {numbers:,} parameters, ")
-    assert " s of processor time; trained at up to 20 fps" in training_note(trained)

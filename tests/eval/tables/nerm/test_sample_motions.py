@@ -71,15 +71,6 @@ def test_answers_to_one_prompt_are_draws_and_multimodality() -> None:
     assert found.draws[0].texts.tolist() == [[5, 5], [4, 4]]
 
 
-def test_prompts_that_were_answered_more_often_are_multimodality_alone() -> None:
-    captions = ["walks", "sits", "sits", "a new one"]
-    found = sample_embeddings(folder(["0", "1", "2", "3"], captions, ["a", "b", "b", "c"]), real(), NATIVE, EMBEDDER)
-    assert [draw.motions[:, 0].tolist() for draw in found.draws] == [[10, 11, 13]]
-    assert found.repeated is not None and found.repeated[..., 0].tolist() == [[11, 12]]
-    assert found.draws[0].texts[2].tolist() == [9, 0]
-    assert sample_embeddings(folder(["0"], ["sits"]), real(), NATIVE, EMBEDDER).repeated is None
-
-
 def test_samples_belong_to_real_motions_by_name_or_else_by_caption() -> None:
     named = sample_embeddings(folder(["x/r2.npy", "x/r0.npy"], ["sits", "sits"]), real(), PAIRED, EMBEDDER)
     assert named.real_rows is not None and named.real_rows.tolist() == [2, 0]
@@ -100,11 +91,6 @@ def test_samples_without_a_real_motion_are_left_out_and_reported() -> None:
     assert named.real_rows is not None and named.real_rows.tolist() == [2, 0]
     with pytest.raises(UsageError, match="protocol 'mld' compares with the real motions of the same texts"):
         sample_embeddings(folder(["0", "1"], ["unheard of", "new"]), real(), PAIRED, EMBEDDER)
-
-
-def test_long_samples_are_cropped_like_real_motions() -> None:
-    found = sample_embeddings(folder(["0", "1"], ["walks", "sits"], frames=300), real(), NATIVE, EMBEDDER)
-    assert found.draws[0].motions[:, 1].tolist() == [197, 197]
 
 
 def test_samples_without_captions_are_refused() -> None:
@@ -137,15 +123,3 @@ def test_vectors_reach_an_evaluator_that_reads_them_and_no_other() -> None:
         assert by_joints.remarks[0].startswith(BY_JOINTS) and reason in by_joints.remarks[0]
         assert by_joints.draws[0].motions.tolist() == [[10, 197], [11, 197]]
     assert sample_embeddings(kit, real(), NATIVE, EMBEDDER).remarks == ()
-
-
-def test_stored_padding_follows_whole_motions_alone() -> None:
-    short = folder(["0", "1"], ["walks", "sits"], frames=50)
-    padded = replace(short, vectors=tuple(np.full((53, 251), 70 + i, dtype=np.float32) for i in range(2)))
-    evaluator = KitVectors()
-    found = sample_embeddings(padded, real(), NATIVE, Embedder(evaluator, None))
-    assert found.draws[0].motions.tolist() == [[70, 50], [71, 50]] and evaluator.seen == [53, 53]
-    long = folder(["0", "1"], ["walks", "sits"], frames=300)
-    cropped = replace(long, vectors=tuple(np.zeros((303, 251), dtype=np.float32) for _ in range(2)))
-    sample_embeddings(cropped, real(), NATIVE, Embedder(evaluator, None))
-    assert evaluator.seen == [196, 196]

@@ -211,16 +211,6 @@ def test_embeddings_are_kept_and_motions_are_not_generated_again(
     assert models["nano"].asked == 2 * (40 + 30) + 2 * 40
 
 
-def test_fewer_motions_than_real_ones_are_a_random_choice(
-    store: Path, kept: Path, run: Path, models: dict[str, ScriptedModel]
-) -> None:
-    for published, reference in (("native", 70), ("nerm", 70), ("momask", 32)):
-        result = build(store, kept, run, max_motions=40, published=published)
-        assert rows_of(result)["NeRM"]["N"] == (32 if published == "momask" else 40)
-        notes = {row.name: row.note for row in result.blocks[0].rows}
-        assert f"against {reference} real motions, 30 motions of 1 texts" in notes["NeRM"]
-
-
 def test_a_model_that_makes_less_crops_the_real_motions(
     store: Path, kept: Path, run: Path, fixed: Path, models: dict[str, ScriptedModel]
 ) -> None:
@@ -281,23 +271,6 @@ def test_broken_and_too_few_motions_are_reported(
     assert any("NeRM, shapes: sample set 'NeRM': sequence 'motion 0' holds NaN" in line for line in told.missing)
 
 
-def test_an_evaluator_that_cannot_read_the_captions_leaves_the_others(
-    store: Path, kept: Path, run: Path, models: dict[str, ScriptedModel], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    class Deaf(Shapes):
-        name = "deaf"
-
-        def embed_texts(self, captions: Sequence[Caption]) -> np.ndarray:
-            raise MotionkitError("captions have no word/POS tokens")
-
-    monkeypatch.setattr(table1, "_guo", lambda config: Deaf())
-    result = build(store, kept, run, features=("guo", "native"))
-    assert [block.provenance["evaluator"] for block in result.blocks[:2]] == ["shapes", "shapes"]
-    assert "evaluator 'deaf': captions have no word/POS tokens" in result.missing
-    with pytest.raises(MotionkitError, match="no word/POS tokens"):
-        build(store, kept, run, features=("guo",))
-
-
 def test_samples_are_rows(store: Path, kept: Path, tmp_path: Path, models: dict[str, ScriptedModel]) -> None:
     folder = tmp_path / "mine"
     folder.mkdir()
@@ -323,8 +296,3 @@ def test_samples_are_rows(store: Path, kept: Path, tmp_path: Path, models: dict[
     (bare / "samples.toml").write_text("fps = 20\n", encoding="utf-8")
     told = build(store, kept, None, samples={"bare": bare})
     assert any("bare, shapes: --samples bare: 1 of 1 motions have no caption" in line for line in told.missing)
-
-
-def test_without_an_evaluator_there_is_no_table(store: Path, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="evaluator 'native': it belongs to a run"):
-        build(store, tmp_path / "results", None)

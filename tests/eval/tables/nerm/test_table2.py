@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from eval.clip_fid import features
-from eval.clip_fid.clips import PoseRange, Protocol
+from eval.clip_fid.clips import Protocol
 from eval.report.results import Block, Result
 from eval.sample_folder import SampleOptions
 from eval.sets.planted import VARIANT_NOTES
@@ -143,27 +143,12 @@ def test_samples_enter_the_columns_of_their_takes(store: Path, tmp_path: Path) -
 
 
 @pytest.mark.usefixtures("without_copies")
-def test_a_missing_run_leaves_its_rows_out(store: Path, tmp_path: Path) -> None:
-    result = build(store, tmp_path, run=tmp_path / "nowhere")
-    assert NERM not in rows_of(result)
-    assert any("there is no run" in line for line in result.missing)
-
-
-@pytest.mark.usefixtures("without_copies")
 def test_smoothing_every_set_hides_what_upsampling_loses(store: Path, tmp_path: Path) -> None:
     plain = rows_of(build(store, tmp_path, fps=FPS[1:]))
     result = build(store, tmp_path, fps=FPS[1:], low_pass_hz=4.0)
     smooth = rows_of(result)
     assert smooth[str(columns.SLERP)]["60 fps"] < 0.7 * plain[str(columns.SLERP)]["60 fps"]
     assert "low-passed at 4 Hz" in result.caption
-
-
-@pytest.mark.usefixtures("without_copies")
-def test_clips_that_fit_nowhere_leave_the_column_out(store: Path, tmp_path: Path) -> None:
-    protocol = Protocol(sizes=PoseRange(16, 200), num_clips=100, replications=1)
-    result = build(store, tmp_path, protocol=protocol)
-    assert set(rows_of(result)[str(columns.P1)]) == {"60 fps"}
-    assert any("no sequence has the 200 poses that a clip at 20 fps" in line for line in result.missing)
 
 
 @pytest.mark.usefixtures("without_copies")

@@ -209,24 +209,6 @@ def test_actions_are_found_however_they_are_spelt_and_single_motions_are_left_ou
         known_actions(samples, ("dance",))
 
 
-def test_a_random_choice_leaves_no_action_with_a_single_motion() -> None:
-    names = ("nod",) * 20 + ("sit",) * 2 + ("fly",) * 2
-    samples = sample_set(
-        "some", FPS, [acted("nod", i, 40) for i in range(24)], [str(i) for i in range(24)], actions=names
-    )
-    real = known_actions(samples, ("nod", "sit", "fly"))
-    sizes = set()
-    for seed in range(10):
-        chosen = real.at_most(8, seed)
-        assert set(np.unique(chosen.labels, return_counts=True)[1]).isdisjoint({1})
-        assert [names[int(each)] for each in chosen.samples.sequence_ids] == list(chosen.samples.actions)
-        sizes.add(chosen.samples.num_sequences)
-    assert max(sizes) == 8 and len(sizes) > 1
-    assert real.at_most(24, 0) is real
-    with pytest.raises(NoActionsError, match="1 randomly chosen motions have no action in common"):
-        real.at_most(1, 0)
-
-
 def turning(num_frames: int, seed: int, joints: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
     vectors = rng.normal(size=(1, joints, 3)) + 0.02 * rng.normal(size=(num_frames, joints, 3)).cumsum(axis=0)
@@ -260,9 +242,3 @@ def test_rotations_come_from_the_store_at_the_recognisers_framerate(tmp_path: Pa
     result = build(store.path, tmp_path, features=("uestc",), guo=GuoFiles(tmp_path / "uestc.tar"))
     assert set(rows_of(result)["real (test)"]) == {"FID (train)", "Accuracy", "Diversity", "MultiModality"}
     assert [block.title[:40] for block in result.blocks[2:]] == ["Printed in the NeRM paper for UESTC (Wei"]
-
-
-def test_without_rotations_there_is_nothing_for_uestc_to_see(store: Path, tmp_path: Path) -> None:
-    samples = sample_set("some", FPS, [acted("nod", 0)], ["000"])
-    with pytest.raises(NoActionsError, match="000 has no rotations of SMPL's joints, which this recogniser needs"):
-        with_rotations(Store.open(store), samples)
