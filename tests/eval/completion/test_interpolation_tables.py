@@ -10,16 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-import eval.metrics
 from eval.completion.encoders import CUBIC, HOLD, LINEAR, Completer
 from eval.completion.interpolation import measure_interpolation
 from eval.completion.protocol import INTEGER_SCALES, OTHER_SCALES, InterpolationProtocol, scale_label
 from eval.completion.scores import mean_over_takes, measure_scale
 from eval.completion.takes import NoTakesError, data_sets_of, open_clips
 from eval.config import EvalConfig
-from eval.metrics.metric import all_metrics
-from eval.report.render import to_html, to_markdown
-from eval.report.results import read_result, write_result
+from eval.report.render import to_markdown
 from eval.tables.pahires import interpolation
 from eval.tables.pahires.interpolation import TABLE_1, TABLE_2
 from eval.tables.pahires.windows import TABLE_3 as INBETWEENING
@@ -224,48 +221,6 @@ def test_tables_1_and_2_have_all_data_sets_and_the_papers_figures(store: Path, t
     parts = len(list((tmp_path / "results" / "parts").iterdir()))
     assert TABLE_2.build(request(store, tmp_path)).blocks == result.blocks
     assert len(list((tmp_path / "results" / "parts").iterdir())) == parts
-
-
-TOY_METRIC = '''"""How far the predicted root is from the true one."""
-
-import numpy as np
-
-from eval.metrics.metric import Metric, by_clip_steps
-
-
-def root_drift(predicted: np.ndarray, target: np.ndarray, fps: float) -> float:
-    return float(np.linalg.norm(predicted[:, :, 0] - target[:, :, 0], axis=-1).mean())
-
-
-ROOT_DRIFT = Metric(
-    "root_drift", "Root drift", "m", False, "Nobody 2026", "predicted, target, fps", root_drift, by_clip_steps(0)
-)
-'''
-
-
-def test_a_metric_of_one_file_is_in_the_results(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = tmp_path / "metrics"
-    folder.mkdir()
-    (folder / "toy_root_drift.py").write_text(TOY_METRIC, encoding="utf-8")
-    monkeypatch.setattr(eval.metrics, "__path__", [*eval.metrics.__path__, str(folder)])
-    all_metrics.cache_clear()
-    try:
-        result = TABLE_1.build(request(store, tmp_path))
-    finally:
-        monkeypatch.undo()
-        all_metrics.cache_clear()
-    block = next(block for block in result.blocks if block.title == "CMU, 30 fps: MPJPE (cm)")
-    drift = {row.name: row.cells["×4"].details["root drift (m)"] for row in block.rows}
-    assert drift["hold"] > drift["SLERP"] > 0
-    again = read_result(write_result(result, tmp_path))
-    assert again == result and again.blocks[0].metrics[0].source == "motionkit"
-    page, text = to_html([again]), to_markdown(again)
-    for told in (
-        "PSNR in dB: higher is better (motionkit)",
-        "MPJPE (global) in cm: lower is better (Ionescu et al. 2014)",
-    ):
-        assert told in page and told in text
-    assert "root drift (m)" in page and "root drift (m)" in text
 
 
 def test_tables_over_windows(store: Path, tmp_path: Path) -> None:

@@ -41,7 +41,6 @@ def test_arguments_come_in_the_order_that_is_said(metric: Metric) -> None:
 def arrays_of(metric: Metric, rng: np.random.Generator) -> tuple[tuple[np.ndarray, ...], dict[str, object]]:
     """What a metric takes: sequences (or clips) stacked along a first axis by which batches are cut, and settings."""
     motion = rng.normal(size=(2, 12, 20, 4, 3)) * 0.05
-    parents = (-1, 0, 1, 2)
     per_second = {"fps": 30.0}
     rotations = rng.normal(size=(2, 12, 20, 4, 4))
     rotations /= np.linalg.norm(rotations, axis=-1, keepdims=True)
