@@ -62,6 +62,17 @@ class EvalConfig:
         """The real motion's name in captions: the split, and the condition if there is one."""
         return f"split {self.split!r}" + (f" where {self.where}" if self.where else "")
 
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The settings that every table's numbers depend on."""
+        return {
+            "split": self.split,
+            "where": self.where,
+            "low_pass_hz": self.low_pass_hz,
+            "motions": self.max_motions,
+            "draws": self.draws,
+        }
+
     def open_store(self) -> "Store":
         """The store, for reading."""
         from motionkit.store.reader import Store
@@ -71,7 +82,9 @@ class EvalConfig:
     def provenance(self, store: "Store", *others: Path, **more: Any) -> dict[str, Any]:
         """Provenance of a result: the store, the weights of evaluated and other runs, seed, environment, and `more`."""
         runs = (*([] if self.run is None else [self.run]), *others, *(run for _, run in self.encoders))
-        return {**provenance(store.path, [run for run in runs if run.is_dir()]), **more, "seed": self.seed}
+        name = self.run.name if self.run is not None and self.run.is_dir() else None
+        known = provenance(store.path, [run for run in runs if run.is_dir()])
+        return {**known, "run": name, **more, "seed": self.seed}
 
     @cached_property
     def sample_folders(self) -> tuple[SampleFolder, ...]:

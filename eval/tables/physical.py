@@ -116,10 +116,6 @@ def compute(config: EvalConfig, store: Store) -> Content:
         caption=f"Physical figures of real motion, {config.real}, and of what was made for it.",
         blocks=blocks,
         notes=tuple(f"{folder.name}: {folder.describe()}" for folder in folders),
-        provenance={
-            "run": config.run.name if config.run and generated.rows else None,
-            "samples": {folder.name: folder.fingerprint for folder in folders},
-        },
     )
 
 

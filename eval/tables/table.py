@@ -34,7 +34,7 @@ SOURCES = {
 class Content:
     """What a table computes: its blocks (those without rows are left out), the caption and notes.
 
-    `definition` are settings beyond split and condition; `runs` are further runs whose weights count, `provenance` is
+    `definition` are settings beyond `EvalConfig.settings`; `runs` are further runs whose weights count, `provenance` is
     what else the numbers come from.
     """
 
@@ -89,16 +89,17 @@ class Table:
         config.missing.clear()
         store = config.open_store()
         content = self.compute(config, store)
+        samples = {"samples": {each.name: each.fingerprint for each in config.sample_folders}} if config.samples else {}
         return Result(
             task=self.task or f"{self.paper}-{self.target.replace(':', '')}",
             version=self.version,
             title=self.heading or f"{self.place}: {self.title}",
             caption=content.caption,
             blocks=tuple(block for block in content.blocks if block.rows),
-            definition={"split": config.split, "where": config.where, **content.definition},
+            definition={**config.settings, **content.definition},
             notes=content.notes,
             missing=config.missing.lines,
-            provenance=config.provenance(store, *content.runs, **content.provenance),
+            provenance=config.provenance(store, *content.runs, **samples, **content.provenance),
         )
 
 

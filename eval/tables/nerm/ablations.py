@@ -90,8 +90,6 @@ def compute(ablation: Ablation, config: EvalConfig, store: Store) -> Content:
         blocks=(*(block for block in blocks if any(row.cells for row in block.rows)), *printed),
         definition={
             "rows": {entry.label: list(entry.variant.change) for entry in ablation.entries},
-            "low_pass_hz": config.low_pass_hz,
-            "motions": config.max_motions,
         },
         notes=(*_differences(ablation, runs, model.stages), *(() if printed else (_nothing_printed(ablation),))),
         runs=folders,

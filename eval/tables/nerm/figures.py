@@ -70,12 +70,10 @@ def unconditional(config: EvalConfig, store: Store) -> Content:
                 metrics=(measure("diversity"),),
             ),
         ),
-        definition={"low_pass_hz": config.low_pass_hz},
         notes=(
             "The paper draws this figure as bars without numbers, for methods trained on another data set; its FID of "
             "whole motions needs the evaluator of Guo et al.",
         ),
-        provenance={"run": config.run.name if config.run else None},
     )
 
 
@@ -147,7 +145,6 @@ def cost(config: EvalConfig, store: Store) -> Content:
             "The paper draws this figure without numbers, for one GPU (RTX 3090). Seconds are of this machine, and "
             "wall seconds of whatever else it did; CPU seconds count all threads.",
         ),
-        provenance={"run": config.run.name if config.run else None},
     )
 
 

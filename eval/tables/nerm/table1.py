@@ -89,7 +89,7 @@ def compute(config: EvalConfig, store: Store) -> Content:
     Raises `UsageError` for an unknown protocol, evaluator or framerate, `StoreError` for an unusable store, and
     `NoRealMotionError` if it has no captioned motion.
     """
-    protocol, folders = find_text_motion_protocol(config.protocol), config.sample_folders
+    protocol = find_text_motion_protocol(config.protocol)
     with task(config.on_progress, "loading"):
         evaluators = text_motion_evaluators(config)
         models = _models(config)
@@ -120,8 +120,6 @@ def compute(config: EvalConfig, store: Store) -> Content:
         blocks=(*blocks, *map(paper_block, dict.fromkeys(fps for fps, _ in real))),
         definition={
             "protocol": asdict(protocol),
-            "draws": config.draws,
-            "motions": config.max_motions,
             "real_motions": {
                 _label(sight): {
                     "motions": each.samples.num_sequences,
@@ -133,10 +131,7 @@ def compute(config: EvalConfig, store: Store) -> Content:
             },
         },
         notes=_notes(protocol, real),
-        provenance={
-            "runs": {each.run.name: dict(each.identity) for each in models.values()},
-            "samples": {folder.name: folder.fingerprint for folder in folders},
-        },
+        provenance={"runs": {each.run.name: dict(each.identity) for each in models.values()}},
     )
 
 

@@ -131,7 +131,6 @@ def compute(config: EvalConfig, store: Store) -> Content:
     Raises `UsageError` or `StoreError` for a store that cannot be used, and `NoRealMotionError` if no column has
     real motion.
     """
-    folders = config.sample_folders
     real = real_motion(store, config.split, config.where)
     train = training_motion(store, real)
     with task(config.on_progress, "real sets"):
@@ -183,13 +182,8 @@ def compute(config: EvalConfig, store: Store) -> Content:
             "protocol": {**asdict(config.clips), "sizes": _sizes(config)},
             "real_sets": {column: {"sequences": number, "seconds": each} for column, (number, each) in sizes.items()},
             "generated_motions": num_generated,
-            "low_pass_hz": config.low_pass_hz,
         },
         notes=(*_notes(sizes, config), *_sample_notes(real, config), *remarks),
-        provenance={
-            "run": config.run.name if config.run and generated.rows else None,
-            "samples": {folder.name: folder.fingerprint for folder in folders},
-        },
     )
 
 

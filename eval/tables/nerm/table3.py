@@ -88,8 +88,7 @@ def compute(config: EvalConfig, store: Store) -> Content:
         note += "" if train is None else "; its FID (train) is what other takes leave"
         systems = [_System(RowId(f"{REAL} ({config.split})"), (references["test"],), note, is_reference=True)]
     with task(config.on_progress, "generating"):
-        generated = _generated(compared, recogniser, config)
-        systems += [*generated, *_samples(source, recogniser, config)]
+        systems += [*_generated(compared, recogniser, config), *_samples(source, recogniser, config)]
     features = {name: found.recognition.features for name, found in references.items()}
     counts = np.bincount(compared.labels)
     return Content(
@@ -119,7 +118,6 @@ def compute(config: EvalConfig, store: Store) -> Content:
             "FIDs of different numbers of motions do not compare; rows name theirs. Intervals resample motions, and "
             "generations where there are several (--draws).",
         ),
-        provenance={"run": config.run.name if config.run and generated else None},
     )
 
 

@@ -58,7 +58,6 @@ def compute(config: EvalConfig, store: Store) -> Content:
             "0.041 does not leave room for an MPJPE of 0.016); that distance is in the details. Vectors hold "
             "velocities, so capture noise counts, the more the higher the framerate.",
         ),
-        provenance={"run": config.run.name},
     )
 
 
