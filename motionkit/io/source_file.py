@@ -376,9 +376,10 @@ def _rows_of_lines(
             raise FormatError(message, path=path, reason="frame-count", line=line)
         if len(words) != num_columns:
             is_cut = is_last and len(words) < num_columns and line == first_line + len(lines) - 1
-            message = f"{len(words)} numbers, expected {num_columns} (one for each channel)"
-            message += ": the file ends here" if is_cut else ""
-            reason = "truncated" if is_cut else "channel-count"
+            message, reason = f"{len(words)} numbers, expected {num_columns} (one for each channel)", "channel-count"
+            if is_cut:
+                message = f"the file ends after {len(words)} of {num_columns} numbers, expected {num_rows} whole frames"
+                reason = "truncated"
             raise FormatError(message, path=path, reason=reason, line=line, frame=frame)
         numbers.append([parse_number(word, path, line, frame) for word in words])
     return np.array(numbers, dtype=np.float64).reshape(len(numbers), num_columns)

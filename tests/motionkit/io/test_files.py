@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 import motionkit as mk
-from tests.helpers.every_format import SOURCES
 from tests.helpers.format_samples import bvh_text as person_bvh
 from tests.helpers.small_bvh import bvh_text
 
@@ -90,11 +89,3 @@ def test_a_broken_table_is_reported_and_costs_nothing(takes: Path) -> None:
     (takes / "clips.csv").write_text("file,caption,fps\nalpha.bvh,a person walks,fast\n")
     with pytest.warns(UserWarning, match=r"clips\.csv"):
         assert mk.read(takes / "alpha.bvh").captions == ()
-
-
-@pytest.mark.parametrize("name", SOURCES)
-def test_every_format_can_be_read(name: str, tmp_path: Path) -> None:
-    source, fps = SOURCES[name](tmp_path), 30 if name in ("asfamc", "joints-npy") else None
-    first = next(iter(mk.read_all(source, fps=fps)))
-    assert first.num_frames > 1
-    assert mk.read(source, sequence=first.sequence_id, fps=fps).num_frames == first.num_frames
