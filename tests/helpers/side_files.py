@@ -7,7 +7,6 @@ CAPTIONS = (
     b'take.bvh,"walks, slowly","[""walks"", {""text"": ""runs"", ""start_seconds"": 1}]",30\n'
 )
 RULES = b'[[rule]]\nfiles = "walk*.bvh"\nstated = 60\nfps = 120\nsource = "a letter"\n'
-MAP = b'name = "mine"\nsource = "me"\nrequires = ["a"]\n[smpl22]\npelvis = "a"\nleft_hip = { a = 0.5, b = 0.5 }\n'
 
 # Format whose source it lies beside, its name there, and what it holds where all is well.
 BESIDE = {

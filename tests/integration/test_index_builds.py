@@ -103,54 +103,6 @@ def test_what_is_missing_is_counted_by_dataset(motionkit, amass, humanml3d, tmp_
     assert stopped.code == 1
 
 
-def test_kit_and_babel_in_one_store(motionkit, amass, tmp_path):
-    said = [{"seg_id": "00001_0", "text": "A person kicks.", "start": 0.0, "end": 6.0}]
-    part = [{"seg_id": "00002_0", "text": "A part.", "start": 1.0, "end": 2.5}]
-    kit = {
-        "00001": {"path": "KIT/3/kick_poses", "duration": 6.0, "annotations": said},
-        "M00001": {"path": "M/KIT/3/kick_poses", "duration": 6.0, "annotations": said},
-        "00002": {"path": "CMU/01/01_01_poses", "duration": 6.667, "annotations": part},
-    }
-    (tmp_path / "kitml.json").write_text(json.dumps(kit))
-    babel = {
-        "31": {
-            "dur": 3.333,
-            "feat_p": "BMLrub/BioMotionLab_NTroje/rub110/0001_treadmill_fast_poses.npz",
-            "seq_ann": {"labels": [{"raw_label": "runs", "proc_label": "run", "act_cat": ["run"]}]},
-            "frame_ann": {"labels": [{"raw_label": "turns", "act_cat": None, "start_t": 1.0, "end_t": 2.0}]},
-        }
-    }
-    (tmp_path / "val.json").write_text(json.dumps(babel))
-    outcome = motionkit(
-        "ingest", amass, "--index", tmp_path / "kitml.json", "--index", tmp_path / "val.json",
-        "--store", tmp_path / "s", "--workers", 1,
-    )  # fmt: skip
-    assert outcome.code == 0
-    assert outcome.stderr.splitlines() == [
-        f"warning: {amass}/BMLrub/rub110/0001_treadmill_fast_stageii.npy: lasts 6.667 s at 60 fps, which is not what "
-        "the index says of babel/31; its captions' seconds won't fit: is the framerate wrong (--fps-rules)?"
-    ]
-    store = Store.open(tmp_path / "s")
-    assert store.sequences["sequence_id"].tolist() == ["kitml/00001", "kitml/00002", "babel/31"]
-    assert frame_numbers(store, "kitml/00001") == list(range(600))
-    assert frame_numbers(store, "kitml/00002") == list(range(120, 300))
-    run = store.read("babel/31")
-    assert (run.num_frames, run.fps, run.action, run.split) == (400, 60, "run", "val")
-    assert [(caption.text, caption.start_seconds, caption.end_seconds) for caption in run.captions] == [
-        ("runs", 0.0, None),
-        ("turns", 1.0, 2.0),
-    ]
-    mirrored = motionkit(
-        "ingest", amass, "--index", tmp_path / "kitml.json", "--mirrored", "--store", tmp_path / "m", "--workers", 1
-    )
-    assert mirrored.code == 0
-    assert Store.open(tmp_path / "m").sequences["sequence_id"].tolist() == [
-        "kitml/00001",
-        "kitml/M00001",
-        "kitml/00002",
-    ]
-
-
 def test_the_published_index_on_real_takes_of_the_cmu_database(motionkit, captures, tmp_path):
     """AMC files under CMU's own names: their lengths are what the published frame numbers were counted on."""
     root = tmp_path / "source"
