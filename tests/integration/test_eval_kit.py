@@ -174,7 +174,7 @@ def walking(times_seconds: np.ndarray, take: int) -> np.ndarray:
 class Lengths:
     """An evaluator of 22 joints that sees how long a motion is and how far it goes."""
 
-    name, fingerprint, fps, layout = "lengths", "1", None, "smpl22"
+    name, fingerprint, fps, layout, pair_score = "lengths", "1", None, "smpl22", ""
 
     def remark_at(self, fps: Fraction) -> str:
         return ""
