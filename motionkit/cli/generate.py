@@ -31,9 +31,6 @@ def generate(
     join: Annotated[
         bool, typer.Option("--join", help="One motion of all texts or actions in sequence, --seconds of each.")
     ] = False,
-    overlap: Annotated[
-        float, typer.Option(help="Seconds of overlap between the pieces of a joined or long motion.")
-    ] = 0.5,
     times: Annotated[
         str | None, typer.Option(metavar="S,S,…", help="Poses at these seconds only, instead of --fps.")
     ] = None,
@@ -108,7 +105,7 @@ def generate(
     rate, instants = parse_rate(fps), parse_times(times)
     output = output_format(file_format, instants)
     constraints = parse_constraints(table, join, chosen, pose, joint, placed=pose_placed)
-    request = MotionsRequest(tuple(chosen), count, instants, rate, join, overlap, constraints)
+    request = MotionsRequest(tuple(chosen), count, instants, rate, join, constraints)
 
     place = (runs or default_path("runs")) / run
     loaded = load_model(model or model_of(place), place)

@@ -44,32 +44,29 @@ def is_joined(script: Script, longest_seconds: float) -> bool:
     return len(script) > 1 or (script[0].duration_seconds or 0.0) > longest_seconds + 1e-9
 
 
-def pieces_of(script: Script, longest_seconds: float, overlap_seconds: float) -> list[GenerationRequest]:
+def pieces_of(script: Script, longest_seconds: float) -> list[GenerationRequest]:
     """The pieces of a script, none longer than `longest_seconds`.
 
-    With overlaps of `overlap_seconds` they last exactly as long as the script, and requests change at their own second,
+    With overlaps of 0.5 s they last exactly as long as the script, and requests change at their own second,
     in the middle of an overlap. The pieces of a request have equal length. Raises `UsageError` for a request without a
-    duration or no longer than the overlap, and for overlaps of half a motion or more.
+    duration or no longer than the overlap, and for a model of motions shorter than two overlaps.
     """
-    if not 0.0 < overlap_seconds <= longest_seconds / 2:
-        raise UsageError(
-            f"motions of up to {longest_seconds:g} s overlap by more than 0 s and up to {longest_seconds / 2:g} s, "
-            f"not by {overlap_seconds:g} s"
-        )
+    if longest_seconds < 2 * OVERLAP_SECONDS:
+        raise UsageError(f"motions of up to {longest_seconds:g} s are too short to overlap by {OVERLAP_SECONDS:g} s")
     pieces: list[GenerationRequest] = []
     for number, request in enumerate(script):
         seconds = request.duration_seconds
-        if seconds is None or not overlap_seconds < seconds < float("inf"):
+        if seconds is None or not OVERLAP_SECONDS < seconds < float("inf"):
             lasting = "has no length" if seconds is None else f"lasts {seconds:g} s"
             raise UsageError(
                 f"part {number + 1} of {len(script)} of a joined motion {lasting}: each lasts longer than the "
-                f"{overlap_seconds:g} s by which they overlap"
+                f"{OVERLAP_SECONDS:g} s by which they overlap"
             )
         inner_ends = (number > 0) + (number < len(script) - 1)
-        span = seconds + inner_ends * overlap_seconds / 2
-        count = max(1, int(np.ceil((span - overlap_seconds) / (longest_seconds - overlap_seconds) - 1e-9)))
+        span = seconds + inner_ends * OVERLAP_SECONDS / 2
+        count = max(1, int(np.ceil((span - OVERLAP_SECONDS) / (longest_seconds - OVERLAP_SECONDS) - 1e-9)))
         pieces += [
-            replace(request, constraints=(), duration_seconds=(span + (count - 1) * overlap_seconds) / count)
+            replace(request, constraints=(), duration_seconds=(span + (count - 1) * OVERLAP_SECONDS) / count)
         ] * count
     return pieces
 
@@ -81,26 +78,25 @@ def generate_joined(
     seed: int,
     number: int = 0,
     sampling: SamplingOptions = SamplingOptions(),
-    overlap_seconds: float = OVERLAP_SECONDS,
 ) -> MotionField:
     """The motion of a script, number `number` of its seed.
 
     Alignment depends on the pieces alone, not on the framerate at which they are sampled afterwards. Raises what
     `pieces_of` and the model raise.
     """
-    requests = pieces_of(script, model.max_duration_seconds, overlap_seconds)
+    requests = pieces_of(script, model.max_duration_seconds)
     own_seed = int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1, np.uint64)[0] >> np.uint64(1))
     if not supports_continuation(model):
-        return chain(model.generate(requests, seed=own_seed, sampling=sampling), overlap_seconds)
+        return chain(model.generate(requests, seed=own_seed, sampling=sampling), OVERLAP_SECONDS)
     constraints, pieces, start = constraints_of(script), list[Piece](), 0.0
     for piece, request in enumerate(requests):
         own = [each.between(start, start + (request.duration_seconds or 0.0)) for each in constraints]
         if pieces:
-            own.append(_end_of(pieces[-1], overlap_seconds))
+            own.append(_end_of(pieces[-1]))
         constrained = replace(request, constraints=tuple(each for each in own if each is not None))
         [field] = model.generate([constrained], seed=own_seed, sampling=sampling, first=piece)
         pieces.append(Piece(field, start))
-        start = pieces[-1].end_seconds - overlap_seconds
+        start = pieces[-1].end_seconds - OVERLAP_SECONDS
     return assemble(pieces)
 
 
@@ -109,10 +105,10 @@ def supports_continuation(model: GenerativeModel) -> bool:
     return isinstance(model, FollowsConstraints) and "pose" in model.constraint_kinds
 
 
-def _end_of(piece: Piece, seconds: float) -> Constraint:
+def _end_of(piece: Piece) -> Constraint:
     """A constraint to begin with the last seconds of a motion in the 22-joint layout."""
-    since = np.linspace(0.0, seconds, 1 + int(np.ceil(seconds * JOINT_INSTANTS_PER_SECOND)))
-    times = np.clip(piece.end_seconds - seconds + since, piece.start_seconds, piece.end_seconds)
+    since = np.linspace(0.0, OVERLAP_SECONDS, 1 + int(np.ceil(OVERLAP_SECONDS * JOINT_INSTANTS_PER_SECOND)))
+    times = np.clip(piece.end_seconds - OVERLAP_SECONDS + since, piece.start_seconds, piece.end_seconds)
     joints = piece.query(times).joint_positions[:, : SMPL22.num_joints].astype(np.float64)
     faces = np.full(len(since), np.nan)
     return Constraint(
@@ -120,14 +116,14 @@ def _end_of(piece: Piece, seconds: float) -> Constraint:
     )
 
 
-def check_script(model: GenerativeModel, script: Script, sampling: SamplingOptions, overlap_seconds: float) -> None:
+def check_script(model: GenerativeModel, script: Script, sampling: SamplingOptions) -> None:
     """Raise `UsageError` for a script that the model does not support, or of more than an hour."""
     pieces, whole = list(script), script[0]
     if is_joined(script, model.max_duration_seconds):
         seconds = sum(request.duration_seconds or 0.0 for request in script)
         if seconds > LONGEST_SECONDS:
             raise UsageError(f"{seconds:g} s: a motion lasts up to {LONGEST_SECONDS:g} s; ask for several")
-        pieces = pieces_of(script, model.max_duration_seconds, overlap_seconds)
+        pieces = pieces_of(script, model.max_duration_seconds)
         whole = GenerationRequest(seconds, constraints=constraints_of(script))
     check_constraints(model, whole)
     if len(pieces) > 1 and whole.constraints and not supports_continuation(model):
@@ -146,7 +142,6 @@ def generate_scripts(
     seed: int,
     skip: Collection[int] = (),
     sampling: SamplingOptions = SamplingOptions(),
-    overlap_seconds: float = OVERLAP_SECONDS,
 ) -> Iterator[tuple[int, MotionField]]:
     """The motions of scripts with their numbers, in order, but not those to `skip`; script i is number i of the seed.
 
@@ -160,17 +155,7 @@ def generate_scripts(
             missing = [number for number in numbered if number not in skip]
             if joined:
                 for number in missing:
-                    yield (
-                        number,
-                        generate_joined(
-                            model,
-                            numbered[number],
-                            seed=seed,
-                            number=number,
-                            sampling=sampling,
-                            overlap_seconds=overlap_seconds,
-                        ),
-                    )
+                    yield number, generate_joined(model, numbered[number], seed=seed, number=number, sampling=sampling)
             elif missing:
                 requests, first = [request for (request,) in numbered.values()], min(numbered)
                 fields = model.generate(requests, seed=seed, sampling=sampling, first=first)

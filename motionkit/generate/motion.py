@@ -14,7 +14,7 @@ from motionkit.core.timegrid import Framerate, parse_fps
 from motionkit.fields.motion_field import MotionField
 from motionkit.generate import models
 from motionkit.generate.constraints import Constraint
-from motionkit.generate.long_motions import OVERLAP_SECONDS, Script, check_script, generate_scripts
+from motionkit.generate.long_motions import Script, check_script, generate_scripts
 from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions, model_of, warn_above_training
 from motionkit.generate.output import motion_name, plant_generated, sample_motion
 
@@ -151,7 +151,7 @@ class MotionModel:
         requests = [GenerationRequest(length, each, action or "", self.constraints) for each in texts]
         scripts: list[Script] = [(request,) for request in requests for _ in range(n or 1)]
         for script in dict.fromkeys(scripts):
-            check_script(self.model, script, options, OVERLAP_SECONDS)
+            check_script(self.model, script, options)
         fields = [field for _, field in generate_scripts(self.model, scripts, seed=seed, sampling=options)]
         return list(zip(scripts, map(plant_generated, fields, scripts) if plant else fields, strict=True))
 

@@ -32,6 +32,7 @@ from motionkit.fields.detail import Detail, detailed
 from motionkit.fields.motion_field import MotionField, at_fps
 from motionkit.generate.constraints import followed
 from motionkit.generate.long_motions import (
+    OVERLAP_SECONDS,
     Script,
     captions_of,
     check_script,
@@ -139,7 +140,7 @@ class Job:
     def __post_init__(self) -> None:
         for prompts in self.request.scripts:
             try:
-                check_script(self.model, self.request.script_of(prompts), self.sampling, self.request.overlap_seconds)
+                check_script(self.model, self.request.script_of(prompts), self.sampling)
             except UsageError as error:
                 where = prompts[0].where if len(prompts) == 1 else ""
                 raise UsageError(f"{where}: {error}" if where else str(error)) from None
@@ -182,7 +183,7 @@ class Job:
                 {"text": each.text, "action": each.action, "seconds": each.duration_seconds} for each in conditions
             ],
             "joined": any(len(script) > 1 for script in request.scripts),
-            "overlap_seconds": request.overlap_seconds if self.num_joined else None,
+            "overlap_seconds": OVERLAP_SECONDS if self.num_joined else None,
             "constraints": [each.plain() for each in request.constraints],
             "versions": versions(),
             "files": [*filter(None, [self.output.shared_file]), *self.files],
@@ -204,7 +205,6 @@ class Job:
                 seed=self.seed,
                 skip=self.complete_in(folder),
                 sampling=self.sampling,
-                overlap_seconds=self.request.overlap_seconds,
             ):
                 yield self._write_motion(folder / self.files[number], number, field)
         finally:

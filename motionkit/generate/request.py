@@ -25,7 +25,7 @@ from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.generate.constraints import Constraint
-from motionkit.generate.long_motions import OVERLAP_SECONDS, Script
+from motionkit.generate.long_motions import Script
 from motionkit.generate.models import GenerationRequest
 from motionkit.io.files import read
 
@@ -46,9 +46,8 @@ class Prompt:
 class MotionsRequest:
     """`count` motions of each prompt, or with `join` of all prompts in sequence, under `constraints`.
 
-    Poses are sampled at `times`, or at `fps` (None: the format's or the model's own). Pieces of joined motions overlap
-    by `overlap_seconds`. Raises `UsageError` for instants outside a motion's duration, and for missing durations that
-    are needed.
+    Poses are sampled at `times`, or at `fps` (None: the format's or the model's own). Raises `UsageError` for instants
+    outside a motion's duration, and for missing durations that are needed.
     """
 
     prompts: tuple[Prompt, ...]
@@ -56,7 +55,6 @@ class MotionsRequest:
     times: tuple[float, ...] = ()
     fps: Fraction | None = None
     join: bool = False
-    overlap_seconds: float = OVERLAP_SECONDS
     constraints: tuple[Constraint, ...] = ()
 
     def __post_init__(self) -> None:
