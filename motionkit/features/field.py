@@ -13,7 +13,7 @@ from motionkit.core.mirror import mirror_positions
 from motionkit.core.shapes import Float, Float32
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.features.convention import Instants, InstantVectors, Origin, Values, Vectors, Weight, Yaw
-from motionkit.features.layout import FacingJoints, facing_direction, layout_of
+from motionkit.features.layout import facing_direction, layout_of
 from motionkit.fields.motion_field import Poses, Times
 
 Positions = Float[np.ndarray, "windows poses joints 3"]
@@ -21,29 +21,20 @@ Positions = Float[np.ndarray, "windows poses joints 3"]
 CONVENTION = "field"
 
 
-def num_features(num_joints: int) -> int:
-    """Numbers per pose: 3·J, so 66 for 22 joints."""
-    return 3 * num_joints
+def heading(joint_positions: Float[np.ndarray, "*poses joints 3"]) -> Float[np.ndarray, "*poses"]:
+    """Yaw in radians, in (−π, π], of the direction each body of 22 or 21 joints faces.
 
-
-def heading(
-    joint_positions: Float[np.ndarray, "*poses joints 3"], facing: FacingJoints | None = None
-) -> Float[np.ndarray, "*poses"]:
-    """Yaw in radians, in (−π, π], of the direction each body faces; 0 is Z+, positive turns towards X+.
-
-    `facing` defaults to the hips and shoulders of the 22- or 21-joint layout, by the number of joints.
+    0 is Z+, positive turns towards X+. Raises `UsageError` for another number of joints.
     """
-    joints = facing if facing is not None else layout_of(joint_positions.shape[-2]).facing
-    direction = facing_direction(joint_positions, joints)
-    yaw = np.arctan2(direction[..., 0], direction[..., 1])
-    return np.asarray(yaw)
+    direction = facing_direction(joint_positions, layout_of(joint_positions.shape[-2]).facing)
+    return np.asarray(np.arctan2(direction[..., 0], direction[..., 1]))
 
 
 def window_frame(
-    first_pose: Float[np.ndarray, "windows joints 3"], facing: FacingJoints | None = None
+    first_pose: Float[np.ndarray, "windows joints 3"],
 ) -> tuple[Float32[np.ndarray, "windows"], Float32[np.ndarray, "windows 2"]]:
     """The frames of windows from their first poses: yaw in radians and origin (x, z) in metres."""
-    yaw = heading(first_pose.astype(np.float64), facing)
+    yaw = heading(first_pose.astype(np.float64))
     return yaw.astype(np.float32), first_pose[:, 0, (0, 2)].astype(np.float32)
 
 
@@ -100,7 +91,7 @@ class FieldVectors:
     @property
     def num_features(self) -> int:
         """66."""
-        return num_features(SMPL22.num_joints)
+        return 3 * SMPL22.num_joints
 
     @property
     def groups(self) -> tuple[tuple[int, ...], ...]:

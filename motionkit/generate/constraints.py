@@ -15,7 +15,6 @@ from motionkit.core.shapes import Float, Float64
 from motionkit.core.skeleton import SMPL22
 from motionkit.features.field import heading as heading_of
 from motionkit.features.field import to_window
-from motionkit.features.layout import SMPL22_LAYOUT
 from motionkit.fields.motion_field import MotionField
 
 ConstraintKind = Literal["path", "pose", "joint"]
@@ -179,7 +178,7 @@ def followed(motion: MotionField, constraint: Constraint) -> Followed:
     apart = here[:, constraint.joint_indices] - constraint.positions
     known = ~np.isnan(apart).all(axis=-1)
     distances = np.sqrt(np.nansum(np.square(apart), axis=-1))[known]
-    turned = heading_of(joints, SMPL22_LAYOUT.facing) - constraint.heading
+    turned = heading_of(joints) - constraint.heading
     degrees = np.abs(np.degrees(np.arctan2(np.sin(turned), np.cos(turned))))
     faces = None if np.isnan(degrees).all() else float(np.nanmean(degrees))
     distances = distances if len(distances) else np.zeros(1)
@@ -188,5 +187,5 @@ def followed(motion: MotionField, constraint: Constraint) -> Followed:
 
 def in_body_frame(joint_positions: Float[np.ndarray, "poses 22 3"]) -> Float64[np.ndarray, "poses 22 3"]:
     """Each pose seen from the floor under its root, ahead being Z+."""
-    yaw = heading_of(joint_positions, SMPL22_LAYOUT.facing)
+    yaw = heading_of(joint_positions)
     return to_window(joint_positions[:, None], yaw, joint_positions[:, 0, (0, 2)])[:, 0].astype(np.float64)
