@@ -387,6 +387,7 @@ def _snapped(times: Times, observed: Knots) -> Times:
     return np.where(np.abs(times - nearest) < SNAP_SECONDS, nearest, times)
 
 
+# Joints and root travel on by what they would in so many seconds at the end's velocity.
 JOINTS_SECONDS, ROOT_SECONDS = 0.2, 1.0
 
 
@@ -395,8 +396,6 @@ class Settling:
     """A `MotionEncoder`: an interpolator on rotations between frames, coming to rest before and after them."""
 
     interpolator: Interpolator
-    joints_seconds: float = JOINTS_SECONDS
-    root_seconds: float = ROOT_SECONDS
 
     @property
     def name(self) -> str:
@@ -410,11 +409,10 @@ class Settling:
         between = self.interpolator.encode(observation, before_seconds=before_seconds, after_seconds=after_seconds)
         if not (before_seconds or after_seconds):
             return between
-        longest = max(self.joints_seconds, self.root_seconds)
         beyond = self.interpolator.encode(
             with_rotations(observation),
-            before_seconds=min(before_seconds, longest),
-            after_seconds=min(after_seconds, longest),
+            before_seconds=min(before_seconds, ROOT_SECONDS),
+            after_seconds=min(after_seconds, ROOT_SECONDS),
         )
 
         def settling(times: Times) -> Poses:
@@ -422,7 +420,7 @@ class Settling:
             outside = np.flatnonzero(inside != times)
             poses = between.query(inside)
             if outside.size:
-                poses.put(outside, self._settled(beyond, inside[outside], (times - inside)[outside], poses))
+                poses.put(outside, _settled(beyond, inside[outside], (times - inside)[outside], poses))
             return poses
 
         return DerivedField(
@@ -431,20 +429,21 @@ class Settling:
             lambda _: self.encode(observation, before_seconds=before_seconds, after_seconds=after_seconds),
         )
 
-    def _settled(self, beyond: InterpolatedField, ends: Times, reach: Times, like: Poses) -> Poses:
-        """Poses `reach` seconds beyond the ends: those of `beyond`, which has rotations, at slowed times."""
 
-        def slowed(seconds: float) -> Poses:
-            way = seconds * -np.expm1(-np.abs(reach) / seconds)
-            return beyond.query(np.clip(ends + np.sign(reach) * way, beyond.start_seconds, beyond.end_seconds))
+def _settled(beyond: InterpolatedField, ends: Times, reach: Times, like: Poses) -> Poses:
+    """Poses `reach` seconds beyond the ends: those of `beyond`, which has rotations, at slowed times."""
 
-        limbs, path = slowed(self.joints_seconds), slowed(self.root_seconds)
-        assert limbs.local_rotations is not None
-        # A bone that travels, hips in a reference on the floor, belongs to the path.
-        travelled = Joints.of(path, beyond.skeleton)
-        joints = Joints(Joints.of(limbs, beyond.skeleton).rotations, travelled.bones, travelled.root)
-        return Poses(
-            joints.positions(beyond.skeleton),
-            None if like.local_rotations is None else limbs.local_rotations,
-            None if like.root_translation is None else path.root_translation,
-        )
+    def slowed(seconds: float) -> Poses:
+        way = seconds * -np.expm1(-np.abs(reach) / seconds)
+        return beyond.query(np.clip(ends + np.sign(reach) * way, beyond.start_seconds, beyond.end_seconds))
+
+    limbs, path = slowed(JOINTS_SECONDS), slowed(ROOT_SECONDS)
+    assert limbs.local_rotations is not None
+    # A bone that travels, hips in a reference on the floor, belongs to the path.
+    travelled = Joints.of(path, beyond.skeleton)
+    joints = Joints(Joints.of(limbs, beyond.skeleton).rotations, travelled.bones, travelled.root)
+    return Poses(
+        joints.positions(beyond.skeleton),
+        None if like.local_rotations is None else limbs.local_rotations,
+        None if like.root_translation is None else path.root_translation,
+    )

@@ -119,7 +119,10 @@ def kernel_matrix(
 
     taps = np.arange(-reach, reach + 1)
     phases, phase_of_row = np.unique(fraction, return_inverse=True)
-    weights = kernel(phases[:, None] - taps, reach, cutoff)
+    distance = phases[:, None] - taps
+    beta = 0.1102 * (STOPBAND_DECIBEL - 8.7)
+    window = np.i0(beta * np.sqrt(np.maximum(0.0, 1.0 - (distance / (reach + 1)) ** 2)))
+    weights = window * np.sinc(2 * cutoff * distance)
     weights /= weights.sum(axis=1, keepdims=True)
     columns = sample[:, None] + taps
     pointers = np.arange(len(sample) + 1) * len(taps)
@@ -136,13 +139,3 @@ def kernel_shape(ratio: Fraction) -> tuple[int, float]:
     cutoff = nyquist - transition / 2 if ratio > 1 else nyquist
     length = (STOPBAND_DECIBEL - 7.95) / (2.285 * 2 * np.pi * transition)
     return int(np.ceil(length / 2)), cutoff
-
-
-def kernel(
-    distance: Float64[np.ndarray, "phases taps"], reach: int, cutoff: float
-) -> Float64[np.ndarray, "phases taps"]:
-    """Unnormalised kernel weights at these distances in source frames, for the shape of `kernel_shape`."""
-    beta = 0.1102 * (STOPBAND_DECIBEL - 8.7)
-    inside = np.sqrt(np.maximum(0.0, 1.0 - (distance / (reach + 1)) ** 2))
-    window: Float64[np.ndarray, "phases taps"] = np.i0(beta * inside)
-    return window * np.sinc(2 * cutoff * distance)

@@ -1,5 +1,4 @@
 """The foot-sliding correction as a function of time: offsets of the body and of both feet.
-from motionkit.fields.motion_field import Times
 
 The offsets are the solution of a banded least-squares problem along time, linear in its length. The unknowns at every
 sample of the grid are the body's offset r and each foot's additional offset f. The objective asks for velocities that
@@ -139,8 +138,8 @@ def offsets_of(
         height, weight = _heights(heights, raised, lowest, contacts, ground)
         if not height.any():
             break
-        wishes = Wishes(np.zeros((*both.shape, 1)), STEADY_HEIGHT * both, height[..., None], weight)
-        offsets[..., [1]] = solve_offsets(wishes, contacts.hold, fps, HEIGHT_COSTS)
+        velocity = np.zeros((*both.shape, 1)), STEADY_HEIGHT * both
+        offsets[..., [1]] = solve_offsets(velocity, (height[..., None], weight), contacts.hold, fps, HEIGHT_COSTS)
         raised = offsets[:, 0, [1]] + offsets[:, 1:, 1]
         if (heights + raised[..., None] > lowest - TOLERATED_METRES).all():
             break
@@ -167,12 +166,12 @@ def _carried(
 ) -> Float64[np.ndarray, "instants 3 2"]:
     """Offsets that compensate these velocities while feet are held: the body's first, then the feet's again."""
     both = np.minimum(hold[1:], hold[:-1])
-    wishes = Wishes(target, both, np.zeros((*lead.shape, 2)), np.zeros(lead.shape))
-    offsets = solve_offsets(wishes, hold, fps, costs)
+    anywhere = np.zeros((*lead.shape, 2)), np.zeros(lead.shape)
+    offsets = solve_offsets((target, both), anywhere, hold, fps, costs)
     # The feet again with the body fixed: legs absorb the velocities of feet in transition that the body ignored.
     step = np.diff(offsets[:, :1], axis=0) * fps
-    wishes = replace(wishes, velocity=target - step, velocity_weight=np.minimum(lead[1:], lead[:-1]))
-    offsets[:, 1:] = solve_offsets(wishes, lead, fps, replace(costs, body=HELD))[:, 1:]
+    remaining = target - step, np.minimum(lead[1:], lead[:-1])
+    offsets[:, 1:] = solve_offsets(remaining, anywhere, lead, fps, replace(costs, body=HELD))[:, 1:]
     return offsets
 
 
@@ -229,21 +228,20 @@ def _heights(
     return np.where(is_sunk, sunk, -floats), np.where(is_sunk, SUNK, FLOATING * contacts.hold)
 
 
-@dataclass(frozen=True, eq=False)
-class Wishes:
-    """Targets for a foot's total offset: `velocity` between neighbours and `place`, with weights."""
+def solve_offsets(
+    velocity: tuple[Float64[np.ndarray, "steps feet axes"], Float64[np.ndarray, "steps feet"]],
+    place: tuple[Float64[np.ndarray, "instants feet axes"], PerFoot],
+    down: PerFoot,
+    fps: float,
+    costs: Costs,
+) -> Float64[np.ndarray, "instants 3 axes"]:
+    """The least-cost offsets of body, left and right foot, metres; a foot's total offset is body plus foot.
 
-    velocity: Float64[np.ndarray, "steps feet axes"]
-    velocity_weight: Float64[np.ndarray, "steps feet"]
-    place: Float64[np.ndarray, "instants feet axes"]
-    place_weight: PerFoot
-
-
-def solve_offsets(wishes: Wishes, down: PerFoot, fps: float, costs: Costs) -> Float64[np.ndarray, "instants 3 axes"]:
-    """The least-cost offsets of body, left and right foot, metres; a foot's total offset is body plus foot."""
+    `velocity` (m/s, between neighbours) and `place` (m) are targets of a foot's total offset, each with its weights.
+    """
     from scipy.linalg import solveh_banded
 
-    count, axes = len(down), wishes.place.shape[-1]
+    count, axes = len(down), place[0].shape[-1]
     band = np.zeros((_BAND, count, KINDS))  # band[d, t, k]: the entry of unknown (t, k) and the one d places after it
     right = np.zeros((count, KINDS, axes))
     # Distance from the original position.
@@ -258,8 +256,8 @@ def solve_offsets(wishes: Wishes, down: PerFoot, fps: float, costs: Costs) -> Fl
                 band[KINDS * (second - first), first:stop] += sudden * factor * other
     for foot in (1, 2):
         # Velocity: weight · |(r + f)(t + 1) − (r + f)(t) − v/fps|² · fps².
-        weight = wishes.velocity_weight[:, foot - 1] * fps**2
-        pull = weight[:, None] * wishes.velocity[:, foot - 1] / fps
+        weight = velocity[1][:, foot - 1] * fps**2
+        pull = weight[:, None] * velocity[0][:, foot - 1] / fps
         for rows, sign in ((slice(None, -1), -1.0), (slice(1, None), 1.0)):
             for kind in (0, foot):
                 band[0, rows, kind] += weight
@@ -270,10 +268,10 @@ def solve_offsets(wishes: Wishes, down: PerFoot, fps: float, costs: Costs) -> Fl
         band[KINDS + foot, :-1, 0] -= weight  # the body with the foot one sample later
         band[KINDS - foot, :-1, foot] -= weight  # the foot with the body one sample later
         # Place: weight · |(r + f) − p|².
-        weight = wishes.place_weight[:, foot - 1]
+        weight = place[1][:, foot - 1]
         for kind in (0, foot):
             band[0, :, kind] += weight
-            right[:, kind] += weight[:, None] * wishes.place[:, foot - 1]
+            right[:, kind] += weight[:, None] * place[0][:, foot - 1]
         band[foot, :, 0] += weight
     lower = band.reshape(_BAND, count * KINDS)
     solved = solveh_banded(lower, right.reshape(count * KINDS, axes), lower=True, overwrite_ab=True, check_finite=False)

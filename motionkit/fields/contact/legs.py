@@ -93,16 +93,8 @@ def _leg(skeleton: Skeleton, own: dict[str, int], side: str) -> Leg:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class BentLeg:
-    """New positions of knee and ankle."""
-
-    knee: Vectors
-    ankle: Vectors
-
-
-def bend(hip: Vectors, knee: Vectors, ankle: Vectors, target: Vectors, forward: Vectors) -> BentLeg:
-    """The leg with its ankle at `target`, or as close as it reaches; unchanged if the ankle is there already.
+def bend(hip: Vectors, knee: Vectors, ankle: Vectors, target: Vectors, forward: Vectors) -> tuple[Vectors, Vectors]:
+    """Knee and ankle for an ankle at `target`, or as close as it reaches; unchanged if the ankle is there already.
 
     `forward` is the horizontal facing direction of the body.
     """
@@ -121,14 +113,16 @@ def bend(hip: Vectors, knee: Vectors, ankle: Vectors, target: Vectors, forward: 
     share = (np.square(upper) - np.square(lower) + np.square(reach)) / (2.0 * np.maximum(reach, TINY))
     share = np.clip(share, -upper, upper)
     out = np.sqrt(np.maximum(np.square(upper) - np.square(share), 0.0))
-    return BentLeg(hip + new_along * share + pole * out, hip + new_along * reach)
+    return hip + new_along * share + pole * out, hip + new_along * reach
 
 
-def turns(leg: BentLeg, hip: Vectors, knee: Vectors, ankle: Vectors) -> tuple[Float64[np.ndarray, "frames 4"], ...]:
+def turns(
+    hip: Vectors, knee: Vectors, ankle: Vectors, new_knee: Vectors, new_ankle: Vectors
+) -> tuple[Float64[np.ndarray, "frames 4"], ...]:
     """World rotations of thigh and shank, with no twist other than their plane's."""
-    swing = quaternion_between(ankle - hip, leg.ankle - hip)
+    swing = quaternion_between(ankle - hip, new_ankle - hip)
     found = []
-    for old, new in ((knee - hip, leg.knee - hip), (ankle - knee, leg.ankle - leg.knee)):
+    for old, new in ((knee - hip, new_knee - hip), (ankle - knee, new_ankle - new_knee)):
         found.append(quaternion_multiply(quaternion_between(quaternion_rotate(swing, old), new), swing))
     return tuple(found)
 

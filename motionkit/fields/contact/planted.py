@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from motionkit.core.kinematics import quaternion_rotate
-from motionkit.core.shapes import Float32, Float64
+from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.contact.bones import Bones
 from motionkit.fields.contact.correction import Correction, Path, find_correction
 from motionkit.fields.contact.detection import EndMask
-from motionkit.fields.contact.legs import BentLeg, Leg, Legs, bend, legs_of, turns
+from motionkit.fields.contact.legs import Leg, Legs, bend, legs_of, turns
 from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.joints import turned_rotations
 from motionkit.fields.motion_field import (
@@ -121,17 +121,20 @@ def _moved(poses: Poses, offsets: Float64[np.ndarray, "times 3 3"], legs: Legs, 
     turned: dict[int, Float64[np.ndarray, "times 4"]] = {}
     for foot, leg in enumerate((legs.left, legs.right)):
         hip, knee, ankle = (ends[joint] for joint in _chain(leg))
-        bent = bend(hip, knee, ankle, ankle + offsets[:, 1 + foot], forward)
-        step = (bent.ankle - ankle).astype(np.float32)
+        new_knee, new_ankle = bend(hip, knee, ankle, ankle + offsets[:, 1 + foot], forward)
+        step = (new_ankle - ankle).astype(np.float32)
         for joint in (leg.ankle, *leg.foot):
             positions[:, joint] += step
         inner = [joint for joint in (*leg.thigh, *leg.shank) if joint not in (leg.knee, leg.ankle)]
         if rotations is not None or inner:
-            thigh, shank = turns(bent, hip, knee, ankle)
-            _carry(positions, leg, bent, (hip, knee), (thigh, shank))
+            thigh, shank = turns(hip, knee, ankle, new_knee, new_ankle)
+            # Twist joints, pads and end sites move along with the thigh and the shank.
+            for joint in inner:
+                old, new, turn = (hip, hip, thigh) if joint in leg.thigh else (knee, new_knee, shank)
+                positions[:, joint] = new + quaternion_rotate(turn, positions[:, joint] - old)
             turned |= dict.fromkeys((leg.hip, *(set(leg.thigh) - {leg.knee})), thigh)
             turned |= dict.fromkeys((leg.knee, *(set(leg.shank) - {leg.ankle})), shank)
-        positions[:, leg.knee] = bent.knee
+        positions[:, leg.knee] = new_knee
     translation = poses.root_translation
     if translation is not None:
         translation = translation + offsets[:, 0].astype(np.float32)
@@ -142,18 +145,3 @@ def _moved(poses: Poses, offsets: Float64[np.ndarray, "times 3 3"], legs: Legs, 
 
 def _chain(leg: Leg) -> tuple[int, int, int]:
     return leg.hip, leg.knee, leg.ankle
-
-
-def _carry(
-    positions: Float32[np.ndarray, "times joints 3"],
-    leg: Leg,
-    bent: BentLeg,
-    old: tuple[Float64[np.ndarray, "times 3"], Float64[np.ndarray, "times 3"]],
-    turned: tuple[Float64[np.ndarray, "times 4"], Float64[np.ndarray, "times 4"]],
-) -> None:
-    """Moves joints attached to thigh and shank along with them: twist joints, pads, end sites."""
-    hip, knee = old
-    for joints, start, new, turn in ((leg.thigh, hip, hip, turned[0]), (leg.shank, knee, bent.knee, turned[1])):
-        for joint in joints:
-            if joint not in (leg.knee, leg.ankle):
-                positions[:, joint] = new + quaternion_rotate(turn, positions[:, joint] - start)
