@@ -58,7 +58,7 @@ def view(
 
     Example: motionkit view takes/walk.bvh takes/jump.bvh"""
     from motionkit.edit.motions import find_motions
-    from motionkit.viz.view import PAGE_SUFFIX, Interval, Viewed, page_path, read_panels, write_view
+    from motionkit.viz.view import PAGE_SUFFIX, Interval, page_path, read_panels, write_view
 
     interval = Interval(from_seconds, to_seconds)
     suffix = f".{film_format}" if film_format else "" if out is None else out.suffix.lower()
@@ -81,25 +81,35 @@ def view(
         panels, failed = read_panels(sources, interval, work.advance)
     failures = [*((str(problem.path), str(problem)) for problem in problems), *failed]
     print_failures(failures)
-    viewed = None
     if panels and film:
-        from motionkit.viz.film import pictures_of, write_film
+        from motionkit.viz.film import write_film
 
-        exact = Fraction(speed or 1.0).limit_denominator(1000)
-        with progress() as show, task(show, "draw", pictures_of(panels, exact, film)[0]) as work:
-            write_film(page, panels, exact, work.advance)
-        viewed = Viewed(page, page.stat().st_size, tuple(panels))
+        with progress() as show:
+            write_film(page, panels, Fraction(speed or 1.0).limit_denominator(1000), show)
     elif panels:
-        viewed = write_view(page, panels, interval)
+        write_view(page, panels, interval)
     if as_json:
-        plain = {"page": None, "bytes": 0, "motions": []} if viewed is None else viewed.plain()
-        print_json({**plain, "failed": [{"clip": name, "message": message} for name, message in failures]})
-    elif viewed is not None:
-        stdout.print(str(viewed.path))
-    if viewed is not None and open_page:
+        motions = [
+            {
+                "name": panel.name,
+                "fps": str(panel.fps),
+                "first_frame": panel.first_frame,
+                "num_frames": panel.num_frames,
+                "start_seconds": panel.start_seconds,
+                "duration_seconds": panel.duration_seconds,
+                "num_joints": panel.skeleton.num_joints,
+            }
+            for panel in panels
+        ]
+        written = {"page": str(page), "bytes": page.stat().st_size} if panels else {"page": None, "bytes": 0}
+        unshown = [{"clip": name, "message": message} for name, message in failures]
+        print_json({**written, "motions": motions, "failed": unshown})
+    elif panels:
+        stdout.print(str(page))
+    if panels and open_page:
         import webbrowser
 
-        if not webbrowser.open(viewed.path.absolute().as_uri()):
-            stderr.print(f"motionkit: no browser found here: open {viewed.path} in one")
+        if not webbrowser.open(page.absolute().as_uri()):
+            stderr.print(f"motionkit: no browser found here: open {page} in one")
     if failures:
         raise typer.Exit(1)

@@ -3,7 +3,7 @@
 Motions are not resampled: a picture shows each motion's most recent frame on a common clock.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
@@ -20,6 +20,7 @@ from PIL import Image
 
 from motionkit.core.errors import MissingExtraError, MotionkitError
 from motionkit.core.files import whole_file
+from motionkit.core.progress import OnProgress, ignore, tracked
 from motionkit.core.shapes import Float64
 from motionkit.viz.player import Panel, drawing_of
 
@@ -41,14 +42,12 @@ MP4_OPTIONS = ["-pix_fmt", "yuv420p", "-crf", "18", "-threads", "1", "-fflags", 
 
 
 def pictures_of(panels: Sequence[Panel], speed: Fraction, suffix: str) -> tuple[int, Fraction]:
-    """How many pictures a file has, and pictures per second; strips and recordings are one picture.
+    """How many pictures an mp4 or a gif has, and pictures per second.
 
     There is one for every native frame of the fastest motion, at `speed`; at most 50 per second in a gif. Raises
     `MotionkitError` for too many.
     """
     fps = max(panel.fps for panel in panels) * speed
-    if suffix in (".png", ".rrd"):
-        return 1, fps
     fps = min(fps, GIF_FPS) if suffix == ".gif" else fps
     longest = max(panel.duration_seconds for panel in panels)
     count = max(1, int(np.ceil(longest * float(fps / speed) - 1e-6)))
@@ -61,30 +60,28 @@ def pictures_of(panels: Sequence[Panel], speed: Fraction, suffix: str) -> tuple[
 
 
 def write_film(
-    path: Path, panels: Sequence[Panel], speed: Fraction = Fraction(1), on_picture: Callable[[], None] = lambda: None
+    path: Path, panels: Sequence[Panel], speed: Fraction = Fraction(1), on_progress: OnProgress = ignore
 ) -> None:
     """Write motions side by side: .mp4 and .gif played at `speed`, .png a strip of poses, .rrd for Rerun's viewer.
 
-    `on_picture` is called after every picture. Raises `MotionkitError` for too many pictures, and `MissingExtraError`
-    for an mp4 without the extra `video`, an rrd without `rerun`.
+    Raises `MotionkitError` for too many pictures, and `MissingExtraError` for an mp4 without the extra `video`, an rrd
+    without `rerun`.
     """
     suffix = path.suffix.lower()
-    count, fps = pictures_of(panels, speed, suffix)
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as temporary:
         if suffix in (".png", ".rrd"):
             (_write_strip if suffix == ".png" else _write_recording)(temporary, panels)
-            on_picture()
             return
+        count, fps = pictures_of(panels, speed, suffix)
         figure = Figure(figsize=(len(panels) * PANEL_PIXELS / DPI, PANEL_PIXELS / DPI), dpi=DPI)
         scenes = [_Scene(figure, panel, (1, len(panels)), number) for number, panel in enumerate(panels)]
 
         def each_picture() -> Iterator[None]:
-            for instant in np.arange(count) * float(speed / fps):
+            for number in tracked(on_progress, "draw", range(count), count):
                 for scene in scenes:
-                    scene.draw(float(instant))
+                    scene.draw(number * float(speed / fps))
                 yield
-                on_picture()
 
         (_write_gif if suffix == ".gif" else _write_mp4)(temporary, figure, each_picture(), fps, count)
 
@@ -141,14 +138,11 @@ class _Scene:
 
 def _ground_lines(centre: Float64[np.ndarray, "3"], floor: float) -> Float64[np.ndarray, "lines 2 3"]:
     """Lines on the floor at whole metres around a place."""
-    lines = []
-    for axis, other in ((0, 2), (2, 0)):
-        for step in range(-GRID_METRES, GRID_METRES + 1):
-            ends = np.full((2, 3), floor)
-            ends[:, axis] = np.round(centre[axis]) + step
-            ends[:, other] = np.round(centre[other]) + np.array([-GRID_METRES, GRID_METRES])
-            lines.append(ends)
-    return np.stack(lines)
+    x, _, z = np.round(centre)
+    steps, ends = range(-GRID_METRES, GRID_METRES + 1), (-GRID_METRES, GRID_METRES)
+    along_z = [[(x + step, floor, z + end) for end in ends] for step in steps]
+    along_x = [[(x + end, floor, z + step) for end in ends] for step in steps]
+    return np.array(along_z + along_x)
 
 
 def _write_strip(path: Path, panels: Sequence[Panel]) -> None:

@@ -5,7 +5,6 @@ import webbrowser
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -55,7 +54,8 @@ def view(*motions: Motion | str | Path, path: str | Path | None = None, open: bo
         raise MotionkitError("; ".join(problems))
     for problem in problems:
         warn(problem)
-    written = write_view(page_path(None if path is None else Path(path), sources), panels, Interval()).path
+    written = page_path(None if path is None else Path(path), sources)
+    write_view(written, panels, Interval())
     if open:
         webbrowser.open(written.absolute().as_uri())
     return written
@@ -116,34 +116,6 @@ class Interval:
         return begin + ("" if self.to_seconds is None else f" to {self.to_seconds:g} s")
 
 
-@dataclass(frozen=True)
-class Viewed:
-    """A written page or film: its file, its size in bytes, its panels."""
-
-    path: Path
-    num_bytes: int
-    panels: tuple[Panel, ...]
-
-    def plain(self) -> dict[str, Any]:
-        """As JSON."""
-        return {
-            "page": str(self.path),
-            "bytes": self.num_bytes,
-            "motions": [
-                {
-                    "name": panel.name,
-                    "fps": str(panel.fps),
-                    "first_frame": panel.first_frame,
-                    "num_frames": panel.num_frames,
-                    "start_seconds": panel.start_seconds,
-                    "duration_seconds": panel.duration_seconds,
-                    "num_joints": panel.skeleton.num_joints,
-                }
-                for panel in self.panels
-            ],
-        }
-
-
 def read_panels(
     sources: Sequence[MotionSource],
     interval: Interval,
@@ -177,10 +149,8 @@ def page_path(out: Path | None, sources: Sequence[MotionSource], suffix: str = P
     return out / name if out.is_dir() else out
 
 
-def write_view(path: Path, panels: Sequence[Panel], interval: Interval) -> Viewed:
+def write_view(path: Path, panels: Sequence[Panel], interval: Interval) -> None:
     """Write the page of panels; raises `MotionkitError`."""
     path.parent.mkdir(parents=True, exist_ok=True)
     title = panels[0].name if len(panels) == 1 else f"{len(panels)} motions"
-    return Viewed(
-        path, write_page(path, title, panels, note=f"Shown{interval}." if str(interval) else ""), tuple(panels)
-    )
+    write_page(path, title, panels, note=f"Shown{interval}." if str(interval) else "")

@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 from motionkit.core.errors import MotionkitError
+from motionkit.core.progress import Progress
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import rest_positions
 from motionkit.viz import film
@@ -39,15 +40,15 @@ def test_every_native_frame_of_the_fastest_is_a_picture(
 
 
 def test_a_gif_lasts_as_long_as_its_motion_and_moves(tmp_path: Path) -> None:
-    drawn: list[int] = []
-    film.write_film(tmp_path / "a.gif", [take(12, Fraction(30))], Fraction(1), lambda: drawn.append(1))
+    reports: list[Progress] = []
+    film.write_film(tmp_path / "a.gif", [take(12, Fraction(30))], Fraction(1), reports.append)
     with Image.open(tmp_path / "a.gif") as made:
         pictures, lasting = [], 0
         for number in range(made.n_frames):
             made.seek(number)
             pictures.append(np.array(made.convert("RGB"), np.int64))
             lasting += made.info["duration"]
-    assert len(pictures) == len(drawn) == 12 and lasting == 400
+    assert len(pictures) == reports[-1].done == 12 and reports[-1].finished and lasting == 400
     assert pictures[0].shape == (480, 480, 3)
     heights = [np.nonzero(picture[..., 2] - picture[..., 0] > 100)[0].mean() for picture in pictures]
     assert (np.diff(heights) < 0).all() and heights[-1] < heights[0] - 5, "the body rises"
