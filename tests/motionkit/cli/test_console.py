@@ -39,13 +39,6 @@ def test_texts_are_shown_and_not_obeyed(text: str, shown: str) -> None:
     assert file.getvalue() == f"read {shown}\n"
 
 
-@pytest.mark.parametrize("console_of", [console.stdout, console.stderr])
-def test_the_consoles_change_no_name(console_of: LineConsole, capsys: pytest.CaptureFixture[str]) -> None:
-    console_of.print("a:smile:[bold].bvh  x")
-    captured = capsys.readouterr()
-    assert captured.out + captured.err == "a:smile:[bold].bvh  x\n"
-
-
 @pytest.mark.parametrize("text", HOSTILE)
 def test_json_holds_the_same_text_without_a_letter_that_is_obeyed(
     text: str, capsys: pytest.CaptureFixture[str]

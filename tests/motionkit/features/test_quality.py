@@ -129,26 +129,6 @@ def test_figures_are_finite_whatever_the_numbers(scale, num_frames):
 NOISE = 0.0005
 
 
-def hold(motion: Motion, fps: Fraction) -> Motion:
-    """Every frame repeated until the next one is due."""
-    num_frames = int(motion.num_frames * fps / motion.fps)
-    frames = np.arange(num_frames) * motion.fps.numerator * fps.denominator
-    frames //= motion.fps.denominator * fps.numerator
-    return replace(
-        motion,
-        joint_positions=motion.joint_positions[frames],
-        timegrid=TimeGrid(fps, num_frames),
-        local_rotations=None,
-        root_translation=None,
-    )
-
-
-def upsample(motion: Motion, method: str, fps: Fraction) -> Motion:
-    if method == "hold":
-        return hold(motion, fps)
-    return to_motion(interpolate(motion, method), fps)
-
-
 @pytest.mark.parametrize("method", ["hold", "linear", "slerp", "cubic"])
 @pytest.mark.parametrize(
     ("captured", "stated"), [(60, 120), (30, 60), (30, 90), (30, 120), (20, 120), (24, 60), (30, 100)]
@@ -156,7 +136,7 @@ def upsample(motion: Motion, method: str, fps: Fraction) -> Motion:
 def test_the_framerate_of_the_capture_is_reported(method, captured, stated):
     # SLERP goes through the rotations, which have to be as noisy as the positions: those of the plain performance.
     noise = 0.0 if method == "slerp" else NOISE
-    upsampled = upsample(capture(Fraction(captured), "walk", 6.0, noise), method, Fraction(stated))
+    upsampled = to_motion(interpolate(capture(Fraction(captured), "walk", 6.0, noise), method), Fraction(stated))
     quality = measure(upsampled)
     assert quality.effective_fps == pytest.approx(captured)
     assert "upsampled" in quality.flags
@@ -174,5 +154,6 @@ def test_a_capture_is_not_suspected(fps, action, noise):
     ("captured", "stated"), [(10, 20), (Fraction(25, 4), Fraction(25, 2)), (5, 10), (40, 60), (7, 30)]
 )
 def test_held_frames_are_counted_at_any_rate(captured, stated):
-    quality = measure(upsample(capture(Fraction(captured), "walk", 20.0, NOISE), "hold", Fraction(stated)))
+    held = interpolate(capture(Fraction(captured), "walk", 20.0, NOISE), "hold")
+    quality = measure(to_motion(held, Fraction(stated)))
     assert quality.effective_fps == pytest.approx(float(captured), rel=0.02)

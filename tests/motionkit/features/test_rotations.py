@@ -42,15 +42,21 @@ def test_positions_without_rotations_come_back_exactly() -> None:
     np.testing.assert_allclose(found.poses().joint_positions, motion.joint_positions, atol=2e-6)
 
 
-def test_true_rotations_are_kept() -> None:
+@pytest.fixture
+def rotating() -> Motion:
+    """Eight poses with random rotations of all joints."""
     q = random_rotations(1, 8, 22).astype(np.float32)
     root = np.random.default_rng(2).normal(size=(8, 3)).astype(np.float32)
     positions = kinematics.forward_kinematics(q, root, SMPL22)
-    motion = Motion(positions, SMPL22, TimeGrid(Fraction(30), 8), local_rotations=q, root_translation=root)
-    poses = rotations.rotation_rows(motion).poses()
-    assert poses.local_rotations is not None
-    np.testing.assert_allclose(np.abs(np.sum(poses.local_rotations * q, axis=-1)), 1.0, atol=1e-5)
-    np.testing.assert_allclose(poses.joint_positions, positions, atol=5e-6)
+    return Motion(positions, SMPL22, TimeGrid(Fraction(30), 8), local_rotations=q, root_translation=root)
+
+
+def test_true_rotations_are_kept(rotating: Motion) -> None:
+    poses = rotations.rotation_rows(rotating).poses()
+    assert poses.local_rotations is not None and rotating.local_rotations is not None
+    alike = np.abs(np.sum(poses.local_rotations * rotating.local_rotations, axis=-1))
+    np.testing.assert_allclose(alike, 1.0, atol=1e-5)
+    np.testing.assert_allclose(poses.joint_positions, rotating.joint_positions, atol=5e-6)
 
 
 def test_other_skeletons_keep_their_joints_or_are_mapped() -> None:
@@ -78,12 +84,8 @@ def test_world_and_window_are_inverse_and_turn_the_heading(seed: int) -> None:
     np.testing.assert_array_equal(inside[..., [1, *range(9, 135)]], vectors[..., [1, *range(9, 135)]])
 
 
-def test_mirrored_rows_are_the_mirrored_motion() -> None:
-    q = random_rotations(3, 6, 22).astype(np.float32)
-    root = np.random.default_rng(4).normal(size=(6, 3)).astype(np.float32)
-    positions = kinematics.forward_kinematics(q, root, SMPL22)
-    motion = Motion(positions, SMPL22, TimeGrid(Fraction(30), 6), local_rotations=q, root_translation=root)
-    expected = rotations.rotation_rows(mirror(motion)).vectors
-    vectors = rotations.rotation_rows(motion).vectors
+def test_mirrored_rows_are_the_mirrored_motion(rotating: Motion) -> None:
+    expected = rotations.rotation_rows(mirror(rotating)).vectors
+    vectors = rotations.rotation_rows(rotating).vectors
     np.testing.assert_allclose(rotations.mirrored(vectors), expected, atol=1e-6)
     np.testing.assert_array_equal(rotations.mirrored(rotations.mirrored(vectors)), vectors)
