@@ -51,17 +51,15 @@ def test_arbitrary_instants(run_command, tmp_path):
         read_npz(tmp_path / "made" / "0000-unconditional.npz")
 
 
-def test_defaults_are_the_models(run_command):
-    [motion] = json.loads(run_command("a walk", "--json").stdout)["motions"]
-    assert (motion["fps"], motion["num_frames"], motion["duration_seconds"]) == ("120", 360, 3.0)
-
-
 def test_framerates_above_the_training_data_warn(run_command, recwarn):
     run_command("a walk", "--fps", "120", "--seconds", "1")
     assert not recwarn.list
     run_command("a walk", "--fps", "240", "--seconds", "1", "--out", "fast")
     (warning,) = recwarn
     assert "240 fps is above the 120 fps" in str(warning.message)
+
+
+POINTS = "seconds,x,z\n0,0,5\n2,0,7\n"
 
 
 @pytest.mark.parametrize(
@@ -80,15 +78,17 @@ def test_framerates_above_the_training_data_warn(run_command, recwarn):
         (("a walk", "a jump", "--seconds", "0.5", "--join"), "part 1 of 2 of a joined motion lasts 0.5 s"),
         (("a walk", "--format", "fbx"), "one of bvh, amass, joints-npy, npz, csv, robot-csv, gltf"),
         (("a walk", "--times", "0.5", "--seconds", "1", "--format", "bvh"), "one framerate"),
+        (("a walk", "--path", "points.csv"), r"points\.csv: the model 'Drift' follows no constraints"),
+        (("a walk", "--joint", "elbow@1=0,0,0", "--seconds", "2"), "no joint is called 'elbow'"),
+        (("a walk", "--pose", "1=many.npz", "--seconds", "2"), r"many\.npz holds 3 frames: say which by its second"),
     ],
 )
 def test_what_makes_no_sense_is_refused(run_command, tmp_path, arguments, message):
+    (tmp_path / "points.csv").write_text(POINTS)
+    np.savez(tmp_path / "many.npz", joint_positions=np.zeros((3, 22, 3), np.float32), fps=10.0)
     with pytest.raises(UsageError, match=message):
         run_command(*arguments)
     assert not (tmp_path / "generated").exists()
-
-
-POINTS = "seconds,x,z\n0,0,5\n2,0,7\n"
 
 
 def test_a_path_is_followed_and_its_error_reported(run_command, tmp_path):
@@ -103,6 +103,8 @@ def test_a_path_is_followed_and_its_error_reported(run_command, tmp_path):
     (tmp_path / "points.csv").write_text(POINTS.replace("7", "8"))
     with pytest.raises(UsageError, match="begun with another constraints"):
         run_command("a walk", "--path", "points.csv", "--resume", model=GoesOn())
+    with pytest.raises(UsageError, match=r"points\.csv: 2 s lies outside the motion's 0 … 1 s"):
+        run_command("a walk", "--path", "points.csv", "--seconds", "1", "--out", "other", model=GoesOn())
 
 
 def test_a_path_of_a_long_motion_is_given_to_each_piece_by_its_clock(run_command, tmp_path):
@@ -117,28 +119,6 @@ def test_a_path_of_a_long_motion_is_given_to_each_piece_by_its_clock(run_command
     assert all(each.seconds.min() < 0.13 for _, request in model.asked for each in request.constraints)
     [met] = json.loads(result.stdout)["motions"][0]["constraints"]
     assert met["max_metres"] < 0.02
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (
-            ("--path", "points.csv"),
-            r"points\.csv: the model 'Drift' follows no constraints: it cannot follow a path",
-        ),
-        (("--path", "points.csv", "--seconds", "1"), r"points\.csv: 2 s lies outside the motion's 0 … 1 s"),
-        (("--joint", "elbow@1=0,0,0", "--seconds", "2"), "no joint is called 'elbow'"),
-        (("--joint", "head@3=0,0,0", "--seconds", "2"), "'Drift' follows no constraints"),
-        (("--pose", "1=many.npz", "--seconds", "2"), r"many\.npz holds 3 frames: say which by its second"),
-    ],
-)
-def test_what_a_motion_cannot_be_held_to_is_refused(run_command, tmp_path, arguments, message):
-    (tmp_path / "points.csv").write_text(POINTS)
-    poses = np.zeros((3, 22, 3), np.float32)
-    np.savez(tmp_path / "many.npz", joint_positions=poses, fps=10.0)
-    with pytest.raises(UsageError, match=message):
-        run_command("a walk", *arguments)
-    assert not (tmp_path / "generated").exists()
 
 
 def test_a_motion_beyond_the_longest_is_joined_from_several(run_command, tmp_path):
@@ -195,15 +175,6 @@ def test_a_file_of_prompts(run_command, tmp_path):
     with pytest.raises(UsageError, match=r"bad\.csv, line 3: the model knows no action 'fly'"):
         run_command("--prompts", "bad.csv", "--out", "other")
     assert not (tmp_path / "other").exists()
-
-
-def test_what_was_generated_is_ingested_with_its_captions(run_command, tmp_path):
-    run_command("a walk", "--seconds", "1", "--fps", "50", "--format", "bvh", "--out", "made")
-    result = CliRunner().invoke(build_app(), ["ingest", str(tmp_path / "made"), "--store", "store", "--json"])
-    assert result.exit_code == 0
-    assert not json.loads(result.stdout)["problems"]
-    [motion] = Store.open(tmp_path / "store").read_many([0])
-    assert (motion.fps, motion.captions) == (Fraction(50), (Caption("a walk"),))
 
 
 def test_a_stopped_call_goes_on_where_it_was(run_command, tmp_path):
