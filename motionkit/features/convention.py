@@ -33,34 +33,26 @@ class PoseVectors(Protocol):
     @property
     def skeleton(self) -> Skeleton:
         """The skeleton of decoded poses; its first 22 joints are the 22-joint layout's."""
-        ...
 
     @property
     def num_features(self) -> int:
         """Numbers per pose."""
-        ...
 
     @property
     def groups(self) -> tuple[tuple[int, ...], ...]:
         """Groups of numbers that may share a scale; each number is in one group, the path in the first."""
-        ...
 
     def mirror(self, values: Float32[np.ndarray, "*frames_and_row"]) -> Float32[np.ndarray, "*frames_and_row"]:
         """The values of the mirrored motion."""
-        ...
 
     def between(self, before: Values, after: Values, weight: Weight) -> Values:
         """Interpolate between the values of two frames."""
-        ...
 
     def encode(self, values: Values, yaw: Yaw, origin: Origin) -> Vectors:
         """Pose vectors in the frames of windows: yaw in radians, origin (x, z) in metres."""
-        ...
 
     def instants(self, seconds: Times) -> Instants:
         """The ascending instants at which decoding needs vectors: `seconds`, or more than those."""
-        ...
 
     def decode(self, vectors: InstantVectors, instants: Instants, seconds: Times) -> Poses:
         """Poses at `seconds` in the window's frame, from vectors at `instants(seconds)`."""
-        ...

@@ -188,21 +188,17 @@ class MotionField(Protocol):
     @property
     def skeleton(self) -> Skeleton:
         """The skeleton of the poses."""
-        ...
 
     @property
     def start_seconds(self) -> float:
         """First instant of the domain."""
-        ...
 
     @property
     def end_seconds(self) -> float:
         """Last instant of the domain."""
-        ...
 
     def query(self, times_seconds: Times) -> Poses:
         """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
-        ...
 
 
 @runtime_checkable
@@ -212,7 +208,6 @@ class MotionEncoder(Protocol):
     @property
     def name(self) -> str:
         """Name for tables and operation logs."""
-        ...
 
     def encode(
         self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
@@ -221,7 +216,6 @@ class MotionEncoder(Protocol):
 
         Raises `ValueError` if the encoder cannot extrapolate that far.
         """
-        ...
 
 
 @runtime_checkable
@@ -234,7 +228,6 @@ class BatchEncoder(Protocol):
         Raises `ValueError` for motions that are not observed at the same times or differ in their joints, and where
         the encoder cannot go that far.
         """
-        ...
 
 
 @runtime_checkable
@@ -243,7 +236,6 @@ class FramerateConditioned(Protocol):
 
     def at_fps(self, fps: Fraction) -> MotionField:
         """The same motion, conditioned on this framerate."""
-        ...
 
 
 @runtime_checkable
@@ -252,7 +244,6 @@ class PredictsContacts(Protocol):
 
     def contacts(self, times_seconds: Times) -> Float32[np.ndarray, "times 2 2"] | None:
         """Contact probabilities of ankle and toe of left and right foot; None if not available."""
-        ...
 
 
 def contacts_of(field: MotionField, times_seconds: Times) -> Float32[np.ndarray, "times 2 2"] | None:

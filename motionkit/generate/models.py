@@ -58,22 +58,18 @@ class GenerativeModel(Protocol):
     @property
     def name(self) -> str:
         """Name for tables."""
-        ...
 
     @property
     def skeleton(self) -> Skeleton:
         """Skeleton of everything it generates."""
-        ...
 
     @property
     def max_training_fps(self) -> Fraction:
         """Highest framerate in its training data; detail above it is invented."""
-        ...
 
     @property
     def max_duration_seconds(self) -> float:
         """Longest motion of a request (l_max)."""
-        ...
 
     def generate(
         self,
@@ -87,7 +83,6 @@ class GenerativeModel(Protocol):
 
         Request i is number `first` + i of its seed, so that many requests can be split into several calls.
         """
-        ...
 
 
 @runtime_checkable
@@ -96,7 +91,6 @@ class ChecksRequests(Protocol):
 
     def check(self, request: GenerationRequest, sampling: SamplingOptions = SamplingOptions()) -> None:
         """Raise `UsageError` for an unsupported duration, action, text or sampling option."""
-        ...
 
 
 @runtime_checkable
@@ -106,7 +100,6 @@ class FollowsConstraints(Protocol):
     @property
     def constraint_kinds(self) -> frozenset[ConstraintKind]:
         """The supported kinds."""
-        ...
 
 
 def check_constraints(model: GenerativeModel, request: GenerationRequest) -> None:

@@ -7,7 +7,7 @@ original position (f², more while they swing) and accelerations (f̈², r̈²).
 doesn't bend the knees; the rest fades out while a foot swings.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -40,26 +40,12 @@ KINDS = 3
 _BAND = 2 * KINDS + 1
 
 
-@dataclass(frozen=True)
-class Costs:
-    """Weights of the cost terms, relative to 1 for (m/s)² of sliding: `keep` of metres², `sudden` of (m/s²)².
-
-    `foot_down` and `foot_up` weigh a foot's distance from its original position in contact and in swing.
-    """
-
-    foot_down: float
-    foot_up: float
-    foot_sudden: float
-    body: float
-    body_sudden: float
-
-
-LEVEL_COSTS = {
-    "near": Costs(foot_down=0.05, foot_up=1.0, foot_sudden=2e-4, body=0.02, body_sudden=3e-3),
-    "free": Costs(foot_down=0.05, foot_up=1.0, foot_sudden=2e-4, body=1e-6, body_sudden=3e-3),
-    "kept": Costs(foot_down=0.05, foot_up=1.0, foot_sudden=2e-4, body=3.0, body_sudden=3e-3),
-}
-HEIGHT_COSTS = Costs(foot_down=0.05, foot_up=1.0, foot_sudden=2e-4, body=0.3, body_sudden=3e-3)
+FOOT_DOWN_COST, FOOT_UP_COST = 0.05, 1.0
+"""Costs of a foot's metres² from its original position in contact and in swing, relative to 1 for (m/s)² of sliding."""
+LEVEL_BODY_COST, HEIGHT_BODY_COST = {"near": 0.02, "free": 1e-6, "kept": 3.0}, 0.3
+"""Costs of the body's metres² from its original path on the ground, and in height."""
+BODY_SUDDEN_COST, FOOT_SUDDEN_COST = 3e-3, 2e-4
+"""Costs of (m/s²)² of the offsets of body and feet."""
 REACH_METRES = {"near": (0.12, 0.25), "free": (0.15, 0.3), "kept": (0.15, 0.3)}
 """Feet that would need a larger offset beside the body were dragged or stand there by intent: not corrected."""
 KEPT_SHARE = 0.02
@@ -139,7 +125,7 @@ def offsets_of(
         if not height.any():
             break
         velocity = np.zeros((*both.shape, 1)), STEADY_HEIGHT * both
-        offsets[..., [1]] = solve_offsets(velocity, (height[..., None], weight), contacts.hold, fps, HEIGHT_COSTS)
+        offsets[..., [1]] = solve_offsets(velocity, (height[..., None], weight), contacts.hold, fps, HEIGHT_BODY_COST)
         raised = offsets[:, 0, [1]] + offsets[:, 1:, 1]
         if (heights + raised[..., None] > lowest - TOLERATED_METRES).all():
             break
@@ -154,24 +140,24 @@ def _level_offsets(contacts: Contacts, fps: float, path: Path) -> Float64[np.nda
     share = contacts.sliding * (1.0 - contacts.beside) if path == "near" else contacts.sliding
     slid = contacts.velocity[..., [0, 2]] * ((1.0 - KEPT_SHARE) * share)[..., None]
     target = -0.5 * (slid[1:] + slid[:-1])
-    offsets = _carried(target, contacts.hold, contacts.lead, fps, LEVEL_COSTS[path])
+    offsets = _carried(target, contacts.hold, contacts.lead, fps, LEVEL_BODY_COST[path])
     within = _within_reach(offsets[:, 1:], contacts, path)
     if (within < 1.0).any():
-        offsets = _carried(target, contacts.hold * within, contacts.lead * within, fps, LEVEL_COSTS[path])
+        offsets = _carried(target, contacts.hold * within, contacts.lead * within, fps, LEVEL_BODY_COST[path])
     return offsets
 
 
 def _carried(
-    target: Float64[np.ndarray, "steps feet 2"], hold: PerFoot, lead: PerFoot, fps: float, costs: Costs
+    target: Float64[np.ndarray, "steps feet 2"], hold: PerFoot, lead: PerFoot, fps: float, body_cost: float
 ) -> Float64[np.ndarray, "instants 3 2"]:
     """Offsets that compensate these velocities while feet are held: the body's first, then the feet's again."""
     both = np.minimum(hold[1:], hold[:-1])
     anywhere = np.zeros((*lead.shape, 2)), np.zeros(lead.shape)
-    offsets = solve_offsets((target, both), anywhere, hold, fps, costs)
+    offsets = solve_offsets((target, both), anywhere, hold, fps, body_cost)
     # The feet again with the body fixed: legs absorb the velocities of feet in transition that the body ignored.
     step = np.diff(offsets[:, :1], axis=0) * fps
     remaining = target - step, np.minimum(lead[1:], lead[:-1])
-    offsets[:, 1:] = solve_offsets(remaining, anywhere, lead, fps, replace(costs, body=HELD))[:, 1:]
+    offsets[:, 1:] = solve_offsets(remaining, anywhere, lead, fps, HELD)[:, 1:]
     return offsets
 
 
@@ -233,7 +219,7 @@ def solve_offsets(
     place: tuple[Float64[np.ndarray, "instants feet axes"], PerFoot],
     down: PerFoot,
     fps: float,
-    costs: Costs,
+    body_cost: float,
 ) -> Float64[np.ndarray, "instants 3 axes"]:
     """The least-cost offsets of body, left and right foot, metres; a foot's total offset is body plus foot.
 
@@ -245,10 +231,10 @@ def solve_offsets(
     band = np.zeros((_BAND, count, KINDS))  # band[d, t, k]: the entry of unknown (t, k) and the one d places after it
     right = np.zeros((count, KINDS, axes))
     # Distance from the original position.
-    band[0, :, 0] += costs.body
-    band[0, :, 1:] += costs.foot_up + (costs.foot_down - costs.foot_up) * down
+    band[0, :, 0] += body_cost
+    band[0, :, 1:] += FOOT_UP_COST + (FOOT_DOWN_COST - FOOT_UP_COST) * down
     # Acceleration: squares of second differences.
-    sudden = np.array([costs.body_sudden, costs.foot_sudden, costs.foot_sudden]) * fps**4
+    sudden = np.array([BODY_SUDDEN_COST, FOOT_SUDDEN_COST, FOOT_SUDDEN_COST]) * fps**4
     for first, factor in ((0, 1.0), (1, -2.0), (2, 1.0)):
         for second, other in ((0, 1.0), (1, -2.0), (2, 1.0)):
             if second >= first:
