@@ -4,6 +4,7 @@ A motion that cannot be read or edited does not stop the others.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -88,12 +89,8 @@ def complete(
     paths = OutputPaths(COMPLETED, clips, len(sources), out=out, file_format=file_format, overwrite=overwrite)
     chosen = choose_encoder(model, run, runs or default_path("runs"))
     stderr.print(f"motionkit: completing with {chosen.explanation}")
-    _edit_each(
-        *("complete", sources, problems),
-        lambda source: complete_file(source, request, chosen, paths),
-        as_json,
-        {"encoder": chosen.name},
-    )
+    edit = partial(complete_file, request=request, chosen=chosen, paths=paths)
+    _edit_each("complete", sources, problems, edit, as_json, {"encoder": chosen.name})
 
 
 def plant(
@@ -130,12 +127,7 @@ def plant(
     where = where if clips else where or "true"
     sources, problems = find_motions(clips or (), options, store or default_path("store"), where)
     paths = OutputPaths(PLANTED, clips or (), len(sources), out=out, file_format=file_format, overwrite=overwrite)
-    _edit_each(
-        *("plant", sources, problems),
-        lambda source: plant_file(source, path, paths),
-        as_json,
-        {"path": path},
-    )
+    _edit_each("plant", sources, problems, partial(plant_file, path_of_body=path, paths=paths), as_json, {"path": path})
 
 
 def convert(
@@ -170,12 +162,8 @@ def convert(
     sources, problems = find_motions([source], options, store or default_path("store"))
     paths = OutputPaths("converted", [source], len(sources), out=out, file_format=file_format, overwrite=overwrite)
     character = None if onto is None else read_character(onto, read_options(None, skeleton_map))
-    _edit_each(
-        *("convert", sources, problems),
-        lambda each: convert_file(each, rate, character, paths),
-        as_json,
-        {"onto": None if onto is None else str(onto)},
-    )
+    edit = partial(convert_file, fps=rate, character=character, paths=paths)
+    _edit_each("convert", sources, problems, edit, as_json, {"onto": None if onto is None else str(onto)})
 
 
 def _edit_each(
