@@ -67,4 +67,4 @@ def test_they_do_what_they_say(
     for name in (*BEFORE, *OF_STORES):
         outcome = motionkit(*found[name])
         assert outcome.code == 0, (found[name], outcome.stderr)
-    assert [path for path in ("corpus.html", "out", "tests") if not (tmp_path / path).exists()] == []
+    assert [path for path in ("out", "tests") if not (tmp_path / path).exists()] == []
