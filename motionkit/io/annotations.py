@@ -11,12 +11,10 @@ import csv
 import io
 import math
 import os
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
-from fractions import Fraction
 from pathlib import Path
-from typing import Any, TypedDict, cast
+from typing import Any
 
 from motionkit.core.errors import FormatError, shown, suggestion
 from motionkit.core.files import parse_json, whole_number
@@ -24,7 +22,6 @@ from motionkit.core.motion import Caption
 from motionkit.core.timegrid import parse_fps
 from motionkit.io import source_file
 from motionkit.io.registry import SourceItem
-from motionkit.io.texts import SPLITS
 
 TEXT_COLUMNS = ("action", "style", "subject", "split", "stated_fps", "licence", "source", "subset", "group")
 COLUMNS = frozenset(
@@ -35,35 +32,19 @@ OTHER_COLUMNS = frozenset(("file", "sequence_id", "seconds", "files_sha256", "ch
 CAPTION_KEYS = frozenset(("text", "start_seconds", "end_seconds", "tokens"))
 
 
-class Annotation(TypedDict, total=False):
-    """What a row states of its file, and its line in the table: fields of `SourceItem`, `group` and `num_frames`."""
-
-    line: int
-    captions: tuple[Caption, ...]
-    action: str
-    style: str
-    subject: str
-    split: str
-    fps: Fraction
-    stated_fps: str
-    licence: str
-    source: str
-    subset: str
-    skip_frames: int
-    group: str
-    num_frames: int
+# What a row states of its file: fields of `SourceItem`, `group`, `num_frames`, and `line`, the row's in the table.
+Annotation = dict[str, Any]
 
 
 @dataclass(frozen=True)
 class AnnotationTable:
     """The rows of one CSV by absolute path of the file they describe, and the rows that could not be used.
 
-    `warnings` name the ignored columns (`unknown-column`) and splits unknown to any command (`unknown-split`).
+    `warnings` name the ignored columns (`unknown-column`).
     """
 
     path: Path
     rows: Mapping[Path, Annotation]
-    has_captions: bool
     problems: tuple[FormatError, ...] = ()
     warnings: tuple[FormatError, ...] = ()
 
@@ -82,10 +63,6 @@ def tables_in(folder: Path, given: Path | None = None) -> tuple[list[AnnotationT
             is_given = bool(names) and given is not None and path.samefile(given)
             if "file" in names and COLUMNS & set(names) and not is_given:
                 tables.append(read_annotations(path))
-            elif "file" not in names and "filename" in names and not is_given:
-                message = "not read, for its column 'filename', which has to be called 'file'"
-                warning = FormatError(message, path=path, reason="unknown-column", line=1)
-                tables.append(AnnotationTable(path, {}, has_captions=False, warnings=(warning,)))
         except FormatError as problem:
             problems.append(problem)
     return tables, problems
@@ -118,8 +95,10 @@ def read_annotations(path: Path, folder: Path | None = None) -> AnnotationTable:
                 problems.append(problem.with_traceback(None))
     except csv.Error as error:
         raise FormatError(f"not a CSV table ({error})", path=path, reason="annotations", line=reader.line_num) from None
-    warnings = (*_unknown_columns(reader.fieldnames or (), path), *_unknown_splits(rows.values(), path))
-    return AnnotationTable(path, rows, any("captions" in row for row in rows.values()), tuple(problems), warnings)
+    unknown = [name for name in reader.fieldnames or () if name not in COLUMNS | OTHER_COLUMNS]
+    listed = ", ".join(f"{shown(name)}{suggestion(name, COLUMNS)}" for name in unknown)
+    warning = FormatError(f"columns that are not read: {listed}", path=path, reason="unknown-column", line=1)
+    return AnnotationTable(path, rows, tuple(problems), (warning,) if unknown else ())
 
 
 def annotated(item: SourceItem, tables: Iterable[AnnotationTable]) -> SourceItem:
@@ -131,22 +110,6 @@ def annotated(item: SourceItem, tables: Iterable[AnnotationTable]) -> SourceItem
             stated["subset"] = ""  # the folder's name is not a subset of a source that the row gives
         stated |= row
     return replace(item, **{each.name: stated[each.name] for each in fields(item) if each.name in stated})
-
-
-def _unknown_columns(names: Sequence[str], path: Path) -> Iterator[FormatError]:
-    unknown = [name for name in names if name not in COLUMNS | OTHER_COLUMNS]
-    if unknown:
-        listed = ", ".join(f"{shown(name)}{suggestion(name, COLUMNS)}" for name in unknown)
-        yield FormatError(f"columns that are not read: {listed}", path=path, reason="unknown-column", line=1)
-
-
-def _unknown_splits(rows: Iterable[Annotation], path: Path) -> Iterator[FormatError]:
-    unknown = [row for row in rows if row.get("split", SPLITS[0]) not in SPLITS]
-    if unknown:
-        counts = Counter(f"{shown(row['split'])}{suggestion(row['split'], SPLITS)}" for row in unknown)
-        listed = ", ".join(f"{split} in {count:,} rows" for split, count in counts.most_common())
-        message = f"split {listed}; commands know {', '.join(SPLITS)}"
-        yield FormatError(message, path=path, reason="unknown-split", line=unknown[0]["line"])
 
 
 def _inside(name: str | None, folder: Path, path: Path, line: int) -> Path:
@@ -168,7 +131,7 @@ def _annotation(row: Mapping[str, str | None], path: Path, line: int) -> Annotat
         return FormatError(f"{name} {shown(cells[name])}: {expected}", path=path, reason=reason, line=line)
 
     stated = Annotation(line=line)
-    stated.update(cast(Annotation, {name: cells[name] for name in TEXT_COLUMNS if name in cells}))
+    stated |= {name: cells[name] for name in TEXT_COLUMNS if name in cells}
     if "performer" in cells:
         stated.setdefault("subject", cells["performer"])
     if "fps" in cells:
@@ -176,11 +139,13 @@ def _annotation(row: Mapping[str, str | None], path: Path, line: int) -> Annotat
             stated["fps"] = parse_fps(cells["fps"])
         except ValueError as error:
             raise fault("fps", error, "frame-time") from None
-    numbers = {name: whole_number(cells[name]) for name in ("num_frames", "skip_frames") if name in cells}
+    numbers: dict[str, int | None] = {
+        name: whole_number(cells[name]) for name in ("num_frames", "skip_frames") if name in cells
+    }
     for name, number in numbers.items():
         if number is None or (name == "num_frames" and number == 0):
             raise fault(name, "expected a number of frames")
-    stated.update(cast(Annotation, numbers))
+    stated |= numbers
     sentences = dict.fromkeys(cells[name] for name in ("caption", "caption_kit") if name in cells)
     try:
         more = [_caption(value) for value in parse_json(cells.get("captions", "[]"))]

@@ -5,7 +5,6 @@ A folder has `new_joints/ID.npy` [T, J, 3] and/or `new_joint_vecs/ID.npy` [T, 12
 Source: https://github.com/EricGuo5513/HumanML3D, https://motion-annotation.humanoids.kit.edu.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
@@ -73,7 +72,7 @@ def claims(folder: Path, layout: Layout = HUMANML3D) -> bool:
 
 
 def find(folder: Path, root: Path, layout: Layout = HUMANML3D) -> ScanResult:
-    """All sequences of a folder with their splits; captions without motion are problems, the reverse warnings."""
+    """All sequences of a folder with their splits; captions without motion are problems."""
     # Joints replace the vectors of the same name.
     arrays = [path for name in (VECTORS_FOLDER, JOINTS_FOLDER) for path in (folder / name).glob("*.npy")]
     paths = dict(sorted({path.stem: path for path in arrays}.items()))
@@ -103,12 +102,6 @@ def find(folder: Path, root: Path, layout: Layout = HUMANML3D) -> ScanResult:
         for key, path in described.items()
         if key not in paths
     )
-    if described:
-        warnings += [
-            FormatError(f"has no {TEXTS_FOLDER}/{key}.txt; kept without a caption", path=path, reason="no-caption")
-            for key, path in paths.items()
-            if key not in described
-        ]
     return ScanResult(items, problems, tuple(warnings))
 
 
@@ -250,22 +243,7 @@ def _save(path: Path, array: np.ndarray) -> None:
         np.save(path, array, allow_pickle=False)
 
 
-def write_humanml3d(folder: Path, entries: Iterable[Entry], layout: Layout = HUMANML3D) -> int:
-    """Write a folder of the published form with `FolderWriter` and return the number of sequences."""
-    writer = FolderWriter(folder, layout)
-    for entry in entries:
-        writer.add(entry)
-    return writer.finish()
-
-
-FORMAT = Format(
-    name="humanml3d",
-    read=read_humanml3d,
-    claims=claims,
-    find=find,
-)
-
-
+FORMAT = Format(name="humanml3d", read=read_humanml3d, claims=claims, find=find)
 KIT_FORMAT = Format(
     name="kit",
     read=partial(read_humanml3d, layout=KIT),

@@ -108,12 +108,6 @@ class Index:
     problems: tuple[FormatError, ...] = ()
 
 
-class _BadEntry(ValueError):
-    def __init__(self, message: str, reason: str = "index-entry") -> None:
-        super().__init__(message)
-        self.reason = reason
-
-
 # The spelling of files
 
 
@@ -211,40 +205,39 @@ def _index(
     """The index built from rows, each with its name and line; bad ones and repeated names become problems."""
     kept: dict[str, Entry] = {}
     problems: list[FormatError] = []
-    repeated: list[FormatError] = []
     for sequence_name, line, row in rows:
         try:
             entry = replace(entry_of(_sequence_name(sequence_name), row), line=line)
-        except _BadEntry as bad:
+        except ValueError as bad:
             prefix = "" if line is not None else f"{sequence_name[:MAX_NAME]!r}: "
-            problems.append(FormatError(f"{prefix}{bad}", path=path, reason=bad.reason, line=line))
+            problems.append(FormatError(f"{prefix}{bad}", path=path, reason="index-entry", line=line))
             continue
         first = kept.setdefault(entry.name, entry)
         if first is not entry:
             message = f"{entry.name!r} is named twice, first in line {first.line}"
-            repeated.append(FormatError(message, path=path, reason="duplicate-id", line=line))
-    return Index(name, path, tuple(kept.values()), (*problems, *repeated))
+            problems.append(FormatError(message, path=path, reason="duplicate-id", line=line))
+    return Index(name, path, tuple(kept.values()), tuple(problems))
 
 
 def _source_parts(value: object) -> tuple[str, ...]:
     """The folders and the file of a path in an index, without `.` and HumanML3D's leading `pose_data`."""
     parts = tuple(part for part in value.split("/") if part not in ("", ".")) if isinstance(value, str) else ()
     if not parts:
-        raise _BadEntry(f"the path is {str(value)[:80]!r}, expected folders and a file, separated by /", "path")
+        raise ValueError(f"the path is {str(value)[:80]!r}, expected folders and a file, separated by /")
     return parts[1:] if parts[0] == "pose_data" and len(parts) > 1 else parts
 
 
 def _sequence_name(name: str) -> str:
     # A part of the sequence's id and its text file's name.
     if name in ("", ".", "..") or len(name) > MAX_NAME or not name.isprintable() or "/" in name or "\\" in name:
-        raise _BadEntry(f"the name {name[:80]!r}; expected a plain file name such as 000000", "path")
+        raise ValueError(f"the name {name[:80]!r}; expected a plain file name such as 000000")
     return name
 
 
 def _seconds(value: object, what: str) -> float:
     number = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else -1.0
     if not 0.0 <= number < MAX_SECONDS:
-        raise _BadEntry(f"{what} is {str(value)[:40]}, expected seconds from 0 on")
+        raise ValueError(f"{what} is {str(value)[:40]}, expected seconds from 0 on")
     return number
 
 
@@ -269,7 +262,7 @@ def _read_humanml3d(text: str, path: Path) -> Index:
 
 def _humanml3d(name: str, row: Mapping[str, str | None]) -> Entry:
     if None in row:
-        raise _BadEntry("more cells than columns; a path with a comma needs quotes")
+        raise ValueError("more cells than columns; a path with a comma needs quotes")
     parts = _source_parts(row["source_path"])
     start, end = (_frame(row, column) for column in ("start_frame", "end_frame"))
     found = dataset_of(parts)
@@ -277,7 +270,7 @@ def _humanml3d(name: str, row: Mapping[str, str | None]) -> Entry:
     whole = dataset.name == HUMANACT12 and (start, end) == (0, WHOLE_FILE)
     if not whole and not 0 <= start < end:
         message = f"frames [{start}, {end}); expected 0 <= start_frame < end_frame (0 and -1 for {HUMANACT12})"
-        raise _BadEntry(message)
+        raise ValueError(message)
     return Entry(name, parts, StepCut(start, None if whole else end, dataset.trim_frames, dataset.seen_fps_of(parts)))
 
 
@@ -286,20 +279,20 @@ def _frame(row: Mapping[str, str | None], column: str) -> int:
     # Pandas writes integers as floats if another row of the column is empty.
     if re.fullmatch(r"-?\d{1,7}(\.0)?", cell, re.ASCII):
         return int(float(cell))
-    raise _BadEntry(f"{column} is {cell[:40]!r}, expected a whole number of frames")
+    raise ValueError(f"{column} is {cell[:40]!r}, expected a whole number of frames")
 
 
 def _tmr(name: str, value: Any) -> Entry:
     """A sequence spans all of its captions, or the whole file if they cover the stated duration."""
     if not isinstance(value, dict) or not isinstance(value.get("annotations"), list):
-        raise _BadEntry("no path and annotations")
+        raise ValueError("no path and annotations")
     parts = _source_parts(value.get("path"))
     mirrored = parts[0] == MIRROR and len(parts) > 1
     parts = parts[1:] if mirrored else parts
     captions: list[Caption] = []
     for each in value["annotations"]:
         if not isinstance(each, dict) or not isinstance(each.get("text"), str):
-            raise _BadEntry("an annotation without text")
+            raise ValueError("an annotation without text")
         first, last = sorted(_seconds(each.get(which), which) for which in ("start", "end"))
         captions.append(Caption(each["text"], first, last))
     start = min((caption.start_seconds for caption in captions), default=0.0)
@@ -327,7 +320,7 @@ def _babel(name: str, row: tuple[Any, str]) -> Entry:
     """Captions are the raw labels; the action is the category of the whole sequence if there is exactly one."""
     value, split = row
     if not isinstance(value, dict):
-        raise _BadEntry("no feat_p and labels")
+        raise ValueError("no feat_p and labels")
     of_whole = list(_labels(value, "seq_ann"))
     captions = [Caption(text) for label in of_whole if (text := _text(label))]
     for label in _labels(value, "frame_ann"):
@@ -353,7 +346,7 @@ def _labels(value: dict[str, Any], which: str) -> Iterator[dict[str, Any]]:
         if labels is None:
             continue
         if not isinstance(labels, list) or not all(isinstance(label, dict) for label in labels):
-            raise _BadEntry(f"{which} without labels")
+            raise ValueError(f"{which} without labels")
         yield from labels
 
 
@@ -382,7 +375,6 @@ def scan_indexes(places: Iterable[tuple[Path, Path]], options: IndexOptions, ite
         splits, of_splits = _splits(index, options)
         warnings += of_splits
         problems += index.problems
-        has_captions = options.texts is not None or any(entry.captions for entry in index.entries)
         found: dict[Key, SourceItem | None] = {}
         for entry in index.entries:
             if entry.key not in found:
@@ -401,9 +393,6 @@ def scan_indexes(places: Iterable[tuple[Path, Path]], options: IndexOptions, ite
                 refused[entry.dataset] += 1
                 continue
             items_by_file.setdefault(item.path, []).append(item)
-            if has_captions and not item.captions:
-                message = f"{item.sequence_id} has no caption; kept without one"
-                warnings.append(FormatError(message, path=item.path, reason="no-caption"))
     items = tuple(item for of_file in items_by_file.values() for item in of_file)
     return ScanResult(items, tuple(problems), tuple(warnings), missing, refused)
 

@@ -170,10 +170,4 @@ def _skeleton(joints: tuple[str, ...]) -> tuple[Skeleton | None, tuple[str, ...]
     return None, joints
 
 
-FORMAT = Format(
-    name="csv",
-    read=of_path(read_joints_csv),
-    suffixes=(".csv",),
-    accepts=accepts,
-    write=write_joints_csv,
-)
+FORMAT = Format(name="csv", read=of_path(read_joints_csv), suffixes=(".csv",), accepts=accepts, write=write_joints_csv)

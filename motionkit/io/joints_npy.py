@@ -180,8 +180,5 @@ FORMAT = Format(
 )
 
 HUMANACT12_FORMAT = Format(
-    name="humanact12",
-    read=of_path(read_humanact12),
-    suffixes=(".npy",),
-    accepts=accepts_humanact12,
+    name="humanact12", read=of_path(read_humanact12), suffixes=(".npy",), accepts=accepts_humanact12
 )

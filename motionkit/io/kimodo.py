@@ -14,7 +14,7 @@ import numpy as np
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, Feet, Skeleton
-from motionkit.core.timegrid import TimeGrid, parse_fps
+from motionkit.core.timegrid import TimeGrid
 from motionkit.io import joint_rotations, npy, source_file
 from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
 
@@ -81,14 +81,15 @@ def read_kimodo(path: Path, options: ReadOptions | None = None) -> Motion:
         known = ", ".join(f"{count} ({each.name})" for count, each in SKELETONS.items())
         message = f"{JOINTS}: {positions.shape[1]} joints, expected {known}"
         raise FormatError(message, path=path, reason="channel-count")
-    fps, stated, operations = _framerate(archive, options)
+    fps = options.fps or FPS
+    operations = source_file.replaced_fps(fps, FPS, who="Kimodo")
     body = replace(skeleton, offsets=positions[0] - positions[0, skeleton.parents_or_self])
     motion = Motion(
         positions,
         body,
         TimeGrid(fps, len(positions)),
         sequence_id=path.stem,
-        provenance=source_file.provenance(path, data, "kimodo", operations, stated_fps=stated),
+        provenance=source_file.provenance(path, data, "kimodo", operations),
     )
     if ROTATIONS not in archive:
         return motion
@@ -96,16 +97,6 @@ def read_kimodo(path: Path, options: ReadOptions | None = None) -> Motion:
     local = np.einsum("tjki,tjkl->tjil", matrices[:, skeleton.parents_or_self], matrices)
     local[:, 0] = matrices[:, 0]
     return joint_rotations.with_rotations(motion, local)
-
-
-def _framerate(archive: npy.Archive, options: ReadOptions) -> tuple[Fraction, str, list[str]]:
-    value = archive.scalar("fps") if "fps" in archive else None
-    try:
-        fps, who = (FPS, "Kimodo") if value is None else (parse_fps(value), "the file")
-    except ValueError as error:
-        raise FormatError(f"fps: {value} ({error})", path=archive.path, reason="framerate") from None
-    used = options.fps or fps
-    return used, "" if value is None else str(value), source_file.replaced_fps(used, fps, who=who)
 
 
 FORMAT = Format(name="kimodo", read=of_path(read_kimodo), suffixes=(".npz",), accepts=accepts)

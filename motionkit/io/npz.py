@@ -8,6 +8,7 @@ or `time_seconds` [T], evenly spaced; all that are present must agree. Everythin
 reading a motion is lossless.
 """
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -154,7 +155,7 @@ def read_npz(path: Path, options: ReadOptions | None = None) -> Motion:
         provenance=Provenance(
             **{name: archive.text(name) for name in PROVENANCE},
             source_path=path.name,
-            source_sha256=source_file.sha256(data),
+            source_sha256=hashlib.sha256(data).hexdigest(),
             source_format="npz",
             stated_fps=stated_fps,
             operations=(*archive.strings("operations"), *operations),

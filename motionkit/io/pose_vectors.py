@@ -155,7 +155,15 @@ def _motion(
     options: ReadOptions,
     *operations: str,
 ) -> Motion:
-    _check_body(positions, skeleton, path)
+    metres = body_frame.standing_metres(skeleton, positions)
+    if not body_frame.is_plausible(metres):
+        raise FormatError(
+            f"as they are these vectors make a body of {metres:.3g} m from ankle to head, people have "
+            f"{body_frame.TYPICAL_HEIGHT_METRES} m: normalised ones are restored with np.save({path.name!r}, np.load("
+            f"{path.name!r}) * std + mean), mean and std being those of the model that made them",
+            path=path,
+            reason="unit",
+        )
     stated = joints_npy.read_manifest(joints_npy.manifest_of(path)).fps or usual_fps
     fps = options.fps or stated
     lines = (*operations, *source_file.replaced_fps(fps, usual_fps, who="the data set"))
@@ -166,18 +174,6 @@ def _motion(
         sequence_id=path.stem,
         provenance=source_file.provenance(path, data, source_format, lines, stated_fps=str(stated)),
     )
-
-
-def _check_body(positions: Positions, skeleton: Skeleton, path: Path) -> None:
-    metres = body_frame.standing_metres(skeleton, positions)
-    if not body_frame.is_plausible(metres):
-        raise FormatError(
-            f"as they are these vectors make a body of {metres:.3g} m from ankle to head, people have "
-            f"{body_frame.TYPICAL_HEIGHT_METRES} m: normalised ones are restored with np.save({path.name!r}, np.load("
-            f"{path.name!r}) * std + mean), mean and std being those of the model that made them",
-            path=path,
-            reason="unit",
-        )
 
 
 FORMAT = Format(name="pose-vectors", read=of_path(read_pose_vectors), suffixes=(".npy",), accepts=accepts)

@@ -113,10 +113,9 @@ class SourceItem:
 class ScanResult:
     """The result of a scan: `items` to read, `problems` that lose a sequence, and `warnings` that do not.
 
-    A motion without a caption, in a source with captions, is a warning: the motion is kept. `missing` counts, by
-    dataset, the sequences of an index whose files are missing, `refused` those whose captions cannot be read; each is
-    also one of the problems. `ignored` are the files of a folder that are not sequences and belong to none; it is empty
-    for an index's folders.
+    `missing` counts, by dataset, the sequences of an index whose files are missing, `refused` those whose captions
+    cannot be read; each is also one of the problems. `ignored` are the files of a folder that are not sequences and
+    belong to none; it is empty for an index's folders.
     """
 
     items: tuple[SourceItem, ...]

@@ -12,13 +12,13 @@ rules. The shipped ones are framerate_rules.toml.
 import os
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from functools import cache, lru_cache
 from importlib import resources
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from motionkit.core.errors import FormatError, UsageError, shown
 from motionkit.core.files import LONGEST_TOML, is_store, parse_toml, read_at_most
@@ -207,7 +207,6 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
         message = f"{len(derived):,} of its files ({which}) were made by 'motionkit complete' or 'motionkit plant' and "
         message += "are left out: name such files one by one to store them"
         warnings.append(FormatError(message, path=root, reason="made"))
-    warnings += _without_caption(items, side_files, {warning.path for warning in warnings})
     known = {problem.path for problem in problems} | {table.path for table in side_files.tables}
     known |= set() if given is None else {given.path.parent.resolve() / given.path.name}
     ignored = [path for path in others if is_folder and path not in known and not _is_side_file(path)]
@@ -233,27 +232,13 @@ def _items_of_file(kind: Format, head: FileHead, root: Path, licence: str) -> It
 def _without_motion(tables: Sequence[AnnotationTable], known: set[Path]) -> Iterator[FormatError]:
     # One table may have been read once for each source: a row is without a motion if no source has it.
     reported = {(table.path, row["line"]) for table in tables for path, row in table.rows.items() if path in known}
-    suffixes = {path.suffix for path in known}
     for table in tables:
         for path, row in table.rows.items():
             if (table.path, row["line"]) in reported:
                 continue
             reported.add((table.path, row["line"]))
-            # Names without a suffix are the commonest mistake.
-            meant = next((name for each in suffixes if (name := Path(f"{path}{each}")) in known), None)
             message = f"describes {path.name}, but there is no such motion in the source"
-            message += f" (did you mean {meant.name}?)" if meant else ""
             yield FormatError(message, path=table.path, reason="caption-without-motion", line=row["line"])
-
-
-def _without_caption(items: Iterable[SourceItem], side_files: _SideFiles, reported: set[Path]) -> Iterator[FormatError]:
-    for item in items:
-        if item.captions or item.path in reported:
-            continue
-        _, tables = side_files.of(item.path.parent)
-        if any(table.has_captions for table in tables):
-            message = "has no caption in a source that has captions; kept without one"
-            yield FormatError(message, path=item.path, reason="no-caption")
 
 
 def derived_folder(fps: str, made: str = COMPLETED) -> str:
@@ -393,10 +378,8 @@ def _read_file(item: SourceItem, options: ReadOptions) -> Motion:
     motion = _corrected(item, options, kind.read)
     if not options.up or kind.turns_up:
         return motion
-    motion = turned(motion, options.up)
-    for line in log_lines(options.up, options.up):
-        motion = motion.logged(line)
-    return motion
+    (line,) = log_lines(options.up, options.up)
+    return turned(motion, options.up).logged(line)
 
 
 def _without_first(motion: Motion, item: SourceItem, options: ReadOptions) -> Motion:
@@ -497,26 +480,22 @@ def shipped_rules() -> tuple[FramerateRule, ...]:
 
 def parse_rules(text: str, name: str) -> tuple[FramerateRule, ...]:
     """The rules in TOML text; `name` is for messages. Raises `UsageError`."""
+    rules: list[FramerateRule] = []
+    where = name
     try:
-        tables = parse_toml(text)["rule"]
-        return tuple(_rule(table, f"{Path(name).name}, rule {number}") for number, table in enumerate(tables, start=1))
+        for number, table in enumerate(parse_toml(text)["rule"], start=1):
+            where = f"{Path(name).name}, rule {number}"
+            if not {"files", "fps"} <= set(table) <= RULE_KEYS:
+                raise ValueError(f"it has {shown(table)}")
+            globs = (table["files"],) if isinstance(table["files"], str) else tuple(table["files"])
+            if not globs or not all(isinstance(each, str) and each.strip("./") for each in globs):
+                raise ValueError(f"files must be a glob in quotes, or a list of them, not {shown(globs)}")
+            stated = parse_fps(table["stated"]) if "stated" in table else None
+            rules.append(FramerateRule(globs, parse_fps(table["fps"]), stated, str(table.get("source", "")), where))
     except (ValueError, KeyError, TypeError) as error:
         expected = "expected tables [[rule]] with files, fps and, if you like, stated, reason, source (docs/formats.md)"
-        raise UsageError(f"{name}: {error}; {expected}") from None
-
-
-def _rule(table: dict[str, Any], where: str) -> FramerateRule:
-    if not {"files", "fps"} <= set(table) <= RULE_KEYS:
-        raise ValueError(f"{where} has {shown(table)}")
-    globs = (table["files"],) if isinstance(table["files"], str) else tuple(table["files"])
-    if not globs or not all(isinstance(each, str) and each.strip("./") for each in globs):
-        raise ValueError(f"{where}: files must be a glob in quotes, or a list of them, not {shown(globs)}")
-    try:
-        fps, stated = (parse_fps(table[key]) if key in table else None for key in ("fps", "stated"))
-    except (ValueError, TypeError) as error:
-        raise ValueError(f"{where}: {error}") from None
-    assert fps is not None
-    return FramerateRule(globs, fps, stated, str(table.get("source", "")), where)
+        raise UsageError(f"{where}: {error}; {expected}") from None
+    return tuple(rules)
 
 
 def matching_rules(path: Path, root: Path, rules: tuple[FramerateRule, ...]) -> tuple[FramerateRule, ...]:

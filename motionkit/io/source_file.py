@@ -8,7 +8,6 @@ float64, so that no word becomes a Python object. A block that this fails to par
 """
 
 import hashlib
-import os
 import re
 import stat
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -43,27 +42,19 @@ NEWLINE, SPACE = 10, 32
 
 def read_bytes(path: Path) -> bytes:
     """All bytes of a file; raises `FormatError` (`unreadable`, `empty`, `too-large`)."""
-    size = check_file(path).st_size
-    if size > MAX_BYTES:
-        raise FormatError(f"{size} bytes, expected at most {MAX_BYTES}; split the file", path=path, reason="too-large")
     try:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
+            raise FormatError("a folder, a pipe or a device, expected a file", path=path, reason="unreadable")
+        if status.st_size > MAX_BYTES:
+            message = f"{status.st_size} bytes, expected at most {MAX_BYTES}; split the file"
+            raise FormatError(message, path=path, reason="too-large")
         data = path.read_bytes()
     except OSError as error:
         raise unreadable(path, error) from None
     if CONTENT.search(data) is None:  # `strip` would copy
         raise FormatError("the file is empty", path=path, reason="empty")
     return data
-
-
-def check_file(path: Path) -> os.stat_result:
-    """`os.stat` of a file; raises `FormatError` (`unreadable`) for anything but a regular file."""
-    try:
-        status = path.stat()
-    except OSError as error:
-        raise unreadable(path, error) from None
-    if not stat.S_ISREG(status.st_mode):
-        raise FormatError("a folder, a pipe or a device, expected a file", path=path, reason="unreadable")
-    return status
 
 
 def check_size(num_frames: int, num_joints: int, path: Path) -> None:
@@ -94,18 +85,13 @@ def unreadable(path: Path, error: OSError) -> FormatError:
     return dangling(path) or FormatError(f"cannot be read ({error.strerror or error})", path=path, reason="unreadable")
 
 
-def sha256(data: bytes) -> str:
-    """SHA-256 of a file's bytes in hex."""
-    return hashlib.sha256(data).hexdigest()
-
-
 def provenance(
     path: Path, data: bytes, source_format: str, operations: Iterable[str], *, stated_fps: str = "", subject: str = ""
 ) -> Provenance:
     """The provenance of a motion read from a file's bytes, with its operation log."""
     return Provenance(
         source_path=path.name,
-        source_sha256=sha256(data),
+        source_sha256=hashlib.sha256(data).hexdigest(),
         source_format=source_format,
         subject=subject,
         stated_fps=stated_fps,
@@ -184,12 +170,9 @@ def fps_in_use(
     return given, replaced_fps(given, stated_fps)
 
 
-def replaced_fps(fps: Fraction, stated: Fraction | str | None, *, by: str = "", who: str = "the file") -> list[str]:
-    """The log line of a framerate that replaces the one that `who` states, if any; empty if both are the same.
-
-    `by` names the source of the decision.
-    """
-    return [] if fps == stated else [f"framerate set to {fps}{by}; {who} says {stated or 'none'}"]
+def replaced_fps(fps: Fraction, stated: Fraction | str | None, *, who: str = "the file") -> list[str]:
+    """The log line of a framerate that replaces the one that `who` states, if any; empty if both are the same."""
+    return [] if fps == stated else [f"framerate set to {fps}; {who} says {stated or 'none'}"]
 
 
 def grid_of_seconds(seconds: Float64[np.ndarray, "frames"], path: Path, fps: Fraction | None = None) -> TimeGrid:
@@ -205,21 +188,11 @@ def grid_of_seconds(seconds: Float64[np.ndarray, "frames"], path: Path, fps: Fra
     grid = TimeGrid(fps, len(seconds), float(seconds[0]))
     off = np.abs(grid.seconds() - seconds) * float(fps)
     if off.max() > UNEVEN_FRAMES:
-        raise _uneven(seconds, fps, path, int(np.argmax(off > UNEVEN_FRAMES)))
+        steps = np.diff(seconds)
+        frame = int(np.argmax(np.abs(steps - float(1 / fps)))) + 1
+        what = f"comes {steps[frame - 1]:.6g} s after the one before, expected {float(1 / fps):.6g} s at {float(fps):.6g} fps"
+        raise _fault(f"{what}; sample the motion evenly, nothing is resampled at ingest", path, frame)
     return grid
-
-
-def _uneven(seconds: Float64[np.ndarray, "frames"], fps: Fraction, path: Path, frame: int) -> FormatError:
-    # A missing frame shifts the mean of all steps; their median locates it.
-    steps = np.diff(seconds)
-    usual = float(np.median(steps))
-    odd = np.abs(steps - usual) > np.abs(usual) / 2
-    if not odd.any():
-        what = f"is at {seconds[frame]:.6g} s; time stamps are not those of {float(fps):.6g} fps"
-    else:
-        frame = int(np.argmax(odd)) + 1
-        what = f"comes {steps[frame - 1]:.6g} s after the one before, where {usual:.6g} s is usual"
-    return _fault(f"{what}; sample the motion evenly, nothing is resampled at ingest", path, frame)
 
 
 def _framerate(seconds: Float64[np.ndarray, "frames"], path: Path) -> Fraction:

@@ -56,11 +56,7 @@ SPLITS = ("train", "val", "test")
 
 
 def read_splits(folder: Path, known: Collection[str], where: str) -> tuple[dict[str, str], list[FormatError]]:
-    """Split by name, and a warning (`split-without-motion`) for each file with names not in `known`.
-
-    If none of a file's names is known, the warning shows one of each side: the spelling differs, or the files belong
-    to another corpus.
-    """
+    """Split by name, and a warning (`split-without-motion`) for each file with names not in `known`."""
     splits: dict[str, str] = {}
     warnings: list[FormatError] = []
     for split in SPLITS:
@@ -74,8 +70,6 @@ def read_splits(folder: Path, known: Collection[str], where: str) -> tuple[dict[
         absent = [name for name in names if name not in known]
         if absent:
             message = f"lists {len(absent):,} sequences that {where} has not, first {absent[0][:40]!r}"
-            if len(absent) == len(names) and known:
-                message = f"none of its {len(names):,} names is in {where}: it lists {absent[0][:40]!r}, "
-                message += f"{where} has {next(iter(known))[:40]!r}; so nothing is of the split {split}"
+            message += f"; {where} has {next(iter(known))[:40]!r}" if known else ""
             warnings.append(FormatError(message, path=path, reason="split-without-motion"))
     return splits, warnings

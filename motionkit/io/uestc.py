@@ -116,9 +116,4 @@ def read_uestc(path: Path, options: ReadOptions | None = None) -> Motion:
     )
 
 
-FORMAT = Format(
-    name="uestc",
-    read=of_path(read_uestc),
-    suffixes=(".npz",),
-    accepts=accepts,
-)
+FORMAT = Format(name="uestc", read=of_path(read_uestc), suffixes=(".npz",), accepts=accepts)

@@ -2,14 +2,14 @@
 
 import json
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from motionkit.features import humanml3d
 from motionkit.io.deepmimic import humanoid3d
-from motionkit.io.humanml3d import Entry, write_humanml3d
+from motionkit.io.humanml3d import HUMANML3D, Entry, FolderWriter, Layout
 from tests.helpers.amass_samples import smplh_fields, write_amass
 from tests.helpers.format_samples import bvh_text, lafan1_text, write_asfamc
 from tests.helpers.vector_samples import interhuman_rows, motionstreamer_rows, walk
@@ -100,9 +100,17 @@ def write_markers(folder: Path) -> Path:
     return path
 
 
+def write_pose_folder(folder: Path, entries: Iterable[Entry], layout: Layout = HUMANML3D) -> int:
+    """Write a folder of HumanML3D's form; the number of its sequences."""
+    writer = FolderWriter(folder, layout)
+    for entry in entries:
+        writer.add(entry)
+    return writer.finish()
+
+
 def write_published(joints: int) -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
-        write_humanml3d(folder, [Entry("000001", bodies(12, joints), None, (), "train")])
+        write_pose_folder(folder, [Entry("000001", bodies(12, joints), None, (), "train")])
         return folder / "new_joints" / "000001.npy"
 
     return write

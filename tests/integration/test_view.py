@@ -16,13 +16,13 @@ from motionkit.features import humanml3d
 from motionkit.features.humanml3d import process
 from motionkit.fields.motion_field import to_motion
 from motionkit.io.bvh import read_bvh, write_bvh
-from motionkit.io.humanml3d import Entry, write_humanml3d
+from motionkit.io.humanml3d import Entry
 from motionkit.io.npz import write_npz
 from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import read, scan
 from motionkit.store import StoreWriter
 from tests.helpers.analytic import analytic_motion
-from tests.helpers.every_format import SOURCES
+from tests.helpers.every_format import SOURCES, write_pose_folder
 from tests.helpers.outcome import Outcome
 from tests.helpers.packed import unpack
 
@@ -108,7 +108,7 @@ def test_every_format(motionkit: Run, kind: str, here: Path) -> None:
 def test_folders_one_bad_file_costs_nothing_of_the_others(motionkit: Run, motion: Motion) -> None:
     vectors = humanml3d.vectors(process(motion.joint_positions, "smpl22"), "smpl22")
     entry = Entry("000001", humanml3d.positions(vectors, "smpl22"), vectors)
-    write_humanml3d(Path("takes/set"), [entry])
+    write_pose_folder(Path("takes/set"), [entry])
     write_bvh(motion, Path("takes/a.bvh"))
     write_bvh(motion, Path("takes/b.bvh"))
     Path("takes/c.bvh").write_text(Path("takes/a.bvh").read_text("utf-8")[:-400], encoding="utf-8")

@@ -42,7 +42,6 @@ def test_a_table_beside_the_motions(source: Path) -> None:
     items = {item.sequence_id: item for item in result.items}
     assert set(items) == {"takes/walk", "takes/07/07_01"}
     assert [(problem.reason, problem.line) for problem in result.problems] == [("caption-without-motion", 4)]
-    assert [warning.reason for warning in result.warnings] == ["no-caption"]
     walk = read(items["takes/walk"])
     assert [caption.text for caption in walk.captions] == ["a person walks", "somebody walks"]
     assert (walk.action, walk.split, walk.fps, walk.provenance.subject) == ("walk", "train", Fraction(30), "Anna")
@@ -118,20 +117,6 @@ def test_columns_that_are_not_read_are_reported(tmp_path: Path, header: str, mes
     found = scan([tmp_path])
     assert (len(found.items), found.problems) == (1, ())
     assert [warning.message for warning in found.warnings] == [message] * bool(message)
-
-
-def test_splits_that_no_command_knows_are_reported_once(tmp_path: Path) -> None:
-    names = ("train", "training", "Test", "dev", "val", "", "training")
-    for number in range(len(names)):
-        (tmp_path / f"{number}.bvh").write_text(bvh_text())
-    (tmp_path / "table.csv").write_text(
-        "file,split\n" + "".join(f"{number}.bvh,{name}\n" for number, name in enumerate(names))
-    )
-    found = scan([tmp_path])
-    assert [item.split for item in found.items] == list(names)  # kept: --where may name it
-    (warning,) = found.warnings
-    assert (warning.reason, warning.line) == ("unknown-split", 3)
-    assert "'training' (did you mean train?) in 2 rows" in warning.message
 
 
 @pytest.mark.parametrize(

@@ -113,8 +113,8 @@ def test_globs_fit_the_end_of_a_path(glob: str, fits: list[str], does_not: list[
     ("text", "words"),
     [
         ("rule = ", r"f.toml: Invalid value.*; expected tables \[\[rule\]\]"),
-        ("[[rule]]\nfps = 60", "rule 1 has .*; expected tables"),
-        ('[[rule]]\nfiles = "a"\nfps = 60\nframerate = 3', "rule 1 has .*framerate"),
+        ("[[rule]]\nfps = 60", "rule 1: it has .*; expected tables"),
+        ('[[rule]]\nfiles = "a"\nfps = 60\nframerate = 3', "rule 1: it has .*framerate"),
         ("[[rule]]\nfiles = [7]\nfps = 60", "files must be a glob"),
         ('[[rule]]\nfiles = "a"\nfps = 60\n[[rule]]\nfiles = "b"\nfps = nan', "rule 2: "),
         (None, "cannot be read"),

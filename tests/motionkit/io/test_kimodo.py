@@ -63,7 +63,6 @@ def test_rotations_of_another_body_are_left(tmp_path):
         ({"posed_joints": np.zeros((2, FRAMES, 30, 3))}, "channel-count"),
         ({"posed_joints": np.full((FRAMES, 30, 3), np.inf)}, "nan"),
         ({"global_rot_mats": np.zeros((FRAMES, 29, 3, 3))}, "channel-count"),
-        ({"fps": "fast"}, "framerate"),
     ],
 )
 def test_what_is_wrong_is_reported(tmp_path, changes, reason):

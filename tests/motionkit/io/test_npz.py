@@ -134,7 +134,7 @@ OBJECTS = np.array([{"a": 1}], dtype=object)
         ({"fps": np.array("fast")}, "frame-time", "fast"),
         ({"fps": OBJECTS}, "frame-time", "Python object"),
         ({"fps_numerator": 30, "fps_denominator": 0}, "frame-time", "fps"),
-        ({"time_seconds": np.arange(5) / 60}, "frame-time", "not those of 30 fps"),
+        ({"time_seconds": np.arange(5) / 60}, "frame-time", "at 30 fps"),
         ({"time_seconds": np.array([0, 1, np.nan, 3, 4]) / 30}, "frame-time", "no number"),
         ({"time_seconds": np.arange(4) / 30}, "channel-count", "time_seconds"),
         ({"captions": OBJECTS}, "object-array", "captions"),

@@ -37,8 +37,8 @@ def test_what_is_given_goes_before_what_is_stated_and_the_log_says_so() -> None:
     assert fps_in_use(Fraction(24), unusable, words="9 a day")[1] == ["framerate set to 24; the file says 9 a day"]
     with pytest.raises(FormatError, match="no usable clock"):
         fps_in_use(None, unusable)
-    by = replaced_fps(Fraction(24), Fraction(30), by=" by decree", who="the data set")
-    assert by == ["framerate set to 24 by decree; the data set says 30"]
+    replaced = replaced_fps(Fraction(24), Fraction(30), who="the data set")
+    assert replaced == ["framerate set to 24; the data set says 30"]
 
 
 @pytest.mark.parametrize("stated", ["0", "-1", "nan", "inf", "1e-9", "1e9", "never"])
