@@ -190,8 +190,10 @@ def grid_of_seconds(seconds: Float64[np.ndarray, "frames"], path: Path, fps: Fra
     if off.max() > UNEVEN_FRAMES:
         steps = np.diff(seconds)
         frame = int(np.argmax(np.abs(steps - float(1 / fps)))) + 1
-        what = f"comes {steps[frame - 1]:.6g} s after the one before, expected {float(1 / fps):.6g} s at {float(fps):.6g} fps"
-        raise _fault(f"{what}; sample the motion evenly, nothing is resampled at ingest", path, frame)
+        what = f"comes {steps[frame - 1]:.6g} s after the one before, expected {float(1 / fps):.6g} s"
+        raise _fault(
+            f"{what} at {float(fps):.6g} fps; sample the motion evenly, nothing is resampled at ingest", path, frame
+        )
     return grid
 
 
