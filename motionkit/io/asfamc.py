@@ -310,6 +310,8 @@ def _parse_regular(body: bytes, first: bytes) -> Float64[np.ndarray, "frames val
     """Frame numbers and channel values; None if a frame has other words than names where the first one has names."""
     pattern, words = find_words(first), find_words(body)
     is_name = np.array([place == 0 for line in first.splitlines() for place, _ in enumerate(line.split())])
+    if len(is_name) != len(pattern.lengths):  # control characters end words here, and not there
+        return None
     is_name[0] = False  # the frame's number
     longest = int(pattern.lengths[is_name].max())
     if len(words.starts) % len(is_name) or longest > INLINE_BYTES:

@@ -32,6 +32,7 @@ BAD_MOTIONS: dict[str, tuple[str | bytes, str, int | None, int | None]] = {
     ),
     "nan": (TEXT.replace("ltibia 31", "ltibia nan"), "nan", 11, 1),
     "a word": (TEXT.replace("ltibia 31", "ltibia x31"), "not-a-number", 11, 1),
+    "a control character": (TEXT.replace("root 0 ", "root 0\x1b", 1), "not-a-number", 5, 0),
     "beyond reason": (TEXT.replace("ltibia 31", "ltibia 1e99"), "range", 11, 1),
     "a bone twice": (TEXT.replace("ltibia 31", "lfemur 1 2 3"), "bones", 11, 1),
     "bones in another order": (TEXT.replace("ltibia 31\n", "").replace("\n2\n", "\n2\nltibia 31\n"), "bones", 9, 1),
