@@ -304,10 +304,12 @@ def test_names_say_what_the_pattern_says(tmp_path: Path) -> None:
 
 def test_a_csv_row_without_its_file_is_reported(tmp_path: Path) -> None:
     folder = folder_of(tmp_path, a=JOINTS)
-    (folder / "texts.csv").write_text("file,caption,num_frames\na.npy,walks,9\nb.npy,runs,\n../c.npy,x,\nd.npy,,0\n")
+    (folder / "texts.csv").write_text(
+        f"file,caption,num_frames\na.npy,walks,9\n{'b' * 300},runs,\n../c.npy,x,\nd.npy,,0\n"
+    )
     samples = read(folder)
     assert (samples.captions, samples.sequences.values.shape[0]) == (("walks",), 9)
-    assert "1 rows of the CSV describe files that are not there, first 'b.npy'" in samples.describe()
+    assert "1 rows of the CSV describe files that are not there, first 'bb" in samples.describe()
     assert [problem.reason for problem in samples.left_out] == ["path", "annotations"]
 
 
