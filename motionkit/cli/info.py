@@ -77,7 +77,7 @@ def _show_file(path: Path, up: str | None, init: Path | None, as_json: bool) -> 
     from motionkit.core.skeletons.mapping import draft_map
     from motionkit.io.files import read_all
     from motionkit.io.scan import NO_FRAMERATE
-    from motionkit.store.reports import describe_motion, describe_rig
+    from motionkit.store.reports import describe_motion
 
     if init is not None and init.exists():
         raise UsageError(f"{init} exists: name another file, or delete it")
@@ -88,7 +88,7 @@ def _show_file(path: Path, up: str | None, init: Path | None, as_json: bool) -> 
         if error.reason not in NO_FRAMERATE:
             raise
         motion, has_framerate = next(read_all(path, fps=1, up=up)), False
-    described = {**describe_motion(motion, has_framerate=has_framerate), **describe_rig(motion.skeleton)}
+    described = describe_motion(motion, has_framerate=has_framerate)
     print_json({"file": str(path), **described}) if as_json else _print_lines([str(path), *_file_lines(described)])
     if init is not None:
         write_whole(init, draft_map(motion.skeleton, init.stem))
@@ -150,11 +150,8 @@ def _summary_lines(summary: "StoreSummary") -> Iterator[str]:
         yield ""
         yield from _source_lines(source)
     yield ""
-    ratio = summary.disk_bytes / summary.raw_bytes if summary.raw_bytes else 0.0
-    yield (
-        f"on disk {summary.disk_bytes / MEGABYTE:,.1f} MB in {summary.num_parts:,} parts, {ratio:.3f} of raw float32 "
-        f"({summary.raw_bytes / MEGABYTE:,.1f} MB); caches {summary.cache_bytes / MEGABYTE:,.1f} MB"
-    )
+    disk, caches = summary.disk_bytes / MEGABYTE, summary.cache_bytes / MEGABYTE
+    yield f"on disk {disk:,.1f} MB in {summary.num_parts:,} parts; caches {caches:,.1f} MB"
     if summary.num_removed:
         yield (
             f"of it the frames of {summary.num_removed:,} removed sequences: 'motionkit compact --store "

@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 
 from motionkit.core.errors import markdown_text
 from motionkit.core.motion import Motion
-from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map
 from motionkit.features.quality import measure
 from motionkit.io.body_frame import logged_unit, logged_up, standing_metres
@@ -78,11 +78,7 @@ class SourceSummary:
 
 @dataclass(frozen=True)
 class StoreSummary:
-    """A whole store.
-
-    `disk_bytes` are those of the files that the manifest names, `cache_bytes` come on top; `raw_bytes` are those of all
-    frames as float32.
-    """
+    """A whole store; `disk_bytes` are those of the files that the manifest names, `cache_bytes` come on top."""
 
     path: str
     fingerprint: str
@@ -95,7 +91,6 @@ class StoreSummary:
     num_removed: int
     disk_bytes: int
     cache_bytes: int
-    raw_bytes: int
     sources: tuple[SourceSummary, ...]
 
     @property
@@ -119,7 +114,6 @@ def summarise(store: Store) -> StoreSummary:
         num_removed=manifest.num_removed,
         disk_bytes=manifest.num_bytes,
         cache_bytes=cache_bytes(store.path, store.fingerprint),
-        raw_bytes=_raw_bytes(sequences),
         sources=tuple(
             _summarise_source(source.as_py(), sequences.filter(pc.equal(sequences["source"], source)))
             # Arrow's own scalars: converting Python's would import pandas.
@@ -185,13 +179,6 @@ def _counts(column: pa.ChunkedArray) -> dict[str, int]:
     return {str(value): count for value, count in sorted(Counter(column.to_pylist()).items())}
 
 
-def _raw_bytes(sequences: pa.Table) -> int:
-    frames = sequences["num_frames"].cast(pa.int64())
-    joint_frames = pc.multiply(frames, sequences["num_joints"])
-    positions, rotations = _total(joint_frames), _total(joint_frames.filter(sequences["has_rotations"]))
-    return 12 * positions + 16 * rotations + 12 * _total(frames.filter(sequences["has_root_translation"]))
-
-
 # Each flag's column, its unit, how bad a value is (SQL), and the column that says where it is worst.
 FIGURES = {
     "teleport": ("num_teleports", "jumps", "num_teleports", "first_teleport_seconds"),
@@ -249,18 +236,23 @@ def report_quality(store: Store, where: str | None = None) -> Row:
 
 
 def describe_motion(motion: Motion, *, has_framerate: bool = True) -> Row:
-    """What a motion in memory is, and the file that it comes from, as its reader returned it.
+    """What a motion in memory is, the file that it comes from, as its reader returned it, and its mapping to the 22.
 
     `fps` is exact (30000/1001) and `stated_fps` what the file says; `fps` and `duration_seconds` are None if nothing
     says a framerate. `height_metres` is the length from the ankles along the bones to the base of the skull, None for
-    joints that are not mapped to the 22. `unit_metres` and `up` are the file's; the motion is in metres, y up.
+    joints that are not mapped to the 22. `unit_metres` and `up` are the file's; the motion is in metres, y up. `family`
+    is the map that fits its skeleton, empty where none does and joints are `missing`.
     """
     source = motion.provenance
     unit_metres, unit = logged_unit(source.operations)
+    family = ""
+    missing: tuple[str, ...] = ()
+    height: float | None = None
     try:
+        family = joint_map(motion.skeleton, SMPL22.name).family
         height = standing_metres(motion.skeleton, motion.joint_positions)
-    except SkeletonMapError:
-        height = None
+    except SkeletonMapError as error:
+        missing = error.missing
     return {
         "sequence_id": motion.sequence_id,
         "format": source.source_format,
@@ -278,30 +270,6 @@ def describe_motion(motion: Motion, *, has_framerate: bool = True) -> Row:
         "num_captions": len(motion.captions),
         "quality_flags": list(measure(motion).flags) if has_framerate else [],
         "operations": list(source.operations),
+        "family": family,
+        "missing": missing,
     }
-
-
-def describe_rig(skeleton: Skeleton) -> Row:
-    """A skeleton's joints and its mapping to the 22.
-
-    `family` is the map that fits it, empty where none does and joints are `missing`. `joints` say how many are above
-    each, its offset from the one above in metres, and the joints of the layout that it is part of (`taken_for`).
-    """
-    family = ""
-    missing: tuple[str, ...] = ()
-    layout: dict[str, list[str]] = {name: [] for name in skeleton.joint_names}
-    try:
-        mapping = joint_map(skeleton, SMPL22.name)
-        family = mapping.family
-        for row, joint in zip(mapping.weights, SMPL22.joint_names, strict=True):
-            for column in row.nonzero()[0].tolist():
-                layout[skeleton.joint_names[column]].append(joint)
-    except SkeletonMapError as error:
-        missing = error.missing
-    joints: list[Row] = []
-    for name, parent, offset in zip(skeleton.joint_names, skeleton.parents, skeleton.offsets.tolist(), strict=True):
-        above = {"parent": "", "depth": 0}
-        if parent >= 0:
-            above = {"parent": skeleton.joint_names[parent], "depth": joints[parent]["depth"] + 1}
-        joints.append({"name": name, **above, "offset": offset, "taken_for": layout[name]})
-    return {"family": family, "missing": missing, "joints": joints}

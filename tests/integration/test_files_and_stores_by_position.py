@@ -42,7 +42,7 @@ def test_a_file_is_described(motionkit, take: Path) -> None:
         "num_joints": 16,
     }
     assert {key: found[key] for key in expected} == expected
-    assert found["height_metres"] == pytest.approx(1.48, abs=0.02) and len(found["joints"]) == 16
+    assert found["height_metres"] == pytest.approx(1.48, abs=0.02)
     assert shown["height"].startswith(f"{found['height_metres']:.3g} m")
 
 
