@@ -106,8 +106,7 @@ def train(
         # Some stages select their sequences only after others have trained, or after minutes.
         from motionkit.store import Store
 
-        if not Store.open(context.store).select(where).size:
-            raise UsageError(f"--where: {where!r} holds for no sequence of the store {context.store}")
+        Store.open(context.store).select_some(where)
     seconds = None if budget is None else parse_duration(budget, "--budget")
     shares = {} if seconds is None else {name: seconds * share for name, share in plan.shares.items()}
     jobs = [Job(each, config_of.get(each.name), shares.get(each.name)) for each in plan.stages]

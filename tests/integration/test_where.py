@@ -62,9 +62,7 @@ def test_training_leaves_out_what_the_condition_does(motionkit, store, tmp_path)
     assert done.code != 0 or "kept" in done.stderr
 
 
-@pytest.mark.parametrize(
-    ("where", "told"), [("no_such_column = 1", "no_such_column"), ("fps = 17", "holds for no sequence")]
-)
+@pytest.mark.parametrize(("where", "told"), [("no_such_column = 1", "no_such_column"), ("fps = 17", "no sequence of")])
 def test_a_condition_is_tried_before_the_first_stage_starts(motionkit, store, tmp_path, monkeypatch, where, told):
     def started(*_):
         raise AssertionError("a stage was started")
