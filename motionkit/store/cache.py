@@ -25,7 +25,7 @@ from motionkit.core.errors import DamagedFileError, StoreError, UsageError
 from motionkit.core.files import exclusive_lock, remove_entry, whole_file, write_whole
 from motionkit.core.progress import tracked, warn
 from motionkit.core.shapes import Float32, Int, Int32, Int64
-from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
+from motionkit.core.skeleton import STANDARD_SKELETONS
 from motionkit.core.skeletons.mapping import JointMap, SkeletonMapError, joint_map, map_joints
 from motionkit.store.reader import Store
 from motionkit.store.schema import CACHE_FOLDER
@@ -157,12 +157,17 @@ def open_cache(store: Store, *, layout: str = "smpl22", where: str | None = None
     """
     if layout != NATIVE and layout not in STANDARD_SKELETONS:
         raise UsageError(f"there is no layout {layout!r}: {', '.join(STANDARD_SKELETONS)} or {NATIVE}")
-    maps = {} if layout == NATIVE else {name: _map_or_fault(each, layout) for name, each in store.skeletons.items()}
+    maps: dict[str, JointMap] = {}
+    faults: dict[str, str] = {}
+    for name, skeleton in () if layout == NATIVE else store.skeletons.items():
+        try:
+            maps[name] = joint_map(skeleton, layout)
+        except SkeletonMapError as error:
+            faults[name] = str(error)
     facts = {"version": VERSION, "layout": layout, "where": where, "store_fingerprint": store.fingerprint}
     described = hashlib.sha256(json.dumps(facts).encode())
     for mapping in maps.values():
-        if isinstance(mapping, JointMap):
-            described.update(mapping.weights.tobytes() + mapping.tip_weights.tobytes() + repr(mapping.made_up).encode())
+        described.update(mapping.weights.tobytes() + mapping.tip_weights.tobytes() + repr(mapping.made_up).encode())
     key = described.hexdigest()
     root = cache_root(store.path, store.fingerprint)
     path = root / f"{store.fingerprint[:16]}-{layout}-{key[:16]}"
@@ -177,7 +182,7 @@ def open_cache(store: Store, *, layout: str = "smpl22", where: str | None = None
             if path.is_dir():
                 warn(f"{path} is damaged: the cache is built again from the store")
                 shutil.rmtree(path)
-            _build(path, store, where, layout, maps, facts)
+            _build(path, store, where, layout, maps, faults, facts)
     return _load(path)
 
 
@@ -240,32 +245,24 @@ def _map(path: Path, shape: tuple[int, ...]) -> Float32[np.ndarray, "..."] | Non
     return rows if rows.dtype == np.float32 and rows.shape == shape else None
 
 
-def _map_or_fault(skeleton: Skeleton, layout: str) -> JointMap | SkeletonMapError:
-    try:
-        return joint_map(skeleton, layout)
-    except SkeletonMapError as error:
-        return error
-
-
 def _build(
     path: Path,
     store: Store,
     where: str | None,
     layout: str,
-    maps: Mapping[str, JointMap | SkeletonMapError],
+    maps: Mapping[str, JointMap],
+    faults: Mapping[str, str],
     facts: Mapping[str, object],
 ) -> None:
     columns = store.columns("sequence_id", "skeleton", "num_joints", *COLUMNS)
     chosen = columns.loc[store.select_some(where)]
-    faults = {name: str(each) for name, each in maps.items() if isinstance(each, SkeletonMapError)}
     is_unknown = chosen["skeleton"].isin(faults)
     kept, left_out = chosen[~is_unknown], chosen[is_unknown]
     if kept.empty:
         fault = faults[str(chosen["skeleton"].iloc[0])]
         raise UsageError(f"none of the {len(chosen)} chosen sequences can be brought to {layout}: {fault}")
-    counts = sorted(set(kept["num_joints"].tolist()))
-    if layout != NATIVE:
-        counts = [STANDARD_SKELETONS[layout].num_joints]
+    is_native = layout == NATIVE
+    counts = sorted(set(kept["num_joints"].tolist())) if is_native else [STANDARD_SKELETONS[layout].num_joints]
     if len(counts) > 1:
         raise UsageError(
             f"the layout {layout!r} needs one number of joints, but the chosen sequences have "
@@ -273,18 +270,13 @@ def _build(
         )
     num_frames = kept["num_frames"].to_numpy()
     shape = (int(num_frames.sum(dtype=np.int64)), counts[0], 3)
-    identity = zip(*(left_out[name].tolist() for name in ("sequence_index", "sequence_id", "skeleton")), strict=True)
-    skipped = [
-        {"sequence_index": index, "sequence_id": sequence_id, "reason": faults[skeleton]}
-        for index, sequence_id, skeleton in identity
-    ]
+    skipped = left_out[["sequence_index", "sequence_id"]].assign(reason=left_out["skeleton"].map(faults))
     # Tips of bones are computed from rotations.
-    used = (maps.get(fingerprint) for fingerprint in kept["skeleton"].unique())
-    uses_tips = any(isinstance(each, JointMap) and bool(each.tip_weights.any()) for each in used)
+    uses_tips = not is_native and any(maps[name].tip_weights.any() for name in kept["skeleton"].unique())
     motions = store.read_many(kept.index.tolist(), rotations=uses_tips)
     counted = tracked(store.on_progress, f"cache {layout}", motions, len(kept))
     sequences = {name: kept[name].tolist() for name in COLUMNS}
-    facts = {**facts, "num_joints": counts[0], "sequences": sequences, "skipped": skipped}
+    facts = {**facts, "num_joints": counts[0], "sequences": sequences, "skipped": skipped.to_dict("records")}
     partial = path.with_name(f"{path.name}.partial")
     remove_entry(partial)  # of a killed builder
     try:

@@ -7,7 +7,6 @@ them. A reader sees the manifest before or after that rename, and the files that
 import hashlib
 import json
 import math
-import os
 import re
 import secrets
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -47,8 +46,7 @@ PENDING = ".new"
 LOCK_FILE = ".writer.lock"
 # Numbers of sequences and of parts are int32 in the tables.
 MAX_NUMBER = 2**31
-PART_PATTERN = rf"{MOTIONS_FOLDER}/part-[0-9]{{5,10}}\.parquet"
-_PART = re.compile(PART_PATTERN)
+_PART = re.compile(rf"{MOTIONS_FOLDER}/part-[0-9]{{5,10}}\.parquet")
 _WRITTEN_PART = re.compile(r"part-[0-9]{5,10}(-[0-9a-f]{8})?\.parquet(\.new)?")
 _SHA256 = re.compile("[0-9a-f]{64}")
 _HINT = "restore it from a copy, or ingest the sources into a new store"
@@ -268,8 +266,8 @@ def check_sequences(sequences: pa.Table, manifest: Manifest, skeletons: Mapping[
             raise ValueError(f"{SEQUENCES_FILE}: sequence {ids[row].as_py()!r}: num_joints is not its skeleton's")
 
 
-def damaged(store: Path, fault: Exception) -> StoreError:
-    """The error where a table is missing or damaged: the fault, and what to do."""
+def damaged(store: Path, fault: Exception | str) -> StoreError:
+    """The error where a file is missing or damaged: the fault, and what to do."""
     return StoreError(
         f"the store {store} is damaged: {fault}: 'motionkit validate --store {store}' says all that is wrong; restore "
         "it from a copy, or ingest the sources into a new store"
@@ -357,29 +355,24 @@ def publish(store: Path, manifest: Manifest) -> None:
         _tidy(store, manifest)
 
 
-def leftovers(store: Path, manifest: Manifest) -> list[Path]:
-    """Files left by a stopped command: parts that the manifest does not name, and pending files.
-
-    While a part that it names is missing, only pending ones are included: another may be that part under a wrong name.
-    """
-    folder = store / MOTIONS_FOLDER
-    is_own = folder.is_dir() and not folder.is_symlink()
-    written = sorted(path for path in folder.iterdir() if _WRITTEN_PART.fullmatch(path.name)) if is_own else []
-    is_complete = all((store / name).exists() for name in manifest.parts)
-    parts = [
-        path
-        for path in written
-        if f"{MOTIONS_FOLDER}/{path.name}" not in manifest.files and (is_complete or path.name.endswith(PENDING))
-    ]
-    return parts + [path for name in (*TABLES, MANIFEST_FILE) if os.path.lexists(path := pending(store, name))]
-
-
 def _tidy(store: Path, manifest: Manifest) -> None:
+    """Give committed tables their final names, and delete what a stopped command left: pending files and unnamed parts.
+
+    While a part that the manifest names is missing, only pending parts are deleted: another may be that part under a
+    wrong name.
+    """
     for name in TABLES:
         path = pending(store, name)
         # A pending table is the one that the manifest names where its writer was stopped after the commit.
         is_file = path.is_file() and not path.is_symlink()
         if is_file and name in manifest.files and sha256_of(path) == manifest.files[name].sha256:
             files.replace(path, store / name)
-    for path in leftovers(store, manifest):
-        path.unlink(missing_ok=True)
+    folder = store / MOTIONS_FOLDER
+    is_complete = all((store / name).exists() for name in manifest.parts)
+    # Nothing is deleted behind a link.
+    for path in list(folder.iterdir()) if folder.is_dir() and not folder.is_symlink() else ():
+        is_named = f"{MOTIONS_FOLDER}/{path.name}" in manifest.files
+        if _WRITTEN_PART.fullmatch(path.name) and not is_named and (is_complete or path.name.endswith(PENDING)):
+            path.unlink(missing_ok=True)
+    for name in (*TABLES, MANIFEST_FILE):
+        pending(store, name).unlink(missing_ok=True)

@@ -6,7 +6,7 @@ import socket
 from collections import Counter
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import partial
 from itertools import count, groupby, islice
@@ -37,6 +37,7 @@ MAX_CHUNK_BYTES, MAX_CHUNK_ITEMS = 512 << 20, 4096
 FIRST_FRAMES = 2
 # From ankle to head: nobody is so small or tall, but a grown body is whose inches or CMU's units were read as another.
 SMALLEST_METRES, LARGEST_METRES = 0.7, 2.1
+WORKER_DIED = "the process that read it ended without a word (killed, or out of memory?): --workers 1 shows where"
 # The log line of a neutral body in place of the subject's gender.
 SUBSTITUTE = re.compile(r"joints: (?P<family>\w+) neutral \(the file's gender: (?P<gender>male|female)\)")
 
@@ -50,19 +51,11 @@ class NumberedItem:
 
 
 @dataclass(frozen=True, eq=False)
-class ReadSequence:
-    """A sequence that was read: its row of the table without the part, its location, and its skeleton."""
-
-    row: Row
-    skeleton: Skeleton
-
-
-@dataclass(frozen=True, eq=False)
 class ReadChunk:
-    """Result of a chunk: the part, None if nothing was written, and an outcome per item."""
+    """A chunk that was read: its part, None if nothing was written; each item's row without the part, and skeleton."""
 
     part: PendingPart | None
-    outcomes: tuple[ReadSequence | FormatError, ...]
+    outcomes: tuple[tuple[Row, Skeleton] | FormatError, ...]
 
 
 def chunks_of(items: Iterable[SourceItem]) -> Iterator[list[SourceItem]]:
@@ -111,10 +104,13 @@ def read_chunk(
         raise StoreError(f"there is no store {store} on {socket.gethostname()}: it must be where all machines see it")
     part = PartWriter(pending_part(store, items[0].sequence_index or 0))
     skeletons: dict[str, Skeleton] = {}
-    outcomes: list[ReadSequence | FormatError] = []
+    outcomes: list[tuple[Row, Skeleton] | FormatError] = []
     try:
         for position, each in enumerate(items):
-            motion = worker_died(each.item) if position in deadly else read_or_fault(each.item, options)
+            if position in deadly:
+                outcomes.append(FormatError(WORKER_DIED, path=each.item.path, reason="worker-died"))
+                continue
+            motion = read_or_fault(each.item, options)
             if isinstance(motion, FormatError):
                 outcomes.append(motion)
                 continue
@@ -122,8 +118,7 @@ def read_chunk(
             if each.sequence_index is not None:
                 part_row = part.add(each.sequence_index, motion)
                 row = {**row, "sequence_index": each.sequence_index, "part_row": part_row}
-            skeleton = skeletons.setdefault(motion.skeleton.fingerprint, motion.skeleton)
-            outcomes.append(ReadSequence(row, skeleton))
+            outcomes.append((row, skeletons.setdefault(motion.skeleton.fingerprint, motion.skeleton)))
         return ReadChunk(part.finish(), tuple(outcomes))
     finally:
         part.abandon()
@@ -164,12 +159,6 @@ def _read_again(workers: Workers, function: Callable[..., ReadChunk], chunk: Seq
         if len(deadly) < len(chunk) or len(chunk) == 1:
             return workers.call(partial(function, deadly=deadly), chunk)
     raise MotionkitError("workers end whatever they read: killed, or out of memory? --workers 1 shows where")
-
-
-def worker_died(item: SourceItem) -> FormatError:
-    """The fault of a sequence whose reader ended its process."""
-    message = "the process that read it ended without a word (killed, or out of memory?): --workers 1 shows where"
-    return FormatError(message, path=item.path, reason="worker-died")
 
 
 @dataclass(frozen=True)
@@ -348,25 +337,26 @@ class _Ingest:
             if isinstance(outcome, FormatError):
                 self._fail(outcome, each.item)
             else:
-                self._add(each.item, replace(outcome, row={**outcome.row, **place}))
+                row, skeleton = outcome
+                self._add(each.item, {**row, **place}, skeleton)
             self.work.advance()
 
-    def _add(self, item: SourceItem, sequence: ReadSequence) -> None:
-        self._check_rig(item, sequence.skeleton)
-        if self.writer.holds_from(item.sequence_id, sequence.row["source_sha256"]):
+    def _add(self, item: SourceItem, row: Row, skeleton: Skeleton) -> None:
+        self._check_rig(item, skeleton)
+        if self.writer.holds_from(item.sequence_id, row["source_sha256"]):
             self.num_already_stored += 1
             return
         try:
-            self.writer.add_row(sequence.row, sequence.skeleton)
+            self.writer.add_row(row, skeleton)
         except RefusedMotion as refused:
             self._fail(FormatError(str(refused), path=item.path, reason=refused.reason), item)
             return
-        if sequence.skeleton not in self.bodies and (size := body_size_warning(sequence.skeleton)):
+        if skeleton not in self.bodies and (size := body_size_warning(skeleton)):
             self._warn(FormatError(size, path=item.path, reason="body-size"))
-        self.bodies.add(sequence.skeleton)
-        for warning in _warnings_of(item, sequence.row):
+        self.bodies.add(skeleton)
+        for warning in _warnings_of(item, row):
             self._warn(warning)
-        self.stored.add(sequence.row)
+        self.stored.add(row)
 
     def _check_rig(self, item: SourceItem, skeleton: Skeleton) -> None:
         # Joints that no layout knows are reported once, whatever the lengths of their bones; the motions are kept.

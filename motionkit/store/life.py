@@ -18,7 +18,7 @@ import pyarrow.compute as pc
 from motionkit.core.errors import StoreError, UsageError, describe
 from motionkit.core.shapes import Float, Int
 from motionkit.store.cache import remove_stale_caches
-from motionkit.store.commit import Manifest, changing, committed, publish, read_manifest, write_pending
+from motionkit.store.commit import changing, committed, publish, read_manifest, write_pending
 from motionkit.store.reader import Store
 from motionkit.store.schema import MANIFEST_FILE, PART_BYTES, SEQUENCES_FILE, part_name
 from motionkit.store.writer import StoreWriter
@@ -84,7 +84,8 @@ def compact(path: Path, on_sequence: OnSequence = lambda: None, *, part_bytes: i
     store, or it is damaged; `BusyError` while another process writes to it.
     """
     with changing(path, must_exist=True) as manifest:
-        changes = not is_compact(manifest, part_bytes)
+        is_full = all(manifest.files[name].num_bytes >= part_bytes for name in manifest.parts[:-1])
+        changes = not is_full or manifest.next_sequence_index > manifest.num_sequences
     if changes:
         with StoreWriter.create(path, overwrite=True, part_bytes=part_bytes) as writer:
             # Opened under the lock, so that sequences added by other writers aren't missed.
@@ -100,12 +101,6 @@ def compact(path: Path, on_sequence: OnSequence = lambda: None, *, part_bytes: i
             f"({describe(error)}): delete its folder"
         ) from error
     return changes
-
-
-def is_compact(manifest: Manifest, part_bytes: int = PART_BYTES) -> bool:
-    """Whether `compact` would leave a store as it is: all parts but the last are full, and no sequence was removed."""
-    is_full = all(manifest.files[name].num_bytes >= part_bytes for name in manifest.parts[:-1])
-    return is_full and manifest.next_sequence_index == manifest.num_sequences
 
 
 @dataclass(frozen=True)
@@ -221,8 +216,7 @@ def split(
     """
     target, columns = _checked(shares), (by,) if isinstance(by, str) else tuple(by)
     if dry_run:
-        store = Store.open(path)
-        return _plan(store, target, columns, where, seed)[0]
+        return _plan(Store.open(path), target, columns, where, seed)[0]
     with changing(path, must_exist=True) as previous:
         store = Store.open(path)
         report, column = _plan(store, target, columns, where, seed)
@@ -244,11 +238,8 @@ def assign_groups(
 
     Groups come in a random order, each into the split that then lacks most of its share of the seconds, so a split has
     at most the largest group's length too much. Where groups are few and unequal one order may miss by that much: of
-    many orders drawn from the seed the one is taken that misses by least. Raises `ValueError` for fewer groups than
-    splits.
+    many orders drawn from the seed the one is taken that misses by least. There are at least as many groups as splits.
     """
-    if len(seconds) < len(shares):
-        raise ValueError(f"{len(seconds)} groups cannot fill {len(shares)} splits")
     target = np.asarray(shares) / np.sum(shares) * seconds.sum()
     generator = np.random.default_rng(seed)
     num_orders = max(1, min(MOST_ORDERS, GROUPS_TRIED // len(seconds)))

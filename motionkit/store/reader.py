@@ -2,7 +2,6 @@
 
 import operator
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from html import escape
 from pathlib import Path
@@ -53,12 +52,6 @@ ROWS_AT_ONCE = 1024
 PLACE_COLUMNS = ("sequence_index", "part", "part_row")
 
 
-@dataclass(frozen=True, eq=False)
-class _Part:
-    file: pq.ParquetFile
-    row_group_starts: Int64[np.ndarray, "row_groups_and_end"]
-
-
 class PartReader:
     """Owns the open parts and the decoded row groups of one committed state of a store."""
 
@@ -102,20 +95,17 @@ class PartReader:
         if name in self._intact:
             return path
         if path.stat().st_size != entry.num_bytes or files.sha256_of(path) != entry.sha256:
-            raise StoreError(
-                f"{path} is damaged (it is not the file that the manifest names): 'motionkit validate --store "
-                f"{self._store}' says what is; restore it from a copy, or ingest the sources into a new store"
-            )
+            raise damaged(self._store, f"{name}: its sha256 is not the manifest's")
         self._intact.add(name)
         return path
 
     def _row(self, row: Mapping[str, Any], columns: tuple[str, ...]) -> pa.Table:
-        part = self._opened(self.checked_path(part_name(row["part"])))
-        place, starts = row["part_row"], part.row_group_starts
+        place = row["part_row"]
+        file, starts = self._opened(self.checked_path(part_name(row["part"])))
         if not 0 <= place < starts[-1]:
             raise ValueError("the part has no such row")
         group = int(np.searchsorted(starts, place, side="right")) - 1
-        frames = self._decoded(part.file, group, columns).slice(place - int(starts[group]), 1)
+        frames = self._decoded(file, group, columns).slice(place - int(starts[group]), 1)
         for name in KEY_COLUMNS:
             if frames[name][0].as_py() != row[name]:
                 raise ValueError(f"its {name} is not what the table of sequences says")
@@ -140,12 +130,13 @@ def check_still_there(store: Path, parts: Iterable[str]) -> None:
         )
 
 
-def _open(path: Path) -> _Part:
+def _open(path: Path) -> tuple[pq.ParquetFile, Int64[np.ndarray, "row_groups_and_end"]]:
+    """A part, and the first row of each of its row groups, with its number of rows at the end."""
     file = pq.ParquetFile(path)
     if not file.schema_arrow.equals(MOTIONS):
         raise ValueError("its columns are not those of a part")
     counts = [file.metadata.row_group(group).num_rows for group in range(file.metadata.num_row_groups)]
-    return _Part(file, np.cumsum([0, *counts], dtype=np.int64))
+    return file, np.cumsum([0, *counts], dtype=np.int64)
 
 
 def _decode(file: pq.ParquetFile, group: int, columns: tuple[str, ...]) -> pa.Table:
@@ -206,8 +197,8 @@ class Store:
 
             path = fetch_store(parse_address(str(path)))
         path = Path(path)
-        attempts = OPEN_ATTEMPTS
-        while True:
+        fault: Exception
+        for _ in range(OPEN_ATTEMPTS):
             manifest = read_manifest(path)
             try:
                 sequences, skeletons = (read_table(path, manifest, name) for name in TABLES)
@@ -215,9 +206,8 @@ class Store:
             except ValueError as error:
                 raise damaged(path, error) from None
             except FileNotFoundError as error:  # a writer may have committed since the manifest was read
-                attempts -= 1
-                if not attempts:
-                    raise damaged(path, error) from None
+                fault = error
+        raise damaged(path, fault)
 
     @property
     def fingerprint(self) -> str:
@@ -324,10 +314,9 @@ class Store:
             if "motions" in sql.lower():
                 views["motions"] = self._motions()
             return query(views, sql)
-        except FileNotFoundError as error:
-            check_still_there(self.path, self.manifest.parts)
-            raise StoreError(f"{error}: 'motionkit validate --store {self.path}' says what is missing") from None
         except (pa.ArrowException, OSError) as error:
+            if isinstance(error, FileNotFoundError):
+                check_still_there(self.path, self.manifest.parts)
             raise StoreError(f"{error}: 'motionkit validate --store {self.path}' says what is damaged") from None
 
     def _motions(self) -> Any:

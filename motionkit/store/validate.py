@@ -9,12 +9,11 @@ import pyarrow.compute as pc
 
 from motionkit.core.errors import StoreError
 from motionkit.store.commit import TABLES, Manifest, check_sequences, read_manifest, read_skeletons, read_table
-from motionkit.store.reader import PartReader
-from motionkit.store.schema import SEQUENCES_FILE, SKELETONS_FILE, part_number
+from motionkit.store.reader import ROWS_AT_ONCE, PartReader
+from motionkit.store.schema import SEQUENCES, SEQUENCES_FILE, SKELETONS_FILE, part_number
 
 # People give captions' ends in tenths of seconds, and releases of a data set differ by some frames.
 CAPTION_TOLERANCE_SECONDS = 0.25
-ROWS_AT_ONCE = 1024
 
 
 def faults(path: Path, on_file: Callable[[str], None] = lambda name: None) -> Iterator[str]:
@@ -38,25 +37,21 @@ def _faults(path: Path, manifest: Manifest, on_file: Callable[[str], None]) -> I
             tables[name] = read_table(path, manifest, name)
         except (ValueError, OSError) as error:
             yield str(error)
+    sequences = SEQUENCES.empty_table()  # where a table is damaged, nothing says what the parts should hold
     if len(tables) == 2:
         try:
             check_sequences(tables[SEQUENCES_FILE], manifest, read_skeletons(tables[SKELETONS_FILE]))
+            sequences = tables[SEQUENCES_FILE]
         except ValueError as error:
             yield str(error)
-            del tables[SEQUENCES_FILE]
-    if SEQUENCES_FILE in tables:
-        yield from _caption_faults(tables[SEQUENCES_FILE])
+    yield from _caption_faults(sequences)
     reader = PartReader(path, manifest.files)
     for name in manifest.parts:
         on_file(name)
-        sequences = None
-        if len(tables) == 2:
-            chosen = pc.equal(tables[SEQUENCES_FILE]["part"], part_number(name))
-            sequences = tables[SEQUENCES_FILE].filter(chosen)
-        yield from _part_faults(path, reader, name, sequences)
+        yield from _part_faults(path, reader, name, sequences.filter(pc.equal(sequences["part"], part_number(name))))
 
 
-def _part_faults(path: Path, reader: PartReader, name: str, sequences: pa.Table | None) -> Iterator[str]:
+def _part_faults(path: Path, reader: PartReader, name: str, sequences: pa.Table) -> Iterator[str]:
     try:
         reader.checked_path(name)
     except StoreError:
@@ -66,7 +61,7 @@ def _part_faults(path: Path, reader: PartReader, name: str, sequences: pa.Table 
         missing = not (path / name).exists()
         yield f"{name}: it is missing" if missing else f"{name}: it cannot be read ({error.strerror or error})"
         return
-    for batch in () if sequences is None else sequences.to_batches(max_chunksize=ROWS_AT_ONCE):
+    for batch in sequences.to_batches(max_chunksize=ROWS_AT_ONCE):
         for row in batch.to_pylist():
             try:
                 frames = reader.read(row)

@@ -147,28 +147,25 @@ class StoreWriter:
             self._previous = held.enter_context(
                 changing(self.path, must_exist=self._keep, must_not_exist=self._new),
             )
-            self._base = self._previous if self._keep else Manifest()
-            self._open()
+            self._base = base = self._previous if self._keep else Manifest()
+            self._source_of: dict[str, str] = {}
+            self._skeletons: dict[str, Skeleton] = {}
+            self._part: PartWriter | None = None
+            self._parts: dict[str, FileEntry] = {}
+            self._next_part = self._previous.next_part
+            self._rows: list[Row] = []
+            self._table: pq.ParquetWriter | None = None
+            self._next_sequence_index = base.next_sequence_index
+            if base.files:
+                try:
+                    columns = read_table(self.path, base, SEQUENCES_FILE, ("sequence_id", "source_sha256")).columns
+                    self._skeletons = read_skeletons(read_table(self.path, base, SKELETONS_FILE))
+                except (FileNotFoundError, ValueError) as error:
+                    raise damaged(self.path, error) from None
+                self._source_of = dict(zip(*(column.to_pylist() for column in columns), strict=True))
+            self._bodies = {same_body(each): fingerprint for fingerprint, each in self._skeletons.items()}
             self._held = held.pop_all()
         return self
-
-    def _open(self) -> None:
-        self._source_of: dict[str, str] = {}
-        self._skeletons: dict[str, Skeleton] = {}
-        self._part: PartWriter | None = None
-        self._parts: dict[str, FileEntry] = {}
-        self._next_part = self._previous.next_part
-        self._rows: list[Row] = []
-        self._table: pq.ParquetWriter | None = None
-        self._next_sequence_index = self._base.next_sequence_index
-        if self._base.files:
-            try:
-                columns = read_table(self.path, self._base, SEQUENCES_FILE, ("sequence_id", "source_sha256")).columns
-                self._skeletons = read_skeletons(read_table(self.path, self._base, SKELETONS_FILE))
-            except (FileNotFoundError, ValueError) as error:
-                raise damaged(self.path, error) from None
-            self._source_of = dict(zip(*(column.to_pylist() for column in columns), strict=True))
-        self._bodies = {same_body(each): fingerprint for fingerprint, each in self._skeletons.items()}
 
     @property
     def num_sequences(self) -> int:

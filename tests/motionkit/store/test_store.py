@@ -232,16 +232,6 @@ def test_numbers_are_rounded_to_the_nearest_multiple_and_not_again(values):
     np.testing.assert_array_equal(rounded(found), found)
 
 
-def test_jerk_at_250_fps_stays_below_what_float32_itself_adds():
-    """The third difference of white rounding noise: √20 · grid / √12 · fps³ = 4.8 m/s³, root mean square."""
-    phases = 2 * np.pi * 0.5 * np.arange(2000)[:, None, None] / 250 + np.arange(66).reshape(22, 3)
-    positions = np.sin(phases).astype(np.float32)
-    jerk = np.diff(rounded(positions).astype(np.float64) - positions, 3, axis=0) * 250**3
-    assert np.sqrt(np.mean(jerk**2)) < 6.0
-    far = (positions + np.float32(3.0)).astype(np.float64) - (positions.astype(np.float64) + 3)
-    assert np.sqrt(np.mean((np.diff(far, 3, axis=0) * 250**3) ** 2)) > 4.0
-
-
 @pytest.mark.parametrize(
     ("heading", "table"), [("## sequences.parquet", SEQUENCES), ("## motions/part-NNNNN.parquet", MOTIONS)]
 )
