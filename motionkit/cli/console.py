@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -25,17 +26,14 @@ class LineConsole(Console):
     Texts longer than `longest` characters are shortened in the middle.
     """
 
-    def __init__(self, longest: int | None = None, **options: Any) -> None:
+    def __init__(self, longest: int = sys.maxsize, **options: Any) -> None:
         super().__init__(soft_wrap=True, highlight=False, markup=False, emoji=False, **options)
         self._longest = longest
 
     def print(self, *objects: Any, **options: Any) -> None:
         """Print texts with control characters and line breaks escaped; rich's objects unchanged."""
-        super().print(*(self._line(each) if isinstance(each, str) else each for each in objects), **options)
-
-    def _line(self, text: str) -> str:
-        line = printable(text)
-        return line if self._longest is None else shortened(line, self._longest)
+        shown = (shortened(printable(each), self._longest) if isinstance(each, str) else each for each in objects)
+        super().print(*shown, **options)
 
 
 stdout = LineConsole()
@@ -88,11 +86,8 @@ def show_warnings() -> None:
     warnings.showwarning = show
 
 
-def progress_lines(every_seconds: float = 60.0, clock: Callable[[], float] = time.monotonic) -> OnProgress:
-    """A progress callback that prints a line on stderr for all running tasks, at most every `every_seconds`.
-
-    Tasks that end before that have no line.
-    """
+def progress_lines(clock: Callable[[], float] = time.monotonic) -> OnProgress:
+    """A progress callback that prints a line on stderr for all running tasks, once a minute at most."""
     tasks: dict[str, Progress] = {}
     printed = clock()
 
@@ -101,7 +96,7 @@ def progress_lines(every_seconds: float = 60.0, clock: Callable[[], float] = tim
         tasks[progress.name] = progress
         if progress.finished:
             del tasks[progress.name]
-        elif clock() - printed >= every_seconds:
+        elif clock() - printed >= 60.0:
             printed = clock()
             stderr.print("; ".join(map(_state, tasks.values())))
 

@@ -15,7 +15,7 @@ import shutil
 import signal
 import threading
 import tomllib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -120,13 +120,13 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise ValueError("nested too deep") from None
 
 
-def parse_json(text: str, object_pairs_hook: Callable[[list[tuple[str, Any]]], Any] | None = None) -> Any:
-    """Parse JSON, with integers beyond 64 bits as floats; the hook is that of `json.loads`.
+def parse_json(text: str) -> Any:
+    """Parse JSON, with integers beyond 64 bits as floats.
 
     Raises `json.JSONDecodeError` with the position, or another `ValueError`: nested too deep, or a lone surrogate.
     """
     try:
-        value = json.loads(text, parse_int=_bounded, object_pairs_hook=object_pairs_hook)
+        value = json.loads(text, parse_int=_bounded)
         if "\\ud" in text or "\\uD" in text:
             json.dumps(value, ensure_ascii=False).encode("utf-8")
     except RecursionError:

@@ -189,16 +189,13 @@ def forward_kinematics_matrices(
     local_matrices: Float[np.ndarray, "frames joints 3 3"],
     root_translation: Float[np.ndarray, "frames 3"],
     skeleton: Skeleton,
-    offsets: Float[np.ndarray, "*frames joints 3"] | None = None,
-) -> tuple[Float[np.ndarray, "frames joints 3"], Float[np.ndarray, "frames joints 3 3"]]:
-    """Joint positions and global rotation matrices from local rotation matrices."""
+    offsets: Float[np.ndarray, "*frames joints 3"],
+) -> Float[np.ndarray, "frames joints 3"]:
+    """Joint positions in metres from local rotation matrices, the root's position and the bones' offsets."""
     frames = np.empty((3, 4, *local_matrices.shape[1::-1]), dtype=local_matrices.dtype)
     frames[:, :3] = local_matrices.transpose(2, 3, 1, 0)
     _propagate(frames, root_translation, skeleton, offsets)
-    return (
-        np.ascontiguousarray(frames[:, 3].transpose(2, 1, 0)),
-        np.ascontiguousarray(frames[:, :3].transpose(3, 2, 0, 1)),
-    )
+    return np.ascontiguousarray(frames[:, 3].transpose(2, 1, 0))
 
 
 def _propagate(

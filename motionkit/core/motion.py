@@ -159,8 +159,8 @@ class Motion:
         times = self.timegrid.seconds()
         if not all(each >= min(0.0, times[0]) for each in (seconds.start, seconds.stop) if each is not None):
             raise ValueError(
-                f"motion[{_second(seconds.start)}:{_second(seconds.stop)}]: expected seconds from the start on, not "
-                f"from the end; this motion ends at {self.timegrid.start_seconds + self.duration_seconds:g} s"
+                f"seconds are counted from the start, not from the end, and are not {seconds.start} to {seconds.stop}; "
+                f"this motion ends at {self.timegrid.start_seconds + self.duration_seconds:g} s"
             )
         start, stop = np.searchsorted(times, (begin - SAME_SECONDS, end - SAME_SECONDS)).tolist()
         if start >= stop:
@@ -245,10 +245,6 @@ def _check_joints(joint_positions: object, unit_metres: float) -> None:
             f"a body of {size * unit_metres:.4g} m: these look like {name}; divide by {1 / unit:g} or pass "
             f"unit_metres={unit_metres * unit:g}"
         )
-
-
-def _second(value: float | None) -> str:
-    return "" if value is None else f"{value:g}"
 
 
 def captions_within(captions: tuple[Caption, ...], grid: TimeGrid) -> tuple[Caption, ...]:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 __all__ = [
     "Bool",
-    "Complex64",
     "Float",
     "Float32",
     "Float64",
@@ -18,12 +17,10 @@ __all__ = [
     "Int32",
     "Int64",
     "Shaped",
-    "UInt8",
-    "UInt16",
 ]
 
 if TYPE_CHECKING or "jaxtyping" in sys.modules:
-    from jaxtyping import Bool, Complex64, Float, Float32, Float64, Int, Int32, Int64, Shaped, UInt8, UInt16
+    from jaxtyping import Bool, Float, Float32, Float64, Int, Int32, Int64, Shaped
 else:
 
     class Shaped:
@@ -31,4 +28,4 @@ else:
 
         __class_getitem__ = classmethod(GenericAlias)
 
-    Bool = Complex64 = Float = Float32 = Float64 = Int = Int32 = Int64 = UInt8 = UInt16 = Shaped
+    Bool = Float = Float32 = Float64 = Int = Int32 = Int64 = Shaped

@@ -97,15 +97,11 @@ class TimeGrid:
         frames = np.arange(self.num_frames, dtype=np.float64)
         return self.start_seconds + frames * self.fps.denominator / self.fps.numerator
 
-    def normalised(self, max_duration_seconds: float) -> Float64[np.ndarray, "frames"]:
-        """Coordinates t = −1 + 2·seconds / l_max of all frames, from the start of the sequence (NeRM §3.1)."""
-        return normalise_seconds(self.seconds() - self.start_seconds, max_duration_seconds)
-
 
 def normalise_seconds(
     seconds: Float64[np.ndarray, "*shape"], max_duration_seconds: float
 ) -> Float64[np.ndarray, "*shape"]:
-    """Seconds since the start of a window of l_max seconds → coordinates in [−1, 1]."""
+    """Seconds since the start of a window of l_max seconds → coordinates in [−1, 1] (NeRM §3.1)."""
     return -1.0 + 2.0 * seconds / max_duration_seconds
 
 

@@ -88,7 +88,7 @@ def poses_of(
     """The poses of vectors: the closest rotations to the columns, then forward kinematics on the bones."""
     matrices = kinematics.closest_rotations(vectors[:, 3:].astype(np.float64))
     root = vectors[:, :3].astype(np.float64)
-    positions, _ = kinematics.forward_kinematics_matrices(matrices, root, skeleton, bones.astype(np.float64))
+    positions = kinematics.forward_kinematics_matrices(matrices, root, skeleton, bones.astype(np.float64))
     rotations = kinematics.matrix_to_quaternion(matrices)
     return Poses(positions.astype(np.float32), rotations.astype(np.float32))
 

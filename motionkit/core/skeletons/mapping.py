@@ -97,13 +97,6 @@ def with_layout_map(skeleton: Skeleton, layout_maps: Sequence[str]) -> Skeleton:
     return replace(skeleton, layout_map=max(fitting, key=lambda text: len(parse_layout_map(text).requires)))
 
 
-def family_of(skeleton: Skeleton) -> SkeletonFamily | None:
-    """The skeleton's own map, or the shipped family that it belongs to, or None."""
-    if skeleton.layout_map:
-        return parse_layout_map(skeleton.layout_map)
-    return find_family(canonical_names(skeleton.joint_names))
-
-
 def fits(family: SkeletonFamily, names: Sequence[str]) -> bool:
     """Whether canonical joint names hold all that the family requires."""
     return family.requires <= {family.aliases.get(name, name) for name in names}
@@ -176,8 +169,6 @@ def _family(table: Any) -> SkeletonFamily:
         raise ValueError(
             'requires is missing; it lists the joints by which the skeleton is known: ["Pelvis", "Thigh_L"]'
         )
-    if not isinstance(table.get("source", ""), str):
-        raise ValueError("source is not a text; it says where the names are from")
     aliases = table.get("aliases", {})
     if not isinstance(aliases, dict) or not all(isinstance(joint, str) for joint in aliases.values()):
         raise ValueError('[aliases] holds lines of the form OtherName = "Name"')
@@ -264,7 +255,6 @@ class JointMap:
     `made_up` are the extrapolated toes.
     """
 
-    layout: str
     family: str
     weights: Float32[np.ndarray, "layout_joints joints"]
     tip_weights: Float32[np.ndarray, "layout_joints tips"]
@@ -331,19 +321,20 @@ def joint_map(skeleton: Skeleton, layout: str) -> JointMap:
     target = STANDARD_SKELETONS[layout]
     if skeleton.joint_names == target.joint_names and not skeleton.layout_map:
         eye = np.eye(target.num_joints, dtype=np.float32)
-        return JointMap(layout, layout, eye, np.zeros((len(eye), len(skeleton.end_sites)), np.float32), ())
+        return JointMap(layout, eye, np.zeros((len(eye), len(skeleton.end_sites)), np.float32), ())
     body = _map_to_smpl22(skeleton.joint_names, skeleton.end_sites, skeleton.layout_map)
     if isinstance(body, tuple):
         raise SkeletonMapError(skeleton, layout, body)
     if layout == SMPL22.name:
         return body
     via = _kit21_from_smpl22()
-    return JointMap(layout, body.family, via @ body.weights, via @ body.tip_weights, body.made_up)
+    return JointMap(body.family, via @ body.weights, via @ body.tip_weights, body.made_up)
 
 
 def family_unit_metres(skeleton: Skeleton) -> float | None:
     """The length unit of the family's files in metres, if known (the CMU database's)."""
-    family = family_of(skeleton)
+    own = skeleton.layout_map
+    family = parse_layout_map(own) if own else find_family(canonical_names(skeleton.joint_names))
     return family.metres_per_unit if family else None
 
 
@@ -375,7 +366,7 @@ def _map_to_smpl22(joint_names: tuple[str, ...], end_sites: EndSites, layout_map
                 tip_weights[row, tips[source]] += weight
     if missing:
         return tuple(missing)
-    return JointMap(SMPL22.name, family.name, weights, tip_weights, tuple(made_up))
+    return JointMap(family.name, weights, tip_weights, tuple(made_up))
 
 
 def _possible(

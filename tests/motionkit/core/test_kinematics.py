@@ -107,11 +107,8 @@ def test_forward_kinematics_with_offsets_that_move_agrees_with_the_plain_recursi
         expected[:, joint] = root if parent < 0 else expected[:, parent] + turns[parent].apply(offsets[:, joint])
     positions = kinematics.forward_kinematics(rotations, root, SMPL22, offsets)
     assert np.allclose(positions, expected)
-    again, world = kinematics.forward_kinematics_matrices(
-        kinematics.quaternion_to_matrix(rotations), root, SMPL22, offsets
-    )
-    assert np.allclose(again, expected)
-    assert np.allclose(world, np.stack([turn.as_matrix() for turn in turns], axis=1))
+    matrices = kinematics.quaternion_to_matrix(rotations)
+    assert np.allclose(kinematics.forward_kinematics_matrices(matrices, root, SMPL22, offsets), expected)
 
 
 @pytest.mark.parametrize("order", ["XYZ", "ZYX", "YXZ", "ZX", "Y", "XYX"])
