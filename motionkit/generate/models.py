@@ -153,10 +153,9 @@ def model_of(run: Path) -> str:
         )
     if not trained:
         first = next(iter(installed.values()))
-        raise UsageError(
-            f"{run} holds none of the installed models ({', '.join(installed)}): {first.train_command(run)} trains "
-            f"{first.title}"
-        )
+        none = f"{run} holds none of the installed models ({', '.join(installed)})"
+        lacking = none if run.is_dir() else f"there is no run {run}"
+        raise UsageError(f"{lacking}: {first.train_command(run)} trains {first.title}")
     return trained[0]
 
 
