@@ -33,7 +33,7 @@ from motionkit.training.devices import (
     resolve_device,
     with_precision_of,
 )
-from motionkit.training.loop import scale_rates, seeded_initialisation, step_generator
+from motionkit.training.loop import seeded_initialisation, step_generator
 from motionkit.training.pose_vectors import PoseTensors, VectorScaling, measure_scaling, uniform_of
 from motionkit.training.run import RunError, RunFolder
 from motionkit.training.stage import StageContext
@@ -242,7 +242,8 @@ class FieldTraining:
     def _update(self, step: int, rows: Int64[Tensor, "rows"], mean: Tensor, log_variance: Tensor) -> None:
         config = self.config
         factor = config.schedule.factor(step, self.steps)
-        scale_rates(self.optimizer, factor)
+        for group in self.optimizer.param_groups:
+            group["lr"] = group["base_lr"] * factor
         self.ranks.add_up_gradients(self.network.parameters())
         self.optimizer.step()
         assert mean.grad is not None
@@ -254,7 +255,7 @@ class FieldTraining:
     def state_tensors(self) -> dict[str, Tensor]:
         """The complete training state; the latents of all ranks are gathered on the first."""
         latents = {name: self.own.gather(table) for name, table in self._tables().items()}
-        return training_tensors("network", self.network, self.optimizer) | latents
+        return training_tensors(self.network, self.optimizer) | latents
 
     def posteriors(self) -> tuple[Float32[Tensor, "windows latent"], Float32[Tensor, "windows latent"]]:
         """{μ_i} and {log Σ_i} of all windows, on the CPU of the first rank."""
@@ -262,7 +263,7 @@ class FieldTraining:
 
     def load_state_tensors(self, tensors: Mapping[str, Tensor]) -> None:
         """Restore what `state_tensors` returned."""
-        load_training_tensors("network", self.network, self.optimizer, tensors)
+        load_training_tensors(self.network, self.optimizer, tensors)
         for name, table in self._tables().items():
             table.copy_(tensors[name][self.own.rows])
 

@@ -89,10 +89,10 @@ def _run(places: dict[str, Path], size: dict[str, Any], seed: int) -> dict[str, 
     from motionkit.demo_corpus import write_demo_corpus
     from motionkit.store.reader import Store
     from motionkit.training.config import flatten
-    from motionkit.training.stage import registered_stages
+    from motionkit.training.stage import choose_stages
     from motionkit.training.text import load_text_encoder
 
-    settings = flatten(registered_stages()["denoiser"].recipe(RECIPE))
+    settings = flatten(choose_stages("denoiser")[0].recipe(RECIPE))
     load_text_encoder(str(settings["denoiser.conditions.text_encoder"]))  # fail now, not after minutes of training
     _prepare(places)
     seconds: dict[str, float] = {}

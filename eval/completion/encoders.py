@@ -16,7 +16,6 @@ from motionkit.core.kinematics import closest_rotations, matrix_to_quaternion
 from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.edit.encoders import (
-    EncoderLoader,
     encoder_loader,
     installed_encoders,
     runs_with,
@@ -34,7 +33,7 @@ from motionkit.fields.motion_field import (
     check_observed_alike,
     check_times,
 )
-from motionkit.training.run import RunFolder, Task, commit, versions
+from motionkit.training.run import Loader, RunFolder, Task, commit, versions
 from motionkit.training.stage import recorded_settings
 
 
@@ -201,7 +200,7 @@ def code_version() -> str:
     return commit() or versions()["motionkit"]
 
 
-def _untrained_reason(name: str, loader: EncoderLoader, run: Path | None) -> str:
+def _untrained_reason(name: str, loader: Loader[MotionEncoder], run: Path | None) -> str:
     others = [] if run is None else [path.name for path in runs_with(name, run.parent)]
     if others:
         run_name = run.name if run else ""

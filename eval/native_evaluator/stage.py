@@ -60,7 +60,7 @@ def _train(context: StageContext, config: NativeConfig | TmrConfig, stage: str, 
         cache = cache_root(store.path, store.fingerprint)
         sentences = collect_sentences(takes.captions, partial(embed_texts, encoder, folder=cache))
     trainable = EvaluatorTraining(stage, config, banks, sentences, context.seed, resolve_device(context.device))
-    latest = train_loop(trainable, folder, steps=training.steps, seed=context.seed, on_progress=context.on_progress)
+    latest = train_loop(trainable, folder, seed=context.seed, on_progress=context.on_progress)
     reached = [bank.fps for bank in banks]
     header = describe_training(stage, to_plain(config), store.fingerprint, reached, encoder)
     save_tensors(folder.model_path, trainable.model_tensors(), header)

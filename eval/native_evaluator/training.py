@@ -32,7 +32,7 @@ from eval.sets.corruptions import Family, families
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Caption
 from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64
-from motionkit.training.config import rate_factor
+from motionkit.training.config import Schedule
 from motionkit.training.loop import seeded_initialisation, set_rate
 from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
 
@@ -191,7 +191,7 @@ class EvaluatorTraining:
         device: torch.device,
     ) -> None:
         self.config, self.banks, self.sentences, self.device = config, banks, sentences, device
-        self.damage = families()
+        self.steps, self.damage = config.training.steps, families()
         with seeded_initialisation(seed, stage):
             self.network = NativeNetwork(config.network).to(device)
             self.text = TextProjection(max(sentences.dimension, 1), config.network).to(device)
@@ -207,8 +207,8 @@ class EvaluatorTraining:
             losses = self._retrieval(training, rng, generator)
         else:
             losses = self._damage_and_captions(training, rng)
-        factor = rate_factor(step, training.steps, schedule="cosine", warmup_fraction=training.warmup_fraction)
-        set_rate(self.optimizer, training.learning_rate * factor)
+        schedule = Schedule(training.steps, kind="cosine", warmup_fraction=training.warmup_fraction)
+        set_rate(self.optimizer, training.learning_rate * schedule.factor(step, training.steps))
         self.optimizer.zero_grad()
         losses["loss"].backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), training.gradient_clip)

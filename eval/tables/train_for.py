@@ -4,11 +4,12 @@ A system is a model or encoder that tables load from runs (`motionkit.training.s
 """
 
 from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 from eval.tables.table import Table
 from motionkit.core import plugins
 from motionkit.core.errors import UsageError
-from motionkit.training.stage import StageContext, StagePlan, registered_stages
+from motionkit.training.stage import Stage, StageContext, StagePlan
 
 KINDS = {"table": "", "figure": "figure"}
 
@@ -19,7 +20,8 @@ def plan(target: str, paper: str | None, context: StageContext, overrides: Seque
     A complete stage of the run is kept, unless the context overwrites: it needs no earlier ones, and its system's
     shares are unchanged. Raises `UsageError` for an unknown table, and for a stage that is not installed.
     """
-    table, stages = table_that_shows(paper, target), registered_stages()
+    table = table_that_shows(paper, target)
+    stages: dict[str, Stage[Any]] = plugins.load_all("STAGES")
     systems = list(table.shown().values())
     for name in (name for system in systems for name in system.stages):
         if name not in stages:

@@ -95,10 +95,9 @@ def _require_intact(store: Path, hint: str) -> None:
 
 def _complete_stages(run: Path) -> "list[StageFolder]":
     """The complete stages of a run after verifying them, by name; raises `DamagedFileError`."""
-    from motionkit.training.run import RunFolder, weights_sha256
+    from motionkit.training.run import RunFolder
 
     stages = [RunFolder(run).stage(path.parent.name) for path in sorted(run.glob("*/summary.json"))]
-    weights_sha256(run)
     for stage in stages:
         stage.check()
     return stages

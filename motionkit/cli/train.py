@@ -25,7 +25,7 @@ from motionkit.training.config import (
     to_plain,
     unknown_setting,
 )
-from motionkit.training.run import OnMetrics, RunFolder, check_same, concerns, ignore_metrics
+from motionkit.training.run import OnMetrics, RunFolder, check_same, concerns
 from motionkit.training.stage import Stage, StageContext, StagePlan, choose_stages
 
 
@@ -267,7 +267,7 @@ def tensorboard_events(folder: Path | None) -> Iterator[OnMetrics]:
     When a stage is resumed, events of repeated steps are hidden. Raises `MissingExtraError` without the extra `track`.
     """
     if folder is None:
-        yield ignore_metrics
+        yield lambda stage, values: None
         return
     try:
         from torch.utils.tensorboard import SummaryWriter

@@ -1,6 +1,6 @@
 """Trained encoders by name, each with a loader from a run to an encoder.
 
-A package lists its encoders in `ENCODERS` (`motionkit.core.plugins`), each an `EncoderLoader`, or a plain function
+A package lists its encoders in `ENCODERS` (`motionkit.core.plugins`), each a `Loader`, or a plain function
 `load(run: Path) -> MotionEncoder` that has the name of the stage that trains it. Interpolators need no run and are
 found by their names beside them.
 """
@@ -19,21 +19,19 @@ from motionkit.fields.motion_field import MotionEncoder
 from motionkit.fields.transfer import Transferred, counterpart_joints
 from motionkit.training.run import Loader, RunFolder, Task, installed_loaders, loader_named
 
-EncoderLoader = Loader[MotionEncoder]
-
 
 def trained_encoder_names() -> tuple[str, ...]:
     """Names of all installed trained encoders, whether or not a run has them."""
     return plugins.names("ENCODERS")
 
 
-def installed_encoders(task: Task | None = None) -> dict[str, EncoderLoader]:
+def installed_encoders(task: Task | None = None) -> dict[str, Loader[MotionEncoder]]:
     """All installed trained encoders by name, or those for one task."""
-    loaders: dict[str, EncoderLoader] = installed_loaders("ENCODERS")
+    loaders: dict[str, Loader[MotionEncoder]] = installed_loaders("ENCODERS")
     return {name: loader for name, loader in loaders.items() if task is None or task in loader.tasks}
 
 
-def encoder_loader(name: str) -> EncoderLoader:
+def encoder_loader(name: str) -> Loader[MotionEncoder]:
     """The loader of a trained encoder; raises `UsageError` that lists the known ones."""
     if name not in trained_encoder_names():
         trained = ", ".join(trained_encoder_names()) or "none is installed"

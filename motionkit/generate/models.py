@@ -1,6 +1,6 @@
 """The interface of generative models: requests in, motion fields out.
 
-A package lists its models in `MODELS` (`motionkit.core.plugins`), each a `ModelLoader` or a plain function from a run
+A package lists its models in `MODELS` (`motionkit.core.plugins`), each a `Loader` or a plain function from a run
 folder; the table code and `motionkit generate` know only this interface.
 """
 
@@ -116,15 +116,12 @@ def check_constraints(model: GenerativeModel, request: GenerationRequest) -> Non
             raise UsageError(f"{each.name}: {each.seconds.max():g} s lies outside the motion's 0 … {length:g} s")
 
 
-ModelLoader = Loader[GenerativeModel]
-
-
-def installed_models() -> dict[str, ModelLoader]:
+def installed_models() -> dict[str, Loader[GenerativeModel]]:
     """All installed models by name."""
     return installed_loaders("MODELS")
 
 
-def model_loader(name: str) -> ModelLoader:
+def model_loader(name: str) -> Loader[GenerativeModel]:
     """The loader of a model; raises `UsageError` that lists the known ones."""
     if name not in (known := plugins.names("MODELS")):
         raise UsageError(f"no model is called {name!r}; installed models: {', '.join(known) or 'none'}")

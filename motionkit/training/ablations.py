@@ -81,26 +81,19 @@ class Ablation:
         return tuple(dict.fromkeys(entry.variant for entry in self.entries))
 
 
-# Called before a run's first stage with the context of the common run, the variant's run, and its configuration.
-Prepare = Callable[[StageContext, RunFolder, Any], None]
-
-
-def nothing_to_prepare(common: StageContext, run: RunFolder, config: Any) -> None:
-    """For models whose variants share nothing."""
-
-
 @dataclass(frozen=True)
 class Ablations:
     """All ablations of one paper's model, which is installed under the name `paper` too.
 
     `recipes` are those that can be varied; `stages` are the stages to train, of which `--stage` can select the first
-    alone. `prepare` gives a variant's run what all variants share (a codebook), trained in a common run if it is
-    missing. `is_default` marks the default of `motionkit ablate`.
+    alone. `prepare`, called before a run's first stage with the context of the common run, the variant's run and its
+    configuration, gives that run what all variants share (a codebook), trained in the common run if it is missing.
+    `is_default` marks the default of `motionkit ablate`.
     """
 
     paper: str
     tables: Mapping[str, Ablation]
     recipes: Mapping[str, Callable[[], ConfigLike]]
     stages: Mapping[str, Stage[Any]]
-    prepare: Prepare = nothing_to_prepare
+    prepare: Callable[[StageContext, RunFolder, Any], None] = lambda common, run, config: None
     is_default: bool = False

@@ -70,11 +70,6 @@ class Conditions:
         """Some of the rows."""
         return Conditions(*(tensor[rows] for tensor in vars(self).values()))
 
-    def stacked_on(self, other: "Conditions") -> "Conditions":
-        """These rows followed by the other's."""
-        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
-        return Conditions(*(torch.cat(pair) for pair in pairs))
-
     def to(self, device: torch.device | str) -> "Conditions":
         """The same conditions on a device."""
         return Conditions(*(tensor.to(device) for tensor in vars(self).values()))
@@ -99,7 +94,9 @@ def guided(
     """
     if scale == 1.0:
         return network(noisy, steps, conditions)
-    both = network(torch.cat((noisy, noisy)), torch.cat((steps, steps)), conditions.stacked_on(unconditional))
+    pairs = zip(vars(conditions).values(), vars(unconditional).values(), strict=True)
+    stacked = Conditions(*(torch.cat(pair) for pair in pairs))
+    both = network(torch.cat((noisy, noisy)), torch.cat((steps, steps)), stacked)
     with_condition, without = both.chunk(2)
     return scale * with_condition + (1 - scale) * without
 

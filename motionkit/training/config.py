@@ -77,19 +77,12 @@ class Schedule:
         """The factor of the learning rate at a step."""
         if self.kind == "steps":
             return float(self.drop ** int(step / (self.drop_every * steps)))
-        return rate_factor(step, steps, schedule=self.kind, warmup_fraction=self.warmup_fraction)
-
-
-def rate_factor(
-    step: int, steps: int, *, schedule: Literal["constant", "cosine"], warmup_fraction: float = 0.0
-) -> float:
-    """What to multiply a base learning rate by at a step: linear warm-up, then constant or half a cosine to 0."""
-    warmup_steps = round(warmup_fraction * steps)
-    if step < warmup_steps:
-        return (step + 1) / warmup_steps
-    if schedule == "constant":
-        return 1.0
-    return 0.5 * (1.0 + math.cos(math.pi * (step - warmup_steps) / max(1, steps - warmup_steps)))
+        warmup_steps = round(self.warmup_fraction * steps)
+        if step < warmup_steps:
+            return (step + 1) / warmup_steps
+        if self.kind == "constant":
+            return 1.0
+        return 0.5 * (1.0 + math.cos(math.pi * (step - warmup_steps) / max(1, steps - warmup_steps)))
 
 
 def to_plain(config: ConfigLike) -> dict[str, Any]:
@@ -112,16 +105,17 @@ def from_plain(config_type: type[T], values: dict[str, Any]) -> T:
     return config_type(**{name: _converted(value, hints[name], name) for name, value in values.items()})
 
 
-def flatten(config: ConfigLike, prefix: str = "") -> dict[str, Any]:
+def flatten(config: ConfigLike) -> dict[str, Any]:
     """All leaves by their dotted keys, in the order of declaration: {"field.schedule.steps": 2000, …}."""
-    leaves: dict[str, Any] = {}
-    for field in dataclasses.fields(config):
-        value = getattr(config, field.name)
-        if dataclasses.is_dataclass(value) and not isinstance(value, type):
-            leaves |= flatten(value, f"{prefix}{field.name}.")
-        else:
-            leaves[prefix + field.name] = value
-    return leaves
+    return leaves(dataclasses.asdict(config))
+
+
+def leaves(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested values by their dotted keys."""
+    flat: dict[str, Any] = {}
+    for name, value in values.items():
+        flat |= leaves(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value}
+    return flat
 
 
 def parse_override(override: str) -> tuple[str, str]:

@@ -17,10 +17,10 @@ import numpy as np
 import torch
 
 from motionkit.core.errors import UsageError
-from motionkit.core.files import write_json
+from motionkit.core.files import sync, write_json
 from motionkit.core.progress import OnProgress, ignore, task
 from motionkit.training.devices import ALONE, Ranks
-from motionkit.training.run import RunError, StageFolder, abandon_stage
+from motionkit.training.run import RunError, StageFolder, clear_stage
 from motionkit.training.tensors import (
     CheckpointError,
     load_tensors,
@@ -42,8 +42,11 @@ FEWEST_STEPS = 10
 class Trainable(Protocol):
     """What `train_loop` trains.
 
-    With several ranks each has some rows of the batch; gradients are reduced inside `step`, metrics by the loop.
+    With several ranks each has some rows of the batch; gradients are reduced inside `step`, metrics by the loop. A
+    budget of processor time sets `steps` before training.
     """
+
+    steps: int
 
     def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
         """Do one whole step (batch, loss, optimiser) and return its metrics, this rank's share of them, as scalars.
@@ -65,14 +68,13 @@ def train_loop(
     trainable: Trainable,
     folder: StageFolder,
     *,
-    steps: int,
     seed: int,
     log_every: int = 50,
     checkpoint_seconds: float = 60.0,
     ranks: Ranks = ALONE,
     on_progress: OnProgress = ignore,
 ) -> dict[str, float]:
-    """Train to `steps`, from the folder's checkpoint if there is one.
+    """Train all steps, from the folder's checkpoint if there is one.
 
     Returns the last logged metrics, and `cpu_seconds`, including earlier sessions.
 
@@ -81,8 +83,8 @@ def train_loop(
     kept), `CheckpointError` for a checkpoint of another training, and `DamagedFileError` if it or the log is damaged.
     Only the first rank writes, and only it has the metrics.
     """
-    purpose, spent = folder.path.name, time.process_time()
-    first, figures, before = _restore(trainable, folder, steps, ranks)
+    purpose, steps, spent = folder.path.name, trainable.steps, time.process_time()
+    first, figures, before = _restore(trainable, folder, ranks)
     latest = (folder.read_metrics() or [{}])[-1]
     saved = time.perf_counter()
     started = saved - latest.get("seconds", 0.0)
@@ -149,7 +151,8 @@ def _save(
 ) -> None:
     tensors = prefixed("state", trainable.state_tensors()) | prefixed("sums", figures.sums)
     if ranks.is_first:
-        folder.sync_metrics()
+        if folder.metrics_path.is_file():
+            sync(folder.metrics_path)  # so that no checkpoint is ahead of it
         description = {
             "step": done,
             "stage": folder.path.name,
@@ -159,7 +162,7 @@ def _save(
         save_tensors(folder.checkpoint_path, tensors, description)
 
 
-def _restore(trainable: Trainable, folder: StageFolder, steps: int, ranks: Ranks) -> tuple[int, _Figures, float]:
+def _restore(trainable: Trainable, folder: StageFolder, ranks: Ranks) -> tuple[int, _Figures, float]:
     """Restore the checkpoint, if there is one.
 
     Returns its step, the metrics since the last logged one, and the CPU seconds spent until then.
@@ -178,8 +181,8 @@ def _restore(trainable: Trainable, folder: StageFolder, steps: int, ranks: Ranks
     except (KeyError, RuntimeError, TypeError, ValueError) as error:
         fault = f"{path} does not fit these settings or this version ({one_line(error)})"
         raise CheckpointError(f"{fault}: {hint}") from None
-    if not 0 <= logged <= step <= steps:
-        raise CheckpointError(f"{path} is of a step that a training of {steps:,} steps does not have: {hint}")
+    if not 0 <= logged <= step <= trainable.steps:
+        raise CheckpointError(f"{path} is of a step that a training of {trainable.steps:,} steps does not have: {hint}")
     ranks.on_first(lambda: folder.keep_metrics(step))
     figures = _Figures(unprefixed("sums", tensors) if ranks.is_first else {}, since=logged)
     return step, figures, float(description.get("cpu_seconds", 0.0))
@@ -213,15 +216,8 @@ def _interrupts() -> Iterator[threading.Event]:
         restore()
 
 
-@runtime_checkable
-class Rescheduled(Trainable, Protocol):
-    """A `Trainable` whose number of steps can be set before training."""
-
-    steps: int
-
-
 def plan_steps(
-    trainable: Rescheduled, folder: StageFolder, budget_seconds: float, seed: int, clock: Callable[[], float]
+    trainable: Trainable, folder: StageFolder, budget_seconds: float, seed: int, clock: Callable[[], float]
 ) -> None:
     """Set a training's number of steps to what fits into its budget, and write it to budget.json.
 
@@ -245,7 +241,8 @@ def plan_steps(
     seconds_a_step = (ended - warm) / count
     steps = int((budget_seconds - (ended - started)) / max(seconds_a_step, 1e-9))
     if steps < FEWEST_STEPS:
-        abandon_stage(folder)
+        clear_stage(folder)
+        folder.config_path.unlink()  # so that the stage counts as not begun
         raise UsageError(
             f"{purpose}: {budget_seconds:.3g} s of processor time are {max(steps, 0)} steps of {seconds_a_step:.3g} s; "
             f"give a larger --budget"
@@ -290,12 +287,6 @@ def set_rate(optimizer: torch.optim.Optimizer, rate: float) -> None:
     """Set the learning rate of every parameter group."""
     for group in optimizer.param_groups:
         group["lr"] = rate
-
-
-def scale_rates(optimizer: torch.optim.Optimizer, factor: float) -> None:
-    """Set every parameter group's learning rate to its own `base_lr` times a factor."""
-    for group in optimizer.param_groups:
-        group["lr"] = group["base_lr"] * factor
 
 
 class WeightAverage:
@@ -360,11 +351,11 @@ class Learner:
     def state_tensors(self) -> dict[str, torch.Tensor]:
         """Weights, the optimiser's moments, the average."""
         average = {} if self.average is None else prefixed("average", self.average.tensors())
-        return training_tensors("network", self.network, self.optimizer) | average
+        return training_tensors(self.network, self.optimizer) | average
 
     def load_state_tensors(self, tensors: Mapping[str, torch.Tensor]) -> None:
         """Restore what `state_tensors` returned."""
-        load_training_tensors("network", self.network, self.optimizer, tensors)
+        load_training_tensors(self.network, self.optimizer, tensors)
         if self.average is not None:
             self.average.load(unprefixed("average", tensors))
 

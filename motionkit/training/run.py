@@ -8,8 +8,8 @@ import importlib.metadata
 import json
 import platform
 import subprocess
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
@@ -26,15 +26,15 @@ from motionkit.core.files import (
     read_record,
     remove_entry,
     sha256_of,
-    sync,
     write_json,
     write_record,
     write_whole,
 )
+from motionkit.training.config import leaves
 
 # A pattern. Without a hyphen first, as options have.
 STAGE_NAME = r"\w[\w-]*"
-SHOWN_SETTINGS, SHOWN_LETTERS = 6, 24
+SHOWN_LETTERS = 24
 # Keys of config.json that others read.
 CONFIG_TYPES = {"config": dict, "recipe": str, "seed": int, "store_fingerprint": str, "builds_on": dict}
 RECORDED_PACKAGES = ("motionkit", "torch", "numpy", "scipy", "safetensors")
@@ -43,10 +43,6 @@ RECORDED_PACKAGES = ("motionkit", "torch", "numpy", "scipy", "safetensors")
 # Called with a stage's name and logged metrics.
 OnMetrics = Callable[[str, Mapping[str, float]], None]
 HINT = "restore it from a copy, or train the stage again with --overwrite"
-
-
-def ignore_metrics(stage: str, values: Mapping[str, float]) -> None:
-    """Ignore metrics."""
 
 
 T = TypeVar("T")
@@ -150,11 +146,6 @@ class StageFolder:
         if self.metrics_path.is_file():
             write_whole(self.metrics_path, "".join(json.dumps(values) + "\n" for values in kept))
 
-    def sync_metrics(self) -> None:
-        """Flush metrics.jsonl to the disk, so that no checkpoint is ahead of it."""
-        if self.metrics_path.is_file():
-            sync(self.metrics_path)
-
     def finish(self, summary: Mapping[str, Any]) -> None:
         """Write the final metrics, which marks the stage as complete, and record the files' sha256."""
         budget = self.read_budget() if self.budget_path.is_file() else {}
@@ -162,13 +153,10 @@ class StageFolder:
         paths = (self.config_path, self.metrics_path, self.model_path, self.summary_path)
         write_record(self.path, [path.name for path in paths if path.is_file()])
 
-    @contextmanager
-    def locked(self) -> Iterator[None]:
+    def locked(self) -> AbstractContextManager[None]:
         """Hold the stage's lock during a training; raises `BusyError` while another process holds it."""
-        with locked_folder(
-            self.path, busy=f"another process is training {self.path}: wait until it has ended, or name another --run"
-        ):
-            yield
+        busy = f"another process is training {self.path}: wait until it has ended, or name another --run"
+        return locked_folder(self.path, busy=busy)
 
     def _read(self, path: Path) -> dict[str, Any]:
         if not path.is_file():
@@ -310,12 +298,6 @@ def _holds_something(folder: StageFolder) -> bool:
     return any(entry.name != LOCK and not is_temporary(entry) for entry in folder.path.iterdir())
 
 
-def abandon_stage(folder: StageFolder) -> None:
-    """Delete a stage's files, so that it counts as not begun."""
-    clear_stage(folder)
-    folder.config_path.unlink()
-
-
 def clear_stage(folder: StageFolder) -> None:
     """Delete a stage's files except its lock and config.json, which the next training replaces.
 
@@ -345,7 +327,7 @@ def check_same(folder: StageFolder, inputs: Mapping[str, Any]) -> None:
     """
     begun, stage, run = folder.read_config(), folder.path.name, folder.path.parent.name
     compared = [name for name in inputs if name not in ("recipe", "store")]
-    before, now = (_leaves({name: each.get(name) for name in compared}) for each in (begun, inputs))
+    before, now = (leaves({name: each.get(name) for name in compared}) for each in (begun, inputs))
     changed = [
         f"{key.removeprefix('config.')} {shown(before.get(key), SHOWN_LETTERS)} → {shown(now.get(key), SHOWN_LETTERS)}"
         for key in {**before, **now}
@@ -355,10 +337,9 @@ def check_same(folder: StageFolder, inputs: Mapping[str, Any]) -> None:
         if not key.startswith("config.") or concerns(stage, key.removeprefix("config."), inputs["config"])
     ]
     if changed:
-        more = f", {len(changed) - SHOWN_SETTINGS} more" if len(changed) > SHOWN_SETTINGS else ""
         raise RunError(
-            f"{folder.path} was begun from other inputs ({', '.join(changed[:SHOWN_SETTINGS])}{more}): use the same "
-            f"ones, train it again (motionkit train --stage {stage} --run {run} --overwrite), or use another --run"
+            f"{folder.path} was begun from other inputs ({', '.join(changed)}): use the same ones, train it again "
+            f"(motionkit train --stage {stage} --run {run} --overwrite), or use another --run"
         )
 
 
@@ -366,14 +347,6 @@ def concerns(stage: str, key: str, config: Mapping[str, Any]) -> bool:
     """Whether a dotted setting of a plain configuration affects a stage: parts named after other stages don't."""
     parts = {name for name, value in config.items() if isinstance(value, dict)}
     return stage not in parts or key.partition(".")[0] not in parts - {stage}
-
-
-def _leaves(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested values by their dotted keys."""
-    leaves: dict[str, Any] = {}
-    for name, value in values.items():
-        leaves |= _leaves(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value}
-    return leaves
 
 
 def commit(code: Path = Path(__file__)) -> str | None:

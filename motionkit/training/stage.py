@@ -18,13 +18,12 @@ from motionkit.training.run import (
     StageFolder,
     begin_stage,
     check_resumable,
-    ignore_metrics,
 )
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store
     from motionkit.training.devices import Ranks
-    from motionkit.training.loop import Rescheduled
+    from motionkit.training.loop import Trainable
 
 
 @dataclass(frozen=True)
@@ -46,7 +45,7 @@ class StageContext:
     shared: bool = False
     budget_seconds: float | None = None
     on_progress: OnProgress = field(default=ignore, compare=False, repr=False)
-    on_metrics: OnMetrics = field(default=ignore_metrics, compare=False, repr=False)
+    on_metrics: OnMetrics = field(default=lambda stage, values: None, compare=False, repr=False)
 
     def open_store(self) -> "Store":
         """The store, for reading."""
@@ -85,42 +84,21 @@ class StageContext:
             "budget_seconds": self.budget_seconds,
         }
 
-    def train(self, training: "Rescheduled", folder: StageFolder, precision: Precision) -> dict[str, float]:
-        """Run a training's steps, as many as the budget allows if there is one; returns the figures of `train_loop`."""
-        from motionkit.training.devices import float32_products
-        from motionkit.training.loop import train_loop
+    def train(self, training: "Trainable", folder: StageFolder, precision: Precision) -> dict[str, float]:
+        """Run a training's steps, as many as the budget allows if there is one.
+
+        Returns the figures of `train_loop`; errors as there and in `plan_steps`.
+        """
+        from motionkit.training.devices import float32_products, resolve_device
+        from motionkit.training.loop import plan_steps, seconds_spent, train_loop
 
         with float32_products(precision):
-            self.fit_budget(training, folder)
-            return train_loop(
-                training,
-                folder,
-                steps=training.steps,
-                seed=self.seed,
-                ranks=self.ranks,
-                on_progress=self.on_progress,
-            )
-
-    def fit_budget(self, trainable: "Rescheduled", folder: StageFolder) -> None:
-        """Set a training's number of steps by the budget, if there is one; errors as in `plan_steps`."""
-        if self.budget_seconds is None:
-            return
-        from motionkit.training.devices import resolve_device
-        from motionkit.training.loop import plan_steps, seconds_spent
-
-        if self.ranks.size > 1:
-            raise UsageError("--budget is for one process: a rank does not know what the others have spent")
-        clock = seconds_spent(resolve_device(self.device))
-        plan_steps(trainable, folder, self.budget_seconds, self.seed, clock)
-
-
-def builds_on_nothing(config: Any) -> tuple[str, ...]:
-    """A stage that reads the store alone."""
-    return ()
-
-
-def _nothing_to_check(context: StageContext, config: Any) -> None:
-    """No early check: for stages that detect errors immediately."""
+            if self.budget_seconds is not None:
+                if self.ranks.size > 1:
+                    raise UsageError("--budget is for one process: a rank does not know what the others have spent")
+                clock = seconds_spent(resolve_device(self.device))
+                plan_steps(training, folder, self.budget_seconds, self.seed, clock)
+            return train_loop(training, folder, seed=self.seed, ranks=self.ranks, on_progress=self.on_progress)
 
 
 @dataclass(frozen=True)
@@ -139,10 +117,10 @@ class Stage(Generic[ConfigT]):
     description: str
     recipes: Mapping[str, Callable[[], ConfigT]]
     train: Callable[[StageContext, ConfigT], None]
-    check: Callable[[StageContext, ConfigT], None] = _nothing_to_check
+    check: Callable[[StageContext, ConfigT], None] = lambda context, config: None
     shared: bool = False
     share: float = 1.0
-    builds_on: Callable[[ConfigT], tuple[str, ...]] = builds_on_nothing
+    builds_on: Callable[[ConfigT], tuple[str, ...]] = lambda config: ()
 
     def __post_init__(self) -> None:
         if not re.fullmatch(STAGE_NAME, self.name):
@@ -179,11 +157,6 @@ class StagePlan:
     shares: Mapping[str, float]
     settings: tuple[str, ...] = ()
     next_command: str = ""
-
-
-def registered_stages() -> dict[str, Stage[Any]]:
-    """All installed stages by name, in the order in which they are trained."""
-    return plugins.load_all("STAGES")
 
 
 def recorded_settings(run: RunFolder, stage: str) -> dict[str, Any]:

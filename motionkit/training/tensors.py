@@ -68,10 +68,10 @@ def load_tensors(path: Path, hint: str = HINT) -> tuple[dict[str, torch.Tensor],
         raise DamagedFileError(path, one_line(error), hint) from None
 
 
-def one_line(error: Exception, longest: int = 200) -> str:
+def one_line(error: Exception) -> str:
     """An error's message, shortened to one line."""
     said = " ".join(str(error).split()) or type(error).__name__
-    return said if len(said) <= longest else f"{said[:longest]} …"
+    return said if len(said) <= 200 else f"{said[:200]} …"
 
 
 @contextmanager
@@ -81,19 +81,6 @@ def rebuilding(path: Path, stage: str, tensors: Mapping[str, torch.Tensor]) -> I
     Raises `CheckpointError` for settings whose network is far larger than the tensors, before memory is allocated, and
     for missing tensors or other types.
     """
-    try:
-        with _parameters_of(tensors):
-            yield
-    except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError, UsageError) as error:
-        raise CheckpointError(
-            f"{path}: not a {stage} of this version of motionkit ({one_line(error)}); train it again "
-            f"(motionkit train --stage {stage} --overwrite)"
-        ) from None
-
-
-@contextmanager
-def _parameters_of(tensors: Mapping[str, torch.Tensor]) -> Iterator[None]:
-    """Raise `ValueError` in the block if modules get far more, or larger, parameters than there are tensors."""
     thread, left = threading.get_ident(), LARGER * len(tensors)
     numbers_left = LARGER * sum(tensor.numel() for tensor in tensors.values())
 
@@ -109,6 +96,11 @@ def _parameters_of(tensors: Mapping[str, torch.Tensor]) -> Iterator[None]:
     hook = register_module_parameter_registration_hook(check)
     try:
         yield
+    except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError, UsageError) as error:
+        raise CheckpointError(
+            f"{path}: not a {stage} of this version of motionkit ({one_line(error)}); train it again "
+            f"(motionkit train --stage {stage} --overwrite)"
+        ) from None
     finally:
         hook.remove()
 
@@ -143,40 +135,32 @@ def load_optimizer_tensors(optimizer: torch.optim.Optimizer, tensors: Mapping[st
     optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
 
 
-def training_tensors(name: str, module: torch.nn.Module, optimizer: torch.optim.Optimizer) -> dict[str, torch.Tensor]:
-    """A module's weights under its name, and its optimiser's moments."""
-    return prefixed(name, module.state_dict()) | prefixed("optimizer", optimizer_tensors(optimizer))
+def training_tensors(network: torch.nn.Module, optimizer: torch.optim.Optimizer) -> dict[str, torch.Tensor]:
+    """A network's weights, and its optimiser's moments."""
+    return prefixed("network", network.state_dict()) | prefixed("optimizer", optimizer_tensors(optimizer))
 
 
 def load_training_tensors(
-    name: str, module: torch.nn.Module, optimizer: torch.optim.Optimizer, tensors: Mapping[str, torch.Tensor]
+    network: torch.nn.Module, optimizer: torch.optim.Optimizer, tensors: Mapping[str, torch.Tensor]
 ) -> None:
     """Restore what `training_tensors` returned."""
-    module.load_state_dict(unprefixed(name, tensors))
+    network.load_state_dict(unprefixed("network", tensors))
     load_optimizer_tensors(optimizer, unprefixed("optimizer", tensors))
-
-
-LARGEST_BYTES = 4 << 30
 
 
 def read_foreign(path: Path) -> dict[str, Any]:
     """The content of a PyTorch checkpoint by name, tensors on the CPU.
 
-    Raises `CheckpointError` for a file that is missing, implausibly large, damaged, or would execute code
-    (`weights_only=True` refuses).
+    Raises `CheckpointError` for a file that is missing, damaged, or would execute code (`weights_only=True` refuses).
     """
     if not path.is_file():
         raise CheckpointError(f"{path}: there is no such file")
-    if path.stat().st_size > LARGEST_BYTES:
-        raise CheckpointError(f"{path}: {path.stat().st_size:,} bytes, more than any checkpoint that is read here")
     try:
         loaded: Any = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
         # torch raises half a dozen classes for damaged, foreign and forbidden content.
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise CheckpointError(
-            f"{path}: not a checkpoint that can be read without running its pickle ({reason})"
-        ) from None
+        fault = f"not a checkpoint that can be read without running its pickle ({one_line(error)})"
+        raise CheckpointError(f"{path}: {fault}") from None
     return {str(name): value for name, value in loaded.items()} if isinstance(loaded, dict) else {}
 
 

@@ -22,8 +22,6 @@ from motionkit.core.shapes import Float32
 from motionkit.store.cache import writable
 from motionkit.training.run import RunError
 
-FOLDERS_AND_HUB = "transformers"
-
 
 @runtime_checkable
 class TextEncoder(Protocol):
@@ -55,7 +53,7 @@ def load_text_encoder(name: str) -> TextEncoder:
     Raises `UsageError` for an unknown name, and what the package's function raises.
     """
     installed = plugins.names("TEXT_ENCODERS")
-    listed = name if name in installed else FOLDERS_AND_HUB
+    listed = name if name in installed else "transformers"
     if listed not in installed:
         raise UsageError(f"no text encoder is called {name!r}; installed: {', '.join(sorted(installed)) or 'none'}")
     encoder: TextEncoder = plugins.load("TEXT_ENCODERS", listed)(name)
@@ -85,7 +83,10 @@ def embed_texts(encoder: TextEncoder, texts: Sequence[str], folder: Path) -> Flo
     if missing:
         fresh = zip(missing, encoder.encode(missing), strict=True)
         known |= {_key(text): row for text, row in fresh}
-        _write(path, known)
+        keys = np.frombuffer(b"".join(known), dtype=np.uint8).reshape(-1, 32)
+        arrays = {"text_sha256": keys.copy(), "embeddings": np.stack(list(known.values()))}
+        with writable(), whole_file(path) as temporary:
+            save_file(arrays, temporary)
     if not texts:
         return np.zeros((0, encoder.dimension), dtype=np.float32)
     return np.stack([known[_key(text)] for text in texts])
@@ -106,10 +107,3 @@ def _read(path: Path) -> dict[bytes, np.ndarray]:
     except (SafetensorError, KeyError, ValueError) as error:
         warn(f"{path} is not a cache of text embeddings ({error}): computing them anew")
         return {}
-
-
-def _write(path: Path, known: dict[bytes, np.ndarray]) -> None:
-    keys = np.frombuffer(b"".join(known), dtype=np.uint8).reshape(-1, 32)
-    arrays = {"text_sha256": keys.copy(), "embeddings": np.stack(list(known.values()))}
-    with writable(), whole_file(path) as temporary:
-        save_file(arrays, temporary)

@@ -10,7 +10,8 @@ import pytest
 
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.fields.motion_field import Poses
-from motionkit.generate.models import GenerationRequest, ModelLoader, SamplingOptions
+from motionkit.generate.models import GenerationRequest, SamplingOptions
+from motionkit.training.run import Loader
 
 PosesAt = Callable[[np.ndarray], np.ndarray]
 """Joint positions [times, 22, 3] in metres at instants in seconds."""
@@ -72,7 +73,7 @@ def trained_run(run: Path) -> Path:
 def install_models(monkeypatch: pytest.MonkeyPatch, *scripted: Callable[[Path], ScriptedModel]) -> None:
     """Let these be the installed models: functions of a run."""
     loaders = {
-        f"model-{number}": ModelLoader("NeRM", STAGES, load, fixed_fps_setting="field.clips.fixed_fps")
+        f"model-{number}": Loader("NeRM", STAGES, load, fixed_fps_setting="field.clips.fixed_fps")
         for number, load in enumerate(scripted)
     }
     for module in ("eval.tables.models", "eval.tables.nerm.table1"):

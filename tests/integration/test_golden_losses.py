@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 
 from eval.native_evaluator.settings import TmrConfig
+from motionkit.core import plugins
 from motionkit.training.config import apply_overrides
 from motionkit.training.detail import DetailConfig, load_detail
 from motionkit.training.run import RunFolder
-from motionkit.training.stage import StageContext, registered_stages
+from motionkit.training.stage import StageContext
 from tests.helpers.analytic import write_analytic_store
 from tests.helpers.float64 import float64_on_one_thread
 from tests.helpers.tiny import NATIVE, NERM
@@ -74,7 +75,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
 
 def train(name: str, run: RunFolder) -> dict[str, float]:
     """Train a stage after those that it builds on, unless it is trained. Returns its losses."""
-    stage, config = registered_stages()[name], CONFIGS[name]
+    stage, config = plugins.load_all("STAGES")[name], CONFIGS[name]
     if not run.stage(name).is_complete:
         for earlier in stage.builds_on(config):
             train(earlier, run)
@@ -88,7 +89,7 @@ def train(name: str, run: RunFolder) -> dict[str, float]:
 
 
 def test_every_stage_has_its_losses() -> None:
-    assert CONFIGS.keys() == registered_stages().keys()
+    assert CONFIGS.keys() == plugins.load_all("STAGES").keys()
 
 
 @pytest.mark.parametrize("name", CONFIGS)

@@ -54,7 +54,7 @@ def mixture(tmp_path_factory) -> tuple[TrainedDenoiser, RunFolder]:
     folder = run.stage("denoiser")
     folder.path.mkdir()
     training = DenoiserTraining(CONFIG, mixture_corpus(), seed=0, device=torch.device("cpu"))
-    train_loop(training, folder, steps=training.steps, seed=0)
+    train_loop(training, folder, seed=0)
     model = training.finished(text_fingerprint="", field_sha256="f" * 64)
     save_denoiser(run, model)
     folder.finish({"loss": 1.0})

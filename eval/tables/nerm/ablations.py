@@ -22,6 +22,7 @@ from motionkit.edit.encoders import encoder_loader
 from motionkit.generate.models import model_loader
 from motionkit.store.reader import Store
 from motionkit.training.ablations import Ablation
+from motionkit.training.config import leaves
 from motionkit.training.run import Loader, RunFolder
 from motionkit.training.stage import recorded_settings
 
@@ -166,7 +167,7 @@ def _differences(ablation: Ablation, runs: _Runs, stages: Sequence[str]) -> tupl
     for run in dict.fromkeys(run for of_entry in runs.values() for run in of_entry.values()):
         for stage in stages:
             if run.stage(stage).is_complete:
-                for key, value in _leaves(recorded_settings(run, stage)[stage], f"{stage}."):
+                for key, value in leaves(recorded_settings(run, stage)[stage], f"{stage}.").items():
                     values.setdefault(key, {}).setdefault(str(value), []).append(run.path.name)
     return tuple(
         f"These runs differ in more than the table varies: {key} is "
@@ -175,13 +176,6 @@ def _differences(ablation: Ablation, runs: _Runs, stages: Sequence[str]) -> tupl
         for key, found in values.items()
         if len(found) > 1 and key not in varied
     )
-
-
-def _leaves(values: Mapping[str, Any], prefix: str) -> list[tuple[str, Any]]:
-    found: list[tuple[str, Any]] = []
-    for name, value in values.items():
-        found += _leaves(value, f"{prefix}{name}.") if isinstance(value, dict) else [(prefix + name, value)]
-    return found
 
 
 def _printed(ablation: Ablation) -> list[Block]:

@@ -14,7 +14,7 @@ from eval.config import EvalConfig
 from eval.report.results import Result
 from eval.tables.table import Table
 from motionkit.core.errors import UsageError
-from motionkit.generate.models import ModelLoader
+from motionkit.training.run import Loader
 from tests.helpers.scripted_model import ScriptedModel
 
 
@@ -85,7 +85,7 @@ def test_samples_are_not_named_like_a_row_of_the_run(
 ) -> None:
     (tmp_path / "mine" / "t2m").mkdir(parents=True)
     (tmp_path / "mine" / "t2m" / "model.safetensors").touch()
-    loaders = {name: ModelLoader(name, (name.lower(),), ScriptedModel) for name in ("T2M", "MDM")}  # type: ignore[arg-type]
+    loaders = {name: Loader(name, (name.lower(),), ScriptedModel) for name in ("T2M", "MDM")}  # type: ignore[arg-type]
     monkeypatch.setattr(import_module("motionkit.generate.models"), "installed_models", lambda: loaders)
     with pytest.raises(UsageError, match=f"a row '{taken}' already"):
         config_of(samples=samples)

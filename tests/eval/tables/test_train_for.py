@@ -20,7 +20,6 @@ from motionkit.core.errors import UsageError
 from motionkit.store import Store, StoreWriter
 from motionkit.store.commit import read_manifest
 from motionkit.training import loop as loop_module
-from motionkit.training.loop import train_loop
 from motionkit.training.run import Loader, StageFolder
 from motionkit.training.stage import Stage, StageContext
 from motionkit.training.tensors import load_tensors, save_tensors
@@ -91,8 +90,7 @@ class World:
             folder = context.begin(name, config, store_fingerprint=fingerprint, builds_on=builds_on(config))
             self.num_threads.append(torch.get_num_threads())
             training = Climb(config.steps, self.clock)
-            context.fit_budget(training, folder)
-            train_loop(training, folder, steps=training.steps, seed=context.seed, on_progress=context.on_progress)
+            context.train(training, folder, "float32")
             save_tensors(folder.model_path, training.state_tensors(), {})
             folder.finish({"steps": training.steps})
 

@@ -10,7 +10,6 @@ import pytest
 from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import SMPL22
 from motionkit.edit.encoders import (
-    EncoderLoader,
     choose_encoder,
     encoder_loader,
     installed_encoders,
@@ -19,7 +18,7 @@ from motionkit.edit.encoders import (
 )
 from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.motion_field import MotionEncoder, Observation, Poses
-from motionkit.training.run import RunFolder
+from motionkit.training.run import Loader, RunFolder
 from tests.helpers.plugin_lists import install_only
 
 MODULE = '''
@@ -64,7 +63,7 @@ def test_tables_find_encoders_by_their_task() -> None:
 def test_clips_are_completed_by_the_preferred_encoder_that_is_trained(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    own = EncoderLoader("Own", ("halves",), lambda run: INTERPOLATORS["linear"], preferred=True)
+    own = Loader("Own", ("halves",), lambda run: INTERPOLATORS["linear"], preferred=True)
     install_only(monkeypatch, ENCODERS={"own": own})
     before = choose_encoder(None, None, tmp_path)
     assert not before.is_trained and "motionkit train --stage halves trains one" in before.explanation

@@ -9,7 +9,7 @@ import pytest
 import motionkit as mk
 from motionkit.core.errors import MotionkitError
 from motionkit.generate import models
-from motionkit.training.run import RunFolder
+from motionkit.training.run import Loader, RunFolder
 from tests.helpers.plugin_lists import install_only
 from tests.helpers.scripted_model import ScriptedModel
 
@@ -104,7 +104,7 @@ def load_plain(run: Path) -> "Drawing":
 @pytest.fixture
 def installed(monkeypatch: pytest.MonkeyPatch) -> None:
     """A model that a plain function loads, and one with a loader of two stages."""
-    full = models.ModelLoader("Full", ("first", "second"), lambda run: Drawing(script, 2.0))
+    full = Loader("Full", ("first", "second"), lambda run: Drawing(script, 2.0))
     install_only(monkeypatch, MODELS={"full": full, "plain": load_plain})
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from motionkit.training.config import rate_factor
+from motionkit.training.config import Schedule
 from motionkit.training.loop import (
     WeightAverage,
     seeded_initialisation,
@@ -24,11 +24,14 @@ from motionkit.training.tensors import (
     unprefixed,
 )
 
+SCHEDULE = Schedule(20, kind="cosine", warmup_fraction=0.2)
+
 
 class Regression:
     """A linear map learnt from random batches: the smallest thing with weights, moments and an average."""
 
-    def __init__(self, before_step: Callable[[int], None] = lambda step: None) -> None:
+    def __init__(self, before_step: Callable[[int], None] = lambda step: None, steps: int = 20) -> None:
+        self.steps = steps
         with seeded_initialisation(3, "model"):
             self.model = torch.nn.Linear(4, 2)
         self.optimizer = torch.optim.AdamW(self.model.parameters(), lr=1e-2)
@@ -37,7 +40,7 @@ class Regression:
 
     def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
         self.before_step(step)
-        set_rate(self.optimizer, 1e-2 * rate_factor(step, 20, schedule="cosine", warmup_fraction=0.2))
+        set_rate(self.optimizer, 1e-2 * SCHEDULE.factor(step, 20))
         inputs = torch.randn(8, 4, generator=generator)
         loss = (self.model(inputs) - inputs[:, :2]).square().mean()
         self.optimizer.zero_grad()
@@ -74,13 +77,13 @@ def test_an_interrupted_and_resumed_training_equals_an_uninterrupted_one_bit_by_
 ) -> None:
     whole, parts = _folder(tmp_path / "a" / "stage"), _folder(tmp_path / "b" / "stage")
     reference = Regression()
-    train_loop(reference, whole, steps=20, seed=1, log_every=4)
+    train_loop(reference, whole, seed=1, log_every=4)
 
     with pytest.raises(KeyboardInterrupt):
-        train_loop(Regression(_interrupt_at(5, number)), parts, steps=20, seed=1, log_every=4)
+        train_loop(Regression(_interrupt_at(5, number)), parts, seed=1, log_every=4)
     assert load_tensors(parts.checkpoint_path)[1]["step"] == 6
     resumed = Regression()
-    train_loop(resumed, parts, steps=20, seed=1, log_every=4)
+    train_loop(resumed, parts, seed=1, log_every=4)
 
     expected = reference.state_tensors()
     for name, tensor in resumed.state_tensors().items():
@@ -93,7 +96,7 @@ def test_an_interrupted_and_resumed_training_equals_an_uninterrupted_one_bit_by_
 
 def test_the_seed_decides_everything(tmp_path: Path) -> None:
     losses = [
-        train_loop(Regression(), _folder(tmp_path / str(index) / "stage"), steps=5, seed=seed)["loss"]
+        train_loop(Regression(steps=5), _folder(tmp_path / str(index) / "stage"), seed=seed)["loss"]
         for index, seed in enumerate((1, 1, 2))
     ]
     assert losses[0] == losses[1] != losses[2]
@@ -102,9 +105,9 @@ def test_the_seed_decides_everything(tmp_path: Path) -> None:
 def test_metrics_ahead_of_the_checkpoint_are_forgotten(tmp_path: Path) -> None:
     folder = _folder(tmp_path / "stage")
     with pytest.raises(KeyboardInterrupt):
-        train_loop(Regression(_interrupt_at(5)), folder, steps=8, seed=1, log_every=2)
+        train_loop(Regression(_interrupt_at(5), 8), folder, seed=1, log_every=2)
     folder.append_metrics({"step": 7.0, "loss": 99.0})
-    train_loop(Regression(), folder, steps=8, seed=1, log_every=2)
+    train_loop(Regression(steps=8), folder, seed=1, log_every=2)
     assert [line["step"] for line in folder.read_metrics()] == [2, 4, 6, 8]
 
 
@@ -115,7 +118,7 @@ def test_a_loss_that_is_not_finite_stops_the_training(tmp_path: Path) -> None:
 
     folder = _folder(tmp_path / "stage")
     with pytest.raises(RunError, match="loss is not finite"):
-        train_loop(Diverging(), folder, steps=5, seed=0, checkpoint_seconds=0.0)
+        train_loop(Diverging(steps=5), folder, seed=0, checkpoint_seconds=0.0)
     assert load_tensors(folder.checkpoint_path)[1]["step"] == 2
 
 
@@ -123,16 +126,17 @@ def test_a_checkpoint_of_another_stage_is_refused(tmp_path: Path) -> None:
     folder = _folder(tmp_path / "stage")
     save_tensors(folder.checkpoint_path, {}, {"step": 3, "stage": "other"})
     with pytest.raises(CheckpointError, match="is of stage 'other'"):
-        train_loop(Regression(), folder, steps=5, seed=0)
+        train_loop(Regression(steps=5), folder, seed=0)
 
 
 def test_rates_warm_up_and_fall_to_zero() -> None:
-    factors = [rate_factor(step, 100, schedule="cosine", warmup_fraction=0.1) for step in range(101)]
+    schedule = Schedule(100, kind="cosine", warmup_fraction=0.1)
+    factors = [schedule.factor(step, 100) for step in range(101)]
     assert factors[0] == pytest.approx(0.1)
     assert factors[10] == 1.0
     assert factors[55] == pytest.approx(0.5)
     assert factors[100] == pytest.approx(0.0)
-    assert rate_factor(70, 100, schedule="constant") == 1.0
+    assert Schedule(100).factor(70, 100) == 1.0
 
 
 def test_a_weight_average_of_constant_weights_is_those_weights() -> None:

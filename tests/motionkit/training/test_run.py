@@ -26,23 +26,6 @@ class Config:
     second: Part = field(default_factory=Part)
 
 
-@dataclass(frozen=True)
-class Chosen:
-    precision: str = "auto"
-
-
-@dataclass(frozen=True)
-class Many:
-    a: int = 1
-    b: int = 1
-    c: int = 1
-    d: int = 1
-    e: int = 1
-    f: int = 1
-    g: int = 1
-    h: int = 1
-
-
 def _context(path: Path, *, resume: bool = False, overwrite: bool = False, seed: int = 0) -> StageContext:
     return StageContext(Path("store"), RunFolder(path), "nano", seed=seed, resume=resume, overwrite=overwrite)
 
@@ -53,8 +36,6 @@ def test_what_exists_is_neither_overwritten_nor_mixed_unasked(tmp_path: Path) ->
     with pytest.raises(UsageError, match="--resume continues it"):
         _context(tmp_path).begin("first", Config(), store_fingerprint="abc")
     assert _context(tmp_path, resume=True).begin("first", Config(), store_fingerprint="abc").read_metrics()
-    with pytest.raises(RunError, match=r"width 4 → 5"):
-        _context(tmp_path, resume=True).begin("first", Config(width=5), store_fingerprint="abc")
     with pytest.raises(RunError, match="store_fingerprint 'abc' → 'abd'"):
         _context(tmp_path, resume=True).begin("first", Config(), store_fingerprint="abd")
     with pytest.raises(RunError, match="seed 0 → 1"):
