@@ -26,7 +26,7 @@ from motionkit.io import source_file
 from motionkit.io.bvh import split_text
 path, repeats = Path(sys.argv[1]), int(sys.argv[2])
 head, body = split_text(path.read_bytes(), path)
-table = source_file.read_table(body, head.num_frames, head.num_channels, path, head.body_line)
+table = source_file.read_table(body, head.num_frames, head.num_channels, path, head.frame_time_line + 1)
 Path(sys.argv[3]).write_bytes(source_file.format_table(table.repeat(repeats, axis=0)))
 """
 COMPLETE = "from motionkit.cli.app import main; main()"

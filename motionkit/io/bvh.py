@@ -47,6 +47,8 @@ _SAME_RADIANS = 2e-6
 # Gimbal lock: nearer to the pole than this cosine, only the sum of the first and the last angle is determined.
 _POLE_COSINE = 1e-5
 _MOTION = re.compile(rb"(?m)^[ \t]*MOTION[ \t]*\r?$")
+_FRAMES = re.compile(rb"(?i)\s*Frames[ \t]*:([^\n]*)")
+_FRAME_TIME = re.compile(rb"(?i)\s*Frame[ \t]+Time[ \t]*:([^\n]*)")
 _NAN = re.compile(rb"(?i)(?<![^\s])[-+]?nan(?![^\s])")
 _BLANK = bytes(range(33))
 
@@ -66,7 +68,7 @@ class BvhJoint:
 
 @dataclass(frozen=True)
 class BvhHead:
-    """The lines before the numbers: `text` ends with the word MOTION, the numbers begin in line `body_line`.
+    """The lines before the numbers, which follow `frame_time_line`: `text` ends with the word MOTION.
 
     `joints` are in file order, parents first; a frame has `num_channels` numbers.
     """
@@ -76,7 +78,6 @@ class BvhHead:
     num_frames: int
     frame_time: str
     frame_time_line: int
-    body_line: int
 
     @property
     def num_channels(self) -> int:
@@ -172,7 +173,7 @@ def _read(path: Path, options: ReadOptions, *, allow_nan: bool, any_size: bool) 
     if has_nan:  # zeros keep the counts of lines and frames right
         zeros = b" ".join([b"0"] * num_channels)
         numbers = b"\n".join(zeros if _NAN.search(line) else line for line in body.split(b"\n"))
-    table = source_file.read_table(numbers, head.num_frames, num_channels, path, head.body_line)
+    table = source_file.read_table(numbers, head.num_frames, num_channels, path, head.frame_time_line + 1)
     valid = np.ones(len(table), bool)
     if has_nan:
         valid = np.array([_NAN.search(line) is None for line in _lines(body)], bool)
@@ -285,56 +286,33 @@ def split_text(data: bytes, path: Path) -> tuple[BvhHead, bytes]:
     if motion is None:
         message = f"the file ends after the hierarchy of {len(joints)} joints, expected MOTION"
         raise FormatError(message, path=path, reason="truncated", line=data.count(b"\n") + 1)
-    clock_lines, body_start = _clock_lines(data, motion.end(), path)
-    count, count_line = clock_lines["frames"]
+    counted = _FRAMES.match(data, motion.end())
+    timed = _FRAME_TIME.match(data, counted.end()) if counted else None
+    if counted is None or timed is None:
+        rest = data[(counted or motion).end() :].lstrip()
+        line = data.count(b"\n", 0, len(data) - len(rest)) + 1
+        expected, reason = ("Frame Time: seconds", "frame-time") if counted else ("Frames: count", "frame-count")
+        raise FormatError(f"expected '{expected}'", path=path, reason=reason if rest else "truncated", line=line)
+    count, count_line = counted[1].decode("utf-8", "replace").strip(), data.count(b"\n", 0, counted.start(1)) + 1
     if not (count.isascii() and count.isdecimal() and len(count) < 12):
         message = f"'Frames: {count[:40]}', expected a whole number"
         raise FormatError(message, path=path, reason="frame-count", line=count_line)
     if int(count) == 0:
         raise FormatError("0 frames, expected at least one", path=path, reason="no-frames", line=count_line)
-    body_line = data.count(b"\n", 0, body_start) + 1
-    head = BvhHead(data[: motion.end()], joints, int(count), *clock_lines["frame time"], body_line)
+    frame_time, time_line = timed[1].decode("utf-8", "replace").strip(), data.count(b"\n", 0, timed.start(1)) + 1
+    head = BvhHead(data[: motion.end()], joints, int(count), frame_time, time_line)
     if not head.num_channels:
         raise FormatError("no joint has CHANNELS, so nothing moves", path=path, reason="channels")
-    return head, data[body_start:].rstrip()
-
-
-def _clock_lines(data: bytes, start: int, path: Path) -> tuple[dict[str, tuple[str, int]], int]:
-    """The values of `frames` and `frame time` with their lines, and the offset at which the numbers begin."""
-    values: dict[str, tuple[str, int]] = {}
-    line = data.count(b"\n", 0, start)
-    while len(values) < 2:
-        if start > len(data):
-            message = "the file ends before its first frame, expected 'Frames:' and 'Frame Time:'"
-            raise FormatError(message, path=path, reason="truncated", line=line)
-        line += 1
-        end = data.find(b"\n", start)
-        end = len(data) if end < 0 else end
-        text = source_file.decode(data[start:end], path).strip()
-        key, colon, value = text.partition(":")
-        key = " ".join(key.lower().split())
-        if colon and key in ("frames", "frame time"):
-            values[key] = value.strip(), line
-        elif text:
-            missing = "Frame Time: seconds" if "frames" in values else "Frames: count"
-            reason = "frame-time" if "frames" in values else "frame-count"
-            raise FormatError(f"{text[:40]!r}, expected '{missing}'", path=path, reason=reason, line=line)
-        start = end + 1
-    return values, start
+    return head, data[timed.end() + 1 :].rstrip()
 
 
 def _stated_fps(head: BvhHead, path: Path) -> Fraction:
     try:
-        return _fps_of(head.frame_time)
+        return parse_fps(1.0 / float(head.frame_time))
     except (ValueError, ZeroDivisionError, OverflowError) as error:
         message = f"'Frame Time: {head.frame_time[:40]}' is not a usable time between frames in seconds ({error}); "
         message += "correct it, or give the framerate"
         raise FormatError(message, path=path, reason="frame-time", line=head.frame_time_line) from None
-
-
-@lru_cache(maxsize=256)  # a corpus has few different frame times
-def _fps_of(frame_time: str) -> Fraction:
-    return parse_fps(1.0 / float(frame_time))
 
 
 @lru_cache(maxsize=64)  # the takes of a corpus have identical hierarchies
@@ -669,7 +647,7 @@ def _channel_rows(
 ) -> Float64[np.ndarray, "times channels"]:
     anchors = document.table[known.frames]
     after = np.searchsorted(known.seconds, seconds + 1e-9, side="right") - 1
-    expected = _interpolated(anchors, known.seconds, seconds)
+    expected = np.stack([np.interp(seconds, known.seconds, channel) for channel in anchors.T], axis=1)
     rows = np.empty_like(expected)
     # Rows before the first known frame continue it backwards in time.
     for places in (np.flatnonzero(after < 0)[::-1], np.flatnonzero(after >= 0)):
@@ -677,19 +655,6 @@ def _channel_rows(
             after_anchor = np.maximum(after[places], 0)
             rows[places] = _converted(document, poses.rows(places), expected[places], anchors, after_anchor)
     return rows
-
-
-def _interpolated(
-    anchors: Float64[np.ndarray, "known channels"],
-    known_seconds: Float64[np.ndarray, "known"],
-    seconds: Float64[np.ndarray, "times"],
-) -> Float64[np.ndarray, "times channels"]:
-    """Channels interpolated linearly between known frames, and constant beyond them."""
-    left = np.clip(np.searchsorted(known_seconds, seconds, side="right") - 1, 0, max(0, len(anchors) - 2))
-    right = np.minimum(left + 1, len(anchors) - 1)
-    span = np.where(right > left, known_seconds[right] - known_seconds[left], 1.0)
-    fraction = np.clip((seconds - known_seconds[left]) / span, 0.0, 1.0)[:, None]
-    return np.asarray(anchors[left] + fraction * (anchors[right] - anchors[left]))
 
 
 def _converted(
@@ -828,7 +793,8 @@ def _continued(
 
     def steps_to(angles: Float64[np.ndarray, "times 3"], rows: Float64[np.ndarray, "times 3"]) -> np.ndarray:
         previous = np.where(is_first[:, None], start, np.concatenate((start[:1], rows[:-1])))
-        return _within_half_turn(angles - previous)
+        step = angles - previous
+        return np.asarray(step - 2 * np.pi * np.rint(step / (2 * np.pi)))
 
     changes = np.abs(steps_to(other, principal)).sum(axis=-1) < np.abs(steps_to(principal, principal)).sum(axis=-1)
     total = np.cumsum(changes)
@@ -840,15 +806,6 @@ def _continued(
     return np.asarray(chosen + 2 * np.pi * np.rint((unwound - chosen) / (2 * np.pi)))
 
 
-def _within_half_turn(angles: Float64[np.ndarray, "*shape"]) -> Float64[np.ndarray, "*shape"]:
-    return np.asarray(angles - 2 * np.pi * np.rint(angles / (2 * np.pi)))
-
-
 FORMAT = Format(
-    name="bvh",
-    read=of_path(read_bvh),
-    document=read_document,
-    suffixes=(".bvh",),
-    write=write_bvh,
-    turns_up=True,
+    name="bvh", read=of_path(read_bvh), document=read_document, suffixes=(".bvh",), write=write_bvh, turns_up=True
 )
