@@ -51,7 +51,7 @@ class C3dFile:
     header_rate: float
 
     def texts(self, name: str) -> tuple[str, ...]:
-        """A parameter's strings, stripped; empty if there are none."""
+        """A parameter's strings; empty if there are none."""
         return tuple(value for value in self.parameters.get(name, ()) if isinstance(value, str))
 
 
@@ -151,13 +151,11 @@ def _up(file: C3dFile, markers: Markers, path: Path) -> tuple[str, list[str]]:
 
 def parse_c3d(data: bytes, path: Path) -> C3dFile:
     """Read a whole file; raises `FormatError` (`not-what-it-says`, `truncated`, `parameters`, `no-frames` …)."""
-    if len(data) < 2 or data[1] != KEY or data[0] == 0:
+    if len(data) < 2 or data[1] != KEY:
         message = f"looks like {source_file.describe_content(data)}, expected a C3D file"
         raise FormatError(message, path=path, reason="not-what-it-says")
-    if len(data) < BLOCK:
-        raise FormatError(f"{len(data)} bytes, expected a C3D file", path=path, reason="truncated")
     start = (data[0] - 1) * BLOCK
-    if len(data) < start + 4:
+    if not BLOCK <= start < len(data) - 3:
         message = f"the parameters begin at byte {start}, but the file has {len(data)}"
         raise FormatError(message, path=path, reason="truncated")
     num_blocks, processor = data[start + 2], data[start + 3]
@@ -203,12 +201,10 @@ def _parameters(data: bytes, processor: int, path: Path) -> dict[str, Parameter]
 
 def _value(data: bytes, processor: int, path: Path) -> Parameter:
     """A parameter of any number of dimensions, flat; of strings the first dimension is their length."""
-    if len(data) < 2:
+    if len(data) < 2 or len(data) < 2 + data[1]:
         raise _cut_off(path)
     kind, num_dimensions = struct.unpack_from("bB", data)
     dimensions = tuple(data[2 : 2 + num_dimensions])
-    if len(dimensions) < num_dimensions:
-        raise _cut_off(path)
     if kind not in (-1, 1, 2, 4):
         raise FormatError(f"a parameter of type {kind}, expected -1, 1, 2 or 4", path=path, reason="parameters")
     num_bytes = math.prod(dimensions) * abs(kind)
@@ -286,9 +282,4 @@ def _num_frames(first_frame: int, last_frame: int, parameters: Mapping[str, Para
     return max(stated, *whole["POINT:LONG_FRAMES"], *whole["POINT:FRAMES"], 0)
 
 
-FORMAT = Format(
-    name="c3d",
-    read=of_path(read_c3d),
-    suffixes=(".c3d",),
-    turns_up=True,
-)
+FORMAT = Format(name="c3d", read=of_path(read_c3d), suffixes=(".c3d",), turns_up=True)

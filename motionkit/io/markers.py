@@ -21,15 +21,6 @@ GRID_STEPS = 256
 Runs = tuple[Int64[np.ndarray, "runs"], Int64[np.ndarray, "runs"], Int64[np.ndarray, "runs"]]
 
 
-@dataclass(frozen=True)
-class Block:
-    """Frames [start, stop) and the markers visible throughout, apart from short gaps; possibly empty."""
-
-    start: int
-    stop: int
-    markers: Bool[np.ndarray, "markers"]
-
-
 def runs_of(mask: Bool[np.ndarray, "frames markers"]) -> Runs:
     """Marker, first frame, and frame after the last of every run of True, by marker."""
     edges = np.zeros((mask.shape[1], len(mask) + 2), np.int8)
@@ -39,8 +30,10 @@ def runs_of(mask: Bool[np.ndarray, "frames markers"]) -> Runs:
     return marker, start, np.nonzero(change == -1)[1]
 
 
-def largest_block(missing: Bool[np.ndarray, "frames markers"], max_gap: int) -> Block:
-    """The block that maximises markers × frames, of markers without gaps longer than `max_gap` frames in it.
+def largest_block(
+    missing: Bool[np.ndarray, "frames markers"], max_gap: int
+) -> tuple[int, int, Bool[np.ndarray, "markers"]]:
+    """Frames [start, stop) and the markers in them without gaps longer than `max_gap` frames: most markers × frames.
 
     Exact for takes of up to 256 frames; in longer ones the ends are searched on a grid of 256 steps and then extended
     as far as the chosen markers allow.
@@ -60,8 +53,8 @@ def largest_block(missing: Bool[np.ndarray, "frames markers"], max_gap: int) -> 
     kept = np.zeros(num_markers, np.bool_)
     kept[marker[covers]] = True
     if low >= high or not covers.any():
-        return Block(0, 0, np.zeros(num_markers, np.bool_))
-    return Block(int(start[covers].max()), int(stop[covers].min()), kept)
+        return 0, 0, np.zeros(num_markers, np.bool_)
+    return int(start[covers].max()), int(stop[covers].min()), kept
 
 
 def _visible_runs(missing: Bool[np.ndarray, "frames markers"], max_gap: int) -> Runs:
@@ -91,44 +84,34 @@ def without_gaps(markers: Markers, fps: Fraction, path: Path) -> Markers:
     marker remains.
     """
     missing = np.isnan(markers.positions[..., 0])
-    block = largest_block(missing, int(MAX_GAP_SECONDS * fps))
+    start, stop, stays = largest_block(missing, int(MAX_GAP_SECONDS * fps))
     gap = f"{float(MAX_GAP_SECONDS):g} s"
-    if block.start == block.stop:
+    if start == stop:
         raise FormatError(
             f"no marker is seen for any time without gaps longer than {gap}; fill them in the capture software",
             path=path,
             reason="gaps",
         )
     operations = list(markers.operations)
-    if block.stop - block.start < len(missing):
-        frames = f"frames [{block.start}, {block.stop}) of {len(missing)}"
-        operations.append(f"{frames} kept, throughout which most markers are seen")
-    stays = block.markers.tolist()
-    lost = [name for name, kept in zip(markers.names, stays, strict=True) if not kept]
+    if stop - start < len(missing):
+        operations.append(f"frames [{start}, {stop}) of {len(missing)} kept, throughout which most markers are seen")
+    lost = [markers.names[marker] for marker in np.flatnonzero(~stays)]
     if lost:
         operations.append(f"{len(lost)} markers dropped, not seen for longer than {gap}: {some(lost)}")
-    positions, filled = _filled(markers.positions[:, block.markers], missing[:, block.markers], block)
-    names = tuple(name for name, kept in zip(markers.names, stays, strict=True) if kept)
-    return Markers(names, positions, (*operations, *filled))
-
-
-def _filled(
-    positions: Float64[np.ndarray, "frames markers 3"], missing: Bool[np.ndarray, "frames markers"], block: Block
-) -> tuple[Float64[np.ndarray, "kept markers 3"], list[str]]:
-    # Frames outside the block still give a marker's position on the other side of a gap.
-    kept = positions[block.start : block.stop].copy()
-    gone = missing[block.start : block.stop]
+    positions, missing = markers.positions[:, stays], missing[:, stays]
+    kept, gone = positions[start:stop].copy(), missing[start:stop]
     for marker in np.flatnonzero(gone.any(axis=0)):
+        # Frames outside the block still give a marker's position on the other side of a gap.
         frames, visible = np.flatnonzero(gone[:, marker]), np.flatnonzero(~missing[:, marker])
         for axis in range(3):
-            kept[frames, marker, axis] = np.interp(frames + block.start, visible, positions[visible, marker, axis])
-    if not gone.any():
-        return kept, []
-    _, start, stop = runs_of(gone)
-    return kept, [
-        f"gaps filled linearly: {int(gone.sum())} positions of {int(gone.any(axis=0).sum())} markers, the longest "
-        f"{int((stop - start).max())} frames"
-    ]
+            kept[frames, marker, axis] = np.interp(frames + start, visible, positions[visible, marker, axis])
+    if gone.any():
+        _, first, end = runs_of(gone)
+        operations.append(
+            f"gaps filled linearly: {int(gone.sum())} positions of {int(gone.any(axis=0).sum())} markers, the longest "
+            f"{int((end - first).max())} frames"
+        )
+    return Markers(tuple(markers.names[marker] for marker in np.flatnonzero(stays)), kept, tuple(operations))
 
 
 def marker_skeleton(names: tuple[str, ...]) -> Skeleton:
