@@ -199,11 +199,4 @@ def write_amass(motion: Motion, path: Path) -> None:
         )
 
 
-FORMAT = Format(
-    name="amass",
-    read=read_amass,
-    write=write_amass,
-    suffixes=(".npz",),
-    accepts=accepts,
-    turns_up=True,
-)
+FORMAT = Format(name="amass", read=read_amass, write=write_amass, suffixes=(".npz",), accepts=accepts, turns_up=True)

@@ -69,10 +69,10 @@ class AmcTable:
     first_frame_number: int
 
 
-def read_asfamc(path: Path, options: ReadOptions | None = None, skeleton_path: Path | None = None) -> Motion:
+def read_asfamc(path: Path, options: ReadOptions | None = None) -> Motion:
     """Read one AMC file and the ASF skeleton beside it: positions in metres, y up, true local rotations.
 
-    The skeleton is `skeleton_path`, or SUBJECT.asf for SUBJECT_TAKE.amc, or the folder's only ASF file. Raises
+    The skeleton is SUBJECT.asf for SUBJECT_TAKE.amc, or the folder's only ASF file. Raises
     `FormatError`, with the reason `no-framerate` without `options.fps`, since AMC does not state a framerate.
     """
     options = options or ReadOptions()
@@ -84,7 +84,8 @@ def read_asfamc(path: Path, options: ReadOptions | None = None, skeleton_path: P
             path=path,
             reason="no-framerate",
         )
-    asf = read_asf(skeleton_path or find_skeleton(path), options.unit_metres)
+    skeleton_path = find_skeleton(path)
+    asf = _parsed_asf(source_file.read_bytes(skeleton_path), skeleton_path, options.unit_metres)
     table = parse_amc(data, path)
     rotations, root = _local_rotations(table, asf, path)
     operations = [
@@ -118,16 +119,9 @@ def find_skeleton(path: Path) -> Path:
     raise FormatError(message, path=path, reason="two-skeletons")
 
 
-def read_asf(path: Path, unit_metres: float | None = None) -> AsfSkeleton:
-    """Read a skeleton; metres per unit are 0.0254 / length unit unless given.
-
-    Raises `FormatError` (`asf`, `not-what-it-says`, …) naming the line.
-    """
-    return _parsed_asf(source_file.read_bytes(path), path, unit_metres)
-
-
 @lru_cache(maxsize=8)  # all takes of a subject share one file
 def _parsed_asf(data: bytes, path: Path, unit_metres: float | None) -> AsfSkeleton:
+    """A skeleton in metres, of 0.0254 / length unit each unless given; raises `FormatError` naming the line."""
     if not re.search(rb"(?m)^[ \t]*:(bonedata|root)\b", data):
         raise FormatError(
             f"looks like {source_file.describe_content(data)}, expected an ASF skeleton with :root and :bonedata",
@@ -400,8 +394,4 @@ def _local_rotations(
     return rotations, (root * asf.unit_metres).astype(np.float32)
 
 
-FORMAT = Format(
-    name="asfamc",
-    read=of_path(read_asfamc),
-    suffixes=(".amc",),
-)
+FORMAT = Format(name="asfamc", read=of_path(read_asfamc), suffixes=(".amc",))

@@ -64,13 +64,11 @@ def read_deepmimic(path: Path, options: ReadOptions | None = None) -> Motion:
     options = options or ReadOptions()
     data = source_file.read_bytes(path)
     character = humanoid3d()
-    table, repeats = _table(data, character, path)
+    table = _table(data, character, path)
     fps, stated, operations = _framerate(table[:-1, 0], options.fps, path)
     rotations, normalised = _rotations(table, character, path)
     operations += normalised
     root = table[:, 1:FIRST_ROTATION].astype(np.float32)
-    if repeats:
-        operations.append('read as it is; the file says that it repeats (Loop "wrap")')
     named = NAME.fullmatch(path.stem)
     motion = Motion(
         joint_positions=kinematics.forward_kinematics(rotations, root, character.skeleton),
@@ -105,18 +103,14 @@ def humanoid3d() -> Character:
     return Character(skeleton, tuple(ROTATION_SIZES[joint["rotation"]] for joint in joints))
 
 
-def _table(data: bytes, character: Character, path: Path) -> tuple[Float64[np.ndarray, "frames numbers"], bool]:
-    """The numbers of all frames, and whether the motion is stated to repeat."""
+def _table(data: bytes, character: Character, path: Path) -> Float64[np.ndarray, "frames numbers"]:
     try:
-        content = parse_json(source_file.decode(data, path))
-        frames = content["Frames"]
+        frames = parse_json(source_file.decode(data, path))["Frames"]
         if not isinstance(frames, list):
             raise ValueError("Frames is no list")
     except (ValueError, TypeError, KeyError) as error:
         message = f"no JSON object with a list Frames ({type(error).__name__}: {error})"
         raise FormatError(message, path=path, reason="not-what-it-says") from None
-    if not frames:
-        raise FormatError("0 frames, expected at least one", path=path, reason="no-frames")
     size = character.frame_size
     for number, frame in enumerate(frames):
         if not isinstance(frame, list) or len(frame) != size:
@@ -127,7 +121,7 @@ def _table(data: bytes, character: Character, path: Path) -> tuple[Float64[np.nd
             raise FormatError("not all are numbers", path=path, reason="not-a-number", frame=number)
     table = np.array(frames, np.float64)
     npy.checked_numbers(table, path)
-    return table, content.get("Loop") == "wrap"
+    return table
 
 
 def _framerate(
@@ -142,8 +136,7 @@ def _framerate(
         if not len(values):
             message = "a single frame, whose duration says nothing; give the framerate with --fps"
             raise FormatError(message, path=path, reason="no-framerate")
-        # Durations are compared with the commonest one.
-        usual = float(np.median(durations[np.round(durations, 7) == values[order[0]]]))
+        usual = float(np.median(durations))
         others = np.flatnonzero(np.abs(durations - usual) > SNAP_TOLERANCE * abs(usual))
         if others.size:
             message = (
@@ -186,9 +179,4 @@ def _rotations(
     return rotations, [log] if worst > LOGGED_LENGTH_ERROR else []
 
 
-FORMAT = Format(
-    name="deepmimic",
-    read=of_path(read_deepmimic),
-    suffixes=(".txt", ".json"),
-    accepts=accepts,
-)
+FORMAT = Format(name="deepmimic", read=of_path(read_deepmimic), suffixes=(".txt", ".json"), accepts=accepts)

@@ -271,10 +271,4 @@ def _captions(archive: npy.Archive) -> tuple[Caption, ...]:
     )
 
 
-FORMAT = Format(
-    name="npz",
-    read=of_path(read_npz),
-    suffixes=(".npz",),
-    accepts=accepts,
-    write=write_npz,
-)
+FORMAT = Format(name="npz", read=of_path(read_npz), suffixes=(".npz",), accepts=accepts, write=write_npz)

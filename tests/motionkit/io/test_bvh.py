@@ -9,7 +9,8 @@ import pytest
 
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
-from motionkit.io.bvh import read_bvh, read_document
+from motionkit.core.skeletons.mapping import joint_map
+from motionkit.io.bvh import T_POSE_DROPPED, read_bvh, read_document
 from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import read, scan
 from tests.helpers.every_format import bodies
@@ -38,19 +39,16 @@ def test_positions_rotations_and_framerate(tmp_path: Path) -> None:
 def test_every_real_file_is_a_metre_sized_upright_body(captures: Path, pattern: str) -> None:
     for path in sorted(captures.glob(pattern)):
         motion = read_bvh(path)
-        heads = motion.joint_positions[:, motion.skeleton.joint_names.index(_head(motion.skeleton.joint_names)), 1]
-        assert 0.9 < np.median(heads) < 2.2, path.name
-
-
-def _head(names: tuple[str, ...]) -> str:
-    return next(name for name in names if name.lower().endswith("head"))
+        (head, *_) = (joint for joint, name in enumerate(motion.skeleton.joint_names) if name.lower().endswith("head"))
+        assert 0.9 < np.median(motion.joint_positions[:, head, 1]) < 2.2, path.name
 
 
 def test_the_t_pose_of_the_cmu_conversions_is_dropped_and_no_other_frame(captures: Path) -> None:
-    for folder, dropped in (("bvh", True), ("bvh-converted", False)):
+    for folder, dropped, family in (("bvh", True, "cgspeed-motionbuilder"), ("bvh-converted", False, "cmu")):
         for path in sorted((captures / "cmu" / folder).glob("*.bvh")):
-            operations = " ".join(read_bvh(path).provenance.operations)
-            assert ("T-pose" in operations) == dropped, path.name
+            motion = read_bvh(path)
+            assert (T_POSE_DROPPED in motion.provenance.operations) == dropped, path.name
+            assert joint_map(motion.skeleton, "smpl22").family == family
 
 
 TEXT = bvh_text()
@@ -69,7 +67,6 @@ def row(*values: str) -> str:
 BAD: dict[str, tuple[str | bytes, str, int | None, int | None]] = {
     # name: (content, reason, 1-based line, 0-based frame)
     "empty": ("", "empty", None, None),
-    "blank": (" \n\n", "empty", None, None),
     "an AMC file": (":FULLY-SPECIFIED\n1\nroot 0\n", "not-what-it-says", 1, None),
     "cut in the hierarchy": ("\n".join(LINES[:20]), "hierarchy", 20, None),
     "cut before MOTION": (bvh_hierarchy(), "truncated", bvh_hierarchy().count("\n") + 1, None),
@@ -77,21 +74,17 @@ BAD: dict[str, tuple[str | bytes, str, int | None, int | None]] = {
     "cut in the frames": ("\n".join(LINES[:-1]) + "\n", "truncated", len(LINES) - 1, 3),
     "cut in a line": (TEXT[:-20], "truncated", len(LINES), 3),
     "one number short": (with_line(FIRST_ROW + 1, row()[:-2]), "channel-count", FIRST_ROW + 2, 1),
-    "one number more": (with_line(FIRST_ROW + 1, row() + " 0"), "channel-count", FIRST_ROW + 2, 1),
     "a line more": (TEXT + row() + "\n", "frame-count", len(LINES) + 1, None),
     "nan": (with_line(FIRST_ROW + 2, row("0", "nan")), "nan", FIRST_ROW + 3, 2),
     "inf": (with_line(FIRST_ROW + 2, row("0", "-inf")), "nan", FIRST_ROW + 3, 2),
     "a word": (with_line(FIRST_ROW + 2, row("0", "abc")), "not-a-number", FIRST_ROW + 3, 2),
-    "a decimal comma": (with_line(FIRST_ROW, row("0,5")), "not-a-number", FIRST_ROW + 1, 0),
     "an underscore": (with_line(FIRST_ROW, row("1_0")), "not-a-number", FIRST_ROW + 1, 0),
     "beyond reason": (with_line(FIRST_ROW, row("1e300")), "range", FIRST_ROW + 1, 0),
     "zero frame time": (bvh_text(frame_time="0"), "frame-time", FIRST_ROW, None),
-    "wordy frame time": (bvh_text(frame_time="fast"), "frame-time", FIRST_ROW, None),
     "empty frame time": (bvh_text(frame_time=""), "frame-time", None, None),
     "missing frame time": ("\n".join([*LINES[: FIRST_ROW - 1], *LINES[FIRST_ROW:]]), "frame-time", None, None),
     "missing frame count": ("\n".join([*LINES[: FIRST_ROW - 2], *LINES[FIRST_ROW:]]), "frame-count", None, None),
     "no frames": (bvh_text(rows=[]), "no-frames", None, None),
-    "a negative count": (TEXT.replace("Frames: 4", "Frames: -4"), "frame-count", None, None),
     "more frames than bytes": (TEXT.replace("Frames: 4", "Frames: 99999999999"), "truncated", len(LINES), 4),
     "a broken name": (TEXT.encode().replace(b"LeftArm", b"Left\xffrm"), "encoding", None, None),
     "an unknown channel": (TEXT.replace("Zrotation", "Wrotation", 1), "channels", 5, None),
@@ -100,7 +93,6 @@ BAD: dict[str, tuple[str | bytes, str, int | None, int | None]] = {
     "no offset": (TEXT.replace("\tOFFSET 0 95 0\n", ""), "hierarchy", None, None),
     "a wordy offset": (TEXT.replace("OFFSET 0 95 0", "OFFSET 0 x 0"), "not-a-number", 4, None),
     "two roots": (TEXT.replace("MOTION", "ROOT Second\n{\n\tOFFSET 0 0 0\n}\nMOTION"), "hierarchy", None, None),
-    "an unknown keyword": (TEXT.replace("OFFSET", "OFFSETT", 1), "hierarchy", 4, None),
     "a brace too many": (TEXT.replace("MOTION", "}\nMOTION"), "hierarchy", None, None),
     "a word after blank lines": (TEXT.replace(".0333333", ".0333333\n\nx"), "channel-count", FIRST_ROW + 2, 0),
     "no body of any size": (TEXT.replace("0 -42 0", "0 -180 0"), "unit", None, None),

@@ -25,8 +25,8 @@ def standing(duration: float = 1 / 30) -> list[float]:
     return frame
 
 
-def written(path: Path, frames: Any, **others: Any) -> Path:
-    path.write_text(json.dumps({"Loop": "none", **others, "Frames": frames}))
+def written(path: Path, frames: Any) -> Path:
+    path.write_text(json.dumps({"Loop": "none", "Frames": frames}))
     return path
 
 
@@ -80,13 +80,12 @@ def test_the_last_duration_says_nothing(tmp_path: Path, durations: list[float], 
 
 
 def test_two_durations_are_refused_unless_a_framerate_is_given(tmp_path: Path) -> None:
-    path = written(tmp_path / "m.txt", [standing(d) for d in (0.1, 0.1, 0.2, 0.1, 0.0)], Loop="wrap")
+    path = written(tmp_path / "m.txt", [standing(d) for d in (0.1, 0.1, 0.2, 0.1, 0.0)])
     with pytest.raises(FormatError, match=r"frame 2: lasts 0.2 s where 3 of 4 frames last 0.1 s") as caught:
         read_deepmimic(path)
     assert caught.value.reason == "frame-time"
     motion = read_deepmimic(path, ReadOptions(fps=Fraction(10)))
     assert motion.provenance.operations[0] == "framerate set to 10; the file says 3 × 0.1 s, 1 × 0.2 s"
-    assert "repeats" in motion.provenance.operations[1]
 
 
 def test_quaternions_are_normalised_and_a_unit_scales_the_body(tmp_path: Path) -> None:
@@ -98,44 +97,32 @@ def test_quaternions_are_normalised_and_a_unit_scales_the_body(tmp_path: Path) -
     assert "up to 0.250" in motion.provenance.operations[0]
 
 
-@pytest.mark.parametrize(
-    ("frames", "reason", "message"),
-    [
-        ([], "no-frames", "0 frames"),
-        ([standing(), standing()[:-1]], "channel-count", "43 numbers, expected the 44"),
-        ([standing(), 1.0], "channel-count", "no list of numbers"),
-        ([standing(-1.0), standing(-1.0), standing()], "frame-time", "frames last -1 s"),
-        ([standing(0.0)] * 3, "frame-time", "frames last 0 s"),
-        ([standing(1e5)] * 3, "frame-time", "frames last 100000 s"),
-        ([standing(0.0)], "no-framerate", "--fps"),
-        ([standing(), ["1", *standing()[1:]]], "not-a-number", "frame 1: not all are numbers"),
-        ([standing(), [float("nan"), *standing()[1:]]], "nan", "frame 1: nan"),
-        ([standing(), [*standing()[:2], 1e9, *standing()[3:]]], "range", "frame 1: 1000000000"),
-        ([standing(), [*standing()[:4], 0.0, *standing()[5:]]], "range", "root is no unit quaternion"),
-        ({"0": standing()}, "not-what-it-says", "Frames is no list"),
-    ],
-)
-def test_bad_frames_are_refused_with_a_reason(tmp_path: Path, frames: Any, reason: str, message: str) -> None:
-    with pytest.raises(FormatError, match=message) as caught:
-        read_deepmimic(written(tmp_path / "m.txt", frames))
-    assert caught.value.reason == reason
+FRAMES = [
+    ([], "no-frames"),
+    ([standing(), standing()[:-1]], "channel-count"),
+    ([standing(), 1.0], "channel-count"),
+    ([standing(-1.0), standing(-1.0), standing()], "frame-time"),
+    ([standing(0.0)] * 3, "frame-time"),
+    ([standing(0.0)], "no-framerate"),
+    ([standing(), ["1", *standing()[1:]]], "not-a-number"),
+    ([standing(), [float("nan"), *standing()[1:]]], "nan"),
+    ([standing(), [*standing()[:2], 1e9, *standing()[3:]]], "range"),
+    ([standing(), [*standing()[:4], 0.0, *standing()[5:]]], "range"),
+    ({"0": standing()}, "not-what-it-says"),
+]
+CONTENTS = [
+    (b'{"Loop": "w\xffrap", "Frames": []}', "encoding"),
+    (b'{"Loop": "wrap", "Frames": [[0.033, 0.0, 0.85', "not-what-it-says"),
+    (b'[["Frames"]]', "not-what-it-says"),
+    (b'{"Frames": ' + b"[" * 100_000, "not-what-it-says"),
+]
 
 
 @pytest.mark.parametrize(
-    ("content", "reason"),
-    [
-        (b'{"Loop": "w\xffrap", "Frames": []}', "encoding"),
-        (b'{"Loop": "wrap", "Frames": [[0,033, 0,0, 0,85, 0,0', "not-what-it-says"),
-        (b'{"Loop": "wrap", "Frames": [[0.033, 0.0, 0.85', "not-what-it-says"),
-        (b'[["Frames"]]', "not-what-it-says"),
-        (b'{"Frames": ' + b"[" * 100_000, "not-what-it-says"),
-        (b"\0" * 10, "empty"),
-        (b"version https://git-lfs.github.com/spec/v1", "not-what-it-says"),
-    ],
+    ("content", "reason"), [*((json.dumps({"Frames": frames}).encode(), why) for frames, why in FRAMES), *CONTENTS]
 )
-def test_what_is_no_json_of_frames_is_refused(tmp_path: Path, content: bytes, reason: str) -> None:
-    path = tmp_path / "m.txt"
-    path.write_bytes(content)
+def test_bad_files_are_refused_with_a_reason(tmp_path: Path, content: bytes, reason: str) -> None:
+    (tmp_path / "m.txt").write_bytes(content)
     with pytest.raises(FormatError) as caught:
-        read_deepmimic(path)
+        read_deepmimic(tmp_path / "m.txt")
     assert caught.value.reason == reason
