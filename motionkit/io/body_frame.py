@@ -276,6 +276,5 @@ def _lies(positions: Float32[np.ndarray, "frames joints 3"], expected: str, othe
 
 def _lowest(positions: Float32[np.ndarray, "frames joints 3"], up: str) -> tuple[float, float]:
     """The 5 % and 95 % quantiles over the frames of the lowest joint's coordinate along an axis."""
-    heights = np.sort(to_y_up(positions, up)[..., 1].min(axis=1))
-    last = len(heights) - 1
-    return float(heights[round(0.05 * last)]), float(heights[round(0.95 * last)])
+    low, high = np.quantile(to_y_up(positions, up)[..., 1].min(axis=1), (0.05, 0.95)).tolist()
+    return low, high

@@ -17,7 +17,6 @@ from motionkit.io.humanml3d import JOINTS_FOLDER, LAYOUTS, VECTORS_FOLDER
 from motionkit.io.registry import ReadOptions, SourceItem
 from motionkit.io.scan import read as read_item
 from motionkit.io.scan import scan
-from motionkit.io.source_file import dangling
 
 NAMED_IDS = 3
 
@@ -135,7 +134,7 @@ def existing_path(path: object) -> Path:
         )
     existing = Path(path)
     if not existing.exists():
-        raise UsageError(str(dangling(existing) or f"{existing} does not exist"))
+        raise UsageError(f"{existing} does not exist")
     return existing
 
 

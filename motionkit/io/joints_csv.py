@@ -38,18 +38,18 @@ def accepts(head: FileHead) -> bool:
     return is_ours and (TIME in names or FRAME in names)
 
 
-def read_joints_csv(path: Path, options: ReadOptions | None = None) -> Motion:
+def read_joints_csv(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     """Read one table as positions in metres; `options.unit_metres` multiplies them, `options.fps` replaces the clock.
 
     Raises `FormatError` (`annotations` for a broken header, `channel-count`, `not-a-number`, `nan`, `frame-time` …).
     """
-    options = options or ReadOptions()
     data = source_file.read_bytes(path)
     names = _header(data, path)
     joints = _joints(names, path)
     table = _table(data, names, path)
     grid, stated, operations = _clock(table, names, options, path)
-    skeleton, order = _skeleton(joints)
+    skeleton = next((each for each in STANDARD_SKELETONS.values() if set(joints) == set(each.joint_names)), None)
+    order = joints if skeleton is None else skeleton.joint_names
     columns = [names.index(f"{joint}_{axis}") for joint in order for axis in AXES]
     positions = table[:, columns].reshape(len(table), len(order), 3).astype(np.float32)
     if skeleton is None:
@@ -160,14 +160,6 @@ def _clock(
     assert fps is not None
     stated_words = "" if stated is None else f"{TIME}: {stated}"
     return TimeGrid(fps, len(seconds), float(seconds[0])), stated_words, source_file.replaced_fps(fps, stated)
-
-
-def _skeleton(joints: tuple[str, ...]) -> tuple[Skeleton | None, tuple[str, ...]]:
-    """The standard skeleton with exactly these joints, and the order of their columns."""
-    for skeleton in STANDARD_SKELETONS.values():
-        if set(joints) == set(skeleton.joint_names):
-            return skeleton, skeleton.joint_names
-    return None, joints
 
 
 FORMAT = Format(name="csv", read=of_path(read_joints_csv), suffixes=(".csv",), accepts=accepts, write=write_joints_csv)

@@ -56,12 +56,11 @@ def manifest_of(path: Path) -> Path:
     return beside if beside.is_file() else path.parent.with_name(MANIFEST)
 
 
-def read_joints_npy(path: Path, options: ReadOptions | None = None) -> Motion:
+def read_joints_npy(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     """Read one array as positions in metres, turned to y up (`io.body_frame`).
 
     Raises `FormatError`, with the reason `no-framerate` if no framerate is given.
     """
-    options = options or ReadOptions()
     manifest = read_manifest(path.parent / MANIFEST)
     fps = options.fps or manifest.fps
     if fps is None:
@@ -102,9 +101,8 @@ def accepts_humanact12(head: FileHead) -> bool:
     return HUMANACT12_NAME.fullmatch(head.path.stem) is not None and (shape is None or shape[1:] == (24, 3))
 
 
-def read_humanact12(path: Path, options: ReadOptions | None = None) -> Motion:
+def read_humanact12(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     """Read one clip as the 22 body joints in metres with its action; raises `FormatError`."""
-    options = options or ReadOptions()
     fps = options.fps or HUMANACT12_FPS
     motion = read_joints_npy(path, replace(options, fps=fps))
     match = HUMANACT12_NAME.fullmatch(path.stem)

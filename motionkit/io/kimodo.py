@@ -67,12 +67,11 @@ def accepts(head: FileHead) -> bool:
     return JOINTS in head.array_names
 
 
-def read_kimodo(path: Path, options: ReadOptions | None = None) -> Motion:
+def read_kimodo(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     """Read one file: positions, and local rotations if they reproduce these with bones of constant length.
 
     Raises `FormatError` (`channel-count`) for another number of joints, such as the robot's 34.
     """
-    options = options or ReadOptions()
     data = source_file.read_bytes(path)
     archive = npy.open_archive(path, data)
     positions = archive.numbers(JOINTS, (None, None, 3))

@@ -77,12 +77,11 @@ def accepts_motionstreamer(head: FileHead) -> bool:
     return _width(head) == MOTIONSTREAMER_WIDTH
 
 
-def read_pose_vectors(path: Path, options: ReadOptions | None = None) -> Motion:
+def read_pose_vectors(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     """Read HumanML3D's or KIT-ML's vectors as joint positions in metres; normalised ones are refused.
 
     The framerate is the data set's unless `options`, or a `motions.json` there or one folder above, gives another.
     """
-    options = options or ReadOptions()
     data = source_file.read_bytes(path)
     vectors = _rows(path, data, options)
     layout = LAYOUT_BY_WIDTH[vectors.shape[1]]
@@ -106,13 +105,12 @@ def read_interhuman(item: SourceItem, options: ReadOptions) -> Motion:
     return _motion(path, data, positions, SMPL22, FPS, "interhuman", options, *lines)
 
 
-def read_motionstreamer(path: Path, options: ReadOptions | None = None) -> Motion:
+def read_motionstreamer(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     """Read MotionStreamer's vectors: positions in metres, y up, and SMPL's local rotations if they reproduce them.
 
     Yaw and path are integrated from the first frame, so errors accumulate. Raises `FormatError` (`range`) for invalid
     rotations and for normalised vectors.
     """
-    options = options or ReadOptions()
     data = source_file.read_bytes(path)
     values = _rows(path, data, options).astype(np.float64)
     # Vectors are relative to the heading: rotating by minus the yaw gives world coordinates.

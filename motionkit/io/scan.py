@@ -42,7 +42,7 @@ from motionkit.io.registry import (
     recognise,
     recognise_folder,
 )
-from motionkit.io.source_file import check_size, dangling, unreadable
+from motionkit.io.source_file import check_size, unreadable
 
 if TYPE_CHECKING:
     from motionkit.io.bvh import BvhDocument
@@ -77,7 +77,7 @@ def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanRes
     given: list[AnnotationTable] = []
     for source in sources:
         if not source.exists():
-            raise UsageError(str(dangling(source) or f"{source} does not exist"))
+            raise UsageError(f"{source} does not exist")
         if not (source.is_file() or source.is_dir()):
             raise UsageError(f"{source} is neither a file nor a folder")
         if is_store(source):
@@ -100,8 +100,7 @@ def walk(
     """The folders below `root`, itself first, in sorted order, each with its files; hidden ones are left out.
 
     A folder that `is_whole` is not entered. Links to folders are followed; folders already visited, those that contain
-    the source, and stores are skipped. What cannot be listed or looked at (`unreadable`, `dangling-link`) goes to
-    `on_problem`.
+    the source, and stores are skipped. What cannot be listed or looked at (`unreadable`) goes to `on_problem`.
     """
     visited = {root.resolve()}
     listed = os.walk(
@@ -178,7 +177,7 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
         kind = None if is_known else data_set(folder)
         if kind is not None and kind.find is not None:
             found = kind.find(folder, root)
-            of_source = [each for each in found.items if is_folder or each.path == files[0]]
+            of_source = (each for each in found.items if is_folder or each.path == files[0])
             items += (annotated(replace(each, licence=each.licence or licence), tables) for each in of_source)
             problems += (each for each in found.problems if is_folder or each.path == files[0])
             warnings += (each for each in found.warnings if is_folder or each.path == files[0])
@@ -255,17 +254,10 @@ def is_derived(path: Path) -> bool:
 def find_licence(folder: Path) -> str:
     """First line of the folder's licence file (the files' names if there are several); empty if there is none."""
     files = sorted(entry for entry in folder.iterdir() if entry.name.upper().startswith(("LICENSE", "LICENCE")))
-    lines = dict.fromkeys(line for entry in files if entry.is_file() if (line := _first_line(entry)))
-    return next(iter(lines)) if len(lines) == 1 else ", ".join(entry.name for entry in files)
-
-
-def _first_line(path: Path) -> str:
-    try:
-        with path.open(encoding="utf-8", errors="replace") as file:
-            words = file.read(4096).strip().partition("\n")[0].split()
-    except OSError:
-        return ""
-    return " ".join(words)[:MAX_LICENCE_LETTERS]
+    if len(files) != 1 or not files[0].is_file():
+        return ", ".join(entry.name for entry in files)
+    text = FileHead(files[0]).content.decode("utf-8", "replace").strip()
+    return " ".join(text.partition("\n")[0].split())[:MAX_LICENCE_LETTERS]
 
 
 def _is_side_file(path: Path) -> bool:

@@ -69,20 +69,10 @@ def check_size(num_frames: int, num_joints: int, path: Path) -> None:
         )
 
 
-def dangling(link: Path) -> FormatError | None:
-    """The error of a link that leads nowhere; None for anything else."""
-    try:
-        if link.is_symlink():
-            link.stat()
-        return None
-    except OSError as error:
-        message = f"is a link to {link.readlink()}, which leads nowhere ({error.strerror or error}): fix the link or "
-        return FormatError(message + "remove it", path=link, reason="dangling-link")
-
-
 def unreadable(path: Path, error: OSError) -> FormatError:
     """The error of a file that cannot be opened or read."""
-    return dangling(path) or FormatError(f"cannot be read ({error.strerror or error})", path=path, reason="unreadable")
+    link = f", a link to {path.readlink()}" if path.is_symlink() else ""
+    return FormatError(f"cannot be read ({error.strerror or error}){link}", path=path, reason="unreadable")
 
 
 def provenance(

@@ -54,14 +54,13 @@ def accepts(head: FileHead) -> bool:
     return NAME.fullmatch(head.path.stem) is not None
 
 
-def read_uestc(path: Path, options: ReadOptions | None = None) -> Motion:
+def read_uestc(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     """Read one converted sequence: true local rotations, positions in metres, y up, rotated to the front view.
 
     The joints are the 22 of SMPL's mean shape, or with `options.body_models` those of the neutral SMPL model with the
     sequence's mean betas. The pelvis is at `trans`, relative to the first frame; without it the pelvis stays in place.
     Action, subject and ACTOR's split come from the name. Raises `FormatError`.
     """
-    options = options or ReadOptions()
     name = NAME.fullmatch(path.stem)
     if name is None or int(name["action"]) >= len(ACTIONS):
         raise FormatError(

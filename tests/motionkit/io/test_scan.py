@@ -45,7 +45,7 @@ def test_sources_that_cannot_be_scanned(source: Path, tmp_path: Path) -> None:
     (source / "gone.bvh").symlink_to("nowhere.bvh")
     for path, words in (
         (source / "absent", "does not exist"),
-        (source / "gone.bvh", r"is a link to nowhere\.bvh, which leads nowhere"),
+        (source / "gone.bvh", "does not exist"),
         (tmp_path / "pipe.bvh", "neither a file nor a folder"),
     ):
         with pytest.raises(UsageError, match=words):
@@ -128,12 +128,9 @@ def test_links_that_lead_nowhere_are_reported_and_nothing_else_is_lost(source: P
     (source / ".hidden").symlink_to("nowhere")
     found = scan([source])
     assert len(found.items) == 2
-    assert [(problem.path.name, problem.reason) for problem in found.problems] == [
-        ("c", "dangling-link"),
-        ("d", "dangling-link"),
-        ("run.bvh", "dangling-link"),
-    ]
-    assert "is a link to gone.bvh, which leads nowhere (No such file" in str(found.problems[2])
+    assert [problem.path.name for problem in found.problems] == ["c", "d", "run.bvh"]
+    assert {problem.reason for problem in found.problems} == {"unreadable"}
+    assert "a link to gone.bvh" in str(found.problems[2])
 
 
 def test_an_array_whose_link_is_broken_does_not_hide_its_data_set(tmp_path: Path) -> None:
@@ -144,7 +141,7 @@ def test_an_array_whose_link_is_broken_does_not_hide_its_data_set(tmp_path: Path
     found = scan([tmp_path / "HumanML3D"])
     assert [item.format for item in found.items] == ["humanml3d", "humanml3d"]
     fault = read_or_fault(found.items[0], ReadOptions())
-    assert isinstance(fault, FormatError) and fault.reason == "dangling-link"
+    assert isinstance(fault, FormatError) and fault.reason == "unreadable"
     assert read(found.items[1]).num_frames == 5
 
 
