@@ -111,7 +111,7 @@ def _published_step(cut: StepCut, path: Path, fps: Fraction, stated_fps: str) ->
     frame's time, not which frames were published. For other files the index may give it. SMPL-X files (NAME_stageii)
     state 120 for nearly all sequences; framerate_rules.toml corrects them to the SMPL+H files' framerates.
     """
-    rate = stated_rate(stated_fps, fps)
+    rate = _stated_rate(stated_fps, fps)
     if cut.seen_fps is not None and not path.stem.endswith("_poses"):
         rate = cut.seen_fps
     elif path.stem.endswith("_stageii") and abs(rate - float(fps)) > SNAP_TOLERANCE * float(fps):
@@ -119,7 +119,7 @@ def _published_step(cut: StepCut, path: Path, fps: Fraction, stated_fps: str) ->
     return int(rate / PUBLISHED_FPS)
 
 
-def stated_rate(stated_fps: str, fps: Fraction) -> float:
+def _stated_rate(stated_fps: str, fps: Fraction) -> float:
     """The framerate that a file states, unrounded if it is a number, else the one in use.
 
     BVH's `Frame Time` is printed with few digits (.00833334 s), so the snapped framerate is used there.
@@ -155,13 +155,10 @@ def _with_true_seconds(motion: Motion, step: int) -> Motion:
     factor = float(PUBLISHED_FPS * step / motion.fps)
     if factor == 1.0 or all((each.start_seconds, each.end_seconds) == (0.0, None) for each in motion.captions):
         return motion
+    ends = (None if each.end_seconds is None else each.end_seconds * factor for each in motion.captions)
     captions = tuple(
-        replace(
-            caption,
-            start_seconds=caption.start_seconds * factor,
-            end_seconds=None if caption.end_seconds is None else caption.end_seconds * factor,
-        )
-        for caption in motion.captions
+        replace(caption, start_seconds=caption.start_seconds * factor, end_seconds=end)
+        for caption, end in zip(motion.captions, ends, strict=True)
     )
     line = f"captions' seconds × {factor:.6g}: they were counted at {float(motion.fps / step):g} fps called 20"
     return replace(motion, captions=captions).logged(line)

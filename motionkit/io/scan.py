@@ -208,8 +208,12 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
         warnings.append(FormatError(message, path=root, reason="made"))
     known = {problem.path for problem in problems} | {table.path for table in side_files.tables}
     known |= set() if given is None else {given.path.parent.resolve() / given.path.name}
-    ignored = [path for path in others if is_folder and path not in known and not _is_side_file(path)]
-    return ScanResult(tuple(items), tuple(problems), tuple(warnings), ignored=tuple(ignored))
+    ignored = tuple(
+        path
+        for path in others
+        if is_folder and path not in known and not any(fnmatchcase(path.name.lower(), each) for each in SIDE_FILES)
+    )
+    return ScanResult(tuple(items), tuple(problems), tuple(warnings), ignored=ignored)
 
 
 def _items_of_file(kind: Format, head: FileHead, root: Path, licence: str) -> Iterator[SourceItem]:
@@ -258,10 +262,6 @@ def find_licence(folder: Path) -> str:
         return ", ".join(entry.name for entry in files)
     text = FileHead(files[0]).content.decode("utf-8", "replace").strip()
     return " ".join(text.partition("\n")[0].split())[:MAX_LICENCE_LETTERS]
-
-
-def _is_side_file(path: Path) -> bool:
-    return any(fnmatchcase(path.name.lower(), pattern) for pattern in SIDE_FILES)
 
 
 def _no_motion(source: Path, others: Sequence[Path], options: ReadOptions) -> FormatError:

@@ -10,7 +10,7 @@ float64, so that no word becomes a Python object. A block that this fails to par
 import hashlib
 import re
 import stat
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import NamedTuple
@@ -170,38 +170,32 @@ def grid_of_seconds(seconds: Float64[np.ndarray, "frames"], path: Path, fps: Fra
 
     Raises `FormatError` (`no-framerate` for a single time stamp, `frame-time` for uneven ones).
     """
+
+    def fault(message: str, frame: int) -> FormatError:
+        return FormatError(message, path=path, reason="frame-time", frame=frame)
+
     finite = np.isfinite(seconds)
     if not finite.all():
-        raise _fault("a time stamp is no number", path, int(np.argmin(finite)))
+        raise fault("a time stamp is no number", int(np.argmin(finite)))
     if fps is None:
-        fps = _framerate(seconds, path)
+        if len(seconds) < 2:
+            message = "one time stamp does not say a framerate; state fps, or use --fps"
+            raise FormatError(message, path=path, reason="no-framerate")
+        step = float(seconds[-1] - seconds[0]) / (len(seconds) - 1)
+        if step <= 0:
+            raise fault("time stamps do not ascend", 0)
+        try:
+            fps = parse_fps(1 / step)
+        except ValueError as error:
+            raise fault(str(error), 0) from None
     grid = TimeGrid(fps, len(seconds), float(seconds[0]))
     off = np.abs(grid.seconds() - seconds) * float(fps)
     if off.max() > UNEVEN_FRAMES:
         steps = np.diff(seconds)
         frame = int(np.argmax(np.abs(steps - float(1 / fps)))) + 1
         what = f"comes {steps[frame - 1]:.6g} s after the one before, expected {float(1 / fps):.6g} s"
-        raise _fault(
-            f"{what} at {float(fps):.6g} fps; sample the motion evenly, nothing is resampled at ingest", path, frame
-        )
+        raise fault(f"{what} at {float(fps):.6g} fps; sample the motion evenly, nothing is resampled at ingest", frame)
     return grid
-
-
-def _framerate(seconds: Float64[np.ndarray, "frames"], path: Path) -> Fraction:
-    if len(seconds) < 2:
-        message = "one time stamp does not say a framerate; state fps, or use --fps"
-        raise FormatError(message, path=path, reason="no-framerate")
-    step = float(seconds[-1] - seconds[0]) / (len(seconds) - 1)
-    if step <= 0:
-        raise _fault("time stamps do not ascend", path, 0)
-    try:
-        return parse_fps(1 / step)
-    except ValueError as error:
-        raise _fault(str(error), path, 0) from None
-
-
-def _fault(message: str, path: Path, frame: int) -> FormatError:
-    return FormatError(message, path=path, reason="frame-time", frame=frame)
 
 
 def last_valid(valid: Bool[np.ndarray, "frames"], path: Path) -> Int64[np.ndarray, "frames"]:
@@ -238,12 +232,13 @@ def read_table(
     # A number takes at least a digit and a separator.
     most_rows = len(text) // (2 * num_columns) + 1
     table = np.empty((min(num_rows, most_rows), num_columns))
-    row, line, num_read = 0, first_line, 0
-    for block in _blocks(text):
-        num_read += len(block)
+    row, line, stop = 0, first_line, 0
+    while stop < len(text):
+        start, stop = stop, text.find(b"\n", stop + BLOCK_BYTES) + 1 or len(text)
+        block = text[start:stop]
         rows = _rows_of_block(block, num_columns)
         if rows is None or row + len(rows) > num_rows:
-            rows = _rows_of_lines(block, num_columns, path, line, row, num_rows, is_last=num_read == len(text))
+            rows = _rows_of_lines(block, num_columns, path, line, row, num_rows, is_last=stop == len(text))
         table[row : row + len(rows)] = rows
         row += len(rows)
         line += block.count(b"\n")
@@ -262,15 +257,6 @@ def format_table(table: Float64[np.ndarray, "rows columns"]) -> bytes:
     buffer = pa.BufferOutputStream()
     csv.write_csv(columns, buffer, csv.WriteOptions(include_header=False, delimiter=" ", quoting_style="none"))
     return bytes(buffer.getvalue().to_pybytes())
-
-
-def _blocks(text: bytes) -> Iterator[bytes]:
-    """The text in pieces of whole lines, each about `BLOCK_BYTES` long."""
-    start = 0
-    while start < len(text):
-        stop = text.find(b"\n", start + BLOCK_BYTES) + 1 or len(text)
-        yield text[start:stop]
-        start = stop
 
 
 class Words(NamedTuple):

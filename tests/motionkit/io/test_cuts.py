@@ -13,7 +13,7 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid, parse_fps
-from motionkit.io.cuts import Cut, StepCut, TimeCut, crop, missing_seconds, stated_rate, unlike_stated_seconds
+from motionkit.io.cuts import Cut, StepCut, TimeCut, crop, missing_seconds, unlike_stated_seconds
 
 PATH = Path("walk.npz")
 
@@ -45,6 +45,8 @@ def frames_of(motion: Motion) -> list[int]:
         ("120.00004577636719", None, StepCut(10, 20), PATH, 60, 120),
         ("150.0", None, StepCut(10, 20), PATH, 70, 140),
         ("20", None, StepCut(10, 20), PATH, 10, 20),
+        ("Frame Time: 0.00833334", 120, StepCut(10, 20), PATH, 60, 120),
+        ("about sixty", 60, StepCut(10, 20), PATH, 30, 60),
         # A trim is counted in published frames: 60 of every 7th at 150 fps are 420 native ones, 2.8 s and not 3.
         ("150", None, StepCut(3, 5, trim_frames=60), PATH, 441, 455),
         # The file says 60, a rule says 120: the published code saw 60 and took every 3rd frame.
@@ -67,21 +69,6 @@ def test_native_frames_of_published_ones(
     assert (cropped.fps, cropped.timegrid.start_seconds) == (motion.fps, 0.0)
     assert missing_seconds(cut, path, cropped.num_frames, motion.fps, stated) == 0.0
     assert np.array_equal(cropped.root_translation, cropped.joint_positions[:, 0])
-
-
-@pytest.mark.parametrize(
-    ("stated", "fps", "rate"),
-    [
-        ("", 120, 120.0),
-        ("Frame Time: 0.00833334", 120, 120.0),
-        ("Frame Time: 0", 30, 30.0),
-        ("nan", 50, 50.0),
-        ("about sixty", 60, 60.0),
-        ("59.9999885", 60, 59.9999885),
-    ],
-)
-def test_the_framerate_that_a_file_states(stated: str, fps: int, rate: float) -> None:
-    assert stated_rate(stated, Fraction(fps)) == rate
 
 
 @given(
