@@ -72,13 +72,9 @@ def check_unit(
     except SkeletonMapError:
         return
     if metres > 0 and _factor(metres, TYPICAL_HEIGHT_METRES) > GIVEN_UNIT_FACTOR:
-        raise FormatError(
-            f"a unit of {unit_metres:g} m makes a body of {metres:.3g} m from ankles to head, people have "
-            f"{TYPICAL_HEIGHT_METRES} m: expected a unit of about "
-            f"{unit_metres * TYPICAL_HEIGHT_METRES / metres:.2g} m",
-            path=path,
-            reason="unit",
-        )
+        usual = unit_metres * TYPICAL_HEIGHT_METRES / metres
+        message = f"a unit of {unit_metres:g} m makes a body of {metres:.3g} m from ankles to head"
+        raise FormatError(f"{message}: expected a unit of about {usual:.2g} m", path=path, reason="unit")
 
 
 def is_plausible(metres: float) -> bool:

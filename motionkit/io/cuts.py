@@ -142,8 +142,7 @@ def _first_frame_at(seconds: float, fps: Fraction) -> int:
 def _frames(motion: Motion, start: int, stop: int, segment: str, path: Path) -> Motion:
     end = min(stop, motion.num_frames)
     if start >= end:
-        message = f"the index names {segment} as {motion.sequence_id!r}, that is frames [{start}, {stop}), but the "
-        message += f"file has {motion.num_frames}; is it of another release?"
+        message = f"{motion.sequence_id!r} is {segment}, frames [{start}, {stop}), but the file has {motion.num_frames}"
         raise FormatError(message, path=path, reason="beyond-end")
     first, last = (float(frame / motion.fps) for frame in (start, end))
     line = f"frames [{start}, {end}) of {motion.num_frames}, {first:.6g} s to {last:.6g} s of the file ({segment})"

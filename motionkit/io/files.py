@@ -57,10 +57,8 @@ def read(
     if not items:
         raise problems[0]
     if len(items) > 1:
-        raise UsageError(
-            f"{path} holds {len(items):,} motions, {_ids(items)}: read one of them with "
-            f"sequence={items[0].sequence_id!r}, or all of them with read_all"
-        )
+        message = f"{path} holds {len(items):,} motions, {_ids(items)}"
+        raise UsageError(f"{message}: read one with sequence={items[0].sequence_id!r}, or all with read_all")
     if path.is_file():
         for problem in problems:
             warn(str(problem))
@@ -128,10 +126,8 @@ def read_options(
 def existing_path(path: object) -> Path:
     """The path of a file or folder that exists; raises `UsageError` for one that does not, and for another type."""
     if not isinstance(path, str | PathLike):
-        raise UsageError(
-            f"expected a motion, or the path of its file, not {type(path).__name__}: Motion.from_joints makes a motion "
-            "of an array"
-        )
+        message = f"expected a motion, or the path of its file, not {type(path).__name__}"
+        raise UsageError(f"{message}: Motion.from_joints makes a motion of an array")
     existing = Path(path)
     if not existing.exists():
         raise UsageError(f"{existing} does not exist")

@@ -94,11 +94,7 @@ def find(folder: Path, root: Path, layout: Layout = HUMANML3D) -> ScanResult:
         for key, path in paths.items()
     )
     problems = tuple(
-        FormatError(
-            f"describes {key}, but there is no {JOINTS_FOLDER}/{key}.npy or {VECTORS_FOLDER}/{key}.npy",
-            path=path,
-            reason="caption-without-motion",
-        )
+        FormatError(f"there is no {JOINTS_FOLDER}/{key}.npy", path=path, reason="caption-without-motion")
         for key, path in described.items()
         if key not in paths
     )

@@ -191,12 +191,8 @@ def read_index(path: Path) -> Index:
             split = named[0] if named else ""
             rows = ((each, None, (entry, split)) for each, entry in entries.items())
             return _index("babel", path, rows, _babel)
-    raise FormatError(
-        f"looks like {source_file.describe_content(data)}, expected an index: HumanML3D's index.csv (columns "
-        f"{', '.join(HUMANML3D_COLUMNS)}), TMR's annotations (path, annotations) or BABEL's labels (feat_p)",
-        path=path,
-        reason="index",
-    )
+    message = f"looks like {source_file.describe_content(data)}, expected an index: HumanML3D's index.csv"
+    raise FormatError(f"{message}, TMR's annotations (JSON) or BABEL's labels (JSON)", path=path, reason="index")
 
 
 def _index(

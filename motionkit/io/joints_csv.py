@@ -77,12 +77,8 @@ def write_joints_csv(motion: Motion, path: Path) -> None:
 def _header(data: bytes, path: Path) -> tuple[str, ...]:
     text = source_file.decode(data[:HEADER_BYTES].partition(b"\n")[0], path)
     if ";" in text or "\t" in text:
-        raise FormatError(
-            "columns are separated by ';' or tabs, expected commas, and points in numbers (1.5, not 1,5)",
-            path=path,
-            reason="not-a-number",
-            line=1,
-        )
+        message = "columns are separated by ';' or tabs, expected commas, and points in numbers (1.5, not 1,5)"
+        raise FormatError(message, path=path, reason="not-a-number", line=1)
     try:
         return tuple(name.strip() for name in next(csv.reader(io.StringIO(text), strict=True), []))
     except csv.Error as error:
@@ -96,12 +92,8 @@ def _joints(names: tuple[str, ...], path: Path) -> tuple[str, ...]:
     odd = sorted(expected.symmetric_difference(set(names) - {TIME, FRAME}))
     if not joints or odd or len(set(names)) != len(names):
         what = f"{odd[0]!r} is one too many or missing" if odd else "a column is there twice, or there is no joint"
-        raise FormatError(
-            f"{what}; expected {TIME} or {FRAME} and three columns JOINT_x, JOINT_y, JOINT_z for each joint",
-            path=path,
-            reason="channel-count",
-            line=1,
-        )
+        message = f"{what}; expected {TIME} or {FRAME} and three columns JOINT_x, JOINT_y, JOINT_z for each joint"
+        raise FormatError(message, path=path, reason="channel-count", line=1)
     return joints
 
 
@@ -114,13 +106,8 @@ def _table(data: bytes, names: tuple[str, ...], path: Path) -> Float64[np.ndarra
         )
     except (pa.ArrowException, ValueError) as error:
         message = str(error).splitlines()[0][:160]
-        row, is_width = ROW.search(message), " columns, got " in message
-        raise FormatError(
-            f"{message}; numbers have points (1.5), columns are separated by commas",
-            path=path,
-            reason="channel-count" if is_width else "not-a-number",
-            line=int(row[1]) if row else None,
-        ) from None
+        row, reason = ROW.search(message), "channel-count" if " columns, got " in message else "not-a-number"
+        raise FormatError(message, path=path, reason=reason, line=int(row[1]) if row else None) from None
     if not table.num_rows:
         raise FormatError("0 frames, expected at least one row below the header", path=path, reason="no-frames")
     values = np.stack([table[name].to_numpy() for name in names], axis=1)
@@ -142,12 +129,8 @@ def _clock(
             raise FormatError("frames do not count up by one", path=path, reason="frame-number", frame=frame)
     if TIME not in names:
         if options.fps is None:
-            raise FormatError(
-                f"frames are counted, but nothing says the framerate; write {TIME}, put a column fps into an "
-                "annotation CSV, or use --fps",
-                path=path,
-                reason="no-framerate",
-            )
+            message = f"frames are counted, but nothing says the framerate; write {TIME}, or use --fps"
+            raise FormatError(message, path=path, reason="no-framerate")
         return TimeGrid(options.fps, len(table)), "", []
     seconds = table[:, names.index(TIME)]
     stated = None

@@ -64,12 +64,8 @@ def read_joints_npy(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     manifest = read_manifest(path.parent / MANIFEST)
     fps = options.fps or manifest.fps
     if fps is None:
-        raise FormatError(
-            f'nothing says the framerate; put {{"fps": 30}} into {MANIFEST} beside the file, a column fps into an '
-            "annotation CSV, or use --fps (of HumanML3D name the folder above, whose framerate is known)",
-            path=path,
-            reason="no-framerate",
-        )
+        message = f'nothing says the framerate; put {{"fps": 30}} into {MANIFEST} beside the file, or use --fps'
+        raise FormatError(message, path=path, reason="no-framerate")
     data = source_file.read_bytes(path)
     positions = npy.read_npy(path, data, (None, None, 3), fill_missing=options.fill_missing)
     skeleton = _skeleton(positions.shape[1], manifest, path)
@@ -160,9 +156,7 @@ def _skeleton(num_joints: int, manifest: Manifest, path: Path) -> Skeleton:
     layout = LAYOUT_BY_JOINTS.get(num_joints, "")
     if not layout or manifest.layout not in ("", layout):
         stated = f" for the layout {manifest.layout}" if manifest.layout else ""
-        message = (
-            f"{num_joints} joints{stated}, expected 22 (smpl22), 24 or 52 (SMPL or SMPL-H with hands) or 21 (kit21)"
-        )
+        message = f"{num_joints} joints{stated}, expected 22 (smpl22), 24 or 52 (SMPL, SMPL-H) or 21 (kit21)"
         raise FormatError(message, path=path, reason="channel-count")
     return STANDARD_SKELETONS[layout]
 

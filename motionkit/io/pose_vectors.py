@@ -155,13 +155,8 @@ def _motion(
 ) -> Motion:
     metres = body_frame.standing_metres(skeleton, positions)
     if not body_frame.is_plausible(metres):
-        raise FormatError(
-            f"as they are these vectors make a body of {metres:.3g} m from ankle to head, people have "
-            f"{body_frame.TYPICAL_HEIGHT_METRES} m: normalised ones are restored with np.save({path.name!r}, np.load("
-            f"{path.name!r}) * std + mean), mean and std being those of the model that made them",
-            path=path,
-            reason="unit",
-        )
+        message = f"these vectors make a body of {metres:.3g} m from ankle to head: multiply normalised ones by the "
+        raise FormatError(f"{message}std of the model that made them, and add its mean", path=path, reason="unit")
     stated = joints_npy.read_manifest(joints_npy.manifest_of(path)).fps or usual_fps
     fps = options.fps or stated
     lines = (*operations, *source_file.replaced_fps(fps, usual_fps, who="the data set"))

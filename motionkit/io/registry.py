@@ -61,7 +61,7 @@ class ReadOptions:
     one that fits it. `fps_rules` are the user's corrections of framerates, before the shipped ones
     (`motionkit.io.scan`). `body_models` is the user's folder of SMPL-family models. `index` selects segments of a
     source's files. `skip_frames` frames are dropped at the start of every whole file whose annotations give no number.
-    `skip_derived` skips the outputs of `motionkit complete` and `motionkit plant` in folders. With `fill_missing`,
+    `skip_derived` ignores the outputs of `motionkit complete` and `motionkit plant` in folders. With `fill_missing`,
     frames of .npz and .npy arrays that hold NaN repeat the last valid one; they are refused otherwise.
     """
 

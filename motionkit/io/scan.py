@@ -167,7 +167,6 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
     problems: list[FormatError] = []
     warnings: list[FormatError] = []
     others: list[Path] = []
-    derived: list[Path] = []
     data_set = cache(lambda folder: recognise_folder(folder, options.format))
     folders = walk(root, lambda folder: data_set(folder) is not None, problems.append)
     for folder, files in folders if is_folder else [(root, [root / source.name])]:
@@ -187,11 +186,10 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
             kind = recognise(head, options.format)
             if kind is None and not is_folder and options.format != "auto":
                 kind = reader_of(options.format)  # whatever the file is called
-            if kind is None:
-                others.append(path)
             # The source folder's own name is ignored: whoever names a folder of completed clips means them.
-            elif options.skip_derived and is_folder and is_derived(path if folder != root else Path(path.name)):
-                derived.append(path)
+            named = path if folder != root else Path(path.name)
+            if kind is None or (options.skip_derived and is_folder and is_derived(named)):
+                others.append(path)
             else:
                 of_file = _items_of_file(kind, head, root, licence)
                 items += (annotated(each, tables) for each in of_file) if tables else of_file
@@ -201,11 +199,6 @@ def _scan_source(source: Path, options: ReadOptions, given: AnnotationTable | No
     if not items and not problems:
         problems.append(_no_motion(source, others, options))
     warnings += (warning for table in side_files.tables for warning in table.warnings)
-    if derived:
-        which = derived[0].name + (" …" if len(derived) > 1 else "")
-        message = f"{len(derived):,} of its files ({which}) were made by 'motionkit complete' or 'motionkit plant' and "
-        message += "are left out: name such files one by one to store them"
-        warnings.append(FormatError(message, path=root, reason="made"))
     known = {problem.path for problem in problems} | {table.path for table in side_files.tables}
     known |= set() if given is None else {given.path.parent.resolve() / given.path.name}
     ignored = tuple(

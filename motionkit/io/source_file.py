@@ -61,12 +61,8 @@ def check_size(num_frames: int, num_joints: int, path: Path) -> None:
     """Raise `FormatError` (`too-large`) beyond 4,194,304 frames, and beyond 67,108,864 frames × joints."""
     most = min(MAX_FRAMES, MAX_POSES // max(1, num_joints))
     if num_frames > most:
-        raise FormatError(
-            f"{num_frames:,} frames of {num_joints} joints, expected at most {most:,} frames of so many joints; cut it "
-            "into several files (docs/formats.md, Long takes)",
-            path=path,
-            reason="too-large",
-        )
+        message = f"{num_frames:,} frames of {num_joints} joints, expected at most {most:,}; cut it into several files"
+        raise FormatError(f"{message} (docs/formats.md, Long takes)", path=path, reason="too-large")
 
 
 def unreadable(path: Path, error: OSError) -> FormatError:
@@ -95,12 +91,8 @@ def decode(data: bytes, path: Path) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data[: error.start].count(b"\n") + 1
-        raise FormatError(
-            f"byte 0x{data[error.start]:02x} is not UTF-8; convert the file to UTF-8",
-            path=path,
-            reason="encoding",
-            line=line,
-        ) from None
+        message = f"byte 0x{data[error.start]:02x} is not UTF-8; convert the file to UTF-8"
+        raise FormatError(message, path=path, reason="encoding", line=line) from None
 
 
 def header_names(path: Path) -> list[str]:

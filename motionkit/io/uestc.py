@@ -63,9 +63,8 @@ def read_uestc(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     """
     name = NAME.fullmatch(path.stem)
     if name is None or int(name["action"]) >= len(ACTIONS):
-        raise FormatError(
-            "expected a name such as a1_d2_p003_c2_color with an action from 0 to 39", path=path, reason="name"
-        )
+        message = "expected a name such as a1_d2_p003_c2_color with an action from 0 to 39"
+        raise FormatError(message, path=path, reason="name")
     subject, view, is_front = int(name["subject"]), int(name["view"]), name["side"] == FRONT_SIDE
     data = source_file.read_bytes(path)
     archive = npy.open_archive(path, data)
