@@ -32,7 +32,7 @@ def test_a_file_with_what_stands_beside_it(takes: Path, kind: type) -> None:
 def test_one_of_several_by_its_id_or_the_end_of_it(takes: Path) -> None:
     assert mk.read(takes, sequence="takes/beta").num_frames == 5
     assert mk.read(str(takes), sequence="gamma").num_frames == 6
-    with pytest.raises(mk.UsageError, match="3 motions, takes/alpha, .*sequence='takes/alpha'"):
+    with pytest.raises(mk.UsageError, match=r"3 motions, takes/alpha, .*sequence='takes/alpha'"):
         mk.read(takes)
     with pytest.raises(mk.UsageError, match=r"no motion 'amma': takes/alpha"):
         mk.read(takes, sequence="amma")
