@@ -27,7 +27,6 @@ from motionkit.io.source_file import INLINE_BYTES, find_words, parse_number, to_
 ROTATIONS = {"rx": "X", "ry": "Y", "rz": "Z"}
 ROOT_CHANNELS: tuple[str, ...] = ("tx", "ty", "tz", "rx", "ry", "rz")
 INCH = 0.0254
-LONGEST_MESSAGE = 400
 
 # A line's number and its words; and the lines of a block by their first words, which are not among the words.
 Line = tuple[int, list[str]]
@@ -62,11 +61,10 @@ class AsfSkeleton:
 
 @dataclass(frozen=True)
 class AmcTable:
-    """Channel values [T, channels] in the order of `bones` (name, number of channels), and the first frame's number."""
+    """Channel values in the order of `bones` (name, number of channels)."""
 
     values: Float64[np.ndarray, "frames channels"]
     bones: tuple[tuple[str, int], ...]
-    first_frame_number: int
 
 
 def read_asfamc(path: Path, options: ReadOptions | None = None) -> Motion:
@@ -78,21 +76,14 @@ def read_asfamc(path: Path, options: ReadOptions | None = None) -> Motion:
     options = options or ReadOptions()
     data = source_file.read_bytes(path)
     if options.fps is None:
-        raise FormatError(
-            "AMC files don't state their framerate; give it in the column 'fps' of an annotation CSV beside them, or "
-            "with --fps (the CMU database: 120, some takes 60)",
-            path=path,
-            reason="no-framerate",
-        )
+        message = "AMC states no framerate; give it with --fps (CMU: 120, some takes 60) or in an annotation CSV's fps"
+        raise FormatError(message, path=path, reason="no-framerate")
     skeleton_path = find_skeleton(path)
     asf = _parsed_asf(source_file.read_bytes(skeleton_path), skeleton_path, options.unit_metres)
     table = parse_amc(data, path)
     rotations, root = _local_rotations(table, asf, path)
-    operations = [
-        f"lengths × {asf.unit_metres:.6g} to metres ({'given' if options.unit_metres else 'ASF length unit'})"
-    ]
-    if table.first_frame_number != 1:
-        operations.append(f"AMC frame numbers start at {table.first_frame_number}")
+    origin = "given" if options.unit_metres else "ASF length unit"
+    operations = [f"lengths × {asf.unit_metres:.6g} to metres ({origin})"]
     return Motion(
         joint_positions=kinematics.forward_kinematics(rotations, root, asf.skeleton),
         skeleton=asf.skeleton,
@@ -123,11 +114,8 @@ def find_skeleton(path: Path) -> Path:
 def _parsed_asf(data: bytes, path: Path, unit_metres: float | None) -> AsfSkeleton:
     """A skeleton in metres, of 0.0254 / length unit each unless given; raises `FormatError` naming the line."""
     if not re.search(rb"(?m)^[ \t]*:(bonedata|root)\b", data):
-        raise FormatError(
-            f"looks like {source_file.describe_content(data)}, expected an ASF skeleton with :root and :bonedata",
-            path=path,
-            reason="not-what-it-says",
-        )
+        message = f"looks like {source_file.describe_content(data)}, expected an ASF skeleton"
+        raise FormatError(message, path=path, reason="not-what-it-says")
     sections: dict[str, list[Line]] = {}
     section: list[Line] = []
     for number, text in enumerate(source_file.decode(data, path).splitlines(), start=1):
@@ -155,8 +143,7 @@ def _parsed_asf(data: bytes, path: Path, unit_metres: float | None) -> AsfSkelet
     ordered = _depth_first(parents)
     lost = sorted(set(bones) - set(ordered))
     if lost:
-        message = f"bones not connected to the root in :hierarchy: {', '.join(lost)}"
-        raise _fault(message[:LONGEST_MESSAGE], path)
+        raise _fault(f"bones not connected to the root in :hierarchy: {', '.join(lost)}"[:400], path)
     metres = unit_metres or INCH / length_unit
     every = (root, *(bones[name] for name in ordered[1:]))
     skeleton = _skeleton(path.stem, every, parents, metres)
@@ -262,15 +249,13 @@ def _skeleton(name: str, bones: tuple[AsfBone, ...], parents: Mapping[str, str],
     indices = [places[parents[bone.name]] if bone.name in parents else -1 for bone in bones]
     ends = np.stack([bone.end * metres for bone in bones])
     offsets = np.stack([ends[parent] if parent >= 0 else np.zeros(3) for parent in indices])
-    with_child = set(indices)
-    leaves = [joint for joint in range(len(bones)) if joint not in with_child and ends[joint].any()]
-    tips = {joint: ends[joint].tolist() for joint in leaves}
+    tips = [(joint, end.tolist()) for joint, end in enumerate(ends) if joint not in indices and end.any()]
     return Skeleton(
         name=name,
         joint_names=tuple(places),
         parents=tuple(indices),
         offsets=offsets.astype(np.float32),
-        end_sites=tuple((joint, (x, y, z)) for joint, (x, y, z) in tips.items()),
+        end_sites=tuple((joint, (x, y, z)) for joint, (x, y, z) in tips),
     )
 
 
@@ -282,8 +267,8 @@ def parse_amc(data: bytes, path: Path) -> AmcTable:
     start = re.search(rb"(?m)^[ \t]*\d+[ \t]*\r?$", data)
     head = data[: start.start()].upper() if start else b""
     if start is None or b":FULLY-SPECIFIED" not in head:
-        message = f"looks like {source_file.describe_content(data)}, expected an AMC file with :FULLY-SPECIFIED and "
-        raise FormatError(message + "frames", path=path, reason="not-what-it-says")
+        message = f"looks like {source_file.describe_content(data)}, expected an AMC file with :FULLY-SPECIFIED"
+        raise FormatError(message, path=path, reason="not-what-it-says")
     if b":RADIANS" in head:
         raise FormatError("angles in radians, expected :DEGREES", path=path, reason="radians")
     body = data[start.start() :].strip()
@@ -297,7 +282,7 @@ def parse_amc(data: bytes, path: Path) -> AmcTable:
     values = _parse_regular(body, first)
     if values is None:
         return _parse_lines(data, bones, path)
-    return AmcTable(np.ascontiguousarray(values[:, 1:]), bones, int(values[0, 0]))
+    return AmcTable(np.ascontiguousarray(values[:, 1:]), bones)
 
 
 def _parse_regular(body: bytes, first: bytes) -> Float64[np.ndarray, "frames values"] | None:
@@ -354,7 +339,7 @@ def _parse_lines(data: bytes, bones: tuple[tuple[str, int], ...], path: Path) ->
             raise fault(f"frame number {first[:15]} after {numbers[-2]}, expected {numbers[-2] + 1}", "frame-number")
     if place != len(bones):
         raise fault(f"the frame ends without {bones[place][0]}; expected {len(bones)} bones", "truncated")
-    return AmcTable(np.array(rows, dtype=np.float64), bones, numbers[0])
+    return AmcTable(np.array(rows, dtype=np.float64), bones)
 
 
 def _local_rotations(
@@ -372,12 +357,8 @@ def _local_rotations(
         joint = names.index(name)
         bone = asf.bones[joint]
         if len(bone.dof) != count:
-            raise FormatError(
-                f"{count} numbers for {name}, but the skeleton gives it {len(bone.dof)} ({' '.join(bone.dof)})",
-                path=path,
-                reason="channel-count",
-                frame=0,
-            )
+            message = f"{count} numbers for {name}, but the skeleton gives it {len(bone.dof)} ({' '.join(bone.dof)})"
+            raise FormatError(message, path=path, reason="channel-count", frame=0)
         values = table.values[:, column : column + count]
         column += count
         turning = [place for place, dof in enumerate(bone.dof) if dof in ROTATIONS]
@@ -389,8 +370,8 @@ def _local_rotations(
             order = "".join(ROTATIONS[bone.dof[place]] for place in turning)
             turn = kinematics.euler_to_quaternion(angles, order, kind="extrinsic")
             back = kinematics.quaternion_conjugate(bone.axis_frame)
-            turn = kinematics.quaternion_multiply(kinematics.quaternion_multiply(bone.axis_frame, turn), back)
-            rotations[:, joint] = turn
+            turn = kinematics.quaternion_multiply(bone.axis_frame, turn)
+            rotations[:, joint] = kinematics.quaternion_multiply(turn, back)
     return rotations, (root * asf.unit_metres).astype(np.float32)
 
 

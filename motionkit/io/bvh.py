@@ -3,9 +3,6 @@
 Channels are degrees and file units; a joint's rotation is the product of its rotation channels in the order in which
 they are listed; position channels replace the joint's OFFSET. Source: M. Meredith and S. Maddock, "Motion Capture File
 Formats Explained", University of Sheffield CS-01-11, 2001.
-
-`read_bvh` reads a file's motion. `read_document` also keeps its text, its lines and its numbers, with which
-`rewrite_bvh` writes the file again with other frames. `write_bvh` writes any motion.
 """
 
 import re
@@ -248,12 +245,8 @@ def _unit(pose: "_ChannelPose", options: ReadOptions, path: Path, any_size: bool
         return unit
     if any_size:
         return 1.0, "in no unit the size of a human body"
-    raise FormatError(
-        "in none of m, cm, mm, inch and the CMU database's unit is this skeleton the size of a human body; "
-        "say how long a unit is with --unit-metres",
-        path=path,
-        reason="unit",
-    )
+    message = "no usual unit gives this skeleton the size of a human body; say how long a unit is with --unit-metres"
+    raise FormatError(message, path=path, reason="unit")
 
 
 def _up(skeleton: Skeleton, positions: Float32[np.ndarray, "frames joints 3"], given: str) -> tuple[str, bool]:
@@ -310,8 +303,7 @@ def _stated_fps(head: BvhHead, path: Path) -> Fraction:
     try:
         return parse_fps(1.0 / float(head.frame_time))
     except (ValueError, ZeroDivisionError, OverflowError) as error:
-        message = f"'Frame Time: {head.frame_time[:40]}' is not a usable time between frames in seconds ({error}); "
-        message += "correct it, or give the framerate"
+        message = f"'Frame Time: {head.frame_time[:40]}' is no usable time in seconds ({error}); give the framerate"
         raise FormatError(message, path=path, reason="frame-time", line=head.frame_time_line) from None
 
 
@@ -603,9 +595,7 @@ def check_writable(document: BvhDocument) -> None:
     """Raise `FormatError` (`channels`) for a joint whose angles do not follow from its rotation."""
     for joint in document.head.joints:
         if any(first == second for first, second in pairwise(joint.order)):
-            message = (
-                f"joint {joint.name!r} turns twice in a row about one axis ({joint.order}): its angles are not unique"
-            )
+            message = f"joint {joint.name!r} turns twice in a row about one axis ({joint.order}), which is not unique"
             raise FormatError(message, path=document.path, reason="channels")
 
 

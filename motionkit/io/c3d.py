@@ -48,7 +48,6 @@ class C3dFile:
 
     parameters: Mapping[str, Parameter]
     points: Float64[np.ndarray, "frames points 4"]
-    header_rate: float
 
     def texts(self, name: str) -> tuple[str, ...]:
         """A parameter's strings; empty if there are none."""
@@ -67,8 +66,7 @@ def read_c3d(path: Path, options: ReadOptions | None = None) -> Motion:
     options = options or ReadOptions()
     data = source_file.read_bytes(path)
     file = parse_c3d(data, path)
-    stated = numbers_of(file.parameters, "POINT:RATE")
-    rate = stated[0] if stated else file.header_rate
+    rate = numbers_of(file.parameters, "POINT:RATE")[0]
     fps, log = source_file.fps_in_use(options.fps, lambda: _stated_fps(rate, path), words=f"{rate:g}")
     markers = without_gaps(_labelled(file, path), fps, path)
     stated_unit = next(iter(file.texts("POINT:UNITS")), "")
@@ -163,7 +161,9 @@ def parse_c3d(data: bytes, path: Path) -> C3dFile:
         message = f"processor type {processor}, expected {INTEL} (Intel), {DEC} (DEC) or {MIPS} (MIPS)"
         raise FormatError(message, path=path, reason="parameters")
     parameters = _parameters(data[start + 4 : start + max(num_blocks, 1) * BLOCK], processor, path)
-    return C3dFile(parameters, _points(data, parameters, processor, path), float(_floats(data[20:24], processor)[0]))
+    if not numbers_of(parameters, "POINT:RATE"):
+        parameters["POINT:RATE"] = tuple(_floats(data[20:24], processor).tolist())
+    return C3dFile(parameters, _points(data, parameters, processor, path))
 
 
 def _floats(data: bytes, processor: int) -> Float64[np.ndarray, "numbers"]:
@@ -247,15 +247,11 @@ def _points(
     start = (struct.unpack_from(f"{order}H", data, 16)[0] - 1) * BLOCK
     needed, available = num_frames * num_values * size, len(data) - start
     if start < BLOCK or available < needed:
-        raise FormatError(
-            f"the header states {num_frames} frames of {num_points} points, {needed} bytes from byte {start} on, but "
-            f"{max(available, 0)} follow",
-            path=path,
-            reason="truncated",
-        )
+        message = f"{num_frames} frames of {num_points} points need {needed} bytes from byte {start} of {len(data)}"
+        raise FormatError(message, path=path, reason="truncated")
     if num_frames == MAX_FRAME_WORD and available > needed + BLOCK:
-        message = "the header states 65,535 frames, its largest number, and more follow: state them in "
-        raise FormatError(message + "TRIAL:ACTUAL_END_FIELD", path=path, reason="frame-count")
+        message = "more than the 65,535 frames that a header can state: state them in TRIAL:ACTUAL_END_FIELD"
+        raise FormatError(message, path=path, reason="frame-count")
     # Analog values follow the points of each frame, and are often most of a file.
     values = np.frombuffer(data, f"<u{size}", num_frames * num_values, start).reshape(num_frames, num_values)
     body, shape = values[:, : 4 * num_points].tobytes(), (num_frames, num_points, 4)

@@ -61,10 +61,7 @@ def read_character(path: Path, options: ReadOptions) -> Character:
     else:
         raise UsageError(f"{path}: a character is a .bvh or a .glb file (Blender exports both)")
     if rest is not None and not stands(standing_skeleton(skeleton, rest)):
-        raise MotionkitError(
-            f"{path}: neither its rest pose nor its first frame stands upright, as a T-pose or an A-pose does: put one "
-            "of these first"
-        )
+        raise MotionkitError(f"{path}: neither its rest pose nor its first frame stands upright: put a T-pose first")
     return Character(skeleton, rest, suffix, write)
 
 

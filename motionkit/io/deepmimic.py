@@ -43,11 +43,6 @@ class Character:
     skeleton: Skeleton
     rotation_sizes: tuple[int, ...]
 
-    @property
-    def frame_size(self) -> int:
-        """Numbers in a frame: duration, root position, rotations."""
-        return FIRST_ROTATION + sum(self.rotation_sizes)
-
 
 def accepts(head: FileHead) -> bool:
     """Whether a text file is a JSON object with "Frames" near its beginning."""
@@ -111,7 +106,7 @@ def _table(data: bytes, character: Character, path: Path) -> Float64[np.ndarray,
     except (ValueError, TypeError, KeyError) as error:
         message = f"no JSON object with a list Frames ({type(error).__name__}: {error})"
         raise FormatError(message, path=path, reason="not-what-it-says") from None
-    size = character.frame_size
+    size = FIRST_ROTATION + sum(character.rotation_sizes)
     for number, frame in enumerate(frames):
         if not isinstance(frame, list) or len(frame) != size:
             content = f"{len(frame)} numbers" if isinstance(frame, list) else "no list of numbers"

@@ -7,7 +7,6 @@ Source: Khronos, glTF 2.0 specification, §3.5 (nodes), §3.7 (meshes and skins)
 
 import json
 import struct
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +24,7 @@ from motionkit.core.skeletons.mapping import SkeletonMapError, rest_positions, w
 from motionkit.fields.transfer import counterpart_joints
 from motionkit.io.joint_rotations import joint_channels
 from motionkit.io.registry import Format, ReadOptions
+from motionkit.io.source_file import unique_names
 
 MAGIC, VERSION = 0x46546C67, 2
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
@@ -335,9 +335,7 @@ def _rig(document: dict[str, Any], binary: bytes, path: Path, options: ReadOptio
             rest[number] = kinematics.quaternion_multiply(back, turns[number])
             offsets[number] = kinematics.quaternion_rotate(back, places[number] - places[parent])
     names = [str(nodes[joint].get("name", f"node {joint}")) for joint in order]
-    repeated = {name for name, count in Counter(names).items() if count > 1}
-    names = [f"{name}#{number}" if name in repeated else name for number, name in enumerate(names)]
-    skeleton = Skeleton(path.stem, tuple(names), tuple(parents), offsets.astype(np.float32))
+    skeleton = Skeleton(path.stem, unique_names(names)[0], tuple(parents), offsets.astype(np.float32))
     return GltfRig(
         document,
         binary,

@@ -87,11 +87,8 @@ def without_gaps(markers: Markers, fps: Fraction, path: Path) -> Markers:
     start, stop, stays = largest_block(missing, int(MAX_GAP_SECONDS * fps))
     gap = f"{float(MAX_GAP_SECONDS):g} s"
     if start == stop:
-        raise FormatError(
-            f"no marker is seen for any time without gaps longer than {gap}; fill them in the capture software",
-            path=path,
-            reason="gaps",
-        )
+        message = f"every marker has gaps longer than {gap} all the time; fill them in the capture software"
+        raise FormatError(message, path=path, reason="gaps")
     operations = list(markers.operations)
     if stop - start < len(missing):
         operations.append(f"frames [{start}, {stop}) of {len(missing)} kept, throughout which most markers are seen")
@@ -124,8 +121,8 @@ def unit_of(stated: str, name: str, unit_metres: float | None, path: Path) -> tu
     if unit_metres is not None:
         return unit_metres, "given"
     if stated.lower() not in UNITS:
-        message = f"{name} is {stated[:20]!r}, expected one of {', '.join(UNITS)}; say how long a unit is with "
-        raise FormatError(message + "--unit-metres", path=path, reason="unit")
+        message = f"{name} is {stated[:20]!r}, expected one of {', '.join(UNITS)}; or give --unit-metres"
+        raise FormatError(message, path=path, reason="unit")
     return UNITS[stated.lower()], f"{name} is {stated}"
 
 
@@ -136,12 +133,8 @@ def checked_metres(
     bad = ~(np.abs(metres) < MAX_METRES)
     if bad.any():
         frame, marker, _ = (int(index[0]) for index in np.nonzero(bad))
-        raise FormatError(
-            f"marker {markers.names[marker]} is {metres[frame, marker].tolist()} m from the origin",
-            path=path,
-            reason="range",
-            frame=frame,
-        )
+        message = f"marker {markers.names[marker]} is {metres[frame, marker].tolist()} m from the origin"
+        raise FormatError(message, path=path, reason="range", frame=frame)
     return np.ascontiguousarray(metres, dtype=np.float32)
 
 

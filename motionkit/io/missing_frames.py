@@ -62,9 +62,7 @@ def _ascending_seconds(path: Path, error: FormatError) -> Float64[np.ndarray, "f
     if late.any():
         frame = int(np.argmax(late)) + 1
         before, here = seconds[frame - 1 : frame + 1]
-        message = (
-            f"is at {here:.6g} s, after a frame at {before:.6g} s: sort frames by time and keep one of each instant"
-        )
+        message = f"is at {here:.6g} s, after a frame at {before:.6g} s: sort frames by time, one of each instant"
         raise FormatError(message, path=path, reason="frame-time", frame=frame)
     return seconds
 

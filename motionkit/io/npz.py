@@ -59,19 +59,14 @@ def read_skeleton(archive: npy.Archive, joint_positions: Float32[np.ndarray, "fr
     Raises `FormatError` (`channel-count`, `bones`).
     """
     path, num_joints = archive.path, joint_positions.shape[1]
-    if "joint_names" not in archive:
-        for skeleton in STANDARD_SKELETONS.values():
-            if skeleton.num_joints == num_joints:
-                return skeleton
-        message = f"{num_joints} joints without joint_names; only 22 (SMPL's) and 21 (KIT's) are known without"
-        raise FormatError(message, path=path, reason="channel-count")
     names = archive.strings("joint_names")
-    if len(names) != num_joints:
-        message = f"{len(names)} joint_names for {num_joints} joints"
-        raise FormatError(message, path=path, reason="channel-count")
     for skeleton in STANDARD_SKELETONS.values():
-        if names == skeleton.joint_names and "offsets" not in archive:
+        same_names = names == skeleton.joint_names and "offsets" not in archive
+        if skeleton.num_joints == num_joints and (same_names or "joint_names" not in archive):
             return skeleton
+    if len(names) != num_joints:
+        message = f"{len(names)} joint_names for {num_joints} joints; only 22 (SMPL's) and 21 (KIT's) need none"
+        raise FormatError(message, path=path, reason="channel-count")
 
     def joints(key: str, shape: npy.Shape, lowest: int = 0) -> list[Any]:
         indices = archive.exact(key, shape)
@@ -229,11 +224,8 @@ def _clock(archive: npy.Archive, num_frames: int, options: ReadOptions) -> tuple
             words = words or f"time_seconds: {stated}"
     fps = options.fps or stated
     if fps is None:
-        raise FormatError(
-            "none of fps, fps_numerator and fps_denominator, time_seconds says the framerate; add one, or use --fps",
-            path=archive.path,
-            reason="no-framerate",
-        )
+        message = "neither fps nor time_seconds says the framerate; add one, or use --fps"
+        raise FormatError(message, path=archive.path, reason="no-framerate")
     words = archive.text("stated_fps") if "stated_fps" in archive else words
     return TimeGrid(fps, num_frames, start), words, source_file.replaced_fps(fps, stated)
 

@@ -99,9 +99,8 @@ class BodyModel:
     def rest_joints(self, betas: Float[np.ndarray, "betas"]) -> Float64[np.ndarray, "joints 3"]:
         """Joints of the body with these betas at rest; betas beyond the model's are ignored."""
         used = min(len(betas), self.shape_directions.shape[-1])
-        moved: Float64[np.ndarray, "joints 3"] = self.shape_directions[..., :used] @ betas[:used].astype(np.float64)
-        joints: Float64[np.ndarray, "joints 3"] = self.mean_joints + moved
-        return joints
+        moved = self.shape_directions[..., :used] @ betas[:used].astype(np.float64)
+        return np.asarray(self.mean_joints + moved)
 
 
 def find_body_model(folder: Path, layout: PoseLayout, gender: str) -> BodyModel:
@@ -122,18 +121,11 @@ def find_body_model(folder: Path, layout: PoseLayout, gender: str) -> BodyModel:
             return load_body_model(path, layout, each)
     for _, path in candidates:
         if path.with_suffix(".pkl").is_file():
-            raise FormatError(
-                "is a Python pickle, which can run code when it is loaded; take the .npz that the model's site offers, "
-                "or convert it as docs/formats.md shows",
-                path=path.with_suffix(".pkl"),
-                reason="no-body-model",
-            )
+            message = "is a pickle, which can run code; take the model's .npz, or convert it as docs/formats.md shows"
+            raise FormatError(message, path=path.with_suffix(".pkl"), reason="no-body-model")
     names = ", ".join(path.relative_to(folder).as_posix() for _, path in candidates[:4])
-    raise FormatError(
-        f"no {family} model for gender {gender or 'unknown'!r}, nor a neutral one; expected one of {names}",
-        path=folder,
-        reason="no-body-model",
-    )
+    message = f"no {family} model for gender {gender or 'unknown'!r}, nor a neutral one; expected one of {names}"
+    raise FormatError(message, path=folder, reason="no-body-model")
 
 
 @lru_cache(maxsize=16)
@@ -143,11 +135,8 @@ def load_body_model(path: Path, layout: PoseLayout, gender: str) -> BodyModel:
     template = archive.numbers("v_template", (None, 3)).astype(np.float64)
     regressor = archive.numbers("J_regressor", (None, len(template))).astype(np.float64)
     if len(regressor) != layout.num_joints:
-        raise FormatError(
-            f"J_regressor has {len(regressor)} joints, expected the {layout.num_joints} of {layout.family}",
-            path=path,
-            reason="bones",
-        )
+        message = f"J_regressor has {len(regressor)} joints, expected the {layout.num_joints} of {layout.family}"
+        raise FormatError(message, path=path, reason="bones")
     directions = archive.numbers("shapedirs", (len(template), 3, None))
     if layout.family == "smplx":
         directions = directions[..., : SMPLX_BETAS if directions.shape[-1] >= SMPLX_DIRECTIONS else SMALL_SMPLX_BETAS]

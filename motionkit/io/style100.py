@@ -72,29 +72,21 @@ def _kept_frames(motion: Motion, path: Path) -> tuple[int, int, str]:
     """The frames [start, stop) of the motion that the table keeps, and a line for the operation log."""
     name, table = NAME.fullmatch(path.stem), find_cuts(path)
     if name is None or table is None:
-        raise FormatError(
-            f"expected a name such as Aeroplane_FW and {CUTS_FILE} beside it or one folder above",
-            path=path,
-            reason="frame-cuts",
-        )
+        message = f"expected a name such as Aeroplane_FW and {CUTS_FILE} beside it or one folder above"
+        raise FormatError(message, path=path, reason="frame-cuts")
     dropped = int(T_POSE_DROPPED in motion.provenance.operations)
     total = motion.num_frames + dropped
     kind = name["kind"].upper()
     cut = _cuts(table, table.stat().st_mtime_ns).get((name["style"].lower(), kind))
     if cut is None:
-        raise FormatError(
-            f"{table.name} has no {kind}_START and {kind}_STOP for the style {name['style']}; add them, or remove the "
-            "table to read takes whole as BVH",
-            path=path,
-            reason="frame-cuts",
+        message = (
+            f"{table.name} has no {kind}_START and {kind}_STOP for the style {name['style']}; add them or remove it"
         )
+        raise FormatError(message, path=path, reason="frame-cuts")
     start, stop = cut
     if not dropped <= start < stop <= total:
-        raise FormatError(
-            f"{table.name} keeps frames [{start}, {stop}) of {total}; expected frames that the file has",
-            path=path,
-            reason="frame-cuts",
-        )
+        message = f"{table.name} keeps frames [{start}, {stop}) of {total}; expected frames that the file has"
+        raise FormatError(message, path=path, reason="frame-cuts")
     return start - dropped, stop - dropped, f"frames [{start}, {stop}) of {total} kept, as {table.name} says"
 
 

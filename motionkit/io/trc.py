@@ -68,9 +68,7 @@ def _header(lines: list[str], path: Path) -> tuple[dict[str, str], list[str]]:
     cells = [word.strip() for word in lines[3].rstrip().split("\t")]
     names = [name for name in cells[2:] if name]
     if cells[0] != "Frame#" or not names or stated.get("NumMarkers", "") not in ("", str(len(names))):
-        message = (
-            f"{len(names)} names of markers after Frame# and Time, expected {stated.get('NumMarkers', 'some')[:20]}"
-        )
+        message = f"{len(names)} markers after Frame# and Time, expected {stated.get('NumMarkers', 'some')[:20]}"
         raise FormatError(message, path=path, reason="channel-count", line=4)
     return stated, names
 
@@ -84,11 +82,10 @@ def _table(lines: list[str], num_columns: int, path: Path) -> Float64[np.ndarray
         if len(cells) < num_columns or any(cell.strip() for cell in cells[num_columns:]):
             message = f"{len(cells)} values between tabs, expected {num_columns}"
             raise FormatError(message, path=path, reason="channel-count", line=number, frame=len(rows))
-        words = (cell.strip() for cell in cells[:num_columns])
-        row = [
-            np.nan if word.lower() in NOT_SEEN else source_file.parse_number(word, path, number, len(rows))
-            for word in words
-        ]
+        row: list[float] = []
+        for word in (cell.strip() for cell in cells[:num_columns]):
+            is_seen = word.lower() not in NOT_SEEN
+            row.append(source_file.parse_number(word, path, number, len(rows)) if is_seen else np.nan)
         rows.append(row)
     if not rows:
         raise FormatError("0 frames, expected at least one row below the header", path=path, reason="no-frames")

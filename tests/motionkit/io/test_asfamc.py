@@ -72,9 +72,7 @@ def test_the_formula_of_the_format(tmp_path: Path) -> None:
 
 
 def test_frame_numbers_may_start_anywhere(tmp_path: Path) -> None:
-    motion = read_asfamc(write_asfamc(tmp_path, first=120), AT_120)
-    assert motion.num_frames == 3
-    assert "AMC frame numbers start at 120" in motion.provenance.operations
+    assert read_asfamc(write_asfamc(tmp_path, first=120), AT_120).num_frames == 3
 
 
 def test_without_a_framerate_it_says_how_to_give_one(tmp_path: Path) -> None:

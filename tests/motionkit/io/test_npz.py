@@ -125,7 +125,7 @@ OBJECTS = np.array([{"a": 1}], dtype=object)
     ("arrays", "reason", "says"),
     [
         ({"joint_positions": np.zeros((5, 66), np.float32)}, "channel-count", "shape"),
-        ({"joint_positions": np.zeros((5, 19, 3))}, "channel-count", "19 joints without joint_names"),
+        ({"joint_positions": np.zeros((5, 19, 3))}, "channel-count", "0 joint_names for 19"),
         ({"joint_names": np.array(["a"])}, "channel-count", "1 joint_names for 22"),
         ({"joint_names": np.array(["a"] * 22)}, "bones", "repeats a joint name"),
         ({"joint_names": np.array([*"abcdefghijklmnopqrstuv"]), "parents": np.arange(22)}, "bones", "only root"),
