@@ -149,12 +149,6 @@ _TURNS = {
 AXES = tuple(_TURNS)
 # The axes that a user may give.
 GIVEN_AXES = ("x", "y", "z")
-_LINES = {
-    "x": "turned from x up to y up: (x, y, z) → (−y, x, z)",
-    "y": "y up",
-    "z": "turned from z up to y up: (x, y, z) → (x, z, −y)",
-    "-y": "turned from y down to y up: (x, y, z) → (x, −y, −z)",
-}
 
 # The frames that an inference looks at, evenly spaced.
 SAMPLED_FRAMES = 128
@@ -213,9 +207,9 @@ def turned(motion: Motion, up: str) -> Motion:
 
 def log_lines(up: str, given: str = "") -> list[str]:
     """The line of the operation log for a source's up axis; none for an inferred y."""
-    if given:
-        return [f"{_LINES[up]} (given)"]
-    return [] if up == "y" else [_LINES[up]]
+    axis, end = up.removeprefix("-"), "down" if up.startswith("-") else "up"
+    line = "y up" if up == "y" else f"turned from {axis} {end} to y up"
+    return [f"{line} (given)"] if given else [line] if up != "y" else []
 
 
 def logged_up(operations: Sequence[str]) -> str:

@@ -188,17 +188,13 @@ class FolderWriter:
         self._folder = folder
         self._layout = layout
         self._members: dict[str, list[str]] = {split: [] for split in ("all", *SPLITS)}
-        self._names: set[str] = set()
         # Of the training vectors, and of the others.
         self._moments: dict[bool, Moments] = {}
         for name in (JOINTS_FOLDER, VECTORS_FOLDER, TEXTS_FOLDER):
             (folder / name).mkdir(parents=True, exist_ok=True)
 
     def add(self, entry: Entry) -> None:
-        """Write one sequence; raises `ValueError` for a repeated name or one that is not a plain file name."""
-        if Path(entry.name).name != entry.name or entry.name in self._names:
-            raise ValueError(f"{entry.name!r} is not a plain file name, or is repeated")
-        self._names.add(entry.name)
+        """Write one sequence under its name, which is a plain file name of its own."""
         _save(self._folder / JOINTS_FOLDER / f"{entry.name}.npy", entry.joint_positions)
         if entry.vectors is not None:
             _save(self._folder / VECTORS_FOLDER / f"{entry.name}.npy", entry.vectors)
@@ -231,7 +227,7 @@ class FolderWriter:
                 std[block] = std[block].mean()
             _save(self._folder / "Mean.npy", training.mean.astype(np.float32))
             _save(self._folder / "Std.npy", std.astype(np.float32))
-        return len(self._names)
+        return len(self._members["all"])
 
 
 def _save(path: Path, array: np.ndarray) -> None:

@@ -16,7 +16,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, Feet, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import joint_rotations, npy, source_file
-from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
+from motionkit.io.registry import Format, ReadOptions, of_path
 
 FPS = Fraction(30)
 JOINTS, ROTATIONS = "posed_joints", "global_rot_mats"
@@ -62,11 +62,6 @@ SKELETONS = {
 }
 
 
-def accepts(head: FileHead) -> bool:
-    """Whether an .npz file has the joints under Kimodo's name."""
-    return JOINTS in head.array_names
-
-
 def read_kimodo(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     """Read one file: positions, and local rotations if they reproduce these with bones of constant length.
 
@@ -98,4 +93,6 @@ def read_kimodo(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     return joint_rotations.with_rotations(motion, local)
 
 
-FORMAT = Format(name="kimodo", read=of_path(read_kimodo), suffixes=(".npz",), accepts=accepts)
+FORMAT = Format(
+    name="kimodo", read=of_path(read_kimodo), suffixes=(".npz",), accepts=lambda head: JOINTS in head.array_names
+)

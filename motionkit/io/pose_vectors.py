@@ -52,12 +52,8 @@ def accepts(head: FileHead) -> bool:
     return _width(head) in LAYOUT_BY_WIDTH
 
 
-def accepts_interhuman(head: FileHead) -> bool:
-    """Whether a .npy file holds rows of 262 numbers for one or two persons, or the data set's 492."""
-    return _is_interhuman(head.array_shape or ())
-
-
 def _is_interhuman(shape: tuple[int, ...]) -> bool:
+    """Whether rows have 262 numbers for one or two persons, or the data set's 492."""
     match shape:
         case (_, width):
             return width in (INTERHUMAN_WIDTH, 2 * INTERHUMAN_WIDTH, INTERHUMAN_FILE_WIDTH)
@@ -70,11 +66,6 @@ def persons(head: FileHead) -> tuple[str, ...]:
     """The persons' keys in an InterHuman file with two persons; empty for one."""
     shape = head.array_shape or ()
     return PERSONS if len(shape) == 3 or shape[1:] == (2 * INTERHUMAN_WIDTH,) else ()
-
-
-def accepts_motionstreamer(head: FileHead) -> bool:
-    """Whether a .npy file holds rows of 272 numbers."""
-    return _width(head) == MOTIONSTREAMER_WIDTH
 
 
 def read_pose_vectors(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
@@ -171,9 +162,16 @@ def _motion(
 
 FORMAT = Format(name="pose-vectors", read=of_path(read_pose_vectors), suffixes=(".npy",), accepts=accepts)
 INTERHUMAN_FORMAT = Format(
-    name="interhuman", read=read_interhuman, suffixes=(".npy",), accepts=accepts_interhuman, keys=persons,
+    name="interhuman",
+    read=read_interhuman,
+    suffixes=(".npy",),
+    accepts=lambda head: _is_interhuman(head.array_shape or ()),
+    keys=persons,
     turns_up=True,
-)  # fmt: skip
+)
 MOTIONSTREAMER_FORMAT = Format(
-    name="motionstreamer", read=of_path(read_motionstreamer), suffixes=(".npy",), accepts=accepts_motionstreamer,
-)  # fmt: skip
+    name="motionstreamer",
+    read=of_path(read_motionstreamer),
+    suffixes=(".npy",),
+    accepts=lambda head: _width(head) == MOTIONSTREAMER_WIDTH,
+)

@@ -212,11 +212,6 @@ class _BuiltIn:
     holds: tuple[str, ...] = ()
     writes: bool = False
 
-    def may_read(self, path: Path) -> bool:
-        """Whether the name of a file allows it to be of this format."""
-        flags = re.DOTALL | re.IGNORECASE
-        return path.suffix.lower() in self.suffixes and re.fullmatch(self.stem, path.stem, flags) is not None
-
     def load(self) -> Format:
         found: Format = getattr(import_module(f"motionkit.io.{self.module}"), self.variable)
         return found
@@ -287,7 +282,9 @@ def recognise(head: FileHead, name: str = "auto") -> Format | None:
 
     def candidates() -> Iterator[Format]:
         yield from (each for each in _installed() if suffix in each.suffixes and each.read is not None)
-        yield from (reader_of(each.name) for each in _BUILT_IN if each.may_read(head.path))
+        for each in _BUILT_IN:
+            if suffix in each.suffixes and re.fullmatch(each.stem, head.path.stem, re.DOTALL | re.IGNORECASE):
+                yield reader_of(each.name)
 
     return next((each for each in candidates() if name in ("auto", each.name) and each.accepts(head)), None)
 

@@ -193,8 +193,7 @@ def _hips(positions: Float64[np.ndarray, "frames joints 3"], legs: Legs) -> Floa
 def _leg_length(skeleton: Skeleton, legs: Legs) -> float:
     """Mean length of both legs at rest, hip to ankle along the bones, metres."""
     rest = rest_positions(skeleton)
-    bones = [(leg.hip, leg.knee) for leg in (legs.left, legs.right)]
-    bones += [(leg.knee, leg.ankle) for leg in (legs.left, legs.right)]
+    bones = [bone for leg in (legs.left, legs.right) for bone in ((leg.hip, leg.knee), (leg.knee, leg.ankle))]
     return float(sum(np.linalg.norm(rest[start] - rest[end]) for start, end in bones) / 2)
 
 

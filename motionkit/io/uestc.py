@@ -19,7 +19,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import npy, source_file
 from motionkit.io.body_frame import log_lines, turn_of
-from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
+from motionkit.io.registry import Format, ReadOptions, of_path
 from motionkit.io.smpl_body import SMPL, posed_skeleton
 
 FPS = Fraction(30)
@@ -47,11 +47,6 @@ ACTIONS = (
 )
 # The camera's y points down and its z away from it.
 FROM_CAMERA = turn_of("-y")
-
-
-def accepts(head: FileHead) -> bool:
-    """Whether a file is a converted sequence, by its name."""
-    return NAME.fullmatch(head.path.stem) is not None
 
 
 def read_uestc(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
@@ -114,4 +109,9 @@ def read_uestc(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     )
 
 
-FORMAT = Format(name="uestc", read=of_path(read_uestc), suffixes=(".npz",), accepts=accepts)
+FORMAT = Format(
+    name="uestc",
+    read=of_path(read_uestc),
+    suffixes=(".npz",),
+    accepts=lambda head: NAME.fullmatch(head.path.stem) is not None,
+)
