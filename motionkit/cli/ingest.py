@@ -165,9 +165,8 @@ def _print_summary(report: "IngestReport", of_store: str) -> None:
         kinds = [f"{count:,} {suffix}" for suffix, count in suffixes.items()]
         listed = ", ".join(kinds[:SHOWN_KINDS]) + (", …" if len(kinds) > SHOWN_KINDS else "")
         stdout.print(f"ignored: {len(report.ignored):,} ({listed}; the first: {report.ignored[0]})")
-    for each in report.datasets:
-        counts = f"{each.num_found:,} found, {each.num_missing:,} missing, {each.num_failed:,} failed"
-        stdout.print(f"{each.dataset or '-'}: {counts}")
+    for name, counts in report.datasets.items():
+        stdout.print(f"{name or '-'}: {', '.join(f'{number:,} {state}' for state, number in counts.items())}")
     if not stored.num_sequences:
         return
     if stored.num_flagged:
@@ -196,10 +195,7 @@ def _as_json(report: "IngestReport") -> dict[str, Any]:
         "failed": _counts(each.reason for each in report.problems),
         "warnings": _counts(each.reason for each in report.warnings),
         "quality_flags": dict(report.stored.flags.most_common()),
-        "datasets": {
-            count.dataset: {"found": count.num_found, "missing": count.num_missing, "failed": count.num_failed}
-            for count in report.datasets
-        },
+        "datasets": report.datasets,
         "ignored": _counts(path.suffix.lower() or path.name for path in report.ignored),
         "ignored_paths": [str(path) for path in report.ignored],
         "problems": [{"reason": each.reason, "message": str(each)} for each in report.problems],

@@ -4,7 +4,7 @@ import os
 import re
 import socket
 from collections import Counter
-from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -161,16 +161,6 @@ def _read_again(workers: Workers, function: Callable[..., ReadChunk], chunk: Seq
     raise MotionkitError("workers end whatever they read: killed, or out of memory? --workers 1 shows where")
 
 
-@dataclass(frozen=True)
-class DatasetCount:
-    """Counts of an index's sequences of one dataset: files that are there, missing ones, failed ones."""
-
-    dataset: str
-    num_found: int
-    num_missing: int
-    num_failed: int
-
-
 @dataclass
 class StoredCounts:
     """What an ingest added: sequences, frames and seconds; and how many have a flag, a split, a performer."""
@@ -198,9 +188,9 @@ class StoredCounts:
 class IngestReport:
     """Result of an ingest: what it stored, what the store had already, problems (each costs a sequence), warnings.
 
-    `datasets` says it by dataset where the sequences are an index's. `ignored` are the files of the sources' folders
-    that are no sequences and belong to none. `committed` is False where the store was left as it was: after a problem
-    under `stop`, or with nothing to store.
+    `datasets` counts an index's sequences by dataset: `found` files that are there, `missing` and `failed` ones.
+    `ignored` are the files of the sources' folders that are no sequences and belong to none. `committed` is False where
+    the store was left as it was: after a problem under `stop`, or with nothing to store.
     """
 
     store: Path
@@ -210,7 +200,7 @@ class IngestReport:
     num_in_store: int
     problems: tuple[FormatError, ...]
     warnings: tuple[FormatError, ...]
-    datasets: tuple[DatasetCount, ...] = ()
+    datasets: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     ignored: tuple[Path, ...] = ()
 
     @property
@@ -267,18 +257,18 @@ def ingest(
         num_in_store=read_manifest(store).num_sequences if is_store(store) else 0,
         problems=tuple(run.problems),
         warnings=tuple(run.warnings),
-        datasets=_datasets(scanned, run.failed_by_dataset) if options.index else (),
+        datasets=_datasets(scanned, run.failed_by_dataset) if options.index else {},
         ignored=tuple(path for path in scanned.ignored if not path.is_relative_to(store.resolve())),
     )
 
 
-def _datasets(scanned: ScanResult, failed_by_dataset: Counter[str]) -> tuple[DatasetCount, ...]:
+def _datasets(scanned: ScanResult, failed_by_dataset: Counter[str]) -> dict[str, dict[str, int]]:
     with_file = Counter(item.subset for item in scanned.items) + Counter(scanned.refused)
     failed = failed_by_dataset + Counter(scanned.refused)
-    return tuple(
-        DatasetCount(name, with_file[name], scanned.missing.get(name, 0), failed[name])
+    return {
+        name: {"found": with_file[name], "missing": scanned.missing.get(name, 0), "failed": failed[name]}
         for name, _ in (with_file + Counter(scanned.missing)).most_common()
-    )
+    }
 
 
 class _Stopped(Exception):
