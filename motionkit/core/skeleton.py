@@ -1,7 +1,7 @@
 """Skeletons: joint names, parents, rest offsets, left/right pairs, feet; and the standard ones."""
 
 import hashlib
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -42,7 +42,7 @@ class Skeleton:
     offsets: Float32[np.ndarray, "joints 3"]
     left_right_pairs: tuple[tuple[int, int], ...] = ()
     feet: Feet | None = None
-    end_sites: tuple[tuple[int, tuple[float, float, float]], ...] = field(default=())
+    end_sites: tuple[tuple[int, tuple[float, float, float]], ...] = ()
     layout_map: str = ""
 
     def __post_init__(self) -> None:

@@ -269,8 +269,7 @@ def check_sequences(sequences: pa.Table, manifest: Manifest, skeletons: Mapping[
 def damaged(store: Path, fault: Exception | str) -> StoreError:
     """The error where a file is missing or damaged: the fault, and what to do."""
     return StoreError(
-        f"the store {store} is damaged: {fault}: 'motionkit validate --store {store}' says all that is wrong; restore "
-        "it from a copy, or ingest the sources into a new store"
+        f"the store {store} is damaged: {fault}: 'motionkit validate --store {store}' says all that is wrong; {_HINT}"
     )
 
 

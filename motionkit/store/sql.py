@@ -62,13 +62,10 @@ def _query(connection: "duckdb.DuckDBPyConnection", views: Views, sql: str) -> "
             raise UsageError("one statement that only reads is expected: SELECT, FROM, WITH, DESCRIBE, SUMMARIZE …")
         return _with_unique_names(connection.sql(sql).to_arrow_table())
     except duckdb.Error as error:
-        said = " ".join(str(error).split())
-        if isinstance(error, duckdb.CatalogException) and said.startswith("Catalog Error: Table with name"):
-            # What duckdb suggests are tables of its own.
-            missing = said.removeprefix("Catalog Error: Table with name ").split(" ")[0]
-            message = f"there is no table {missing}; the tables of a store are sequences, motions and skeletons"
-            raise UsageError(message) from None
-        raise UsageError(f"duckdb: {said}") from None
+        tables = ""
+        if isinstance(error, duckdb.CatalogException):  # what duckdb suggests are tables of its own
+            tables = " (the tables of a store are sequences, motions and skeletons)"
+        raise UsageError(f"duckdb: {' '.join(str(error).split())}{tables}") from None
     finally:
         connection.rollback()
 

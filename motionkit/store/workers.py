@@ -87,10 +87,9 @@ def start_workers(
 ) -> AbstractContextManager[Workers]:
     """The workers of an engine, for a `with` block: one in this process by default, or all of a Ray cluster.
 
-    Local processes import the modules of `preload` once for all. Raises `UsageError` for an unknown engine,
-    `MissingExtraError` without Ray, `MotionkitError` where Ray cannot be reached.
+    Local processes import the modules of `preload` once for all. Raises `MissingExtraError` without Ray,
+    `MotionkitError` where Ray cannot be reached.
     """
-    check_engine(engine)
     if engine != LOCAL:
         return _ray_workers(None if engine == RAY else engine, num_workers)
     if num_workers is None or num_workers == 1:

@@ -106,13 +106,10 @@ def fits(family: SkeletonFamily, names: Sequence[str]) -> bool:
 def canonical_names(joint_names: tuple[str, ...]) -> tuple[str, ...]:
     """Normalised joint names: "mixamorig:LeftArm", "Character1_LeftArm" and "left arm" are the same joint."""
     plain = [name.rsplit(":", 1)[-1] for name in joint_names]
-    prefix, count = (
-        Counter(name.split("_", 1)[0] for name in plain if "_" in name).most_common(1)[0]
-        if any("_" in name for name in plain)
-        else ("", 0)
-    )
-    if 2 * count > len(plain):
-        plain = [name.removeprefix(f"{prefix}_") for name in plain]
+    prefixes = Counter(name.split("_", 1)[0] for name in plain if "_" in name)
+    for prefix, count in prefixes.most_common(1):
+        if 2 * count > len(plain):
+            plain = [name.removeprefix(f"{prefix}_") for name in plain]
     return tuple(_canonical(name) for name in plain)
 
 

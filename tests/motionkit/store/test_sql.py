@@ -49,7 +49,7 @@ def test_a_statement_leaves_nothing_to_the_next() -> None:
     assert query({"sequences": pa.table({"a": [1]})}, "SELECT a FROM sequences")["a"].to_pylist() == [1]
     query({}, "EXPLAIN ANALYZE CREATE TABLE sequences AS SELECT 2 AS a")
     for name in ("sequences", "skeletons"):
-        with pytest.raises(UsageError, match=f"no table {name}"):
+        with pytest.raises(UsageError, match=f"{name} does not exist"):
             query({}, f"SELECT * FROM {name}")
 
 
