@@ -4,8 +4,9 @@ A variant is one training run. Tables share variants, so the paper's full model 
 paper's tables use its own layout of z, `global`; rows of our layout, `local`, are added where they apply.
 """
 
+from motionkit.core.files import write_whole
 from motionkit.training.ablations import Ablation, Ablations, Entry, Variant
-from motionkit.training.run import RunFolder, copy_stage
+from motionkit.training.run import RunFolder, clear_stage
 from motionkit.training.stage import StageContext
 from nerm.recipes import RECIPES, NermConfig
 from nerm.settings import LatentLayout
@@ -129,7 +130,10 @@ def share_codebook(common: StageContext, run: RunFolder, config: NermConfig) -> 
     if target.is_complete and target.model_path.read_bytes() == source.model_path.read_bytes():
         return
     with target.locked():
-        copy_stage(source, target)
+        clear_stage(target)
+        for path in source.result_paths:  # The last one marks the stage as complete.
+            if path.is_file():
+                write_whole(target.path / path.name, path.read_bytes())
 
 
 NERM = Ablations("nerm", ABLATIONS, RECIPES, {"field": FIELD, "denoiser": DENOISER}, share_codebook, is_default=True)

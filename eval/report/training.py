@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from eval.report.figures import CURVE_COLOURS
 from eval.report.render import card
-from motionkit.training.run import RunError, RunFolder, weights_sha256
+from motionkit.training.run import RunError, RunFolder
 
 # Keys of metrics.jsonl that are not losses.
 CLOCK = ("step", "seconds")
@@ -32,7 +32,7 @@ def stages_of(run: Path) -> list[StageTraining]:
     folders = sorted(path for path in run.glob("*") if (path / "config.json").is_file())
     if not folders:
         raise RunError(f"{run} holds no trained stage (motionkit train --run {run.name})")
-    weights = weights_sha256(run)
+    weights = RunFolder(run).fingerprints()
     found = []
     for path in folders:
         stage = RunFolder(run).stage(path.name)

@@ -44,7 +44,7 @@ from motionkit.generate.models import GenerativeModel, SamplingOptions
 from motionkit.generate.request import MotionsRequest
 from motionkit.io import npz
 from motionkit.io.registry import Format, writers
-from motionkit.training.run import versions, weights_sha256
+from motionkit.training.run import RunFolder, versions
 
 SLUG_LENGTH = 40
 MANIFEST = "generation.json"
@@ -169,7 +169,7 @@ class Job:
             "format": FORMAT,
             "version": 1,
             "model": self.model.name,
-            "weights_sha256": weights_sha256(self.run),
+            "weights_sha256": RunFolder(self.run).fingerprints(),
             "seed": self.seed,
             "sampling": asdict(self.sampling),
             "planted": self.plant,

@@ -87,9 +87,6 @@ class StageFolder:
         for name, kind in CONFIG_TYPES.items():
             if name in config and not isinstance(config[name], kind):
                 raise DamagedFileError(self.config_path, f"{name} is {shown(config[name])}", HINT)
-        for name, sha256 in config.get("builds_on", {}).items():
-            if not isinstance(sha256, str):
-                raise DamagedFileError(self.config_path, f"{shown(name)} in builds_on is {shown(sha256)}", HINT)
         return config
 
     def read_summary(self) -> dict[str, Any]:
@@ -197,18 +194,12 @@ class RunFolder:
         """The folder of a stage, which need not exist yet."""
         return StageFolder(self.path / name)
 
-    def fingerprints(self, stages: Iterable[str]) -> dict[str, str]:
-        """Hexadecimal sha256 of the models of those stages that have one."""
+    def fingerprints(self, stages: Iterable[str] | None = None) -> dict[str, str]:
+        """Hexadecimal sha256 of the models of those stages that have one; of all stages by default."""
+        if stages is None:
+            stages = sorted(path.parent.name for path in self.path.glob("*/model.safetensors"))
         paths = {name: self.stage(name).model_path for name in stages}
         return {name: sha256_of(path) for name, path in paths.items() if path.is_file()}
-
-
-def weights_sha256(run: Path) -> dict[str, str]:
-    """Hexadecimal sha256 of every stage's trained weights; raises `DamagedFileError`."""
-    paths = sorted(run.glob("*/model.safetensors"))
-    for path in paths:
-        check_recorded(path, HINT)
-    return {path.parent.name: sha256_of(path) for path in paths}
 
 
 # Tasks of motion encoders: frames between given ones; gaps and ends; reconstruction of windows.
@@ -307,16 +298,6 @@ def clear_stage(folder: StageFolder) -> None:
     for path in [*first, *sorted(folder.path.iterdir())]:
         if path not in (folder.config_path, folder.path / LOCK):
             remove_entry(path)
-
-
-def copy_stage(source: StageFolder, target: StageFolder) -> None:
-    """Replace `target` by a copy of a complete stage without its checkpoint."""
-    if target.path.exists():
-        clear_stage(target)
-    # The last file marks it as complete.
-    for path in source.result_paths:
-        if path.is_file():
-            write_whole(target.path / path.name, path.read_bytes())
 
 
 def check_same(folder: StageFolder, inputs: Mapping[str, Any]) -> None:

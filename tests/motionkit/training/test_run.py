@@ -179,7 +179,6 @@ def test_a_stage_has_a_name_that_is_a_folder_and_no_option(name: str) -> None:
         {"seed": "0"},
         {"store_fingerprint": [1]},
         {"builds_on": [1]},
-        {"builds_on": {"first": 7}},
     ],
 )
 def test_a_config_of_other_types_is_named(changed: dict[str, Any], tmp_path: Path) -> None:
