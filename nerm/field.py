@@ -17,11 +17,12 @@ from motionkit.core.timegrid import normalise_seconds
 from motionkit.data.windows import Windows
 from motionkit.features.convention import PoseVectors
 from motionkit.features.field import FIELD_VECTORS
+from motionkit.features.native import NativeVectors
 from motionkit.fields.contact.planted import GRID_FPS
 from motionkit.fields.motion_field import Poses, check_times
 from motionkit.training.config import to_plain
 from motionkit.training.devices import resolve_device
-from motionkit.training.pose_vectors import VectorScaling, has_joints, vector_tensors, vectors_of
+from motionkit.training.pose_vectors import VectorScaling, vector_tensors, vectors_of
 from motionkit.training.run import RunFolder, StageFolder
 from motionkit.training.tensors import CheckpointError, load_tensors, prefixed, rebuilding, save_tensors, unprefixed
 from nerm.contact import ContactHead, contact_head, probabilities
@@ -93,8 +94,8 @@ class TrainedField:
 
     @property
     def has_joints(self) -> bool:
-        """Whether each pose's joints are a differentiable function of the latent alone."""
-        return has_joints(self.vectors) and self.config.decoder.kind != "transformer"
+        """Whether a pose's joints are a differentiable function of the latent alone, without integrating a path."""
+        return not isinstance(self.vectors, NativeVectors) and self.config.decoder.kind != "transformer"
 
     @property
     def device(self) -> torch.device:

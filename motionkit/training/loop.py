@@ -309,10 +309,6 @@ class WeightAverage:
             else:
                 self.averages[name].copy_(tensor)
 
-    def tensors(self) -> dict[str, torch.Tensor]:
-        """The averages by the module's own names."""
-        return dict(self.averages)
-
     def load(self, tensors: Mapping[str, torch.Tensor]) -> None:
         """Restore averages."""
         for name, average in self.averages.items():
@@ -346,11 +342,11 @@ class Learner:
 
     def trained_tensors(self) -> dict[str, torch.Tensor]:
         """The weights to save: averaged if an average is kept."""
-        return self.network.state_dict() if self.average is None else self.average.tensors()
+        return self.network.state_dict() if self.average is None else self.average.averages
 
     def state_tensors(self) -> dict[str, torch.Tensor]:
         """Weights, the optimiser's moments, the average."""
-        average = {} if self.average is None else prefixed("average", self.average.tensors())
+        average = {} if self.average is None else prefixed("average", self.average.averages)
         return training_tensors(self.network, self.optimizer) | average
 
     def load_state_tensors(self, tensors: Mapping[str, torch.Tensor]) -> None:

@@ -111,11 +111,6 @@ def vectors_of(name: PoseVectorsName, tensors: Mapping[str, Tensor]) -> PoseVect
     return FIELD_VECTORS if name == "field" else NativeVectors()
 
 
-def has_joints(vectors: PoseVectors) -> bool:
-    """Whether a pose's joints follow from its own vector alone, without integrating a path."""
-    return not isinstance(vectors, NativeVectors)
-
-
 def joints_of(numbers: Float[Tensor, "poses features"], vectors: PoseVectors) -> Float[Tensor, "poses joints 3"]:
     """Joint positions in the window's frame, metres, of vectors in their own units; differentiable."""
     if not isinstance(vectors, RotationVectors):

@@ -2,7 +2,6 @@
 
 import json
 import threading
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -34,13 +33,8 @@ def save_tensors(path: Path, tensors: Mapping[str, torch.Tensor], description: M
 
     The description is in the safetensors header, so that tensors and their meaning cannot diverge.
     """
-    plain = {name: tensor.detach().to("cpu").contiguous() for name, tensor in tensors.items()}
-    # safetensors refuses tensors that share memory.
-    uses = Counter(tensor.untyped_storage().data_ptr() for tensor in plain.values())
-    own = {
-        name: tensor.clone() if uses[tensor.untyped_storage().data_ptr()] > 1 else tensor
-        for name, tensor in plain.items()
-    }
+    # Clones, since safetensors refuses tensors that share memory.
+    own = {name: tensor.detach().cpu().contiguous().clone() for name, tensor in tensors.items()}
     text = json.dumps(dict(description), allow_nan=False)
     with whole_file(path) as temporary:
         try:

@@ -53,7 +53,7 @@ class Regression:
         return (
             prefixed("model", self.model.state_dict())
             | prefixed("optimizer", optimizer_tensors(self.optimizer))
-            | prefixed("average", self.average.tensors())
+            | prefixed("average", self.average.averages)
         )
 
     def load_state_tensors(self, tensors: Mapping[str, torch.Tensor]) -> None:
@@ -144,8 +144,8 @@ def test_a_weight_average_of_constant_weights_is_those_weights() -> None:
     average = WeightAverage(module, 0.99)
     for step in range(5):
         average.update(module, step)
-    assert torch.allclose(average.tensors()["weight"], module.weight)
+    assert torch.allclose(average.averages["weight"], module.weight)
     with torch.no_grad():
         module.weight.add_(1.0)
     average.update(module, 0)
-    assert torch.allclose(average.tensors()["weight"], module.weight - 0.1)
+    assert torch.allclose(average.averages["weight"], module.weight - 0.1)
