@@ -46,7 +46,7 @@ class AsfBone:
 
 @dataclass(frozen=True)
 class AsfSkeleton:
-    """The root and all bones, parents first; `degrees`: angles are in degrees. The root position is in file units.
+    """The root and all bones, parents first. The root position is in file units.
 
     `skeleton` has a joint at the start of every bone, with the bone's name: lfemur is the hip. Its offsets are in
     metres, and a leaf bone's end is an End Site.
@@ -55,7 +55,6 @@ class AsfSkeleton:
     bones: tuple[AsfBone, ...]
     skeleton: Skeleton
     unit_metres: float
-    degrees: bool
     root_position: Vector
 
 
@@ -127,18 +126,17 @@ def _parsed_asf(data: bytes, path: Path, unit_metres: float | None) -> AsfSkelet
     units, root_lines = (_block(sections.get(name, [])) for name in ("units", "root"))
     length_unit = _numbers(units, "length", 1, path)[0] if "length" in units else 1.0
     line, angle = units.get("angle", (None, ["deg"]))
-    if not length_unit > 0 or angle not in (["deg"], ["rad"]):
-        message = f"length unit {length_unit} and angle {' '.join(angle)!r}, expected a positive number, and deg or rad"
+    if not length_unit > 0 or angle != ["deg"]:
+        message = f"length unit {length_unit} and angle {' '.join(angle)!r}, expected a positive number, and deg"
         raise _fault(message, path, line)
-    degrees = angle == ["deg"]
     line, order = root_lines.get("order", (None, list(ROOT_CHANNELS)))
     dof = tuple(word.lower() for word in order)
     if len(set(dof)) != len(dof) or not set(dof) <= set(ROOT_CHANNELS):
         raise _fault(f"root order {' '.join(dof)!r}, expected TX TY TZ RX RY RZ in some order", path, line)
     axis_line, axis = root_lines.get("axis", (0, []))
-    frame = _axis_frame(_numbers(root_lines, "orientation", 3, path), (axis_line, axis), degrees, path)
+    frame = _axis_frame(_numbers(root_lines, "orientation", 3, path), (axis_line, axis), path)
     root, root_position = AsfBone("root", np.zeros(3), frame, dof), np.array(_numbers(root_lines, "position", 3, path))
-    bones = _bones(sections.get("bonedata", []), degrees, path)
+    bones = _bones(sections.get("bonedata", []), path)
     parents = _parents(sections.get("hierarchy", []), bones, path)
     ordered = _depth_first(parents)
     lost = sorted(set(bones) - set(ordered))
@@ -147,7 +145,7 @@ def _parsed_asf(data: bytes, path: Path, unit_metres: float | None) -> AsfSkelet
     metres = unit_metres or INCH / length_unit
     every = (root, *(bones[name] for name in ordered[1:]))
     skeleton = _skeleton(path.stem, every, parents, metres)
-    return AsfSkeleton(every, skeleton, metres, degrees, root_position)
+    return AsfSkeleton(every, skeleton, metres, root_position)
 
 
 def _fault(message: str, path: Path, line: int | None = None) -> FormatError:
@@ -166,18 +164,16 @@ def _numbers(block: Block, keyword: str, count: int, path: Path) -> list[float]:
     return [parse_number(word, path, line) for word in words[:count]]
 
 
-def _axis_frame(angles: list[float], axis: Line, degrees: bool, path: Path) -> Float64[np.ndarray, "4"]:
+def _axis_frame(degrees: list[float], axis: Line, path: Path) -> Float64[np.ndarray, "4"]:
     """C as a quaternion: the angles are about fixed axes, in the order that the line of axes lists."""
     line, words = axis
     order = "".join(words).upper() or "XYZ"
     if sorted(order) != ["X", "Y", "Z"]:
         raise _fault(f"axis order {order!r}, expected a permutation of XYZ", path, line)
-    return kinematics.euler_to_quaternion(
-        np.array(angles) * (np.pi / 180.0 if degrees else 1.0), order, kind="extrinsic"
-    )
+    return kinematics.euler_to_quaternion(np.array(degrees) * (np.pi / 180.0), order, kind="extrinsic")
 
 
-def _bones(lines: list[Line], degrees: bool, path: Path) -> dict[str, AsfBone]:
+def _bones(lines: list[Line], path: Path) -> dict[str, AsfBone]:
     """The bones of all begin … end blocks by name."""
     bones: dict[str, AsfBone] = {}
     block: list[Line] | None = None
@@ -188,7 +184,7 @@ def _bones(lines: list[Line], degrees: bool, path: Path) -> dict[str, AsfBone]:
         elif block is None:
             raise _fault(f"{words[0]!r} outside begin … end", path, line)
         elif keyword == "end":
-            bone = _bone(_block(block), degrees, path)
+            bone = _bone(_block(block), path)
             if not bone.name or bone.name in bones or bone.name == "root":
                 raise _fault(f"bone name {bone.name!r} is missing or repeated", path, line)
             if len(bones) >= MAX_JOINTS - 1:
@@ -202,7 +198,7 @@ def _bones(lines: list[Line], degrees: bool, path: Path) -> dict[str, AsfBone]:
     return bones
 
 
-def _bone(block: Block, degrees: bool, path: Path) -> AsfBone:
+def _bone(block: Block, path: Path) -> AsfBone:
     line, dof = block.get("dof", (0, []))
     unknown = [word.lower() for word in dof if word.lower() not in ROTATIONS]
     if unknown:
@@ -213,7 +209,7 @@ def _bone(block: Block, degrees: bool, path: Path) -> AsfBone:
     return AsfBone(
         name=" ".join(block.get("name", (0, []))[1]),
         end=(direction / norm if norm > 0 else direction) * _numbers(block, "length", 1, path)[0],
-        axis_frame=_axis_frame(_numbers(block, "axis", 3, path), (axis_line, axis[3:]), degrees, path),
+        axis_frame=_axis_frame(_numbers(block, "axis", 3, path), (axis_line, axis[3:]), path),
         dof=tuple(word.lower() for word in dof),
     )
 
@@ -366,7 +362,7 @@ def _local_rotations(
             if dof not in ROTATIONS:
                 root[:, "xyz".index(dof[1])] += values[:, place]
         if turning:
-            angles = values[:, turning] * (np.pi / 180.0 if asf.degrees else 1.0)
+            angles = values[:, turning] * (np.pi / 180.0)
             order = "".join(ROTATIONS[bone.dof[place]] for place in turning)
             turn = kinematics.euler_to_quaternion(angles, order, kind="extrinsic")
             back = kinematics.quaternion_conjugate(bone.axis_frame)

@@ -108,12 +108,10 @@ def _table(data: bytes, character: Character, path: Path) -> Float64[np.ndarray,
         raise FormatError(message, path=path, reason="not-what-it-says") from None
     size = FIRST_ROTATION + sum(character.rotation_sizes)
     for number, frame in enumerate(frames):
-        if not isinstance(frame, list) or len(frame) != size:
-            content = f"{len(frame)} numbers" if isinstance(frame, list) else "no list of numbers"
-            message = f"{content}, expected the {size} of DeepMimic's humanoid (duration, root position, 13 rotations)"
+        is_numbers = isinstance(frame, list) and all(type(value) in (int, float) for value in frame)
+        if not is_numbers or len(frame) != size:
+            message = f"expected the {size} numbers of DeepMimic's humanoid: duration, root position, 13 rotations"
             raise FormatError(message, path=path, reason="channel-count", frame=number)
-        if not all(type(value) in (int, float) for value in frame):
-            raise FormatError("not all are numbers", path=path, reason="not-a-number", frame=number)
     table = np.array(frames, np.float64)
     npy.checked_numbers(table, path)
     return table
@@ -129,15 +127,11 @@ def _framerate(
 
     def stated_fps() -> Fraction:
         if not len(values):
-            message = "a single frame, whose duration says nothing; give the framerate with --fps"
-            raise FormatError(message, path=path, reason="no-framerate")
+            raise FormatError("a single frame states no framerate; give --fps", path=path, reason="no-framerate")
         usual = float(np.median(durations))
         others = np.flatnonzero(np.abs(durations - usual) > SNAP_TOLERANCE * abs(usual))
         if others.size:
-            message = (
-                f"lasts {durations[others[0]]:g} s where {len(durations) - others.size} of {len(durations)} frames "
-                f"last {usual:g} s (in all {stated}); expected one duration. If it is a mistake, --fps sets one for all"
-            )
+            message = f"lasts {durations[others[0]]:g} s, others {usual:g} s (in all {stated}); --fps sets one for all"
             raise FormatError(message, path=path, reason="frame-time", frame=int(others[0]))
         try:
             return parse_fps(float(1.0 / usual) if usual else float("inf"))

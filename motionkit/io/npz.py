@@ -161,11 +161,6 @@ def read_npz(path: Path, options: ReadOptions | None = None) -> Motion:
 
 def write_npz(motion: Motion, path: Path) -> None:
     """Write a motion with all its fields; that read by `read_npz` differs only in the file's name and hash."""
-    write_arrays(path, motion_arrays(motion))
-
-
-def motion_arrays(motion: Motion) -> dict[str, Any]:
-    """The arrays of one motion by the names of the schema; absent fields are omitted."""
     provenance = motion.provenance
     texts = {"action": motion.action, "style": motion.style, "split": motion.split, "sequence_id": motion.sequence_id}
     texts |= {name: getattr(provenance, name) for name in PROVENANCE}
@@ -184,7 +179,7 @@ def motion_arrays(motion: Motion) -> dict[str, Any]:
         "stated_fps": np.array(provenance.stated_fps),
         "operations": np.array(provenance.operations) if provenance.operations else None,
     }
-    return {name: array for name, array in arrays.items() if array is not None}
+    write_arrays(path, {name: array for name, array in arrays.items() if array is not None})
 
 
 def caption_arrays(captions: Sequence[Caption]) -> dict[str, Any]:

@@ -82,13 +82,8 @@ def read_motion_x(path: Path, options: ReadOptions | None = None) -> Motion:
     values = npy.read_npy(path, data, (None, WIDTH))
     rotations = _of_vectors(values[:, BODY_NUMBERS].reshape(len(values), -1, 3), path, "its first 66 numbers")
     fps = options.fps or MOTION_X_FPS
-    source = source_file.provenance(
-        path,
-        data,
-        "motion-x",
-        source_file.replaced_fps(fps, MOTION_X_FPS, who="the data set"),
-        stated_fps=str(MOTION_X_FPS),
-    )
+    lines = source_file.replaced_fps(fps, MOTION_X_FPS, who="the data set")
+    source = source_file.provenance(path, data, "motion-x", lines, stated_fps=str(MOTION_X_FPS))
     return _motion(rotations, values[:, TRANSLATION], values[0, BETAS], fps, options, path, source)
 
 
@@ -125,11 +120,9 @@ def _rotations(archive: npy.Archive, key: str, num_joints: int | None = None) ->
     elif values[0].size % 3 == 0 and (values.ndim == 2 or values.shape[-1] == 3):
         rotations = _of_vectors(values.reshape(frames, -1, 3), archive.path, key)
     else:
-        message = f"{key}: array of shape {values.shape}, expected rotation vectors or matrices of all frames"
-        raise _wrong(archive.path, message)
+        raise _wrong(archive.path, f"{key}: array of shape {values.shape}, expected rotation vectors or matrices")
     if num_joints is not None and rotations.shape[1] != num_joints:
-        message = f"{key}: rotations of {rotations.shape[1]} joints a frame, expected {num_joints}"
-        raise _wrong(archive.path, message)
+        raise _wrong(archive.path, f"{key}: rotations of {rotations.shape[1]} joints a frame, expected {num_joints}")
     return rotations
 
 

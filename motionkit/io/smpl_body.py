@@ -26,8 +26,7 @@ FACE = ("jaw", "left_eye", "right_eye")
 class PoseLayout:
     """Joints of a body model, in the order of its pose array (3 numbers each).
 
-    `family` names the body model (smpl, smplh, smplx) whose shape space the betas belong to; the body
-    joints alone have none.
+    `family` names the body model (smpl, smplh, smplx) of the betas; the body joints alone have none.
     """
 
     family: str
@@ -43,12 +42,14 @@ class PoseLayout:
         """The skeleton with these rest positions in metres."""
         offsets = rest_joints - rest_joints[np.maximum(self.parents, 0)]
         offsets[0] = rest_joints[0]
+        names = self.joint_names
+        lefts = [joint for joint in names if joint.startswith("left_")]
         return Skeleton(
             name=name,
-            joint_names=self.joint_names,
+            joint_names=names,
             parents=self.parents,
             offsets=offsets.astype(np.float32),
-            left_right_pairs=_pairs(self.joint_names),
+            left_right_pairs=tuple((names.index(left), names.index(f"right_{left[5:]}")) for left in lefts),
             feet=SMPL22.feet,
         )
 
@@ -66,11 +67,6 @@ def _layout(family: str, *extra: str) -> PoseLayout:
             above = f"{name[:-1]}{int(name[-1]) - 1}"
         parents.append(names.index(above))
     return PoseLayout(family, names, tuple(parents))
-
-
-def _pairs(names: tuple[str, ...]) -> tuple[tuple[int, int], ...]:
-    lefts = [name for name in names if name.startswith("left_")]
-    return tuple((names.index(name), names.index(name.replace("left_", "right_", 1))) for name in lefts)
 
 
 BODY = _layout("")

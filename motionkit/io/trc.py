@@ -96,8 +96,7 @@ def _stated_fps(rate: str, seconds: Float64[np.ndarray, "frames"], path: Path) -
     try:
         fps = parse_fps(float(rate))
     except ValueError as error:
-        message = f"DataRate {rate[:20]!r} ({error}); give --fps"
-        raise FormatError(message, path=path, reason="frame-time", line=3) from None
+        raise FormatError(f"DataRate: {error}; give --fps", path=path, reason="frame-time", line=3) from None
     return source_file.grid_of_seconds(seconds, path, fps).fps
 
 
