@@ -91,8 +91,7 @@ def logged_unit(operations: Sequence[str]) -> tuple[float, str]:
 def _chain_lengths(body: Float32[np.ndarray, "frames 22 3"]) -> Float32[np.ndarray, "frames"]:
     first, second = np.array([(SMPL22.index(a), SMPL22.index(b)) for a, b in TRUNK_AND_LEGS]).T
     bones = np.linalg.norm(body[:, first] - body[:, second], axis=-1)
-    lengths: Float32[np.ndarray, " frames"] = bones.sum(axis=-1)
-    return lengths
+    return np.asarray(bones.sum(axis=-1))
 
 
 def _factor(size: float, typical: float) -> float:

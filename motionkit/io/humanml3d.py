@@ -60,10 +60,8 @@ LAYOUTS = {layout.name: layout for layout in (HUMANML3D, KIT)}
 
 def claims(folder: Path, layout: Layout = HUMANML3D) -> bool:
     """Whether a folder has this layout, judged by the first array with a valid shape."""
-    for name, shape in (
-        (JOINTS_FOLDER, (layout.skeleton.num_joints, 3)),
-        (VECTORS_FOLDER, (layout.num_values,)),
-    ):
+    shapes = {JOINTS_FOLDER: (layout.skeleton.num_joints, 3), VECTORS_FOLDER: (layout.num_values,)}
+    for name, shape in shapes.items():
         stated = (npy.peek_shape(path) for path in sorted((folder / name).glob("*.npy")))
         first = next((each for each in stated if each is not None), None)
         if first is not None:

@@ -94,8 +94,7 @@ def _rest22(skeleton: Skeleton) -> Rest22:
     identity = np.zeros((1, skeleton.num_joints, 4), np.float32)
     identity[..., 0] = 1.0
     pose = Motion(rest_positions(skeleton)[None], skeleton, TimeGrid(Fraction(1), 1), identity)
-    joints: Rest22 = map_joints(pose, SMPL22.name)[0]
-    return joints
+    return np.asarray(map_joints(pose, SMPL22.name)[0])
 
 
 def _with_rotations(motion: Motion) -> Motion:
@@ -186,8 +185,7 @@ def _path(source: Motion, local: Quaternions, target: Skeleton) -> tuple[float, 
 
 
 def _hips(positions: Float64[np.ndarray, "frames joints 3"], legs: Legs) -> Float64[np.ndarray, "frames 3"]:
-    middle: Float64[np.ndarray, "frames 3"] = (positions[:, legs.left.hip] + positions[:, legs.right.hip]) / 2
-    return middle
+    return np.asarray((positions[:, legs.left.hip] + positions[:, legs.right.hip]) / 2)
 
 
 def _leg_length(skeleton: Skeleton, legs: Legs) -> float:

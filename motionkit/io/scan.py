@@ -396,10 +396,9 @@ def _read_segment(item: SourceItem, options: ReadOptions) -> Motion:
     whole = SourceItem(item.format, item.path, item.root, sequence_id="", key=item.key, fps=item.fps)
     try:
         status = item.path.stat()
-        version = status.st_mtime_ns, status.st_size
-    except OSError:
-        version = 0, 0  # the reader will report it
-    motion = _read_once(whole, options, version)
+    except OSError as error:
+        raise unreadable(item.path, error) from None
+    motion = _read_once(whole, options, (status.st_mtime_ns, status.st_size))
     stated_fps = item.stated_fps or motion.provenance.stated_fps  # which frames an index counted depends on it
     provenance = replace(motion.provenance, stated_fps=stated_fps)
     captions = item.captions or motion.captions
@@ -483,17 +482,13 @@ def parse_rules(text: str, name: str) -> tuple[FramerateRule, ...]:
     return tuple(rules)
 
 
-def matching_rules(path: Path, root: Path, rules: tuple[FramerateRule, ...]) -> tuple[FramerateRule, ...]:
-    """The rules whose globs match a file's path, relative to the parent folder of its source."""
-    place = PurePosixPath(root.name, path.relative_to(root).as_posix())
-    return tuple(rule for rule in rules if any(map(place.match, rule.files)))
-
-
 def _corrected(item: SourceItem, options: ReadOptions, read: Reader) -> Motion:
     # The whole file, its framerate corrected by a rule unless the user has given one.
     if options.fps is not None:
         return read(item, options)
-    rules = matching_rules(item.path, item.root, (*options.fps_rules, *shipped_rules()))
+    # Globs match the path from the source folder's name on.
+    place = PurePosixPath(item.root.name, item.path.relative_to(item.root).as_posix())
+    rules = [rule for rule in (*options.fps_rules, *shipped_rules()) if any(map(place.match, rule.files))]
     try:
         motion = read(item, options)
     except FormatError as problem:

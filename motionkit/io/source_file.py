@@ -118,8 +118,6 @@ def describe_content(data: bytes) -> str:
         (b"HIERARCHY", "a BVH file"),
         (b"\x93NUMPY", "a .npy array"),
         (b"PK\x03\x04", "a zip or .npz archive"),
-        (b"\x1f\x8b", "a gzip archive"),
-        (b"\x89PNG", "a PNG image"),
         (b"Kaydara FBX", "an FBX file"),
         (b"<", "an XML or HTML page"),
         (b"{", "a JSON file"),

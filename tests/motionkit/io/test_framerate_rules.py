@@ -8,8 +8,8 @@ import pytest
 
 from motionkit.core.errors import FormatError, UsageError
 from motionkit.core.motion import Motion
-from motionkit.io.registry import FramerateRule, ReadOptions
-from motionkit.io.scan import matching_rules, parse_rules, read, read_rules, scan, shipped_rules
+from motionkit.io.registry import ReadOptions
+from motionkit.io.scan import parse_rules, read, read_rules, scan, shipped_rules
 from tests.helpers.amass_samples import smplh_fields, stageii_fields, write_amass
 from tests.helpers.format_samples import bvh_text, write_asfamc
 
@@ -93,20 +93,6 @@ def test_a_rule_replaces_a_framerate_that_is_none(tmp_path: Path, value: object)
     assert caught.value.reason == ("no-framerate" if value is None else "framerate")
     rules = parse_rules('[[rule]]\nfiles = "*.npz"\nfps = 100', "mine")
     assert read_file(tmp_path, file, ReadOptions(fps_rules=rules)).fps == 100
-
-
-@pytest.mark.parametrize(
-    ("glob", "fits", "does_not"),
-    [
-        ("CMU/62/*.bvh", ["CMU/62/a.bvh", "x/CMU/62/a.bvh"], ["CMU/62/b/a.bvh", "xCMU/62/a.bvh", "CMU/62/a.bvh.gz"]),
-        ("*a" * 2000, [], ["a" * 250]),
-        ("6[012]_*.amc", ["s/60_1.amc", "62_.amc"], ["160_1.amc", "63_1.amc"]),
-    ],
-)
-def test_globs_fit_the_end_of_a_path(glob: str, fits: list[str], does_not: list[str]) -> None:
-    rule = FramerateRule((glob,), Fraction(60), None, "", "")
-    for paths, matches in ((fits, True), (does_not, False)):
-        assert all(bool(matching_rules(Path("/data") / each, Path("/data"), (rule,))) == matches for each in paths)
 
 
 @pytest.mark.parametrize(

@@ -76,13 +76,6 @@ def test_motionstreamer(tmp_path: Path, motion: mk.Motion) -> None:
     np.testing.assert_allclose(again, found.joint_positions, atol=1e-5)
 
 
-def test_rotations_that_move_other_bones_are_left(tmp_path: Path, motion: mk.Motion) -> None:
-    rows = motionstreamer_rows(motion)
-    rows[:, 140:] = np.tile([1, 0, 0, 0, 1, 0], 22)
-    found = _read(tmp_path / "walk.npy", rows)
-    assert found.local_rotations is None and "positions only" in found.provenance.operations[-1]
-
-
 @pytest.mark.parametrize(
     ("width", "change", "reason"),
     [
