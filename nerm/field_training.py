@@ -34,7 +34,7 @@ from motionkit.training.devices import (
     with_precision_of,
 )
 from motionkit.training.loop import seeded_initialisation, step_generator
-from motionkit.training.pose_vectors import PoseTensors, VectorScaling, measure_scaling, uniform_of
+from motionkit.training.pose_vectors import PoseTensors, VectorScaling, measure_scaling
 from motionkit.training.run import RunError, RunFolder
 from motionkit.training.stage import StageContext
 from motionkit.training.tensors import CheckpointError, load_tensors, load_training_tensors, prefixed, training_tensors
@@ -231,7 +231,7 @@ class FieldTraining:
         batch = self.poses.draw(
             windows.numpy(),
             clips.num_poses,
-            uniform_of(generator),
+            lambda *shape: torch.rand(*shape, generator=generator, dtype=torch.float64).numpy(),
             contiguous=clips.contiguous,
             fps=WARMUP_FPS if warming_up else None,
             lowest_fps=clips.lowest_fps,

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from motionkit.core.shapes import Float, Float32, Float64, Int64
-from motionkit.data.poses import PoseBatch, Uniform, WindowPoses
+from motionkit.data.poses import PoseBatch, WindowPoses
 from motionkit.data.windows import chunks
 from motionkit.features.convention import PoseVectors, PoseVectorsName
 from motionkit.features.field import FIELD_VECTORS
@@ -37,11 +37,6 @@ class PoseTensors:
     def to(self, device: torch.device) -> "PoseTensors":
         """Move to a device."""
         return PoseTensors(*(each.to(device) for each in (self.window, self.coordinates, self.fps, self.vectors)))
-
-
-def uniform_of(generator: torch.Generator) -> Uniform:
-    """Draws float64 numbers in [0, 1) of a shape with torch's generator, for `WindowPoses.draw`."""
-    return lambda *shape: torch.rand(*shape, generator=generator, dtype=torch.float64).numpy()
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ import subprocess
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
 
@@ -284,9 +285,7 @@ def check_resumable(folder: StageFolder, inputs: Mapping[str, Any]) -> None:
 
 def _holds_something(folder: StageFolder) -> bool:
     """Whether a stage was begun there; not if it was killed before writing its config.json."""
-    if not folder.path.exists():
-        return False
-    return any(entry.name != LOCK and not is_temporary(entry) for entry in folder.path.iterdir())
+    return any(entry.name != LOCK and not is_temporary(entry) for entry in folder.path.glob("*"))
 
 
 def clear_stage(folder: StageFolder) -> None:
@@ -336,15 +335,9 @@ def commit(code: Path = Path(__file__)) -> str | None:
     An installation inside another project's checkout does not count.
     """
     code = code.resolve()
-
-    def git(*arguments: str) -> str:
-        done = subprocess.run(
-            ("git", *arguments), cwd=code.parent, capture_output=True, text=True, timeout=10, check=True
-        )
-        return done.stdout.strip()
-
+    git = partial(subprocess.check_output, cwd=code.parent, stderr=subprocess.DEVNULL, text=True, timeout=10)
     try:
-        git("ls-files", "--error-unmatch", code.name)  # fails for untracked files
-        return git("rev-parse", "HEAD")
+        git(("git", "ls-files", "--error-unmatch", code.name))  # fails for untracked files
+        return str(git(("git", "rev-parse", "HEAD"))).strip()
     except (OSError, subprocess.SubprocessError):
         return None

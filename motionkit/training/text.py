@@ -87,9 +87,8 @@ def embed_texts(encoder: TextEncoder, texts: Sequence[str], folder: Path) -> Flo
         arrays = {"text_sha256": keys.copy(), "embeddings": np.stack(list(known.values()))}
         with writable(), whole_file(path) as temporary:
             save_file(arrays, temporary)
-    if not texts:
-        return np.zeros((0, encoder.dimension), dtype=np.float32)
-    return np.stack([known[_key(text)] for text in texts])
+    rows = [known[_key(text)] for text in texts]
+    return np.array(rows, dtype=np.float32).reshape(len(texts), encoder.dimension)
 
 
 def _key(text: str) -> bytes:
