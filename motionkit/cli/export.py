@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from motionkit.cli.console import print_json, progress, stderr, stdout
-from motionkit.cli.options import AsJson, Onto, parse_rate, read_options
+from motionkit.cli.options import AsJson, Onto, Where, parse_rate, read_options
 from motionkit.core.errors import UsageError
 from motionkit.core.files import default_path
 from motionkit.core.progress import task
@@ -22,9 +22,7 @@ def export(
     out: Annotated[Path, typer.Argument(help="New or empty folder.", show_default=False)],
     format: Annotated[str | None, typer.Option(help=f"{FORMATS}.", show_default="bvh")] = None,
     store: Annotated[Path | None, typer.Option(help="Store to export from.", show_default="./store")] = None,
-    where: Annotated[
-        str | None, typer.Option(metavar="SQL", help="Condition over the table of sequences: \"split = 'test'\".")
-    ] = None,
+    where: Where = None,
     fps: Annotated[
         str | None,
         typer.Option(

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from motionkit.cli.console import print_json, progress, say_next, stderr, stdout
-from motionkit.cli.options import AsJson, StoreArgument, named_store, of_default
+from motionkit.cli.options import AsJson, StoreArgument, Where, named_store, of_default
 from motionkit.core.errors import UsageError
 from motionkit.core.files import default_path
 from motionkit.core.progress import task
@@ -126,9 +126,7 @@ def parse_shares(text: str) -> dict[str, float]:
 
 def remove(
     ids: Annotated[list[str] | None, typer.Argument(help="Ids of sequences.", show_default=False)] = None,
-    where: Annotated[
-        str | None, typer.Option(metavar="SQL", help="Condition over the table of sequences: \"source = 'CMU'\".")
-    ] = None,
+    where: Where = None,
     store: ChangedStore = None,
     dry_run: DryRun = False,
     as_json: AsJson = False,
@@ -174,10 +172,7 @@ def remove(
 def merge(
     out: Annotated[Path, typer.Argument(help="Store to make or to add to.", show_default=False)],
     sources: Annotated[list[Path], typer.Argument(help="Stores to copy from.", show_default=False)],
-    where: Annotated[
-        str | None,
-        typer.Option(metavar="SQL", help="Condition over each source's table of sequences: \"split = 'test'\"."),
-    ] = None,
+    where: Where = None,
     on_conflict: Annotated[
         Literal["stop", "skip"], typer.Option(help="One id, two files: write nothing, or keep the first.")
     ] = "stop",

@@ -356,16 +356,11 @@ def _values(store: Store, by: str) -> list[set[str]]:
 def _require_groups(store: Path, chosen: "pd.DataFrame", by: str, num_splits: int) -> None:
     num_without, num_groups = int(chosen["group"].isna().sum()), chosen["group"].nunique()
     if num_without:
-        remedy = "leave them out with --where"
-        if by == PERFORMER:
-            remedy += (
-                " (\"subject <> ''\"); or hold out sequences ('motionkit split --by sequence_id') or something else "
-                "(--by source, any SQL); or say who performs in a column 'performer' of a table beside the files "
-                "(docs/formats.md) and ingest again with --overwrite"
-            )
+        value = PERFORMER if by == PERFORMER else f"value of {by!r}"
         raise UsageError(
-            f"{num_without:,} of {len(chosen):,} sequences of {store} have no "
-            f"{PERFORMER if by == PERFORMER else f'value of {by!r}'}: {remedy}"
+            f"{num_without:,} of {len(chosen):,} sequences of {store} have no {value}: leave them out with --where, "
+            "hold out something else ('motionkit split --by sequence_id'), or name performers beside the files "
+            "(docs/formats.md)"
         )
     if num_groups < num_splits:
         raise UsageError(

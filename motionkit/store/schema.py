@@ -210,16 +210,6 @@ class EncodedMotion:
     skeleton: Skeleton
     frames: pa.RecordBatch
 
-    @property
-    def sequence_id(self) -> str:
-        """The id under which it is stored."""
-        return str(self.row["sequence_id"])
-
-    @property
-    def num_frames(self) -> int:
-        """Number of frames."""
-        return int(self.row["num_frames"])
-
 
 def encode(motion: Motion) -> EncodedMotion:
     """Check a motion, round it to 2^-22 and encode it; raises `RefusedMotion` for one that cannot be stored."""

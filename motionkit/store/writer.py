@@ -71,11 +71,12 @@ class PartWriter:
 
     def add(self, sequence_index: int, motion: EncodedMotion) -> int:
         """Append the frames of one sequence and return its row; raises `OSError` that names the file."""
-        if motion.num_frames >= ROW_GROUP_FRAMES:
+        num_frames = motion.row["num_frames"]
+        if num_frames >= ROW_GROUP_FRAMES:
             self._write_row_group()
         index = pa.array([sequence_index], pa.int32())
         self._rows.append(pa.RecordBatch.from_arrays([index, *motion.frames.columns], schema=MOTIONS))
-        self._num_frames += motion.num_frames
+        self._num_frames += num_frames
         self.num_rows += 1
         if self._num_frames >= ROW_GROUP_FRAMES:
             self._write_row_group()
@@ -191,7 +192,7 @@ class StoreWriter:
 
     def add_encoded(self, motion: EncodedMotion) -> int:
         """Adds an encoded motion; otherwise as `add`."""
-        self._require_new(motion.sequence_id)
+        self._require_new(motion.row["sequence_id"])
         sequence_index = self._next_sequence_index
         if self._part is None:
             self._part = PartWriter(pending(self.path, part_name(self._next_part)))

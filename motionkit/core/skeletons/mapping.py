@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from motionkit.core import kinematics
-from motionkit.core.errors import FormatError, MotionkitError, shortened, shown
+from motionkit.core.errors import FormatError, MotionkitError, shown
 from motionkit.core.files import LONGEST_TOML, parse_json, parse_toml, read_at_most
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32
@@ -217,10 +217,6 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and -1e9 < value < 1e9
 
 
-# Names shown in a message.
-SHOWN_JOINTS, SHOWN_MISSING, LONGEST_NAME = 6, 3, 40
-
-
 class SkeletonMapError(MotionkitError):
     """A skeleton that cannot be mapped to a layout; `missing` are the layout's joints without a source."""
 
@@ -233,16 +229,11 @@ class SkeletonMapError(MotionkitError):
             remedy = "correct it and ingest again"
         super().__init__(
             f"skeleton {skeleton.name!r} cannot be mapped to {layout}: {table} nothing for "
-            f"{_some(missing, SHOWN_MISSING)} among its joints ({_some(skeleton.joint_names, SHOWN_JOINTS)}); {remedy}"
+            f"{shown(missing)} among its joints {shown(skeleton.joint_names)}; {remedy}"
         )
 
     def __reduce__(self) -> tuple[object, ...]:
         return type(self), (self.skeleton, self.layout, self.missing)
-
-
-def _some(names: Sequence[str], most: int) -> str:
-    more = f" and {len(names) - most:,} more" if len(names) > most else ""
-    return ", ".join(shortened(name, LONGEST_NAME) for name in names[:most]) + more
 
 
 @dataclass(frozen=True, eq=False)
