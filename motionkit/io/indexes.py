@@ -366,7 +366,6 @@ def scan_indexes(places: Iterable[tuple[Path, Path]], options: IndexOptions, ite
     items_by_file: dict[Path, list[SourceItem]] = {}
     problems: list[FormatError] = []
     missing: Counter[str] = Counter()
-    refused: Counter[str] = Counter()
     for index in indexes:
         splits, of_splits = _splits(index, options)
         warnings += of_splits
@@ -386,11 +385,10 @@ def scan_indexes(places: Iterable[tuple[Path, Path]], options: IndexOptions, ite
                 item = _item(index, entry, file, splits, options.texts)
             except FormatError as problem:
                 problems.append(problem)
-                refused[entry.dataset] += 1
                 continue
             items_by_file.setdefault(item.path, []).append(item)
     items = tuple(item for of_file in items_by_file.values() for item in of_file)
-    return ScanResult(items, tuple(problems), tuple(warnings), missing, refused)
+    return ScanResult(items, tuple(problems), tuple(warnings), missing)
 
 
 def _chosen(index: Index, options: IndexOptions) -> Index:

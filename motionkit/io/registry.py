@@ -113,16 +113,14 @@ class SourceItem:
 class ScanResult:
     """The result of a scan: `items` to read, `problems` that lose a sequence, and `warnings` that do not.
 
-    `missing` counts, by dataset, the sequences of an index whose files are missing, `refused` those whose captions
-    cannot be read; each is also one of the problems. `ignored` are the files of a folder that are not sequences and
-    belong to none; it is empty for an index's folders.
+    `missing` counts, by dataset, the sequences of an index whose files are missing; each is also one of the problems.
+    `ignored` are the files of a folder that are not sequences and belong to none; it is empty for an index's folders.
     """
 
     items: tuple[SourceItem, ...]
     problems: tuple[FormatError, ...] = ()
     warnings: tuple[FormatError, ...] = ()
     missing: Mapping[str, int] = field(default_factory=dict)
-    refused: Mapping[str, int] = field(default_factory=dict)
     ignored: tuple[Path, ...] = ()
 
 

@@ -11,7 +11,6 @@ rules. The shipped ones are framerate_rules.toml.
 
 import os
 import re
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
@@ -47,8 +46,7 @@ from motionkit.io.source_file import check_size, unreadable
 if TYPE_CHECKING:
     from motionkit.io.bvh import BvhDocument
 
-# The kinds of files that a message names, and the letters of a licence.
-SHOWN_KINDS, MAX_LICENCE_LETTERS = 3, 120
+MAX_LICENCE_LETTERS = 120
 # Folders above a single file whose tables may describe it.
 LEVELS_ABOVE_A_FILE = 3
 # Files that belong to motions, or describe them: they are not reported as ignored.
@@ -264,9 +262,7 @@ def _no_motion(source: Path, others: Sequence[Path], options: ReadOptions) -> Fo
     if source.is_file():
         message = f"of no known format, expected {expected}"
         return FormatError(message, path=source, reason="unknown-format")
-    kinds = Counter(path.suffix.lower() or path.name for path in others).most_common(SHOWN_KINDS)
-    there = ", ".join(f"{count:,} {kind}" for kind, count in kinds)
-    there += f", the first: {others[0].relative_to(source.resolve())}" if others else "no files"
+    there = f"{len(others):,} files, the first: {others[0].relative_to(source.resolve())}" if others else "no files"
     message = f"no motions in this folder (it has {there}), expected {expected}"
     return FormatError(message, path=source, reason="empty-folder")
 

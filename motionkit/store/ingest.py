@@ -263,10 +263,9 @@ def ingest(
 
 
 def _datasets(scanned: ScanResult, failed_by_dataset: Counter[str]) -> dict[str, dict[str, int]]:
-    with_file = Counter(item.subset for item in scanned.items) + Counter(scanned.refused)
-    failed = failed_by_dataset + Counter(scanned.refused)
+    with_file = Counter(item.subset for item in scanned.items)
     return {
-        name: {"found": with_file[name], "missing": scanned.missing.get(name, 0), "failed": failed[name]}
+        name: {"found": with_file[name], "missing": scanned.missing.get(name, 0), "failed": failed_by_dataset[name]}
         for name, _ in (with_file + Counter(scanned.missing)).most_common()
     }
 

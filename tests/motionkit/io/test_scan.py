@@ -66,7 +66,7 @@ def test_a_given_format_reads_a_file_of_any_name(tmp_path: Path) -> None:
     [
         ("words.txt", "unknown-format", "of no known format, expected"),
         ("walk.fbx", "unknown-format", "docs/formats.md#fbx-and-pickles"),
-        ("", "empty-folder", "(it has 2 .fbx, 1 .npz, 1 .npy, the first: RUN.FBX)"),
+        ("", "empty-folder", "files, the first: RUN.FBX)"),
     ],
 )
 def test_what_holds_no_motion(tmp_path: Path, name: str, reason: str, holds: str) -> None:
