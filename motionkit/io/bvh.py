@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 CHANNELS = {f"{axis}{kind}": (axis, kind) for axis in "XYZ" for kind in ("position", "rotation")}
 # Smaller changes of a bone are noise of printed digits; a bone with larger ones is not rigid.
 RIGID_METRES = 1e-3
-# The log line by which readers of data sets know that frame numbers are shifted by one.
 T_POSE_DROPPED = "frame 0 dropped: a T-pose (root unturned, all angles whole degrees, root where frame 1 is)"
 # Bones are longer than this, relative to their OFFSET.
 NO_BONE = 1e-3
@@ -143,18 +142,15 @@ def read_bvh(path: Path, options: ReadOptions | None = None) -> Motion:
     conversions of the CMU database have it, is dropped; a motion that is not y up is turned (`body_frame.infer_up`).
     All of this is in the operation log. Raises `FormatError` with a reason, the line and the frame.
     """
-    return _read(path, options or ReadOptions(), allow_nan=False, any_size=False).motion
+    return read_document(path, options, strict=True).motion
 
 
-def read_document(path: Path, options: ReadOptions | None = None) -> BvhDocument:
-    """Read one BVH file to be written again; raises `FormatError` as `read_bvh` does, with two exceptions.
+def read_document(path: Path, options: ReadOptions | None = None, *, strict: bool = False) -> BvhDocument:
+    """Read one BVH file to be written again; raises `FormatError` as `read_bvh` does, if not `strict` with exceptions.
 
     Frames with `nan` are not `valid`, and a skeleton that is not a human body in any unit is accepted.
     """
-    return _read(path, options or ReadOptions(), allow_nan=True, any_size=True)
-
-
-def _read(path: Path, options: ReadOptions, *, allow_nan: bool, any_size: bool) -> BvhDocument:
+    options = options or ReadOptions()
     data = source_file.read_bytes(path)
     # Lines of old Macintoshes end in a carriage return alone.
     head, body = split_text(data if b"\n" in data else data.replace(b"\r", b"\n"), path)
@@ -165,7 +161,7 @@ def _read(path: Path, options: ReadOptions, *, allow_nan: bool, any_size: bool) 
     # A number takes at least a digit and a separator: a shorter text is truncated, which its last line says.
     if 2 * head.num_frames * num_channels - 1 <= len(body):
         source_file.check_size(head.num_frames, len(head.joints), path)
-    has_nan = allow_nan and _NAN.search(body) is not None
+    has_nan = not strict and _NAN.search(body) is not None
     numbers = body
     if has_nan:  # zeros keep the counts of lines and frames right
         zeros = b" ".join([b"0"] * num_channels)
@@ -182,7 +178,7 @@ def _read(path: Path, options: ReadOptions, *, allow_nan: bool, any_size: bool) 
         table = table[source_file.last_valid(valid, path)]
     pose = _decode(table, head.joints, path.stem)
     pose = replace(pose, skeleton=with_layout_map(pose.skeleton, options.skeleton_maps))
-    unit_metres, reason = _unit(pose, options, path, any_size)
+    unit_metres, reason = _unit(pose, options, path, strict)
     skeleton, moving = _settle_offsets(pose, RIGID_METRES / unit_metres)
     operations += [*pose.operations, f"lengths × {unit_metres:.6g} to metres ({reason})"]
     if moving:
@@ -237,13 +233,13 @@ def _lines(body: bytes) -> list[bytes]:
     return [stripped for line in body.split(b"\n") if (stripped := line.strip(_BLANK))]
 
 
-def _unit(pose: "_ChannelPose", options: ReadOptions, path: Path, any_size: bool) -> tuple[float, str]:
+def _unit(pose: "_ChannelPose", options: ReadOptions, path: Path, strict: bool) -> tuple[float, str]:
     if options.unit_metres is not None:
         return options.unit_metres, "given"
     unit = body_frame.infer_unit(_first_skeleton(pose))
     if unit is not None:
         return unit
-    if any_size:
+    if not strict:
         return 1.0, "in no unit the size of a human body"
     message = "no usual unit gives this skeleton the size of a human body; say how long a unit is with --unit-metres"
     raise FormatError(message, path=path, reason="unit")

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from motionkit.core.motion import Motion
-from motionkit.io.bvh import BvhDocument, read_bvh, read_document
+from motionkit.io.bvh import BvhDocument, read_document
 from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
 
 THEMES = (
@@ -32,27 +32,25 @@ def read_lafan1(path: Path, options: ReadOptions | None = None) -> Motion:
     The root's OFFSET, a take's starting position, is set to zero, so that takes of one subject share their skeleton;
     position channels replace it anyway. Raises `FormatError` as `read_bvh` does.
     """
-    return _labelled(read_bvh(path, options), path)
+    return read_lafan1_document(path, options, strict=True).motion
 
 
-def read_lafan1_document(path: Path, options: ReadOptions | None = None) -> BvhDocument:
+def read_lafan1_document(path: Path, options: ReadOptions | None = None, *, strict: bool = False) -> BvhDocument:
     """The same with the file's text; raises `FormatError` as `read_document` does."""
-    document = read_document(path, options)
-    return replace(document, motion=_labelled(document.motion, path))
-
-
-def _labelled(motion: Motion, path: Path) -> Motion:
+    document = read_document(path, options, strict=strict)
+    motion = document.motion
     offsets = motion.skeleton.offsets.copy()
     offsets[0] = 0.0
     name = NAME.fullmatch(path.stem)
     subject = name["subject"].lower() if name else ""
-    return replace(
+    motion = replace(
         motion,
         skeleton=replace(motion.skeleton, name="lafan1", offsets=offsets),
         action=name["theme"] if name else "",
         split="test" if subject in TEST_SUBJECTS else "train" if subject in TRAIN_SUBJECTS else "",
         provenance=replace(motion.provenance, source_format="lafan1", subject=subject),
     )
+    return replace(document, motion=motion)
 
 
 FORMAT = Format(

@@ -18,11 +18,12 @@ from motionkit.io.scan import read
 
 FRAME_ARRAYS = ("joint_positions", "local_rotations", "root_translation")
 
-# A motion, a mask of its valid frames, and the times of the frames if these are not even.
-WithMissing = tuple[Motion, Bool[np.ndarray, "frames"], Float64[np.ndarray, "frames"] | None]
+Seconds = Float64[np.ndarray, "frames"]
 
 
-def read_with_missing(item: SourceItem, options: ReadOptions) -> WithMissing:
+def read_with_missing(
+    item: SourceItem, options: ReadOptions
+) -> tuple[Motion, Bool[np.ndarray, "frames"], Seconds | None]:
     """Read a motion, a mask of its valid frames, and the times of the frames where they are uneven.
 
     Only .npz and .npy arrays may have missing frames, only .npz uneven times, which must ascend. Raises `FormatError`
@@ -33,13 +34,13 @@ def read_with_missing(item: SourceItem, options: ReadOptions) -> WithMissing:
     except FormatError as error:
         if error.reason != "nan" or item.path.suffix.lower() not in (".npz", ".npy") or item.key:
             raise
-        valid = _valid_frames(item.path)
         motion, uneven_seconds = _read_timed(item, replace(options, fill_missing=True))
+        valid = _valid_frames(item.path)
         return motion.logged(f"{int((~valid).sum())} frames hold nan: not observed"), valid, uneven_seconds
     return motion, np.ones(motion.num_frames, bool), uneven_seconds
 
 
-def _read_timed(item: SourceItem, options: ReadOptions) -> tuple[Motion, Float64[np.ndarray, "frames"] | None]:
+def _read_timed(item: SourceItem, options: ReadOptions) -> tuple[Motion, Seconds | None]:
     try:
         return read(item, options), None
     except FormatError as error:
@@ -51,7 +52,7 @@ def _read_timed(item: SourceItem, options: ReadOptions) -> tuple[Motion, Float64
     return motion.logged("time stamps are uneven: each frame taken at its own"), seconds
 
 
-def _ascending_seconds(path: Path, error: FormatError) -> Float64[np.ndarray, "frames"]:
+def _ascending_seconds(path: Path, error: FormatError) -> Seconds:
     archive = npy.open_archive(path, source_file.read_bytes(path))
     if "time_seconds" not in archive:
         raise error
@@ -75,6 +76,4 @@ def _valid_frames(path: Path) -> Bool[np.ndarray, "frames"]:
         archive = npy.open_archive(path, data)
         arrays = [archive.array(name) for name in FRAME_ARRAYS if name in archive]
     finite = [np.isfinite(array.reshape(len(array), -1)).all(axis=1) for array in arrays]
-    if len({len(each) for each in finite}) != 1:
-        raise FormatError("its arrays have different numbers of frames", path=path, reason="channel-count")
     return np.asarray(np.logical_and.reduce(finite))

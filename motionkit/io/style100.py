@@ -18,7 +18,7 @@ from motionkit.core.files import whole_number
 from motionkit.core.motion import Motion
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import source_file
-from motionkit.io.bvh import T_POSE_DROPPED, BvhDocument, read_bvh, read_document
+from motionkit.io.bvh import BvhDocument, read_document
 from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
 
 CUTS_FILE = "Frame_Cuts.csv"
@@ -55,50 +55,36 @@ def read_100style(path: Path, options: ReadOptions | None = None) -> Motion:
     Times count from the first frame kept. Raises `FormatError` as `read_bvh` does, and with the reason `frame-cuts`
     if the table has no cut for the take, or one outside it.
     """
-    motion = read_bvh(path, options)
-    start, stop, line = _kept_frames(motion, path)
-    return _labelled(motion.frames(start, stop), path, line)
+    return read_100style_document(path, options, strict=True).motion
 
 
-def read_100style_document(path: Path, options: ReadOptions | None = None) -> BvhDocument:
+def read_100style_document(path: Path, options: ReadOptions | None = None, *, strict: bool = False) -> BvhDocument:
     """The same with the file's text; raises `FormatError` as `read_document` does."""
-    document = read_document(path, options)
-    start, stop, line = _kept_frames(document.motion, path)
-    kept = document.frames(start, stop)
-    return replace(kept, motion=_labelled(kept.motion, path, line))
-
-
-def _kept_frames(motion: Motion, path: Path) -> tuple[int, int, str]:
-    """The frames [start, stop) of the motion that the table keeps, and a line for the operation log."""
+    document = read_document(path, options, strict=strict)
     name, table = NAME.fullmatch(path.stem), find_cuts(path)
     if name is None or table is None:
         message = f"expected a name such as Aeroplane_FW and {CUTS_FILE} beside it or one folder above"
         raise FormatError(message, path=path, reason="frame-cuts")
-    dropped = int(T_POSE_DROPPED in motion.provenance.operations)
-    total = motion.num_frames + dropped
+    dropped = int(document.has_reference)
+    total = document.motion.num_frames + dropped
     kind = name["kind"].upper()
     cut = _cuts(table, table.stat().st_mtime_ns).get((name["style"].lower(), kind))
     if cut is None:
-        message = (
-            f"{table.name} has no {kind}_START and {kind}_STOP for the style {name['style']}; add them or remove it"
-        )
+        message = f"{table.name} has no {kind}_START and {kind}_STOP for the style {name['style']}; add them"
         raise FormatError(message, path=path, reason="frame-cuts")
     start, stop = cut
     if not dropped <= start < stop <= total:
         message = f"{table.name} keeps frames [{start}, {stop}) of {total}; expected frames that the file has"
         raise FormatError(message, path=path, reason="frame-cuts")
-    return start - dropped, stop - dropped, f"frames [{start}, {stop}) of {total} kept, as {table.name} says"
-
-
-def _labelled(kept: Motion, path: Path, line: str) -> Motion:
-    style, _, kind = path.stem.rpartition("_")
-    return replace(
-        kept,
-        timegrid=TimeGrid(kept.fps, kept.num_frames),
-        action=ACTIONS[kind.upper()],
-        style=style,
-        provenance=replace(kept.provenance, source_format="100style"),
-    ).logged(line)
+    kept = document.frames(start - dropped, stop - dropped)
+    motion = replace(
+        kept.motion,
+        timegrid=TimeGrid(kept.motion.fps, stop - start),
+        action=ACTIONS[kind],
+        style=name["style"],
+        provenance=replace(kept.motion.provenance, source_format="100style"),
+    )
+    return replace(kept, motion=motion.logged(f"frames [{start}, {stop}) of {total} kept, as {table.name} says"))
 
 
 @lru_cache(maxsize=8)  # read once for the takes of a corpus
