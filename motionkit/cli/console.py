@@ -40,11 +40,6 @@ stdout = LineConsole()
 stderr = LineConsole(LONGEST_MESSAGE, stderr=True)
 
 
-def say_next(command: str) -> None:
-    """Print the next command on the way from captures to a table."""
-    stdout.print(f"next: {command}")
-
-
 def print_failures(failures: Iterable[tuple[str, str]]) -> None:
     """Print a line on stderr for the name of each motion that failed and its message."""
     for name, message in failures:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from motionkit.cli.console import print_json, progress, say_next, stderr, stdout
+from motionkit.cli.console import print_json, progress, stderr, stdout
 from motionkit.cli.options import SkeletonMaps, Up, of_default, parse_rate, read_options
 from motionkit.core.errors import FormatError, MotionkitError, UsageError
 from motionkit.core.files import default_path
@@ -144,7 +144,7 @@ def ingest(
         raise MotionkitError(f"stopped at the first problem; the store {report.store} is as it was")
     if not report.num_in_store:
         raise MotionkitError(f"nothing could be stored in {report.store}")
-    if report.problems and not report.num_stored:
+    if report.problems and not report.stored.num_sequences:
         raise MotionkitError(f"nothing was stored; the store {report.store} is as it was")
 
 
@@ -176,7 +176,7 @@ def _print_summary(report: "IngestReport", of_store: str) -> None:
             f"'motionkit info --quality{of_store}' lists them"
         )
     by = "" if stored.num_with_performer == stored.num_sequences else " --by sequence_id"
-    say_next(f"motionkit train{of_store}" if stored.num_in_splits else f"motionkit split{by}{of_store}")
+    stdout.print(f"next: motionkit {'train' if stored.num_in_splits else 'split' + by}{of_store}")
 
 
 def _counts(words: Iterable[str]) -> dict[str, int]:

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from motionkit.cli.console import print_json, progress, say_next, stderr, stdout
+from motionkit.cli.console import print_json, progress, stderr, stdout
 from motionkit.cli.options import AsJson, StoreArgument, Where, named_store, of_default
 from motionkit.core.errors import UsageError
 from motionkit.core.files import default_path
@@ -36,12 +36,7 @@ def validate(
     path = named_store(path, store) or default_path("store")
     manifest = read_manifest(path)
     with progress() as show, task(show, "validate", len(manifest.files)) as work:
-
-        def on_file(name: str) -> None:
-            work.note(name)
-            work.advance()
-
-        found = list(faults(path, on_file))
+        found = list(faults(path, lambda name: work.advance()))
     if as_json:
         print_json({"store": str(path), "fingerprint": manifest.fingerprint, "faults": found})
     else:
@@ -104,7 +99,7 @@ def split(
     doing = "would change" if dry_run else "changed"
     stdout.print(f"{doing} the split of {report.num_changed:,} sequences of {report.store}, by {report.by}")
     if not dry_run:
-        say_next(f"motionkit train{of_default('--store', store)}")
+        stdout.print(f"next: motionkit train{of_default('--store', store)}")
 
 
 def parse_shares(text: str) -> dict[str, float]:

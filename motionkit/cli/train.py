@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from motionkit.cli.console import print_json, progress, say_next, stderr, stdout
+from motionkit.cli.console import print_json, progress, stderr, stdout
 from motionkit.cli.options import RunsFolder, StoreArgument, named_store, of_default, parse_duration
 from motionkit.core import plugins
 from motionkit.core.errors import MissingExtraError, UsageError
@@ -119,7 +119,7 @@ def train(
     elif plan.next_command:
         name = context.run.path.name
         named = "" if name == "nano" else f" --run {shlex.quote(name)}"
-        say_next(f"{plan.next_command}{of_default('--store', store)}{of_default('--runs', runs)}{named}")
+        stdout.print(f"next: {plan.next_command}{of_default('--store', store)}{of_default('--runs', runs)}{named}")
 
 
 def _plan(

@@ -42,12 +42,8 @@ WORKER_DIED = "the process that read it ended without a word (killed, or out of 
 SUBSTITUTE = re.compile(r"joints: (?P<family>\w+) neutral \(the file's gender: (?P<gender>male|female)\)")
 
 
-@dataclass(frozen=True)
-class NumberedItem:
-    """A sequence to read and its index; None if the store has its id, so that it is read but not written."""
-
-    item: SourceItem
-    sequence_index: int | None
+# A sequence to read and its index; None if the store has its id, so that it is read but not written.
+NumberedItem = tuple[SourceItem, int | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,22 +98,22 @@ def read_chunk(
     """
     if not (store / MOTIONS_FOLDER).is_dir():
         raise StoreError(f"there is no store {store} on {socket.gethostname()}: it must be where all machines see it")
-    part = PartWriter(pending_part(store, items[0].sequence_index or 0))
+    part = PartWriter(pending_part(store, items[0][1] or 0))
     skeletons: dict[str, Skeleton] = {}
     outcomes: list[tuple[Row, Skeleton] | FormatError] = []
     try:
-        for position, each in enumerate(items):
+        for position, (item, sequence_index) in enumerate(items):
             if position in deadly:
-                outcomes.append(FormatError(WORKER_DIED, path=each.item.path, reason="worker-died"))
+                outcomes.append(FormatError(WORKER_DIED, path=item.path, reason="worker-died"))
                 continue
-            motion = read_or_fault(each.item, options)
+            motion = read_or_fault(item, options)
             if isinstance(motion, FormatError):
                 outcomes.append(motion)
                 continue
             row = motion.row
-            if each.sequence_index is not None:
-                part_row = part.add(each.sequence_index, motion)
-                row = {**row, "sequence_index": each.sequence_index, "part_row": part_row}
+            if sequence_index is not None:
+                part_row = part.add(sequence_index, motion)
+                row = {**row, "sequence_index": sequence_index, "part_row": part_row}
             outcomes.append((row, skeletons.setdefault(motion.skeleton.fingerprint, motion.skeleton)))
         return ReadChunk(part.finish(), tuple(outcomes))
     finally:
@@ -150,9 +146,9 @@ def _read_again(workers: Workers, function: Callable[..., ReadChunk], chunk: Seq
     with suppress(WorkerDied):
         return workers.call(function, chunk)
     deadly: set[int] = set()
-    for position, each in enumerate(chunk):
+    for position, (item, _) in enumerate(chunk):
         try:
-            workers.call(function, [NumberedItem(each.item, None)])
+            workers.call(function, [(item, None)])
         except WorkerDied:
             deadly.add(position)
     with suppress(WorkerDied):
@@ -202,11 +198,6 @@ class IngestReport:
     warnings: tuple[FormatError, ...]
     datasets: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     ignored: tuple[Path, ...] = ()
-
-    @property
-    def num_stored(self) -> int:
-        """Number of sequences added."""
-        return self.stored.num_sequences
 
 
 def ingest(
@@ -318,16 +309,16 @@ class _Ingest:
         # has the same bytes whoever writes it, whenever.
         numbers = count(self.writer.next_sequence_index)
         for chunk in chunks_of(items):
-            yield [NumberedItem(item, None if self.writer.holds(item.sequence_id) else next(numbers)) for item in chunk]
+            yield [(item, None if self.writer.holds(item.sequence_id) else next(numbers)) for item in chunk]
 
     def _add_chunk(self, chunk: Sequence[NumberedItem], result: ReadChunk) -> None:
         place = {} if result.part is None else {"part": self.writer.add_part(result.part)}
-        for each, outcome in zip(chunk, result.outcomes, strict=True):
+        for (item, _), outcome in zip(chunk, result.outcomes, strict=True):
             if isinstance(outcome, FormatError):
-                self._fail(outcome, each.item)
+                self._fail(outcome, item)
             else:
                 row, skeleton = outcome
-                self._add(each.item, {**row, **place}, skeleton)
+                self._add(item, {**row, **place}, skeleton)
             self.work.advance()
 
     def _add(self, item: SourceItem, row: Row, skeleton: Skeleton) -> None:

@@ -36,7 +36,7 @@ def test_the_first_ingest_makes_a_store_and_the_next_adds_to_it(motionkit, takes
 def test_an_ingest_of_one_worker_loads_little(takes, tmp_path):
     script = (
         "import sys; from motionkit.store.ingest import ingest; from pathlib import Path; "
-        f"assert ingest([Path({str(takes)!r})], Path({str(tmp_path / 'store')!r}), num_workers=1).num_stored == 3; "
+        f"assert ingest([Path({str(takes)!r})], Path({str(tmp_path / 'store')!r}), num_workers=1).num_in_store == 3; "
         "print(*sorted({'scipy', 'duckdb', 'torch', 'multiprocessing', 'motionkit.io.amass'} & set(sys.modules)))"
     )
     result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)

@@ -13,7 +13,7 @@ from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.io.registry import ReadOptions, SourceItem
 from motionkit.store import Store
 from motionkit.store import ingest as module
-from motionkit.store.ingest import NumberedItem, body_size_warning, chunks_of, ingest, read_chunk
+from motionkit.store.ingest import body_size_warning, chunks_of, ingest, read_chunk
 from motionkit.store.workers import CALLS_IN_FLIGHT_PER_WORKER, Workers, check_engine, start_workers
 from tests.helpers.small_bvh import two_joints_bvh
 
@@ -67,7 +67,7 @@ def test_a_worker_writes_what_has_an_index_and_returns_what_it_read(tmp_path: Pa
     (folder / "1.bvh").write_text("HIERARCHY\n")
     (tmp_path / "motions").mkdir()
     items = [SourceItem("bvh", folder / f"{number}.bvh", folder, f"takes/{number}") for number in (0, 1, 2, 2, 3)]
-    numbered = [NumberedItem(item, index) for item, index in zip(items, (4, 5, None, 6, 7), strict=True)]
+    numbered = list(zip(items, (4, 5, None, 6, 7), strict=True))
     read, again = (read_chunk(numbered, tmp_path, ReadOptions()) for _ in range(2))
     assert read.part is not None and again.part is not None and read.part.path != again.part.path
     assert read.part.entry == again.part.entry
@@ -92,12 +92,12 @@ def test_an_index_is_the_place_among_what_is_new(tmp_path: Path, monkeypatch: py
     good = broken.read_text()
     broken.write_text("HIERARCHY\n")
     first = ingest([folder], tmp_path / "store", num_workers=workers)
-    assert (first.num_stored, len(first.problems)) == (4, 1)
+    assert (first.stored.num_sequences, len(first.problems)) == (4, 1)
     assert Store.open(tmp_path / "store").sequences["sequence_index"].tolist() == [0, 1, 3, 4]
     broken.write_text(good)
     (folder / "5.bvh").write_text((folder / "4.bvh").read_text())
     second = ingest([folder], tmp_path / "store", num_workers=workers)
-    assert (second.num_stored, second.num_already_stored) == (2, 4)
+    assert (second.stored.num_sequences, second.num_already_stored) == (2, 4)
     store = Store.open(tmp_path / "store")
     assert store.sequences["sequence_index"].tolist() == [0, 1, 3, 4, 5, 6]
     assert [store.read(index).num_frames for index in (0, 3, 5, 6)] == [20, 50, 40, 60]
@@ -258,7 +258,7 @@ def test_the_store_does_not_depend_on_the_engine(tmp_path: Path, monkeypatch: py
         name: ingest([folder], tmp_path / name, engine=engine, num_workers=number)
         for name, engine, number in (("alone", "local", 1), ("local", "local", 2), ("ray", "ray", 2))
     }
-    assert {report.num_stored for report in reports.values()} == {67}
+    assert {report.stored.num_sequences for report in reports.values()} == {67}
     assert len({tuple(map(str, report.problems)) for report in reports.values()}) == 1
     assert len({(tmp_path / name / "manifest.json").read_bytes() for name in reports}) == 1
     assert len(Store.open(tmp_path / "ray").manifest.parts) > 3
