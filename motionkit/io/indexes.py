@@ -64,10 +64,6 @@ class Dataset:
     trim_frames: int = 0
     seen_fps: Mapping[str, float] = field(default_factory=dict)
 
-    def seen_fps_of(self, parts: Sequence[str]) -> float | None:
-        """The framerate that HumanML3D's code read for a file, by its path; None if only the file states it."""
-        return next((self.seen_fps[part] for part in (*parts, "") if part in self.seen_fps), None)
-
 
 @dataclass(frozen=True)
 class Entry:
@@ -203,7 +199,11 @@ def _index(
     problems: list[FormatError] = []
     for sequence_name, line, row in rows:
         try:
-            entry = replace(entry_of(_sequence_name(sequence_name), row), line=line)
+            # A part of the sequence's id and its text file's name.
+            is_plain = sequence_name.isprintable() and not {"/", "\\"} & set(sequence_name)
+            if not is_plain or sequence_name in ("", ".", "..") or len(sequence_name) > MAX_NAME:
+                raise ValueError(f"the name {sequence_name[:80]!r}; expected a plain file name such as 000000")
+            entry = replace(entry_of(sequence_name, row), line=line)
         except ValueError as bad:
             prefix = "" if line is not None else f"{sequence_name[:MAX_NAME]!r}: "
             problems.append(FormatError(f"{prefix}{bad}", path=path, reason="index-entry", line=line))
@@ -221,13 +221,6 @@ def _source_parts(value: object) -> tuple[str, ...]:
     if not parts:
         raise ValueError(f"the path is {str(value)[:80]!r}, expected folders and a file, separated by /")
     return parts[1:] if parts[0] == "pose_data" and len(parts) > 1 else parts
-
-
-def _sequence_name(name: str) -> str:
-    # A part of the sequence's id and its text file's name.
-    if name in ("", ".", "..") or len(name) > MAX_NAME or not name.isprintable() or "/" in name or "\\" in name:
-        raise ValueError(f"the name {name[:80]!r}; expected a plain file name such as 000000")
-    return name
 
 
 def _seconds(value: object, what: str) -> float:
@@ -267,7 +260,8 @@ def _humanml3d(name: str, row: Mapping[str, str | None]) -> Entry:
     if not whole and not 0 <= start < end:
         message = f"frames [{start}, {end}); expected 0 <= start_frame < end_frame (0 and -1 for {HUMANACT12})"
         raise ValueError(message)
-    return Entry(name, parts, StepCut(start, None if whole else end, dataset.trim_frames, dataset.seen_fps_of(parts)))
+    seen_fps = next((dataset.seen_fps[part] for part in (*parts, "") if part in dataset.seen_fps), None)
+    return Entry(name, parts, StepCut(start, None if whole else end, dataset.trim_frames, seen_fps))
 
 
 def _frame(row: Mapping[str, str | None], column: str) -> int:

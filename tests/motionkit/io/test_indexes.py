@@ -12,7 +12,7 @@ import pytest
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Caption
 from motionkit.io.cuts import StepCut, TimeCut
-from motionkit.io.indexes import Index, dataset_of, file_key, read_index, stem
+from motionkit.io.indexes import Index, file_key, read_index, stem
 
 HEADER = "source_path,start_frame,end_frame,new_name\n"
 
@@ -268,7 +268,6 @@ def test_files_that_differ(one, other):
         ("CMU/36/36_15_poses.npy", None),
     ],
 )
-def test_what_the_published_code_saw_where_files_may_say_otherwise(file, fps):
-    parts = file.split("/")
-    found = dataset_of(parts)
-    assert found is not None and found[0].seen_fps_of(parts) == fps
+def test_what_the_published_code_saw_where_files_may_say_otherwise(tmp_path, file, fps):
+    (entry,) = read(tmp_path, f"{HEADER}{file},0,5,a.npy\n").entries
+    assert isinstance(entry.cut, StepCut) and entry.cut.seen_fps == fps
