@@ -289,34 +289,12 @@ def set_rate(optimizer: torch.optim.Optimizer, rate: float) -> None:
         group["lr"] = rate
 
 
-class WeightAverage:
-    """Exponential moving average of a module's parameters; buffers are copied.
-
-    The decay ramps up as min(decay, (1 + n) / (10 + n)) over updates n, so that early averages forget the start.
-    """
-
-    def __init__(self, module: torch.nn.Module, decay: float) -> None:
-        self.decay = decay
-        self.averages = {name: tensor.detach().clone() for name, tensor in module.state_dict().items()}
-
-    @torch.no_grad()
-    def update(self, module: torch.nn.Module, step: int) -> None:
-        """Update the average with the module's weights after `step` (0-based)."""
-        weight = 1.0 - min(self.decay, (1.0 + step) / (10.0 + step))
-        for name, tensor in module.state_dict().items():
-            if tensor.is_floating_point():
-                self.averages[name].lerp_(tensor, weight)
-            else:
-                self.averages[name].copy_(tensor)
-
-    def load(self, tensors: Mapping[str, torch.Tensor]) -> None:
-        """Restore averages."""
-        for name, average in self.averages.items():
-            average.copy_(tensors[name])
-
-
 class Learner:
-    """A network with its optimiser and, with a decay above 0, the average of its weights: the state of a training."""
+    """A network with its optimiser and, with a decay above 0, the average of its weights: the state of a training.
+
+    The average is exponential, and of parameters; buffers are copied. Its decay ramps up as min(decay, (1 + n) /
+    (10 + n)) over steps n, so that early averages forget the start.
+    """
 
     def __init__(
         self,
@@ -325,8 +303,9 @@ class Learner:
         ema_decay: float = 0.0,
         ranks: Ranks = ALONE,
     ) -> None:
-        self.network, self.optimizer, self.ranks = network, optimizer, ranks
-        self.average = WeightAverage(network, ema_decay) if ema_decay else None
+        self.network, self.optimizer, self.ema_decay, self.ranks = network, optimizer, ema_decay, ranks
+        weights = network.state_dict() if ema_decay else {}
+        self.averages = {name: tensor.detach().clone() for name, tensor in weights.items()}
 
     def descend(self, loss: torch.Tensor, step: int, rate: float, clip_norm: float = 0.0) -> None:
         """One optimiser step at a learning rate, on gradients of all ranks; a norm above 0 clips the gradient's."""
@@ -337,23 +316,31 @@ class Learner:
         if clip_norm:
             torch.nn.utils.clip_grad_norm_(self.network.parameters(), clip_norm)
         self.optimizer.step()
-        if self.average is not None:
-            self.average.update(self.network, step)
+        if self.averages:
+            self._average(step)
+
+    @torch.no_grad()
+    def _average(self, step: int) -> None:
+        weight = 1.0 - min(self.ema_decay, (1.0 + step) / (10.0 + step))
+        for name, tensor in self.network.state_dict().items():
+            if tensor.is_floating_point():
+                self.averages[name].lerp_(tensor, weight)
+            else:
+                self.averages[name].copy_(tensor)
 
     def trained_tensors(self) -> dict[str, torch.Tensor]:
         """The weights to save: averaged if an average is kept."""
-        return self.network.state_dict() if self.average is None else self.average.averages
+        return self.averages or self.network.state_dict()
 
     def state_tensors(self) -> dict[str, torch.Tensor]:
         """Weights, the optimiser's moments, the average."""
-        average = {} if self.average is None else prefixed("average", self.average.averages)
-        return training_tensors(self.network, self.optimizer) | average
+        return training_tensors(self.network, self.optimizer) | prefixed("average", self.averages)
 
     def load_state_tensors(self, tensors: Mapping[str, torch.Tensor]) -> None:
         """Restore what `state_tensors` returned."""
         load_training_tensors(self.network, self.optimizer, tensors)
-        if self.average is not None:
-            self.average.load(unprefixed("average", tensors))
+        for name, average in self.averages.items():
+            average.copy_(tensors[f"average.{name}"])
 
 
 def _state(seed: int, purpose: str, step: int) -> int:

@@ -7,22 +7,9 @@ import pytest
 import torch
 
 from motionkit.training.config import Schedule
-from motionkit.training.loop import (
-    WeightAverage,
-    seeded_initialisation,
-    set_rate,
-    train_loop,
-)
+from motionkit.training.loop import Learner, seeded_initialisation, train_loop
 from motionkit.training.run import RunError, StageFolder
-from motionkit.training.tensors import (
-    CheckpointError,
-    load_optimizer_tensors,
-    load_tensors,
-    optimizer_tensors,
-    prefixed,
-    save_tensors,
-    unprefixed,
-)
+from motionkit.training.tensors import CheckpointError, load_tensors, save_tensors
 
 SCHEDULE = Schedule(20, kind="cosine", warmup_fraction=0.2)
 
@@ -34,32 +21,17 @@ class Regression:
         self.steps = steps
         with seeded_initialisation(3, "model"):
             self.model = torch.nn.Linear(4, 2)
-        self.optimizer = torch.optim.AdamW(self.model.parameters(), lr=1e-2)
-        self.average = WeightAverage(self.model, 0.9)
+        optimizer = torch.optim.AdamW(self.model.parameters(), lr=1e-2)
+        self.learner = Learner(self.model, optimizer, ema_decay=0.9)
+        self.state_tensors, self.load_state_tensors = self.learner.state_tensors, self.learner.load_state_tensors
         self.before_step = before_step
 
     def step(self, step: int, generator: torch.Generator) -> Mapping[str, torch.Tensor]:
         self.before_step(step)
-        set_rate(self.optimizer, 1e-2 * SCHEDULE.factor(step, 20))
         inputs = torch.randn(8, 4, generator=generator)
         loss = (self.model(inputs) - inputs[:, :2]).square().mean()
-        self.optimizer.zero_grad()
-        loss.backward()
-        self.optimizer.step()
-        self.average.update(self.model, step)
+        self.learner.descend(loss, step, 1e-2 * SCHEDULE.factor(step, 20))
         return {"loss": loss}
-
-    def state_tensors(self) -> dict[str, torch.Tensor]:
-        return (
-            prefixed("model", self.model.state_dict())
-            | prefixed("optimizer", optimizer_tensors(self.optimizer))
-            | prefixed("average", self.average.averages)
-        )
-
-    def load_state_tensors(self, tensors: Mapping[str, torch.Tensor]) -> None:
-        self.model.load_state_dict(unprefixed("model", tensors))
-        load_optimizer_tensors(self.optimizer, unprefixed("optimizer", tensors))
-        self.average.load(unprefixed("average", tensors))
 
 
 def _folder(path: Path) -> StageFolder:
@@ -141,11 +113,9 @@ def test_rates_warm_up_and_fall_to_zero() -> None:
 
 def test_a_weight_average_of_constant_weights_is_those_weights() -> None:
     module = torch.nn.Linear(2, 2)
-    average = WeightAverage(module, 0.99)
+    learner = Learner(module, torch.optim.SGD(module.parameters(), lr=1.0), ema_decay=0.99)
     for step in range(5):
-        average.update(module, step)
-    assert torch.allclose(average.averages["weight"], module.weight)
-    with torch.no_grad():
-        module.weight.add_(1.0)
-    average.update(module, 0)
-    assert torch.allclose(average.averages["weight"], module.weight - 0.1)
+        learner.descend(module(torch.ones(2)).sum(), step, rate=0.0)
+    assert torch.allclose(learner.trained_tensors()["weight"], module.weight)
+    learner.descend(module(torch.ones(2)).sum(), 0, rate=1.0)  # The gradient of each weight is 1.
+    assert torch.allclose(learner.trained_tensors()["weight"], module.weight + 0.1)
