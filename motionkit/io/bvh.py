@@ -146,9 +146,9 @@ def read_bvh(path: Path, options: ReadOptions | None = None) -> Motion:
 
 
 def read_document(path: Path, options: ReadOptions | None = None, *, strict: bool = False) -> BvhDocument:
-    """Read one BVH file to be written again; raises `FormatError` as `read_bvh` does, if not `strict` with exceptions.
+    """Read one BVH file to be written again; with `strict`, raises `FormatError` whenever `read_bvh` does.
 
-    Frames with `nan` are not `valid`, and a skeleton that is not a human body in any unit is accepted.
+    Otherwise frames with `nan` are not `valid`, and a skeleton that is not a human body in any unit is accepted.
     """
     options = options or ReadOptions()
     data = source_file.read_bytes(path)
