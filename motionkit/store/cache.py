@@ -138,6 +138,8 @@ class PositionCache:
             if rows is None:
                 if path.exists():
                     warn(f"{path} is damaged: it is computed again")
+                for leftover in self.path.glob(f".{path.name}.*"):  # of a killed process
+                    leftover.unlink()
                 rows = _write(path, shape, compute(), self.num_frames)
         return rows
 

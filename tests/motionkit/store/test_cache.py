@@ -176,6 +176,18 @@ def test_a_killed_builder_leaves_nothing_that_is_used(small_store):
     assert step > 4
 
 
+def test_killed_rows_leave_nothing(small_store):
+    built = open_cache(Store.open(small_store))
+    kept = {*built.path.iterdir(), built.path / ".sums.lock", built.path / "sums.npy"}
+    for step in itertools.count():
+        if not killed_before(step, small_store, lambda: sums(built)):
+            break
+        np.testing.assert_array_equal(sums(built)[:, 0], built.positions.sum((1, 2)))
+        assert set(built.path.iterdir()) <= kept
+        (built.path / "sums.npy").unlink()
+    assert step > 1
+
+
 def test_two_builders_at_once(small_store):
     program = (
         "import sys; from motionkit.store import Store; from motionkit.store.cache import open_cache; "
