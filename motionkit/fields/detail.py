@@ -4,7 +4,7 @@ Everything is on a 120 Hz grid and uses finite filters, so each sample depends o
 nothing else. `fit_detail` learns in closed form (ridge regression); `detailed` adds what was learnt to a field.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 from functools import cache, lru_cache
@@ -30,7 +30,7 @@ BAND_REACH = 60
 ENVELOPE_REACH = 4
 
 SLOW_HZ, SLOW_REACH = 6.0, 45
-"""Up to 8 Hz real motion would follow a little better, and generated motion get 1 dB less."""
+"""With a higher limit detail follows real motion a little closer, and generated motion gets less of it."""
 LOWEST_REACH = 120
 ENERGY_REACH = 36
 LAGS = (-5, 0, 5)
@@ -271,7 +271,7 @@ def fit_detail(
         square += state.T @ state
         product += state.T @ (log_power - log_power.mean(axis=0))
     weights = np.linalg.solve(square + RIDGE * frames.sum() * np.eye(NUM_FEATURES), product)
-    states = [(each - centre) * scale for each in features]
+    states = ((each - centre) * scale for each in features)
     weights *= np.repeat(_body_slopes(states, log_powers, weights), NUM_JOINTS)
     levels = np.array([each.mean(axis=0, dtype=np.float64) for each in log_powers])
     levels -= (means - centre) * scale @ weights
@@ -286,7 +286,7 @@ def fit_detail(
 
 
 def _body_slopes(
-    states: Sequence[Float64[np.ndarray, "_frames features"]],
+    states: Iterable[Float64[np.ndarray, "_frames features"]],
     log_powers: Sequence[Float32[np.ndarray, "_frames outputs"]],
     weights: Float64[np.ndarray, "features outputs"],
 ) -> Float64[np.ndarray, "bands"]:
