@@ -7,8 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from eval.report.differences import best_in_column
-from eval.report.results import Block, Measure, Result, Row, format_cell, format_number
+from eval.report.results import Block, Measure, Result, Row, best_in_column, format_cell, format_number
 
 if TYPE_CHECKING:
     from jinja2 import Environment

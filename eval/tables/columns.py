@@ -8,8 +8,7 @@ from eval.clip_fid.clips import ClipError, check_lengths
 from eval.clip_fid.features import Comparison
 from eval.config import EvalConfig
 from eval.metrics.number import Number
-from eval.report.differences import pairs_of
-from eval.report.results import Cell
+from eval.report.results import Cell, pairs_of
 from eval.sample_folder.takes import takes_of_samples
 from eval.sets.generated import Window, is_framed, sample_fields
 from eval.sets.missing import Missing

@@ -15,8 +15,7 @@ from eval.metrics.number import Number, with_takes
 from eval.metrics.physical import METRICS, ground_height
 from eval.metrics.physical_published import METRICS as PUBLISHED
 from eval.metrics.resampling import Resampling, Units, units_of
-from eval.report.differences import differences_block, of_interest, pairs_of
-from eval.report.results import Block, Row, cell_of, measure
+from eval.report.results import Block, Row, cell_of, differences_block, measure, of_interest, pairs_of
 from eval.sets.real import NoRealMotionError, real_motion
 from eval.sets.row_ids import REAL, RowId, Variant
 from eval.sets.sets import SampleSet

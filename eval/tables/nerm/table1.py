@@ -14,8 +14,18 @@ from eval.metrics.gaussian import fit_gaussian, frechet_distance
 from eval.metrics.metric import find_metric
 from eval.metrics.number import Number, Scores, over_replications
 from eval.metrics.retrieval import RECALL_RANKS, pool_distances, ranked_both_ways
-from eval.report.differences import DRAWING, differences_block, of_interest, score_differences
-from eval.report.results import Block, Cell, Origin, Row, cell_of, measure
+from eval.report.results import (
+    DRAWING,
+    Block,
+    Cell,
+    Origin,
+    Row,
+    cell_of,
+    differences_block,
+    measure,
+    of_interest,
+    score_differences,
+)
 from eval.sample_folder import SampleFolder
 from eval.sets.generated import refusal
 from eval.sets.planted import VARIANT_NOTES

@@ -13,8 +13,7 @@ from eval.config import EvalConfig
 from eval.detail import LEAST_FPS, Figure, RealDetail
 from eval.detail import VERSION as DETAIL_VERSION
 from eval.metrics.number import Number
-from eval.report.differences import differences_block, of_interest
-from eval.report.results import Block, Cell, Row, measure
+from eval.report.results import Block, Cell, Row, differences_block, measure, of_interest
 from eval.sample_folder.takes import takes_of_samples
 from eval.sets.copies import HELD_OUT_SHARE, STILL_METRES, TrainingWindows, held_out_limit
 from eval.sets.generated import sample_fields

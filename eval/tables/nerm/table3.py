@@ -14,8 +14,7 @@ from eval.config import EvalConfig
 from eval.metrics.actions import accuracy
 from eval.metrics.gaussian import kid
 from eval.metrics.number import Number, Scores, half_width
-from eval.report.differences import DRAWING, differences_block, of_interest, score_differences
-from eval.report.results import Block, Cell, Row, measure
+from eval.report.results import DRAWING, Block, Cell, Row, differences_block, measure, of_interest, score_differences
 from eval.sets.generated import is_unconditional
 from eval.sets.planted import VARIANT_NOTES
 from eval.sets.real import RealMotion, has_training, real_motion

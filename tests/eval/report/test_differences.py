@@ -1,8 +1,17 @@
 """What a difference of two rows allows to say, by which of two numbers is better."""
 
 from eval.metrics.number import Number, over_replications
-from eval.report.differences import differences_block, of_interest, pairs_of, said, score_differences
-from eval.report.results import Block, Cell, Row, measure
+from eval.report.results import (
+    Block,
+    Cell,
+    Row,
+    differences_block,
+    measure,
+    of_interest,
+    pairs_of,
+    said,
+    score_differences,
+)
 from eval.sets.row_ids import RowId, Variant
 
 MEASURES = (measure("fid", column="FID"), measure("accuracy", column="Accuracy"), measure("diversity", column="D"))
