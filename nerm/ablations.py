@@ -6,8 +6,7 @@ paper's tables use its own layout of z, `global`; rows of our layout, `local`, a
 
 from motionkit.core.files import write_whole
 from motionkit.training.ablations import Ablation, Ablations, Entry, Variant
-from motionkit.training.run import RunFolder, clear_stage
-from motionkit.training.stage import StageContext
+from motionkit.training.run import RunFolder, StageContext, clear_stage
 from nerm.recipes import RECIPES, NermConfig
 from nerm.settings import LatentLayout
 from nerm.stages import CODEBOOK, DENOISER, FIELD

@@ -30,15 +30,16 @@ from motionkit.features import field
 from motionkit.fields.resample import resample_positions
 from motionkit.store.cache import open_cache
 from motionkit.training.devices import ALONE, Ranks, autocast, resolve_device, with_precision_of
-from motionkit.training.loop import Learner, seeded_initialisation
-from motionkit.training.stage import StageContext
-from motionkit.training.tensors import (
+from motionkit.training.loop import (
     CheckpointError,
+    Learner,
     foreign_tensors,
     prefixed,
     read_foreign,
     save_tensors,
+    seeded_initialisation,
 )
+from motionkit.training.run import StageContext
 from nerm.recipes import NermConfig
 from nerm.settings import CodebookConfig, CodebookNetworkConfig
 

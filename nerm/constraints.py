@@ -25,7 +25,7 @@ from motionkit.fields.contact.detection import find_contacts, ground_of
 from motionkit.fields.contact.legs import Legs, legs_of
 from motionkit.generate.constraints import Constraint
 from motionkit.generate.models import SamplingOptions
-from motionkit.training.conditions import Conditions
+from motionkit.training.networks import Conditions
 from motionkit.training.pose_vectors import joints_of
 from nerm.denoiser import TrainedDenoiser
 from nerm.field import TrainedField

@@ -18,34 +18,35 @@ from motionkit.data.windows import Windows
 from motionkit.generate.models import SamplingOptions
 from motionkit.store.cache import cache_root
 from motionkit.store.reader import Store
-from motionkit.training.conditions import Conditions, ConditionSizes, WindowConditions, guided, window_conditions
 from motionkit.training.config import from_plain, to_plain
 from motionkit.training.devices import ALONE, Ranks, autocast, resolve_device, with_precision_of
-from motionkit.training.diffusion.process import (
+from motionkit.training.loop import (
+    Learner,
+    dropout_from,
+    load_tensors,
+    prefixed,
+    rebuilding,
+    save_tensors,
+    seeded_initialisation,
+    step_generator,
+    unprefixed,
+)
+from motionkit.training.networks import (
     Adjust,
+    Conditions,
+    ConditionSizes,
+    WindowConditions,
     add_noise,
     cumulative_alphas,
+    guided,
     loss_weights,
     predicted_noise,
     prediction_target,
     sample,
     sampling_steps,
+    window_conditions,
 )
-from motionkit.training.loop import (
-    Learner,
-    dropout_from,
-    seeded_initialisation,
-    step_generator,
-)
-from motionkit.training.run import RunError, RunFolder
-from motionkit.training.stage import StageContext
-from motionkit.training.tensors import (
-    load_tensors,
-    prefixed,
-    rebuilding,
-    save_tensors,
-    unprefixed,
-)
+from motionkit.training.run import RunError, RunFolder, StageContext
 from motionkit.training.text import TextEncoder, embed_texts, load_text_encoder
 from nerm.field import load_field
 from nerm.latents import LatentSpace, LocalLatents, first_read, in_use, local_latents, measured_space

@@ -22,9 +22,9 @@ from motionkit.fields.contact.planted import GRID_FPS
 from motionkit.fields.motion_field import Poses, check_times
 from motionkit.training.config import to_plain
 from motionkit.training.devices import resolve_device
+from motionkit.training.loop import CheckpointError, load_tensors, prefixed, rebuilding, save_tensors, unprefixed
 from motionkit.training.pose_vectors import VectorScaling, vector_tensors, vectors_of
 from motionkit.training.run import RunFolder, StageFolder
-from motionkit.training.tensors import CheckpointError, load_tensors, prefixed, rebuilding, save_tensors, unprefixed
 from nerm.contact import ContactHead, contact_head, probabilities
 from nerm.linear_fit import LinearModel, PoseComponents
 from nerm.network import EncodedCoordinates, FieldNetwork

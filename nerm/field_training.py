@@ -24,7 +24,6 @@ from motionkit.data.windows import PositionSource, Windows, cut_windows, rows_by
 from motionkit.features.convention import PoseVectors
 from motionkit.store.cache import PositionCache
 from motionkit.store.reader import Store
-from motionkit.training import layers
 from motionkit.training.devices import (
     ALONE,
     DealtRows,
@@ -33,11 +32,17 @@ from motionkit.training.devices import (
     resolve_device,
     with_precision_of,
 )
-from motionkit.training.loop import seeded_initialisation, step_generator
+from motionkit.training.loop import (
+    CheckpointError,
+    load_tensors,
+    load_training_tensors,
+    prefixed,
+    seeded_initialisation,
+    step_generator,
+    training_tensors,
+)
 from motionkit.training.pose_vectors import PoseTensors, VectorScaling, measure_scaling
-from motionkit.training.run import RunError, RunFolder
-from motionkit.training.stage import StageContext
-from motionkit.training.tensors import CheckpointError, load_tensors, load_training_tensors, prefixed, training_tensors
+from motionkit.training.run import RunError, RunFolder, StageContext
 from nerm.codebook import FORMAT, FORMAT_VERSION
 from nerm.contact import ContactTraining, contact_rows
 from nerm.field import TrainedField, save_field
@@ -108,7 +113,8 @@ def kl_divergence(
 
     With `num_windows` the mean is over that many windows, of which these are some.
     """
-    return layers.kl_divergence(mean, log_variance).sum() / (mean.shape[1] * (num_windows or len(mean)))
+    divergence = 0.5 * (mean.square() + log_variance.exp() - 1 - log_variance)
+    return divergence.sum() / (mean.shape[1] * (num_windows or len(mean)))
 
 
 def linear_model(poses: WindowPoses, scaling: VectorScaling, config: FieldConfig) -> LinearModel | None:

@@ -18,8 +18,8 @@ from motionkit.fields.contact.bones import Bones
 from motionkit.fields.motion_field import DerivedField, MotionField, Poses, at_fps
 from motionkit.generate.constraints import KINDS, ConstraintKind
 from motionkit.generate.models import GenerationRequest, SamplingOptions, check_constraints
-from motionkit.training.conditions import Conditions
 from motionkit.training.devices import resolve_device
+from motionkit.training.networks import Conditions
 from motionkit.training.run import RunError, RunFolder
 from motionkit.training.text import TextEncoder, load_same_encoder
 from nerm.constraints import sample_constrained

@@ -7,8 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64, Shaped
-from motionkit.training.conditions import Conditions, ConditionSizes
-from motionkit.training.layers import through_long_skips
+from motionkit.training.networks import Conditions, ConditionSizes, through_long_skips
 from nerm.latents import KnotWeights, Reading, in_use, local_latents, placed
 from nerm.settings import Activation, FieldConfig, TransformerConfig
 

@@ -8,8 +8,7 @@ from typing import Any, Literal, TypeVar
 
 from motionkit.core.timegrid import parse_fps
 from motionkit.features.convention import PoseVectorsName
-from motionkit.training.config import Precision, Schedule, flatten, from_plain, require_positive
-from motionkit.training.diffusion.settings import DiffusionConfig
+from motionkit.training.config import DiffusionConfig, Precision, Schedule, flatten, from_plain, require_positive
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """NeRM's trainable stages."""
 
 from motionkit.core.plugins import lazily
-from motionkit.training.stage import Stage
+from motionkit.training.run import Stage
 from nerm.recipes import RECIPES, NermConfig
 
 

@@ -6,10 +6,8 @@ import torch
 from torch import Tensor, nn
 
 from motionkit.core.shapes import Float
-from motionkit.training.conditions import Conditions
-from motionkit.training.config import Schedule
-from motionkit.training.diffusion.settings import DiffusionConfig
-from motionkit.training.layers import kl_divergence, reparameterized
+from motionkit.training.config import DiffusionConfig, Schedule
+from motionkit.training.networks import Conditions, kl_divergence, reparameterized
 from peers.generating import GIVEN, GIVEN_MINILM, SMALL, OptimizerConfig, PeerStage, cosine
 from peers.layers import (
     ConditionVector,

@@ -8,9 +8,8 @@ from torch.nn.functional import scaled_dot_product_attention, silu
 
 from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Float
-from motionkit.training.conditions import Conditions, guided
-from motionkit.training.config import Schedule
-from motionkit.training.diffusion.settings import DiffusionConfig
+from motionkit.training.config import DiffusionConfig, Schedule
+from motionkit.training.networks import Conditions, guided
 from peers.generating import MINILM, OptimizerConfig, PeerStage, cosine
 from peers.layers import ConditionVector, NetworkInputs, PeerNetwork, TransformerSizes, sinusoids
 from peers.motions import Lengths, Mask, MotionBatch, MotionsConfig, PoseSpace, Rows, SampleBatch, frames_within

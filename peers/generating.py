@@ -25,15 +25,23 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.interpolation import INTERPOLATORS, InterpolatedField
 from motionkit.fields.motion_field import MotionField, Observation
 from motionkit.generate.models import GenerationRequest, SamplingOptions
-from motionkit.training.conditions import Conditions, ConditionSizes
-from motionkit.training.config import Precision, Schedule, from_plain, specialised, to_plain
+from motionkit.training.config import DiffusionConfig, Precision, Schedule, from_plain, specialised, to_plain
 from motionkit.training.devices import autocast, resolve_device, with_precision_of
-from motionkit.training.diffusion.settings import DiffusionConfig
-from motionkit.training.loop import Learner, dropout_from, seeded_initialisation, step_generator
+from motionkit.training.loop import (
+    CheckpointError,
+    Learner,
+    dropout_from,
+    load_tensors,
+    prefixed,
+    rebuilding,
+    save_tensors,
+    seeded_initialisation,
+    step_generator,
+    unprefixed,
+)
+from motionkit.training.networks import Conditions, ConditionSizes
 from motionkit.training.pose_vectors import VectorScaling, vector_tensors, vectors_of
-from motionkit.training.run import RunError, RunFolder
-from motionkit.training.stage import Stage, StageContext
-from motionkit.training.tensors import CheckpointError, load_tensors, prefixed, rebuilding, save_tensors, unprefixed
+from motionkit.training.run import RunError, RunFolder, Stage, StageContext
 from motionkit.training.text import TextEncoder, load_same_encoder
 from peers.layers import NetworkInputs, PeerNetwork, TransformerSizes
 from peers.motions import ConditionsConfig, MotionCorpus, MotionsConfig, PoseSpace, SampleBatch, open_corpus

@@ -14,9 +14,8 @@ from torch.nn.functional import binary_cross_entropy_with_logits, smooth_l1_loss
 from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Float
 from motionkit.features.layout import pose_layout
-from motionkit.training.conditions import Conditions
-from motionkit.training.config import Schedule
-from motionkit.training.diffusion.settings import DiffusionConfig
+from motionkit.training.config import DiffusionConfig, Schedule
+from motionkit.training.networks import Conditions
 from peers.generating import GIVEN, GIVEN_MINILM, SLOW, OptimizerConfig, PeerStage, cosine
 from peers.layers import ConditionVector, NetworkInputs, PeerNetwork, first_poses, last_states
 from peers.motions import Lengths, MotionBatch, PoseSpace, Rows, SampleBatch, frames_within

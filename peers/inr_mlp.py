@@ -12,10 +12,8 @@ from sklearn.mixture import GaussianMixture
 from torch import Tensor, nn
 
 from motionkit.core.shapes import Float, Float64, Int64
-from motionkit.training.conditions import NO_ACTION
-from motionkit.training.config import Schedule
-from motionkit.training.diffusion.settings import DiffusionConfig
-from motionkit.training.layers import kl_divergence, reparameterized
+from motionkit.training.config import DiffusionConfig, Schedule
+from motionkit.training.networks import NO_ACTION, kl_divergence, reparameterized
 from peers.generating import GIVEN, GIVEN_MINILM, OptimizerConfig, PeerStage, cosine
 from peers.layers import ConditionVector, NetworkInputs, PeerNetwork, sinusoids
 from peers.motions import MotionBatch, MotionsConfig, Rows, SampleBatch

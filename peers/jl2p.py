@@ -10,8 +10,7 @@ from torch import Tensor, nn
 from torch.nn.functional import smooth_l1_loss
 
 from motionkit.core.shapes import Float
-from motionkit.training.config import Schedule
-from motionkit.training.diffusion.settings import DiffusionConfig
+from motionkit.training.config import DiffusionConfig, Schedule
 from peers.generating import GIVEN, GIVEN_MINILM, SLOW, OptimizerConfig, PeerStage, cosine
 from peers.layers import ConditionVector, NetworkInputs, PeerNetwork, first_poses, last_states
 from peers.motions import Lengths, MotionBatch, Rows, SampleBatch, frames_within

@@ -8,18 +8,21 @@ import torch
 from torch import Tensor, nn
 
 from motionkit.core.shapes import Bool, Float, Int64, Shaped
-from motionkit.training.conditions import ConditionalNetwork, Conditions, ConditionSizes, guided
-from motionkit.training.diffusion.process import (
+from motionkit.training.config import DiffusionConfig
+from motionkit.training.networks import (
+    ConditionalNetwork,
+    Conditions,
+    ConditionSizes,
     add_noise,
     cumulative_alphas,
+    guided,
     loss_weights,
     predicted_noise,
     prediction_target,
     sample,
     sampling_steps,
+    through_long_skips,
 )
-from motionkit.training.diffusion.settings import DiffusionConfig
-from motionkit.training.layers import through_long_skips
 from peers.motions import Lengths, Mask, MotionBatch, PoseSpace, Rows, SampleBatch
 
 

@@ -8,9 +8,8 @@ import torch
 from torch import Tensor, nn
 
 from motionkit.core.shapes import Int64
-from motionkit.training.conditions import Conditions
-from motionkit.training.config import Schedule
-from motionkit.training.diffusion.settings import DiffusionConfig
+from motionkit.training.config import DiffusionConfig, Schedule
+from motionkit.training.networks import Conditions
 from peers.generating import MINILM, SMALL, OptimizerConfig, PeerStage, cosine
 from peers.layers import (
     NetworkInputs,

@@ -7,10 +7,8 @@ from torch import Tensor, nn
 from torch.nn.functional import smooth_l1_loss
 
 from motionkit.core.shapes import Float, Int64
-from motionkit.training.conditions import Conditions
-from motionkit.training.config import Schedule
-from motionkit.training.diffusion.settings import DiffusionConfig
-from motionkit.training.layers import kl_divergence, reparameterized
+from motionkit.training.config import DiffusionConfig, Schedule
+from motionkit.training.networks import Conditions, kl_divergence, reparameterized
 from peers.generating import MINILM, UNCONDITIONAL, OptimizerConfig, PeerStage, cosine
 from peers.layers import (
     LongSkips,

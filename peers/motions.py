@@ -21,8 +21,8 @@ from motionkit.features.convention import PoseVectors, PoseVectorsName
 from motionkit.features.layout import vector_layout
 from motionkit.store.cache import cache_root
 from motionkit.store.reader import Store
-from motionkit.training.conditions import Conditions, WindowConditions, window_conditions
 from motionkit.training.config import require_positive
+from motionkit.training.networks import Conditions, WindowConditions, window_conditions
 from motionkit.training.pose_vectors import VectorScaling, measure_scaling
 from motionkit.training.text import TextEncoder, embed_texts, load_text_encoder
 

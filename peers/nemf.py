@@ -12,9 +12,8 @@ from torch.nn.functional import avg_pool1d, binary_cross_entropy_with_logits, l1
 from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Float
 from motionkit.features.layout import VectorLayout, vector_layout
-from motionkit.training.config import Schedule
-from motionkit.training.diffusion.settings import DiffusionConfig
-from motionkit.training.layers import kl_divergence, reparameterized
+from motionkit.training.config import DiffusionConfig, Schedule
+from motionkit.training.networks import kl_divergence, reparameterized
 from peers.generating import UNCONDITIONAL, OptimizerConfig, PeerStage, cosine
 from peers.layers import NetworkInputs, PeerNetwork
 from peers.motions import Lengths, MotionBatch, MotionsConfig, PoseSpace, Rows, SampleBatch, frames_within

@@ -8,9 +8,8 @@ from torch import Tensor, nn
 from torch.nn.functional import l1_loss, smooth_l1_loss
 
 from motionkit.core.shapes import Float, Int64
-from motionkit.training.conditions import Conditions
-from motionkit.training.config import Schedule
-from motionkit.training.diffusion.settings import DiffusionConfig
+from motionkit.training.config import DiffusionConfig, Schedule
+from motionkit.training.networks import Conditions
 from peers.generating import GIVEN, GIVEN_MINILM, UNCONDITIONAL, OptimizerConfig, PeerStage, cosine
 from peers.layers import ConditionVector, NetworkInputs, PeerNetwork, sinusoids
 from peers.motions import Lengths, MotionBatch, MotionsConfig, Rows, SampleBatch, frames_within

@@ -48,8 +48,7 @@ def train_here(store: Path, runs: Path, settings: list[str]) -> dict[str, float]
     import torch
 
     from motionkit.training.config import apply_overrides
-    from motionkit.training.run import RunFolder
-    from motionkit.training.stage import StageContext
+    from motionkit.training.run import RunFolder, StageContext
     from nerm.field_training import train_field
     from nerm.recipes import nano
 

@@ -22,7 +22,7 @@ from motionkit.core.errors import MotionkitError
 from motionkit.core.shapes import Float, Float32
 from motionkit.core.skeleton import SMPL22
 from motionkit.io import joints_npy
-from motionkit.training.tensors import fill_checked, foreign_tensors, read_foreign
+from motionkit.training.loop import fill_checked, foreign_tensors, read_foreign
 
 NUM_SMPL_JOINTS = 24
 HAND_PER_FOREARM = 0.34

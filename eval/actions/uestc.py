@@ -23,7 +23,7 @@ from motionkit.core.shapes import Float, Float32
 from motionkit.core.skeleton import SMPL22
 from motionkit.io import uestc
 from motionkit.io.smpl_body import SMPL
-from motionkit.training.tensors import CheckpointError, fill_checked, read_foreign
+from motionkit.training.loop import CheckpointError, fill_checked, read_foreign
 
 CHANNELS = (64, 64, 64, 64, 128, 128, 128, 256, 256, 256)
 STRIDED = (4, 7)

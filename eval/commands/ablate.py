@@ -10,8 +10,7 @@ from motionkit.cli.console import print_json, progress, stderr, stdout
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.files import default_path
 from motionkit.training.ablations import Ablation, Ablations, Variant
-from motionkit.training.run import RunFolder
-from motionkit.training.stage import StageContext
+from motionkit.training.run import RunFolder, StageContext
 
 
 def ablate(

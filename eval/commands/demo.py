@@ -89,7 +89,7 @@ def _run(places: dict[str, Path], size: dict[str, Any], seed: int) -> dict[str, 
     from motionkit.demo_corpus import write_demo_corpus
     from motionkit.store.reader import Store
     from motionkit.training.config import flatten
-    from motionkit.training.stage import choose_stages
+    from motionkit.training.run import choose_stages
     from motionkit.training.text import load_text_encoder
 
     settings = flatten(choose_stages("denoiser")[0].recipe(RECIPE))

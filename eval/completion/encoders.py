@@ -33,8 +33,7 @@ from motionkit.fields.motion_field import (
     check_observed_alike,
     check_times,
 )
-from motionkit.training.run import Loader, RunFolder, Task, commit, versions
-from motionkit.training.stage import recorded_settings
+from motionkit.training.run import Loader, RunFolder, Task, commit, recorded_settings, versions
 
 
 @dataclass(frozen=True)

@@ -34,8 +34,8 @@ from motionkit.core.motion import Caption
 from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import SMPL22
 from motionkit.training.config import from_plain
+from motionkit.training.loop import CheckpointError, load_tensors, rebuilding, unprefixed
 from motionkit.training.run import RunFolder
-from motionkit.training.tensors import CheckpointError, load_tensors, rebuilding, unprefixed
 from motionkit.training.text import TextEncoder, load_text_encoder
 
 VERSIONS = {"evaluator": "native/2", "tmr": "tmr/1"}

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from eval.native_evaluator import settings
 from eval.native_evaluator.settings import NativeConfig, TmrConfig
-from motionkit.training.stage import Stage, StageContext
+from motionkit.training.run import Stage, StageContext
 
 if TYPE_CHECKING:
     from eval.native_evaluator.bank import Takes
@@ -41,8 +41,7 @@ def _train(context: StageContext, config: NativeConfig | TmrConfig, stage: str, 
     from motionkit.store.cache import cache_root, open_cache
     from motionkit.training.config import to_plain
     from motionkit.training.devices import resolve_device
-    from motionkit.training.loop import train_loop
-    from motionkit.training.tensors import save_tensors
+    from motionkit.training.loop import save_tensors, train_loop
     from motionkit.training.text import embed_texts, load_text_encoder
 
     store, training = context.open_store(), config.training

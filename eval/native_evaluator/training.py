@@ -33,8 +33,14 @@ from motionkit.core.errors import UsageError
 from motionkit.core.motion import Caption
 from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64
 from motionkit.training.config import Schedule
-from motionkit.training.loop import seeded_initialisation, set_rate
-from motionkit.training.tensors import load_optimizer_tensors, optimizer_tensors, prefixed, unprefixed
+from motionkit.training.loop import (
+    load_optimizer_tensors,
+    optimizer_tensors,
+    prefixed,
+    seeded_initialisation,
+    set_rate,
+    unprefixed,
+)
 
 TARGET_OF_FAMILY: Mapping[str, int] = {
     "upsampling-slerp": TARGETS.index("upsampling"),

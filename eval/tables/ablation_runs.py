@@ -10,8 +10,7 @@ from typing import Any
 from motionkit.core import plugins
 from motionkit.core.errors import UsageError
 from motionkit.training.ablations import Ablation, Ablations, Variant
-from motionkit.training.run import RunFolder
-from motionkit.training.stage import StageContext
+from motionkit.training.run import RunFolder, StageContext
 
 
 def papers_with_ablations() -> tuple[str, ...]:

@@ -1,6 +1,6 @@
 """The stages to train for a table of systems, in order, and their shares of a time budget: `motionkit train --for`.
 
-A system is a model or encoder that tables load from runs (`motionkit.training.stage`).
+A system is a model or encoder that tables load from runs (`motionkit.training.run`).
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -9,7 +9,7 @@ from typing import Any
 from eval.tables.table import Table
 from motionkit.core import plugins
 from motionkit.core.errors import UsageError
-from motionkit.training.stage import Stage, StageContext, StagePlan
+from motionkit.training.run import Stage, StageContext, StagePlan
 
 KINDS = {"table": "", "figure": "figure"}
 

@@ -23,7 +23,7 @@ from eval.text_motion.guo.networks import FRAMES_PER_TOKEN
 from motionkit.core.errors import MissingExtraError
 from motionkit.core.motion import Caption
 from motionkit.core.shapes import Float, Float64, Int64
-from motionkit.training.tensors import CheckpointError, fill_checked, foreign_tensors, read_foreign
+from motionkit.training.loop import CheckpointError, fill_checked, foreign_tensors, read_foreign
 
 WHAT = "MARDM's MotionCLIP"
 KEY = "contrast_model"

@@ -25,8 +25,16 @@ from motionkit.training.config import (
     to_plain,
     unknown_setting,
 )
-from motionkit.training.run import OnMetrics, RunFolder, check_same, concerns
-from motionkit.training.stage import Stage, StageContext, StagePlan, choose_stages
+from motionkit.training.run import (
+    OnMetrics,
+    RunFolder,
+    Stage,
+    StageContext,
+    StagePlan,
+    check_same,
+    choose_stages,
+    concerns,
+)
 
 
 def train(

@@ -11,8 +11,7 @@ from typing import Any
 from motionkit.core.errors import UsageError
 from motionkit.store.sql import conjunction
 from motionkit.training.config import ConfigLike, apply_overrides, flatten, parse_override
-from motionkit.training.run import RunFolder
-from motionkit.training.stage import Stage, StageContext
+from motionkit.training.run import RunFolder, Stage, StageContext
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,8 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.fields.detail import GRID_FPS, Detail, fit_detail
 from motionkit.fields.resample import resample_positions
 from motionkit.store.cache import PositionCache, open_cache
-from motionkit.training.run import RunFolder
-from motionkit.training.stage import Stage, StageContext
-from motionkit.training.tensors import load_tensors, rebuilding, save_tensors
+from motionkit.training.loop import load_tensors, rebuilding, save_tensors
+from motionkit.training.run import RunFolder, Stage, StageContext
 
 NAME = "detail"
 

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from motionkit.data.rotation_sequences import open_rotation_sequences
-from motionkit.training.stage import Stage, StageContext
+from motionkit.training.run import Stage, StageContext
 from pahires.temporal.encoder import NetworkEncoder
 from pahires.temporal.settings import TemporalConfig
 from pahires.temporal.training import load_network, train_network

@@ -14,11 +14,19 @@ from motionkit.core.skeleton import Feet, Skeleton
 from motionkit.data.rotation_sequences import open_rotation_sequences
 from motionkit.training.config import from_plain, to_plain
 from motionkit.training.devices import autocast, resolve_device
-from motionkit.training.loop import Learner, dropout_from, seeded_initialisation
+from motionkit.training.loop import (
+    CheckpointError,
+    Learner,
+    dropout_from,
+    load_tensors,
+    prefixed,
+    rebuilding,
+    save_tensors,
+    seeded_initialisation,
+    unprefixed,
+)
 from motionkit.training.pose_vectors import VectorScaling
-from motionkit.training.run import RunFolder
-from motionkit.training.stage import StageContext
-from motionkit.training.tensors import CheckpointError, load_tensors, prefixed, rebuilding, save_tensors, unprefixed
+from motionkit.training.run import RunFolder, StageContext
 from pahires.temporal.base_curves import interpolated
 from pahires.temporal.prediction import Predictor
 from pahires.temporal.settings import Distance, TemporalConfig, TemporalSettings

@@ -6,8 +6,7 @@ from pathlib import Path
 import torch
 
 from motionkit.training.config import apply_overrides
-from motionkit.training.run import RunFolder
-from motionkit.training.stage import StageContext
+from motionkit.training.run import RunFolder, StageContext
 from pahires.temporal.base_curves import located, seconds_beyond
 from pahires.temporal.network import ObservedWindow
 from pahires.temporal.settings import TaskSettings, TemporalConfig, TemporalSettings

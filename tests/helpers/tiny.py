@@ -14,8 +14,7 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.store.writer import StoreWriter
 from motionkit.training.config import apply_overrides
-from motionkit.training.run import RunFolder
-from motionkit.training.stage import Stage, StageContext
+from motionkit.training.run import RunFolder, Stage, StageContext
 from nerm.recipes import NermConfig
 from nerm.settings import CodebookConfig, DenoiserConfig, FieldConfig, TransformerConfig
 from nerm.stages import CODEBOOK, DENOISER, FIELD

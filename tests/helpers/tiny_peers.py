@@ -10,8 +10,7 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.store.writer import StoreWriter
 from motionkit.training.config import Schedule
-from motionkit.training.run import RunFolder
-from motionkit.training.stage import StageContext
+from motionkit.training.run import RunFolder, StageContext
 from peers.actor import ACTOR
 from peers.camdm import CAMDM, CamdmNetworkConfig
 from peers.flow import FLOW, FlowNetworkConfig

@@ -16,8 +16,7 @@ from eval.native_evaluator.settings import TmrConfig
 from motionkit.core import plugins
 from motionkit.training.config import apply_overrides
 from motionkit.training.detail import DetailConfig, load_detail
-from motionkit.training.run import RunFolder
-from motionkit.training.stage import StageContext
+from motionkit.training.run import RunFolder, StageContext
 from tests.helpers.analytic import write_analytic_store
 from tests.helpers.float64 import float64_on_one_thread
 from tests.helpers.tiny import NATIVE, NERM

@@ -14,7 +14,7 @@ from motionkit.cli.app import build_app
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.timegrid import TimeGrid
 from motionkit.store.writer import StoreWriter
-from motionkit.training.tensors import load_tensors, save_tensors
+from motionkit.training.loop import load_tensors, save_tensors
 from tests.helpers.analytic import analytic_motion
 
 pytest.importorskip("transformers", reason="needs the extra motionkit[text]")

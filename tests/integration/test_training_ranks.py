@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 import torch
 
+from motionkit.training.loop import load_tensors
 from motionkit.training.run import RunFolder
-from motionkit.training.tensors import load_tensors
 from tests.helpers.repository import REPOSITORY
 from tests.helpers.tiny import train_stage, write_store
 

@@ -14,8 +14,7 @@ import torch
 from motionkit.training import devices, loop
 from motionkit.training.config import apply_overrides
 from motionkit.training.loop import step_generator
-from motionkit.training.run import RunError, RunFolder, StageFolder
-from motionkit.training.stage import StageContext
+from motionkit.training.run import RunError, RunFolder, StageContext, StageFolder
 from nerm.stages import CODEBOOK, DENOISER, FIELD
 from tests.helpers.tiny import NERM, STAGES, train_stage, write_store
 

@@ -11,10 +11,8 @@ from motionkit.fields.motion_field import to_motion
 from motionkit.fields.resample import resample_positions
 from motionkit.store.writer import StoreWriter
 from motionkit.training.config import apply_overrides
-from motionkit.training.loop import step_generator
-from motionkit.training.run import RunFolder
-from motionkit.training.stage import StageContext
-from motionkit.training.tensors import CheckpointError
+from motionkit.training.loop import CheckpointError, step_generator
+from motionkit.training.run import RunFolder, StageContext
 from nerm.codebook import (
     CodebookNetwork,
     CodebookTraining,

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from motionkit.core.errors import UsageError
-from motionkit.training.conditions import NO_ACTION, Conditions, ConditionSizes, guided
+from motionkit.training.networks import NO_ACTION, Conditions, ConditionSizes, guided
 from nerm.network import ConditionEmbedding
 
 

@@ -5,9 +5,9 @@ import pytest
 import torch
 
 from motionkit.generate.models import SamplingOptions
-from motionkit.training.conditions import NO_ACTION, Conditions, window_conditions
 from motionkit.training.config import apply_overrides
 from motionkit.training.loop import train_loop
+from motionkit.training.networks import NO_ACTION, Conditions, window_conditions
 from motionkit.training.run import RunFolder
 from nerm.denoiser import DenoiserTraining, LatentCorpus, TrainedDenoiser, load_denoiser, save_denoiser
 from nerm.settings import DenoiserConfig, TransformerConfig

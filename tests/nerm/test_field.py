@@ -18,8 +18,7 @@ from motionkit.store.writer import StoreWriter
 from motionkit.training.config import apply_overrides
 from motionkit.training.loop import step_generator
 from motionkit.training.pose_vectors import PoseTensors
-from motionkit.training.run import RunFolder, StageFolder
-from motionkit.training.stage import StageContext
+from motionkit.training.run import RunFolder, StageContext, StageFolder
 from nerm.encoding import encode_windows
 from nerm.field import TrainedField, load_field, save_field
 from nerm.field_training import RowAdam, kl_divergence, train_field

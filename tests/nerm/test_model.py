@@ -12,10 +12,9 @@ from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import SMPL22
 from motionkit.fields.motion_field import Poses, check_times, to_motion
 from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions
-from motionkit.training.conditions import ConditionSizes
-from motionkit.training.config import apply_overrides
-from motionkit.training.diffusion.settings import DiffusionConfig
+from motionkit.training.config import DiffusionConfig, apply_overrides
 from motionkit.training.loop import seeded_initialisation
+from motionkit.training.networks import ConditionSizes
 from motionkit.training.run import RunError
 from nerm.denoiser import TrainedDenoiser
 from nerm.field import TrainedField

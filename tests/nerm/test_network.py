@@ -6,8 +6,8 @@ import sys
 import pytest
 import torch
 
-from motionkit.training.conditions import Conditions, ConditionSizes
 from motionkit.training.config import apply_overrides
+from motionkit.training.networks import Conditions, ConditionSizes
 from nerm.latents import ALWAYS, in_use
 from nerm.network import (
     Denoiser,

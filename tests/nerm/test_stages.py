@@ -6,8 +6,7 @@ import pytest
 
 from eval.reconstruction import DISTANCE
 from eval.tables.nerm import table4
-from motionkit.training.run import RunError, RunFolder
-from motionkit.training.stage import StageContext
+from motionkit.training.run import RunError, RunFolder, StageContext
 from nerm.field import load_field
 from nerm.names import LOCAL
 from nerm.stages import FIELD

@@ -11,8 +11,7 @@ from motionkit.fields.motion_field import MotionEncoder
 from motionkit.training.config import apply_overrides
 from motionkit.training.loop import seeded_initialisation
 from motionkit.training.pose_vectors import VectorScaling
-from motionkit.training.run import RunFolder
-from motionkit.training.stage import StageContext
+from motionkit.training.run import RunFolder, StageContext
 from pahires.model import SYSTEM, PaHiRes
 from pahires.recipes import NetworkSettings
 from pahires.temporal.encoder import NetworkEncoder

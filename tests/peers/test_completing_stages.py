@@ -16,9 +16,8 @@ from motionkit.edit.encoders import encoder_loader
 from motionkit.fields.completion import complete, upsample
 from motionkit.fields.motion_field import Observation
 from motionkit.training.config import apply_overrides
-from motionkit.training.run import RunFolder
-from motionkit.training.stage import Stage, StageContext
-from motionkit.training.tensors import CheckpointError
+from motionkit.training.loop import CheckpointError
+from motionkit.training.run import RunFolder, Stage, StageContext
 from tests.helpers.nerm_corpus import analytic_positions
 from tests.helpers.tiny import write_store
 from tests.helpers.tiny_temporal import SYSTEMS, TEMPORAL_PEERS

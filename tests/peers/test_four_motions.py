@@ -14,9 +14,9 @@ from torch import Tensor
 from motionkit.features import field, native
 from motionkit.features.field import FIELD_VECTORS
 from motionkit.features.native import NativeVectors
-from motionkit.training.conditions import Conditions, ConditionSizes
-from motionkit.training.diffusion.settings import DiffusionConfig
+from motionkit.training.config import DiffusionConfig
 from motionkit.training.loop import dropout_from, set_rate, step_generator
+from motionkit.training.networks import Conditions, ConditionSizes
 from motionkit.training.pose_vectors import VectorScaling
 from peers.actor import ACTOR
 from peers.camdm import CAMDM

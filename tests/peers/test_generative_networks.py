@@ -13,8 +13,8 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.features import field, native
 from motionkit.features.field import FIELD_VECTORS
 from motionkit.features.native import NativeVectors
-from motionkit.training.conditions import Conditions, ConditionSizes
-from motionkit.training.diffusion.settings import DiffusionConfig, Prediction
+from motionkit.training.config import DiffusionConfig, Prediction
+from motionkit.training.networks import Conditions, ConditionSizes
 from motionkit.training.pose_vectors import VectorScaling
 from peers.actor import Actor, ActorNetworkConfig
 from peers.camdm import Camdm, CamdmNetworkConfig

@@ -23,8 +23,7 @@ from motionkit.generate.models import model_loader
 from motionkit.store.reader import Store
 from motionkit.training.ablations import Ablation
 from motionkit.training.config import leaves
-from motionkit.training.run import Loader, RunFolder
-from motionkit.training.stage import recorded_settings
+from motionkit.training.run import Loader, RunFolder, recorded_settings
 
 NERM = find_ablations("nerm")
 LOWEST, HIGHEST = "lowest of the seeds", "highest of the seeds"

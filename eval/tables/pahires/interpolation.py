@@ -28,8 +28,7 @@ from motionkit.core.progress import task
 from motionkit.edit.encoders import installed_encoders
 from motionkit.store.reader import Store
 from motionkit.training.ablations import Ablation
-from motionkit.training.run import RunFolder
-from motionkit.training.stage import recorded_settings
+from motionkit.training.run import RunFolder, recorded_settings
 
 METRICS = {
     "psnr": "PSNR (dB)",

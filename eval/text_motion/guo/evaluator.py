@@ -31,7 +31,7 @@ from motionkit.features import humanml3d
 from motionkit.features.humanml3d import placed, process
 from motionkit.features.layout import pose_layout
 from motionkit.features.statistics import Statistics
-from motionkit.training.tensors import read_foreign
+from motionkit.training.loop import read_foreign
 
 VERSION = "guo/1"
 MAX_FRAMES = 196

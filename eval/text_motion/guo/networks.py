@@ -18,7 +18,7 @@ from torch.nn.utils.rnn import pack_sequence
 from eval.text_motion.guo.kind import KINDS, GuoKind
 from eval.text_motion.guo.words import NUM_NUMBERS, PARTS_OF_SPEECH
 from motionkit.core.shapes import Float, Float64
-from motionkit.training.tensors import CheckpointError, fill_checked, foreign_tensors
+from motionkit.training.loop import CheckpointError, fill_checked, foreign_tensors
 
 WHAT = "the evaluator of Guo et al."
 FRAMES_PER_TOKEN = 4

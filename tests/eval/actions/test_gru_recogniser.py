@@ -29,7 +29,7 @@ from motionkit.core.skeletons.mapping import map_joints
 from motionkit.fields.resample import resample_positions
 from motionkit.io.asfamc import read_asfamc
 from motionkit.io.registry import ReadOptions
-from motionkit.training.tensors import CheckpointError
+from motionkit.training.loop import CheckpointError
 
 CAPTURES = Path(os.environ.get("MOTIONKIT_CAPTURES", Path.home() / ".cache/motionkit/captures"))
 WEIGHTS = {

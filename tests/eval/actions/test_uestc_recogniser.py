@@ -13,7 +13,7 @@ from eval.actions.uestc import StgcnNetwork, load_uestc, rotation_rows, spatial_
 from eval.sets.sets import Ragged, SampleSet
 from motionkit.core.errors import MotionkitError
 from motionkit.io.smpl_body import SMPL
-from motionkit.training.tensors import CheckpointError
+from motionkit.training.loop import CheckpointError
 
 Weights = dict[str, np.ndarray]
 

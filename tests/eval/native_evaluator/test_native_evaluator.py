@@ -21,8 +21,7 @@ from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.store import Store, StoreWriter
-from motionkit.training.run import RunError, RunFolder
-from motionkit.training.stage import StageContext
+from motionkit.training.run import RunError, RunFolder, StageContext
 
 SENTENCE_SIZE = 6
 

@@ -20,9 +20,8 @@ from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.store import StoreWriter
-from motionkit.training.run import RunFolder
-from motionkit.training.stage import StageContext
-from motionkit.training.tensors import CheckpointError
+from motionkit.training.loop import CheckpointError
+from motionkit.training.run import RunFolder, StageContext
 from tests.eval.native_evaluator.test_native_evaluator import HashEncoder, swinging
 
 KINDS = 12
@@ -142,7 +141,7 @@ def test_what_cannot_be_trained_or_read_is_reported(run: Path, tmp_path: Path) -
     path = RunFolder(run).stage("tmr").model_path
     path.with_name("kept").write_bytes(path.read_bytes())
     path.with_name("SHA256SUMS").unlink()
-    from motionkit.training.tensors import load_tensors, save_tensors
+    from motionkit.training.loop import load_tensors, save_tensors
 
     tensors, header = load_tensors(path)
     save_tensors(path, tensors, header | {"version": "tmr/0"})

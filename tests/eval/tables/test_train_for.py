@@ -20,9 +20,8 @@ from motionkit.core.errors import UsageError
 from motionkit.store import Store, StoreWriter
 from motionkit.store.commit import read_manifest
 from motionkit.training import loop as loop_module
-from motionkit.training.run import Loader, StageFolder
-from motionkit.training.stage import Stage, StageContext
-from motionkit.training.tensors import load_tensors, save_tensors
+from motionkit.training.loop import load_tensors, save_tensors
+from motionkit.training.run import Loader, Stage, StageContext, StageFolder
 from tests.helpers.plugin_lists import install_only
 
 SECONDS_A_STEP = 2.0

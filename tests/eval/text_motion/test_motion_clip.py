@@ -14,7 +14,7 @@ from eval.text_motion.evaluator import PoseVectorEvaluator
 from eval.text_motion.guo.kind import GuoError
 from eval.text_motion.motion_clip import KEY, MotionClipSizes, clip_tokens, load_motion_clip
 from motionkit.core.motion import Caption
-from motionkit.training.tensors import CheckpointError
+from motionkit.training.loop import CheckpointError
 from tests.helpers.published_guo import pose_vectors, write_statistics
 
 pytest.importorskip("transformers", reason="needs the extra motionkit[text]")

@@ -15,8 +15,7 @@ from motionkit.cli.options import parse_rate, read_options
 from motionkit.cli.train import tensorboard_events
 from motionkit.core.errors import MotionkitError, UsageError, describe, printable
 from motionkit.core.progress import Progress, warn
-from motionkit.training.run import RunFolder
-from motionkit.training.stage import StageContext
+from motionkit.training.run import RunFolder, StageContext
 
 HOSTILE = {
     "\x1b[31mred\x1b[0m": r"\x1b[31mred\x1b[0m",

@@ -20,8 +20,8 @@ from motionkit.core.errors import DamagedFileError, MotionkitWarning, StoreError
 from motionkit.store.commit import read_manifest
 from motionkit.store.hub import HubError
 from motionkit.store.life import compact, remove
+from motionkit.training.loop import save_tensors
 from motionkit.training.run import RunFolder
-from motionkit.training.tensors import save_tensors
 from tests.helpers.hub import Hub, local_hub
 from tests.helpers.pages import run_page
 from tests.helpers.repository import REPOSITORY

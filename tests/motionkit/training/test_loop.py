@@ -7,9 +7,15 @@ import pytest
 import torch
 
 from motionkit.training.config import Schedule
-from motionkit.training.loop import Learner, seeded_initialisation, train_loop
+from motionkit.training.loop import (
+    CheckpointError,
+    Learner,
+    load_tensors,
+    save_tensors,
+    seeded_initialisation,
+    train_loop,
+)
 from motionkit.training.run import RunError, StageFolder
-from motionkit.training.tensors import CheckpointError, load_tensors, save_tensors
 
 SCHEDULE = Schedule(20, kind="cosine", warmup_fraction=0.2)
 

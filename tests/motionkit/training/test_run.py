@@ -9,8 +9,7 @@ import pytest
 from motionkit.core.errors import DamagedFileError, UsageError
 from motionkit.core.files import remove_entry, write_json
 from motionkit.training.devices import resolve_device
-from motionkit.training.run import RunError, RunFolder, commit
-from motionkit.training.stage import Stage, StageContext, choose_stages
+from motionkit.training.run import RunError, RunFolder, Stage, StageContext, choose_stages, commit
 from tests.helpers.plugin_lists import install_only
 
 

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from motionkit.core.errors import DamagedFileError
+from motionkit.training.loop import CheckpointError, load_tensors, rebuilding, save_tensors
 from motionkit.training.run import StageFolder
-from motionkit.training.tensors import CheckpointError, load_tensors, rebuilding, save_tensors
 
 TENSORS = {"weight": torch.zeros(3, 2), "bias": torch.zeros(3)}
 PATH = Path("run/field/model.safetensors")

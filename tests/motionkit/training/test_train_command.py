@@ -16,8 +16,7 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.store import StoreWriter
 from motionkit.store.commit import read_manifest
-from motionkit.training.run import RunError
-from motionkit.training.stage import Stage, StageContext, choose_stages
+from motionkit.training.run import RunError, Stage, StageContext, choose_stages
 from tests.helpers.plugin_lists import install_only
 
 MOTION = Motion(np.zeros((2, 22, 3), np.float32), SMPL22, TimeGrid(Fraction(30), 2), sequence_id="one")

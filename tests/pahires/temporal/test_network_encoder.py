@@ -23,9 +23,8 @@ from motionkit.fields.motion_field import (
 )
 from motionkit.store.reader import Store
 from motionkit.training.config import apply_overrides
-from motionkit.training.loop import step_generator
+from motionkit.training.loop import CheckpointError, step_generator
 from motionkit.training.run import RunError, RunFolder
-from motionkit.training.tensors import CheckpointError
 from pahires.temporal.encoder import NetworkEncoder
 from pahires.temporal.training import TemporalTraining, TrainedNetwork
 from pahires.temporal.windows import WindowSampler
@@ -155,7 +154,7 @@ def test_a_training_that_was_interrupted_goes_on_as_if_it_was_not(folder: Path, 
 def test_a_model_that_is_missing_or_another_is_refused(folder: Path, tmp_path: Path, exact: TrainedNetwork) -> None:
     with pytest.raises(RunError, match="is not trained"):
         load(RunFolder(tmp_path))
-    from motionkit.training.tensors import save_tensors
+    from motionkit.training.loop import save_tensors
 
     save_tensors(RunFolder(tmp_path).stage("small").model_path, {}, {"format": "nerm-field"})
     with pytest.raises(CheckpointError, match="train it again"):

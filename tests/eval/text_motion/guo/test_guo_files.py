@@ -13,7 +13,7 @@ from eval.text_motion.guo.evaluator import load_guo
 from eval.text_motion.guo.kind import KINDS, GuoError, GuoFiles, read_statistics
 from eval.text_motion.guo.networks import GuoNetworks, GuoWidths
 from eval.text_motion.guo.words import read_word_vectors
-from motionkit.training.tensors import CheckpointError
+from motionkit.training.loop import CheckpointError
 from tests.helpers.published_guo import KIT, PLAIN, T2M, checkpoint, write_archive, write_glove, write_statistics
 
 SMALL = GuoWidths(movement=6, motion=5, text=4, shared=3)

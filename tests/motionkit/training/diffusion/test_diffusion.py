@@ -7,7 +7,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motionkit.training.diffusion.process import (
+from motionkit.training.config import DiffusionConfig
+from motionkit.training.networks import (
     add_noise,
     cumulative_alphas,
     loss_weights,
@@ -17,7 +18,6 @@ from motionkit.training.diffusion.process import (
     sample,
     sampling_steps,
 )
-from motionkit.training.diffusion.settings import DiffusionConfig
 
 
 def reference(config: DiffusionConfig, kind: str):

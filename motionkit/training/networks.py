@@ -1,0 +1,342 @@
+"""What networks of several systems share: layers, conditions and guidance, the diffusion process."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from motionkit.core.errors import UsageError
+from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64
+from motionkit.training.config import DiffusionConfig, LossMeasure, Prediction
+
+
+def reparameterized(
+    mean: Float[Tensor, "batch *numbers"], log_variance: Float[Tensor, "batch *numbers"], generator: torch.Generator
+) -> Float[Tensor, "batch *numbers"]:
+    """Sample z ~ N(μ, σ²) by the reparameterisation trick, with noise from a CPU generator."""
+    noise = torch.randn(mean.shape, generator=generator).to(mean.device)
+    return mean + (0.5 * log_variance).exp() * noise
+
+
+def kl_divergence(
+    mean: Float[Tensor, "*numbers"], log_variance: Float[Tensor, "*numbers"]
+) -> Float[Tensor, "*numbers"]:
+    """Elementwise KL divergence of N(μ, σ²) from N(0, 1), in float32 even under autocast."""
+    mean, log_variance = mean.float(), log_variance.float()
+    return 0.5 * (mean.square() + log_variance.exp() - 1 - log_variance)
+
+
+def through_long_skips(
+    tokens: Float[Tensor, "batch tokens width"],
+    layers: Sequence[nn.Module] | nn.ModuleList,
+    joins: Sequence[nn.Module] | nn.ModuleList,
+    call: Callable[[nn.Module, Tensor], Tensor],
+) -> Float[Tensor, "batch tokens width"]:
+    """The tokens after an odd number n of layers; layer n − 1 − i also sees what layer i gave (U-ViT, Bao et al. 2023).
+
+    Each of the (n − 1) / 2 `joins` is a linear map of both, concatenated. `call` applies a layer to tokens.
+    """
+    half, kept = len(joins), []
+    for layer in layers[:half]:
+        tokens = call(layer, tokens)
+        kept.append(tokens)
+    tokens = call(layers[half], tokens)
+    for join, layer in zip(joins, layers[half + 1 :], strict=True):
+        tokens = call(layer, join(torch.cat((tokens, kept.pop()), dim=-1)))
+    return tokens
+
+
+NO_ACTION = -1
+
+
+@dataclass(frozen=True)
+class ConditionSizes:
+    """What a network's conditions are: the size of a text embedding (0: no texts) and the names of the actions."""
+
+    text_dimension: int
+    actions: tuple[str, ...]
+
+    def action_index(self, action: str) -> int:
+        """Index of an action, `NO_ACTION` for an empty name; raises `UsageError` naming the known ones."""
+        if not action:
+            return NO_ACTION
+        if action not in self.actions:
+            known = ", ".join(self.actions) or "none (its training data had no actions)"
+            raise UsageError(f"the model knows no action {action!r}; it knows {known}")
+        return self.actions.index(action)
+
+
+@dataclass(frozen=True, eq=False)
+class Conditions:
+    """A batch of conditions.
+
+    Where none is `given`, `text` is the null embedding and `action` is `NO_ACTION`; `duration` is in units of the
+    longest one that the model knows.
+    """
+
+    text: Float32[Tensor, "batch text"]
+    action: Int64[Tensor, "batch"]
+    given: Bool[Tensor, "batch"]
+    duration: Float32[Tensor, "batch"]
+
+    @classmethod
+    def zero_masked(
+        cls, text: Float32[Tensor, "batch text"], action: Int64[Tensor, "batch"], duration: Float32[Tensor, "batch"]
+    ) -> "Conditions":
+        """Conditions whose null embedding is zeros: given wherever there is a text or an action."""
+        return cls(text, action, (action >= 0) | text.any(dim=1), duration)
+
+    def dropped(self, where: Bool[Tensor, "batch"], null: Float32[Tensor, "text"] | None = None) -> "Conditions":
+        """The same without the condition in the rows `where`: its text is `null` (None: zeros). Durations stay."""
+        return Conditions(
+            text=torch.where(where[:, None], torch.zeros_like(self.text) if null is None else null, self.text),
+            action=torch.where(where, NO_ACTION, self.action),
+            given=self.given & ~where,
+            duration=self.duration,
+        )
+
+    def unconditional(self, null: Float32[Tensor, "text"] | None = None) -> "Conditions":
+        """∅: no row has a condition; durations stay."""
+        return self.dropped(torch.ones_like(self.given), null)
+
+    def guidance(self, scale: float) -> float:
+        """The scale of guidance: 1 if no row has a condition."""
+        return scale if bool(self.given.any()) else 1.0
+
+    def rows(self, rows: slice | Int64[Tensor, "some"]) -> "Conditions":
+        """Some of the rows."""
+        return Conditions(*(tensor[rows] for tensor in vars(self).values()))
+
+    def to(self, device: torch.device | str) -> "Conditions":
+        """The same conditions on a device."""
+        return Conditions(*(tensor.to(device) for tensor in vars(self).values()))
+
+
+ConditionalNetwork = Callable[[Tensor, Tensor, Conditions], Tensor]
+"""(noisy [batch, …], steps [batch], conditions) → an output of the same shape."""
+
+
+def guided(
+    network: ConditionalNetwork,
+    noisy: Float[Tensor, "batch *shape"],
+    steps: Float[Tensor, "batch"] | Int64[Tensor, "batch"],
+    conditions: Conditions,
+    unconditional: Conditions,
+    scale: float,
+) -> Float[Tensor, "batch *shape"]:
+    """scale·network(x, k, c) + (1 − scale)·network(x, k, ∅) (NeRM, Eq. 6), both in one batch.
+
+    Valid for predicted noise, clean values and velocities, which are linear in one another at a given x. A scale of 1
+    takes a single pass (`Conditions.guidance`).
+    """
+    if scale == 1.0:
+        return network(noisy, steps, conditions)
+    pairs = zip(vars(conditions).values(), vars(unconditional).values(), strict=True)
+    stacked = Conditions(*(torch.cat(pair) for pair in pairs))
+    both = network(torch.cat((noisy, noisy)), torch.cat((steps, steps)), stacked)
+    with_condition, without = both.chunk(2)
+    return scale * with_condition + (1 - scale) * without
+
+
+@dataclass(frozen=True, eq=False)
+class WindowConditions:
+    """The captions and actions of training windows.
+
+    A window's captions are rows of `text`, whose row 0 is the null embedding: the first `num_captions` of
+    `caption_rows`. `action` is `NO_ACTION` where there is none.
+    """
+
+    text: Float32[Tensor, "texts dimension"]
+    caption_rows: Int64[Tensor, "windows most"]
+    num_captions: Int64[Tensor, "windows"]
+    action: Int64[Tensor, "windows"]
+    duration: Float32[Tensor, "windows"]
+    sizes: ConditionSizes
+
+    def draw(
+        self,
+        rows: Int64[Tensor, "batch"],
+        chance: Float[Tensor, "3 batch"],
+        *,
+        drop: float,
+        action_share: float = 0.0,
+    ) -> Conditions:
+        """One condition per window: none with probability `drop`, else one of its captions or its action.
+
+        Windows with both get the action with probability `action_share`. `chance` is uniform in [0, 1).
+        """
+        counts, action = self.num_captions[rows], self.action[rows]
+        has_text, has_action = counts > 0, action >= 0
+        use_action = has_action & (~has_text | (chance[0] < action_share))
+        choice = (chance[1] * counts).to(torch.int64).clamp(max=(counts - 1).clamp(min=0))
+        use_text = has_text & ~use_action
+        given = Conditions(
+            text=torch.where(use_text[:, None], self.text[self.caption_rows[rows, choice]], self.text[0]),
+            action=torch.where(use_action, action, NO_ACTION),
+            given=use_text | use_action,
+            duration=self.duration[rows],
+        )
+        return given.dropped(chance[2] < drop, self.text[0])
+
+
+def window_conditions(
+    captions: Sequence[Sequence[str]],
+    actions: Sequence[str],
+    duration: Float32[Tensor, "windows"],
+    embed: Callable[[list[str]], Float32[Tensor, "texts dimension"]],
+) -> WindowConditions:
+    """Index the captions and actions ("": none) of all windows; `embed` gets "" (the null text), then all others."""
+    texts = sorted({text for of_window in captions for text in of_window})
+    row_of = {text: row for row, text in enumerate(texts, start=1)}
+    caption_rows = torch.zeros((len(captions), max(1, *map(len, captions))), dtype=torch.int64)
+    for window, of_window in enumerate(captions):
+        caption_rows[window, : len(of_window)] = torch.tensor([row_of[text] for text in of_window], dtype=torch.int64)
+    text, names = embed(["", *texts]), tuple(sorted({action for action in actions if action}))
+    sizes = ConditionSizes(text.shape[1], names)
+    return WindowConditions(
+        text=text,
+        caption_rows=caption_rows,
+        num_captions=torch.tensor([len(of_window) for of_window in captions], dtype=torch.int64),
+        action=torch.tensor([sizes.action_index(action) for action in actions], dtype=torch.int64),
+        duration=duration,
+        sizes=sizes,
+    )
+
+
+NoisePredictor = Callable[[Tensor, Tensor], Tensor]
+"""(z_k [batch, latent], k [batch]) → predicted noise [batch, latent]."""
+
+Adjust = Callable[[Tensor, int, float], Tensor]
+"""(predicted clean z [batch, latent], index of the visited step, its ᾱ) → the clean z to continue with."""
+
+LARGEST_COSINE_BETA = 0.999
+MIN_SNR_GAMMA = 5.0
+
+
+def cumulative_alphas(config: DiffusionConfig) -> Float64[Tensor, "steps"]:
+    """ᾱ_k = ∏ (1 − β_j) for j ≤ k.
+
+    √β is linear from √beta_start to √beta_end, or ᾱ follows cos²(π/2 · (k/K + s) / (1 + s)) with s = 0.008 and β ≤
+    0.999 (Nichol & Dhariwal 2021, Eq. 17).
+    """
+    if config.schedule == "scaled_linear":
+        roots = torch.linspace(config.beta_start**0.5, config.beta_end**0.5, config.num_steps, dtype=torch.float64)
+        return torch.cumprod(1.0 - roots**2, dim=0)
+    times = torch.arange(config.num_steps + 1, dtype=torch.float64) / config.num_steps
+    curve = torch.cos((times + 0.008) / 1.008 * (math.pi / 2)).square()
+    betas = (1.0 - curve[1:] / curve[:-1]).clamp(max=LARGEST_COSINE_BETA)
+    return torch.cumprod(1.0 - betas, dim=0)
+
+
+def sampling_steps(config: DiffusionConfig) -> tuple[int, ...]:
+    """The steps k visited at inference, noisiest first."""
+    if config.sampling_spacing == "trailing":
+        ratio = config.num_steps / config.sampling_steps
+        return tuple(round(config.num_steps - i * ratio) - 1 for i in range(config.sampling_steps))
+    stride = config.num_steps // config.sampling_steps
+    steps = (min(i * stride + 1, config.num_steps - 1) for i in range(config.sampling_steps))
+    return tuple(sorted(set(steps), reverse=True))
+
+
+def add_noise(
+    latents: Float[Tensor, "batch latent"],
+    noise: Float[Tensor, "batch latent"],
+    steps: Int64[Tensor, "batch"],
+    alphas: Float64[Tensor, "steps"],
+) -> Float[Tensor, "batch latent"]:
+    """z_k = √ᾱ_k z + √(1 − ᾱ_k) ε: the input of ε_φ in Eq. 5."""
+    kept = alphas[steps][:, None]
+    return (kept.sqrt() * latents + (1 - kept).sqrt() * noise).to(latents.dtype)
+
+
+def predicted_latents(
+    noisy: Float[Tensor, "batch latent"], noise: Float[Tensor, "batch latent"], alpha: float
+) -> Float[Tensor, "batch latent"]:
+    """The clean latent from a noise prediction: (z_k − √(1 − ᾱ_k) ε) / √ᾱ_k."""
+    clean: Tensor = (noisy - (1 - alpha) ** 0.5 * noise) / alpha**0.5
+    return clean
+
+
+def prediction_target(
+    prediction: Prediction,
+    latents: Float[Tensor, "batch latent"],
+    noise: Float[Tensor, "batch latent"],
+    steps: Int64[Tensor, "batch"],
+    alphas: Float64[Tensor, "steps"],
+) -> Float[Tensor, "batch latent"]:
+    """The target of the network at z_k: ε, z or √ᾱ_k ε − √(1 − ᾱ_k) z."""
+    if prediction == "noise":
+        return noise
+    if prediction == "latent":
+        return latents
+    kept = alphas[steps][:, None]
+    return (kept.sqrt() * noise - (1 - kept).sqrt() * latents).to(latents.dtype)
+
+
+def predicted_noise(
+    prediction: Prediction, output: Float[Tensor, "batch latent"], noisy: Float[Tensor, "batch latent"], alpha: float
+) -> Float[Tensor, "batch latent"]:
+    """The noise from a network's output; the inverse of `prediction_target` at a known z_k."""
+    if prediction == "noise":
+        return output
+    if prediction == "latent":
+        noise: Tensor = (noisy - alpha**0.5 * output) / (1 - alpha) ** 0.5
+        return noise
+    from_velocity: Tensor = alpha**0.5 * output + (1 - alpha) ** 0.5 * noisy
+    return from_velocity
+
+
+def loss_weights(
+    prediction: Prediction, measure: LossMeasure, alphas: Float64[Tensor, "steps"]
+) -> Float64[Tensor, "steps"]:
+    """Weights per step that convert squared errors of the network's output to those of `measure`.
+
+    At a given z_k the errors of noise, latent and velocity are proportional: e_ε² = SNR · e_z², e_v² = (SNR + 1) · e_z²
+    with SNR = ᾱ / (1 − ᾱ).
+    """
+    ratio = alphas / (1 - alphas)
+    per_latent_error = {
+        "noise": ratio,
+        "latent": torch.ones_like(ratio),
+        "velocity": ratio + 1,
+        "min_snr": ratio.clamp(max=MIN_SNR_GAMMA),
+    }
+    weights: Tensor = per_latent_error[measure] / per_latent_error[prediction]
+    return weights
+
+
+def sample(
+    predict_noise: NoisePredictor,
+    start: Float64[Tensor, "batch latent"],
+    alphas: Float64[Tensor, "num_steps"],
+    steps: Sequence[int],
+    *,
+    draw_noise: Callable[[], Tensor] | None = None,
+    adjust: Adjust | None = None,
+) -> Float64[Tensor, "batch latent"]:
+    """Sample from z_K over decreasing steps; the last update goes to ᾱ = 1, to the last prediction of the clean latent.
+
+    Without `draw_noise` deterministically (DDIM, η = 0; Song et al. 2021, Eq. 12). With it, ancestrally (DDPM; Ho et
+    al. 2020, Eq. 7): it returns fresh N(0, I) numbers of the shape of `start`, the last update adds none, and the
+    variance is that of the true posterior q(z_{k−1} | z_k, z_0), for steps that are skipped too. `adjust` may change
+    each prediction of the clean latent.
+    """
+    latents = start
+    targets = [float(alphas[k]) for k in steps[1:]] + [1.0]
+    for index, (k, target) in enumerate(zip(steps, targets, strict=True)):
+        alpha = float(alphas[k])
+        noise = predict_noise(latents, torch.full((len(latents),), k, dtype=torch.int64))
+        clean = predicted_latents(latents, noise.to(torch.float64), alpha)
+        if adjust is not None:
+            clean = adjust(clean, index, alpha)
+            noise = predicted_noise("latent", clean, latents, alpha)
+        if draw_noise is None:
+            latents = target**0.5 * clean + (1 - target) ** 0.5 * noise
+            continue
+        kept = alpha / target
+        latents = (target**0.5 * (1 - kept) * clean + kept**0.5 * (1 - target) * latents) / (1 - alpha)
+        if target < 1.0:
+            latents = latents + ((1 - target) / (1 - alpha) * (1 - kept)) ** 0.5 * draw_noise()
+    return latents
