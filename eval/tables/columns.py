@@ -7,8 +7,10 @@ from fractions import Fraction
 from eval.clip_fid.clips import ClipError, check_lengths
 from eval.clip_fid.features import Comparison
 from eval.config import EvalConfig
+from eval.detail import LEAST_FPS, RealDetail
+from eval.detail import VERSION as DETAIL_VERSION
 from eval.metrics.number import Number
-from eval.report.results import Cell, pairs_of
+from eval.report.results import Block, Cell, Row, pairs_of
 from eval.sample_folder.takes import takes_of_samples
 from eval.sets.generated import Window, is_framed, sample_fields
 from eval.sets.missing import Missing
@@ -41,6 +43,15 @@ ROW_NOTES = {
 NOT_SO_FAST = "no generated motion is for a sequence this fast"
 MOTIONS, TAKES = "motions", "takes"
 DRAWING = "± of the drawing of clips alone"
+LOWEST, HIGHEST = "real takes, lowest (2.5 %)", "real takes, highest (97.5 %)"
+OUTSIDE = "*"
+DETAIL_NOTE = (
+    "T: how far power at 12 to 27 Hz comes when slow motion predicts, as a share of real motion's. Hz: power in that "
+    "band, in dB relative to real motion's. R: change of bone lengths > 8 Hz, in mm. Read each by itself, none is a "
+    f"score. The first two rows are the range of random halves of the real takes beside the other halves; {OUTSIDE} "
+    "marks what lies outside of it (of R, only what lies above: bones of a body do not change). Intervals over takes "
+    "are in the JSON."
+)
 
 # Models' motions for stretches of real sequences.
 ModelFields = Mapping[RowId, Mapping[Window, MotionField]]
@@ -216,3 +227,49 @@ def _cell(score: Number, samples: SampleSet, subset: int | None) -> Cell:
     sizes = {MOTIONS: subset or samples.num_sequences, TAKES: subset or samples.num_takes}
     interval = score.ci95 if score.resampled or subset else None
     return Cell(score.value, interval, {**details, DRAWING: score.drawing, **sizes})
+
+
+def detail_blocks(
+    real: SampleSet,
+    train: SampleSet | None,
+    rows: Mapping[RowId, SampleSet],
+    notes: Mapping[RowId, str],
+    config: EvalConfig,
+) -> list[Block]:
+    """The detail profile of rows at 40 fps or more; none below, without training motion, or of frozen real motion."""
+    blocks: list[Block] = []
+    if train is None or real.fps < LEAST_FPS:
+        return blocks
+    name = f"detail, {label(real.fps)}"
+    with task(config.on_progress, name), config.missing.skipping(name, (ClipError,)):
+        detail = RealDetail.of(real, train, config.seed)
+        cells = {row: detail_cells(detail, samples) for row, samples in rows.items() if row not in (REAL, P1)}
+        if cells:
+            blocks.append(detail_block(detail, cells, {**notes, TRAINING: "all of them"}))
+    return blocks
+
+
+def detail_cells(detail: RealDetail, samples: SampleSet) -> dict[str, Cell]:
+    """The figures of one set's profile, marked where they lie outside of what real takes show."""
+    return {
+        name: Cell(
+            figure.value,
+            details=dict(zip(("2.5 % over takes", "97.5 % over takes"), figure.interval, strict=True)),
+            mark="" if figure.is_real else OUTSIDE,
+        )
+        for name, figure in detail.profile(samples).figures.items()
+    }
+
+
+def detail_block(detail: RealDetail, cells: Mapping[RowId, Mapping[str, Cell]], notes: Mapping[RowId, str]) -> Block:
+    """The ranges of real takes, then a row of `detail_cells` for each set."""
+    names, rows = tuple(next(iter(cells.values()))), []
+    if detail.ranges is not None:
+        for name, bounds in zip((LOWEST, HIGHEST), detail.ranges.tolist(), strict=True):
+            rows.append(Row(name, "reference", dict(zip(names, map(Cell, bounds), strict=True))))
+    for row, figures in cells.items():
+        rows.append(Row(str(row), "reference" if row in REFERENCES else "ours", figures, notes.get(row, "")))
+    note = f"{DETAIL_NOTE} Real motion keeps {detail.real_slope:.2f} of the slope that the prediction was fitted with."
+    provenance = {"version": DETAIL_VERSION, "real_slope": detail.real_slope}
+    title = f"Detail profile, {label(detail.real.fps)}"
+    return Block(title, names, tuple(rows), note=note, provenance=provenance)

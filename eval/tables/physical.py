@@ -16,10 +16,10 @@ from eval.metrics.physical import METRICS, ground_height
 from eval.metrics.physical_published import METRICS as PUBLISHED
 from eval.metrics.resampling import Resampling, Units, units_of
 from eval.report.results import Block, Row, cell_of, differences_block, measure, of_interest, pairs_of
-from eval.sets.real import NoRealMotionError, real_motion
+from eval.sets.real import NoRealMotionError, real_motion, training_motion
 from eval.sets.row_ids import REAL, RowId, Variant
 from eval.sets.sets import SampleSet
-from eval.tables.columns import generated_at, label, samples_at
+from eval.tables.columns import detail_blocks, generated_at, label, real_column, samples_at
 from eval.tables.models import generated_fields
 from eval.tables.table import Content, Table
 from motionkit.core.progress import task
@@ -100,6 +100,7 @@ def compute(config: EvalConfig, store: Store) -> Content:
     """
     folders = config.sample_folders
     real = real_motion(store, config.split, config.where)
+    train = training_motion(store, real)
     references: dict[Fraction, SampleSet] = {}
     for fps in config.fps or RATES:
         with config.missing.skipping(label(fps), (NoRealMotionError,)):
@@ -110,7 +111,10 @@ def compute(config: EvalConfig, store: Store) -> Content:
     blocks: list[Block] = []
     for fps, reference in references.items():
         sets = {REAL: reference, **generated_at(generated.rows, reference, fps, config.missing)}
-        blocks += _blocks(fps, sets | samples_at(real, fps, config), generated.training, config)
+        sets |= samples_at(real, fps, config)
+        notes = _notes(sets, generated.training)
+        blocks += _blocks(fps, sets, notes, config)
+        blocks += detail_blocks(reference, real_column(fps, real, train).train, sets, notes, config)
     return Content(
         caption=f"Physical figures of real motion, {config.real}, and of what was made for it.",
         blocks=blocks,
@@ -118,18 +122,24 @@ def compute(config: EvalConfig, store: Store) -> Content:
     )
 
 
-def _blocks(
-    fps: Fraction, sets: Mapping[RowId, SampleSet], training: Mapping[str, str], config: EvalConfig
-) -> list[Block]:
-    """The blocks of our and the published metrics, at one framerate."""
-    rows: dict[RowId, Measured] = {}
-    notes: dict[RowId, str] = {}
+def _notes(sets: Mapping[RowId, SampleSet], training: Mapping[str, str]) -> dict[RowId, str]:
+    """Each row's size, and how its model was trained."""
+    notes = {}
     for row, samples in sets.items():
-        with task(config.on_progress, f"{row}, {label(fps)}", samples.num_sequences) as work:
-            rows[row] = measured(samples, work.advance)
         trained = training.get(row.system) if row.variant is Variant.AS_IS else None
         size = f"{samples.num_takes} takes, {samples.num_sequences} motions, {samples.duration_seconds:.0f} s"
         notes[row] = "; ".join(filter(None, (size, trained)))
+    return notes
+
+
+def _blocks(
+    fps: Fraction, sets: Mapping[RowId, SampleSet], notes: Mapping[RowId, str], config: EvalConfig
+) -> list[Block]:
+    """The blocks of our and the published metrics, at one framerate."""
+    rows: dict[RowId, Measured] = {}
+    for row, samples in sets.items():
+        with task(config.on_progress, f"{row}, {label(fps)}", samples.num_sequences) as work:
+            rows[row] = measured(samples, work.advance)
     return [
         *blocks_of(f"Per second, at {label(fps)}", OURS, rows, notes, NOTE, config.seed),
         *blocks_of(f"By the field's definitions, at {label(fps)}", PER_FRAME, rows, notes, PUBLISHED_NOTE, config.seed),

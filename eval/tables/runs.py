@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from eval.clip_fid.clips import REAL, describe_clips, draw_clips, place_clips, readable
+from eval.clip_fid.clips import REAL, ClipError, describe_clips, draw_clips, place_clips, readable
 from eval.clip_fid.features import Comparison, kinematic_source
 from eval.clip_fid.kinematic import VERSION as KINEMATIC_VERSION
 from eval.clip_fid.score import VERSION as CLIP_FID_VERSION
 from eval.config import EvalConfig
+from eval.detail import LEAST_FPS, RealDetail
+from eval.detail import VERSION as DETAIL_VERSION
 from eval.metrics.actions import diversity
 from eval.metrics.number import over_replications
 from eval.reconstruction import described_windows, mpjpe_cell, mre_cell
@@ -24,7 +26,7 @@ from eval.sets.real import NoRealMotionError, RealMotion, real_motion, training_
 from eval.sets.row_ids import RowId, Variant
 from eval.sets.sets import SampleSet
 from eval.sets.upsampled import low_passed
-from eval.tables.columns import NOT_SO_FAST, P1, P2, ROW_NOTES, label, real_column, score_column
+from eval.tables.columns import NOT_SO_FAST, P1, P2, ROW_NOTES, detail_cells, label, real_column, score_column
 from eval.tables.models import Trained, TrainedModel, reconstructor
 from eval.tables.table import cached
 from motionkit.fields.motion_field import MotionEncoder, MotionField
@@ -33,6 +35,7 @@ from motionkit.store.reader import Store
 
 RECONSTRUCTION_VERSION = "reconstruction/2"
 SYNTHESIS, DIVERSITY, REAL_DIVERSITY = "clip-FID", "diversity", "diversity of real motion"
+DETAIL = "detail profile"
 MPJPE, MRE = "root-aligned MPJPE (mm)", "MRE"
 ERRORS = {MPJPE: mpjpe_cell, MRE: mre_cell}
 
@@ -76,9 +79,10 @@ class Yardstick:
     ) -> Rows:
         """clip-FID of a model's motions for the captions and durations of the real sequences.
 
-        With `planted` also of the same motions planted. Raises `RunError` if a stage of it is not trained.
+        With `planted` also of the same motions planted, and the detail profile of both. Raises `RunError` if a stage of
+        it is not trained.
         """
-        terms = {**self._clip_terms(trained), "sampling": asdict(sampling), "planted": planted}
+        terms = {**self._clip_terms(trained), "sampling": asdict(sampling), "planted": planted and DETAIL_VERSION}
 
         def compute(missing: Missing) -> Rows:
             windows = self._windows(trained.loaded)
@@ -89,7 +93,10 @@ class Yardstick:
                 cells = rows[str(RowId(SYNTHESIS, variant))] = {}
                 for fps in self._comparisons(missing):
                     if (scored := self._scored(_row(trained, variant), made, fps, missing)) is not None:
-                        cells[label(fps)], _ = scored
+                        cells[label(fps)], samples = scored
+                        if planted and fps in self.details:
+                            detail = str(RowId(f"{DETAIL}, {label(fps)}", variant))
+                            rows[detail] = detail_cells(self.details[fps], samples)
             return rows
 
         return self._cached("synthesis", terms, compute)
@@ -119,6 +126,16 @@ class Yardstick:
             return rows
 
         return self._cached("unconditional", terms, compute)
+
+    @cached_property
+    def details(self) -> dict[Fraction, RealDetail]:
+        """The real side of the detail profile, at framerates of 40 fps or more; without those of frozen real motion."""
+        found = {}
+        for fps, comparison in self._made[0].items():
+            if fps >= LEAST_FPS and comparison.training is not None:
+                with self.config.missing.skipping(f"detail, {label(fps)}", (ClipError,)):
+                    found[fps] = RealDetail.of(comparison.real, comparison.training, self.config.seed)
+        return found
 
     def reconstruction(self, trained: Trained[MotionEncoder]) -> Rows:
         """Errors of an encoder's training windows, from their trained latents, and of held-out windows.

@@ -190,12 +190,13 @@ def test_a_table_shows_what_is_trained_and_says_how_to_train_the_rest(project: P
     as_it_is, planted = (scores[f"{OTHERWISE}, unconditional{form}"].cells["60 fps"] for form in ("", ", planted"))
     assert as_it_is.value > 1.0 and planted.value != as_it_is.value
     assert spread["real"].cells["60 fps"].value > 0.0
-    (cost,) = figures.FIGURE_8.build(request(project, "table-global", "results-7", 60)).blocks
+    cost, detail = figures.FIGURE_8.build(request(project, "table-global", "results-7", 60)).blocks
     assert [row.name for row in cost.rows if row.origin == "ours"] == [
         f"{OTHERWISE}, 3 diffusion steps (its own)",
         f"{OTHERWISE}, 2 diffusion steps",
     ]
     assert all(set(row.cells) == set(cost.columns) for row in cost.rows if row.origin == "ours")
+    assert detail.title == "Detail profile, 60 fps"
     assert all(set(row.cells[figures.CPU].details) == {"at 20 fps", "at 120 fps"} for row in cost.rows[2:])
     with pytest.raises(UsageError, match="one framerate"):
         figures.FIGURE_8.build(request(project, "table-global", "results-7", 20, 60))

@@ -1,6 +1,7 @@
 """NeRM's Figures 5 and 8 as tables: unconditional generation, and the cost of a motion against its quality."""
 
 import time
+from collections.abc import Mapping
 from fractions import Fraction
 
 import numpy as np
@@ -11,9 +12,9 @@ from eval.report.results import Block, Cell, Row, measure
 from eval.sets.generated import needs_a_condition
 from eval.sets.planted import VARIANT_NOTES
 from eval.sets.row_ids import REAL, RowId, Variant
-from eval.tables.columns import COLUMNS, label
+from eval.tables.columns import COLUMNS, detail_block, label
 from eval.tables.models import TrainedModel, require_models, training_note
-from eval.tables.runs import DIVERSITY, REAL_DIVERSITY, SYNTHESIS, Rows, Yardstick
+from eval.tables.runs import DETAIL, DIVERSITY, REAL_DIVERSITY, SYNTHESIS, Rows, Yardstick
 from eval.tables.table import Content, Table
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import tracked
@@ -97,7 +98,7 @@ def _rows(made: dict[str, Rows], quantity: str, notes: dict[str, str]) -> list[R
 
 
 def cost(config: EvalConfig, store: Store) -> Content:
-    """Seconds for one motion of 9.8 s (or l_max) at 60 fps, and clip-FID there, by the number of diffusion steps.
+    """Seconds for one motion of 9.8 s (or l_max) at 60 fps, its clip-FID and detail, by the number of diffusion steps.
 
     Raises `UsageError` without a run, `RunError` where it holds no model or none generates.
     """
@@ -114,6 +115,7 @@ def cost(config: EvalConfig, store: Store) -> Content:
     ]
     seconds = min(SECONDS, *(trained.loaded.max_duration_seconds for trained in models.values()))
     num_references = len(rows)
+    details: dict[RowId, Mapping[str, Cell]] = {}
     for name in tracked(config.on_progress, "systems", models, len(models)):
         with config.missing.skipping(name):
             trained, own = models[name], []
@@ -123,6 +125,8 @@ def cost(config: EvalConfig, store: Store) -> Content:
                 for variant, column in columns.items():
                     scored = scores[str(RowId(SYNTHESIS, variant))]
                     cells |= {column: scored[label(fps)]} if scored else {}
+                    if detail := scores.get(str(RowId(f"{DETAIL}, {label(fps)}", variant))):
+                        details[RowId(f"{name}{suffix}", variant)] = detail
                 own.append(Row(f"{name}{suffix}", "ours", cells, training_note(trained)))
             rows += own
     if len(rows) == num_references:
@@ -130,7 +134,7 @@ def cost(config: EvalConfig, store: Store) -> Content:
     return Content(
         caption=(
             f"Generating one motion of {seconds:g} s at {label(fps)} without a condition, the quickest of {REPEATS} "
-            f"calls; planting is not in it. clip-FID as in Table 2, {config.real}."
+            f"calls; planting is not in it. clip-FID and the detail profile as in Table 2, {config.real}."
         ),
         blocks=(
             Block(
@@ -139,6 +143,7 @@ def cost(config: EvalConfig, store: Store) -> Content:
                 tuple(rows),
                 metrics=tuple(measure(CLIP_FID, column=column) for column in columns.values()),
             ),
+            *([detail_block(yardstick.details[fps], details, {})] if details else []),
         ),
         definition={"seconds": seconds, "fps": str(fps), "repeats": REPEATS},
         notes=(

@@ -6,12 +6,9 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from eval.clip_fid.clips import ClipError
 from eval.clip_fid.features import Comparison, FeatureSource, feature_sources
 from eval.clip_fid.score import CLIP_FID, VERSION
 from eval.config import EvalConfig
-from eval.detail import LEAST_FPS, Figure, RealDetail
-from eval.detail import VERSION as DETAIL_VERSION
 from eval.metrics.number import Number
 from eval.report.results import Block, Cell, Row, differences_block, measure, of_interest
 from eval.sample_folder.takes import takes_of_samples
@@ -26,14 +23,13 @@ from eval.tables.columns import (
     COLUMNS,
     LOW_FPS,
     MOTIONS,
-    P1,
     REFERENCES,
     ROW_NOTES,
     TAKES,
-    TRAINING,
     VECTORS,
     Column,
     ModelFields,
+    detail_blocks,
     label,
     make_column,
     score_column,
@@ -51,15 +47,6 @@ UPSAMPLED_NOTE = (
 )
 SMALL_SECONDS = 3600.0
 """With less real motion at any framerate, the caption calls the table small-scale."""
-LOWEST, HIGHEST = "real takes, lowest (2.5 %)", "real takes, highest (97.5 %)"
-OUTSIDE = "*"
-DETAIL_NOTE = (
-    "T: how far power at 12 to 27 Hz comes when slow motion predicts, as a share of real motion's. Hz: power in that "
-    "band, in dB relative to real motion's. R: change of bone lengths > 8 Hz, in mm. Read each by itself, none is a "
-    f"score. The first two rows are the range of random halves of the real takes beside the other halves; {OUTSIDE} "
-    "marks what lies outside of it (of R, only what lies above: bones of a body do not change). Intervals over takes "
-    "are in the JSON."
-)
 COPIES = "Copies of training motion"
 HELD_OUT = RowId(REAL.system, Variant.HELD_OUT)
 COPIED = "copied (%)"
@@ -158,11 +145,7 @@ def compute(config: EvalConfig, store: Store) -> Content:
         for sheet in sheets:
             with config.missing.skipping(f"{column.label}, {sheet.source.name}"):
                 sheet.add(column, config)
-        with (
-            task(config.on_progress, f"detail, {column.label}"),
-            config.missing.skipping(f"detail, {column.label}", (ClipError,)),
-        ):
-            details += detail_blocks(column, notes, config.seed)
+        details += detail_blocks(column.real, column.train, column.rows, notes, config)
         del column
         for motion in (real, train):
             motion.forget_all_but(LOW_FPS)
@@ -208,32 +191,6 @@ def _row_notes(generated: Generated, config: EvalConfig) -> dict[RowId, str]:
         planted = RowId(folder.name, Variant.PLANTED)
         notes |= {RowId(folder.name): folder.describe(), planted: VARIANT_NOTES[Variant.PLANTED]}
     return notes
-
-
-def detail_blocks(column: Column, notes: Mapping[RowId, str], seed: int) -> list[Block]:
-    """The profile of every row of a column of at least 40 fps; none for a slower one, or without training motion."""
-    if column.fps < LEAST_FPS or column.train is None:
-        return []
-    real = RealDetail.of(column.real, column.train, seed)
-    profiles = {row: real.profile(samples).figures for row, samples in column.rows.items() if row != P1}
-    names = tuple(next(iter(profiles.values())))
-    rows = []
-    if real.ranges is not None:
-        for name, bounds in zip((LOWEST, HIGHEST), real.ranges.tolist(), strict=True):
-            rows.append(Row(name, "reference", dict(zip(names, map(Cell, bounds), strict=True))))
-    for row, figures in profiles.items():
-        note = "all of them" if row == TRAINING else notes.get(row, "")
-        cells = {name: _detail_cell(figure) for name, figure in figures.items()}
-        rows.append(Row(str(row), "reference" if row in REFERENCES else "ours", cells, note))
-    note = f"{DETAIL_NOTE} Real motion keeps {real.real_slope:.2f} of the slope that the prediction was fitted with."
-    provenance = {"version": DETAIL_VERSION, "real_slope": real.real_slope}
-    return [Block(f"Detail profile, {column.label}", names, tuple(rows), note=note, provenance=provenance)]
-
-
-def _detail_cell(figure: Figure) -> Cell:
-    low, high = figure.interval
-    interval = {"2.5 % over takes": low, "97.5 % over takes": high}
-    return Cell(figure.value, details=interval, mark="" if figure.is_real else OUTSIDE)
 
 
 def _copies(

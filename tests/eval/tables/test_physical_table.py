@@ -65,6 +65,8 @@ def test_rows_of_real_motion_and_of_a_model_that_slides(store: Path, tmp_path: P
     install_models(monkeypatch, lambda run: ScriptedModel(partial(sliding_truth, drift=0.3)))
     request = table_request(store, tmp_path, run=trained_run(tmp_path / "run"), fps=(Fraction(20), Fraction(60)))
     result = TABLE.build(request)
+    detail = result.blocks[-1]
+    assert detail.title == "Detail profile, 60 fps" and detail.rows[-1].name == "NeRM, planted"
     ours, differences, published, _, faster = (cells(result, block) for block in range(5))
     assert result.blocks[0].title == "Per second, at 20 fps"
     assert list(published["real"]) == [metric.title for metric in PER_FRAME]

@@ -73,4 +73,5 @@ def test_a_system_that_fails_has_no_row_of_costs(store: Path, tmp_path: Path, mo
     result = figures.FIGURE_8.build(wanted)
     (row,) = (row for row in result.blocks[0].rows if row.origin == "ours")
     assert row.name == "NeRM" and set(row.cells) == set(result.blocks[0].columns)
+    assert [row.name for row in result.blocks[1].rows if row.origin == "ours"] == ["NeRM", "NeRM, planted"]
     assert {"Broken: it was told nothing", "NeRM: its weights are gone"} <= set(result.missing)
