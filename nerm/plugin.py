@@ -10,7 +10,7 @@ MODELS = {
 }
 ENCODERS = {"nerm": Loader("NeRM", ("field",), lazily("nerm.encoding:load"), tasks=("reconstruction",))}
 TEXT_ENCODERS = {
-    "minilm": "nerm.text:load_minilm",
+    "minilm": "nerm.minilm:load_minilm",
     "clip": "nerm.text:load_clip",
     "transformers": "nerm.text:load_transformers",
 }

