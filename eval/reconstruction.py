@@ -20,11 +20,12 @@ from motionkit.core.mirror import mirror_positions
 from motionkit.core.shapes import Bool, Float32, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.data.reconstruction import ModelWindows, ReconstructsWindows
-from motionkit.data.windows import PositionSource, Windows
+from motionkit.data.windows import Windows
 from motionkit.features import field
 from motionkit.features.native import vectors
 from motionkit.fields.motion_field import MotionField, to_motion
 from motionkit.fields.resample import resample_positions
+from motionkit.store.cache import PositionCache
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store
@@ -46,7 +47,7 @@ class Reconstruction:
 
 
 def window_truth(
-    source: PositionSource, windows: Windows, row: int, fps: Fraction
+    source: PositionCache, windows: Windows, row: int, fps: Fraction
 ) -> Float32[np.ndarray, "poses joints 3"]:
     """A window's own capture at `fps` (not above its native framerate), in the window's frame; metres."""
     start, count = int(windows.start_row[row]), int(windows.num_frames[row])
@@ -59,7 +60,7 @@ def window_truth(
 
 
 def reconstructions(
-    source: PositionSource, windows: Windows, fields: Sequence[MotionField], fps: Fraction
+    source: PositionCache, windows: Windows, fields: Sequence[MotionField], fps: Fraction
 ) -> Iterator[Reconstruction]:
     """Windows that have a ground truth at `fps`, each with its decoded motion at that framerate."""
     for row in np.flatnonzero(windows.fps >= float(fps) - 1e-6).tolist():
@@ -139,7 +140,7 @@ def _mean(windows: Sequence[WindowErrors], values: Iterable[float]) -> float:
 class DescribedWindows:
     """Windows of a source, each with a model's reconstruction: a motion field in the window's own frame."""
 
-    source: PositionSource
+    source: PositionCache
     windows: Windows
     fields: Sequence[MotionField]
     described: str

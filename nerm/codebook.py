@@ -25,10 +25,9 @@ from torch.nn.functional import smooth_l1_loss
 from motionkit.core.errors import UsageError
 from motionkit.core.files import whole_file
 from motionkit.core.shapes import Float, Float32, Int64
-from motionkit.data.windows import PositionSource
 from motionkit.features import field
 from motionkit.fields.resample import resample_positions
-from motionkit.store.cache import open_cache
+from motionkit.store.cache import PositionCache, open_cache
 from motionkit.training.devices import ALONE, Ranks, autocast, resolve_device, with_precision_of
 from motionkit.training.loop import (
     CheckpointError,
@@ -246,7 +245,7 @@ class VectorCorpus:
         return (torch.from_numpy(np.asarray(self.vectors[rows])) - self.mean) / self.scale
 
 
-def vector_corpus(source: PositionSource, config: CodebookConfig, path: Path) -> VectorCorpus:
+def vector_corpus(source: PositionCache, config: CodebookConfig, path: Path) -> VectorCorpus:
     """The pose vectors of a corpus, from the file that `write_vectors` wrote for it."""
     size = 6 * source.positions.shape[1] + 1
     lengths = _num_vectors(source)
@@ -258,7 +257,7 @@ def vector_corpus(source: PositionSource, config: CodebookConfig, path: Path) ->
     return VectorCorpus(vectors, np.concatenate(starts), mean, scale)
 
 
-def check_lengths(source: PositionSource, config: CodebookConfig) -> None:
+def check_lengths(source: PositionCache, config: CodebookConfig) -> None:
     """Raise `UsageError` if no sequence is as long as a training window."""
     frames = config.window_frames
     if not (_num_vectors(source) >= frames).any():
@@ -269,7 +268,7 @@ def check_lengths(source: PositionSource, config: CodebookConfig) -> None:
         )
 
 
-def write_vectors(source: PositionSource, config: CodebookConfig, path: Path) -> None:
+def write_vectors(source: PositionCache, config: CodebookConfig, path: Path) -> None:
     """Resample every sequence to 20 fps and write its `codebook_vectors`, unless an interrupted run has done so."""
     size = 4 * (6 * source.positions.shape[1] + 1)
     lengths = _num_vectors(source)
@@ -286,7 +285,7 @@ def write_vectors(source: PositionSource, config: CodebookConfig, path: Path) ->
             file.write(np.ascontiguousarray(codebook_vectors(positions, Fraction(FPS)), dtype="<f4").data.cast("B"))
 
 
-def _num_vectors(source: PositionSource) -> Int64[np.ndarray, "sequences"]:
+def _num_vectors(source: PositionCache) -> Int64[np.ndarray, "sequences"]:
     """Rows of each sequence when resampled to 20 fps."""
     intervals = (source.num_frames.astype(np.int64) - 1) * FPS * source.fps_denominator
     return np.asarray(intervals // source.fps_numerator, dtype=np.int64)

@@ -18,10 +18,8 @@ from torch import Tensor
 from motionkit.core.shapes import Float, Float32, Float64, Int, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import normalise_seconds
-from motionkit.data.corpus import FrameValues, open_frames
-from motionkit.data.poses import WindowPoses
 from motionkit.data.reconstruction import ModelWindows
-from motionkit.data.windows import Windows, cut_windows
+from motionkit.data.windows import FrameValues, WindowPoses, Windows, cut_windows, open_frames
 from motionkit.features import field
 from motionkit.fields.assembly import AssembledField, Piece, assemble, even_starts
 from motionkit.fields.motion_field import MotionField, Observation

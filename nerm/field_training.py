@@ -18,9 +18,16 @@ from motionkit.core.errors import UsageError
 from motionkit.core.progress import warn
 from motionkit.core.shapes import Float, Float32, Int64
 from motionkit.core.skeleton import SMPL22
-from motionkit.data.corpus import FrameValues, open_frames, training_vectors
-from motionkit.data.poses import WindowPoses
-from motionkit.data.windows import PositionSource, Windows, cut_windows, rows_by_duration, shuffled_batches
+from motionkit.data.windows import (
+    FrameValues,
+    WindowPoses,
+    Windows,
+    cut_windows,
+    open_frames,
+    rows_by_duration,
+    shuffled_batches,
+    training_vectors,
+)
 from motionkit.features.convention import PoseVectors
 from motionkit.store.cache import PositionCache
 from motionkit.store.reader import Store
@@ -277,7 +284,7 @@ class FieldTraining:
         return prefixed("mean", self.mean.tensors()) | prefixed("log_variance", self.log_variance.tensors())
 
 
-def training_windows(source: PositionSource, config: FieldConfig) -> Windows:
+def training_windows(source: PositionCache, config: FieldConfig) -> Windows:
     """The training windows; with `fixed_fps` slower ones are dropped, as fixed-framerate models do.
 
     Raises `UsageError` if none remain.
@@ -300,7 +307,7 @@ def training_windows(source: PositionSource, config: FieldConfig) -> Windows:
     return windows.select(fast)
 
 
-def remarks(source: PositionSource, windows: Windows, config: FieldConfig) -> list[str]:
+def remarks(source: PositionCache, windows: Windows, config: FieldConfig) -> list[str]:
     """Warnings about training on these windows, a sentence each."""
     sentences, clips, fixed = [], config.clips, config.clips.fixed_framerate
     fps = source.fps_numerator / source.fps_denominator

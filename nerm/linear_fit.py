@@ -11,8 +11,7 @@ import torch
 from torch import Tensor
 
 from motionkit.core.shapes import Float, Float32, Float64, Int64
-from motionkit.data.poses import WindowPoses
-from motionkit.data.windows import chunks
+from motionkit.data.windows import WindowPoses, chunks
 from motionkit.features import field
 from motionkit.training.pose_vectors import ROOT_PATH, PoseTensors, VectorScaling
 from nerm.latents import KnotLayout, LocalLatents, relative_to

@@ -14,9 +14,7 @@ from motionkit.core.shapes import Bool, Float, Float32, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import parse_fps
 from motionkit.data.captions import actions_of_windows, captions_of_windows
-from motionkit.data.corpus import open_frames, training_vectors
-from motionkit.data.poses import WindowPoses
-from motionkit.data.windows import cut_windows
+from motionkit.data.windows import WindowPoses, cut_windows, open_frames, training_vectors
 from motionkit.features.convention import PoseVectors, PoseVectorsName
 from motionkit.features.layout import vector_layout
 from motionkit.store.cache import cache_root

@@ -7,8 +7,9 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from motionkit.core.shapes import Int64
-from motionkit.data.windows import PositionSource, Windows
+from motionkit.data.windows import Windows
 from motionkit.fields.motion_field import MotionField
+from motionkit.store.cache import PositionCache
 from motionkit.store.reader import Store
 
 
@@ -20,7 +21,7 @@ class ModelWindows:
     slow. `described` is the method: "from their μ", "encoded by optimisation".
     """
 
-    source: PositionSource
+    source: PositionCache
     windows: Windows
     fields: Callable[[Int64[np.ndarray, "chosen"]], Sequence[MotionField]]
     described: str

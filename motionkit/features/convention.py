@@ -1,7 +1,7 @@
 """The interface of pose vector conventions that models learn: `field`, `native` and `rotations`.
 
 A convention is a frozen value with a size, the way from what is kept of each frame of a corpus (its `values`) to
-vectors in a window's frame, and the way from vectors to poses. `motionkit.data.poses` gathers values of a store.
+vectors in a window's frame, and the way from vectors to poses. `motionkit.data.windows` gathers values of a store.
 """
 
 from typing import Literal, Protocol, runtime_checkable

@@ -7,8 +7,7 @@ import torch
 from torch import Tensor
 
 from motionkit.core.shapes import Float, Float32, Float64, Int64
-from motionkit.data.poses import PoseBatch, WindowPoses
-from motionkit.data.windows import chunks
+from motionkit.data.windows import PoseBatch, WindowPoses, chunks
 from motionkit.features.convention import PoseVectors, PoseVectorsName
 from motionkit.features.field import FIELD_VECTORS
 from motionkit.features.native import NativeVectors
@@ -21,7 +20,7 @@ RIG = "rig.offsets"
 
 @dataclass(frozen=True, eq=False)
 class PoseTensors:
-    """`motionkit.data.poses.PoseBatch` as tensors."""
+    """`motionkit.data.windows.PoseBatch` as tensors."""
 
     window: Int64[Tensor, "batch"]
     coordinates: Float64[Tensor, "batch poses"]

@@ -1,21 +1,13 @@
 """A small corpus in memory whose motions are known at every instant."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 
 from motionkit.core.skeleton import SMPL22
-
-
-@dataclass(frozen=True, eq=False)
-class MemorySource:
-    positions: np.ndarray
-    sequence_index: np.ndarray
-    start_row: np.ndarray
-    num_frames: np.ndarray
-    fps_numerator: np.ndarray
-    fps_denominator: np.ndarray
+from motionkit.store.cache import PositionCache
 
 
 def analytic_positions(seconds: np.ndarray, kind: int) -> np.ndarray:
@@ -32,21 +24,29 @@ def analytic_positions(seconds: np.ndarray, kind: int) -> np.ndarray:
     return positions.astype(np.float32)
 
 
-def analytic_source(rates: tuple[int, ...] = (120, 60, 30, 120), seconds: float = 4.0) -> MemorySource:
-    """One sequence per framerate, each another motion."""
-    frames = np.array([int(seconds * rate) + 1 for rate in rates], dtype=np.int32)
-    sequences = [
-        analytic_positions(np.arange(count) / rate, kind)
-        for kind, (count, rate) in enumerate(zip(frames, rates, strict=True))
-    ]
-    return MemorySource(
-        np.concatenate(sequences),
-        np.arange(len(rates), dtype=np.int32),
-        np.cumsum(frames).astype(np.int64) - frames,
-        frames,
-        np.array(rates, dtype=np.int64),
-        np.ones(len(rates), dtype=np.int64),
+def corpus_in_memory(sequences: Sequence[np.ndarray], fps: Sequence[Fraction]) -> PositionCache:
+    """Sequences of positions as a cache of a store has them."""
+    frames = np.array([len(positions) for positions in sequences], dtype=np.int32)
+    return PositionCache(
+        path=Path(),
+        layout=SMPL22.name,
+        where=None,
+        store_fingerprint="",
+        positions=np.concatenate(sequences).astype(np.float32),
+        sequence_index=np.arange(len(frames), dtype=np.int32),
+        start_row=np.cumsum(frames).astype(np.int64) - frames,
+        num_frames=frames,
+        fps_numerator=np.array([rate.numerator for rate in fps], dtype=np.int64),
+        fps_denominator=np.array([rate.denominator for rate in fps], dtype=np.int64),
+        skipped=(),
     )
+
+
+def analytic_source(rates: tuple[int, ...] = (120, 60, 30, 120), seconds: float = 4.0) -> PositionCache:
+    """One sequence per framerate, each another motion."""
+    times = [np.arange(int(seconds * rate) + 1) / rate for rate in rates]
+    sequences = [analytic_positions(each, kind) for kind, each in enumerate(times)]
+    return corpus_in_memory(sequences, [Fraction(rate) for rate in rates])
 
 
 FPS = tuple(Fraction(rate) for rate in (20, 40, 60, 100, 120))

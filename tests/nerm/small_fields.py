@@ -5,10 +5,9 @@ from fractions import Fraction
 import numpy as np
 import torch
 
-from motionkit.data.corpus import FrameValues
-from motionkit.data.poses import WindowPoses
-from motionkit.data.windows import cut_windows
+from motionkit.data.windows import FrameValues, WindowPoses, cut_windows
 from motionkit.features import field as field_vectors
+from motionkit.features.field import FIELD_VECTORS
 from motionkit.training.config import apply_overrides
 from motionkit.training.loop import step_generator
 from nerm.field import TrainedField
@@ -51,7 +50,7 @@ SMALL = apply_overrides(
 def small_poses(config: FieldConfig = SMALL) -> WindowPoses:
     source = analytic_source()
     windows = cut_windows(source, max_duration_seconds=config.windows.max_duration_seconds)
-    return WindowPoses(windows, FrameValues.of_positions(source))
+    return WindowPoses(windows, FrameValues(source.positions, FIELD_VECTORS))
 
 
 def small_training(config: FieldConfig = SMALL) -> FieldTraining:

@@ -6,8 +6,9 @@ import torch
 
 from eval.tables.table import reported_figures
 from motionkit.core.errors import UsageError
-from motionkit.data.corpus import FrameValues
-from motionkit.data.poses import WindowPoses
+from motionkit.data.windows import FrameValues, WindowPoses
+from motionkit.features.field import FIELD_VECTORS
+from motionkit.store.cache import PositionCache
 from motionkit.training.ablations import Variant
 from motionkit.training.config import apply_overrides, flatten, parse_override
 from motionkit.training.loop import step_generator
@@ -15,7 +16,7 @@ from nerm.ablations import ABLATIONS, GLOBAL, LOCAL, NERM
 from nerm.field_training import FieldTraining, remarks, training_windows
 from nerm.recipes import RECIPES, NermConfig, nano, paper
 from nerm.settings import FieldConfig
-from tests.helpers.nerm_corpus import MemorySource, analytic_source
+from tests.helpers.nerm_corpus import analytic_source
 
 CODES = torch.randn(20, 12, generator=torch.Generator().manual_seed(5))
 SMALLER = (
@@ -42,10 +43,10 @@ def _settings(recipe: str, *changes: str) -> FieldConfig:
     return apply_overrides(config, [*SMALLER, *changes]).field
 
 
-def _training(config: FieldConfig, source: MemorySource | None = None) -> FieldTraining:
+def _training(config: FieldConfig, source: PositionCache | None = None) -> FieldTraining:
     source = source or analytic_source()
     windows = training_windows(source, config)
-    poses = WindowPoses(windows, FrameValues.of_positions(source), config.clips.fixed_framerate)
+    poses = WindowPoses(windows, FrameValues(source.positions, FIELD_VECTORS), config.clips.fixed_framerate)
     return FieldTraining(poses, config, codebook=CODES, seed=3, device=torch.device("cpu"))
 
 

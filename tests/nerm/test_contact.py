@@ -9,9 +9,8 @@ from jaxtyping import Float32
 
 from motionkit.core.progress import ignore
 from motionkit.core.skeleton import SMPL22
-from motionkit.data.corpus import FrameValues
-from motionkit.data.poses import WindowPoses
-from motionkit.data.windows import cut_windows
+from motionkit.data.windows import FrameValues, WindowPoses, cut_windows
+from motionkit.features.field import FIELD_VECTORS
 from motionkit.fields.assembly import Piece, assemble
 from motionkit.fields.motion_field import PredictsContacts
 from motionkit.training.config import apply_overrides
@@ -62,7 +61,7 @@ def test_contacts_follow_from_the_latent_at_any_instant(trained: TrainedField) -
 def test_a_mirrored_window_has_them_on_the_other_side() -> None:
     source = analytic_source()
     windows = cut_windows(source, max_duration_seconds=4.0, mirror_pairs=SMPL22.left_right_pairs)
-    poses = WindowPoses(windows, FrameValues.of_positions(source))
+    poses = WindowPoses(windows, FrameValues(source.positions, FIELD_VECTORS))
     field = FieldTraining(poses, CONFIG, codebook=None, seed=0, device=torch.device("cpu"))
     training = ContactTraining(field.network, field.posteriors()[0], windows, swinging_left(), lambda z, _: z, seed=0)
     [plain], [mirrored] = (np.flatnonzero((windows.start_row == 0) & (windows.mirrored == is_it)) for is_it in (0, 1))

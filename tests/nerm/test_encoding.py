@@ -10,9 +10,8 @@ import torch
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import KIT21, SMPL22
 from motionkit.core.timegrid import TimeGrid
-from motionkit.data.corpus import FrameValues
-from motionkit.data.poses import WindowPoses
-from motionkit.data.windows import cut_windows
+from motionkit.data.windows import FrameValues, WindowPoses, cut_windows
+from motionkit.features.field import FIELD_VECTORS
 from motionkit.fields.completion import complete
 from motionkit.fields.motion_field import MotionEncoder, Observation, Poses, to_motion
 from motionkit.training.pose_vectors import PoseTensors
@@ -32,7 +31,7 @@ def trained() -> TrainedField:
     """Trained on overlapping windows of one long motion, so that windows anywhere in it are known ground."""
     source = analytic_source(rates=(60,), seconds=SECONDS)
     windows = cut_windows(source, max_duration_seconds=SMALL.windows.max_duration_seconds, stride_seconds=0.5)
-    poses = WindowPoses(windows, FrameValues.of_positions(source))
+    poses = WindowPoses(windows, FrameValues(source.positions, FIELD_VECTORS))
     training = FieldTraining(poses, SMALL, codebook=None, seed=3, device=torch.device("cpu"))
     losses_of(training, training.steps)
     return finished(training)

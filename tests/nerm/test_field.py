@@ -11,7 +11,7 @@ from torch.distributions import Normal
 
 from eval.reconstruction import window_truth
 from motionkit.core.skeleton import SMPL22
-from motionkit.data.corpus import open_frames
+from motionkit.data.windows import open_frames
 from motionkit.fields.motion_field import to_motion
 from motionkit.store.reader import Store
 from motionkit.store.writer import StoreWriter

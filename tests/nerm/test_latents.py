@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -10,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from motionkit.core.errors import UsageError
-from motionkit.data.corpus import FrameValues
-from motionkit.data.poses import WindowPoses
-from motionkit.data.windows import cut_windows
+from motionkit.data.windows import FrameValues, WindowPoses, cut_windows
+from motionkit.features.field import FIELD_VECTORS
+from motionkit.store.cache import PositionCache
 from motionkit.training.config import apply_overrides
 from motionkit.training.pose_vectors import PoseTensors, VectorScaling, measure_scaling
 from nerm.field_training import linear_model
@@ -34,7 +35,7 @@ from nerm.latents import (
 from nerm.linear_fit import LinearModel, held, ridge_knots
 from nerm.network import FieldNetwork
 from nerm.settings import FieldConfig, LatentScale
-from tests.helpers.nerm_corpus import MemorySource, analytic_positions, analytic_source
+from tests.helpers.nerm_corpus import analytic_positions, analytic_source, corpus_in_memory
 
 KERNELS: list[Kernel] = ["hann", "lanczos"]
 TIMES = torch.linspace(-1, 1, 301, dtype=torch.float64)
@@ -93,11 +94,11 @@ def _scaling(poses: WindowPoses, config: FieldConfig) -> VectorScaling:
     return measure_scaling(poses, grouped=grouped, root_weight=weight, centred_path=path)
 
 
-def _poses(source: MemorySource, seconds: float = 4.0) -> WindowPoses:
-    return WindowPoses(cut_windows(source, max_duration_seconds=seconds), FrameValues.of_positions(source))
+def _poses(source: PositionCache, seconds: float = 4.0) -> WindowPoses:
+    return WindowPoses(cut_windows(source, max_duration_seconds=seconds), FrameValues(source.positions, FIELD_VECTORS))
 
 
-def _circling(seconds: float = 4.0, fps: int = 60) -> MemorySource:
+def _circling(seconds: float = 4.0, fps: int = 60) -> PositionCache:
     """The first analytic motion, once at 1.2 m/s around a circle that it closes 1.3 times, always facing ahead."""
     times = np.arange(int(seconds * fps) + 1) / fps
     heading = 2 * np.pi * 1.3 * times / seconds
@@ -108,8 +109,7 @@ def _circling(seconds: float = 4.0, fps: int = 60) -> MemorySource:
     radius = 1.2 * seconds / (2 * np.pi * 1.3)
     body[..., 0] = cosine * x + sine * z + radius * (1 - np.cos(heading))[:, None]
     body[..., 2] = cosine * z - sine * x + radius * np.sin(heading)[:, None]
-    one = np.ones(1, dtype=np.int64)
-    return MemorySource(body.astype(np.float32), 0 * one, 0 * one, len(times) * one, fps * one, one)
+    return corpus_in_memory([body], [Fraction(fps)])
 
 
 def test_poses_relative_to_a_path_come_back() -> None:

@@ -12,9 +12,7 @@ from motionkit.core import kinematics
 from motionkit.core.errors import UsageError
 from motionkit.core.mirror import mirror_positions
 from motionkit.core.skeleton import SMPL22
-from motionkit.data.corpus import open_frames, training_rig, training_vectors, with_rotations
-from motionkit.data.poses import WindowPoses
-from motionkit.data.windows import cut_windows
+from motionkit.data.windows import WindowPoses, cut_windows, open_frames, training_rig, training_vectors, with_rotations
 from motionkit.features import field, native
 from motionkit.features.native import NativeVectors
 from motionkit.features.rotations import RotationVectors, smpl_rig

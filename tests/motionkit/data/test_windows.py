@@ -1,3 +1,4 @@
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -8,16 +9,16 @@ from hypothesis import strategies as st
 from motionkit.core.errors import UsageError
 from motionkit.core.mirror import mirror_positions
 from motionkit.core.skeleton import SMPL22
-from motionkit.data.corpus import FrameValues
-from motionkit.data.poses import WindowPoses
-from motionkit.data.windows import cut_windows, rows_by_duration, shuffled_batches
+from motionkit.data.windows import FrameValues, WindowPoses, cut_windows, rows_by_duration, shuffled_batches
 from motionkit.features import field
-from tests.helpers.nerm_corpus import MemorySource
+from motionkit.features.field import FIELD_VECTORS
+from motionkit.store.cache import PositionCache
+from tests.helpers.nerm_corpus import corpus_in_memory
 
 PAIRS = SMPL22.left_right_pairs
 
 
-def make_source(frames: list[int], rates: list[Fraction], seed: int = 0) -> MemorySource:
+def make_source(frames: list[int], rates: list[Fraction], seed: int = 0) -> PositionCache:
     """Random bodies: a rest pose, jittered, walking along a line at 1 m/s."""
     rng = np.random.default_rng(seed)
     rest = np.zeros((22, 3), dtype=np.float32)
@@ -27,19 +28,11 @@ def make_source(frames: list[int], rates: list[Fraction], seed: int = 0) -> Memo
     for count, fps in zip(frames, rates, strict=True):
         path = np.arange(count)[:, None, None] / float(fps) * np.array([0.6, 0.0, 0.8])
         sequences.append(rest + path + rng.normal(0, 0.02, (count, 22, 3)) + [3.0, 1.0, -2.0])
-    lengths = np.array(frames, dtype=np.int32)
-    return MemorySource(
-        np.concatenate(sequences).astype(np.float32),
-        np.arange(len(frames), dtype=np.int32) + 10,
-        np.cumsum(lengths).astype(np.int64) - lengths,
-        lengths,
-        np.array([rate.numerator for rate in rates], dtype=np.int64),
-        np.array([rate.denominator for rate in rates], dtype=np.int64),
-    )
+    return replace(corpus_in_memory(sequences, rates), sequence_index=np.arange(len(frames), dtype=np.int32) + 10)
 
 
 @pytest.fixture(scope="module")
-def source() -> MemorySource:
+def source() -> PositionCache:
     return make_source(
         [241, 1500, 90, 5, 400], [Fraction(120), Fraction(120), Fraction(30), Fraction(60), Fraction(24)]
     )
@@ -73,9 +66,9 @@ def test_windows_cover_their_sequences_and_never_leave_them(
         assert (covered > 0).all()
 
 
-def test_a_window_of_l_max_spans_the_whole_domain(source: MemorySource) -> None:
+def test_a_window_of_l_max_spans_the_whole_domain(source: PositionCache) -> None:
     windows = cut_windows(source, max_duration_seconds=10.0)
-    poses = WindowPoses(windows, FrameValues.of_positions(source))
+    poses = WindowPoses(windows, FrameValues(source.positions, FIELD_VECTORS))
     long = int(np.argmax(windows.num_frames))
     assert windows.num_frames[long] == 1201
     batch = poses.at_frames(np.array([long]), np.array([[0, 600, 1200]]))
@@ -83,9 +76,9 @@ def test_a_window_of_l_max_spans_the_whole_domain(source: MemorySource) -> None:
     assert batch.fps.tolist() == [120.0]
 
 
-def test_vectors_are_those_of_the_window_s_frame(source: MemorySource) -> None:
+def test_vectors_are_those_of_the_window_s_frame(source: PositionCache) -> None:
     windows = cut_windows(source, max_duration_seconds=4.0, stride_seconds=1.0, mirror_pairs=PAIRS)
-    poses = WindowPoses(windows, FrameValues.of_positions(source))
+    poses = WindowPoses(windows, FrameValues(source.positions, FIELD_VECTORS))
     rows = np.arange(len(windows))
     first = field.decode(poses.at_frames(rows, np.zeros((len(rows), 1), dtype=np.int64)).vectors)[:, 0]
     np.testing.assert_allclose(first[:, 0, (0, 2)], 0.0, atol=1e-5)
@@ -97,18 +90,18 @@ def test_vectors_are_those_of_the_window_s_frame(source: MemorySource) -> None:
     np.testing.assert_array_equal(poses.at_frames(np.array([row]), np.arange(5)[None]).vectors, expected)
 
 
-def test_mirrored_windows_follow_their_originals(source: MemorySource) -> None:
+def test_mirrored_windows_follow_their_originals(source: PositionCache) -> None:
     windows = cut_windows(source, max_duration_seconds=4.0, mirror_pairs=PAIRS)
     half = len(windows) // 2
     assert windows.mirrored.tolist() == [False] * half + [True] * half
     row = windows.start_row[[1, 1 + half], None] + np.array([0, 7])
-    original, mirrored = FrameValues.of_positions(source).gather(row, windows.mirrored[[1, 1 + half]])
+    original, mirrored = FrameValues(source.positions, FIELD_VECTORS).gather(row, windows.mirrored[[1, 1 + half]])
     np.testing.assert_array_equal(mirror_positions(mirrored, PAIRS), original)
     assert mirrored[0, 1, 0] == -original[0, 2, 0]
 
 
-def test_a_fixed_rate_hits_native_frames_where_it_can_and_interpolates_elsewhere(source: MemorySource) -> None:
-    poses = WindowPoses(cut_windows(source, max_duration_seconds=10.0), FrameValues.of_positions(source))
+def test_a_fixed_rate_hits_native_frames_where_it_can_and_interpolates_elsewhere(source: PositionCache) -> None:
+    poses = WindowPoses(cut_windows(source, max_duration_seconds=10.0), FrameValues(source.positions, FIELD_VECTORS))
     fast = poses.at_rate(np.array([0]), np.arange(5)[None], Fraction(20))
     native = poses.at_frames(np.array([0]), 6 * np.arange(5)[None])
     np.testing.assert_allclose(fast.vectors, native.vectors, rtol=1e-6)
@@ -123,10 +116,10 @@ def test_a_fixed_rate_hits_native_frames_where_it_can_and_interpolates_elsewhere
 @pytest.mark.parametrize("contiguous", [True, False])
 @pytest.mark.parametrize("fps", [None, Fraction(20)])
 def test_draws_stay_inside_and_depend_on_the_generator_alone(
-    source: MemorySource, contiguous: bool, fps: Fraction | None
+    source: PositionCache, contiguous: bool, fps: Fraction | None
 ) -> None:
     windows = cut_windows(source, max_duration_seconds=10.0)
-    poses = WindowPoses(windows, FrameValues.of_positions(source))
+    poses = WindowPoses(windows, FrameValues(source.positions, FIELD_VECTORS))
     rows = np.tile(np.arange(len(windows)), 20)
 
     def draw() -> np.ndarray:
@@ -145,9 +138,9 @@ def test_draws_stay_inside_and_depend_on_the_generator_alone(
         assert (steps < 0).any()
 
 
-def test_random_framerates_are_whole_fractions_of_the_native_one(source: MemorySource) -> None:
+def test_random_framerates_are_whole_fractions_of_the_native_one(source: PositionCache) -> None:
     windows = cut_windows(source, max_duration_seconds=10.0)
-    poses = WindowPoses(windows, FrameValues.of_positions(source))
+    poses = WindowPoses(windows, FrameValues(source.positions, FIELD_VECTORS))
     uniform = np.random.default_rng(2).random
     batch = poses.draw(np.zeros(200, np.int64), 3, lambda *shape: uniform(shape), contiguous=False, lowest_fps=20.0)
     assert set(batch.fps.tolist()) == {120.0, 60.0, 40.0, 30.0, 24.0, 20.0}
@@ -157,12 +150,12 @@ def test_random_framerates_are_whole_fractions_of_the_native_one(source: MemoryS
 
 def test_a_clip_longer_than_its_window_repeats_the_last_pose() -> None:
     source = make_source([20], [Fraction(30)])
-    poses = WindowPoses(cut_windows(source, max_duration_seconds=10.0), FrameValues.of_positions(source))
+    poses = WindowPoses(cut_windows(source, max_duration_seconds=10.0), FrameValues(source.positions, FIELD_VECTORS))
     batch = poses.draw(np.zeros(1, np.int64), 32, lambda *shape: np.zeros(shape), contiguous=True)
     np.testing.assert_array_equal(batch.vectors[0, 19:], np.tile(batch.vectors[0, 19], (13, 1)))
 
 
-def test_windows_are_visited_by_their_duration(source: MemorySource) -> None:
+def test_windows_are_visited_by_their_duration(source: PositionCache) -> None:
     windows = cut_windows(source, max_duration_seconds=10.0)
     visits = np.bincount(rows_by_duration(windows, 2.0), minlength=len(windows))
     assert visits.tolist() == np.maximum(1, np.round(windows.duration_seconds / 2.0)).tolist()
