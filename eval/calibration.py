@@ -12,9 +12,8 @@ import numpy as np
 
 from eval.clip_fid.features import Comparison
 from eval.detail import LEAST_FPS, DetailProfile, RealDetail
-from eval.games import games
 from eval.metrics.number import Number
-from eval.sets.corruptions import Family, damages, shift_between_frames, translate, turn
+from eval.sets.damage import Family, damages, games, shift_between_frames, translate, turn
 from eval.sets.sets import SampleSet
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import SMPL22

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from eval.clip_fid.clips import Protocol
 from eval.report.results import provenance
 from eval.sample_folder import SampleFolder, SampleOptions, read_sample_folder
-from eval.sets.missing import Missing
-from eval.sets.real import of_split_and
+from eval.sets.motions import of_split_and
+from eval.sets.sets import Missing
 from eval.text_motion.guo.kind import GuoFiles
 from motionkit.core.progress import OnProgress, ignore, task
 

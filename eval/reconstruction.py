@@ -14,7 +14,7 @@ import numpy as np
 from eval.config import EvalConfig
 from eval.metrics.motion import mean_vector_distance, mpjpe_global, mpjpe_root_aligned, mre
 from eval.report.results import Cell
-from eval.sets.missing import Missing
+from eval.sets.sets import Missing
 from motionkit.core.errors import UsageError
 from motionkit.core.mirror import mirror_positions
 from motionkit.core.shapes import Bool, Float32, Int64

@@ -15,8 +15,7 @@ import numpy as np
 from benchmarks.command import arguments_parser
 from eval.detail import RealDetail
 from eval.metrics.gaussian import fit_gaussian, frechet_distance
-from eval.sets.corruptions import low_pass
-from eval.sets.real import real_motion
+from eval.sets.motions import low_pass, real_motion
 from motionkit.store import Store
 
 

@@ -21,9 +21,8 @@ from eval.metrics.number import half_width
 from eval.metrics.resampling import Resampling
 from eval.report.render import to_markdown
 from eval.report.results import Block, Cell, Measure, Result, Row, cell_of, measure, provenance, write_result
-from eval.sets.real import RealMotion, real_motion
+from eval.sets.motions import RealMotion, real_motion, upsampled
 from eval.sets.sets import SampleSet
-from eval.sets.upsampled import upsampled
 from eval.tables.columns import label
 from eval.tables.physical import OURS, PER_FRAME, TABLE, Measured, floors_of, measured
 from motionkit.store import Store

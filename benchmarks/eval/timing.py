@@ -12,8 +12,8 @@ import numpy as np
 
 from benchmarks.command import arguments_parser
 from eval.detail import RealDetail
-from eval.sets.corruptions import damages
-from eval.sets.real import real_motion
+from eval.sets.damage import damages
+from eval.sets.motions import real_motion
 from motionkit.store import Store
 
 LEVELS = {"low-pass": (30.0, 20.0, 15.0, 12.0, 10.0, 8.0), "upsampling-cubic": (60.0, 40.0, 30.0, 20.0)}

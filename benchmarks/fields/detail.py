@@ -23,12 +23,16 @@ import numpy as np
 import numpy.typing as npt
 
 from eval.detail import RealDetail
-from eval.sets.corruptions import low_pass
-from eval.sets.generated import generate_fields, sample_fields, windows_of
-from eval.sets.missing import Missing
-from eval.sets.planted import planted_fields
-from eval.sets.real import RealMotion, real_motion
-from eval.sets.sets import SampleSet
+from eval.sets.motions import (
+    RealMotion,
+    generate_fields,
+    low_pass,
+    planted_fields,
+    real_motion,
+    sample_fields,
+    windows_of,
+)
+from eval.sets.sets import Missing, SampleSet
 from eval.tables.models import require_models
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22

@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.command import arguments_parser, print_json
 from eval.clip_fid.clips import Protocol
 from eval.clip_fid.features import kinematic_source
-from eval.sets.real import RealMotion, real_motion, training_motion
+from eval.sets.motions import RealMotion, real_motion, training_motion
 from eval.sets.sets import Ragged
 from motionkit.core.motion import Motion
 from motionkit.edit.plant import Change, measure_change

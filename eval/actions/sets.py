@@ -10,10 +10,8 @@ import numpy as np
 
 from eval.actions.recogniser import ActionRecogniser
 from eval.actions.scores import LabelledRecognition
-from eval.sets.generated import as_known, is_unconditional, refusal
-from eval.sets.missing import Missing
-from eval.sets.row_ids import RowId, Variant
-from eval.sets.sets import SampleSet, sample_set
+from eval.sets.motions import as_known, is_unconditional, refusal
+from eval.sets.sets import Missing, RowId, SampleSet, Variant, sample_set
 from motionkit.core.errors import MotionkitError
 from motionkit.core.shapes import Float32, Int64
 from motionkit.core.skeleton import SMPL22

@@ -22,8 +22,7 @@ from eval.clip_fid.kinematic import VERSION, KinematicDescriptor, fit_kinematic,
 from eval.clip_fid.score import RowKey, score_disjoint_halves, score_rows
 from eval.clip_fid.threads import in_threads
 from eval.metrics.number import Number
-from eval.sets.missing import Missing
-from eval.sets.sets import Ragged, SampleSet
+from eval.sets.sets import Missing, Ragged, SampleSet
 from eval.text_motion.guo.kind import GuoFiles
 from motionkit.core.errors import UsageError
 

@@ -238,7 +238,7 @@ def _encoder(pair: str, runs: Path) -> tuple[str, Path]:
 
 def named_samples(pairs: list[str], run: Path | None = None) -> dict[str, Path]:
     """Folders of samples by name; raises `UsageError` for a name twice, or of a row of the run's models."""
-    from eval.sets.row_ids import check_sample_names
+    from eval.sets.sets import check_sample_names
     from motionkit.generate.models import installed_models
 
     named: dict[str, Path] = {}

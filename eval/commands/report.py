@@ -110,8 +110,8 @@ def _motions(run: Path, store: Path, show: "OnProgress") -> Iterator[tuple[str, 
     """For some held-out captions, a page of the real motion beside each model's planted one."""
     import numpy as np
 
-    from eval.sets.missing import Missing
-    from eval.sets.real import real_motion
+    from eval.sets.motions import real_motion
+    from eval.sets.sets import Missing
     from eval.study.systems import of_model, of_real
     from eval.tables.models import trained_models
     from motionkit.core.skeleton import SMPL22

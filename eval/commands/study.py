@@ -74,7 +74,7 @@ def make(
 
     Example: motionkit study make --samples "ours=takes" --samples "theirs=takes"
     """
-    from eval.sets.missing import Missing
+    from eval.sets.sets import Missing
     from eval.study.draw import Design, draw_trials
     from eval.study.page import write_study
     from eval.study.systems import of_model, require_two
@@ -119,7 +119,7 @@ def _systems(
     samples: dict[str, Path], fps: "Fraction | None", store: Path | None, split: str, show: "OnProgress"
 ) -> "list[System]":
     from eval.sample_folder import SampleOptions, read_sample_folder
-    from eval.sets.real import real_motion
+    from eval.sets.motions import real_motion
     from eval.study.systems import of_folder, of_real
     from motionkit.store import Store
 
@@ -147,7 +147,7 @@ def score(
     """
     from dataclasses import asdict
 
-    from eval.sets.missing import Missing
+    from eval.sets.sets import Missing
     from eval.study.preference import StudyError, preferences, read_answers, read_key
 
     known = read_key(key)

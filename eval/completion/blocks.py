@@ -10,7 +10,7 @@ from eval.completion.scores import Scores, mean_over_takes, pooled
 from eval.metrics.metric import find_metric
 from eval.metrics.number import Number
 from eval.report.results import Block, Cell, Differences, Measure, Row, cell_of, differences_block, measure, pairs_of
-from eval.sets.row_ids import RowId
+from eval.sets.sets import RowId
 
 # Metrics shown in another unit than their own: the factor, and the unit's name.
 UNITS = {"mpjpe_global": (100.0, "cm")}

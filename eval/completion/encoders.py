@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from eval.sets.missing import Missing
+from eval.sets.sets import Missing
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.core.kinematics import closest_rotations, matrix_to_quaternion
 from motionkit.core.shapes import Float64

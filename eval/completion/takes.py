@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eval.sets.real import of_split_and
+from eval.sets.motions import of_split_and
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.kinematics import closest_rotations, matrix_to_quaternion
 from motionkit.core.shapes import Float32, Float64, Int64

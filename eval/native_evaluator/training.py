@@ -1,7 +1,7 @@
 """Training of the native-rate evaluator: from damage of known strength and captions, or from captions alone (TMR).
 
 A step takes clips of one framerate and one length. The stage `evaluator` corrupts most of them with one family of
-`eval.sets.corruptions` at a random strength, some with added noise, and regresses the strengths by linear heads on the
+`eval.sets.damage` at a random strength, some with added noise, and regresses the strengths by linear heads on the
 embedding. Clean clips are matched with their captions (InfoNCE); pairs with the same caption are not negatives.
 Classifying the kind of damage saturates at its mildest level (measured), so its log strength is regressed.
 
@@ -28,7 +28,7 @@ from eval.native_evaluator.network import (
     standardised,
 )
 from eval.native_evaluator.settings import NativeConfig, NativeTrainingConfig, TmrConfig, TmrTrainingConfig
-from eval.sets.corruptions import Family, families
+from eval.sets.damage import Family, families
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Caption
 from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64

@@ -16,7 +16,7 @@ from typing import Any, Literal, get_args
 
 from eval.metrics.metric import Metric, find_metric
 from eval.metrics.number import Number
-from eval.sets.row_ids import RowId
+from eval.sets.sets import RowId
 from motionkit.core.errors import MotionkitError, shown
 from motionkit.core.files import read_json, write_json
 from motionkit.store.commit import read_manifest

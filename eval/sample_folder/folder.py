@@ -10,8 +10,8 @@ from itertools import groupby
 
 import numpy as np
 
+from eval.sets.motions import each_upsampled
 from eval.sets.sets import Ragged, SampleSet
-from eval.sets.upsampled import each_upsampled
 from motionkit.core.errors import FormatError, MotionkitError
 from motionkit.core.shapes import Float32
 from motionkit.fields.resample import resample_positions

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from eval.sample_folder.folder import SampleFolder
-from eval.sets.real import RealMotion
+from eval.sets.motions import RealMotion
 from eval.sets.sets import SampleSet
 
 

@@ -11,7 +11,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from eval.sets.corruptions import low_pass
+from eval.sets.motions import low_pass
 from eval.sets.sets import SampleSet
 from motionkit.core.mirror import mirror_positions
 from motionkit.core.shapes import Bool, Float32, Float64, Int64

@@ -6,7 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from eval.sets.missing import Missing
+from eval.sets.sets import Missing
 from eval.study.systems import System
 from motionkit.core.errors import MotionkitError
 

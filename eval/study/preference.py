@@ -8,7 +8,7 @@ from typing import Any
 
 from scipy.stats import binomtest
 
-from eval.sets.missing import Missing
+from eval.sets.sets import Missing
 from eval.study.draw import QUESTIONS
 from eval.study.page import ANSWERS_FORMAT, KEY_FORMAT
 from motionkit.core.errors import MotionkitError, shown

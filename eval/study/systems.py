@@ -7,9 +7,7 @@ from fractions import Fraction
 import numpy as np
 
 from eval.sample_folder import SampleFolder
-from eval.sets.generated import is_unconditional
-from eval.sets.real import RealMotion
-from eval.sets.upsampled import upsampled_positions
+from eval.sets.motions import RealMotion, is_unconditional, upsampled_positions
 from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Float32
 from motionkit.fields.contact.planted import planted

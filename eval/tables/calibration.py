@@ -20,10 +20,9 @@ from eval.calibration import (
 from eval.clip_fid.features import FeatureSource, feature_sources
 from eval.clip_fid.score import CLIP_FID
 from eval.config import EvalConfig
-from eval.games import NUM_GAMES
 from eval.report.results import Block, Cell, Row, measure
-from eval.sets.corruptions import damages
-from eval.sets.real import real_motion
+from eval.sets.damage import NUM_GAMES, damages
+from eval.sets.motions import real_motion
 from eval.tables.columns import COLUMNS
 from eval.tables.table import Content, Table
 from motionkit.core.progress import task

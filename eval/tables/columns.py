@@ -12,13 +12,18 @@ from eval.detail import VERSION as DETAIL_VERSION
 from eval.metrics.number import Number
 from eval.report.results import Block, Cell, Row, pairs_of
 from eval.sample_folder.takes import takes_of_samples
-from eval.sets.generated import Window, is_framed, sample_fields
-from eval.sets.missing import Missing
-from eval.sets.planted import planted_set
-from eval.sets.real import NoRealMotionError, RealMotion
-from eval.sets.row_ids import REAL, TRAINING_TAKES, RowId, Variant
-from eval.sets.sets import SampleSet
-from eval.sets.upsampled import low_passed, upsample_as_vectors, upsampled
+from eval.sets.motions import (
+    NoRealMotionError,
+    RealMotion,
+    Window,
+    is_framed,
+    low_passed,
+    planted_set,
+    sample_fields,
+    upsample_as_vectors,
+    upsampled,
+)
+from eval.sets.sets import REAL, TRAINING_TAKES, Missing, RowId, SampleSet, Variant
 from motionkit.core.progress import task
 from motionkit.fields.motion_field import MotionField
 

@@ -7,11 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from eval.config import EvalConfig
-from eval.sets.generated import Window, generate_fields, is_framed, is_unconditional, windows_of
-from eval.sets.missing import Missing
-from eval.sets.planted import detailed_fields, planted_fields
-from eval.sets.row_ids import RowId, Variant, check_sample_names
-from eval.sets.sets import SampleSet
+from eval.sets.motions import (
+    Window,
+    detailed_fields,
+    generate_fields,
+    is_framed,
+    is_unconditional,
+    planted_fields,
+    windows_of,
+)
+from eval.sets.sets import Missing, RowId, SampleSet, Variant, check_sample_names
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.core.files import sha256_of
 from motionkit.core.progress import task, tracked

@@ -16,9 +16,8 @@ from eval.metrics.physical import METRICS, ground_height
 from eval.metrics.physical_published import METRICS as PUBLISHED
 from eval.metrics.resampling import Resampling, Units, units_of
 from eval.report.results import Block, Row, cell_of, differences_block, measure, of_interest, pairs_of
-from eval.sets.real import NoRealMotionError, real_motion, training_motion
-from eval.sets.row_ids import REAL, RowId, Variant
-from eval.sets.sets import SampleSet
+from eval.sets.motions import NoRealMotionError, real_motion, training_motion
+from eval.sets.sets import REAL, RowId, SampleSet, Variant
 from eval.tables.columns import detail_blocks, generated_at, label, real_column, samples_at
 from eval.tables.models import generated_fields
 from eval.tables.table import Content, Table

@@ -19,13 +19,21 @@ from eval.metrics.actions import diversity
 from eval.metrics.number import over_replications
 from eval.reconstruction import described_windows, mpjpe_cell, mre_cell
 from eval.report.results import Cell, Row, cell_of, parse_cell
-from eval.sets.generated import Window, generate_fields, needs_a_condition, refusal, sample_fields, windows_of
-from eval.sets.missing import Missing
-from eval.sets.planted import planted_fields
-from eval.sets.real import NoRealMotionError, RealMotion, real_motion, training_motion
-from eval.sets.row_ids import RowId, Variant
-from eval.sets.sets import SampleSet
-from eval.sets.upsampled import low_passed
+from eval.sets.motions import (
+    NoRealMotionError,
+    RealMotion,
+    Window,
+    generate_fields,
+    low_passed,
+    needs_a_condition,
+    planted_fields,
+    real_motion,
+    refusal,
+    sample_fields,
+    training_motion,
+    windows_of,
+)
+from eval.sets.sets import Missing, RowId, SampleSet, Variant
 from eval.tables.columns import NOT_SO_FAST, P1, P2, ROW_NOTES, detail_cells, label, real_column, score_column
 from eval.tables.models import Trained, TrainedModel, reconstructor
 from eval.tables.table import cached

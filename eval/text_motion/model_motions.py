@@ -12,9 +12,8 @@ from json import dumps
 
 import numpy as np
 
-from eval.sets.generated import AT_ONCE
-from eval.sets.row_ids import RowId, Variant
-from eval.sets.sets import SampleSet, sample_set
+from eval.sets.motions import AT_ONCE
+from eval.sets.sets import RowId, SampleSet, Variant, sample_set
 from eval.text_motion.embedding_cache import Embedder
 from eval.text_motion.pairs import TextMotionPairs
 from eval.text_motion.protocol import MultiModalityRule

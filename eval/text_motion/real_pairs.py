@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from eval.sets.real import NoRealMotionError, real_motion
+from eval.sets.motions import NoRealMotionError, real_motion
 from eval.sets.sets import SampleSet, middle, sample_set
 from eval.text_motion.protocol import LengthRule
 from motionkit.core.motion import Caption

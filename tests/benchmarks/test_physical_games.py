@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.eval.physical import RATIO, framerates_result, games_result
-from eval.sets.real import real_motion
+from eval.sets.motions import real_motion
 from motionkit.core.motion import Motion
 from motionkit.fields.motion_field import to_motion
 from motionkit.store.reader import Store

@@ -9,8 +9,8 @@ from eval.calibration import MIRRORED, Game, Graded, Scored, calibrate
 from eval.clip_fid import features
 from eval.clip_fid.clips import PoseRange, Protocol
 from eval.clip_fid.features import Comparison, fit_on
-from eval.games import NUM_GAMES
 from eval.metrics.number import Number
+from eval.sets.damage import NUM_GAMES
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.skeleton import SMPL22
 

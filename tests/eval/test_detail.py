@@ -9,8 +9,8 @@ import scipy.ndimage
 
 from eval.clip_fid.clips import ClipError
 from eval.detail import RealDetail, bands_at, detail_profile
-from eval.games import with_bones_of
-from eval.sets.corruptions import low_pass
+from eval.sets.damage import with_bones_of
+from eval.sets.motions import low_pass
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import SMPL22

@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from eval.games import ALIGNED, FEET, NOISES, NUM_LENDERS, games, with_bones_of
+from eval.sets.damage import ALIGNED, FEET, NOISES, NUM_LENDERS, games, with_bones_of
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.skeleton import SMPL22
 

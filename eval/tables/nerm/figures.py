@@ -9,9 +9,8 @@ import numpy as np
 from eval.clip_fid.score import CLIP_FID
 from eval.config import EvalConfig
 from eval.report.results import Block, Cell, Row, measure
-from eval.sets.generated import needs_a_condition
-from eval.sets.planted import VARIANT_NOTES
-from eval.sets.row_ids import REAL, RowId, Variant
+from eval.sets.motions import VARIANT_NOTES, needs_a_condition
+from eval.sets.sets import REAL, RowId, Variant
 from eval.tables.columns import COLUMNS, detail_block, label
 from eval.tables.models import TrainedModel, require_models, training_note
 from eval.tables.runs import DETAIL, DIVERSITY, REAL_DIVERSITY, SYNTHESIS, Rows, Yardstick

@@ -27,11 +27,8 @@ from eval.report.results import (
     score_differences,
 )
 from eval.sample_folder import SampleFolder
-from eval.sets.generated import refusal
-from eval.sets.planted import VARIANT_NOTES
-from eval.sets.real import NoRealMotionError
-from eval.sets.remarks import size_remarks
-from eval.sets.row_ids import REAL, RowId, check_sample_names
+from eval.sets.motions import VARIANT_NOTES, NoRealMotionError, refusal
+from eval.sets.sets import REAL, RowId, check_sample_names, size_remarks
 from eval.tables.models import Trained, TrainedModel, trained_models, training_note
 from eval.tables.nerm.sample_motions import sample_embeddings
 from eval.tables.table import SOURCES, Content, Table, printed_block, reported_figures

@@ -13,12 +13,8 @@ from eval.metrics.number import Number
 from eval.report.results import Block, Cell, Row, differences_block, measure, of_interest
 from eval.sample_folder.takes import takes_of_samples
 from eval.sets.copies import HELD_OUT_SHARE, STILL_METRES, TrainingWindows, held_out_limit
-from eval.sets.generated import sample_fields
-from eval.sets.planted import VARIANT_NOTES
-from eval.sets.real import NoRealMotionError, RealMotion, real_motion, training_motion
-from eval.sets.remarks import set_remarks
-from eval.sets.row_ids import REAL, RowId, Variant
-from eval.sets.sets import SampleSet
+from eval.sets.motions import VARIANT_NOTES, NoRealMotionError, RealMotion, real_motion, sample_fields, training_motion
+from eval.sets.sets import REAL, RowId, SampleSet, Variant, set_remarks
 from eval.tables.columns import (
     COLUMNS,
     LOW_FPS,

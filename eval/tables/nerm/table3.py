@@ -15,12 +15,8 @@ from eval.metrics.actions import accuracy
 from eval.metrics.gaussian import kid
 from eval.metrics.number import Number, Scores, half_width
 from eval.report.results import DRAWING, Block, Cell, Row, differences_block, measure, of_interest, score_differences
-from eval.sets.generated import is_unconditional
-from eval.sets.planted import VARIANT_NOTES
-from eval.sets.real import RealMotion, has_training, real_motion
-from eval.sets.remarks import size_remarks
-from eval.sets.row_ids import REAL, RowId, check_sample_names
-from eval.sets.sets import SampleSet
+from eval.sets.motions import VARIANT_NOTES, RealMotion, has_training, is_unconditional, real_motion
+from eval.sets.sets import REAL, RowId, SampleSet, check_sample_names, size_remarks
 from eval.tables.models import TrainedModel, trained_models, training_note
 from eval.tables.table import SOURCES, Content, Table, printed_block, reported_figures
 from motionkit.core.errors import UsageError

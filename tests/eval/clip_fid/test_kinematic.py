@@ -10,7 +10,7 @@ from eval.clip_fid.clips import REAL, Protocol, describe_clips, draw_clips, plac
 from eval.clip_fid.features import fit_on
 from eval.clip_fid.kinematic import BLOCKS, NUM_FEATURES, WEIGHTS, KinematicDescriptor, fit_kinematic
 from eval.metrics.gaussian import Gaussian, fit_gaussian, frechet_distance
-from eval.sets.corruptions import low_pass
+from eval.sets.motions import low_pass
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.skeleton import SMPL22
 

@@ -12,7 +12,7 @@ from eval.native_evaluator import evaluator as native_module
 from eval.native_evaluator.evaluator import NativeEvaluator, NativeTextMotion, load_native
 from eval.native_evaluator.settings import NativeConfig, NativeNetworkConfig, NativeTrainingConfig
 from eval.native_evaluator.stage import train_evaluator
-from eval.sets.corruptions import translate, turn
+from eval.sets.damage import translate, turn
 from eval.sets.sets import sample_set
 from eval.text_motion.evaluator import TextMotionEvaluator
 from motionkit.core.errors import MotionkitError

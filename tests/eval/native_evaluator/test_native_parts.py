@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from eval.native_evaluator.bank import DrawnClips, Takes, build_bank, build_banks
 from eval.native_evaluator.network import CUTOFF_HZ, NUM_CHANNELS, TARGETS, prepare, rich_input, smooth, standardised
 from eval.native_evaluator.training import collect_sentences, matching_loss, spoil
-from eval.sets.corruptions import families, slide, translate, turn
+from eval.sets.damage import families, slide, translate, turn
 from eval.sets.sets import Ragged
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Caption

@@ -12,7 +12,7 @@ from eval.report.results import (
     said,
     score_differences,
 )
-from eval.sets.row_ids import RowId, Variant
+from eval.sets.sets import RowId, Variant
 
 MEASURES = (measure("fid", column="FID"), measure("accuracy", column="Accuracy"), measure("diversity", column="D"))
 

@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 
 from eval.sample_folder.folder import SampleFolder, SampleMotion
-from eval.sets.upsampled import upsampled_positions
+from eval.sets.motions import upsampled_positions
 from motionkit.fields.resample import resample_positions
 from tests.helpers import published_layouts as published
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from eval.sample_folder.folder import SampleFolder, SampleMotion
 from eval.sample_folder.takes import takes_of_samples
-from eval.sets.real import RealMotion
+from eval.sets.motions import RealMotion
 from eval.sets.sets import Ragged
 
 IDS = ("slow", "fast", "other")

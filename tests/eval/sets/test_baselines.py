@@ -5,8 +5,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from eval.sets.motions import each_upsampled, low_passed, upsample_as_vectors, upsampled, upsampled_positions
 from eval.sets.sets import SampleSet, sample_set
-from eval.sets.upsampled import each_upsampled, low_passed, upsample_as_vectors, upsampled, upsampled_positions
 from motionkit.core.skeleton import SMPL22
 
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from eval.sets.copies import TrainingWindows, held_out_limit
-from eval.sets.corruptions import jitter, low_pass, upsample_slerp
-from eval.sets.row_ids import RowId
-from eval.sets.sets import SampleSet, sample_set
+from eval.sets.damage import jitter, upsample_slerp
+from eval.sets.motions import low_pass
+from eval.sets.sets import RowId, SampleSet, sample_set
 from eval.tables.nerm.table2 import COPIED, HELD_OUT, copies_block
 from motionkit.core.mirror import mirror_positions
 from motionkit.core.skeleton import SMPL22

@@ -3,7 +3,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eval.sets import corruptions
+from eval.sets import damage as corruptions
+from eval.sets.motions import low_pass
 from motionkit.core.kinematics import forward_kinematics, quaternion_slerp
 from motionkit.core.skeleton import SMPL22
 from tests.helpers.bones import bone_lengths
@@ -99,7 +100,7 @@ def test_jitter_has_the_stated_deviation() -> None:
 def test_low_pass_gain_on_sine_waves(frequency: float, gain: float) -> None:
     seconds = np.arange(600) / 100
     wave = np.sin(2 * np.pi * frequency * seconds)[:, None, None] * np.ones((1, 2, 3))
-    passed = corruptions.low_pass(wave, 100.0, 5.0)
+    passed = low_pass(wave, 100.0, 5.0)
     assert np.abs(passed[100:-100]).max() == pytest.approx(gain, abs=1e-3)
 
 
@@ -108,7 +109,7 @@ def test_low_pass_gain_on_sine_waves(frequency: float, gain: float) -> None:
 def test_low_pass_leaves_uniform_motion_alone(cutoff: float, num_frames: int, seed: int) -> None:
     start, velocity = np.random.default_rng(seed).normal(size=(2, 4, 3))
     uniform = start + velocity * np.arange(num_frames)[:, None, None] / 100
-    assert np.allclose(corruptions.low_pass(uniform, 100.0, cutoff), uniform, atol=1e-9)
+    assert np.allclose(low_pass(uniform, 100.0, cutoff), uniform, atol=1e-9)
 
 
 def test_flat_transforms_keep_distances_and_differences() -> None:

@@ -7,8 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from eval.sets.generated import Window, generate_fields, sample_fields, windows_of
-from eval.sets.real import NoRealMotionError, RealMotion
+from eval.sets.motions import NoRealMotionError, RealMotion, Window, generate_fields, sample_fields, windows_of
 from eval.sets.sets import Ragged, middle, sample_set
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.fields.motion_field import Poses

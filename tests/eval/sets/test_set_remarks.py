@@ -7,8 +7,7 @@ import pytest
 
 from eval.clip_fid.clips import ClipError, PoseRange, Protocol
 from eval.clip_fid.score import score_rows
-from eval.sets.remarks import set_remarks
-from eval.sets.sets import SampleSet, sample_set
+from eval.sets.sets import SampleSet, sample_set, set_remarks
 
 FPS = Fraction(30)
 PROTOCOL = Protocol(sizes=PoseRange(16, 24), num_clips=64, replications=1, detailed_replications=1)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from eval.metrics.gaussian import fid
-from eval.sets.remarks import num_copies, size_remarks
+from eval.sets.sets import num_copies, size_remarks
 
 RNG = np.random.default_rng(0)
 REAL = RNG.normal(size=(300, 12)) * np.linspace(0.1, 30, 12)

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from eval.commands.study import STUDY
-from eval.sets.missing import Missing
+from eval.sets.sets import Missing
 from eval.study.draw import CONSISTENT, REALISTIC, Design, draw_trials
 from eval.study.page import ANSWERS_FORMAT, KEY_FORMAT
 from eval.study.preference import Key, KeyTrial, StudyError, preferences, read_key

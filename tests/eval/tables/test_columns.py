@@ -9,9 +9,7 @@ import pytest
 from eval.clip_fid.clips import PoseRange, Protocol
 from eval.clip_fid.features import Comparison
 from eval.clip_fid.score import score_rows
-from eval.sets.missing import Missing
-from eval.sets.row_ids import RowId
-from eval.sets.sets import SampleSet, sample_set
+from eval.sets.sets import Missing, RowId, SampleSet, sample_set
 from eval.tables.columns import MOTIONS, P1, P2, SLERP, TAKES, TRAINING, score_column
 from tests.eval.test_calibration import MeanHeight
 

@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from eval.sets.real import NoRealMotionError
+from eval.sets.motions import NoRealMotionError
 from eval.text_motion.protocol import LengthRule, find_text_motion_protocol
 from eval.text_motion.real_pairs import captioned_motions, limited
 from motionkit.core.motion import Caption, Motion

@@ -9,7 +9,7 @@ import pytest
 
 from eval.clip_fid import features
 from eval.clip_fid.clips import Protocol
-from eval.sets.row_ids import RowId, Variant
+from eval.sets.sets import RowId, Variant
 from eval.tables.nerm import table2
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22

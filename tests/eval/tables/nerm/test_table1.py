@@ -12,7 +12,7 @@ import pytest
 
 from eval.report.render import to_latex, to_markdown
 from eval.report.results import Result, read_result, write_result
-from eval.sets.real import NoRealMotionError
+from eval.sets.motions import NoRealMotionError
 from eval.sets.sets import SampleSet
 from eval.tables.nerm import table1
 from eval.tables.nerm.table1 import FLOOR, ORACLE, title_of

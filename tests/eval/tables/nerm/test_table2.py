@@ -11,8 +11,8 @@ from eval.clip_fid import features
 from eval.clip_fid.clips import Protocol
 from eval.report.results import Block, Result
 from eval.sample_folder import SampleOptions
-from eval.sets.planted import VARIANT_NOTES
-from eval.sets.row_ids import RowId, Variant
+from eval.sets.motions import VARIANT_NOTES
+from eval.sets.sets import RowId, Variant
 from eval.tables import columns
 from eval.tables.nerm import table2
 from motionkit.core.motion import Caption, Motion

@@ -1,0 +1,425 @@
+"""Motions as sample sets: real at a framerate, generated for them, planted, upsampled, low-passed."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from math import ceil
+
+import numpy as np
+import numpy.typing as npt
+import scipy.fft
+
+from eval.sets.sets import Ragged, RowId, SampleSet, Variant, sample_set
+from motionkit.core.errors import MotionkitError, UsageError
+from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float, Float32, Float64
+from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS
+from motionkit.core.timegrid import TimeGrid, num_frames_within
+from motionkit.features import humanml3d
+from motionkit.features.humanml3d import at_origin, facing_forward, on_floor
+from motionkit.fields.completion import SLERP, upsample
+from motionkit.fields.contact.planted import planted, planted_frames
+from motionkit.fields.detail import Detail, detailed
+from motionkit.fields.interpolation import InterpolatedField
+from motionkit.fields.motion_field import MotionEncoder, MotionField, Observation, to_motion
+from motionkit.fields.resample import resample_positions
+from motionkit.generate.models import ChecksRequests, GenerationRequest, GenerativeModel, SamplingOptions
+from motionkit.store.cache import PositionCache, open_cache
+from motionkit.store.reader import Store
+from motionkit.store.sql import conjunction
+
+
+class NoRealMotionError(MotionkitError):
+    """A store without real motion at the requested framerate."""
+
+
+@dataclass(eq=False)
+class RealMotion:
+    """Sequences at their native framerates; `at` resamples them once per framerate and keeps the result.
+
+    They have 22 joints or KIT-ML's 21; sequence i is at fps[i].
+    """
+
+    name: str
+    sequences: Ragged
+    fps: tuple[Fraction, ...]
+    sequence_ids: tuple[str, ...]
+    captions: tuple[str, ...]
+    actions: tuple[str, ...]
+    _made: dict[tuple[Fraction, int], SampleSet] = field(default_factory=dict)
+
+    def indices_at(self, fps: Fraction, first_frame: int = 0) -> npt.NDArray[np.int64]:
+        """Sequences whose native framerate is at least `fps`, with at least two frames after the first ones.
+
+        Raises `NoRealMotionError` for fewer than two sequences.
+        """
+        lengths = self.sequences.num_frames
+        chosen = [i for i, native in enumerate(self.fps) if native >= fps and lengths[i] > first_frame + 1]
+        if len(chosen) < 2:
+            fastest = f"; the fastest has {float(max(self.fps)):.6g} fps" if self.fps else ""
+            raise NoRealMotionError(
+                f"{self.name}: {len(chosen)} of {len(self.fps)} sequences were captured at {float(fps):.6g} fps or "
+                f"faster, at least two are needed{fastest}: choose framerates with --fps, or hold out more takes "
+                "(motionkit split --shares train=0.7,test=0.3, with --by sequence_id where no performer is named)"
+            )
+        return np.array(chosen, dtype=np.int64)
+
+    def at(self, fps: Fraction, first_frame: int = 0) -> SampleSet:
+        """Every sequence of native rate ≥ fps at exactly fps, anti-aliased; slower ones are left out.
+
+        `first_frame` drops that many native frames first, which shifts the grid. Raises `NoRealMotionError` where
+        fewer than two sequences remain.
+        """
+        key = (fps, first_frame)
+        if key not in self._made:
+            chosen = self.indices_at(fps, first_frame).tolist()
+            self._made[key] = sample_set(
+                self.name,
+                fps,
+                [resample_positions(self.sequences[index][first_frame:], self.fps[index], fps) for index in chosen],
+                [self.sequence_ids[index] for index in chosen],
+                [self.captions[index] for index in chosen],
+                [self.actions[index] for index in chosen],
+            )
+        return self._made[key]
+
+    def forget_all_but(self, fps: Fraction) -> None:
+        """Drop cached sets of other framerates; `at` computes them again."""
+        for key in [key for key in self._made if key[0] != fps]:
+            del self._made[key]
+
+
+def of_split(split: str) -> str:
+    """The SQL condition for the sequences of one split, whatever its name."""
+    quoted = split.replace("'", "''")
+    return f"split = '{quoted}'"
+
+
+def of_split_and(split: str, where: str | None) -> str | None:
+    """The SQL condition for the sequences of a split ("all": any) that match `where` too; None for all."""
+    return conjunction(None if split == "all" else of_split(split), where) or None
+
+
+def real_motion(store: Store, split: str, where: str | None = None, layout: str = SMPL22.name) -> RealMotion:
+    """The sequences of one split of a store ("all": every one) for which `where` (SQL) holds, in a joint layout.
+
+    A sequence's caption is its first. Raises `UsageError` if the split is empty or its skeletons cannot be mapped.
+    """
+    cache = open_cache(store, layout=layout, where=of_split_and(split, where))
+    return _from_cache(store, cache, split)
+
+
+def has_training(store: Store) -> bool:
+    """Whether a store has a training split."""
+    return bool((store.columns("split")["split"] == "train").any())
+
+
+def training_motion(store: Store, compared: RealMotion) -> RealMotion:
+    """The set to fit features on: the training split, or the compared sequences without one."""
+    return real_motion(store, "train") if has_training(store) else compared
+
+
+def _from_cache(store: Store, cache: PositionCache, split: str) -> RealMotion:
+    table = store.columns("sequence_id", "captions", "action").loc[cache.sequence_index]
+    captions = tuple(str(found[0]["text"]) if len(found) else "" for found in table["captions"])
+    rates = zip(cache.fps_numerator.tolist(), cache.fps_denominator.tolist(), strict=True)
+    return RealMotion(
+        name=f"real ({split})",
+        sequences=Ragged(cache.positions, cache.start_row.astype(np.int64), cache.num_frames.astype(np.int64)),
+        fps=tuple(Fraction(numerator, denominator) for numerator, denominator in rates),
+        sequence_ids=tuple(table["sequence_id"].astype(str)),
+        captions=captions,
+        actions=tuple(table["action"].astype(str)),
+    )
+
+
+AT_ONCE = 256
+
+
+@dataclass(frozen=True)
+class Window:
+    """A stretch of one real sequence for which a motion is generated; `number` counts the sequence's windows from 0.
+
+    `draw` counts generations of the same window, each with a seed of its own.
+    """
+
+    sequence_id: str
+    number: int
+    request: GenerationRequest
+    draw: int = 0
+
+
+def windows_of(real: SampleSet, max_duration_seconds: float) -> list[Window]:
+    """Requests with the captions, actions and durations of a real set; the model uses those it was trained with.
+
+    A sequence longer than the model supports becomes several windows of equal length with its caption, so that a
+    caption's share of the generated seconds is its share of the real ones.
+    """
+    windows: list[Window] = []
+    for index in range(real.num_sequences):
+        duration = float((int(real.sequences.num_frames[index]) - 1) / real.fps)
+        count = max(1, ceil(duration / max_duration_seconds - 1e-9))
+        text = real.captions[index] if real.captions else ""
+        action = real.actions[index] if real.actions else ""
+        request = GenerationRequest(duration / count, text, action)
+        windows.extend(Window(real.sequence_ids[index], number, request) for number in range(count))
+    return windows
+
+
+def is_unconditional(model: GenerativeModel) -> bool:
+    """Whether a model declares by an attribute `unconditional` that it was trained without texts and actions."""
+    return bool(getattr(model, "unconditional", False))
+
+
+def needs_a_condition(model: GenerativeModel) -> bool:
+    """Whether a model declares by an attribute `always_conditioned` that it was never trained without one."""
+    return bool(getattr(model, "always_conditioned", False))
+
+
+def refusal(model: GenerativeModel, request: GenerationRequest) -> str:
+    """Why a model with a `check` refuses a request; empty if it does not."""
+    if isinstance(model, ChecksRequests):
+        try:
+            model.check(request)
+        except UsageError as error:
+            return str(error)
+    return ""
+
+
+def as_known(model: GenerativeModel, requests: Sequence[GenerationRequest]) -> list[GenerationRequest]:
+    """Requests as a model can take them: one that knows no conditions is asked for durations alone."""
+    if is_unconditional(model):
+        return [GenerationRequest(request.duration_seconds) for request in requests]
+    return list(requests)
+
+
+def generate_fields(
+    model: GenerativeModel,
+    windows: Sequence[Window],
+    seed: int,
+    limit: int,
+    sampling: SamplingOptions = SamplingOptions(),
+    draws: int = 1,
+    on_motions: Callable[[int], None] = lambda count: None,
+) -> dict[Window, MotionField]:
+    """A motion field per window and draw, or for a random subset of `limit` windows.
+
+    An unconditional model gets the windows' durations alone. `on_motions` is called after each `AT_ONCE` motions.
+    """
+    chosen = list(windows)
+    if len(windows) > limit:
+        picked = np.random.default_rng((seed, 7)).choice(len(windows), size=limit, replace=False)
+        chosen = [windows[index] for index in np.sort(picked).tolist()]
+    requests = as_known(model, [window.request for window in chosen])
+    made: dict[Window, MotionField] = {}
+    for draw in range(draws):
+        for first in range(0, len(requests), AT_ONCE):
+            some = slice(first, first + AT_ONCE)
+            fields = model.generate(requests[some], seed=seed + draw, sampling=sampling, first=first)
+            made |= zip((replace(window, draw=draw) for window in chosen[some]), fields, strict=True)
+            on_motions(len(fields))
+    return made
+
+
+def is_framed(fields: Mapping[Window, MotionField]) -> bool:
+    """Whether a model generates frames at its own framerate, with interpolation in between."""
+    return all(isinstance(field, InterpolatedField) for field in fields.values())
+
+
+def sample_fields(
+    fields: Mapping[Window, MotionField], sequence_ids: Sequence[str], fps: Fraction, name: str
+) -> SampleSet | None:
+    """Fields of the given sequences' windows, sampled at exactly fps; None where there are none.
+
+    Nothing is resampled: the field is asked for every instant. The take of a motion is the sequence it was made for.
+    """
+    wanted = set(sequence_ids)
+    chosen = [(window, field) for window, field in fields.items() if window.sequence_id in wanted]
+    if not chosen:
+        return None
+    windows = [window for window, _ in chosen]
+    made = sample_set(
+        name,
+        fps,
+        [to_motion(field, fps).joint_positions for _, field in chosen],
+        [f"{window.sequence_id}#{window.number}" + (f"@{window.draw}" if window.draw else "") for window in windows],
+        [window.request.text for window in windows],
+        [window.request.action for window in windows],
+    )
+    draws = tuple(window.draw for window in windows)
+    takes = tuple(window.sequence_id for window in windows)
+    return replace(made, takes=takes, generations=draws if any(draws) else ())
+
+
+VARIANT_NOTES = {
+    Variant.PLANTED: "the same motions with feet that stand, on bones of one length (docs/plant.md)",
+    Variant.DETAILED: "the planted motions with what captures hold above 10 Hz, drawn anew (docs/detail.md)",
+}
+"""Tables' notes for rows of planted motion."""
+
+
+def detailed_fields(fields: Mapping[Window, MotionField], detail: Detail, seed: int) -> dict[Window, MotionField]:
+    """Motion fields with detail above 10 Hz, sampled for each, as `motionkit generate --detail` does."""
+    return {
+        window: detailed(field, detail, seed=seed, number=number)
+        for number, (window, field) in enumerate(fields.items())
+    }
+
+
+def planted_fields(fields: Mapping[Window, MotionField]) -> dict[Window, MotionField]:
+    """Planted generated motion fields, as `motionkit generate` writes them."""
+    return {window: planted(field, "free") for window, field in fields.items()}
+
+
+def planted_set(samples: SampleSet) -> SampleSet:
+    """A set's motions planted, as `motionkit plant --path free` writes them; without rotations."""
+    joints = samples.sequences.values.shape[1]
+    skeleton = next(each for each in STANDARD_SKELETONS.values() if each.num_joints == joints)
+    made = []
+    for positions in samples.sequences:
+        # Not from_joints, which refuses bodies of no person's size: a model may generate such.
+        motion = Motion(positions, skeleton, TimeGrid(samples.fps, len(positions)))
+        planting = planted_frames(Observation.of(motion), motion.timegrid, "free")
+        made.append(planting(motion.timegrid.seconds()).joint_positions)
+    name = str(RowId(samples.name, Variant.PLANTED))
+    return replace(samples, name=name, sequences=Ragged.of(made), local_rotations=None)
+
+
+# Frames converted to rotations at once: enough to amortise the cost of a call.
+FRAMES_AT_ONCE = 2048
+# Framerates whose common instants are further apart than this, in frames, are not worth batching.
+MOST_PADDING = 16
+
+
+def upsampled(samples: SampleSet, fps: Fraction, name: str, encoder: MotionEncoder = SLERP) -> SampleSet:
+    """Upsample every sequence by SLERP; ids are kept, for comparison with the real sequences.
+
+    Joint rotations (from inverse kinematics) on great arcs, the root on straight lines, positions by forward
+    kinematics. Raises `ValueError` if `fps` is below the set's.
+    """
+    sequences = list(samples.sequences)
+    if encoder is SLERP:
+        return samples.with_positions(name, fps, list(each_upsampled(sequences, samples.fps, fps)))
+    made = [upsampled_positions(sequence, samples.fps, fps, encoder) for sequence in sequences]
+    return samples.with_positions(name, fps, made)
+
+
+def upsampled_positions(
+    positions: Float32[np.ndarray, "frames joints 3"],
+    fps_from: Fraction,
+    fps_to: Fraction,
+    encoder: MotionEncoder = SLERP,
+) -> Float32[np.ndarray, "new_frames joints 3"]:
+    """Joint positions of the 22-joint layout at a higher framerate; raises `ValueError` for a lower one."""
+    motion = Motion(positions, SMPL22, TimeGrid(fps_from, len(positions)))
+    return upsample(motion, fps_to, encoder).joint_positions
+
+
+def each_upsampled(
+    sequences: Sequence[Float32[np.ndarray, "_frames joints 3"]], fps_from: Fraction, fps_to: Fraction
+) -> Iterator[Float32[np.ndarray, "_new_frames joints 3"]]:
+    """As `upsampled_positions`, for many sequences of one framerate at a time.
+
+    They are concatenated, each starting at an instant of both grids. SLERP is local to two neighbouring poses, so only
+    the gaps between sequences are wasted, and dropped.
+    """
+    step = (fps_to / fps_from).denominator
+    start = 0
+    while start < len(sequences):
+        stop, places, length = start, [], 0
+        room = FRAMES_AT_ONCE if step <= MOST_PADDING else 0
+        while stop < len(sequences) and (stop == start or length + len(sequences[stop]) <= room):
+            length = -(-length // step) * step
+            places.append(length)
+            length += len(sequences[stop])
+            stop += 1
+        joined = np.empty((length, *sequences[start].shape[1:]), dtype=np.float32)
+        for place, following, sequence in zip(places, [*places[1:], length], sequences[start:stop], strict=True):
+            joined[place : place + len(sequence)] = sequence
+            joined[place + len(sequence) : following] = sequence[-1]
+        made = upsampled_positions(joined, fps_from, fps_to)
+        for place, sequence in zip(places, sequences[start:stop], strict=True):
+            first = int(place * fps_to / fps_from)
+            yield made[first : first + num_frames_within((len(sequence) - 1) / float(fps_from), fps_to)]
+        start = stop
+
+
+def upsample_as_vectors(samples: SampleSet, fps: Fraction, name: str) -> SampleSet:
+    """HumanML3D vectors interpolated linearly, their per-frame root velocities left as they are, then recovered.
+
+    The root's path and turns grow by the upsampling factor: a flaw of the procedure, not of the motion. It would
+    explain how published baselines grow with the framerate, and is shown beside SLERP for that reason only.
+    """
+    if fps < samples.fps:
+        raise ValueError(f"{samples.name} is at {samples.fps} fps, which is more than {fps}")
+    made = [_through_vectors(sequence, samples.fps, fps) for sequence in samples.sequences]
+    return samples.with_positions(name, fps, made)
+
+
+def _through_vectors(
+    positions: Float32[np.ndarray, "frames joints 3"], fps_from: Fraction, fps_to: Fraction
+) -> Float32[np.ndarray, "new_frames joints 3"]:
+    placed = facing_forward(at_origin(on_floor(positions)), SMPL22.name)
+    vectors = humanml3d.vectors(placed, SMPL22.name)
+    ratio = float(fps_from / fps_to)
+    num_rows = int((len(vectors) - 1) * (fps_to / fps_from)) + 1
+    place = np.arange(num_rows) * ratio
+    below = np.minimum(place.astype(np.int64), len(vectors) - 1)
+    above = np.minimum(below + 1, len(vectors) - 1)
+    fraction = (place - below)[:, None]
+    mixed = (1.0 - fraction) * vectors[below] + fraction * vectors[above]
+    return humanml3d.positions(mixed.astype(np.float32), SMPL22.name)
+
+
+def low_passed(samples: SampleSet, cutoff_hz: float) -> SampleSet:
+    """Every sequence through the same zero-phase low-pass, half amplitude at `cutoff_hz`.
+
+    A cut-off at or above the set's Nyquist frequency leaves it as it is.
+    """
+    if cutoff_hz >= float(samples.fps) / 2:
+        return samples
+    smooth = [low_pass(sequence, float(samples.fps), cutoff_hz) for sequence in samples.sequences]
+    return samples.with_positions(samples.name, samples.fps, smooth)
+
+
+LOW_PASS_ORDER = 4
+
+
+def low_pass(
+    positions: Float[np.ndarray, "*batch frames joints 3"], fps: float, cutoff_hz: float | Float64[np.ndarray, "*batch"]
+) -> Float[np.ndarray, "*batch frames joints 3"]:
+    """Zero-phase Butterworth low-pass along time, half amplitude at the cut-off, which is one for all or one per clip.
+
+    The gain 1 / (1 + (f / cut-off)^8) is that of a Butterworth filter of order 4 run forwards and backwards.
+    """
+    cutoff = np.asarray(cutoff_hz, dtype=np.float64)[..., None]
+    return filtered(positions, lambda f: 1.0 / (1.0 + (f * fps / cutoff) ** (2 * LOW_PASS_ORDER)))
+
+
+def filtered(
+    positions: Float[np.ndarray, "*batch frames joints 3"],
+    gain: Callable[[npt.NDArray[np.float64]], npt.NDArray[np.floating | np.complexfloating]],
+    delay: float = 0.0,
+) -> Float[np.ndarray, "*batch frames joints 3"]:
+    """Motion with its spectrum along frames multiplied by gain(cycles per frame) [frequencies], or one gain per clip.
+
+    The ends are continued by point reflection, so that constant motion and constant velocity pass unchanged. `delay`
+    says how many frames the gain moves a motion, for the trend, which has no spectrum.
+    """
+    num_frames = positions.shape[-3]
+    if num_frames < 2:
+        return positions.copy()
+    motion = positions.astype(np.float64)
+    first, last = motion[..., :1, :, :], motion[..., -1:, :, :]
+    padded = np.concatenate(
+        (2 * first - motion[..., :0:-1, :, :], motion, 2 * last - motion[..., -2::-1, :, :]), axis=-3
+    )
+    # After the reflection a step remains between both ends of the padded motion: remove the linear trend.
+    length = padded.shape[-3]
+    slope = (padded[..., -1:, :, :] - padded[..., :1, :, :]) / (length - 1)
+    line = padded[..., :1, :, :] + np.arange(length)[:, None, None] * slope
+    spectrum = scipy.fft.rfft(padded - line, axis=-3)
+    spectrum *= gain(scipy.fft.rfftfreq(length))[..., None, None]
+    smooth = scipy.fft.irfft(spectrum, n=length, axis=-3) + line + delay * slope
+    own: Float[np.ndarray, "*batch frames joints 3"] = smooth[..., num_frames - 1 : 2 * num_frames - 1, :, :]
+    return own.astype(positions.dtype)
