@@ -23,16 +23,6 @@ def bodies(num_frames: int, joints: int) -> np.ndarray:
     )
 
 
-def write_text(name: str, text: str) -> Callable[[Path], Path]:
-    """A source of one text file."""
-
-    def write(folder: Path) -> Path:
-        (folder / name).write_text(text)
-        return folder / name
-
-    return write
-
-
 def write_array(name: str, array: np.ndarray) -> Callable[[Path], Path]:
     """A source of one .npy file."""
 
@@ -78,26 +68,58 @@ def write_motion_of_frames(folder: Path) -> Path:
     return folder / "walk.txt"
 
 
-def write_markers(folder: Path) -> Path:
-    """Three markers in four frames, floats in Intel's order, as the format's manual lays them out."""
+def c3d_bytes(
+    positions: np.ndarray,
+    processor: int,
+    scale: float,
+    labels: tuple[str, ...] = ("LASI", "RASI", "SACR"),
+    analog: int = 0,
+) -> bytes:
+    """A C3D file written word by word: integers where the scale is positive, in the processor's byte order."""
+    order = ">" if processor == 86 else "<"
+
+    def real(value: float) -> bytes:
+        if processor == 85:
+            b = struct.pack("<f", value * 4)
+            return b[2:] + b[:2]
+        return struct.pack(f"{order}f", value)
 
     def parameter(name: bytes, kind: int, dimensions: tuple[int, ...], body: bytes) -> bytes:
         content = struct.pack("bB", kind, len(dimensions)) + bytes(dimensions) + body + b"\0"
-        return struct.pack("bb", len(name), 1) + name + struct.pack("<h", len(content) + 2) + content
+        return struct.pack("bb", len(name), 1) + name + struct.pack(f"{order}h", len(content) + 2) + content
 
-    records = struct.pack("bb", 5, -1) + b"POINT" + struct.pack("<h", 3) + b"\0"
-    for name, number in ((b"USED", 3), (b"FRAMES", 4), (b"DATA_START", 3)):
-        records += parameter(name, 2, (), struct.pack("<h", number))
-    records += parameter(b"SCALE", 4, (), struct.pack("<f", -1.0)) + parameter(b"RATE", 4, (), struct.pack("<f", 100.0))
-    records += parameter(b"LABELS", -1, (4, 3), b"LASIRASILFHD") + parameter(b"UNITS", -1, (2,), b"mm")
-    header = bytes([2, 0x50]) + struct.pack("<5H", 3, 0, 1, 4, 0) + struct.pack("<f", -1.0)
-    header += struct.pack("<2H", 3, 1) + struct.pack("<f", 100.0)
-    values = np.concatenate((1000 * bodies(4, 3), np.zeros((4, 3, 1), np.float32)), axis=-1)
-    path = folder / "take.c3d"
-    path.write_bytes(
-        header.ljust(512, b"\0") + (bytes([1, 0x50, 1, 84]) + records).ljust(512, b"\0") + values.tobytes()
-    )
-    return path
+    width = max(map(len, labels))
+    text = b"".join(label.encode().ljust(width) for label in labels)
+    records = struct.pack("bb", 5, -1) + b"POINT" + struct.pack(f"{order}h", 3) + b"\0"
+    for name, number in ((b"USED", positions.shape[1]), (b"FRAMES", len(positions)), (b"DATA_START", 3)):
+        records += parameter(name, 2, (), struct.pack(f"{order}h", number))
+    records += parameter(b"SCALE", 4, (), real(scale)) + parameter(b"RATE", 4, (), real(100.0))
+    records += parameter(b"LABELS", -1, (width, len(labels)), text) + parameter(b"UNITS", -1, (2,), b"cm")
+    section = (bytes([1, 0x50, 1, processor]) + records).ljust(512, b"\0")
+    num_frames, num_points = positions.shape[:2]
+    header = bytes([2, 0x50]) + struct.pack(f"{order}5H", num_points, analog, 1, num_frames, 0) + real(scale)
+    header += struct.pack(f"{order}2H", 3, 1) + real(100.0)
+    frames = b""
+    for frame in positions:
+        for point in frame:
+            seen = 0.0 if np.isfinite(point).all() else -1.0
+            numbers = [*np.nan_to_num(point), seen]
+            frames += b"".join(
+                real(number) if scale < 0 else struct.pack(f"{order}h", round(number / (scale if i < 3 else 1)))
+                for i, number in enumerate(numbers)
+            )
+        frames += b"".join(real(1e6) if scale < 0 else struct.pack(f"{order}h", 12345) for _ in range(analog))
+    return header.ljust(512, b"\0") + section + frames
+
+
+def write_bytes(name: str, content: bytes) -> Callable[[Path], Path]:
+    """A source of one binary file."""
+
+    def write(folder: Path) -> Path:
+        (folder / name).write_bytes(content)
+        return folder / name
+
+    return write
 
 
 def write_pose_folder(folder: Path, entries: Iterable[Entry], layout: Layout = HUMANML3D) -> int:
@@ -143,12 +165,12 @@ def trc_text(points: np.ndarray, names: Sequence[str] = tuple(TRC_JOINTS)) -> st
 
 # Each writes a source into an empty folder and returns the file that holds the motion.
 SOURCES: dict[str, Callable[[Path], Path]] = {
-    "lafan1": write_text("walk1_subject5.bvh", lafan1_text(6)),
+    "lafan1": write_bytes("walk1_subject5.bvh", lafan1_text(6).encode()),
     "100style": write_style,
-    "bvh": write_text("take.bvh", bvh_text()),
+    "bvh": write_bytes("take.bvh", bvh_text().encode()),
     "asfamc": write_acclaim,
-    "c3d": write_markers,
-    "trc": write_text("take.trc", trc_text(bodies(4, len(TRC_JOINTS)))),
+    "c3d": write_bytes("take.c3d", c3d_bytes(100 * bodies(4, 3), 84, -1.0)),
+    "trc": write_bytes("take.trc", trc_text(bodies(4, len(TRC_JOINTS))).encode()),
     "deepmimic": write_motion_of_frames,
     "uestc": write_arrays("a0_d1_p001_c1_color.npz", pose=np.full((3, 72), 0.1, np.float32)),
     "amass": lambda folder: write_amass(folder / "take_poses.npz", smplh_fields()),
@@ -169,5 +191,5 @@ SOURCES: dict[str, Callable[[Path], Path]] = {
     "interhuman": write_vectors(lambda: interhuman_rows(walk(30, 2.0))),
     "motionstreamer": write_vectors(lambda: motionstreamer_rows(walk(30, 2.0))),
     "npz": write_arrays("take.npz", joint_positions=bodies(5, 22), fps=np.array(30.0), captions=np.array(["walks"])),
-    "csv": write_text("take.csv", "time_seconds,a_x,a_y,a_z\n0.0,1,2,3\n0.5,1,2,3.5\n1.0,1,2,3.25\n"),
+    "csv": write_bytes("take.csv", b"time_seconds,a_x,a_y,a_z\n0.0,1,2,3\n0.5,1,2,3.5\n1.0,1,2,3.25\n"),
 }

@@ -6,54 +6,40 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from motionkit.core import kinematics
-from motionkit.core.errors import FormatError
 from motionkit.io.asfamc import parse_amc, read_asfamc
 from motionkit.io.bvh import read_bvh
 from motionkit.io.registry import ReadOptions
 from tests.helpers.format_samples import ASF, amc_text, write_asfamc
+from tests.helpers.refusal import refusal
 
 AT_120 = ReadOptions(fps=Fraction(120))
 TEXT = amc_text()
 
-BAD_MOTIONS: dict[str, tuple[str | bytes, str, int | None, int | None]] = {
-    "empty": ("", "empty", None, None),
+BAD_MOTIONS: dict[str, tuple[str, str, int | None, int | None]] = {
+    # name: (content, reason, 1-based line, 0-based frame)
     "a BVH file": ("HIERARCHY\nROOT Hips\n{\n", "not-what-it-says", None, None),
     "no frames": (":FULLY-SPECIFIED\n:DEGREES\n", "not-what-it-says", None, None),
-    "a frame without bones": ("#!OML:ASF test.ASF\n:FULLY-SPECIFIED\n:DEGREES\n1", "truncated", 4, 0),
     "radians": (TEXT.replace(":DEGREES", ":RADIANS"), "radians", None, None),
     "cut between bones": (TEXT[: TEXT.rindex("ltibia")], "truncated", 14, 2),
-    "cut in a line": (TEXT[: TEXT.rindex(" 2\nltibia")], "channel-count", 14, 2),
     "a number too many": (TEXT.replace("ltibia 31", "ltibia 31 4"), "channel-count", 11, 1),
-    "a number moved to the next bone": (
-        TEXT.replace("lfemur 5 3.5e-015 2\nltibia 31", "lfemur 5 3.5e-015\nltibia 2 31"),
-        "channel-count",
-        10,
-        1,
-    ),
     "nan": (TEXT.replace("ltibia 31", "ltibia nan"), "nan", 11, 1),
-    "a word": (TEXT.replace("ltibia 31", "ltibia x31"), "not-a-number", 11, 1),
     "a control character": (TEXT.replace("root 0 ", "root 0\x1b", 1), "not-a-number", 5, 0),
     "beyond reason": (TEXT.replace("ltibia 31", "ltibia 1e99"), "range", 11, 1),
-    "a bone twice": (TEXT.replace("ltibia 31", "lfemur 1 2 3"), "bones", 11, 1),
     "bones in another order": (TEXT.replace("ltibia 31\n", "").replace("\n2\n", "\n2\nltibia 31\n"), "bones", 9, 1),
     "a bone 60,000 times": (TEXT.replace("lfemur 0 3.5e-015 2\n", "lfemur 0 0 0\n" * 60_000), "bones", None, None),
     "an unknown bone": (TEXT.replace("ltibia", "tail"), "bones", None, None),
     "a frame number missing": (TEXT.replace("\n2\n", "\n4\n"), "frame-number", 8, 1),
-    "other degrees of freedom": (TEXT.replace("ltibia 3", "ltibia 0 3"), "channel-count", None, 0),
 }
-BAD_SKELETONS = {
-    "empty": ("", "empty"),
-    "not a skeleton": ("hello", "not-what-it-says"),
-    "a cut block": (ASF[: ASF.index("dof rx\n  end\n:hier")], "asf"),
-    "a bone apart": (ASF.replace("    lfemur ltibia\n", ""), "asf"),
-    "two parents": (ASF.replace("lfemur ltibia", "lfemur ltibia\n    root ltibia"), "asf"),
-    "a wordy length": (ASF.replace("length 7.5", "length long"), "not-a-number"),
-    "a bad unit": (ASF.replace("length 0.45", "length 0"), "asf"),
-    "a short direction": (ASF.replace("direction 0 -1 0", "direction 0 -1", 1), "asf"),
-    "a bad axis": (ASF.replace("10 20 30 XYZ", "10 20 30 XXZ"), "asf"),
-    "a sliding bone": (ASF.replace("dof rx\n", "dof tx\n"), "asf"),
-    "a root in circles": (ASF.replace("TX TY TZ RX RY RZ", "TX TX TX RX RY RZ"), "asf"),
-}
+BAD_SKELETONS = [
+    ("hello", "not-what-it-says"),
+    (ASF[: ASF.index("dof rx\n  end\n:hier")], "asf"),
+    (ASF.replace("    lfemur ltibia\n", ""), "asf"),
+    (ASF.replace("lfemur ltibia", "lfemur ltibia\n    root ltibia"), "asf"),
+    (ASF.replace("length 7.5", "length long"), "not-a-number"),
+    (ASF.replace("direction 0 -1 0", "direction 0 -1", 1), "asf"),
+    (ASF.replace("10 20 30 XYZ", "10 20 30 XXZ"), "asf"),
+    (ASF.replace("dof rx\n", "dof tx\n"), "asf"),
+]
 
 
 def test_the_formula_of_the_format(tmp_path: Path) -> None:
@@ -69,16 +55,6 @@ def test_the_formula_of_the_format(tmp_path: Path) -> None:
     assert motion.local_rotations is not None and motion.root_translation is not None
     again = kinematics.forward_kinematics(motion.local_rotations, motion.root_translation, motion.skeleton)
     assert np.allclose(again, motion.joint_positions, atol=1e-6)
-
-
-def test_frame_numbers_may_start_anywhere(tmp_path: Path) -> None:
-    assert read_asfamc(write_asfamc(tmp_path, first=120), AT_120).num_frames == 3
-
-
-def test_without_a_framerate_it_says_how_to_give_one(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match="--fps") as caught:
-        read_asfamc(write_asfamc(tmp_path))
-    assert caught.value.reason == "no-framerate"
 
 
 def test_one_subject_has_one_thigh_in_both_of_its_formats(captures: Path) -> None:
@@ -104,41 +80,32 @@ def test_every_real_take_is_an_upright_metre_sized_body_and_its_rotations_are_tr
 
 
 @pytest.mark.parametrize("name", BAD_MOTIONS)
-def test_bad_motions_are_explained_in_one_line(tmp_path: Path, name: str) -> None:
+def test_bad_motions_are_explained(tmp_path: Path, name: str) -> None:
     content, reason, line, frame = BAD_MOTIONS[name]
     path = write_asfamc(tmp_path)
-    path.write_bytes(content.encode() if isinstance(content, str) else content)
-    with pytest.raises(FormatError) as caught:
-        read_asfamc(path, AT_120)
-    error = caught.value
-    assert error.reason == reason, error
-    assert str(path) in str(error) and "\n" not in str(error)
-    assert (error.line, error.frame) == (line, frame), error
+    path.write_text(content)
+    error = refusal(read_asfamc, path, AT_120)
+    assert (error.path, error.reason, error.line, error.frame) == (path, reason, line, frame)
 
 
-@pytest.mark.parametrize("name", BAD_SKELETONS)
-def test_bad_skeletons_are_explained(tmp_path: Path, name: str) -> None:
-    content, reason = BAD_SKELETONS[name]
+@pytest.mark.parametrize(("content", "reason"), BAD_SKELETONS)
+def test_bad_skeletons_are_explained(tmp_path: Path, content: str, reason: str) -> None:
     path = write_asfamc(tmp_path)
     (tmp_path / "07.asf").write_text(content)
-    with pytest.raises(FormatError) as caught:
-        read_asfamc(path, AT_120)
-    assert caught.value.reason == reason and caught.value.path.name == "07.asf"
+    error = refusal(read_asfamc, path, AT_120)
+    assert (error.path.name, error.reason) == ("07.asf", reason)
 
 
 def test_the_skeleton_is_found_or_asked_for(tmp_path: Path) -> None:
-    path = write_asfamc(tmp_path)
+    path = write_asfamc(tmp_path, first=120)  # frame numbers may start anywhere
     (tmp_path / "08.asf").write_text(ASF)
     assert read_asfamc(path, AT_120).num_frames == 3  # 07.asf is named like the take
+    assert refusal(read_asfamc, path).reason == "no-framerate"
     path = path.rename(tmp_path / "walk.amc")
-    with pytest.raises(FormatError) as caught:
-        read_asfamc(path, AT_120)
-    assert caught.value.reason == "two-skeletons"
+    assert refusal(read_asfamc, path, AT_120).reason == "two-skeletons"
     for skeleton in tmp_path.glob("*.asf"):
         skeleton.unlink()
-    with pytest.raises(FormatError) as caught:
-        read_asfamc(path, AT_120)
-    assert caught.value.reason == "no-skeleton"
+    assert refusal(read_asfamc, path, AT_120).reason == "no-skeleton"
 
 
 @pytest.mark.parametrize("variant", [TEXT.replace("\n", "\r\n"), TEXT.replace(" ", "\t"), TEXT + "\n\n", " \n" + TEXT])

@@ -13,24 +13,24 @@ from pymotion.io.bvh import BVH
 from scipy.spatial.transform import Rotation
 
 from motionkit.core import kinematics
-from motionkit.core.errors import FormatError
 from motionkit.core.kinematics import euler_to_quaternion
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.edit.complete import CompletionRequest, complete_file
 from motionkit.edit.encoders import choose_encoder
-from motionkit.edit.motions import LoadedMotion, OutputPaths, find_motions
+from motionkit.edit.motions import MotionSource, OutputPaths, find_motions
 from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.motion_field import Observation
-from motionkit.io.bvh import BvhDocument, anchored_angles, check_writable, read_bvh, read_document, write_bvh
+from motionkit.io.bvh import BvhDocument, anchored_angles, read_bvh, read_document, write_bvh
 from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import parse_rules
 from motionkit.store import Store
 from motionkit.store.ingest import ingest
 from tests.helpers.completed_bvh import write_completed
 from tests.helpers.format_samples import NUM_BVH_CHANNELS, bvh_hierarchy, bvh_text, lafan1_text
-from tests.motionkit.io.test_bvh import TAKES, carried
+from tests.helpers.refusal import refusal
+from tests.motionkit.io.test_bvh import TAKES, along_z, carried
 
 
 def test_what_is_written_is_read_back(tmp_path: Path) -> None:
@@ -163,8 +163,7 @@ def test_frames_with_nan_are_made_like_a_gap(tmp_path: Path) -> None:
     np.testing.assert_allclose(made.table[5], table[5], atol=1.0)
     assert b"NaN" not in made.lines[5] and made.lines[4] == document.lines[4]
     empty = text.replace("\n".join(lines), "\n".join(" ".join(["nan"] * NUM_BVH_CHANNELS) for _ in lines))
-    with pytest.raises(FormatError, match="every frame"):
-        read_document(written(tmp_path / "none.bvh", empty))
+    assert refusal(read_document, written(tmp_path / "none.bvh", empty)).reason == "nan"
 
 
 def test_a_t_pose_in_front_stays_in_front(tmp_path: Path) -> None:
@@ -182,22 +181,12 @@ def test_a_t_pose_in_front_stays_in_front(tmp_path: Path) -> None:
 def test_a_body_along_z_is_written_along_z(tmp_path: Path, rests_along_z: bool) -> None:
     """Where the rest pose is along z too, and where the root's rotation takes it there."""
 
-    def turned(text: str) -> str:
-        found = []
-        for line in text.splitlines():
-            words = line.split()
-            if words[:1] == ["OFFSET"]:
-                x, y, z = words[1:]
-                line = f"OFFSET {x} {-float(z):g} {y}"
-            found.append(line)
-        return "\n".join(found) + "\n"
-
     table = rows()
     for row in table:
         row[1], row[2] = -row[2], row[1]
         row[3:6] = [0.0, 0.0 if rests_along_z else 90.0, 0.0]
-    text = bvh_text(table)
-    document = read_document(written(tmp_path / "in.bvh", turned(text) if rests_along_z else text))
+    text = along_z(bvh_text(table)) if rests_along_z else bvh_text(table)
+    document = read_document(written(tmp_path / "in.bvh", text))
     assert (document.up, document.rest_has_same_up) == ("z", rests_along_z)
     made = completed(document, tmp_path / "out.bvh", fps=Fraction(60))
     assert made.up == "z" and made.lines[::2] == document.lines
@@ -230,11 +219,6 @@ Frame Time: 0.04
 """
     made = completed(read_document(written(tmp_path / "in.bvh", text)), tmp_path / "out.bvh", fps=Fraction(50))
     np.testing.assert_allclose(made.table[1], [0.5, 0, 0, 15, 0, 0, 5], atol=1e-5)
-    twice = text.replace("1 Xrotation", "2 Xrotation Xrotation")
-    for row in ("0 0 0 0 0 0 0", "1 0 0 30 0 0 10", "2 0 0 60 0 0 20"):
-        twice = twice.replace(f"{row}\n", f"{row} 0\n")
-    with pytest.raises(FormatError, match="lid"):
-        check_writable(read_document(written(tmp_path / "twice.bvh", twice)))
 
 
 OPTIONS = ReadOptions(fps_rules=parse_rules('[[rule]]\nfiles = "**/slow.bvh"\nfps = 24\n', "mine.toml"))
@@ -268,47 +252,31 @@ KINDS: dict[str, Callable[[Path], Path]] = {
 }
 
 
-def ingested(path: Path, folder: Path) -> Motion:
-    report = ingest([path], folder / "store", options=OPTIONS, num_workers=1)
-    assert not report.problems
-    return Store.open(folder / "store").read(0)
-
-
-def loaded_from(path: Path) -> LoadedMotion:
+def source_of(path: Path) -> MotionSource:
     (source,), problems = find_motions([str(path)], OPTIONS, path.parent / "none")
     assert not problems
-    return source.load()
+    return source
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_ingest_complete_and_view_see_one_motion(tmp_path: Path, kind: str) -> None:
+def test_ingest_and_complete_see_one_motion_and_a_completed_one_is_read_again(tmp_path: Path, kind: str) -> None:
     (tmp_path / "in").mkdir()
-    path = KINDS[kind](tmp_path / "in")
-    stored, loaded = ingested(path, tmp_path), loaded_from(path)
+    path, out = KINDS[kind](tmp_path / "in"), tmp_path / "out.bvh"
+    assert not ingest([path], tmp_path / "store", options=OPTIONS, num_workers=1).problems
+    stored, loaded = Store.open(tmp_path / "store").read(0), source_of(path).load()
     motion = loaded.motion
     assert loaded.valid.all() and loaded.uneven_seconds is None
     assert stored.timegrid == motion.timegrid
     assert stored.skeleton.fingerprint == motion.skeleton.fingerprint
-    np.testing.assert_array_equal(loaded.poses.joint_positions, motion.joint_positions)
     # A store rounds rotations in the last digit and makes positions of them again.
     np.testing.assert_allclose(stored.joint_positions, motion.joint_positions, atol=1e-6)
     assert (stored.local_rotations is None) == (motion.local_rotations is None)
-    if stored.local_rotations is not None:
-        np.testing.assert_allclose(stored.local_rotations, motion.local_rotations, atol=1e-6)
     for name in ("provenance", "action", "style", "split", "captions"):
         assert getattr(stored, name) == getattr(motion, name)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_every_kind_is_completed_and_read_again(tmp_path: Path, kind: str) -> None:
-    """Given frames stay where they are, new ones lie between them."""
-    path, out = KINDS[kind](tmp_path), tmp_path / "out.bvh"
-    (source,), _ = find_motions([str(path)], OPTIONS, tmp_path / "none")
-    before = source.load()
-    request = CompletionRequest(fps=2 * before.motion.fps)
-    slerp = choose_encoder("slerp", None, tmp_path)
-    complete_file(source, request, slerp, OutputPaths("completed", [str(path)], 1, out=out))
-    old, new = before.motion.joint_positions, loaded_from(out).motion.joint_positions
+    # Completed: given frames stay where they are, new ones lie between them.
+    request, slerp = CompletionRequest(fps=2 * motion.fps), choose_encoder("slerp", None, tmp_path)
+    complete_file(source_of(path), request, slerp, OutputPaths("completed", [str(path)], 1, out=out))
+    old, new = motion.joint_positions, source_of(out).load().motion.joint_positions
     assert len(new) == 2 * len(old) - 1
     np.testing.assert_allclose(new[::2], old, atol=1e-5)
     # Slerp between its neighbours turns each bone by no more than they are apart.

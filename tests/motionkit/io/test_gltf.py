@@ -186,21 +186,3 @@ def test_rigid_motions_have_rotations_alone_and_loose_ones_translations(tmp_path
         write_gltf(MOTIONS[name], tmp_path / "a.glb")
         moved = {key for key in Played(tmp_path / "a.glb").channels if key[1] == "translation"}
         assert moved == (kinds or {(joint, "translation") for joint in range(22)})
-
-
-@pytest.mark.parametrize("pairs", [SMPL22.left_right_pairs, ()])
-def test_triangles_face_outwards_and_have_sides(tmp_path, pairs):
-    motion = turning(replace(SMPL22, left_right_pairs=pairs))
-    write_gltf(motion, tmp_path / "a.glb")
-    file = Played(tmp_path / "a.glb")
-    names = []
-    for primitive in file.file.meshes[0].primitives:
-        corners = file.read(primitive.attributes.POSITION).astype(float)
-        triangles = corners[file.read(primitive.indices).reshape(-1, 8, 3)]
-        centres = triangles.mean(axis=(1, 2), keepdims=True)
-        normals = np.cross(triangles[..., 1, :] - triangles[..., 0, :], triangles[..., 2, :] - triangles[..., 0, :])
-        assert (np.sum((triangles - centres) * normals[..., None, :], axis=-1) > 0).all()
-        names.append(file.file.materials[primitive.material].name)
-        x = triangles[..., 0].mean()
-        assert {"left": x > 0.05, "right": x < -0.05, "middle": abs(x) < 0.01}[names[-1]]
-    assert sorted(names) == ["left", "middle", "right"]

@@ -1,18 +1,16 @@
 """Indexes as values: the published ones, and what is wrong with bad ones, line by line."""
 
-import csv
 import json
-import math
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from motionkit.core.errors import FormatError
 from motionkit.core.motion import Caption
 from motionkit.io.cuts import StepCut, TimeCut
-from motionkit.io.indexes import Index, file_key, read_index, stem
+from motionkit.io.indexes import Index, file_key, read_index
+from tests.helpers.refusal import refusal
 
 HEADER = "source_path,start_frame,end_frame,new_name\n"
 
@@ -39,24 +37,15 @@ def read(tmp_path: Path, text: str | bytes, name: str = "index.csv") -> Index:
 def test_humanml3d(published):
     index = published
     assert (index.name, index.problems, len(index.entries)) == ("humanml3d", (), 14_616)
-    assert Counter(entry.dataset for entry in index.entries) == {
-        "KIT": 4648, "CMU": 2913, "BMLmovi": 1839, "Eyes_Japan_Dataset": 1465, "humanact12": 1191, "MPI_HDM05": 771,
-        "BioMotionLab_NTroje": 373, "EKUT": 351, "ACCAD": 277, "DFaust_67": 135, "MPI_Limits": 132, "MPI_mosh": 122,
-        "Transitions_mocap": 110, "TotalCapture": 74, "SFU": 68, "BMLhandball": 67, "HumanEva": 50, "SSM_synced": 30,
-    }  # fmt: skip
+    assert Counter(entry.dataset for entry in index.entries).most_common(2) == [("KIT", 4648), ("CMU", 2913)]
     by_name = {entry.name: entry for entry in index.entries}
     assert by_name["000000"].cut == StepCut(0, 117)
     assert by_name["012314"].cut == StepCut(149, 320, trim_frames=60)
     assert by_name["012314"].key == ("Eyes_Japan_Dataset", "yamaoka", "tennis-15-first_service-yamaoka")
     assert by_name["000001"].cut == StepCut(0, None, seen_fps=20.0)
     assert by_name["000014"].cut == StepCut(647, 847, trim_frames=20, seen_fps=60.0)
-    cuts = {entry.name: entry.cut for entry in index.entries if isinstance(entry.cut, StepCut)}
-    lengths = {name: cut.end_frame - cut.start_frame for name, cut in cuts.items() if cut.end_frame is not None}
-    short = [name for name, length in lengths.items() if length == 1]
-    assert short == ["009707", "011059"]
     # Many clips of one file, and no two files that a generous comparison of names would take for one.
     assert len({entry.key for entry in index.entries}) == len({entry.parts for entry in index.entries}) == 11_715
-    assert sum(length < 40 for length in lengths.values()) == 230
 
 
 def test_the_published_clip_has_the_length_that_the_index_says(published, golden_humanml3d):
@@ -64,23 +53,6 @@ def test_the_published_clip_has_the_length_that_the_index_says(published, golden
     assert isinstance(cut, StepCut) and cut.end_frame is not None
     # 171 poses give 170 pose vectors, and new_joints are made from those.
     assert len(np.load(golden_humanml3d / "new_joint_vecs/012314.npy")) == cut.end_frame - cut.start_frame - 1
-
-
-def test_published_windows_end_where_real_takes_of_the_cmu_database_end(published, captures):
-    """A take of N frames at 120 fps has ⌈N / 6⌉ published ones: 119 of 165 windows end on just that."""
-    ends: dict[str, list[int]] = {}
-    for entry in published.entries:
-        if entry.dataset == "CMU" and isinstance(entry.cut, StepCut) and entry.cut.end_frame is not None:
-            ends.setdefault(stem(entry.parts[-1]), []).append(entry.cut.end_frame)
-    beyond: Counter[int] = Counter()
-    with (captures / "cmu/takes.csv").open(newline="") as file:
-        for take in csv.DictReader(file):
-            num_frames = int(take["num_frames"]) + int(take["native_frame_offset"])
-            beyond.update(end - math.ceil(num_frames / 6) for end in ends.get(take["take"], ()))
-    assert beyond.total() == 165
-    assert beyond[0] == 119
-    # Two takes are a frame or two shorter in our copies than in AMASS.
-    assert [excess for excess in beyond.elements() if excess > 0] == [2, 1]
 
 
 def test_kit(annotations):
@@ -98,55 +70,43 @@ def test_kit(annotations):
     assert all(isinstance(entry.cut, TimeCut) and entry.cut.is_whole for entry in index.entries)
 
 
-def test_what_a_spreadsheet_does_to_an_index(tmp_path):
-    text = "\ufeff" + HEADER.replace("\n", "\r\n") + './pose_data/KIT/3/"a".npy,1.0,2.0,000000.npy\r\n'
-    index = read(tmp_path, text.replace('"a"', "a"))
-    assert index.problems == ()
-    assert index.entries[0].cut == StepCut(1, 2)
-    assert index.entries[0].parts == ("KIT", "3", "a.npy")
-
-
 @pytest.mark.parametrize(
-    ("row", "reason", "message"),
+    ("row", "reason"),
     [
-        (",0,5,a.npy", "index-entry", "the path is ''"),
-        ("KIT/x.npy,0,5,../a.npy", "index-entry", "plain file name"),
-        ("KIT/x.npy,-1,5,a.npy", "index-entry", "[-1, 5)"),
-        ("KIT/x.npy,5,5,a.npy", "index-entry", "[5, 5)"),
-        ("KIT/x.npy,0,nan,a.npy", "index-entry", "end_frame is 'nan'"),
-        ("KIT/x.npy,0,99999999,a.npy", "index-entry", "end_frame is '99999999'"),
-        ("KIT/x.npy,0", "index-entry", "plain file name"),
-        ("KIT/x, y.npy,0,5,a.npy", "index-entry", "more cells than columns"),
-        ("KIT/x.npy,0,5,good.npy", "duplicate-id", "first in line 2"),
+        (",0,5,a.npy", "index-entry"),
+        ("KIT/x.npy,0,5,../a.npy", "index-entry"),
+        ("KIT/x.npy,-1,5,a.npy", "index-entry"),
+        ("KIT/x.npy,5,5,a.npy", "index-entry"),
+        ("KIT/x.npy,0,nan,a.npy", "index-entry"),
+        ("KIT/x.npy,0", "index-entry"),
+        ("KIT/x, y.npy,0,5,a.npy", "index-entry"),
+        ("KIT/x.npy,0,5,good.npy", "duplicate-id"),
     ],
 )
-def test_a_bad_row_is_reported_and_the_others_are_kept(tmp_path, row, reason, message):
-    index = read(tmp_path, f"{HEADER}KIT/good.npy,0,5,good.npy\n{row}\n")
-    assert [entry.name for entry in index.entries] == ["good"]
+def test_a_bad_row_is_reported_and_the_others_are_kept(tmp_path, row, reason):
+    """A byte-order mark, "./" and floats for whole numbers, as spreadsheets write them, are none."""
+    index = read(tmp_path, f"\ufeff{HEADER}./pose_data/KIT/3/a.npy,0.0,5.0,good.npy\n{row}\n".replace("\n", "\r\n"))
+    assert [(entry.name, entry.cut, entry.parts) for entry in index.entries] == [
+        ("good", StepCut(0, 5), ("KIT", "3", "a.npy"))
+    ]
     assert [(problem.reason, problem.line) for problem in index.problems] == [(reason, 3)]
-    assert message in str(index.problems[0])
 
 
 @pytest.mark.parametrize(
-    ("text", "reason", "message"),
+    ("text", "reason"),
     [
-        (b"source_path,new_name\na,b\n", "index", "no column start_frame, end_frame"),
-        (b"source_path;start_frame;end_frame;new_name\na;0;5;b\n", "index", "separated by commas"),
-        (b"file,caption\na,b\n", "index", "expected an index"),
-        (b"HIERARCHY\n", "index", "looks like a BVH file"),
-        (HEADER.encode() + b"KIT/\xff.npy,0,5,a.npy\n", "encoding", "line 2"),
-        (b"", "empty", "empty"),
-        (HEADER.encode() + b'"KIT/x.npy,0,5,a.npy\n', "index", "not a CSV table"),
-        (b"{}", "index", "expected an index"),
-        (b'{"a": 5}', "index", "expected an index"),
-        (b'{"a": {"path": "x", "annotations": []}, ', "index", "not JSON"),
-        (b'{"a": {"path": "x", "annotations": []}, "b": ' + b"[" * 100_000, "index", "not JSON"),
+        (b"source_path,new_name\na,b\n", "index"),
+        (b"source_path;start_frame;end_frame;new_name\na;0;5;b\n", "index"),
+        (b"HIERARCHY\n", "index"),
+        (HEADER.encode() + b"KIT/\xff.npy,0,5,a.npy\n", "encoding"),
+        (b"", "empty"),
+        (HEADER.encode() + b'"KIT/x.npy,0,5,a.npy\n', "index"),
+        (b'{"a": 5}', "index"),
+        (b'{"a": {"path": "x", "annotations": []}, "b": ' + b"[" * 100_000, "index"),
     ],
 )
-def test_files_that_are_no_index(tmp_path, text, reason, message):
-    with pytest.raises(FormatError) as caught:
-        read(tmp_path, text)
-    assert caught.value.reason == reason and message in str(caught.value)
+def test_files_that_are_no_index(tmp_path, text, reason):
+    assert refusal(read, tmp_path, text).reason == reason
 
 
 def tmr(**changes: object) -> dict[str, object]:
@@ -168,9 +128,7 @@ def test_annotations_of_parts(tmp_path):
         {"path": 5},
         {"annotations": "walk"},
         {"annotations": [{"start": 0, "end": 1}]},
-        {"annotations": [{"text": "a", "start": -1, "end": 1}]},
         {"annotations": [{"text": "a", "start": 0, "end": float("nan")}]},
-        {"annotations": [{"text": "a", "start": 0, "end": True}]},
         {"duration": 10**400},
     ],
 )
@@ -201,7 +159,6 @@ def test_babel(tmp_path):
             "seq_ann": {"labels": [label("a", ["walk", "run"]), label("b", None)]},
             "frame_ann": None,
         },
-        "7": {"babel_sid": 7, "feat_p": "CMU/CMU/01/01_02_poses.npz", "dur": 2.0},
         # The extra_ files have several annotators.
         "8": {
             "feat_p": "CMU/CMU/01/01_01_poses.npz",
@@ -210,12 +167,11 @@ def test_babel(tmp_path):
         },
     }
     index = read(tmp_path, json.dumps(value), "val.json")
-    first, second, third, extra = index.entries
+    first, second, extra = index.entries
     assert (index.name, first.name, first.dataset, first.split) == ("babel", "5", "MPI_HDM05", "val")
     assert first.captions == (Caption("Walking about"), Caption("turn", 1.0, 2.5))
     assert (first.action, first.cut) == ("walk", TimeCut(file_seconds=5.4))
     assert (second.action, len(second.captions)) == ("", 2)
-    assert (third.action, third.captions) == ("", ())
     assert (extra.action, extra.captions) == ("jump", (Caption("jump"),))
 
 
@@ -226,13 +182,8 @@ def test_babel(tmp_path):
         ("KIT/3/kick_high_left02_poses.npy", "smplh/KIT/KIT/3/kick_high_left02_poses.npz"),
         ("CMU/01/01_01_poses.npy", "cmu/01/01_01.amc"),
         ("BioMotionLab_NTroje/rub110/0001_treadmill_fast_poses.npy", "BMLrub/rub110/0001_treadmill_fast_stageii.npz"),
-        ("BMLrub/BioMotionLab_NTroje/rub110/0030_rom_poses.npz", "BMLrub/rub110/0030_rom_stageii.npz"),
         ("ACCAD/F1_c3d/C19 -  run to hop to walk_poses.npy", "ACCAD/F1_c3d/C19_-__run_to_hop_to_walk_stageii.npz"),
         ("MPI_HDM05/mm/HDM_mm_08-01_01_120_poses.npy", "HDM05/mm/HDM_mm_08-01_01_120_stageii.npz"),
-        ("MPIHDM05/MPI_HDM05/dg/HDM_dg_03-05_01_120_poses.npz", "MPI_HDM05/dg/HDM_dg_03-05_01_120_poses.npz"),
-        ("MPI_Limits/03099/op3_poses.npy", "PosePrior/03099/op3_stageii.npz"),
-        ("Transitions_mocap/mazen_c3d/crawl_stand_poses.npy", "Transitions/mazen_c3d/crawl_stand_stageii.npz"),
-        ("TCD_handMocap/ExperimentDatabase/a_poses.npy", "TCDHands/ExperimentDatabase/a_stageii.npz"),
         (
             "Eyes_Japan_Dataset/yamaoka/tennis-15-first service-yamaoka_poses.npy",
             "EyesJapanDataset/yamaoka/tennis-15-first_service-yamaoka_stageii.npz",

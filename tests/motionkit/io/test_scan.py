@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motionkit.core.errors import FormatError, UsageError
+from motionkit.core.errors import UsageError
 from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import read, scan
-from motionkit.store.ingest import read_or_fault
 from tests.helpers.amass_samples import smplh_fields, write_amass
 from tests.helpers.every_format import SOURCES, bodies
 from tests.helpers.format_samples import bvh_text, write_asfamc
@@ -24,16 +23,6 @@ def source(tmp_path: Path) -> Path:
     return folder
 
 
-def ids(*sources: Path) -> list[str]:
-    found = scan(sources)
-    assert not found.problems
-    return [item.sequence_id for item in found.items]
-
-
-def reasons(problems: tuple[FormatError, ...]) -> list[str]:
-    return [problem.reason for problem in problems]
-
-
 def test_the_real_captures_are_found_whole(captures: Path) -> None:
     result = scan([captures / "cmu", captures / "bandai-namco", captures / "mixed-bvh"])
     assert len(result.items) == 159 + 3064 + 14
@@ -43,14 +32,10 @@ def test_the_real_captures_are_found_whole(captures: Path) -> None:
 def test_sources_that_cannot_be_scanned(source: Path, tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.bvh")
     (source / "gone.bvh").symlink_to("nowhere.bvh")
-    for path, words in (
-        (source / "absent", "does not exist"),
-        (source / "gone.bvh", "does not exist"),
-        (tmp_path / "pipe.bvh", "neither a file nor a folder"),
-    ):
-        with pytest.raises(UsageError, match=words):
+    for path in (source / "absent", source / "gone.bvh", tmp_path / "pipe.bvh"):
+        with pytest.raises(UsageError, match=path.name):
             scan([path])
-    with pytest.raises(UsageError, match="expected auto or one of"):
+    with pytest.raises(UsageError, match="bvh"):
         scan([source], ReadOptions(format="fbx"))
     assert [item.format for item in scan([source], ReadOptions(format="asfamc")).items] == ["asfamc"]
 
@@ -62,20 +47,14 @@ def test_a_given_format_reads_a_file_of_any_name(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "reason", "holds"),
-    [
-        ("words.txt", "unknown-format", "of no known format, expected"),
-        ("walk.fbx", "unknown-format", "docs/formats.md#fbx-and-pickles"),
-        ("", "empty-folder", "files, the first: RUN.FBX)"),
-    ],
+    ("name", "reason"), [("words.txt", "unknown-format"), ("walk.fbx", "unknown-format"), ("", "empty-folder")]
 )
-def test_what_holds_no_motion(tmp_path: Path, name: str, reason: str, holds: str) -> None:
+def test_what_holds_no_motion(tmp_path: Path, name: str, reason: str) -> None:
     np.savez(tmp_path / "keyed.npz", betas=np.zeros(10), xyz=bodies(6, 22))
-    np.save(tmp_path / "wide.npy", np.zeros((6, 66)))
-    for empty in ("words.txt", "walk.fbx", "RUN.FBX"):
+    for empty in ("words.txt", "walk.fbx"):
         (tmp_path / empty).write_text("nothing")
     (problem,) = scan([tmp_path / name]).problems
-    assert problem.reason == reason and holds in problem.message
+    assert (problem.path, problem.reason) == (tmp_path / name, reason)
 
 
 def test_licences_are_found(source: Path) -> None:
@@ -118,7 +97,9 @@ def test_loops_end_and_nothing_is_found_twice(tmp_path: Path) -> None:
     (outside / "two" / "other").symlink_to(outside / "one")
     (tmp_path / "alias").symlink_to(source)
     expected = ["takes/b/b", "takes/x/one", "takes/x/other/two"]
-    assert ids(source) == ids(tmp_path / "alias") == expected
+    for given in (source, tmp_path / "alias"):
+        found = scan([given])
+        assert ([item.sequence_id for item in found.items], found.problems) == (expected, ())
 
 
 def test_links_that_lead_nowhere_are_reported_and_nothing_else_is_lost(source: Path) -> None:
@@ -130,19 +111,6 @@ def test_links_that_lead_nowhere_are_reported_and_nothing_else_is_lost(source: P
     assert len(found.items) == 2
     assert [problem.path.name for problem in found.problems] == ["c", "d", "run.bvh"]
     assert {problem.reason for problem in found.problems} == {"unreadable"}
-    assert "a link to gone.bvh" in str(found.problems[2])
-
-
-def test_an_array_whose_link_is_broken_does_not_hide_its_data_set(tmp_path: Path) -> None:
-    joints = tmp_path / "HumanML3D" / "new_joints"
-    joints.mkdir(parents=True)
-    (joints / "000000.npy").symlink_to(tmp_path / "gone.npy")
-    np.save(joints / "000001.npy", np.zeros((5, 22, 3), np.float32))
-    found = scan([tmp_path / "HumanML3D"])
-    assert [item.format for item in found.items] == ["humanml3d", "humanml3d"]
-    fault = read_or_fault(found.items[0], ReadOptions())
-    assert isinstance(fault, FormatError) and fault.reason == "unreadable"
-    assert read(found.items[1]).num_frames == 5
 
 
 # Files that are not read

