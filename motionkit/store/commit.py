@@ -355,11 +355,7 @@ def publish(store: Path, manifest: Manifest) -> None:
 
 
 def _tidy(store: Path, manifest: Manifest) -> None:
-    """Give committed tables their final names, and delete what a stopped command left: pending files and unnamed parts.
-
-    While a part that the manifest names is missing, only pending parts are deleted: another may be that part under a
-    wrong name.
-    """
+    """Give committed tables their final names, and delete what a stopped command left: pending files, unnamed parts."""
     for name in TABLES:
         path = pending(store, name)
         # A pending table is the one that the manifest names where its writer was stopped after the commit.
@@ -367,11 +363,10 @@ def _tidy(store: Path, manifest: Manifest) -> None:
         if is_file and name in manifest.files and sha256_of(path) == manifest.files[name].sha256:
             files.replace(path, store / name)
     folder = store / MOTIONS_FOLDER
-    is_complete = all((store / name).exists() for name in manifest.parts)
     # Nothing is deleted behind a link.
     for path in list(folder.iterdir()) if folder.is_dir() and not folder.is_symlink() else ():
         is_named = f"{MOTIONS_FOLDER}/{path.name}" in manifest.files
-        if _WRITTEN_PART.fullmatch(path.name) and not is_named and (is_complete or path.name.endswith(PENDING)):
+        if _WRITTEN_PART.fullmatch(path.name) and not is_named:
             path.unlink(missing_ok=True)
     for name in (*TABLES, MANIFEST_FILE):
         pending(store, name).unlink(missing_ok=True)

@@ -11,7 +11,6 @@ import resource
 import shutil
 import subprocess
 import sys
-import textwrap
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -24,7 +23,6 @@ from motionkit.store.commit import LOCK_FILE
 from motionkit.store.life import compact, merge, remove, split
 from motionkit.store.validate import faults
 from tests.helpers.killing import killed_before
-from tests.helpers.signed_again import sign
 
 PART = "motions/part-00000.parquet"
 
@@ -65,23 +63,14 @@ def other(small_store: Path, make_motion: Callable) -> Path:
     return small_store.with_name("other")
 
 
-FINISHING: tuple[Callable[[Path], object], ...] = (
-    compact,
-    lambda store: remove(store, where="false"),
-    lambda store: split(store, {"train": 1.0}),
-    lambda store: StoreWriter.append(store).__enter__().__exit__(None, None, None),
-)
-
-
-@pytest.mark.parametrize("change", CHANGES)
+@pytest.mark.parametrize("change", ["append", "overwrite", "remove", "compact"])
 def test_a_change_that_is_killed_at_any_step(small_store, other, make_motion, tmp_path, change):
     """SIGKILL: the store is the one before or the one after, and the next writer deletes what was left."""
     whole = small_store.rename(tmp_path / "whole")
     undisturbed = shutil.copytree(whole, tmp_path / "undisturbed" / "store")
     shutil.copytree(other, undisturbed.with_name("other"))
     CHANGES[change](undisturbed, make_motion)
-    states = [Store.open(whole).fingerprint, Store.open(undisturbed).fingerprint]
-    reached = []
+    states, reached = [Store.open(whole).fingerprint, Store.open(undisturbed).fingerprint], []
     for step in itertools.count():
         store = shutil.copytree(whole, tmp_path / "store")
         if not killed_before(step, store, partial(CHANGES[change], store, make_motion)):
@@ -90,56 +79,48 @@ def test_a_change_that_is_killed_at_any_step(small_store, other, make_motion, tm
         reached.append(states.index(opened.fingerprint))
         assert len(list(opened.read_many(opened.select()))) == opened.num_sequences
         assert list(faults(store)) == []
-        FINISHING[step % len(FINISHING)](store)
+        with StoreWriter.append(store):
+            pass
         assert (leftovers(store), list(faults(store))) == ([], [])
         shutil.rmtree(store)
     assert len(reached) > 4 and reached == sorted(reached) and set(reached) == {0, 1}
 
 
-def test_an_exception_in_the_block_leaves_everything_as_it_was(small_store, make_motion):
+def test_an_exception_in_the_block_leaves_everything_as_it_was(small_store, tmp_path, make_motion):
     before = content_of(small_store)
     with pytest.raises(RuntimeError), StoreWriter.append(small_store, part_bytes=1) as writer:
         for i in range(18):
             writer.add(make_motion(f"new-{i}", 150))
         raise RuntimeError
     assert content_of(small_store) == before
-
-
-def test_a_failed_creation_can_be_tried_again(tmp_path, make_motion):
-    with pytest.raises(RuntimeError), StoreWriter.create(tmp_path / "store") as writer:
+    with pytest.raises(RuntimeError), StoreWriter.create(tmp_path / "new") as writer:
         writer.add(make_motion("a"))
         raise RuntimeError
-    with pytest.raises(StoreError, match="there is no store"):
-        Store.open(tmp_path / "store")
-    with StoreWriter.create(tmp_path / "store") as writer:
+    with pytest.raises(StoreError, match="new"):
+        Store.open(tmp_path / "new")
+    with StoreWriter.create(tmp_path / "new") as writer:
         writer.add(make_motion("a"))
-    assert Store.open(tmp_path / "store").num_sequences == 1
+    assert Store.open(tmp_path / "new").num_sequences == 1
 
 
-WRITER = textwrap.dedent(
-    """
-    import sys
-    from fractions import Fraction
-    from pathlib import Path
-    import numpy as np
-    from motionkit.core.errors import BusyError
-    from motionkit.core.motion import Motion
-    from motionkit.core.skeleton import SMPL22
-    from motionkit.store import StoreWriter
-    from motionkit.core.timegrid import TimeGrid
+WRITER = """
+import sys
+from dataclasses import replace
+import numpy as np
+import motionkit as mk
+from motionkit.core.errors import BusyError
 
-    store, name = Path(sys.argv[1]), sys.argv[2]
-    frames = np.zeros((3, 22, 3), np.float32)
-    for number in range(8):
-        while True:
-            try:
-                with StoreWriter.append(store) as writer:
-                    writer.add(Motion(frames, SMPL22, TimeGrid(Fraction(30), 3), sequence_id=f"{name}-{number}"))
-                break
-            except BusyError:
-                pass
-    """
-)
+for number in range(8):
+    motion = mk.Motion.from_joints(np.zeros((3, 22, 3), np.float32), fps=30)
+    motion = replace(motion, sequence_id=f"{sys.argv[2]}-{number}")
+    while True:
+        try:
+            with mk.StoreWriter.append(sys.argv[1]) as writer:
+                writer.add(motion)
+            break
+        except BusyError:
+            pass
+"""
 
 
 def test_two_processes_that_write_at_once_lose_nothing(small_store):
@@ -153,19 +134,16 @@ def test_two_processes_that_write_at_once_lose_nothing(small_store):
     for name in ("left", "right"):
         assert [each for each in ids if each.startswith(name)] == [f"{name}-{number}" for number in range(8)]
     assert len(ids) == 6 + 16
-    assert all("a caption lasts" in fault for fault in faults(small_store))
-    assert leftovers(small_store) == []
+    assert (leftovers(small_store), list(faults(small_store))) == ([], [])
 
 
-HOLDER = textwrap.dedent(
-    """
-    import sys, time
-    from motionkit.store import StoreWriter
-    with StoreWriter.append(sys.argv[1]):
-        print("holding", flush=True)
-        time.sleep(600)
-    """
-)
+HOLDER = """
+import sys, time
+from motionkit.store import StoreWriter
+with StoreWriter.append(sys.argv[1]):
+    print("holding", flush=True)
+    time.sleep(600)
+"""
 
 
 def test_the_lock_of_a_killed_writer_is_free(small_store, make_motion):
@@ -174,52 +152,25 @@ def test_the_lock_of_a_killed_writer_is_free(small_store, make_motion):
     with subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True) as holder:
         assert holder.stdout is not None and holder.stdout.readline() == "holding\n"
         for change in (lambda: remove(small_store, ["take-3"]), lambda: append(small_store, make_motion)):
-            with pytest.raises(BusyError, match="another process is writing"):
+            with pytest.raises(BusyError):
                 change()
         holder.kill()
     assert remove(small_store, ["take-3"]) == ("take-3",)
 
 
 def test_create_and_append_say_what_is_wrong(small_store, tmp_path, make_motion):
-    with pytest.raises(StoreError, match="already is a store"), StoreWriter.create(small_store):
-        pass
-    with pytest.raises(StoreError, match="motionkit ingest"), StoreWriter.append(tmp_path / "nowhere"):
-        pass
+    photo = tmp_path / "photos" / "cat.jpg"
+    photo.parent.mkdir()
+    photo.write_bytes(b"")
+    for create, path, says in (
+        (StoreWriter.create, small_store, "store"),
+        (StoreWriter.append, tmp_path / "nowhere", "nowhere"),
+        (StoreWriter.create, photo.parent, "photos .*cat.jpg"),
+        (StoreWriter.create, photo, "cat.jpg"),
+    ):
+        with pytest.raises(StoreError, match=says), create(path):
+            pass
     assert not (tmp_path / "nowhere").exists()
-    (tmp_path / "photos").mkdir()
-    (tmp_path / "photos" / "cat.jpg").write_bytes(b"")
-    with (
-        pytest.raises(StoreError, match=r"not a store and not empty .*cat\.jpg"),
-        StoreWriter.create(tmp_path / "photos"),
-    ):
-        pass
-    with pytest.raises(StoreError, match="is a file"), StoreWriter.create(tmp_path / "photos" / "cat.jpg"):
-        pass
-
-
-def test_a_part_that_is_there_is_not_written_over(small_store, make_motion, monkeypatch):
-    """`next.part` of a manifest with one bit flipped used to be believed."""
-    before = (small_store / PART).read_bytes()
-    with (
-        pytest.raises(StoreError, match=r"part-00000\.parquet is there already"),
-        StoreWriter.append(small_store) as writer,
-    ):
-        monkeypatch.setattr(writer, "_next_part", 0)
-        writer.add(make_motion("later"))
-    assert (small_store / PART).read_bytes() == before
-
-
-def test_parts_are_kept_while_one_that_the_manifest_names_is_missing(small_store, make_motion):
-    """A name may be wrong by one bit: what the manifest does not name may be what it means."""
-
-    def rename(document):
-        document["files"]["motions/part-00002.parquet"] = document["files"].pop(PART)
-        document["next"]["part"] = 3
-
-    sign(small_store, rename)
-    with StoreWriter.append(small_store) as writer:
-        writer.add(make_motion("later"))
-    assert (small_store / PART).exists()
 
 
 def content_of(folder: Path) -> dict[str, bytes]:
@@ -238,22 +189,21 @@ def test_nothing_is_deleted_behind_a_link(small_store, other, make_motion):
     "name",
     ["sequences.parquet", "manifest.json", PART, "skeletons.parquet.new", "motions/part-00001-0123abcd.parquet.new"],
 )
-@pytest.mark.parametrize("change", CHANGES)
-def test_files_that_are_links_are_replaced_and_not_written_through(small_store, other, make_motion, name, change):
+def test_files_that_are_links_are_replaced_and_not_written_through(small_store, other, make_motion, name):
     theirs = shutil.copytree(small_store, small_store.with_name("theirs"))
     before = content_of(theirs)
     (small_store / name).unlink(missing_ok=True)
     (small_store / name).symlink_to(theirs / name if (theirs / name).exists() else theirs / "sequences.parquet")
     link = small_store.with_name("link")
     link.symlink_to(small_store)  # a store may be reached through a link
-    CHANGES[change](link, make_motion)
-    assert content_of(theirs) == before
-    assert list(faults(link)) == [] and link.is_symlink()
+    for change in ("append", "merge", "compact"):
+        CHANGES[change](link, make_motion)
+        assert content_of(theirs) == before
+        assert list(faults(link)) == [] and link.is_symlink()
 
 
 def test_files_of_a_users_own_among_the_parts_stay(small_store, make_motion):
-    own = {"part-00000.parquet.bak", "part-0.parquet", "part-00007.parquet.new.txt", "notes.txt"}
-    own |= {"part-00001-my-copy.parquet.new"}
+    own = {"part-00000.parquet.bak", "part-0.parquet", "notes.txt", "part-00001-my-copy.parquet.new"}
     for name in own:
         (small_store / "motions" / name).write_text("dear")
     append(small_store, make_motion)
@@ -261,13 +211,12 @@ def test_files_of_a_users_own_among_the_parts_stay(small_store, make_motion):
     assert {path.name for path in (small_store / "motions").iterdir()} >= own
 
 
-@pytest.mark.parametrize("most_bytes", [2, 3000], ids=["not even a first word", "a first page"])
-def test_a_full_disk_leaves_everything_as_it_was(small_store, make_motion, most_bytes):
+def test_a_full_disk_leaves_everything_as_it_was(small_store, make_motion):
     previous = Store.open(small_store).fingerprint
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     try:
-        with pytest.raises(OSError, match="File too large"), StoreWriter.append(small_store) as writer:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, limits[1]))
+        with pytest.raises(OSError), StoreWriter.append(small_store) as writer:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (3000, limits[1]))
             for number in range(20):
                 writer.add(make_motion(f"new-{number}"))
     finally:
@@ -279,11 +228,7 @@ def test_a_full_disk_leaves_everything_as_it_was(small_store, make_motion, most_
 
 
 @pytest.mark.parametrize(
-    ("change", "call"),
-    [
-        *itertools.product(("append", "remove", "compact", "merge", "split"), ("fsync", "replace")),
-        ("compact", "unlink"),
-    ],
+    ("change", "call"), [("append", "fsync"), ("remove", "replace"), ("compact", "fsync"), ("compact", "unlink")]
 )
 def test_a_disk_that_fails_at_any_call_is_reported_with_what_is_committed(
     small_store, other, make_motion, tmp_path, monkeypatch, change, call

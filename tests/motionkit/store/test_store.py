@@ -8,7 +8,6 @@ from pathlib import Path
 
 import duckdb
 import numpy as np
-import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -118,12 +117,8 @@ def test_the_table_of_sequences(small_store):
     assert list(frame["sequence_index"]) == list(range(6))
     third = frame.iloc[2]
     assert Fraction(int(third["fps_numerator"]), int(third["fps_denominator"])) == Fraction(30000, 1001)
-    assert third["fps"] == pytest.approx(29.97002997)
     assert third["duration_seconds"] == pytest.approx(42 * 1001 / 30000)
-    assert third["start_seconds"] == 0.25
-    assert third["seconds_between_frames"] == pytest.approx(1001 / 30000)
-    assert third["stated_fps"] == "0.033333"
-    assert list(third["operations"]) == ["read", "units: centimetres"]
+    assert (third["start_seconds"], third["stated_fps"]) == (0.25, "0.033333")
     assert third["captions"][1] == {"text": "ends", "start_seconds": 0.3, "end_seconds": 0.5, "tokens": "ends/VERB"}
     assert third["captions"][0]["end_seconds"] is None
 
@@ -160,16 +155,16 @@ def test_motions_that_may_not_enter(tmp_path, make_motion, monkeypatch):
     bad.joint_positions[7, 3, 1] = np.nan
     monkeypatch.setattr(schema, "MAX_VALUES", 60 * 22 * 3)
     refused = [
-        (bad, "nan", "not finite from frame 7 on"),
-        (make_motion(""), "no-id", "needs a sequence_id"),
-        (make_motion("a"), "duplicate-id", "'a'"),
-        (replace(make_motion("c"), sequence_id="\udcff"), "not-unicode", "rename the file"),
-        (make_motion("long", 90), "too-long", r"mk\.read\(FILE\)\[:2\]\.save\('first\.npz'\)"),
+        (bad, "nan"),
+        (make_motion(""), "no-id"),
+        (make_motion("a"), "duplicate-id"),
+        (replace(make_motion("c"), sequence_id="\udcff"), "not-unicode"),
+        (make_motion("long", 90), "too-long"),
     ]
     with StoreWriter.create(tmp_path / "store") as writer:
         writer.add(make_motion("a"))
-        for motion, reason, says in refused:
-            with pytest.raises(RefusedMotion, match=says) as error:
+        for motion, reason in refused:
+            with pytest.raises(RefusedMotion) as error:
                 writer.add(motion)
             assert error.value.reason == reason
         writer.add(make_motion("b"))
@@ -199,27 +194,6 @@ def test_parquet_is_laid_out_as_documented(small_store):
     assert rows[1]["local_rotations"] is None
 
 
-def test_other_tools_read_the_store_without_us(small_store):
-    frame = pd.read_parquet(small_store / "sequences.parquet")
-    assert frame["num_frames"].sum() == 600 + 40 + 41 + 42 + 44 + 45
-    counts = duckdb.sql(f"SELECT split, count(*) FROM '{small_store}/sequences.parquet' GROUP BY 1 ORDER BY 1")
-    assert counts.fetchall() == [("test", 1), ("train", 5)]
-    height = duckdb.sql(
-        f"SELECT max(list_max(joint_positions)) FROM '{small_store}/motions/*.parquet' WHERE sequence_index = 3"
-    ).fetchall()
-    assert height == [(Store.open(small_store).read(3).joint_positions.max(),)]
-    polars = pytest.importorskip("polars", reason="polars is not installed")
-    assert polars.read_parquet(small_store / "motions" / "*.parquet").height == 6
-
-
-def test_a_notebook_shows_what_a_store_holds(small_store):
-    odd = small_store.rename(small_store.with_name("<b>store"))
-    shown = Store.open(odd)._repr_html_()
-    assert "&lt;b&gt;store" in shown and "<b>" not in shown
-    counts = re.findall(r"<td>([^<]*)</td>", shown)[3::5]
-    assert sum(map(int, counts)) == len(Store.open(odd)) > 0
-
-
 GRID = 2.0**-RESOLUTION_BITS
 
 
@@ -241,22 +215,16 @@ def test_the_page_on_the_store_names_every_column(heading, table):
     assert re.findall(r"`(\w+)`", " ".join(first_cells)) == table.names
 
 
-def test_the_pages_example_in_python_runs(small_store, monkeypatch):
-    (example,) = re.findall(r"## In Python\n\n```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
+def test_the_pages_examples_run(small_store, monkeypatch):
     monkeypatch.chdir(small_store.parent)
+    example, reading = (
+        re.findall(rf"## {heading}\n\n```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)[0]
+        for heading in ("In Python", "Reading it without motionkit")
+    )
+    names: dict[str, object] = {}
+    exec(reading.replace("sequence_index = 7", "sequence_index = 3"), names)
+    np.testing.assert_array_equal(names["positions"], Store.open(small_store).read(3).joint_positions)
     motion = replace(Store.open(small_store).read(3), sequence_id="cmu/asfamc/01/01_01", split="train")
     names = {"motion": motion, "sequence": np.zeros(4, np.int64), "start_frame": np.zeros(4, np.int64)}
     exec(example, names)
     assert len(names["store"]) == 7 and "cmu/asfamc/01/01_01" in names["store"]
-
-
-def test_the_pages_example_reads_the_frames(small_store, monkeypatch):
-    (example,) = re.findall(
-        r"## Reading it without motionkit\n\n```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL
-    )
-    assert small_store.name == "store"
-    monkeypatch.chdir(small_store.parent)
-    names: dict[str, object] = {}
-    exec(example.replace("sequence_index = 7", "sequence_index = 3"), names)
-    assert len(names["sequences"]) == 6
-    np.testing.assert_array_equal(names["positions"], Store.open(small_store).read(3).joint_positions)
