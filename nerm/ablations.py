@@ -7,9 +7,7 @@ paper's tables use its own layout of z, `global`; rows of our layout, `local`, a
 from motionkit.core.files import write_whole
 from motionkit.training.ablations import Ablation, Ablations, Entry, Variant
 from motionkit.training.run import RunFolder, StageContext, clear_stage
-from nerm.recipes import RECIPES, NermConfig
-from nerm.settings import LatentLayout
-from nerm.stages import CODEBOOK, DENOISER, FIELD
+from nerm.recipes import CODEBOOK, DENOISER, FIELD, RECIPES, LatentLayout, NermConfig
 
 # Overrides for a recipe made for the other layout.
 LAYOUTS: dict[LatentLayout, tuple[str, ...]] = {

@@ -25,6 +25,7 @@ from torch.nn.functional import smooth_l1_loss
 from motionkit.core.errors import UsageError
 from motionkit.core.files import whole_file
 from motionkit.core.shapes import Float, Float32, Int64
+from motionkit.data.windows import chunks
 from motionkit.features import field
 from motionkit.fields.resample import resample_positions
 from motionkit.store.cache import PositionCache, open_cache
@@ -39,15 +40,13 @@ from motionkit.training.loop import (
     seeded_initialisation,
 )
 from motionkit.training.run import StageContext
-from nerm.recipes import NermConfig
-from nerm.settings import CodebookConfig, CodebookNetworkConfig
+from nerm.recipes import CodebookConfig, CodebookNetworkConfig, NermConfig
 
 FPS = 20
 DOWNSAMPLINGS = 2
 RESIDUAL_LAYERS, DILATION_GROWTH = 3, 3
 EMA_DECAY, SMALLEST_COUNT = 0.99, 1.0
 POSITION_WEIGHT, COMMITMENT_WEIGHT = 0.5, 0.02
-RATE_DROP = 0.05
 
 
 class ResidualConvolution(nn.Module):
@@ -75,12 +74,12 @@ def build_encoder(config: CodebookNetworkConfig, num_features: int) -> nn.Sequen
     width, layers = config.width, [nn.Conv1d(num_features, config.width, 3, padding=1), nn.ReLU()]
     for _ in range(DOWNSAMPLINGS):
         layers += [nn.Conv1d(width, width, 4, stride=2, padding=1), residual_stack(width)]
-    return nn.Sequential(*layers, nn.Conv1d(width, config.code_dimension, 3, padding=1))
+    return nn.Sequential(*layers, nn.Conv1d(width, config.width, 3, padding=1))
 
 
 def build_decoder(config: CodebookNetworkConfig, num_features: int) -> nn.Sequential:
     """[batch, code, frames / 4] → pose vectors [batch, numbers, frames]."""
-    width, layers = config.width, [nn.Conv1d(config.code_dimension, config.width, 3, padding=1), nn.ReLU()]
+    width, layers = config.width, [nn.Conv1d(config.width, config.width, 3, padding=1), nn.ReLU()]
     for _ in range(DOWNSAMPLINGS):
         layers += [
             residual_stack(width),
@@ -114,8 +113,8 @@ class Quantiser(nn.Module):
 
     def __init__(self, config: CodebookNetworkConfig) -> None:
         super().__init__()
-        self.register_buffer("codes", torch.zeros(config.num_codes, config.code_dimension))
-        self.register_buffer("sums", torch.zeros(config.num_codes, config.code_dimension))
+        self.register_buffer("codes", torch.zeros(config.num_codes, config.width))
+        self.register_buffer("sums", torch.zeros(config.num_codes, config.width))
         self.register_buffer("counts", torch.ones(config.num_codes))
         self.register_buffer("started", torch.tensor(False))
 
@@ -247,62 +246,45 @@ class VectorCorpus:
 
 def vector_corpus(source: PositionCache, config: CodebookConfig, path: Path) -> VectorCorpus:
     """The pose vectors of a corpus, from the file that `write_vectors` wrote for it."""
-    size = 6 * source.positions.shape[1] + 1
-    lengths = _num_vectors(source)
-    lengths = lengths[lengths >= config.window_frames]
+    lengths = sequence_lengths(source, config)
     ends, frames = np.cumsum(lengths), config.window_frames
-    starts = [np.arange(end - length, end - frames + 1) for end, length in zip(ends, lengths, strict=True)]
-    vectors = np.memmap(path, dtype="<f4", mode="r", shape=(int(ends[-1]), size)).view(np.ndarray)
-    mean, scale = _statistics(vectors)
-    return VectorCorpus(vectors, np.concatenate(starts), mean, scale)
-
-
-def check_lengths(source: PositionCache, config: CodebookConfig) -> None:
-    """Raise `UsageError` if no sequence is as long as a training window."""
-    frames = config.window_frames
-    if not (_num_vectors(source) >= frames).any():
-        seconds = (source.num_frames - 1) * source.fps_denominator / source.fps_numerator
-        raise UsageError(
-            f"no sequence has {frames} poses at {FPS} fps ({frames / FPS:g} s), the codebook's windows; the longest "
-            f"lasts {seconds.max():.3g} s: set codebook.window_frames lower"
-        )
-
-
-def write_vectors(source: PositionCache, config: CodebookConfig, path: Path) -> None:
-    """Resample every sequence to 20 fps and write its `codebook_vectors`, unless an interrupted run has done so."""
-    size = 4 * (6 * source.positions.shape[1] + 1)
-    lengths = _num_vectors(source)
-    chosen = np.flatnonzero(lengths >= config.window_frames)
-    if path.is_file() and path.stat().st_size == size * lengths[chosen].sum():
-        return
-    with whole_file(path) as temporary, temporary.open("wb") as file:
-        for index in chosen.tolist():
-            start, count = int(source.start_row[index]), int(source.num_frames[index])
-            native_fps = Fraction(int(source.fps_numerator[index]), int(source.fps_denominator[index]))
-            positions = resample_positions(
-                np.asarray(source.positions[start : start + count]), native_fps, Fraction(FPS)
-            )
-            file.write(np.ascontiguousarray(codebook_vectors(positions, Fraction(FPS)), dtype="<f4").data.cast("B"))
-
-
-def _num_vectors(source: PositionCache) -> Int64[np.ndarray, "sequences"]:
-    """Rows of each sequence when resampled to 20 fps."""
-    intervals = (source.num_frames.astype(np.int64) - 1) * FPS * source.fps_denominator
-    return np.asarray(intervals // source.fps_numerator, dtype=np.int64)
-
-
-def _statistics(
-    vectors: Float32[np.ndarray, "rows numbers"],
-) -> tuple[Float32[Tensor, "numbers"], Float32[Tensor, "numbers"]]:
-    total = np.zeros(vectors.shape[1])
-    squares = np.zeros(vectors.shape[1])
-    for start in range(0, len(vectors), 16_384):
-        block = vectors[start : start + 16_384].astype(np.float64)
+    starts = [np.arange(end - length, end - frames + 1) for end, length in zip(ends, lengths, strict=True) if length]
+    shape = int(ends[-1]), 6 * source.num_joints + 1
+    vectors = np.memmap(path, dtype="<f4", mode="r", shape=shape).view(np.ndarray)
+    total, squares = np.zeros(shape[1]), np.zeros(shape[1])
+    for rows in chunks(len(vectors), 16_384):
+        block = vectors[rows].astype(np.float64)
         total += block.sum(0)
         squares += np.square(block).sum(0)
     mean = total / len(vectors)
     scale = np.sqrt(np.maximum(squares / len(vectors) - mean**2, SMALLEST_SCALE**2))
-    return torch.from_numpy(mean).float(), torch.from_numpy(scale).float()
+    return VectorCorpus(
+        vectors, np.concatenate(starts), torch.from_numpy(mean).float(), torch.from_numpy(scale).float()
+    )
+
+
+def sequence_lengths(source: PositionCache, config: CodebookConfig) -> Int64[np.ndarray, "sequences"]:
+    """Rows of each sequence at 20 fps, 0 for those shorter than a training window.
+
+    Raises `UsageError` if all are shorter.
+    """
+    intervals = (source.num_frames.astype(np.int64) - 1) * source.fps_denominator
+    lengths, frames = intervals * FPS // source.fps_numerator, config.window_frames
+    if not (lengths >= frames).any():
+        raise UsageError(
+            f"no sequence has {frames} poses at {FPS} fps ({frames / FPS:g} s), the codebook's windows; the longest "
+            f"lasts {(intervals / source.fps_numerator).max():.3g} s: set codebook.window_frames lower"
+        )
+    return np.where(lengths >= frames, lengths, 0)
+
+
+def write_vectors(source: PositionCache, config: CodebookConfig, path: Path) -> None:
+    """Resample every sequence to 20 fps and write its `codebook_vectors`."""
+    with whole_file(path) as temporary, temporary.open("wb") as file:
+        for index in np.flatnonzero(sequence_lengths(source, config)).tolist():
+            positions = np.asarray(source.sequence_positions(index))
+            positions = resample_positions(positions, source.exact_fps(index), Fraction(FPS))
+            file.write(codebook_vectors(positions, Fraction(FPS)).astype("<f4").tobytes())
 
 
 class CodebookTraining:
@@ -322,7 +304,7 @@ class CodebookTraining:
         )
         self.learner = Learner(self.network, optimizer, ranks=ranks)
         self.state_tensors, self.load_state_tensors = self.learner.state_tensors, self.learner.load_state_tensors
-        self.steps = config.schedule.steps
+        self.steps = config.schedule.num_steps(len(corpus.first_rows))
         self.positions = joint_positions_block((len(corpus.mean) - 1) // 6)
 
     def step(self, step: int, generator: torch.Generator) -> Mapping[str, Tensor]:
@@ -343,8 +325,7 @@ class CodebookTraining:
         positions = smooth_l1_loss(decoded[..., self.positions], vectors[..., self.positions])
         terms = reconstruction + POSITION_WEIGHT * positions
         loss = share * (terms + COMMITMENT_WEIGHT * quantised.commitment)
-        dropped = step * schedule.steps >= schedule.drop_at * self.steps
-        self.learner.descend(loss, step, schedule.learning_rate * (RATE_DROP if dropped else 1.0))
+        self.learner.descend(loss, step, schedule.learning_rate * schedule.factor(step, self.steps))
         which = self.ranks.all_rows(quantised.which, schedule.batch_size)
         quantiser.update(everywhere, which, generator)
         return {
@@ -388,7 +369,7 @@ def train_codebook(context: StageContext, config: NermConfig) -> None:
     settings = with_precision_of(config.codebook, device)
     config = dataclasses.replace(config, codebook=settings)
     description = {"format": FORMAT, "version": FORMAT_VERSION, "fps": FPS}
-    weights = settings.published.weights
+    weights = settings.published_weights
     if weights:
         codes = load_published(Path(weights))
         folder = context.begin(STAGE_NAME, config, store_fingerprint=store.fingerprint)
@@ -398,7 +379,7 @@ def train_codebook(context: StageContext, config: NermConfig) -> None:
         return
     started = time.perf_counter()
     source = open_cache(store, layout="smpl22", where=settings.where or None)
-    check_lengths(source, settings)
+    sequence_lengths(source, settings)
     folder = context.begin(STAGE_NAME, config, store_fingerprint=store.fingerprint)
     vectors = folder.path / "vectors.f32"
     ranks.on_first(partial(write_vectors, source, settings, vectors))
@@ -417,7 +398,7 @@ def train_codebook(context: StageContext, config: NermConfig) -> None:
 def check_codebook(context: StageContext, config: NermConfig) -> None:
     """Raise early what would stop this stage: no sequence that is long enough, missing published weights."""
     settings = config.codebook
-    if settings.published.weights:
-        load_published(Path(settings.published.weights))
+    if settings.published_weights:
+        load_published(Path(settings.published_weights))
     else:
-        check_lengths(open_cache(context.open_store(), layout="smpl22", where=settings.where or None), settings)
+        sequence_lengths(open_cache(context.open_store(), layout="smpl22", where=settings.where or None), settings)

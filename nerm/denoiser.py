@@ -39,7 +39,6 @@ from motionkit.training.networks import (
     add_noise,
     cumulative_alphas,
     guided,
-    loss_weights,
     predicted_noise,
     prediction_target,
     sample,
@@ -52,8 +51,7 @@ from nerm.field import load_field
 from nerm.latents import LatentSpace, LocalLatents, first_read, in_use, local_latents, measured_space
 from nerm.network import Denoiser
 from nerm.paraphrases import with_paraphrases
-from nerm.recipes import NermConfig
-from nerm.settings import DenoiserConfig, from_recorded
+from nerm.recipes import DenoiserConfig, NermConfig
 
 SAMPLES_PER_BATCH = 256
 WEIGHT_DECAY = 0.01
@@ -256,11 +254,9 @@ def load_denoiser(run: RunFolder, device: torch.device | None = None) -> Trained
 
 
 def _rebuild(tensors: Mapping[str, Tensor], description: Mapping[str, Any]) -> TrainedDenoiser:
-    config = from_recorded(DenoiserConfig, description["config"])
+    config = from_plain(DenoiserConfig, description["config"])
     layout = ConditionSizes(int(description["text_dimension"]), tuple(description["actions"]))
     banks = None if description["banks"] is None else from_plain(LocalLatents, description["banks"])
-    if banks is not None and banks.path and description["config"].get("latents", {}).get("path") == "places":
-        raise ValueError("its latents hold places of a path instead of steps")
     space = LatentSpace(banks, tensors["latent_mean"], tensors["latent_deviation"])
     with seeded_initialisation(0, STAGE_NAME):
         denoiser = Denoiser(config.network, tensors["denoiser.first_read"], layout)
@@ -295,7 +291,6 @@ class DenoiserTraining:
         used = in_use(self.first_read, corpus.conditions.duration)
         self.space = measured_space(drawn, used, corpus.banks, config.latent_scale)
         self.alphas = cumulative_alphas(config.diffusion)
-        self.weights = loss_weights(config.diffusion.prediction, config.diffusion.loss, self.alphas)
         self.steps = config.schedule.num_steps(len(corpus))
         with seeded_initialisation(seed, "denoiser"):
             self.denoiser = Denoiser(config.network, self.first_read, corpus.conditions.sizes).to(device)
@@ -320,7 +315,7 @@ class DenoiserTraining:
         with dropout_from(generator, self.device, self.ranks.rank), autocast(config.precision, self.device):
             output = self.denoiser(noisy[mine].to(self.device), steps[mine].to(self.device), given.to(self.device))
         used = in_use(self.first_read, conditions.duration)
-        weights = used * self.weights[steps, None].to(torch.float32) / used.sum()
+        weights = used / used.sum()
         loss = ((output.float() - target[mine].to(self.device)).square() * weights[mine].to(self.device)).sum()
         self.learner.descend(loss, step, schedule.factor(step, self.steps) * schedule.learning_rate)
         return {"loss": loss.detach()}

@@ -27,8 +27,8 @@ from motionkit.store.reader import Store
 from motionkit.training.pose_vectors import PoseTensors
 from motionkit.training.run import RunFolder
 from nerm.field import TrainedField, load_field
-from nerm.names import row_name
 from nerm.network import EncodedCoordinates
+from nerm.recipes import row_name
 
 EVALUATIONS = 30
 HISTORY = 10

@@ -20,7 +20,7 @@ from motionkit.features.field import FIELD_VECTORS
 from motionkit.features.native import NativeVectors
 from motionkit.fields.contact.planted import GRID_FPS
 from motionkit.fields.motion_field import Poses, check_times
-from motionkit.training.config import to_plain
+from motionkit.training.config import from_plain, to_plain
 from motionkit.training.devices import resolve_device
 from motionkit.training.loop import CheckpointError, load_tensors, prefixed, rebuilding, save_tensors, unprefixed
 from motionkit.training.pose_vectors import VectorScaling, vector_tensors, vectors_of
@@ -28,7 +28,7 @@ from motionkit.training.run import RunFolder, StageFolder
 from nerm.contact import ContactHead, contact_head, probabilities
 from nerm.linear_fit import LinearModel, PoseComponents
 from nerm.network import EncodedCoordinates, FieldNetwork
-from nerm.settings import FieldConfig, from_recorded
+from nerm.recipes import FieldConfig
 
 GRIDS_KEPT = 16
 POSES_AT_ONCE = 8_192
@@ -285,7 +285,7 @@ def load_field(run: RunFolder | Path, device: str = "cpu") -> TrainedField:
 
 
 def _rebuild(tensors: Mapping[str, Tensor], description: Mapping[str, Any], where: torch.device) -> TrainedField:
-    config = from_recorded(FieldConfig, description["config"])
+    config = from_plain(FieldConfig, description["config"])
     scaling = VectorScaling(tensors["scaling.mean"], tensors["scaling.scale"])
     network = FieldNetwork(config, len(scaling.mean), tensors.get("network.attention.codebook"))
     network.load_state_dict(unprefixed("network", tensors))

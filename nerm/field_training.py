@@ -56,8 +56,7 @@ from nerm.field import TrainedField, save_field
 from nerm.latents import first_read, in_use, local_latents, measured_space
 from nerm.linear_fit import LinearModel, fit_windows, measure_components
 from nerm.network import FieldNetwork
-from nerm.recipes import NermConfig
-from nerm.settings import FieldConfig
+from nerm.recipes import FieldConfig, NermConfig
 
 LOG_VARIANCE_RANGE = (-12.0, 4.0)
 WARMUP_FPS = Fraction(20)

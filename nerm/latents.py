@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64, Shaped
-from nerm.settings import FieldConfig, LatentScale
+from nerm.recipes import FieldConfig, LatentScale
 
 Kernel = Literal["hann", "lanczos"]
 LANCZOS_RADIUS = 3.0

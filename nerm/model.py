@@ -25,7 +25,7 @@ from motionkit.training.text import TextEncoder, load_same_encoder
 from nerm.constraints import sample_constrained
 from nerm.denoiser import TrainedDenoiser, load_denoiser, unit_rows
 from nerm.field import TrainedField, load_field
-from nerm.names import row_name
+from nerm.recipes import row_name
 
 BONE_SAMPLES = 200
 NO_TEXTS = "this model was trained without texts: ask for an action, or for unconditional motions"

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64, Shaped
 from motionkit.training.networks import Conditions, ConditionSizes, through_long_skips
 from nerm.latents import KnotWeights, Reading, in_use, local_latents, placed
-from nerm.settings import Activation, FieldConfig, TransformerConfig
+from nerm.recipes import Activation, FieldConfig, TransformerConfig
 
 REFERENCE_FPS = 20.0
 

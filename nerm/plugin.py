@@ -3,7 +3,7 @@
 from motionkit.core.plugins import lazily
 from motionkit.training.run import Loader
 
-STAGES = {"codebook": "nerm.stages:CODEBOOK", "field": "nerm.stages:FIELD", "denoiser": "nerm.stages:DENOISER"}
+STAGES = {"codebook": "nerm.recipes:CODEBOOK", "field": "nerm.recipes:FIELD", "denoiser": "nerm.recipes:DENOISER"}
 ALL = tuple(STAGES)
 MODELS = {
     "nerm": Loader("NeRM", ("field", "denoiser"), lazily("nerm.model:load"), fixed_fps_setting="field.clips.fixed_fps")

@@ -1,37 +1,280 @@
-"""NeRM's recipes: `paper` (the paper's settings), `base` (an hour on a GPU), `small` (an hour and a half on two
-cores), `nano` and `demo` (minutes there). `nerm/settings.py` documents the settings.
+"""NeRM's settings (no torch), its recipes, its stages, and how its rows are named.
+
+The settings' defaults are the paper's. Recipes: `paper` (the paper's settings), `base` (an hour on a GPU), `small` (an
+hour and a half on two cores), `nano` and `demo` (minutes there).
 """
 
-import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import Literal
 
-from motionkit.training.config import DiffusionConfig, Schedule
-from nerm.settings import (
-    ClipsConfig,
-    CodebookConfig,
-    CodebookNetworkConfig,
-    CodebookScheduleConfig,
-    ConditionsConfig,
-    DecoderConfig,
-    DenoiserConfig,
-    EncoderConfig,
-    FieldConfig,
-    FieldLossConfig,
-    FieldOptimizerConfig,
-    LatentsConfig,
-    TransformerConfig,
-    WindowsConfig,
+from motionkit.core.plugins import lazily
+from motionkit.core.timegrid import parse_fps
+from motionkit.features.convention import PoseVectorsName
+from motionkit.training.config import (
+    ConfigLike,
+    DiffusionConfig,
+    Precision,
+    Schedule,
+    flatten,
+    from_plain,
+    require_positive,
 )
+from motionkit.training.run import RunFolder, Stage
+
+
+@dataclass(frozen=True)
+class CodebookNetworkConfig:
+    """The VQ-VAE's width, which is that of its codes, and their number."""
+
+    width: int = 512
+    num_codes: int = 512
+
+
+@dataclass(frozen=True)
+class CodebookConfig:
+    """The VQ-VAE whose codes enrich the coordinates: T2M-GPT's (Zhang et al. 2023a; appendix B.1).
+
+    `published_weights` is T2M-GPT's own checkpoint, whose codes are used instead of training.
+    """
+
+    where: str = "split = 'train'"
+    window_frames: int = 64
+    network: CodebookNetworkConfig = CodebookNetworkConfig()
+    # The learning rate falls to a twentieth at step 200,000.
+    schedule: Schedule = Schedule(
+        steps=300_000, batch_size=256, learning_rate=2e-4, kind="steps", drop=0.05, drop_every=2 / 3
+    )
+    published_weights: str = ""
+    precision: Precision = "float32"
+
+    def __post_init__(self) -> None:
+        require_positive(self, "window_frames")
+
+
+TimeEncoding = Literal["none", "raw", "fourier", "codebook"]
+LatentLayout = Literal["global", "local"]
+Activation = Literal["relu", "silu"]
+
+
+@dataclass(frozen=True)
+class WindowsConfig:
+    """How sequences are cut into windows of at most `max_duration_seconds` (l_max), one every `stride_seconds`."""
+
+    max_duration_seconds: float = 10.0
+    stride_seconds: float = 10.0
+    mirrored: bool = False
+
+    def __post_init__(self) -> None:
+        require_positive(self, "max_duration_seconds", "stride_seconds")
+
+
+@dataclass(frozen=True)
+class ClipsConfig:
+    """Which poses of a window a training step samples.
+
+    During the first `warmup_fraction` of the steps poses are sampled at 20 fps, then at native framerates or integer
+    fractions of them down to `lowest_fps`. `fixed_fps` is Table 1's "NeRM-fixed": all poses are sampled at that
+    framerate (an integer, a decimal or a fraction such as 30000/1001), and slower sequences are dropped.
+    """
+
+    num_poses: int = 32
+    contiguous: bool = True
+    seconds_per_visit: float = 10.0
+    warmup_fraction: float = 0.5
+    lowest_fps: float | None = None
+    fixed_fps: str | None = None
+
+    def __post_init__(self) -> None:
+        require_positive(self, "num_poses", "lowest_fps")
+        assert self.fixed_framerate is None or self.fixed_framerate > 0
+
+    @property
+    def fixed_framerate(self) -> Fraction | None:
+        """`fixed_fps` as an exact fraction; None for continuous-framerate training."""
+        return None if self.fixed_fps is None else parse_fps(self.fixed_fps)
+
+
+@dataclass(frozen=True)
+class LatentsConfig:
+    """Latents N(μ, Σ) of the windows: in the layout `global` of `dimension` numbers (d).
+
+    The layout `local` reads z as banks of knots along time (nerm/latents.py): bank i has knots[i] knots of
+    knot_numbers[i] pose components each; `path_knots` knots hold the body's path (0: no such bank). `kernel`, `radius`
+    and `modes` define the basis functions, `ridge` the fit of the linear model that local latents start from.
+    """
+
+    layout: LatentLayout = "global"
+    dimension: int = 256
+    knots: tuple[int, ...] = (16,)
+    knot_numbers: tuple[int, ...] = (16,)
+    path_knots: int = 0
+    kernel: Literal["hann", "lanczos"] = "hann"
+    radius: float = 2.0
+    modes: int = 2
+    variational: bool = True
+    initial_log_variance: float = -6.0
+    ridge: float = 1e-2
+
+    def __post_init__(self) -> None:
+        if len(self.knots) != len(self.knot_numbers) or not self.knots:
+            raise ValueError(
+                f"knots and knot_numbers need one value per bank, not {self.knots} and {self.knot_numbers}"
+            )
+
+    @property
+    def has_path(self) -> bool:
+        """Whether z has a path bank."""
+        return self.layout == "local" and self.path_knots > 0
+
+
+@dataclass(frozen=True)
+class EncoderConfig:
+    """The time encoding (`kind`) and the framerate's scale.
+
+    `raw` is t itself (Table 5's "no time encoding"), `none` no coordinate; `coordinates=frames` uses frame numbers
+    (Table 9). `num_queries`, `num_heads` and `num_layers` belong to the codebook-coordinate attention (CCA).
+    """
+
+    kind: TimeEncoding = "codebook"
+    coordinates: Literal["normalised", "frames"] = "normalised"
+    num_frequencies: int = 64
+    frequency_scale: float = 4.0
+    framerate_scale: float = 0.2
+    num_queries: int = 256
+    num_heads: int = 4
+    num_layers: int = 3
+
+    @property
+    def query_width(self) -> int:
+        """Width of CCA's queries: that of γ(t), to which its output is added (the paper's 128 for R = 64)."""
+        return 2 * self.num_frequencies
+
+
+@dataclass(frozen=True)
+class DecoderConfig:
+    """The network from a latent and a coordinate to a pose."""
+
+    kind: Literal["mlp", "transformer"] = "mlp"
+    width: int = 1024
+    num_layers: int = 9
+    activation: Activation = "relu"
+
+
+@dataclass(frozen=True)
+class FieldLossConfig:
+    """The weight of the KL term, and the scaling of pose errors (`measure_scaling`)."""
+
+    kl_weight: float = 1e-4
+    scaling: Literal["number", "group"] = "number"
+    root_weight: float = 1.0
+
+
+@dataclass(frozen=True)
+class FieldOptimizerConfig:
+    """Further learning rates of AdamW: for attention and for the latents (μ and log Σ)."""
+
+    attention_learning_rate: float = 1e-4
+    latent_learning_rate: float = 1e-4
+    weight_decay: float = 0.01
+
+
+@dataclass(frozen=True)
+class FieldConfig:
+    """The variational implicit representation (paper §3.1, B, D); lengths in seconds, rates in frames a second.
+
+    `pose_vectors` is the representation of a pose (motionkit/features): positions, the published 263 numbers, or
+    SMPL's rotations. `contact_steps` are those of the contact head, which needs local latents (0: none).
+    """
+
+    where: str = "split = 'train'"
+    pose_vectors: PoseVectorsName = "field"
+    windows: WindowsConfig = WindowsConfig()
+    clips: ClipsConfig = ClipsConfig()
+    latents: LatentsConfig = LatentsConfig()
+    encoder: EncoderConfig = EncoderConfig()
+    decoder: DecoderConfig = DecoderConfig()
+    loss: FieldLossConfig = FieldLossConfig()
+    schedule: Schedule = Schedule(epochs=20_000, batch_size=4096)
+    optimizer: FieldOptimizerConfig = FieldOptimizerConfig()
+    contact_steps: int = 0
+    precision: Precision = "float32"
+
+    def __post_init__(self) -> None:
+        if self.latents.layout == "local" and self.encoder.coordinates == "frames":
+            raise ValueError("frame numbers (encoder.coordinates=frames, Table 9) need latents.layout=global")
+        if self.latents.has_path and self.pose_vectors != "field":
+            raise ValueError(f"a path bank needs positions: pose_vectors={self.pose_vectors} needs path_knots=0")
+        if self.latents.has_path and self.loss.scaling != "group":
+            raise ValueError("a path bank rotates poses, so x and z need the same scale: loss.scaling=group")
+
+
+LatentScale = Literal["number", "component"]
+
+
+@dataclass(frozen=True)
+class TransformerConfig:
+    """Sizes of the denoiser.
+
+    `latent_tokens` splits z into that many tokens of equal size: 1 as in the paper, or more with local latents, which
+    are ordered by time, so that each token is a segment of the motion.
+    """
+
+    num_layers: int = 9
+    width: int = 256
+    num_heads: int = 4
+    ffn_width: int = 1024
+    dropout: float = 0.1
+    latent_tokens: int = 1
+
+    def __post_init__(self) -> None:
+        if self.num_layers % 2 == 0:
+            raise ValueError(f"num_layers must be odd (n + 1 + n with skips), not {self.num_layers}")
+        if self.width % (2 * self.num_heads):
+            raise ValueError(f"width {self.width} must be a multiple of twice the {self.num_heads} heads")
+
+
+@dataclass(frozen=True)
+class ConditionsConfig:
+    """The texts that condition the denoiser.
+
+    `text_encoder` is a name for `motionkit.training.text.load_text_encoder`, or "none" to train without texts. Up to
+    `paraphrases` rule-based rewordings of each caption are drawn once and stand for it in half of its uses.
+    """
+
+    text_encoder: str = "minilm"
+    paraphrases: int = 0
+
+
+@dataclass(frozen=True)
+class DenoiserConfig:
+    """The stage `denoiser` (paper §3.2, D).
+
+    `latent_scale` standardises each number of z by itself, or each component over all knots of local latents;
+    `ema_decay` is the decay of the weights' moving average (0: none).
+    """
+
+    network: TransformerConfig = TransformerConfig()
+    diffusion: DiffusionConfig = DiffusionConfig()
+    latent_scale: LatentScale = "number"
+    conditions: ConditionsConfig = ConditionsConfig()
+    schedule: Schedule = Schedule(epochs=3000)
+    ema_decay: float = 0.0
+    precision: Precision = "float32"
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.ema_decay < 1.0:
+            raise ValueError(f"ema_decay must lie in [0, 1), not {self.ema_decay}")
 
 
 @dataclass(frozen=True)
 class NermConfig:
     """All stages of NeRM."""
 
-    codebook: CodebookConfig = dataclasses.field(default_factory=CodebookConfig)
-    field: FieldConfig = dataclasses.field(default_factory=FieldConfig)
-    denoiser: DenoiserConfig = dataclasses.field(default_factory=DenoiserConfig)
+    codebook: CodebookConfig = CodebookConfig()
+    field: FieldConfig = FieldConfig()
+    denoiser: DenoiserConfig = DenoiserConfig()
 
 
 def paper() -> NermConfig:
@@ -48,10 +291,7 @@ def paper() -> NermConfig:
 def nano() -> NermConfig:
     """Minutes on two CPU cores: smaller networks, local latents, the settings measured in docs/results."""
     return NermConfig(
-        codebook=CodebookConfig(
-            network=CodebookNetworkConfig(width=128, code_dimension=128, num_codes=256),
-            schedule=CodebookScheduleConfig(steps=600, batch_size=48, learning_rate=1e-3, drop_at=480),
-        ),
+        codebook=_small_codebook(width=128, num_codes=256, steps=600, batch_size=48, drop_at=480),
         field=replace(_local_field(steps=8000), contact_steps=800),
         denoiser=_knot_denoiser(steps=8000, paraphrases=12),
     )
@@ -78,9 +318,11 @@ def small() -> NermConfig:
 
 def base() -> NermConfig:
     """An hour on an H100: `nano` at the paper's widths; docs/nerm.md counts the FLOPs."""
-    field, denoiser = nano().field, nano().denoiser
+    codebook, field, denoiser = CodebookConfig(), nano().field, nano().denoiser
     return NermConfig(
-        codebook=CodebookConfig(schedule=CodebookScheduleConfig(steps=20_000, drop_at=13_000), precision="auto"),
+        codebook=replace(
+            codebook, schedule=replace(codebook.schedule, steps=20_000, drop_every=0.65), precision="auto"
+        ),
         field=replace(
             field,
             windows=replace(field.windows, mirrored=True),
@@ -101,13 +343,17 @@ def base() -> NermConfig:
 def demo() -> NermConfig:
     """For the embedded corpus, minutes: `nano` with a smaller codebook, sparser windows and fewer steps."""
     return NermConfig(
-        codebook=CodebookConfig(
-            network=CodebookNetworkConfig(width=64, code_dimension=64, num_codes=128),
-            schedule=CodebookScheduleConfig(steps=120, batch_size=32, learning_rate=1e-3, drop_at=100),
-        ),
+        codebook=_small_codebook(width=64, num_codes=128, steps=120, batch_size=32, drop_at=100),
         field=_local_field(steps=1200, stride_seconds=5.0),
         denoiser=_knot_denoiser(steps=1000),
     )
+
+
+def _small_codebook(*, width: int, num_codes: int, steps: int, batch_size: int, drop_at: int) -> CodebookConfig:
+    schedule = replace(
+        CodebookConfig().schedule, steps=steps, batch_size=batch_size, learning_rate=1e-3, drop_every=drop_at / steps
+    )
+    return CodebookConfig(network=CodebookNetworkConfig(width, num_codes), schedule=schedule)
 
 
 def _local_field(*, steps: int, stride_seconds: float = 2.0) -> FieldConfig:
@@ -128,14 +374,8 @@ def _local_field(*, steps: int, stride_seconds: float = 2.0) -> FieldConfig:
         encoder=EncoderConfig(num_queries=64, framerate_scale=0.05),
         decoder=DecoderConfig(width=256, activation="silu"),
         loss=FieldLossConfig(scaling="group", root_weight=4.0),
-        schedule=Schedule(
-            steps=steps,
-            batch_size=256,
-            learning_rate=8e-3,
-            kind="cosine",
-            # At full learning rate the first steps undo the linear initialisation; recovering it takes a hundred.
-            warmup_fraction=0.05,
-        ),
+        # At full learning rate the first steps undo the linear initialisation; recovering it takes a hundred.
+        schedule=Schedule(steps=steps, batch_size=256, learning_rate=8e-3, kind="cosine", warmup_fraction=0.05),
         optimizer=FieldOptimizerConfig(attention_learning_rate=1e-3, latent_learning_rate=1e-2, weight_decay=0.0),
         precision="auto",
     )
@@ -144,7 +384,7 @@ def _local_field(*, steps: int, stride_seconds: float = 2.0) -> FieldConfig:
 def _knot_denoiser(*, steps: int, paraphrases: int = 0) -> DenoiserConfig:
     return DenoiserConfig(
         network=TransformerConfig(num_layers=5, width=192, ffn_width=512, dropout=0.0, latent_tokens=8),
-        diffusion=DiffusionConfig(prediction="velocity", loss="velocity", sampling_steps=10, guidance_scale=2.0),
+        diffusion=DiffusionConfig(prediction="velocity", sampling_steps=10, guidance_scale=2.0),
         latent_scale="component",
         conditions=ConditionsConfig(paraphrases=paraphrases),
         schedule=Schedule(steps=steps, learning_rate=2e-3, kind="cosine", warmup_fraction=0.02),
@@ -160,3 +400,74 @@ RECIPES: dict[str, Callable[[], NermConfig]] = {
     "base": base,
     "paper": paper,
 }
+
+
+CODEBOOK = Stage(
+    "codebook",
+    "VQ-VAE codebook of poses at 20 fps (NeRM's prior for coordinates)",
+    RECIPES,
+    lazily("nerm.codebook:train_codebook"),
+    check=lazily("nerm.codebook:check_codebook"),
+    share=0.1,
+    shared=True,
+)
+FIELD = Stage(
+    "field",
+    "variational implicit motion field with one latent per window (NeRM, stage 1)",
+    RECIPES,
+    lazily("nerm.field_training:train_field"),
+    check=lazily("nerm.field_training:check_field"),
+    share=0.5,
+    shared=True,
+    builds_on=lambda config: ("codebook",) if config.field.encoder.kind == "codebook" else (),
+)
+DENOISER = Stage(
+    "denoiser",
+    "latent diffusion conditioned on a text, an action or nothing (NeRM, stage 2)",
+    RECIPES,
+    lazily("nerm.denoiser:train_denoiser"),
+    check=lazily("nerm.denoiser:check_denoiser"),
+    share=0.4,
+    shared=True,
+    builds_on=lambda config: ("field",),
+)
+
+
+LOCAL = "NeRM, local latents (ours)"
+PUBLISHED = "NeRM as published"
+LAYERS = "NeRM, published layers, other training"
+OTHERWISE = "NeRM, global latent (our settings)"
+
+# The paper leaves open the data; NeRM-fixed is in the paper.
+_OPEN = ("where", "pose_vectors", "windows.", "clips.fixed_fps", "conditions.", "published_weights")
+_TRAINING = {"schedule.steps", "schedule.epochs", "schedule.batch_size", "precision"}
+
+
+def row_name(run: RunFolder, field: FieldConfig, denoiser: DenoiserConfig | None = None) -> str:
+    """The name of a run's row in tables: "as published" only if all that the paper states is the paper's."""
+    if field.latents.layout == "local":
+        return LOCAL
+    different = _differences(field, FieldConfig())
+    encoder = "none" if denoiser is None else denoiser.conditions.text_encoder
+    if denoiser is not None:
+        different |= _differences(denoiser, DenoiserConfig())
+    if field.pose_vectors == "field" or different - _TRAINING:
+        return OTHERWISE
+    trained = [run.stage(name) for name in ("field", "denoiser") if run.stage(name).is_complete]
+    has_budget = any(stage.read_config().get("budget_seconds") is not None for stage in trained)
+    published = not different and not has_budget and encoder in ("clip", "none") and _has_published_codebook(run)
+    return PUBLISHED if published else LAYERS
+
+
+def _differences(config: ConfigLike, paper: ConfigLike) -> set[str]:
+    theirs = flatten(paper)
+    return {key for key, value in flatten(config).items() if not key.startswith(_OPEN) and value != theirs[key]}
+
+
+def _has_published_codebook(run: RunFolder) -> bool:
+    """Whether a run's codebook is T2M-GPT's own, or trained with its settings."""
+    stage = run.stage("codebook")
+    if not stage.is_complete:
+        return False
+    codebook = from_plain(CodebookConfig, stage.read_config()["config"]["codebook"])
+    return bool(codebook.published_weights) or not _differences(codebook, CodebookConfig())

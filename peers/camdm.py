@@ -38,7 +38,6 @@ class CamdmNetworkConfig:
             num_steps=4,
             schedule="cosine",
             prediction="latent",
-            loss="latent",
             sampler="ddpm",
             sampling_steps=4,
             guidance_scale=1.0,

@@ -16,7 +16,6 @@ from motionkit.training.networks import (
     add_noise,
     cumulative_alphas,
     guided,
-    loss_weights,
     predicted_noise,
     prediction_target,
     sample,
@@ -165,10 +164,9 @@ def diffusion_loss(
     alphas = cumulative_alphas(config).to(clean.device)
     noisy, steps, noise = noised(clean, config, generator)
     target = prediction_target(config.prediction, clean.flatten(1), noise.flatten(1), steps, alphas).view(clean.shape)
-    weights = loss_weights(config.prediction, config.loss, alphas)[steps].float()
     noisy = noisy * mask[..., None]
     errors = (network(noisy, steps, conditions).float() - target).square().mean(dim=-1) * mask
-    return (weights * errors.sum(dim=1) / mask.sum(dim=1)).mean()
+    return (errors.sum(dim=1) / mask.sum(dim=1)).mean()
 
 
 @torch.inference_mode()

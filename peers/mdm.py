@@ -35,7 +35,6 @@ class MdmNetworkConfig:
         default_factory=lambda: DiffusionConfig(
             schedule="cosine",
             prediction="latent",
-            loss="latent",
             sampler="ddpm",
             sampling_steps=1000,
             guidance_scale=2.5,

@@ -14,7 +14,7 @@ import torch
 from benchmarks.command import arguments_parser, best_cpu_seconds, print_json
 from motionkit.training.config import apply_overrides
 from nerm.network import EncodedCoordinates, FieldNetwork
-from nerm.settings import FieldConfig
+from nerm.recipes import FieldConfig
 
 RATES = (20.0, 30.0, 60.0, 120.0)
 

@@ -41,7 +41,7 @@ def random_model(recipe: str) -> NermModel:
     """A model of a recipe's sizes with random weights."""
     config = RECIPES[recipe]()
     torch.manual_seed(0)
-    codes = torch.randn(config.codebook.network.num_codes, config.codebook.network.code_dimension)
+    codes = torch.randn(config.codebook.network.num_codes, config.codebook.network.width)
     network = FieldNetwork(config.field, NUM_NUMBERS, codes).eval().requires_grad_(False)
     one = np.ones(1, dtype=np.int64)
     windows = Windows(

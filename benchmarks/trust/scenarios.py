@@ -19,7 +19,7 @@ TIMED = ("moment", "interrupt", "terminate")
 SETTINGS = {
     "codebook": (
         "codebook.schedule.steps=8 codebook.schedule.batch_size=2 codebook.network.width=8 codebook.window_frames=16 "
-        "codebook.network.code_dimension=8 codebook.network.num_codes=8 "
+        "codebook.network.num_codes=8 "
         "field.precision=float32 field.windows.max_duration_seconds=3 field.decoder.width=16 field.schedule.steps=8 "
         "field.decoder.num_layers=2 field.schedule.batch_size=4 field.encoder.num_layers=1 field.encoder.num_queries=8 "
         "denoiser.schedule.steps=8 denoiser.schedule.batch_size=4 denoiser.network.num_layers=1 "

@@ -209,7 +209,6 @@ def _described(annotation: Any) -> str:
 
 NoiseSchedule = Literal["scaled_linear", "cosine"]
 Prediction = Literal["noise", "latent", "velocity"]
-LossMeasure = Literal["noise", "latent", "velocity", "min_snr"]
 Sampler = Literal["ddim", "ddpm"]
 SAMPLERS: tuple[Sampler, ...] = get_args(Sampler)
 
@@ -219,9 +218,8 @@ class DiffusionConfig:
     """The process, the network's prediction, and the sampler; the defaults are the paper's (Eq. 5, B.1).
 
     The paper's "scaled linearly" is linear in √β, as in latent diffusion models; "cosine" is Nichol & Dhariwal's
-    (2021), which ignores `beta_start` and `beta_end`. `prediction` is the network's output: the noise ε (the paper),
-    the clean latent z, or the velocity √ᾱ ε − √(1 − ᾱ) z (Salimans & Ho 2022); `loss` is the quantity whose squared
-    error is minimised, for any output ("min_snr": that of z, weighted by min(SNR, 5); Hang et al. 2023).
+    (2021), which ignores `beta_start` and `beta_end`. `prediction` is the network's output, whose squared error is
+    minimised: the noise ε (the paper), the clean latent z, or the velocity √ᾱ ε − √(1 − ᾱ) z (Salimans & Ho 2022).
 
     With `sampling_spacing` "trailing" inference starts at the noisiest step, which z_K ~ N(0, I) corresponds to;
     "leading" (offset 1) starts up to num_steps / sampling_steps earlier, as in motion-latent-diffusion.
@@ -233,7 +231,6 @@ class DiffusionConfig:
     beta_start: float = 8.5e-4
     beta_end: float = 0.012
     prediction: Prediction = "noise"
-    loss: LossMeasure = "noise"
     sampler: Sampler = "ddim"
     sampling_steps: int = 50
     sampling_spacing: Literal["trailing", "leading"] = "trailing"

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64
-from motionkit.training.config import DiffusionConfig, LossMeasure, Prediction
+from motionkit.training.config import DiffusionConfig, Prediction
 
 
 def reparameterized(
@@ -212,7 +212,6 @@ Adjust = Callable[[Tensor, int, float], Tensor]
 """(predicted clean z [batch, latent], index of the visited step, its ᾱ) → the clean z to continue with."""
 
 LARGEST_COSINE_BETA = 0.999
-MIN_SNR_GAMMA = 5.0
 
 
 def cumulative_alphas(config: DiffusionConfig) -> Float64[Tensor, "steps"]:
@@ -286,25 +285,6 @@ def predicted_noise(
         return noise
     from_velocity: Tensor = alpha**0.5 * output + (1 - alpha) ** 0.5 * noisy
     return from_velocity
-
-
-def loss_weights(
-    prediction: Prediction, measure: LossMeasure, alphas: Float64[Tensor, "steps"]
-) -> Float64[Tensor, "steps"]:
-    """Weights per step that convert squared errors of the network's output to those of `measure`.
-
-    At a given z_k the errors of noise, latent and velocity are proportional: e_ε² = SNR · e_z², e_v² = (SNR + 1) · e_z²
-    with SNR = ᾱ / (1 − ᾱ).
-    """
-    ratio = alphas / (1 - alphas)
-    per_latent_error = {
-        "noise": ratio,
-        "latent": torch.ones_like(ratio),
-        "velocity": ratio + 1,
-        "min_snr": ratio.clamp(max=MIN_SNR_GAMMA),
-    }
-    weights: Tensor = per_latent_error[measure] / per_latent_error[prediction]
-    return weights
 
 
 def sample(

@@ -15,9 +15,16 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.store.writer import StoreWriter
 from motionkit.training.config import apply_overrides
 from motionkit.training.run import RunFolder, Stage, StageContext
-from nerm.recipes import NermConfig
-from nerm.settings import CodebookConfig, DenoiserConfig, FieldConfig, TransformerConfig
-from nerm.stages import CODEBOOK, DENOISER, FIELD
+from nerm.recipes import (
+    CODEBOOK,
+    DENOISER,
+    FIELD,
+    CodebookConfig,
+    DenoiserConfig,
+    FieldConfig,
+    NermConfig,
+    TransformerConfig,
+)
 from tests.helpers.nerm_corpus import analytic_positions
 
 STEPS = 8
@@ -26,12 +33,11 @@ NERM = NermConfig(
         CodebookConfig(window_frames=32),
         [
             "network.width=16",
-            "network.code_dimension=16",
             "network.num_codes=16",
             "schedule.batch_size=8",
             f"schedule.steps={STEPS}",
             "schedule.learning_rate=0.001",
-            "schedule.drop_at=6",
+            "schedule.drop_every=0.75",
         ],
     ),
     field=apply_overrides(

@@ -20,14 +20,13 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.store.writer import StoreWriter
-from nerm.names import OTHERWISE
+from nerm.recipes import OTHERWISE
 from tests.helpers.nerm_corpus import analytic_positions
 from tests.helpers.table_request import table_request
 
 TINY = (
     "codebook.schedule.steps=3",
     "codebook.network.width=8",
-    "codebook.network.code_dimension=8",
     "codebook.network.num_codes=8",
     "codebook.schedule.batch_size=4",
     "codebook.window_frames=32",

@@ -23,7 +23,7 @@ import motionkit as mk
 from eval.commands import demo as demo_command
 from motionkit.cli.app import build_app
 from motionkit.fields.motion_field import to_motion
-from nerm.names import LOCAL
+from nerm.recipes import LOCAL
 from tests.helpers.analytic import analytic_motion
 from tests.helpers.pages import blocks
 from tests.helpers.repository import REPOSITORY

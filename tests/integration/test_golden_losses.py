@@ -39,7 +39,7 @@ NERM_CONFIG = apply_overrides(
     NERM,
     [
         *(f"{stage}.{STEPS}" for stage in ("codebook", "field", "denoiser")),
-        "codebook.schedule.drop_at=2",
+        "codebook.schedule.drop_every=0.5",
         "field.loss.kl_weight=0.01",
         "denoiser.conditions.text_encoder=minilm",
     ],

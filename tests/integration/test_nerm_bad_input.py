@@ -24,7 +24,6 @@ TINY = (
     "codebook.schedule.steps=2",
     "codebook.schedule.batch_size=2",
     "codebook.network.width=8",
-    "codebook.network.code_dimension=8",
     "codebook.network.num_codes=8",
     "codebook.window_frames=16",
     "field.encoder.kind=fourier",

@@ -15,7 +15,7 @@ from motionkit.training import devices, loop
 from motionkit.training.config import apply_overrides
 from motionkit.training.loop import step_generator
 from motionkit.training.run import RunError, RunFolder, StageContext, StageFolder
-from nerm.stages import CODEBOOK, DENOISER, FIELD
+from nerm.recipes import CODEBOOK, DENOISER, FIELD
 from tests.helpers.tiny import NERM, STAGES, train_stage, write_store
 
 
@@ -110,7 +110,6 @@ def test_the_chosen_precision_is_written_down_and_hardly_changes_what_is_learnt(
 def test_the_recipe_base_trains_with_narrow_networks_and_one_step(store: Path, tmp_path: Path) -> None:
     settings = [
         "codebook.network.width=32",
-        "codebook.network.code_dimension=32",
         "codebook.network.num_codes=32",
         "field.encoder.num_queries=16",
         "field.decoder.width=32",

@@ -12,7 +12,7 @@ from motionkit.training.config import apply_overrides
 from motionkit.training.loop import step_generator
 from nerm.field import TrainedField
 from nerm.field_training import FieldTraining
-from nerm.settings import FieldConfig
+from nerm.recipes import FieldConfig
 from tests.helpers.nerm_corpus import analytic_positions, analytic_source
 
 SMALL = apply_overrides(

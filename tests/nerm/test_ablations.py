@@ -14,8 +14,7 @@ from motionkit.training.config import apply_overrides, flatten, parse_override
 from motionkit.training.loop import step_generator
 from nerm.ablations import ABLATIONS, GLOBAL, LOCAL, NERM
 from nerm.field_training import FieldTraining, remarks, training_windows
-from nerm.recipes import RECIPES, NermConfig, nano, paper
-from nerm.settings import FieldConfig
+from nerm.recipes import RECIPES, FieldConfig, NermConfig, nano, paper
 from tests.helpers.nerm_corpus import analytic_source
 
 CODES = torch.randn(20, 12, generator=torch.Generator().manual_seed(5))

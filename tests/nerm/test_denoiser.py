@@ -10,7 +10,7 @@ from motionkit.training.loop import train_loop
 from motionkit.training.networks import NO_ACTION, Conditions, window_conditions
 from motionkit.training.run import RunFolder
 from nerm.denoiser import DenoiserTraining, LatentCorpus, TrainedDenoiser, load_denoiser, save_denoiser
-from nerm.settings import DenoiserConfig, TransformerConfig
+from nerm.recipes import DenoiserConfig, TransformerConfig
 
 TEXTS = ("a person walks", "someone is walking", "a jump")
 NETWORK = TransformerConfig(num_layers=3, width=32, num_heads=2, ffn_width=64, dropout=0.0, latent_tokens=2)

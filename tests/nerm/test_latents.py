@@ -34,7 +34,7 @@ from nerm.latents import (
 )
 from nerm.linear_fit import LinearModel, held, ridge_knots
 from nerm.network import FieldNetwork
-from nerm.settings import FieldConfig, LatentScale
+from nerm.recipes import FieldConfig, LatentScale
 from tests.helpers.nerm_corpus import analytic_positions, analytic_source, corpus_in_memory
 
 KERNELS: list[Kernel] = ["hann", "lanczos"]

@@ -21,7 +21,7 @@ from nerm.field import TrainedField
 from nerm.latents import ALWAYS, LatentSpace
 from nerm.model import NermModel
 from nerm.network import Denoiser
-from nerm.settings import DenoiserConfig, TransformerConfig
+from nerm.recipes import DenoiserConfig, TransformerConfig
 
 NETWORK = TransformerConfig(num_layers=3, width=16, num_heads=2, ffn_width=32, dropout=0.0)
 

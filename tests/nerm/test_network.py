@@ -15,8 +15,7 @@ from nerm.network import (
     attention,
     distinct,
 )
-from nerm.recipes import RECIPES
-from nerm.settings import FieldConfig, TransformerConfig
+from nerm.recipes import RECIPES, FieldConfig, TransformerConfig
 
 TINY = apply_overrides(
     FieldConfig(),

@@ -8,8 +8,7 @@ from eval.reconstruction import DISTANCE
 from eval.tables.nerm import table4
 from motionkit.training.run import RunError, RunFolder, StageContext
 from nerm.field import load_field
-from nerm.names import LOCAL
-from nerm.stages import FIELD
+from nerm.recipes import FIELD, LOCAL
 from tests.helpers.table_request import table_request
 from tests.helpers.tiny import NERM, STEPS, train_stage, write_store
 

@@ -7,8 +7,7 @@ import pytest
 from motionkit.core.files import write_json
 from motionkit.training.config import apply_overrides, to_plain
 from motionkit.training.run import RunFolder
-from nerm.names import LAYERS, LOCAL, OTHERWISE, PUBLISHED, row_name
-from nerm.recipes import RECIPES
+from nerm.recipes import LAYERS, LOCAL, OTHERWISE, PUBLISHED, RECIPES, row_name
 
 
 @pytest.mark.parametrize(
@@ -21,7 +20,7 @@ from nerm.recipes import RECIPES
         ("paper", "field.pose_vectors=rotations", PUBLISHED),
         ("paper", "field.where=fps > 30", PUBLISHED),
         ("paper", "denoiser.conditions.text_encoder=none", PUBLISHED),
-        ("paper", "codebook.published.weights=t2m-gpt.pth", PUBLISHED),
+        ("paper", "codebook.published_weights=t2m-gpt.pth", PUBLISHED),
         ("paper", "denoiser.conditions.text_encoder=minilm", LAYERS),
         ("paper", "denoiser.precision=bfloat16", LAYERS),
         ("paper", "field.schedule.epochs=20", LAYERS),
