@@ -5,20 +5,12 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor, nn
 
-from motionkit.core.shapes import Bool, Float, Int64
+from motionkit.core.shapes import Bool, Float
 from motionkit.training.config import DiffusionConfig, Schedule
 from motionkit.training.networks import Conditions
-from peers.generating import MINILM, SMALL, OptimizerConfig, PeerStage, cosine
-from peers.layers import (
-    ConditionVector,
-    NetworkInputs,
-    PeerNetwork,
-    TransformerSizes,
-    diffusion_sample,
-    encoder_layer,
-    noised,
-    sinusoids,
-)
+from peers import layers
+from peers.generating import MINILM, SMALL, OptimizerConfig, PeerConfig, PeerStage, cosine
+from peers.layers import ConditionVector, NetworkInputs, PeerNetwork, Steps, TransformerSizes, positions, sinusoids
 from peers.motions import ConditionsConfig, MotionBatch, MotionsConfig, Rows, SampleBatch
 
 # Ankle and foot joints of the 22-joint skeleton; a foot that moves less than this per frame (metres) is in contact.
@@ -58,15 +50,13 @@ class Camdm(PeerNetwork):
         self.condition = ConditionVector(inputs.conditions, width)
         self.step_in = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
         self.dropout = nn.Dropout(config.transformer.dropout)
-        self.layers = nn.TransformerEncoder(
-            encoder_layer(config.transformer), config.transformer.layers, enable_nested_tensor=False
-        )
+        self.layers = layers.encoder(config.transformer)
         self.frame_out = nn.Linear(width, self.numbers)
 
     def forward(
         self,
         noisy: Rows,
-        steps: Int64[Tensor, "batch"],
+        steps: Steps,
         conditions: Conditions,
         past: Float[Tensor, "batch past numbers"],
         has_past: Bool[Tensor, "batch"],
@@ -76,52 +66,43 @@ class Camdm(PeerNetwork):
         before = torch.where(has_past[:, None, None], self.past_in(past), self.no_past)
         first = torch.stack((time, self.condition(conditions)), dim=1)
         tokens = torch.cat((first, before, self.frame_in(noisy)), dim=1)
-        positions = sinusoids(torch.arange(tokens.shape[1], device=tokens.device), self.width)
-        tokens = self.layers(self.dropout(tokens + positions))
+        tokens = self.layers(self.dropout(tokens + positions(tokens)))
         clean: Tensor = self.frame_out(tokens[:, -noisy.shape[1] :])
         return clean
 
-    def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
+    def losses(self, batch: MotionBatch) -> dict[str, Tensor]:
         """Squared errors of pose vectors, joints, their frame differences, and the velocity of feet in contact."""
         past, clean = batch.rows[:, : self.config.past], batch.rows[:, self.config.past :]
         mask = batch.mask[:, self.config.past :]
-        has_past = (torch.rand(len(past), generator=generator) >= self.config.no_past).to(past.device)
-        noisy, steps, _ = noised(clean, self.config.diffusion, generator)
+        has_past = (torch.rand(len(past), generator=batch.generator) >= self.config.no_past).to(past.device)
+        noisy, steps, _ = layers.noised(clean, self.config.diffusion, batch.generator)
         made = self(noisy * mask[..., None], steps, batch.conditions, past, has_past)
         both = mask[:, 1:] & mask[:, :-1]
         joints, truth = self.space.joints(made), self.space.joints(clean)
-        moved, true_moved = _differences(joints), _differences(truth)
+        moved, true_moved = _changes(joints), _changes(truth)
         contact = (true_moved[:, :, FEET].norm(dim=-1) <= CONTACT_METRES) & both[..., None]
         terms = {
             "pose": (made - clean)[mask].square().mean(),
-            "pose_change": (_differences(made) - _differences(clean))[both].square().mean(),
+            "pose_change": (_changes(made) - _changes(clean))[both].square().mean(),
             "joints": (joints - truth)[mask].square().mean(),
             "joint_change": (moved - true_moved)[both].square().mean(),
             "feet": (moved[:, :, FEET].square().sum(dim=-1) * contact).sum() / contact.sum().clamp(min=1),
         }
         return {"loss": torch.stack(list(terms.values())).sum(), **terms}
 
-    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Rows:
+    def sample(self, batch: SampleBatch) -> Rows:
         """Standardised rows, segment after segment."""
-        count, size = len(batch.lengths), (self.config.future, self.numbers)
-        rows = torch.zeros((count, self.config.past, self.numbers), device=batch.device)
+        count, past = len(batch.lengths), self.config.past
+        rows = torch.zeros((count, past, self.numbers), device=batch.device)
         for start in range(0, batch.frames, self.config.future):
-            past = rows[:, -self.config.past :]
             has_past = torch.full((count,), start > 0, device=batch.device)
-
-            def output(
-                noisy: Tensor, steps: Tensor, conditions: Conditions, past: Tensor = past, has_past: Tensor = has_past
-            ) -> Tensor:
-                times = len(noisy) // count
-                clean: Tensor = self(noisy, steps, conditions, past.repeat(times, 1, 1), has_past.repeat(times))
-                return clean
-
-            made = diffusion_sample(output, batch, lambda: batch.noise(*size), diffusion)
+            network = layers.with_inputs(self, rows[:, -past:], has_past)
+            made = layers.diffusion_sample(network, batch, lambda: batch.noise(self.config.future, self.numbers))
             rows = torch.cat((rows, made.float()), dim=1)
-        return rows[:, self.config.past : self.config.past + batch.frames]
+        return rows[:, past : past + batch.frames]
 
 
-def _differences(values: Float[Tensor, "batch frames *rest"]) -> Float[Tensor, "batch gaps *rest"]:
+def _changes(values: Tensor) -> Tensor:
     return values[:, 1:] - values[:, :-1]
 
 
@@ -130,21 +111,19 @@ CAMDM = PeerStage(
     "camdm",
     "CAMDM: autoregressive diffusion of motion segments in 4 steps",
     Camdm,
-    {
-        "nano": {
-            "network": CamdmNetworkConfig(SMALL),
-            "motions": STRETCHES,
-            "conditions": replace(MINILM, drop=0.15),
-            "schedule": cosine(6000, 64, 3e-3),
-            "optimizer": OptimizerConfig(ema_decay=0.995),
-            "precision": "auto",
-        },
-        "paper": {
-            "network": CamdmNetworkConfig(),
-            "motions": STRETCHES,
-            "conditions": ConditionsConfig(drop=0.15),
-            "schedule": Schedule(epochs=100, batch_size=512),
-            "optimizer": OptimizerConfig(weight_decay=0.01),
-        },
-    },
+    nano=PeerConfig(
+        CamdmNetworkConfig(SMALL),
+        STRETCHES,
+        replace(MINILM, drop=0.15),
+        cosine(6000, 64, 3e-3),
+        OptimizerConfig(ema_decay=0.995),
+        "auto",
+    ),
+    paper=PeerConfig(
+        CamdmNetworkConfig(),
+        STRETCHES,
+        ConditionsConfig(drop=0.15),
+        Schedule(epochs=100, batch_size=512),
+        OptimizerConfig(weight_decay=0.01),
+    ),
 )

@@ -1,25 +1,26 @@
-"""What the systems that complete motion share: their declaration, trainings on one task, layers, neighbouring frames.
+"""What the systems that complete motion share: their declaration, trainings on one task, neighbouring frames.
 
-They are published methods as one-dimensional networks over time (LIIF, Meta-SR, A-LIIF, LMF: image super-resolution;
-Δ-Interp, TS-Former: in-betweening), trained as PA-HiRes is. `nano` and `base` train as PA-HiRes' recipes of the same
-names (windows, batch, form of the output), each on its own task alone: `base` for as many steps as PA-HiRes spends on
-it, `nano` for two thirds of them. Blended curves and corrections scaled by the motion are PA-HiRes' own. `paper` has
-the published sizes, windows and optimiser.
+They are published methods as one-dimensional networks over time (super-resolution of images; in-betweening), trained as
+PA-HiRes is. `nano` and `base` train as PA-HiRes' recipes of the same names (windows, batch, form of the output), each
+on its own task alone: `base` for as many steps as PA-HiRes spends on it, `nano` for two thirds of them. Blended curves
+and corrections scaled by the motion are PA-HiRes' own. `paper` has the published sizes, windows and optimiser.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
 
 from motionkit.core.shapes import Float, Int
-from motionkit.training.config import Schedule, specialised
+from motionkit.training.config import specialised
 from pahires.temporal.network import ObservedWindow
 from pahires.temporal.settings import TaskSettings, TemporalConfig, TemporalSettings, base_training, nano_training
 from pahires.temporal.system import TemporalSystem
+
+# An instant this close to a frame, in frames, counts as that frame: times are rounded.
+SNAP_FRAMES = 1e-4
 
 
 @dataclass(frozen=True)
@@ -31,38 +32,20 @@ class PeerConfig(TemporalConfig):
             raise ValueError("peers predict rows only, no weights of curves: leave training.answer.blended empty")
 
 
-@dataclass(frozen=True)
-class GridConfig(PeerConfig):
-    """The configuration of a network that needs evenly spaced frames."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.training.tasks.gap or self.training.tasks.scattered:
-            raise ValueError(
-                "this model needs evenly spaced frames: training.tasks.gap and training.tasks.scattered must be 0"
-            )
-
-
 def completing_system(
     name: str,
     description: str,
     network: type[nn.Module],
-    base: type[PeerConfig],
     recipes: Mapping[str, tuple[object, TemporalSettings]],
+    base: type[PeerConfig] = PeerConfig,
 ) -> TemporalSystem:
     """The system of a network that is built from its sizes and the numbers per row.
 
     `recipes` are sizes and trainings by name; `base` is the configuration's type but for its sizes.
     """
-    sizes = type(recipes["paper"][0])
-    config = specialised(base, network.__name__ + "Config", network=sizes)
-    make = {recipe: partial(config, *parts) for recipe, parts in recipes.items()}
+    config = specialised(base, network.__name__ + "Config", network=type(recipes["paper"][0]))
+    make = {recipe: partial(config, *sizes_and_training) for recipe, sizes_and_training in recipes.items()}
     return TemporalSystem(name, description, config, lambda of, numbers: network(of.network, numbers), make)
-
-
-# Every s-th frame observed, s ~ U(1, 4), for Tables 1 and 2; a gap in the frames for Table 3.
-INTERPOLATION = TaskSettings(interpolate=1.0, gap=0.0, scattered=0.0, extend=0.0)
-IN_BETWEENING = TaskSettings(interpolate=0.0, gap=1.0, scattered=0.0, extend=0.0)
 
 
 def on_task(task: TaskSettings, training: TemporalSettings, learning_rate: float | None = None) -> TemporalSettings:
@@ -71,120 +54,16 @@ def on_task(task: TaskSettings, training: TemporalSettings, learning_rate: float
     assert steps is not None
     kept = sum(share for share, own in zip(shares, task.shares, strict=True) if own)
     interpolate, gap, scattered, extend = task.shares
-    return replace(
-        training,
-        tasks=replace(training.tasks, interpolate=interpolate, gap=gap, scattered=scattered, extend=extend),
-        schedule=replace(
-            training.schedule,
-            steps=round(steps * kept / sum(shares)),
-            learning_rate=learning_rate or training.schedule.learning_rate,
-        ),
-    )
+    tasks = replace(training.tasks, interpolate=interpolate, gap=gap, scattered=scattered, extend=extend)
+    schedule = replace(training.schedule, steps=round(steps * kept / sum(shares)))
+    schedule = replace(schedule, learning_rate=learning_rate or schedule.learning_rate)
+    return replace(training, tasks=tasks, schedule=schedule)
 
 
+# Every s-th frame observed, s ~ U(1, 4), for Tables 1 and 2; a gap in the frames for Table 3.
+INTERPOLATION = TaskSettings(interpolate=1.0, gap=0.0, scattered=0.0, extend=0.0)
+IN_BETWEENING = TaskSettings(interpolate=0.0, gap=1.0, scattered=0.0, extend=0.0)
 NANO_GAPS, BASE_GAPS = on_task(IN_BETWEENING, nano_training()), on_task(IN_BETWEENING, base_training(), 2e-4)
-# Adam at 1e-4, halved every 200 of 1,000 epochs, batches of 16 windows of 48 frames.
-IMAGE_PAPER = TemporalSettings(
-    tasks=replace(INTERPOLATION, num_frames=48, num_queries=48),
-    schedule=Schedule(epochs=1000, batch_size=16, learning_rate=1e-4, kind="steps", warmup_fraction=0.02),
-)
-
-
-def image_system(
-    name: str,
-    description: str,
-    network: type[nn.Module],
-    *,
-    nano: object,
-    base: object,
-    paper: object,
-    nano_learning_rate: float | None = None,
-) -> TemporalSystem:
-    """A system made for super-resolution of images: it interpolates evenly spaced frames; sizes for each recipe."""
-    trainings = {
-        "nano": (nano, on_task(INTERPOLATION, nano_training(), nano_learning_rate)),
-        "base": (base, on_task(INTERPOLATION, base_training())),
-        "paper": (paper, IMAGE_PAPER),
-    }
-    return completing_system(name, description, network, GridConfig, trainings)
-
-
-# For images of three colours 16 is published; for pose vectors of 135 numbers the width of the features is fair.
-FAIR_WIDTH = 64
-KERNEL = 3
-
-
-@dataclass(frozen=True)
-class EdsrConfig:
-    """The shared encoder: EDSR-baseline's 16 residual blocks of 64 features (receptive field: 69 frames)."""
-
-    blocks: int = 16
-    features: int = 64
-
-
-SMALL_ENCODER = EdsrConfig(blocks=4, features=64)
-
-
-class EdsrEncoder(nn.Module):
-    """One feature vector per frame: head, `blocks` residual blocks, tail, and a skip from the head (EDSR, Lim 2017).
-
-    As in EDSR-baseline, without normalisation or residual scaling. Padding is by replication, since zeros are not a
-    valid pose; EDSR pads images with zeros.
-    """
-
-    def __init__(self, config: EdsrConfig, numbers: int) -> None:
-        super().__init__()
-        features = config.features
-        self.head = _convolution(numbers, features)
-        self.blocks = nn.ModuleList(ResidualBlock(features) for _ in range(config.blocks))
-        self.tail = _convolution(features, features)
-
-    def forward(self, frames: Float[Tensor, "batch frames numbers"]) -> Float[Tensor, "batch frames features"]:
-        """Features at the observed frames."""
-        head = hidden = self.head(frames.transpose(1, 2))
-        for block in self.blocks:
-            hidden = block(hidden)
-        features: Tensor = self.tail(hidden) + head
-        return features.transpose(1, 2)
-
-
-class ResidualBlock(nn.Module):
-    """Convolution, ReLU, convolution, and the input added."""
-
-    def __init__(self, features: int) -> None:
-        super().__init__()
-        self.first, self.second = _convolution(features, features), _convolution(features, features)
-
-    def forward(self, hidden: Float[Tensor, "batch features frames"]) -> Float[Tensor, "batch features frames"]:
-        """The block's output, channels before frames."""
-        changed: Tensor = self.second(torch.relu(self.first(hidden)))
-        return hidden + changed
-
-
-def unfolded(features: Float[Tensor, "batch frames features"]) -> Float[Tensor, "batch frames three_features"]:
-    """Each frame's features beside those of both neighbours (LIIF §3, feature unfolding), the ends replicated."""
-    before = torch.cat((features[:, :1], features[:, :-1]), dim=1)
-    after = torch.cat((features[:, 1:], features[:, -1:]), dim=1)
-    return torch.cat((before, features, after), dim=-1)
-
-
-def _convolution(inputs: int, outputs: int) -> nn.Conv1d:
-    return nn.Conv1d(inputs, outputs, KERNEL, padding=KERNEL // 2, padding_mode="replicate")
-
-
-def mlp(inputs: int, hidden: Sequence[int], outputs: int) -> nn.Sequential:
-    """Linear layers of these widths, ReLU after all but the last."""
-    widths = (inputs, *hidden)
-    layers: list[nn.Module] = []
-    for before, after in pairwise(widths):
-        layers += [nn.Linear(before, after), nn.ReLU()]
-    return nn.Sequential(*layers, nn.Linear(widths[-1], outputs))
-
-
-# An instant this close to a frame, in frames, counts as that frame: times are rounded.
-SNAP_FRAMES = 1e-4
-# Every s-th frame, s not whole, gives gaps of ⌊s⌋ and ⌈s⌉; and times are rounded.
-LARGEST_GAP_RATIO = 2.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,28 +80,20 @@ class Neighbours:
     weights: Float[Tensor, "2 batch queries"]
     cell: Float[Tensor, "batch"]
 
+    def places(self, cell: Float[Tensor, "batch"]) -> Float[Tensor, "2 batch queries 2"]:
+        """Relative time and a cell of each query."""
+        return torch.stack((self.relative, cell[:, None].expand(self.relative.shape)), dim=-1)
 
-def even_neighbours(window: ObservedWindow) -> Neighbours:
-    """Both neighbours of each query in windows of evenly spaced frames; raises `ValueError` for others.
-
-    Convolutions only see frame indices. Gaps may differ by a factor of two, as those of every 1.2-th frame do.
-    """
-    gaps = torch.diff(window.times_seconds, dim=1)
-    if gaps.numel() and float((gaps.amax(dim=1) / gaps.amin(dim=1)).max()) > LARGEST_GAP_RATIO:
-        worst = int(torch.argmax(gaps.amax(dim=1) / gaps.amin(dim=1)))
-        raise ValueError(
-            f"this model needs evenly spaced frames, but the gaps between those given range from "
-            f"{float(gaps[worst].min()):.4f} to {float(gaps[worst].max()):.4f} s: use frames of one framerate, or "
-            f"a model that reads their times (pahires, delta-interp, ts-former)"
-        )
-    return neighbours(window)
+    def mixed(self, values: Float[Tensor, "2 batch queries numbers"]) -> Float[Tensor, "batch queries numbers"]:
+        """The weighted sum of values at both neighbours."""
+        return torch.sum(self.weights[..., None] * values, dim=0)
 
 
 def neighbours(window: ObservedWindow) -> Neighbours:
-    """Both neighbours of each query; with a single frame the spacing is the queries'."""
+    """Both neighbours of each query; with a single frame the spacing Δ is the queries'."""
     times, queries = window.times_seconds, window.queries_seconds
     last = times.shape[1] - 1
-    spacing = frame_spacing_seconds(window)
+    spacing = (times[:, -1] - times[:, 0]) / last if last else window.query_spacing_seconds
     after = torch.searchsorted(times.contiguous(), (queries + SNAP_FRAMES * spacing[:, None]).contiguous(), right=True)
     rows = torch.stack((after - 1, after)).clamp(0, last)
     at = torch.stack((times.gather(1, rows[0]), times.gather(1, rows[1])))
@@ -236,27 +107,11 @@ def neighbours(window: ObservedWindow) -> Neighbours:
     )
 
 
-def frame_spacing_seconds(window: ObservedWindow) -> Float[Tensor, "batch"]:
-    """Mean spacing of the observed frames; with a single frame the queries' spacing."""
-    times = window.times_seconds
-    if times.shape[1] == 1:
-        return window.query_spacing_seconds
-    return (times[:, -1] - times[:, 0]) / (times.shape[1] - 1)
-
-
 def gathered(
     codes: Float[Tensor, "batch frames features"], rows: Int[Tensor, "*two batch queries"]
 ) -> Float[Tensor, "*two batch queries features"]:
     """Gather the codes of these rows."""
-    batch = torch.arange(codes.shape[0], device=codes.device)[:, None]
-    return codes[batch, rows]
-
-
-def per_query(
-    values: Float[Tensor, "batch"], rows: Int[Tensor, "*two batch queries"]
-) -> Float[Tensor, "*two batch queries"]:
-    """Broadcast a per-window value to its queries."""
-    return values[:, None].expand(rows.shape)
+    return codes[torch.arange(len(codes), device=codes.device)[:, None], rows]
 
 
 @dataclass(frozen=True, eq=False)

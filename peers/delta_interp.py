@@ -9,7 +9,7 @@ from motionkit.core.shapes import Float
 from motionkit.training.config import Schedule
 from pahires.temporal.network import ObservedWindow
 from pahires.temporal.settings import AnswerSettings, TemporalSettings
-from peers.completing import BASE_GAPS, IN_BETWEENING, NANO_GAPS, PeerConfig, completing_system, longest_gap
+from peers.completing import BASE_GAPS, IN_BETWEENING, NANO_GAPS, completing_system, longest_gap
 
 
 @dataclass(frozen=True)
@@ -96,12 +96,8 @@ class Block(nn.Module):
         super().__init__()
         self.attention = nn.MultiheadAttention(width, heads, batch_first=True)
         self.norm = nn.LayerNorm(width)
-        hidden: list[nn.Module] = []
-        for layer in range(layers):
-            hidden += [nn.Linear(width, width), nn.LeakyReLU()]
-            if layer == 0:
-                hidden.append(nn.Dropout(dropout))
-        self.residual = nn.Sequential(*hidden)
+        hidden = [layer for _ in range(layers) for layer in (nn.Linear(width, width), nn.LeakyReLU())]
+        self.residual = nn.Sequential(*hidden[:2], nn.Dropout(dropout), *hidden[2:])
 
     def forward(
         self, queries: Float[Tensor, "batch queries width"], keys: Float[Tensor, "batch keys width"]
@@ -123,11 +119,10 @@ PAPER = TemporalSettings(
     answer=AnswerSettings(form="residual"),
     schedule=Schedule(epochs=300, learning_rate=2e-4, kind="steps", warmup_fraction=0.02, drop=0.1, drop_every=2 / 3),
 )
-SYSTEM = completing_system(
+DELTA_INTERP = completing_system(
     "delta-interp",
     "Δ-Interp: in-betweening relative to an interpolation",
     DeltaInterp,
-    PeerConfig,
     {
         "nano": (
             DeltaInterpNetworkConfig(width=96, blocks=3, layers=2, heads=4, dropout=0.0),

@@ -8,11 +8,21 @@ from torch.nn.functional import scaled_dot_product_attention, silu
 
 from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Float
-from motionkit.training.config import DiffusionConfig, Schedule
+from motionkit.training.config import Schedule
 from motionkit.training.networks import Conditions, guided
-from peers.generating import MINILM, OptimizerConfig, PeerStage, cosine
-from peers.layers import ConditionVector, NetworkInputs, PeerNetwork, TransformerSizes, sinusoids
-from peers.motions import Lengths, Mask, MotionBatch, MotionsConfig, PoseSpace, Rows, SampleBatch, frames_within
+from motionkit.training.pose_vectors import VectorScaling
+from peers.generating import MINILM, OptimizerConfig, PeerConfig, PeerStage, cosine
+from peers.layers import (
+    ConditionVector,
+    Latents,
+    NetworkInputs,
+    PeerNetwork,
+    Tokens,
+    TransformerSizes,
+    sinusoids,
+    with_inputs,
+)
+from peers.motions import Mask, MotionBatch, MotionsConfig, PoseSpace, Rows, SampleBatch
 
 # Flow times lie in [0, 1]; the sinusoidal embedding expects diffusion steps.
 TIME_SCALE = 1000
@@ -34,29 +44,17 @@ class Flow(PeerNetwork):
         super().__init__()
         width = config.transformer.width
         self.config, self.width, self.numbers = config, width, inputs.space.num_features
-        self.coordinates = (
-            AbsoluteCoordinates(inputs.space),
-        )  # in a tuple: not a submodule, its buffers are the space's
+        self.coordinates = AbsoluteCoordinates(inputs.space)
         self.frame_in = nn.Linear(self.numbers, width)
         self.condition = ConditionVector(inputs.conditions, width)
         self.time_in = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
         self.layers = nn.ModuleList(FlowLayer(config.transformer) for _ in range(config.transformer.layers))
         self.norm = nn.RMSNorm(width, elementwise_affine=False)
-        self.last = nn.Linear(width, 2 * width)
-        self.frame_out = nn.Linear(width, self.numbers)
-        zero_init(self.last)
-        zero_init(self.frame_out)
+        self.last, self.frame_out = zeros(nn.Linear(width, 2 * width)), zeros(nn.Linear(width, self.numbers))
 
-    def forward(
-        self,
-        noisy: Rows,
-        times: Float[Tensor, "batch"],
-        conditions: Conditions,
-        lengths: Lengths,
-    ) -> Rows:
+    def forward(self, noisy: Rows, times: Float[Tensor, "batch"], conditions: Conditions, mask: Mask) -> Rows:
         """dx/dt; padding frames are masked out of the attention."""
         embedding = silu(self.time_in(sinusoids(times * TIME_SCALE, self.width)) + self.condition(conditions))
-        mask = frames_within(lengths, noisy.shape[1])
         tokens = self.frame_in(noisy)
         for layer in self.layers:
             tokens = layer(tokens, embedding, mask)
@@ -64,89 +62,69 @@ class Flow(PeerNetwork):
         velocity: Tensor = self.frame_out(self.norm(tokens) * (1 + scale) + shift)
         return velocity
 
-    def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
+    def losses(self, batch: MotionBatch) -> dict[str, Tensor]:
         """Mean squared error of the velocity x − ε at (1 − t)·ε + t·x, t uniform, over valid frames."""
-        clean = self.coordinates[0].absolute(batch.rows) * batch.mask[..., None]
-        noise = torch.randn(clean.shape, generator=generator).to(clean.device) * batch.mask[..., None]
-        times = torch.rand(len(clean), generator=generator).to(clean.device)
+        clean = self.coordinates.absolute(batch.rows) * batch.mask[..., None]
+        noise = torch.randn(clean.shape, generator=batch.generator).to(clean.device) * batch.mask[..., None]
+        times = torch.rand(len(clean), generator=batch.generator).to(clean.device)
         noisy = noise + times[:, None, None] * (clean - noise)
-        errors = (self(noisy, times, batch.conditions, batch.lengths) - (clean - noise)).square().mean(dim=-1)
+        errors = (self(noisy, times, batch.conditions, batch.mask) - (clean - noise)).square().mean(dim=-1)
         return {"loss": ((errors * batch.mask).sum(dim=1) / batch.lengths).mean()}
 
-    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Rows:
+    def sample(self, batch: SampleBatch) -> Rows:
         """Standardised rows, by uniform Euler steps."""
-        conditions, unconditional = batch.conditions.to(batch.device), batch.unconditional.to(batch.device)
-        lengths, scale = batch.lengths.to(batch.device), batch.conditions.guidance(self.config.guidance_scale)
-
-        def velocity(x: Tensor, times: Tensor, conditions: Conditions) -> Tensor:
-            own: Tensor = self(x, times, conditions, lengths.repeat(len(x) // len(lengths)))
-            return own
-
-        x = batch.noise_within(batch.lengths, self.numbers).to(batch.device, torch.float32)
-        for step in range(self.config.sampling_steps):
-            times = torch.full((len(x),), step / self.config.sampling_steps, device=batch.device)
-            change = guided(velocity, x, times, conditions, unconditional, scale)
-            x = x + change / self.config.sampling_steps
-        return self.coordinates[0].relative(x)
+        network, steps = with_inputs(self, batch.mask), self.config.sampling_steps
+        scale = batch.conditions.guidance(self.config.guidance_scale)
+        x = batch.noise_within(batch.lengths, self.numbers).float()
+        for step in range(steps):
+            times = torch.full((len(x),), step / steps, device=batch.device)
+            x = x + guided(network, x, times, batch.conditions, batch.unconditional, scale) / steps
+        return self.coordinates.relative(x)
 
 
 class AbsoluteCoordinates:
     """Standardised `field` rows ↔ coordinates of all joints in the window's frame, standardised as well.
 
-    Raises `UsageError` for rows of another convention.
+    Mean and scale of coordinates assume independent root and joints. Raises `UsageError` for rows of another
+    convention.
     """
 
     def __init__(self, space: PoseSpace) -> None:
-        self.space = space
         if space.num_features != 3 * space.vectors.skeleton.num_joints:
             raise UsageError("absolute coordinates are of field vectors: motions.pose_vectors=field")
-
-    def _standard(self) -> tuple[Float[Tensor, "joints 3"], Float[Tensor, "joints 3"]]:
-        """Mean and scale of coordinates, assuming independent root and joints."""
-        mean, square = self.space.mean.view(-1, 3), self.space.scale.view(-1, 3).square()
-        return self._added(mean), self._added(square).sqrt()
-
-    def _added(self, values: Float[Tensor, "*some joints 3"]) -> Float[Tensor, "*some joints 3"]:
-        return torch.cat((values[..., :1, :], values[..., 1:, :] + values[..., :1, :]), dim=-2)
+        self.rows = space.scaling
+        variance = _added(space.scaling.scale.square())
+        self.joints = VectorScaling(_added(space.scaling.mean), variance.sqrt())
 
     def absolute(self, rows: Rows) -> Rows:
         """Absolute joint coordinates: the root added to every other joint."""
-        mean, scale = self._standard()
-        joints = self._added(_by_joint(rows * self.space.scale + self.space.mean))
-        return ((joints - mean) / scale).flatten(-2)
+        return self.joints.apply(_added(self.rows.invert(rows)))
 
     def relative(self, rows: Rows) -> Rows:
         """The inverse of `absolute`."""
-        mean, scale = self._standard()
-        joints = _by_joint(rows) * scale + mean
-        relative = torch.cat((joints[..., :1, :], joints[..., 1:, :] - joints[..., :1, :]), dim=-2).flatten(-2)
-        return (relative - self.space.mean) / self.space.scale
+        return self.rows.apply(_added(self.joints.invert(rows), -1))
 
 
-def _by_joint(rows: Rows) -> Float[Tensor, "batch frames joints 3"]:
-    return rows.reshape(*rows.shape[:2], -1, 3)
+def _added(numbers: Float[Tensor, "*frames numbers"], times: int = 1) -> Float[Tensor, "*frames numbers"]:
+    """The coordinates with the root's added to every other joint's, so many times."""
+    joints = numbers.reshape(*numbers.shape[:-1], -1, 3)
+    return torch.cat((joints[..., :1, :], joints[..., 1:, :] + times * joints[..., :1, :]), dim=-2).flatten(-2)
 
 
 class FlowLayer(nn.Module):
-    """Attention and SwiGLU with adaptive norms: time and condition shift, scale and gate them (AdaLN-zero_init)."""
+    """Attention and SwiGLU with adaptive norms: time and condition shift, scale and gate them (AdaLN-zero)."""
 
     def __init__(self, sizes: TransformerSizes) -> None:
         super().__init__()
         width = sizes.width
         self.heads, self.dropout = sizes.heads, nn.Dropout(sizes.dropout)
         self.norm = nn.RMSNorm(width, elementwise_affine=False)
-        self.moved = nn.Linear(width, 6 * width)
-        zero_init(self.moved)
+        self.moved = zeros(nn.Linear(width, 6 * width))
         self.qkv, self.attended = nn.Linear(width, 3 * width), nn.Linear(width, width)
         self.query_norm, self.key_norm = nn.RMSNorm(width // sizes.heads), nn.RMSNorm(width // sizes.heads)
         self.gate_up, self.down = nn.Linear(width, 2 * sizes.inner), nn.Linear(sizes.inner, width)
 
-    def forward(
-        self,
-        tokens: Float[Tensor, "batch frames width"],
-        embedding: Float[Tensor, "batch width"],
-        mask: Mask,
-    ) -> Float[Tensor, "batch frames width"]:
+    def forward(self, tokens: Tokens, embedding: Latents, mask: Mask) -> Tokens:
         """The tokens after the layer."""
         shift, scale, gate, then_shift, then_scale, then_gate = self.moved(embedding)[:, None].chunk(6, dim=-1)
         tokens = tokens + gate * self.dropout(self._attention(self.norm(tokens) * (1 + scale) + shift, mask))
@@ -154,9 +132,7 @@ class FlowLayer(nn.Module):
         made: Tensor = tokens + then_gate * self.dropout(self.down(silu(gated) * up))
         return made
 
-    def _attention(
-        self, tokens: Float[Tensor, "batch frames width"], mask: Mask
-    ) -> Float[Tensor, "batch frames width"]:
+    def _attention(self, tokens: Tokens, mask: Mask) -> Tokens:
         q, k, v = self.qkv(tokens).unflatten(-1, (3, self.heads, -1)).permute(2, 0, 3, 1, 4)
         # float32 even under autocast: torch warns about a norm whose weights have another dtype.
         q, k = (rotary(norm(each.float()).to(v.dtype)) for norm, each in ((self.query_norm, q), (self.key_norm, k)))
@@ -165,10 +141,11 @@ class FlowLayer(nn.Module):
         return made
 
 
-def zero_init(layer: nn.Linear) -> None:
-    """Zero-initialise a layer."""
+def zeros(layer: nn.Linear) -> nn.Linear:
+    """The layer, initialised to zeros."""
     nn.init.zeros_(layer.weight)
     nn.init.zeros_(layer.bias)
+    return layer
 
 
 def rotary(values: Float[Tensor, "batch heads frames size"]) -> Float[Tensor, "batch heads frames size"]:
@@ -186,20 +163,18 @@ FLOW = PeerStage(
     "flow",
     "ACMDM's small form: a rectified flow of absolute coordinates",
     Flow,
-    {
-        "nano": {
-            "network": FlowNetworkConfig(TransformerSizes(4, 128, 2, 341, 0.0), sampling_steps=25, guidance_scale=1.0),
-            "motions": COORDINATES,
-            "conditions": MINILM,
-            "schedule": cosine(5000, 16, 3e-3),
-            "optimizer": OptimizerConfig(ema_decay=0.995),
-            "precision": "auto",
-        },
-        "paper": {
-            "network": FlowNetworkConfig(),
-            "motions": COORDINATES,
-            "schedule": Schedule(epochs=500, learning_rate=2e-4),
-            "optimizer": OptimizerConfig(weight_decay=0.01, ema_decay=0.9999),
-        },
-    },
+    nano=PeerConfig(
+        FlowNetworkConfig(TransformerSizes(4, 128, 2, 341, 0.0), sampling_steps=25, guidance_scale=1.0),
+        COORDINATES,
+        MINILM,
+        cosine(5000, 16, 3e-3),
+        OptimizerConfig(ema_decay=0.995),
+        "auto",
+    ),
+    paper=PeerConfig(
+        FlowNetworkConfig(),
+        COORDINATES,
+        schedule=Schedule(epochs=500, learning_rate=2e-4),
+        optimizer=OptimizerConfig(weight_decay=0.01, ema_decay=0.9999),
+    ),
 )

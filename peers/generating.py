@@ -11,14 +11,13 @@ from fractions import Fraction
 from functools import cached_property, partial
 from math import ceil
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from motionkit.core.errors import UsageError
-from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid
@@ -97,16 +96,16 @@ SMALL = TransformerSizes(4, 128, 2, 256, dropout=0.0)
 class PeerStage:
     """One training stage of a system; that of its last stage generates.
 
-    `recipes` are the parts of its configuration by recipe and name: `paper` has the published sizes, batch size and
-    steps; `nano` trains small networks in about the processor time of NeRM's `nano`, 18 minutes on one core for all
-    stages together. `share` is its share of the system's time budget. A system that is not `conditional` takes no text
-    and no action, whatever it is trained on.
+    The recipe `paper` has the published sizes, batch size and steps; `nano` trains small networks in about the
+    processor time of NeRM's `nano`, 18 minutes on one core for all stages together. `share` is its share of the
+    system's time budget. A system that is not `conditional` takes no text and no action, whatever it is trained on.
     """
 
     name: str
     description: str
     make_network: Callable[[Any, NetworkInputs], PeerNetwork]
-    recipes: Mapping[str, Mapping[str, Any]]
+    nano: PeerConfig
+    paper: PeerConfig
     builds_on: "tuple[PeerStage, ...]" = ()
     share: float = 1.0
     conditional: bool = True
@@ -114,7 +113,7 @@ class PeerStage:
     @cached_property
     def config_type(self) -> type[PeerConfig]:
         """The type of its configurations."""
-        sizes = type(self.recipes["paper"]["network"])
+        sizes = type(self.paper.network)
         return specialised(PeerConfig, sizes.__name__.replace("Network", ""), network=sizes)
 
     @property
@@ -128,19 +127,18 @@ class PeerStage:
         return Stage(
             self.name,
             self.description,
-            {name: partial(self.config_type, **parts) for name, parts in self.recipes.items()},
+            {name: partial(self.config_type, **vars(getattr(self, name))) for name in ("nano", "paper")},
             partial(train_stage, self),
             check=check_stage,
             builds_on=lambda config: self.earlier,
             share=self.share,
         )
 
-    def load(self, run: Path, title: str | None = None) -> "PeerModel":
+    def load(self, run: Path, title: str) -> "PeerModel":
         """Load the system from a run, onto a GPU if there is one; raises `RunError` if a stage is not trained."""
         device = resolve_device("auto")
         trained = load_stage(RunFolder(run), self, device)
-        unconditional = not self.conditional or trained.config.conditions.kind == "none"
-        return PeerModel(title or self.name, trained, device, unconditional)
+        return PeerModel(title, trained, device, trained.config.conditions.kind if self.conditional else "none")
 
 
 class PeerTraining:
@@ -160,11 +158,9 @@ class PeerTraining:
         """One optimiser step on a fresh batch."""
         schedule = self.config.schedule
         rows = torch.randint(len(self.corpus), (schedule.batch_size,), generator=generator)
-        batch = self.corpus.batch(rows, generator, drop=self.config.conditions.drop).to(self.device)
-        self.network.begin_step(step, self.steps)
-        self.network.train()
+        batch = self.corpus.batch(rows, generator, drop=self.config.conditions.drop)
         with dropout_from(generator, self.device), autocast(self.config.precision, self.device):
-            figures = self.network.losses(batch, generator)
+            figures = self.network.train().losses(batch.at_step(step, self.steps, self.device))
         rate = schedule.factor(step, self.steps) * schedule.learning_rate
         self.learner.descend(figures["loss"], step, rate, self.config.optimizer.clip_norm)
         return {name: figure.detach() for name, figure in figures.items()}
@@ -195,18 +191,25 @@ def train_stage(stage: PeerStage, context: StageContext, config: PeerConfig) -> 
     encoder = config.conditions.load_encoder()
     earlier = {each.name: load_stage(context.run, each, device) for each in stage.builds_on}
     corpus = open_corpus(store, config.motions, config.conditions, encoder)
-    corpus = replace(corpus, scaling=_common_scaling(corpus, config, earlier))
-    space = PoseSpace(corpus.vectors, corpus.scaling, config.motions.framerate).to(device)
-    networks = {name: each.network for name, each in earlier.items()}
+    for name, trained in earlier.items():
+        theirs, own = (replace(each.motions, seen="all", seen_frames=0) for each in (trained.config, config))
+        if theirs != own:
+            raise RunError(
+                f"{name} was trained on other motions ({theirs}, not {own}): give both stages the same `motions.…` "
+                "settings"
+            )
+        corpus = replace(corpus, scaling=trained.space.scaling.to(torch.device("cpu")))
+    scaling, sizes = corpus.scaling, corpus.conditions.sizes
+    space = PoseSpace(corpus.vectors, scaling.to(device), config.motions.framerate)
     with seeded_initialisation(context.seed, stage.name):
-        inputs = NetworkInputs(space, corpus.conditions.sizes, len(corpus), networks)
-        network = stage.make_network(config.network, inputs)
+        networks = {name: each.network for name, each in earlier.items()}
+        network = stage.make_network(config.network, NetworkInputs(space, sizes, len(corpus), networks))
     folder = context.begin(stage.name, config, store_fingerprint=store.fingerprint, builds_on=stage.earlier)
     training = PeerTraining(config, corpus, network, device)
     figures = context.train(training, folder, config.precision)
-    tensors = prefixed("network", training.learner.trained_tensors()) | {
-        "scaling.mean": corpus.scaling.mean,
-        "scaling.scale": corpus.scaling.scale,
+    tensors = {
+        **prefixed("network", training.learner.trained_tensors()),
+        **prefixed("scaling", vars(scaling)),
         "durations": torch.from_numpy(corpus.poses.windows.duration_seconds),
         "nothing": corpus.conditions.text[0],
         **vector_tensors(corpus.vectors),
@@ -216,7 +219,7 @@ def train_stage(stage: PeerStage, context: StageContext, config: PeerConfig) -> 
         "version": FORMAT_VERSION,
         "stage": stage.name,
         "config": to_plain(config),
-        "actions": list(corpus.conditions.sizes.actions),
+        "actions": list(sizes.actions),
         "text_fingerprint": "" if encoder is None else encoder.fingerprint,
         "store_fingerprint": store.fingerprint,
         "builds_on": context.run.fingerprints(stage.earlier),
@@ -228,7 +231,7 @@ def train_stage(stage: PeerStage, context: StageContext, config: PeerConfig) -> 
         "fps": config.motions.fps,
         "windows": len(corpus),
         "captions": int(corpus.conditions.num_captions.sum()),
-        "actions": len(corpus.conditions.sizes.actions),
+        "actions": len(sizes.actions),
     }
     folder.finish({**figures, **facts, "wall_seconds": round(time.perf_counter() - started, 1)})
 
@@ -238,19 +241,6 @@ def check_stage(context: StageContext, config: PeerConfig) -> None:
     config.conditions.load_encoder()
     columns = context.open_store().columns("captions", "action")
     config.conditions.check(bool(columns["captions"].map(len).any()), bool(set(columns["action"]) - {""}))
-
-
-def _common_scaling(corpus: MotionCorpus, config: PeerConfig, earlier: Mapping[str, TrainedStage]) -> VectorScaling:
-    """The scaling of the earlier stages, on whose outputs this stage trains; the corpus's own if there are none."""
-    for name, stage in earlier.items():
-        theirs, own = (replace(each.motions, seen="all", seen_frames=0) for each in (stage.config, config))
-        if theirs != own:
-            raise RunError(
-                f"{name} was trained on other motions ({theirs}, not {own}): give both stages the same `motions.…` "
-                "settings"
-            )
-        return VectorScaling(stage.space.mean.cpu(), stage.space.scale.cpu())
-    return corpus.scaling
 
 
 def load_stage(run: RunFolder, stage: PeerStage, device: torch.device) -> TrainedStage:
@@ -269,34 +259,24 @@ def load_stage(run: RunFolder, stage: PeerStage, device: torch.device) -> Traine
     earlier = {each.name: load_stage(run, each, device).network for each in stage.builds_on}
     with rebuilding(folder.model_path, name, tensors), seeded_initialisation(0, name):
         config = from_plain(stage.config_type, description["config"])
-        vectors = vectors_of(config.motions.pose_vectors, tensors)
-        scaling = VectorScaling(tensors["scaling.mean"], tensors["scaling.scale"])
-        space = PoseSpace(vectors, scaling, config.motions.framerate).to(device)
+        scaling = VectorScaling(tensors["scaling.mean"], tensors["scaling.scale"]).to(device)
+        space = PoseSpace(vectors_of(config.motions.pose_vectors, tensors), scaling, config.motions.framerate)
         sizes = ConditionSizes(len(tensors["nothing"]), tuple(map(str, description["actions"])))
         network = stage.make_network(config.network, NetworkInputs(space, sizes, len(tensors["durations"]), earlier))
         network.load_state_dict(unprefixed("network", tensors))
-    return TrainedStage(
-        config=config,
-        network=network.to(device).eval().requires_grad_(False),
-        space=space,
-        sizes=sizes,
-        durations=tensors["durations"],
-        nothing=tensors["nothing"],
-        text_fingerprint=str(description["text_fingerprint"]),
-    )
+    network = network.to(device).eval().requires_grad_(False)
+    fingerprint = str(description["text_fingerprint"])
+    return TrainedStage(config, network, space, sizes, tensors["durations"], tensors["nothing"], fingerprint)
 
 
 @dataclass(frozen=True, eq=False)
 class PeerModel:
-    """A `motionkit.generate.models.GenerativeModel`; `name` is that of its rows.
-
-    `unconditional`: it takes no text and no action.
-    """
+    """A `motionkit.generate.models.GenerativeModel`; `name` is that of its rows, `kind` of the conditions it takes."""
 
     name: str
     trained: TrainedStage
     device: torch.device
-    unconditional: bool = False
+    kind: Literal["text", "action", "none"]
 
     @property
     def skeleton(self) -> Skeleton:
@@ -311,7 +291,12 @@ class PeerModel:
     @property
     def max_duration_seconds(self) -> float:
         """The longest motion that it was trained on."""
-        return float(self.trained.config.motions.max_duration_seconds)
+        return self.trained.config.motions.max_duration_seconds
+
+    @property
+    def unconditional(self) -> bool:
+        """Whether it takes no text and no action."""
+        return self.kind == "none"
 
     @property
     def always_conditioned(self) -> bool:
@@ -333,19 +318,10 @@ class PeerModel:
             )
         if self.unconditional and (request.text or request.action):
             raise UsageError(f"this {self.name} knows no texts and no actions: ask unconditionally")
-        kind, known = self.trained.config.conditions.kind, self.trained.sizes.actions
-        if request.text and not request.action and kind != "text":
-            raise UsageError(
-                f"this {self.name} was trained without texts: ask for an action, or unconditionally, or train another "
-                "run with --set conditions.kind=text"
-            )
-        if request.action and not (request.text and kind == "text") and request.action not in known:
-            raise UsageError(
-                f"this {self.name} knows no action {request.action!r}; it knows {', '.join(known)}"
-                if known
-                else f"this {self.name} was trained without actions: ask for a text, or unconditionally, or train "
-                "another run with --set conditions.kind=action"
-            )
+        if request.text and self.kind != "text" and not request.action:
+            raise UsageError(f"this {self.name} was trained without texts (conditions.kind={self.kind})")
+        if not (request.text and self.kind == "text"):
+            self.trained.sizes.action_index(request.action)
 
     def generate(
         self,
@@ -361,41 +337,31 @@ class PeerModel:
         """
         for request in requests:
             self.check(request, sampling)
+        fps, most = float(self.max_training_fps), self.trained.config.motions.max_frames + 1
         seconds = [self._seconds(request, seed, first + row) for row, request in enumerate(requests)]
         # A batch is padded to its longest motion: motions of similar length are batched together.
-        rows = sorted(range(len(requests)), key=lambda row: seconds[row])
+        rows = sorted(range(len(requests)), key=seconds.__getitem__)
         made: dict[int, MotionField] = {}
         for start in range(0, len(rows), MOTIONS_PER_BATCH):
             some = rows[start : start + MOTIONS_PER_BATCH]
-            generators = [step_generator(seed, "generate", first + row) for row in some]
-            batch, durations = [requests[row] for row in some], [seconds[row] for row in some]
-            made |= zip(some, self._generated(batch, durations, generators, self._diffusion(sampling)), strict=True)
+            lengths = [min(ceil(seconds[row] * fps - 1e-6) + 1, most) for row in some]
+            conditions = self._conditions([requests[row] for row in some], [seconds[row] for row in some])
+            diffusion = self._diffusion(sampling)
+            batch = SampleBatch(
+                torch.tensor(lengths),
+                conditions.to(self.device),
+                conditions.unconditional(self.trained.nothing).to(self.device),
+                [step_generator(seed, "generate", first + row) for row in some],
+                replace(diffusion, guidance_scale=conditions.guidance(diffusion.guidance_scale)),
+            )
+            with torch.inference_mode():
+                sampled = self.trained.network.sample(batch).to(self.device, torch.float32)
+                vectors = self.trained.space.scaling.invert(sampled).cpu().numpy()
+            if not np.isfinite(vectors).all():
+                raise UsageError(f"sampling diverged: a guidance scale of {diffusion.guidance_scale:g} is too large")
+            for row, length, own in zip(some, lengths, vectors, strict=True):
+                made[row] = self._field(own[:length], seconds[row])
         return [made[row] for row in range(len(requests))]
-
-    def _generated(
-        self,
-        requests: Sequence[GenerationRequest],
-        seconds: Sequence[float],
-        generators: list[torch.Generator],
-        diffusion: DiffusionConfig,
-    ) -> list[MotionField]:
-        fps, most = float(self.max_training_fps), self.trained.config.motions.max_frames + 1
-        lengths = [min(ceil(each * fps - 1e-6) + 1, most) for each in seconds]
-        conditions = self._conditions(requests, seconds)
-        batch = SampleBatch(
-            lengths=torch.tensor(lengths),
-            conditions=conditions,
-            unconditional=conditions.unconditional(self.trained.nothing),
-            generators=generators,
-            device=self.device,
-        )
-        space = self.trained.space
-        with torch.inference_mode():
-            rows = self.trained.network.sample(batch, diffusion).to(self.device, torch.float32)
-            vectors = (rows * space.scale + space.mean).cpu().numpy()
-        if not np.isfinite(vectors).all():
-            raise UsageError(f"sampling diverged: a guidance scale of {diffusion.guidance_scale:g} is too large")
-        return [self._field(each[:length], own) for each, length, own in zip(vectors, lengths, seconds, strict=True)]
 
     def _field(self, vectors: Float32[np.ndarray, "frames numbers"], duration_seconds: float) -> MotionField:
         """Poses at the model's own framerate, interpolated by SLERP over the requested duration."""
@@ -404,8 +370,7 @@ class PeerModel:
         seconds = grid.seconds()
         instants = space.vectors.instants(seconds)
         between = np.stack([np.interp(instants, seconds, column) for column in vectors.T], axis=1).astype(np.float32)
-        poses = space.vectors.decode(between, instants, seconds)
-        motion: Motion = poses.at(grid, self.skeleton)
+        motion = space.vectors.decode(between, instants, seconds).at(grid, self.skeleton)
         field = INTERPOLATORS["slerp"].encode(Observation.of(motion))
         assert isinstance(field, InterpolatedField)
         return replace(field, end_seconds=min(duration_seconds, field.end_seconds))
@@ -419,8 +384,8 @@ class PeerModel:
     def _conditions(self, requests: Sequence[GenerationRequest], seconds: Sequence[float]) -> Conditions:
         """The network's conditions; a request without text or action gets the null condition."""
         settings, nothing = self.trained.config.conditions, self.trained.nothing
-        texts = [request.text if settings.kind == "text" else "" for request in requests]
-        actions = [request.action if settings.kind == "action" else "" for request in requests]
+        texts = [request.text if self.kind == "text" else "" for request in requests]
+        actions = [request.action if self.kind == "action" else "" for request in requests]
         named = list(dict.fromkeys(text for text in texts if text))
         rows = settings.embedded(self.text_encoder.encode(named), named) if named else ()
         embedding = dict(zip(named, rows, strict=True)) | {"": nothing}
@@ -433,8 +398,8 @@ class PeerModel:
 
     def _diffusion(self, sampling: SamplingOptions) -> DiffusionConfig:
         own = self.trained.network.diffusion
-        if own is None:
-            if sampling != SamplingOptions():
-                raise UsageError(f"{self.name} has no guidance, sampler or number of steps to choose")
-            return DiffusionConfig()
-        return own.adjusted(sampling.sampler, sampling.steps, sampling.guidance_scale)
+        if own is not None:
+            return own.adjusted(sampling.sampler, sampling.steps, sampling.guidance_scale)
+        if sampling != SamplingOptions():
+            raise UsageError(f"{self.name} has no guidance, sampler or number of steps to choose")
+        return DiffusionConfig()

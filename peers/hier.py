@@ -11,12 +11,11 @@ from torch import Tensor, nn
 from torch.func import functional_call
 from torch.nn.functional import binary_cross_entropy_with_logits, smooth_l1_loss
 
-from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Float
-from motionkit.features.layout import pose_layout
-from motionkit.training.config import DiffusionConfig, Schedule
+from motionkit.features.layout import SMPL22_LAYOUT
+from motionkit.training.config import Schedule
 from motionkit.training.networks import Conditions
-from peers.generating import GIVEN, GIVEN_MINILM, SLOW, OptimizerConfig, PeerStage, cosine
+from peers.generating import GIVEN, GIVEN_MINILM, SLOW, OptimizerConfig, PeerConfig, PeerStage, cosine
 from peers.layers import ConditionVector, NetworkInputs, PeerNetwork, first_poses, last_states
 from peers.motions import Lengths, MotionBatch, PoseSpace, Rows, SampleBatch, frames_within
 
@@ -24,15 +23,8 @@ TRUNK = 4
 
 
 def body_parts(space: PoseSpace) -> list[list[int]]:
-    """Indices into `native` vectors of right arm, left arm, right leg, left leg, and trunk (with the root).
-
-    Raises `UsageError` for vectors of another convention.
-    """
-    layout = pose_layout(space.vectors.skeleton.name)
-    vector = layout.vector
-    if space.num_features != vector.size:
-        raise UsageError("body parts are of native vectors: motions.pose_vectors=native")
-    numbers = list(range(vector.size))
+    """Indices into `native` vectors of right arm, left arm, right leg, left leg, and trunk (with the root)."""
+    vector, numbers = space.layout, list(range(space.num_features))
     positions, rotations, velocities = (
         numbers[block] for block in (vector.joint_positions, vector.joint_rotations, vector.joint_velocities)
     )
@@ -46,7 +38,7 @@ def body_parts(space: PoseSpace) -> list[list[int]]:
             for number in block[first * size : (first + 1) * size]
         ]
 
-    right_leg, left_leg, spine, right_arm, left_arm = map(of, layout.chains)
+    right_leg, left_leg, spine, right_arm, left_arm = map(of, SMPL22_LAYOUT.chains)
     contacts = numbers[vector.contacts]
     root = numbers[: vector.root_height.stop] + velocities[:3]
     return [right_arm, left_arm, right_leg + contacts[2:], left_leg + contacts[:2], root + spine]
@@ -160,34 +152,33 @@ class Hier(PeerNetwork):
         """Codes of conditions."""
         return torch.stack(self.sentence(conditions).tanh().chunk(2, dim=1))
 
-    def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
+    def losses(self, batch: MotionBatch) -> dict[str, Tensor]:
         """Smooth L1 of frames, frame differences and codes, of motions' and conditions' codes; adversarial losses."""
-        rows, lengths, mask = batch.rows, batch.lengths, batch.mask
+        config, rows, lengths, mask = self.config, batch.rows, batch.lengths, batch.mask
         codes, condition_codes = self.encoder(rows, lengths), self.encode_condition(batch.conditions)
-        first = first_poses(rows, self.config.mean_first, generator)
+        first = first_poses(rows, config.mean_first, batch.generator)
         both = self.decoder(torch.cat((codes, condition_codes), dim=1), first.repeat(2, 1), rows.shape[1])
-        reconstructed, decoded = (both * mask.repeat(2, 1)[..., None]).chunk(2)
-        frames = smooth_l1_loss(reconstructed[mask], rows[mask]) + smooth_l1_loss(decoded[mask], rows[mask])
-        again_changes, decoded_changes, true_changes = (
-            each.diff(dim=1)[mask[:, 1:]] for each in (reconstructed, decoded, rows)
-        )
-        changes = smooth_l1_loss(again_changes, true_changes) + smooth_l1_loss(decoded_changes, true_changes)
+        two = reconstructed, decoded = (both * mask.repeat(2, 1)[..., None]).chunk(2)
+        of_one, of_other = (smooth_l1_loss(each[mask], rows[mask]) for each in two)
+        true_changes = rows.diff(dim=1)[mask[:, 1:]]
+        change_of_one, change_of_other = (smooth_l1_loss(each.diff(dim=1)[mask[:, 1:]], true_changes) for each in two)
+        frames, changes = of_one + of_other, change_of_one + change_of_other
         matched = 2 * smooth_l1_loss(codes, condition_codes)
         kept = 2 * smooth_l1_loss(self.encoder(reconstructed, lengths), codes)
         # Detached critic weights in the decoder's loss, detached motions in the critic's: one backward pass does both.
         still = {name: weight.detach() for name, weight in self.critic.named_parameters()}
-        real, false = torch.ones_like(lengths, dtype=torch.float32)[:, None], torch.zeros_like(lengths)[:, None].float()
-        fooled = binary_cross_entropy_with_logits(functional_call(self.critic, still, (decoded, lengths)), real)
+        fooled = functional_call(self.critic, still, (decoded, lengths))
         judged = self.critic(torch.cat((rows, decoded.detach())), lengths.repeat(2))
-        critic = binary_cross_entropy_with_logits(judged, torch.cat((real, false)))
-        of = self.config
-        loss = frames + of.change_weight * changes + of.match_weight * matched
-        loss = loss + of.kept_weight * kept + of.critic_weight * (fooled + critic)
+        real = torch.ones_like(fooled)
+        adversarial = binary_cross_entropy_with_logits(fooled, real)
+        critic = binary_cross_entropy_with_logits(judged, torch.cat((real, torch.zeros_like(real))))
+        loss = frames + config.change_weight * changes + config.match_weight * matched
+        loss = loss + config.kept_weight * kept + config.critic_weight * (adversarial + critic)
         return {"loss": loss, "frames": frames, "changes": changes, "matched": matched, "critic": critic}
 
-    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Rows:
+    def sample(self, batch: SampleBatch) -> Rows:
         """Standardised rows, starting from the mean pose; deterministic."""
-        codes = self.encode_condition(batch.conditions.to(batch.device))
+        codes = self.encode_condition(batch.conditions)
         rows: Tensor = self.decoder(codes, codes.new_zeros(codes.shape[1], self.numbers), batch.frames)
         return rows
 
@@ -196,21 +187,17 @@ HIER = PeerStage(
     "hier",
     "Hier: autoregressive poses from one code for each half of the body",
     Hier,
-    {
-        "nano": {
-            "network": HierNetworkConfig(limb=64, width=160, mean_first=0.5),
-            "motions": SLOW,
-            "conditions": GIVEN_MINILM,
-            "schedule": cosine(2400, 32, 3e-3),
-            "optimizer": OptimizerConfig(clip_norm=1.0),
-        },
-        "paper": {
-            "network": HierNetworkConfig(),
-            "motions": replace(SLOW, seen="stretch", seen_frames=32),
-            "conditions": GIVEN,
-            "schedule": Schedule(
-                epochs=300, batch_size=32, learning_rate=1e-3, kind="steps", drop=0.99, drop_every=1 / 300
-            ),
-        },
-    },
+    nano=PeerConfig(
+        HierNetworkConfig(limb=64, width=160, mean_first=0.5),
+        SLOW,
+        GIVEN_MINILM,
+        cosine(2400, 32, 3e-3),
+        OptimizerConfig(clip_norm=1.0),
+    ),
+    paper=PeerConfig(
+        HierNetworkConfig(),
+        replace(SLOW, seen="stretch", seen_frames=32),
+        GIVEN,
+        Schedule(epochs=300, batch_size=32, learning_rate=1e-3, kind="steps", drop=0.99, drop_every=1 / 300),
+    ),
 )

@@ -12,10 +12,10 @@ from sklearn.mixture import GaussianMixture
 from torch import Tensor, nn
 
 from motionkit.core.shapes import Float, Float64, Int64
-from motionkit.training.config import DiffusionConfig, Schedule
+from motionkit.training.config import Schedule
 from motionkit.training.networks import NO_ACTION, kl_divergence, reparameterized
-from peers.generating import GIVEN, GIVEN_MINILM, OptimizerConfig, PeerStage, cosine
-from peers.layers import ConditionVector, NetworkInputs, PeerNetwork, sinusoids
+from peers.generating import GIVEN, GIVEN_MINILM, OptimizerConfig, PeerConfig, PeerStage, cosine
+from peers.layers import ConditionVector, Latents, NetworkInputs, PeerNetwork, sinusoids
 from peers.motions import MotionBatch, MotionsConfig, Rows, SampleBatch
 
 INITIAL_LOG_VARIANCE = 1.0
@@ -44,7 +44,7 @@ class InrMlp(PeerNetwork):
 
     def __init__(self, config: InrMlpNetworkConfig, inputs: NetworkInputs) -> None:
         super().__init__()
-        self.config, self.width = config, config.code
+        self.config = config
         self.mean = nn.Parameter(torch.zeros(inputs.num_windows, config.code))
         self.log_variance = nn.Parameter(torch.full((inputs.num_windows, config.code), INITIAL_LOG_VARIANCE))
         self.condition_mean = ConditionVector(inputs.conditions, config.code)
@@ -60,38 +60,28 @@ class InrMlp(PeerNetwork):
         self.register_buffer("action_of", torch.full((inputs.num_windows,), NO_ACTION))
         self.frames_of: Tensor
         self.action_of: Tensor
-        self._codes_turn = True
         self._mixtures: dict[tuple[int, int], CodeMixture] = {}
 
-    def forward(
-        self,
-        frames: Int64[Tensor, "batch frames"],
-        code: Float[Tensor, "batch code"],
-        condition_code: Float[Tensor, "batch code"],
-    ) -> Rows:
+    def forward(self, frames: Int64[Tensor, "batch frames"], code: Latents, condition_code: Latents) -> Rows:
         """Standardised poses at these frame indices."""
         time = sinusoids(frames.flatten(), self.config.time_features).view(*frames.shape, -1)
         codes = torch.cat((code, condition_code), dim=1)[:, None].expand(-1, frames.shape[1], -1)
         rows: Tensor = self.layers(torch.cat((codes, time), dim=-1))
         return rows
 
-    def begin_step(self, step: int, steps: int) -> None:
-        """Alternate between training the codes and the network."""
-        self._codes_turn = step % 2 == 0
-
-    def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
-        """Squared errors of poses and of the root, and KL of both codes; codes and network are trained alternately."""
-        conditions = batch.conditions
+    def losses(self, batch: MotionBatch) -> dict[str, Tensor]:
+        """Squared errors of poses and of the root, and KL of both codes; every other step trains the codes alone."""
+        conditions, trains_codes = batch.conditions, batch.step % 2 == 0
         self.frames_of.scatter_reduce_(0, batch.window, batch.frames.amax(dim=1) + 1, "amax")
         self.action_of[batch.window] = torch.where(conditions.given, conditions.action, self.action_of[batch.window])
         pairs = [
             (self.mean[batch.window], self.log_variance[batch.window]),
             (self.condition_mean(conditions), self.condition_log_variance(conditions)),
         ]
-        if not self._codes_turn:
+        if not trains_codes:
             pairs = [(mean.detach(), log_variance.detach()) for mean, log_variance in pairs]
-        self.layers.requires_grad_(not self._codes_turn)
-        made = self(batch.frames, *(reparameterized(*pair, generator) for pair in pairs))
+        self.layers.requires_grad_(not trains_codes)
+        made = self(batch.frames, *(reparameterized(*pair, batch.generator) for pair in pairs))
         self.layers.requires_grad_(True)
         errors = (made - batch.rows).square()[batch.mask]
         pose, root = errors.mean(), errors[:, ROOT].mean()
@@ -99,15 +89,12 @@ class InrMlp(PeerNetwork):
         loss = pose + self.config.root_weight * root + self.config.kl_weight * kl
         return {"loss": loss, "pose": pose, "root": root, "kl": kl}
 
-    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Rows:
-        """Standardised rows from codes reparameterized from the mixture for the action and the length."""
-        conditions = batch.conditions.to(batch.device)
-        mean, log_variance = self.condition_mean(conditions), self.condition_log_variance(conditions)
-        codes, noise = [], []
-        rows = zip(batch.lengths.tolist(), batch.conditions.action.tolist(), batch.generators, strict=True)
-        for length, action, generator in rows:
-            codes.append(self.mixture(action, length).draw(generator))
-            noise.append(torch.randn(self.width, generator=generator))
+    def sample(self, batch: SampleBatch) -> Rows:
+        """Standardised rows from codes of the mixture for the action and the length."""
+        mean, log_variance = self.condition_mean(batch.conditions), self.condition_log_variance(batch.conditions)
+        wanted = zip(batch.conditions.action.tolist(), batch.lengths.tolist(), batch.generators, strict=True)
+        codes = [self.mixture(action, length).draw(generator) for action, length, generator in wanted]
+        noise = [torch.randn(self.config.code, generator=generator) for generator in batch.generators]
         own = torch.stack(codes).to(batch.device, torch.float32)
         condition = mean + (0.5 * log_variance).exp() * torch.stack(noise).to(batch.device)
         frames = torch.arange(batch.frames, device=batch.device).expand(len(own), -1)
@@ -192,21 +179,19 @@ INR_MLP = PeerStage(
     "inr-mlp",
     "INR-MLP: an MLP of time and a latent code per training motion",
     InrMlp,
-    {
-        "nano": {
-            "network": InrMlpNetworkConfig(reseeds=2),
-            "motions": WHOLE_IN_5,
-            "conditions": GIVEN_MINILM,
-            "schedule": cosine(12_000, 256, 1e-3),
-            "optimizer": OptimizerConfig(clip_norm=2.0),
-            "precision": "auto",
-        },
-        "paper": {
-            "network": InrMlpNetworkConfig(),
-            "motions": WHOLE_IN_5,
-            "conditions": replace(GIVEN, kind="action"),
-            "schedule": Schedule(epochs=10_000, batch_size=512, learning_rate=1e-3),
-            "optimizer": OptimizerConfig(clip_norm=2.0),
-        },
-    },
+    nano=PeerConfig(
+        InrMlpNetworkConfig(reseeds=2),
+        WHOLE_IN_5,
+        GIVEN_MINILM,
+        cosine(12_000, 256, 1e-3),
+        OptimizerConfig(clip_norm=2.0),
+        "auto",
+    ),
+    paper=PeerConfig(
+        InrMlpNetworkConfig(),
+        WHOLE_IN_5,
+        replace(GIVEN, kind="action"),
+        Schedule(epochs=10_000, batch_size=512, learning_rate=1e-3),
+        OptimizerConfig(clip_norm=2.0),
+    ),
 )

@@ -10,10 +10,10 @@ from torch import Tensor, nn
 from torch.nn.functional import smooth_l1_loss
 
 from motionkit.core.shapes import Float
-from motionkit.training.config import DiffusionConfig, Schedule
-from peers.generating import GIVEN, GIVEN_MINILM, SLOW, OptimizerConfig, PeerStage, cosine
-from peers.layers import ConditionVector, NetworkInputs, PeerNetwork, first_poses, last_states
-from peers.motions import Lengths, MotionBatch, Rows, SampleBatch, frames_within
+from motionkit.training.config import Schedule
+from peers.generating import GIVEN, GIVEN_MINILM, SLOW, OptimizerConfig, PeerConfig, PeerStage, cosine
+from peers.layers import ConditionVector, Latents, NetworkInputs, PeerNetwork, first_poses, last_states
+from peers.motions import Lengths, MotionBatch, Rows, SampleBatch
 
 
 @dataclass(frozen=True)
@@ -40,13 +40,12 @@ class Jl2p(PeerNetwork):
         self.encoder = nn.GRU(numbers, width, batch_first=True)
         self.cell = nn.GRUCell(numbers, width)
         self.change = nn.Linear(width, numbers)
-        self._progress = 1.0
 
-    def encode(self, rows: Rows, lengths: Lengths) -> Float[Tensor, "batch width"]:
+    def encode(self, rows: Rows, lengths: Lengths) -> Latents:
         """Codes of motions."""
         return last_states(self.encoder(rows)[0], lengths)
 
-    def decode(self, code: Float[Tensor, "batch width"], first: Float[Tensor, "batch numbers"], frames: int) -> Rows:
+    def decode(self, code: Latents, first: Float[Tensor, "batch numbers"], frames: int) -> Rows:
         """Standardised rows, starting from `first`; each step predicts the change of pose."""
         pose, made = first, []
         for _ in range(frames):
@@ -55,50 +54,40 @@ class Jl2p(PeerNetwork):
             made.append(pose)
         return torch.stack(made, dim=1)
 
-    def begin_step(self, step: int, steps: int) -> None:
-        """The curriculum: training progress determines how many frames are used."""
-        self._progress = step / steps
-
-    def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
+    def losses(self, batch: MotionBatch) -> dict[str, Tensor]:
         """Smooth L1 of the curriculum's frames, decoded from motion codes or, in half of the batches, conditions'."""
-        rows = batch.rows[:, : self._curriculum_length()]
-        lengths = batch.lengths.clamp(max=rows.shape[1])
-        from_condition = bool(torch.rand((), generator=generator) < 0.5)
+        curriculum = self.config.lengths
+        place = int(batch.progress / self.config.curriculum * (len(curriculum) - 1))
+        rows = batch.rows[:, : curriculum[min(place, len(curriculum) - 1)]]
+        frames = rows.shape[1]
+        from_condition = bool(torch.rand((), generator=batch.generator) < 0.5)
+        lengths = batch.lengths.clamp(max=frames)
         code = self.sentence(batch.conditions).tanh() if from_condition else self.encode(rows, lengths)
-        made = self.decode(code, first_poses(rows, self.config.mean_first, generator), rows.shape[1])
-        mask = frames_within(lengths, rows.shape[1])
+        made = self.decode(code, first_poses(rows, self.config.mean_first, batch.generator), frames)
+        mask = batch.mask[:, :frames]
         return {"loss": smooth_l1_loss(made[mask], rows[mask])}
 
-    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Rows:
+    def sample(self, batch: SampleBatch) -> Rows:
         """Standardised rows, starting from the mean pose; deterministic."""
-        code = self.sentence(batch.conditions.to(batch.device)).tanh()
+        code = self.sentence(batch.conditions).tanh()
         return self.decode(code, code.new_zeros(len(code), self.numbers), batch.frames)
-
-    def _curriculum_length(self) -> int:
-        """Number of frames used at this point of the curriculum."""
-        lengths = self.config.lengths
-        return lengths[min(int(self._progress / self.config.curriculum * (len(lengths) - 1)), len(lengths) - 1)]
 
 
 JL2P = PeerStage(
     "jl2p",
     "JL2P: autoregressive poses from a joint code of motions and texts",
     Jl2p,
-    {
-        "nano": {
-            "network": Jl2pNetworkConfig(width=256, lengths=(2, 4, 8, 16, 32, 82), mean_first=0.5),
-            "motions": SLOW,
-            "conditions": GIVEN_MINILM,
-            "schedule": cosine(6000, 64, 1e-3),
-            "optimizer": OptimizerConfig(clip_norm=1.0),
-        },
-        "paper": {
-            "network": Jl2pNetworkConfig(),
-            "motions": replace(SLOW, seen="stretch", seen_frames=16),
-            "conditions": GIVEN,
-            "schedule": Schedule(
-                epochs=1000, batch_size=100, learning_rate=1e-3, kind="steps", drop=0.99, drop_every=0.001
-            ),
-        },
-    },
+    nano=PeerConfig(
+        Jl2pNetworkConfig(width=256, lengths=(2, 4, 8, 16, 32, 82), mean_first=0.5),
+        SLOW,
+        GIVEN_MINILM,
+        cosine(6000, 64, 1e-3),
+        OptimizerConfig(clip_norm=1.0),
+    ),
+    paper=PeerConfig(
+        Jl2pNetworkConfig(),
+        replace(SLOW, seen="stretch", seen_frames=16),
+        GIVEN,
+        Schedule(epochs=1000, batch_size=100, learning_rate=1e-3, kind="steps", drop=0.99, drop_every=1 / 1000),
+    ),
 )

@@ -8,21 +8,18 @@ import torch
 from torch import Tensor, nn
 
 from motionkit.core.shapes import Bool, Float, Int64, Shaped
+from motionkit.training import networks
 from motionkit.training.config import DiffusionConfig
-from motionkit.training.networks import (
-    ConditionalNetwork,
-    Conditions,
-    ConditionSizes,
-    add_noise,
-    cumulative_alphas,
-    guided,
-    predicted_noise,
-    prediction_target,
-    sample,
-    sampling_steps,
-    through_long_skips,
-)
+from motionkit.training.networks import ConditionalNetwork, Conditions, ConditionSizes, guided, through_long_skips
 from peers.motions import Lengths, Mask, MotionBatch, PoseSpace, Rows, SampleBatch
+
+Latents = Float[Tensor, "batch width"]
+"""One vector of each motion."""
+Steps = Int64[Tensor, "batch"]
+"""The diffusion step of each motion."""
+Tokens = Float[Tensor, "batch tokens width"]
+Call = Callable[[nn.Module, Tensor], Tensor]
+"""Applies a layer to tokens."""
 
 
 @dataclass(frozen=True)
@@ -54,14 +51,11 @@ class PeerNetwork(nn.Module):
 
     diffusion: DiffusionConfig | None = None
 
-    def begin_step(self, step: int, steps: int) -> None:
-        """Called before training step `step` (from 0) of `steps`."""
-
-    def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
-        """Metrics of a batch, of which `loss` is minimised; randomness comes from `generator` (CPU)."""
+    def losses(self, batch: MotionBatch) -> dict[str, Tensor]:
+        """Metrics of a batch, of which `loss` is minimised."""
         raise NotImplementedError
 
-    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Rows:
+    def sample(self, batch: SampleBatch) -> Rows:
         """Standardised rows of motions; frames beyond a motion's length are undefined."""
         raise NotImplementedError
 
@@ -73,6 +67,11 @@ def sinusoids(positions: Shaped[Tensor, "n"], width: int) -> Float[Tensor, "n wi
     return torch.stack((angles.sin(), angles.cos()), dim=-1).flatten(1)
 
 
+def positions(tokens: Tokens) -> Float[Tensor, "tokens width"]:
+    """The sinusoidal embedding of each token's place."""
+    return sinusoids(torch.arange(tokens.shape[1], device=tokens.device), tokens.shape[2])
+
+
 class ConditionVector(nn.Module):
     """Embeds a text or action; zeros where no condition is given."""
 
@@ -82,7 +81,7 @@ class ConditionVector(nn.Module):
         self.text = nn.Linear(sizes.text_dimension, width) if sizes.text_dimension else None
         self.actions = nn.Embedding(len(sizes.actions), width) if sizes.actions else None
 
-    def forward(self, conditions: Conditions) -> Float[Tensor, "batch width"]:
+    def forward(self, conditions: Conditions) -> Latents:
         """Embeddings of a batch of conditions."""
         vector = torch.zeros((len(conditions.given), self.width), device=conditions.given.device)
         if self.text is not None:
@@ -92,12 +91,12 @@ class ConditionVector(nn.Module):
         return vector * conditions.given[:, None]
 
 
-def last_states(states: Float[Tensor, "batch frames width"], lengths: Lengths) -> Float[Tensor, "batch width"]:
+def last_states(states: Float[Tensor, "batch frames width"], lengths: Lengths) -> Latents:
     """A recurrent layer's states at the motions' last frames."""
     return states[torch.arange(len(states), device=states.device), lengths - 1]
 
 
-def first_poses(rows: Rows, mean_share: float, generator: torch.Generator) -> Float[Tensor, "batch numbers"]:
+def first_poses(rows: Rows, mean_share: float, generator: torch.Generator) -> Latents:
     """The first pose of each motion, replaced by the mean pose (zeros) with probability `mean_share`."""
     kept = torch.rand((len(rows), 1), generator=generator) >= mean_share
     return rows[:, 0] * kept.to(rows.device)
@@ -110,11 +109,21 @@ def encoder_layer(sizes: TransformerSizes) -> nn.TransformerEncoderLayer:
     )
 
 
+def encoder(sizes: TransformerSizes) -> nn.TransformerEncoder:
+    """Layers of self-attention."""
+    return nn.TransformerEncoder(encoder_layer(sizes), sizes.layers, enable_nested_tensor=False)
+
+
 def decoder_layer(sizes: TransformerSizes) -> nn.TransformerDecoderLayer:
     """A layer of self-attention and cross-attention, post-norm, GELU."""
     return nn.TransformerDecoderLayer(
         sizes.width, sizes.heads, sizes.inner, sizes.dropout, activation="gelu", batch_first=True
     )
+
+
+def hidden_tokens(mask: Mask, first: int = 0) -> Bool[Tensor, "batch tokens"]:
+    """Torch's padding mask, True where a token is hidden: of `first` tokens, which are not, then of the frames."""
+    return nn.functional.pad(~mask, (first, 0))
 
 
 class LongSkips(nn.Module):
@@ -128,65 +137,51 @@ class LongSkips(nn.Module):
         self.joins = nn.ModuleList(nn.Linear(2 * sizes.width, sizes.width) for _ in range(sizes.layers // 2))
         self.norm = nn.LayerNorm(sizes.width)
 
-    def forward(
-        self, tokens: Float[Tensor, "batch tokens width"], attend: Callable[[nn.Module, Tensor], Tensor]
-    ) -> Float[Tensor, "batch tokens width"]:
-        """The tokens after all layers; `attend` calls a layer."""
-        normed: Tensor = self.norm(through_long_skips(tokens, self.layers, self.joins, attend))
+    def forward(self, tokens: Tokens, call: Call) -> Tokens:
+        """The tokens after all layers."""
+        normed: Tensor = self.norm(through_long_skips(tokens, self.layers, self.joins, call))
         return normed
 
 
-def padding_masked(hidden: Bool[Tensor, "batch tokens"] | None) -> Callable[[nn.Module, Tensor], Tensor]:
-    """Calls an encoder layer with the padding mask `hidden`."""
-    return lambda layer, tokens: layer(tokens, src_key_padding_mask=hidden)
+def with_inputs(network: Callable[..., Tensor], *inputs: Tensor) -> ConditionalNetwork:
+    """A network with these further inputs for each motion, repeated where guidance repeats the batch."""
+    return lambda noisy, steps, conditions: network(
+        noisy, steps, conditions, *(torch.cat([each] * (len(noisy) // len(each))) for each in inputs)
+    )
 
 
-def noised(
-    clean: Rows, config: DiffusionConfig, generator: torch.Generator
-) -> tuple[Rows, Int64[Tensor, "batch"], Rows]:
+def noised(clean: Rows, config: DiffusionConfig, generator: torch.Generator) -> tuple[Rows, Steps, Rows]:
     """Noise each motion to a random step, drawn on the CPU; gives noisy motions, steps and noise on their device."""
     steps = torch.randint(config.num_steps, (len(clean),), generator=generator).to(clean.device)
     noise = torch.randn(clean.shape, generator=generator).to(clean.device)
-    alphas = cumulative_alphas(config).to(clean.device)
-    noisy = add_noise(clean.flatten(1), noise.flatten(1), steps, alphas).view(clean.shape)
-    return noisy, steps, noise
+    alphas = networks.cumulative_alphas(config).to(clean.device)
+    return networks.add_noise(clean.flatten(1), noise.flatten(1), steps, alphas).view(clean.shape), steps, noise
 
 
 def diffusion_loss(
-    network: ConditionalNetwork,
-    clean: Rows,
-    mask: Mask,
-    conditions: Conditions,
-    config: DiffusionConfig,
-    generator: torch.Generator,
+    network: ConditionalNetwork, config: DiffusionConfig, batch: MotionBatch, clean: Rows, mask: Mask
 ) -> Float[Tensor, ""]:
-    """Squared error at random steps, averaged over each motion's valid frames, then over motions."""
-    alphas = cumulative_alphas(config).to(clean.device)
-    noisy, steps, noise = noised(clean, config, generator)
-    target = prediction_target(config.prediction, clean.flatten(1), noise.flatten(1), steps, alphas).view(clean.shape)
-    noisy = noisy * mask[..., None]
-    errors = (network(noisy, steps, conditions).float() - target).square().mean(dim=-1) * mask
+    """Squared error at random steps of what the network predicts, averaged over each motion's valid frames, then over motions."""
+    alphas = networks.cumulative_alphas(config).to(clean.device)
+    noisy, steps, noise = noised(clean, config, batch.generator)
+    target = networks.prediction_target(config.prediction, clean.flatten(1), noise.flatten(1), steps, alphas)
+    made = network(noisy * mask[..., None], steps, batch.conditions).float()
+    errors = (made - target.view(clean.shape)).square().mean(dim=-1) * mask
     return (errors.sum(dim=1) / mask.sum(dim=1)).mean()
 
 
 @torch.inference_mode()
-def diffusion_sample(
-    network: ConditionalNetwork, batch: SampleBatch, draw: Callable[[], Rows], config: DiffusionConfig
-) -> Rows:
-    """Sample clean motions or latents, float64, on the batch's device; `draw` returns fresh noise on the CPU."""
-    alphas, start = cumulative_alphas(config), draw().to(batch.device)
-    scale = batch.conditions.guidance(config.guidance_scale)
-    shape = start.shape
-    conditions, unconditional = batch.conditions.to(batch.device), batch.unconditional.to(batch.device)
+def diffusion_sample(network: ConditionalNetwork, batch: SampleBatch, draw: Callable[[], Rows]) -> Rows:
+    """Sample clean motions or latents, float64; `draw` returns fresh noise."""
+    config, start = batch.diffusion, draw()
+    alphas = networks.cumulative_alphas(config)
 
     def predict_noise(flat: Tensor, steps: Tensor) -> Tensor:
-        noisy, at = flat.view(shape).float(), steps.to(batch.device)
-        output = guided(network, noisy, at, conditions, unconditional, scale)
-        return predicted_noise(config.prediction, output.double().flatten(1), flat, float(alphas[int(steps[0])]))
+        noisy, at = flat.view(start.shape).float(), steps.to(start.device)
+        output = guided(network, noisy, at, batch.conditions, batch.unconditional, config.guidance_scale)
+        alpha = float(alphas[int(steps[0])])
+        return networks.predicted_noise(config.prediction, output.double().flatten(1), flat, alpha)
 
-    def fresh() -> Tensor:
-        return draw().to(batch.device).flatten(1)
-
-    draw_noise = fresh if config.sampler == "ddpm" else None
-    drawn = sample(predict_noise, start.flatten(1), alphas, sampling_steps(config), draw_noise=draw_noise)
-    return drawn.view(shape)
+    draw_noise = (lambda: draw().flatten(1)) if config.sampler == "ddpm" else None
+    steps = networks.sampling_steps(config)
+    return networks.sample(predict_noise, start.flatten(1), alphas, steps, draw_noise=draw_noise).view(start.shape)

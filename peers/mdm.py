@@ -1,26 +1,16 @@
 """MDM (Tevet et al. 2023; GuyTevet/motion-diffusion-model, model/mdm.py): diffusion of whole motions."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from motionkit.core.shapes import Int64
 from motionkit.training.config import DiffusionConfig, Schedule
 from motionkit.training.networks import Conditions
-from peers.generating import MINILM, SMALL, OptimizerConfig, PeerStage, cosine
-from peers.layers import (
-    NetworkInputs,
-    PeerNetwork,
-    TransformerSizes,
-    diffusion_loss,
-    diffusion_sample,
-    encoder_layer,
-    sinusoids,
-)
-from peers.motions import Lengths, MotionBatch, Rows, SampleBatch, frames_within
+from peers import layers
+from peers.generating import MINILM, SMALL, OptimizerConfig, PeerConfig, PeerStage, cosine
+from peers.layers import NetworkInputs, PeerNetwork, Steps, TransformerSizes, positions, sinusoids
+from peers.motions import Mask, MotionBatch, Rows, SampleBatch
 
 
 @dataclass(frozen=True)
@@ -56,18 +46,10 @@ class Mdm(PeerNetwork):
         self.actions = nn.Embedding(len(actions), width) if actions else None
         self.step_in = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
         self.dropout = nn.Dropout(config.transformer.dropout)
-        self.layers = nn.TransformerEncoder(
-            encoder_layer(config.transformer), config.transformer.layers, enable_nested_tensor=False
-        )
+        self.layers = layers.encoder(config.transformer)
         self.frame_out = nn.Linear(width, self.numbers)
 
-    def forward(
-        self,
-        noisy: Rows,
-        steps: Int64[Tensor, "batch"],
-        conditions: Conditions,
-        lengths: Lengths,
-    ) -> Rows:
+    def forward(self, noisy: Rows, steps: Steps, conditions: Conditions, mask: Mask) -> Rows:
         """The clean motion; padding frames are masked out of the attention."""
         first = self.step_in(sinusoids(steps, self.width))
         if self.text_in is not None:
@@ -76,57 +58,40 @@ class Mdm(PeerNetwork):
             known = (conditions.action >= 0)[:, None]
             first = first + self.actions(conditions.action.clamp(min=0)) * known
         tokens = torch.cat((first[:, None], self.frame_in(noisy)), dim=1)
-        positions = sinusoids(torch.arange(tokens.shape[1], device=tokens.device), self.width)
-        hidden = ~frames_within(lengths + 1, tokens.shape[1])
-        tokens = self.layers(self.dropout(tokens + positions), src_key_padding_mask=hidden)
+        hidden = layers.hidden_tokens(mask, first=1)
+        tokens = self.layers(self.dropout(tokens + positions(tokens)), src_key_padding_mask=hidden)
         clean: Tensor = self.frame_out(tokens[:, 1:])
         return clean
 
-    def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
+    def losses(self, batch: MotionBatch) -> dict[str, Tensor]:
         """Mean squared error over valid frames."""
-        loss = diffusion_loss(
-            lambda noisy, steps, conditions: self(noisy, steps, conditions, batch.lengths),
-            *(batch.rows, batch.mask, batch.conditions, self.config.diffusion, generator),
-        )
-        return {"loss": loss}
+        network = layers.with_inputs(self, batch.mask)
+        return {"loss": layers.diffusion_loss(network, self.config.diffusion, batch, batch.rows, batch.mask)}
 
-    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Rows:
+    def sample(self, batch: SampleBatch) -> Rows:
         """Standardised rows."""
-        lengths = batch.lengths.to(batch.device)
-
-        def output(noisy: Tensor, steps: Tensor, conditions: Conditions) -> Tensor:
-            clean: Tensor = self(noisy, steps, conditions, lengths.repeat(len(noisy) // len(lengths)))
-            return clean
-
-        return diffusion_sample(output, batch, lambda: batch.noise_within(batch.lengths, self.numbers), diffusion)
+        network = layers.with_inputs(self, batch.mask)
+        return layers.diffusion_sample(network, batch, lambda: batch.noise_within(batch.lengths, self.numbers))
 
 
-NANO = {
-    "network": MdmNetworkConfig(SMALL),
-    "conditions": MINILM,
-    "schedule": cosine(6000, 16, 1e-3),
-    "optimizer": OptimizerConfig(ema_decay=0.995),
-    "precision": "auto",
-}
-PAPER = {"network": MdmNetworkConfig(), "schedule": Schedule(steps=600_000)}
-
-
-def _in_50_steps(parts: Mapping[str, Any], ema_decay: float) -> dict[str, Any]:
-    """The same training with 50 diffusion steps."""
-    diffusion = replace(parts["network"].diffusion, num_steps=50, sampling_steps=50)
-    network = replace(parts["network"], diffusion=diffusion)
-    return {**parts, "network": network, "optimizer": OptimizerConfig(ema_decay=ema_decay)}
-
-
-MDM = PeerStage(
-    "mdm",
-    "MDM: diffusion of whole motions in 1,000 steps (NeRM's peer)",
-    Mdm,
-    {"nano": NANO, "paper": PAPER},
+NANO = PeerConfig(
+    MdmNetworkConfig(SMALL),
+    conditions=MINILM,
+    schedule=cosine(6000, 16, 1e-3),
+    optimizer=OptimizerConfig(ema_decay=0.995),
+    precision="auto",
 )
+PAPER = PeerConfig(MdmNetworkConfig(), schedule=Schedule(steps=600_000))
+
+
+def _in_50_steps(config: PeerConfig, ema_decay: float) -> PeerConfig:
+    """The same training with 50 diffusion steps."""
+    diffusion = replace(config.network.diffusion, num_steps=50, sampling_steps=50)
+    network = replace(config.network, diffusion=diffusion)
+    return replace(config, network=network, optimizer=OptimizerConfig(ema_decay=ema_decay))
+
+
+MDM = PeerStage("mdm", "MDM: diffusion of whole motions in 1,000 steps (NeRM's peer)", Mdm, NANO, PAPER)
 MDM_50 = PeerStage(
-    "mdm-50",
-    "MDM trained with 50 diffusion steps",
-    Mdm,
-    {"nano": _in_50_steps(NANO, 0.995), "paper": _in_50_steps(PAPER, 0.9999)},
+    "mdm-50", "MDM trained with 50 diffusion steps", Mdm, _in_50_steps(NANO, 0.995), _in_50_steps(PAPER, 0.9999)
 )

@@ -1,25 +1,28 @@
 """The motions that generative systems learn and sample: settings, pose space, random crops of a store, batches."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from motionkit.data.corpus import open_frames, training_vectors
+from motionkit.data.poses import WindowPoses
+from torch import Tensor
 
 from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Bool, Float, Float32, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import parse_fps
 from motionkit.data.captions import actions_of_windows, captions_of_windows
-from motionkit.data.windows import WindowPoses, cut_windows, open_frames, training_vectors
+from motionkit.data.windows import cut_windows
 from motionkit.features.convention import PoseVectors, PoseVectorsName
-from motionkit.features.layout import vector_layout
+from motionkit.features.layout import SMPL22_LAYOUT, VectorLayout
+from motionkit.features.native import NativeVectors
 from motionkit.store.cache import cache_root
 from motionkit.store.reader import Store
-from motionkit.training.config import require_positive
+from motionkit.training.config import DiffusionConfig, require_positive
 from motionkit.training.networks import Conditions, WindowConditions, window_conditions
 from motionkit.training.pose_vectors import VectorScaling, measure_scaling
 from motionkit.training.text import TextEncoder, embed_texts, load_text_encoder
@@ -119,31 +122,29 @@ class ConditionsConfig:
             )
 
 
-class PoseSpace(nn.Module):
+@dataclass(frozen=True, eq=False)
+class PoseSpace:
     """The pose vectors that a system learns: their scale and framerate, and how joints are recovered from them."""
 
-    def __init__(self, vectors: PoseVectors, scaling: VectorScaling, fps: Fraction) -> None:
-        super().__init__()
-        self.vectors, self.fps = vectors, fps
-        self.register_buffer("mean", scaling.mean, persistent=False)
-        self.register_buffer("scale", scaling.scale, persistent=False)
-        self.mean: Tensor
-        self.scale: Tensor
+    vectors: PoseVectors
+    scaling: VectorScaling
+    fps: Fraction
 
     @property
     def num_features(self) -> int:
         """Size of a pose vector."""
-        return len(self.mean)
+        return len(self.scaling.mean)
+
+    @property
+    def layout(self) -> VectorLayout:
+        """The blocks of a `native` vector; raises `UsageError` for another convention."""
+        if not isinstance(self.vectors, NativeVectors):
+            raise UsageError("this system learns native vectors: motions.pose_vectors=native")
+        return SMPL22_LAYOUT.vector
 
     def joints(self, rows: Rows) -> Float[Tensor, "batch frames joints 3"]:
-        """Joint positions in metres from standardised `native` vectors, as `native.positions` does.
-
-        Raises `UsageError` for vectors of another convention.
-        """
-        part = vector_layout(self.vectors.skeleton.num_joints)
-        if self.num_features != part.size:
-            raise UsageError("joints can only be recovered from native vectors: motions.pose_vectors=native")
-        numbers = rows * self.scale + self.mean
+        """Joint positions in metres from standardised `native` vectors, as `native.positions` does."""
+        part, numbers = self.layout, self.scaling.invert(rows)
         angle = self.heading(numbers)
         path = self.path(numbers[..., part.root_velocity], angle)
         relative = numbers[..., part.joint_positions].reshape(*numbers.shape[:-1], -1, 3)
@@ -154,7 +155,7 @@ class PoseSpace(nn.Module):
 
     def heading(self, numbers: Rows) -> Float[Tensor, "batch frames 1"]:
         """Yaw in radians since the first frame, from unstandardised `native` vectors."""
-        return self._integral(numbers[..., vector_layout(self.vectors.skeleton.num_joints).root_yaw_velocity])
+        return self._integral(numbers[..., self.layout.root_yaw_velocity])
 
     def path(
         self, velocity: Float[Tensor, "batch frames 2"], angle: Float[Tensor, "batch frames 1"]
@@ -181,27 +182,38 @@ def frames_within(lengths: Lengths, frames: int) -> Mask:
 
 @dataclass(frozen=True, eq=False)
 class MotionBatch:
-    """Crops of motions, zero-padded; `window` is each crop's window, `frames` are the indices of its rows in it."""
+    """Crops of motions, zero-padded, for training step `step` (from 0) of `steps`.
+
+    `window` is each crop's window, `frames` are the indices of its rows in it; `mask` is True for valid frames.
+    Randomness comes from `generator` (CPU).
+    """
 
     rows: Rows
     lengths: Lengths
+    mask: Mask
     conditions: Conditions
     window: Int64[Tensor, "batch"]
     frames: Int64[Tensor, "batch frames"]
+    generator: torch.Generator
+    step: int = 0
+    steps: int = 1
 
     @property
-    def mask(self) -> Mask:
-        """True for valid frames, False for padding."""
-        return frames_within(self.lengths, self.rows.shape[1])
+    def progress(self) -> float:
+        """The share of the training that is done."""
+        return self.step / self.steps
 
-    def to(self, device: torch.device) -> "MotionBatch":
-        """Move to a device."""
-        return MotionBatch(**{name: each.to(device) for name, each in vars(self).items()})
+    def at_step(self, step: int, steps: int, device: torch.device) -> "MotionBatch":
+        """The batch of this step, on a device."""
+        tensors: dict[str, Any] = {
+            name: each.to(device) for name, each in vars(self).items() if isinstance(each, Tensor | Conditions)
+        }
+        return replace(self, step=step, steps=steps, **tensors)
 
 
 @dataclass(frozen=True, eq=False)
 class SampleBatch:
-    """Motions to sample: lengths in frames, conditions, and the null conditions for guidance.
+    """Motions to sample: lengths in frames (CPU), conditions, the null conditions for guidance, and how to sample.
 
     Row i uses `generators[i]` alone.
     """
@@ -210,7 +222,12 @@ class SampleBatch:
     conditions: Conditions
     unconditional: Conditions
     generators: Sequence[torch.Generator]
-    device: torch.device
+    diffusion: DiffusionConfig
+
+    @property
+    def device(self) -> torch.device:
+        """The conditions' device, for the network's inputs."""
+        return self.conditions.given.device
 
     @property
     def frames(self) -> int:
@@ -219,19 +236,20 @@ class SampleBatch:
 
     @property
     def mask(self) -> Mask:
-        """True for valid frames, False for padding, on the device."""
+        """True for valid frames, False for padding."""
         return frames_within(self.lengths, self.frames).to(self.device)
 
     def noise(self, *shape: int) -> Float[Tensor, "batch *shape"]:
-        """N(0, I) of this shape per row, float64, on the CPU."""
-        return torch.stack([torch.randn(shape, generator=each, dtype=torch.float64) for each in self.generators])
+        """N(0, I) of this shape per row, float64."""
+        noise = [torch.randn(shape, generator=each, dtype=torch.float64) for each in self.generators]
+        return torch.stack(noise).to(self.device)
 
     def noise_within(self, counts: Int64[Tensor, "batch"], numbers: int) -> Float[Tensor, "batch most numbers"]:
         """N(0, I) for the first `counts` places of every row, zero-padded: a row does not depend on longer ones."""
         noise = torch.zeros((len(counts), int(counts.max()), numbers), dtype=torch.float64)
         for row, (count, generator) in enumerate(zip(counts.tolist(), self.generators, strict=True)):
             noise[row, :count] = torch.randn((count, numbers), generator=generator, dtype=torch.float64)
-        return noise
+        return noise.to(self.device)
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,10 +279,11 @@ class MotionCorpus:
         frames, seen = self._seen_frames(torch.from_numpy(lengths), generator)
         ticks = np.minimum(start[:, None] + frames.numpy(), last_tick[:, None])
         vectors = torch.from_numpy(self.poses.at_rate(rows.numpy(), ticks, self.config.framerate).vectors)
-        padded = self.scaling.apply(vectors) * frames_within(seen, vectors.shape[1])[..., None]
+        mask = frames_within(seen, vectors.shape[1])
         # A window has captions or an action, never both: there is nothing to choose.
         conditions = self.conditions.draw(rows, chance[[0, 2, 3]], drop=drop)
-        return MotionBatch(padded, seen, conditions, rows, frames)
+        padded = self.scaling.apply(vectors) * mask[..., None]
+        return MotionBatch(padded, seen, mask, conditions, rows, frames, generator)
 
     def _seen_frames(
         self, lengths: Lengths, generator: torch.Generator

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import roma
 import torch
@@ -11,14 +12,14 @@ from torch.nn.functional import avg_pool1d, binary_cross_entropy_with_logits, l1
 
 from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Float
-from motionkit.features.layout import VectorLayout, vector_layout
-from motionkit.training.config import DiffusionConfig, Schedule
+from motionkit.training.config import Schedule
 from motionkit.training.networks import kl_divergence, reparameterized
-from peers.generating import UNCONDITIONAL, OptimizerConfig, PeerStage, cosine
+from peers.generating import UNCONDITIONAL, OptimizerConfig, PeerConfig, PeerStage, cosine
 from peers.layers import NetworkInputs, PeerNetwork
 from peers.motions import Lengths, MotionBatch, MotionsConfig, PoseSpace, Rows, SampleBatch, frames_within
 
 PATH = "nemf-path"
+ROOT, CONTACTS = 3, 4  # numbers: velocity in x and z, height; feet
 ORIENTATION = 6  # numbers: two columns of a rotation matrix
 
 
@@ -81,12 +82,9 @@ def residuals(widths: tuple[int, ...], kernel: int, activation: Callable[[], nn.
     ]
 
 
-def native_layout(space: PoseSpace) -> VectorLayout:
-    """Layout of a pose vector; raises `UsageError` for a convention other than `native`."""
-    part = vector_layout(space.vectors.skeleton.num_joints)
-    if space.num_features != part.size:
-        raise UsageError("NeMF learns native vectors: motions.pose_vectors=native")
-    return part
+def poses_of(rows: Rows, space: PoseSpace) -> Float[Tensor, "batch frames poses"]:
+    """Joint positions and rotations of rows."""
+    return rows[..., space.layout.joint_positions.start : space.layout.joint_rotations.stop]
 
 
 def with_velocities(poses: Rows, lengths: Lengths, fps: float) -> Float[Tensor, "batch frames twice"]:
@@ -100,11 +98,9 @@ class NemfPath(PeerNetwork):
 
     def __init__(self, config: NemfPathNetworkConfig, inputs: NetworkInputs) -> None:
         super().__init__()
-        self.config, self.space, self.part = config, inputs.space, native_layout(inputs.space)
-        part = self.part
-        self.sizes = [3, part.contacts.stop - part.contacts.start]
-        poses = part.joint_rotations.stop - part.joint_positions.start
-        layers = residuals((2 * poses + 1, *config.widths, sum(self.sizes)), config.kernel, nn.PReLU)
+        self.config, self.space, layout = config, inputs.space, inputs.space.layout
+        poses = layout.joint_rotations.stop - layout.joint_positions.start
+        layers = residuals((2 * poses + 1, *config.widths, ROOT + CONTACTS), config.kernel, nn.PReLU)
         layers[-1].activation = nn.Identity()
         self.layers = nn.Sequential(*layers)
 
@@ -115,28 +111,25 @@ class NemfPath(PeerNetwork):
 
         Only yaw velocity, joints and rotations of a row are used.
         """
-        part = self.part
-        poses = rows[..., part.joint_positions.start : part.joint_rotations.stop]
-        inputs = torch.cat(
-            (with_velocities(poses, lengths, float(self.space.fps)), rows[..., part.root_yaw_velocity]), -1
-        )
+        inputs = with_velocities(poses_of(rows, self.space), lengths, float(self.space.fps))
+        inputs = torch.cat((inputs, rows[..., self.space.layout.root_yaw_velocity]), dim=-1)
         mask = frames_within(lengths, rows.shape[1])[:, None]
         values = inputs.transpose(1, 2) * mask
         for layer in self.layers:
             values = layer(values) * mask
-        root, contacts = torch.split(values.transpose(1, 2), self.sizes, dim=-1)
+        root, contacts = torch.split(values.transpose(1, 2), (ROOT, CONTACTS), dim=-1)
         return root, contacts
 
-    def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
+    def losses(self, batch: MotionBatch) -> dict[str, Tensor]:
         """L1 of velocity, height and the integrated path, and cross-entropy of contacts, over valid frames."""
-        part, mask = self.part, batch.mask
-        numbers = batch.rows * self.space.scale + self.space.mean
+        space, layout, mask = self.space, self.space.layout, batch.mask
+        numbers = space.scaling.invert(batch.rows)
         root, contacts = self(batch.rows, batch.lengths)
-        angle = self.space.heading(numbers)
-        truth = torch.cat((numbers[..., part.root_velocity], numbers[..., part.root_height]), dim=-1)
+        angle = space.heading(numbers)
+        truth = torch.cat((numbers[..., layout.root_velocity], numbers[..., layout.root_height]), dim=-1)
         velocity, height = l1_loss(root[mask][:, :2], truth[mask][:, :2]), l1_loss(root[mask][:, 2], truth[mask][:, 2])
-        path = l1_loss(self.space.path(root[..., :2], angle)[mask], self.space.path(truth[..., :2], angle)[mask])
-        true_contacts = numbers[..., part.contacts][mask].clamp(0, 1)
+        path = l1_loss(space.path(root[..., :2], angle)[mask], space.path(truth[..., :2], angle)[mask])
+        true_contacts = numbers[..., layout.contacts][mask].clamp(0, 1)
         touch = binary_cross_entropy_with_logits(contacts[mask], true_contacts)
         loss = velocity + height + path + self.config.contact_weight * touch
         return {"loss": loss, "velocity": velocity, "height": height, "path": path, "contacts": touch}
@@ -164,12 +157,11 @@ class Nemf(PeerNetwork):
         super().__init__()
         path = inputs.earlier[PATH]
         assert isinstance(path, NemfPath)
-        self._path = (path,)  # in a tuple: frozen, and saved with its own stage
-        self.config, self.space, self.part = config, inputs.space, native_layout(inputs.space)
-        part = self.part
-        self.sizes = [part.joint_positions.stop - part.joint_positions.start]
-        self.sizes.append(part.joint_rotations.stop - part.joint_rotations.start)
-        poses, local, turns = sum(self.sizes), config.local_latent, config.turn_latent
+        self.path = (path,)  # in a tuple: frozen, and saved with its own stage
+        self.config, self.space, layout = config, inputs.space, inputs.space.layout
+        self.num_positions = layout.joint_positions.stop - layout.joint_positions.start
+        poses = layout.joint_rotations.stop - layout.joint_positions.start
+        local, turns = config.local_latent, config.turn_latent
         self.local_encoder = ClipEncoder(2 * poses, config.widths, config.kernel, config.frames, local)
         self.turn_encoder = ClipEncoder(ORIENTATION, config.widths, config.kernel, config.frames, turns)
         size = 2 * config.frequencies + local
@@ -179,7 +171,6 @@ class Nemf(PeerNetwork):
             _field_layer(config.width + size + turns, config.width) for _ in range(config.turn_layers)
         )
         self.pose_out, self.turn_out = nn.Linear(config.width, poses), nn.Linear(config.width, ORIENTATION)
-        self._progress = 1.0
 
     def forward(
         self, count: int, local: Float[Tensor, "batch local"], turns: Float[Tensor, "batch turns"]
@@ -189,14 +180,14 @@ class Nemf(PeerNetwork):
         angles = times[:, None] * 2.0 ** torch.arange(self.config.frequencies, device=local.device)
         waves = torch.stack((angles.sin(), angles.cos()), dim=-1).flatten(1)
         inputs = torch.cat((waves.expand(len(local), -1, -1), local[:, None].expand(-1, count, -1)), dim=-1)
-        hidden = self.local_layers[0](inputs)
-        for layer in list(self.local_layers)[1:]:
+        hidden = inputs[..., :0]
+        for layer in self.local_layers:
             hidden = layer(torch.cat((hidden, inputs), dim=-1))
-        positions, rotations = self.pose_out(hidden).split(self.sizes, dim=-1)
+        pose = self.pose_out(hidden)
         inputs = torch.cat((inputs, turns[:, None].expand(-1, count, -1)), dim=-1)
         for layer in self.turn_layers:
             hidden = layer(torch.cat((hidden, inputs), dim=-1))
-        return positions, rotations, self.turn_out(hidden)
+        return pose[..., : self.num_positions], pose[..., self.num_positions :], self.turn_out(hidden)
 
     def encode(self, rows: Rows, lengths: Lengths) -> tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor]]:
         """μ and log σ² of both latents; frames after a motion's end are zeros."""
@@ -204,67 +195,63 @@ class Nemf(PeerNetwork):
             raise UsageError(f"a motion of {rows.shape[1]} frames is longer than network.frames={self.config.frames}")
         rows = pad(rows, (0, 0, 0, self.config.frames - rows.shape[1]))
         mask = frames_within(lengths, rows.shape[1])[..., None]
-        part = self.part
-        poses = rows[..., part.joint_positions.start : part.joint_rotations.stop]
-        turns = self._orientation(rows).transpose(-1, -2)[..., :2, :].flatten(-2) * mask
-        return self.local_encoder(with_velocities(poses, lengths, float(self.space.fps))), self.turn_encoder(turns)
+        poses = with_velocities(poses_of(rows, self.space), lengths, float(self.space.fps))
+        return self.local_encoder(poses), self.turn_encoder(_columns(self._orientation(rows)) * mask)
 
-    def begin_step(self, step: int, steps: int) -> None:
-        """Cyclic KL annealing: the weight grows in the first half of every cycle."""
-        self._progress = step / steps
+    def losses(self, batch: MotionBatch) -> dict[str, Tensor]:
+        """Geodesic errors of orientations and rotations, weighted L1 of joints in metres, and KL of both latents.
 
-    def losses(self, batch: MotionBatch, generator: torch.Generator) -> dict[str, Tensor]:
-        """Geodesic errors of orientations and rotations, weighted L1 of joints in metres, and KL of both latents."""
-        part, mask = self.part, batch.mask
+        KL is annealed in cycles: its weight grows in the first half of each.
+        """
+        config, layout, mask, scaling = self.config, self.space.layout, batch.mask, self.space.scaling
         latents = self.encode(batch.rows, batch.lengths)
-        made, rotations, turns = self(batch.rows.shape[1], *(reparameterized(*each, generator) for each in latents))
-        scale = self.space.scale[part.joint_positions]
-        joints = l1_loss(made[mask] * scale, batch.rows[..., part.joint_positions][mask] * scale)
-        true = (batch.rows * self.space.scale + self.space.mean)[..., part.joint_rotations]
+        drawn = (reparameterized(*each, batch.generator) for each in latents)
+        made, rotations, turns = self(batch.rows.shape[1], *drawn)
+        scale = scaling.scale[layout.joint_positions]
+        joints = l1_loss(made[mask] * scale, batch.rows[..., layout.joint_positions][mask] * scale)
+        true = scaling.invert(batch.rows)[..., layout.joint_rotations]
         bones = _angles(_matrices(rotations[mask]), _matrices(true[mask])).mean()
         root = _angles(_matrices(turns[mask])[:, 0], self._orientation(batch.rows)[mask]).mean()
         kl = torch.stack([kl_divergence(*each).sum(dim=1).mean() for each in latents]).sum()
-        weight = self.config.kl_weight * min(1.0, 0.01 + 2 * (self._progress * self.config.kl_cycles % 1))
-        loss = root + bones + self.config.joint_weight * joints + weight * kl
+        weight = config.kl_weight * min(1.0, 0.01 + 2 * (batch.progress * config.kl_cycles % 1))
+        loss = root + bones + config.joint_weight * joints + weight * kl
         return {"loss": loss, "root": root, "bones": bones, "joints": joints, "kl": kl}
 
     def rows(self, local: Float[Tensor, "batch local"], turns: Float[Tensor, "batch turns"], lengths: Lengths) -> Rows:
         """Standardised rows from latents, with a predicted path; joint velocities are set to the mean."""
-        part, space = self.part, self.space
+        layout, scaling, fps = self.space.layout, self.space.scaling, float(self.space.fps)
         count = int(lengths.max())
         # One extra frame, for the last frame's yaw velocity.
         positions, rotations, orientation = self(count + 1, local, turns)
-        rows: Tensor = positions.new_zeros((len(positions), count, space.num_features))
+        rows: Tensor = positions.new_zeros((len(positions), count, self.space.num_features))
 
         def put(block: slice, numbers: Tensor) -> None:
-            rows[..., block] = (numbers - space.mean[block]) / space.scale[block]
+            rows[..., block] = (numbers - scaling.mean[block]) / scaling.scale[block]
 
-        rows[..., part.joint_positions] = positions[:, :-1]
-        put(part.joint_rotations, _matrices(rotations[:, :-1]).transpose(-1, -2)[..., :2, :].flatten(-3))
+        rows[..., layout.joint_positions] = positions[:, :-1]
+        put(layout.joint_rotations, _columns(_matrices(rotations[:, :-1])).flatten(-2))
         matrix = _matrices(orientation)[:, :, 0]
         # Yaw between neighbouring frames; a frame's yaw velocity is the mean of the two beside it.
         turned = matrix[:, 1:] @ matrix[:, :-1].transpose(-1, -2)
         steps = torch.atan2(turned[..., 0, 2] - turned[..., 2, 0], turned[..., 0, 0] + turned[..., 2, 2])
         before = torch.cat((steps[:, :1], steps[:, :-1]), dim=1)
-        put(part.root_yaw_velocity, (before + steps)[..., None] * (0.5 * float(space.fps)))
-        root, contacts = self._path[0](rows, lengths)
-        put(part.root_velocity, root[..., :2])
-        put(part.root_height, root[..., 2:])
-        put(part.contacts, contacts.sigmoid())
+        put(layout.root_yaw_velocity, (before + steps)[..., None] * (0.5 * fps))
+        root, contacts = self.path[0](rows, lengths)
+        put(layout.root_velocity, root[..., :2])
+        put(layout.root_height, root[..., 2:])
+        put(layout.contacts, contacts.sigmoid())
         return rows
 
-    def sample(self, batch: SampleBatch, diffusion: DiffusionConfig) -> Rows:
+    def sample(self, batch: SampleBatch) -> Rows:
         """Standardised rows from latents ~ N(0, I); conditions are ignored."""
-        sizes = [self.config.local_latent, self.config.turn_latent]
-        latents = batch.noise(sum(sizes)).to(batch.device, torch.float32)
-        local, turns = torch.split(latents, sizes, dim=1)
+        sizes = (self.config.local_latent, self.config.turn_latent)
+        local, turns = torch.split(batch.noise(sum(sizes)).float(), sizes, dim=1)
         return self.rows(local, turns, batch.lengths.to(batch.device))
 
     def _orientation(self, rows: Rows) -> Float[Tensor, "batch frames 3 3"]:
         """The root's orientation: yaw since the first frame, about Y."""
-        angle = self.space.heading(rows * self.space.scale + self.space.mean)[..., 0]
-        axis = torch.stack((torch.zeros_like(angle), angle, torch.zeros_like(angle)), dim=-1)
-        made: Tensor = roma.rotvec_to_rotmat(axis)
+        angle = self.space.heading(self.space.scaling.invert(rows))
+        made: Tensor = roma.rotvec_to_rotmat(pad(angle, (1, 1)))
         return made
 
 
@@ -278,6 +265,11 @@ def _matrices(columns: Float[Tensor, "*poses numbers"]) -> Float[Tensor, "*poses
     return made
 
 
+def _columns(matrices: Float[Tensor, "*some 3 3"]) -> Float[Tensor, "*some 6"]:
+    """The 6D representation of rotation matrices."""
+    return matrices[..., :2].transpose(-1, -2).flatten(-2)
+
+
 def _angles(found: Float[Tensor, "*some 3 3"], true: Float[Tensor, "*some 3 3"]) -> Float[Tensor, "*some"]:
     """Radians between rotations."""
     cosine = ((found * true).sum(dim=(-1, -2)) - 1) / 2
@@ -286,50 +278,34 @@ def _angles(found: Float[Tensor, "*some 3 3"], true: Float[Tensor, "*some 3 3"])
 
 CLIPS = MotionsConfig(fps=30.0, max_frames=128, min_seconds=128 / 30)
 LONG = MotionsConfig(fps=30.0, max_frames=294)
+PUBLISHED: dict[str, Any] = {
+    "motions": CLIPS,
+    "conditions": UNCONDITIONAL,
+    "schedule": Schedule(epochs=1000, batch_size=16),
+    "optimizer": OptimizerConfig(weight_decay=1e-4),
+}
 NEMF_PATH = PeerStage(
     PATH,
     "NeMF, stage 1: the root's path from the body's motion",
     NemfPath,
-    {
-        "nano": {
-            "network": NemfPathNetworkConfig(widths=(64, 64, 64)),
-            "motions": LONG,
-            "conditions": UNCONDITIONAL,
-            "schedule": cosine(2200, 16, 1e-3),
-            "precision": "auto",
-        },
-        "paper": {
-            "network": NemfPathNetworkConfig(),
-            "motions": CLIPS,
-            "conditions": UNCONDITIONAL,
-            "schedule": Schedule(epochs=1000, batch_size=16),
-            "optimizer": OptimizerConfig(weight_decay=1e-4),
-        },
-    },
+    nano=PeerConfig(
+        NemfPathNetworkConfig(widths=(64, 64, 64)), LONG, UNCONDITIONAL, cosine(2200, 16, 1e-3), precision="auto"
+    ),
+    paper=PeerConfig(NemfPathNetworkConfig(), **PUBLISHED),
     share=0.2,
 )
 NEMF = PeerStage(
     "nemf",
     "NeMF, stage 2: a neural field over time, and a VAE of its latents",
     Nemf,
-    {
-        "nano": {
-            "network": NemfNetworkConfig(
-                304, (64, 96, 128, 128), local_latent=128, turn_latent=32, width=192, kl_cycles=4
-            ),
-            "motions": LONG,
-            "conditions": UNCONDITIONAL,
-            "schedule": cosine(2400, 32, 1e-3),
-            "precision": "auto",
-        },
-        "paper": {
-            "network": NemfNetworkConfig(),
-            "motions": CLIPS,
-            "conditions": UNCONDITIONAL,
-            "schedule": Schedule(epochs=1000, batch_size=16),
-            "optimizer": OptimizerConfig(weight_decay=1e-4),
-        },
-    },
+    nano=PeerConfig(
+        NemfNetworkConfig(304, (64, 96, 128, 128), local_latent=128, turn_latent=32, width=192, kl_cycles=4),
+        LONG,
+        UNCONDITIONAL,
+        cosine(2400, 32, 1e-3),
+        precision="auto",
+    ),
+    paper=PeerConfig(NemfNetworkConfig(), **PUBLISHED),
     builds_on=(NEMF_PATH,),
     share=0.8,
     conditional=False,

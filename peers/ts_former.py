@@ -10,20 +10,12 @@ from motionkit.core.shapes import Bool, Float, Int
 from motionkit.training.config import Schedule
 from pahires.temporal.network import ObservedWindow
 from pahires.temporal.settings import TemporalSettings
-from peers.completing import (
-    BASE_GAPS,
-    IN_BETWEENING,
-    NANO_GAPS,
-    PeerConfig,
-    completing_system,
-    gathered,
-    longest_gap,
-    neighbours,
-)
+from peers.completing import BASE_GAPS, IN_BETWEENING, NANO_GAPS, completing_system, gathered, longest_gap, neighbours
 
 # A row begins with the root's position (motionkit.features.rotations).
 ROOT_NUMBERS = 3
 _ROUNDING_FRAMES = 1e-3
+Rows = Float[Tensor, "batch _ width"]
 
 
 @dataclass(frozen=True)
@@ -52,48 +44,29 @@ class TsFormer(nn.Module):
     def __init__(self, config: TsFormerNetworkConfig, numbers: int) -> None:
         super().__init__()
         self.frames_per_second = config.frames_per_second
-        sizes = {
-            "width": config.width,
-            "layers": config.layers,
-            "heads": config.heads,
-            "head_width": config.head_width,
-            "inner": config.inner,
-        }
         self.keyframe_position = nn.Sequential(
             nn.Linear(2, config.width), nn.PReLU(), nn.Linear(config.width, config.width)
         )
-        self.context = RelativeEncoder(numbers + 1, numbers, **sizes)
-        self.detail = RelativeEncoder(numbers + 1, numbers, **sizes)
+        self.context = RelativeEncoder(numbers + 1, numbers, config)
+        self.detail = RelativeEncoder(numbers + 1, numbers, config)
 
     def forward(self, window: ObservedWindow) -> Float[Tensor, "batch queries numbers"]:
         """Normalised pose vectors at the queries."""
         given = window.frames.shape[1]
         grid, on_grid = missing_instants(window, self.frames_per_second)
         instants = torch.cat((grid, window.queries_seconds), dim=1)
-        positions = self._positions(window, torch.cat((window.times_seconds, instants), dim=1))
+        times, gap = torch.cat((window.times_seconds, instants), dim=1), longest_gap(window)
+        positions = (times - window.times_seconds[:, :1]) * self.frames_per_second
+        ends = torch.stack((times - gap.before_seconds[:, None], gap.after_seconds[:, None] - times), dim=-1)
         seen = torch.ones_like(window.times_seconds, dtype=torch.bool)
 
         entered = _marked(torch.cat((window.frames, _placeholders(window, instants)), dim=1), given)
-        draft = self.context(entered, positions, seen, added=self._keyframe_positions(window, instants))[:, given:]
-        refined = self.detail(
-            _marked(torch.cat((window.frames, draft), dim=1), given), positions, torch.cat((seen, on_grid), dim=1)
-        )
-        queries = slice(grid.shape[1], None)
-        outputs: Tensor = draft[:, queries] + refined[:, given:][:, queries]
+        keyframe_positions = self.keyframe_position(ends * self.frames_per_second)
+        draft = self.context(entered, positions, seen, added=keyframe_positions)[:, given:]
+        entered = _marked(torch.cat((window.frames, draft), dim=1), given)
+        refined = self.detail(entered, positions, torch.cat((seen, on_grid), dim=1))[:, given:]
+        outputs: Tensor = (draft + refined)[:, grid.shape[1] :]
         return outputs
-
-    def _positions(
-        self, window: ObservedWindow, times_seconds: Float[Tensor, "batch rows"]
-    ) -> Float[Tensor, "batch rows"]:
-        return (times_seconds - window.times_seconds[:, :1]) * self.frames_per_second
-
-    def _keyframe_positions(
-        self, window: ObservedWindow, times_seconds: Float[Tensor, "batch instants"]
-    ) -> Float[Tensor, "batch rows width"]:
-        gap, times = longest_gap(window), torch.cat((window.times_seconds, times_seconds), dim=1)
-        ends = torch.stack((times - gap.before_seconds[:, None], gap.after_seconds[:, None] - times), dim=-1)
-        embedded: Tensor = self.keyframe_position(ends * self.frames_per_second)
-        return embedded
 
 
 def missing_instants(
@@ -120,7 +93,7 @@ def _placeholders(
 ) -> Float[Tensor, "batch instants numbers"]:
     """Zeros, with the root on straight lines between observed frames."""
     near = neighbours(window.asked(times_seconds))
-    lines = torch.sum(near.weights[..., None] * gathered(window.frames, near.rows), dim=0)
+    lines = near.mixed(gathered(window.frames, near.rows))
     root = torch.arange(lines.shape[-1], device=lines.device) < ROOT_NUMBERS
     return lines * root
 
@@ -164,19 +137,14 @@ class RelativeAttention(nn.Module):
     As in the authors' code projections have no bias, and scores are divided by the root of the model's width.
     """
 
-    def __init__(self, width: int, heads: int, head_width: int) -> None:
+    def __init__(self, config: TsFormerNetworkConfig) -> None:
         super().__init__()
-        self.heads, self.scale = heads, 1 / math.sqrt(width)
-        self.query, self.key, self.value = (nn.Linear(width, heads * head_width, bias=False) for _ in range(3))
-        self.out = nn.Linear(heads * head_width, width, bias=False)
+        width, inner = config.width, config.heads * config.head_width
+        self.heads, self.scale = config.heads, 1 / math.sqrt(width)
+        self.query, self.key, self.value = (nn.Linear(width, inner, bias=False) for _ in range(3))
+        self.out = nn.Linear(inner, width, bias=False)
 
-    def forward(
-        self,
-        rows: Float[Tensor, "batch rows width"],
-        keys: Float[Tensor, "batch keys width"],
-        distances: Distances,
-        visible: Bool[Tensor, "batch keys"],
-    ) -> Float[Tensor, "batch rows width"]:
+    def forward(self, rows: Rows, keys: Rows, distances: Distances, visible: Bool[Tensor, "batch keys"]) -> Rows:
         """Attention of each row over the visible keys."""
         query, key, value = (
             layer(what).unflatten(-1, (self.heads, -1)).transpose(1, 2)
@@ -191,22 +159,17 @@ class RelativeAttention(nn.Module):
 class EncoderLayer(nn.Module):
     """Relative attention and a feed-forward part, each after a layer norm and with its input added."""
 
-    def __init__(self, width: int, heads: int, head_width: int, inner: int) -> None:
+    def __init__(self, config: TsFormerNetworkConfig) -> None:
         super().__init__()
-        self.attention = RelativeAttention(width, heads, head_width)
+        width = config.width
+        self.attention = RelativeAttention(config)
         self.before_attention, self.before_inner = nn.LayerNorm(width), nn.LayerNorm(width)
-        self.inner = nn.Sequential(nn.Linear(width, inner), nn.ReLU(), nn.Linear(inner, width))
+        self.inner = nn.Sequential(nn.Linear(width, config.inner), nn.ReLU(), nn.Linear(config.inner, width))
 
-    def forward(
-        self,
-        rows: Float[Tensor, "batch rows width"],
-        num_keys: int,
-        distances: Distances,
-        visible: Bool[Tensor, "batch keys"],
-    ) -> Float[Tensor, "batch rows width"]:
-        """All rows after attention to the first `num_keys` of them."""
+    def forward(self, rows: Rows, distances: Distances, visible: Bool[Tensor, "batch keys"]) -> Rows:
+        """All rows after attention to the first, as many as `visible` is long."""
         normed = self.before_attention(rows)
-        rows = rows + self.attention(normed, normed[:, :num_keys], distances, visible)
+        rows = rows + self.attention(normed, normed[:, : visible.shape[1]], distances, visible)
         changed: Tensor = self.inner(self.before_inner(rows))
         return rows + changed
 
@@ -214,13 +177,12 @@ class EncoderLayer(nn.Module):
 class RelativeEncoder(nn.Module):
     """Input MLP, encoder layers that share one embedding of distances, output MLP (Qin et al. 2022, Fig. 2)."""
 
-    def __init__(
-        self, inputs: int, outputs: int, *, width: int, layers: int, heads: int, head_width: int, inner: int
-    ) -> None:
+    def __init__(self, inputs: int, outputs: int, config: TsFormerNetworkConfig) -> None:
         super().__init__()
+        width, size = config.width, config.head_width
         self.enter = nn.Sequential(nn.Linear(inputs, width), nn.PReLU(), nn.Linear(width, width), nn.PReLU())
-        self.distance = nn.Sequential(nn.Linear(1, head_width), nn.PReLU(), nn.Linear(head_width, head_width))
-        self.layers = nn.ModuleList(EncoderLayer(width, heads, head_width, inner) for _ in range(layers))
+        self.distance = nn.Sequential(nn.Linear(1, size), nn.PReLU(), nn.Linear(size, size))
+        self.layers = nn.ModuleList(EncoderLayer(config) for _ in range(config.layers))
         self.norm = nn.LayerNorm(width)
         self.leave = nn.Sequential(nn.Linear(width, width), nn.PReLU(), nn.Linear(width, outputs))
 
@@ -229,18 +191,16 @@ class RelativeEncoder(nn.Module):
         inputs: Float[Tensor, "batch rows inputs"],
         positions: Float[Tensor, "batch rows"],
         visible: Bool[Tensor, "batch keys"],
-        added: Float[Tensor, "batch rows width"] | None = None,
+        added: Rows | float = 0.0,
     ) -> Float[Tensor, "batch rows outputs"]:
         """An output per row; the first rows, as many as `visible` is long, are the keys that all attend to.
 
         A row's output depends on itself and the keys, not on other rows. `added` is added after the input MLP.
         """
-        num_keys = visible.shape[1]
-        rows = self.enter(inputs)
-        rows = rows if added is None else rows + added
-        distances = self._distances(positions[:, None, :num_keys] - positions[:, :, None])
+        rows = self.enter(inputs) + added
+        distances = self._distances(positions[:, None, : visible.shape[1]] - positions[:, :, None])
         for layer in self.layers:
-            rows = layer(rows, num_keys, distances, visible)
+            rows = layer(rows, distances, visible)
         outputs: Tensor = self.leave(self.norm(rows))
         return outputs
 
@@ -260,11 +220,10 @@ PAPER = TemporalSettings(
     tasks=replace(IN_BETWEENING, longest_gap=30),
     schedule=Schedule(epochs=2000, batch_size=32, learning_rate=3.1e-5, kind="cosine", warmup_fraction=0.02),
 )
-SYSTEM = completing_system(
+TS_FORMER = completing_system(
     "ts-former",
     "TS-Former: in-betweening by a draft and its refinement",
     TsFormer,
-    PeerConfig,
     {
         "nano": (TsFormerNetworkConfig(width=64, layers=2, heads=2, head_width=32, inner=64), NANO_GAPS),
         "base": (TsFormerNetworkConfig(width=256, head_width=32, inner=256), BASE_GAPS),

@@ -53,11 +53,10 @@ UNCONDITIONAL = ("mld-vae", "t2m-autoencoder", "nemf-path", "nemf")
 def tiny_config(name: str, **changed: Any) -> Any:
     """A stage's configuration, small; parts may be given."""
     stage = STAGES[name]
-    paper = stage.recipes["paper"]
-    published = paper.get("motions", MOTIONS)
+    published = stage.paper.motions
     seen = {"camdm": 16, "jl2p": 15, "hier": 15}.get(name, published.seen_frames)
     parts = {
-        "network": NETWORKS.get(name) or replace(paper["network"], transformer=SIZES),
+        "network": NETWORKS.get(name) or replace(stage.paper.network, transformer=SIZES),
         "motions": replace(
             MOTIONS,
             pose_vectors=published.pose_vectors,

@@ -6,14 +6,19 @@ from typing import Any
 from motionkit.training.config import apply_overrides
 from pahires.recipes import NetworkSettings, PaHiResConfig, nano
 from pahires.temporal.settings import TaskSettings, TemporalSettings
-from peers import a_liif, delta_interp, liif, lmf, meta_sr, ts_former
-from peers.a_liif import ALiifNetworkConfig
-from peers.completing import EdsrConfig
-from peers.delta_interp import DeltaInterpNetworkConfig
-from peers.liif import LiifNetworkConfig
-from peers.lmf import LmfNetworkConfig
-from peers.meta_sr import MetaSrNetworkConfig
-from peers.ts_former import TsFormerNetworkConfig
+from peers.delta_interp import DELTA_INTERP, DeltaInterpNetworkConfig
+from peers.super_resolution import (
+    A_LIIF,
+    LIIF,
+    LMF,
+    META_SR,
+    ALiifNetworkConfig,
+    EdsrConfig,
+    LiifNetworkConfig,
+    LmfNetworkConfig,
+    MetaSrNetworkConfig,
+)
+from peers.ts_former import TS_FORMER, TsFormerNetworkConfig
 from tests.helpers.small_network import TASKS
 
 PAHIRES_NETWORK = NetworkSettings(
@@ -34,7 +39,7 @@ ON_GRIDS = apply_overrides(
 WITH_GAPS = replace(
     ON_GRIDS, tasks=TaskSettings(0.0, 1.0, past_frames=4, future_frames=2, longest_gap=9, num_queries=8)
 )
-SYSTEMS = {each.SYSTEM.name: each.SYSTEM for each in (liif, meta_sr, a_liif, lmf, delta_interp, ts_former)}
+SYSTEMS = {each.name: each for each in (LIIF, META_SR, A_LIIF, LMF, DELTA_INTERP, TS_FORMER)}
 SIZES: dict[str, Any] = {
     "liif": LiifNetworkConfig(EDSR, 32, 2),
     "meta-sr": MetaSrNetworkConfig(EDSR, 16),

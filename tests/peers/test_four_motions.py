@@ -86,12 +86,12 @@ def learnt(stage: PeerStage, *, steps: int | None = None) -> tuple[PeerNetwork, 
     count = STEPS.get(stage.name, 300) if steps is None else steps
     which = EACH.repeat(COPIES.get(stage.name, 1))
     frames = torch.arange(FRAMES).expand(len(which), -1)
-    batch = MotionBatch(rows[which], torch.full((len(which),), FRAMES), CONDITIONS.rows(which), which, frames)
+    lengths, mask = torch.full((len(which),), FRAMES), torch.ones(len(which), FRAMES, dtype=torch.bool)
     for step in range(count):
         generator = step_generator(0, stage.name, step)
-        network.begin_step(step, count)
+        batch = MotionBatch(rows[which], lengths, mask, CONDITIONS.rows(which), which, frames, generator, step, count)
         with dropout_from(generator, torch.device("cpu")):
-            loss = network.train().losses(batch, generator)["loss"]
+            loss = network.train().losses(batch)["loss"]
         optimizer.zero_grad()
         loss.backward()
         set_rate(optimizer, 4e-3 * min(1.0, (step + 1) / 20) * 0.5 * (1 + cos(pi * step / count)))
@@ -104,13 +104,8 @@ def made(network: PeerNetwork, frames: int) -> Tensor:
     """One motion of each action."""
     nothing = CONDITIONS.unconditional()
     generators = [torch.Generator().manual_seed(row) for row in range(4)]
-    batch = SampleBatch(torch.full((4,), frames), CONDITIONS, nothing, generators, torch.device("cpu"))
-    diffusion = network.diffusion or DiffusionConfig()
-    if network.diffusion is not None:
-        diffusion = replace(diffusion, guidance_scale=1.0)
-        if diffusion.num_steps == 1000 and diffusion.sampler == "ddpm":
-            diffusion = replace(diffusion, sampler="ddim", sampling_steps=50)
-    return network.sample(batch, diffusion).float()
+    diffusion = replace(network.diffusion or DiffusionConfig(), guidance_scale=1.0)
+    return network.sample(SampleBatch(torch.full((4,), frames), CONDITIONS, nothing, generators, diffusion)).float()
 
 
 def again(network: Nemf, truth: Tensor) -> Tensor:
@@ -120,7 +115,8 @@ def again(network: Nemf, truth: Tensor) -> Tensor:
         (local, _), (turns, _) = network.encode(truth, lengths)
         made = network.rows(local, turns, lengths)
     # Velocities of joints are not made.
-    made[..., network.part.joint_velocities] = truth[..., network.part.joint_velocities]
+    velocities = network.space.layout.joint_velocities
+    made[..., velocities] = truth[..., velocities]
     return made
 
 

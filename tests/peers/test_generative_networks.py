@@ -1,4 +1,7 @@
-"""Each generative network against an independent statement of it: numbers of parameters, and passes by hand."""
+"""Each generative network against an independent statement of it: numbers of parameters, and passes motion by motion.
+
+A pass is stated for one motion without padding, of the network's own torch layers.
+"""
 
 from collections.abc import Mapping
 from fractions import Fraction
@@ -6,11 +9,12 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import SMPL22
 from motionkit.features import field, native
+from motionkit.features.convention import PoseVectors
 from motionkit.features.field import FIELD_VECTORS
 from motionkit.features.native import NativeVectors
 from motionkit.training.config import DiffusionConfig, Prediction
@@ -18,272 +22,167 @@ from motionkit.training.networks import Conditions, ConditionSizes
 from motionkit.training.pose_vectors import VectorScaling
 from peers.actor import Actor, ActorNetworkConfig
 from peers.camdm import Camdm, CamdmNetworkConfig
-from peers.flow import AbsoluteCoordinates, Flow, FlowNetworkConfig
+from peers.flow import AbsoluteCoordinates, Flow, FlowLayer, FlowNetworkConfig
 from peers.hier import Hier, HierNetworkConfig, body_parts
 from peers.inr_mlp import InrMlp, InrMlpNetworkConfig, fit_mixture, length_intervals
 from peers.jl2p import Jl2p, Jl2pNetworkConfig
-from peers.layers import NetworkInputs, TransformerSizes, diffusion_loss, diffusion_sample
+from peers.layers import LongSkips, NetworkInputs, TransformerSizes, diffusion_loss, diffusion_sample
 from peers.mdm import MDM, MDM_50, Mdm, MdmNetworkConfig
 from peers.mld import MLD, MLD_VAE, Mld, MldNetworkConfig, MldVae, MldVaeNetworkConfig
-from peers.motions import MotionBatch, PoseSpace, SampleBatch
-from peers.nemf import Nemf, NemfNetworkConfig, NemfPath, NemfPathNetworkConfig, with_velocities
+from peers.motions import MotionBatch, PoseSpace, SampleBatch, frames_within
+from peers.nemf import Nemf, NemfNetworkConfig, NemfPath, NemfPathNetworkConfig, Residual, with_velocities
 from tests.helpers.nerm_corpus import analytic_positions
-from tests.peers.plain_transformer import Weights, layer, linear, long_skips, norm, part
 
 FPS = Fraction(20)
 SIZES = TransformerSizes(3, 16, 2, 24, 0.1)
-TEXTS = ConditionSizes(6, ())
+TEXTS, NONE = ConditionSizes(6, ()), ConditionSizes(0, ())
 
 
-def space(numbers: int = 263) -> PoseSpace:
-    return PoseSpace(NativeVectors(), VectorScaling(torch.zeros(numbers), torch.ones(numbers)), FPS)
+def space(numbers: int = 263, vectors: PoseVectors = NativeVectors()) -> PoseSpace:
+    return PoseSpace(vectors, VectorScaling(torch.zeros(numbers), torch.ones(numbers)), FPS)
+
+
+FIELD = space(66, FIELD_VECTORS)
 
 
 def inputs(
-    of: PoseSpace,
-    sizes: ConditionSizes,
-    earlier: Mapping[str, torch.nn.Module] = {},
-    num_windows: int = 7,
+    sizes: ConditionSizes = TEXTS, earlier: Mapping[str, nn.Module] = {}, of: PoseSpace | None = None
 ) -> NetworkInputs:
-    return NetworkInputs(of, sizes, num_windows, earlier)
+    return NetworkInputs(of or space(), sizes, 3, earlier)
 
 
-def count(network: torch.nn.Module) -> int:
-    return sum(parameter.numel() for parameter in network.parameters())
-
-
-def conditions(rows: int, dimension: int = 6) -> Conditions:
+def conditions(rows: int = 2, dimension: int = 6) -> Conditions:
     text = torch.randn((rows, dimension), generator=torch.Generator().manual_seed(3))
     return Conditions(text, torch.full((rows,), -1), torch.ones(rows, dtype=torch.bool), torch.ones(rows))
 
 
-# A layer of width d and inner width f: four d×d maps with biases, two norms, and d×f, f×d with biases.
-def encoder_layer_size(d: int, f: int) -> int:
-    return 4 * (d * d + d) + 2 * 2 * d + (d * f + f) + (f * d + d)
+def batch_of(lengths: list[int], numbers: int = 263) -> MotionBatch:
+    """Random motions of these lengths, zero-padded."""
+    torch.manual_seed(5)
+    most, count = max(lengths), len(lengths)
+    mask = frames_within(torch.tensor(lengths), most)
+    rows, frames = torch.randn(count, most, numbers) * mask[..., None], torch.arange(most).expand(count, -1)
+    generator = torch.Generator().manual_seed(0)
+    return MotionBatch(rows, torch.tensor(lengths), mask, conditions(count), torch.arange(count), frames, generator)
 
 
-def decoder_layer_size(d: int, f: int) -> int:
-    return encoder_layer_size(d, f) + 4 * (d * d + d) + 2 * d
+def close(found: Tensor, expected: Tensor) -> None:
+    torch.testing.assert_close(found, expected, rtol=1e-3, atol=1e-4)
 
 
-def test_published_sizes_have_the_published_numbers_of_parameters() -> None:
-    """MDM's 17.9 million (its Table 1 of sizes, without CLIP); those of MLD follow from its layers by hand."""
-    torch.manual_seed(0)
-    for stage in (MDM, MDM_50):
-        mdm = Mdm(stage.recipes["paper"]["network"], inputs(space(), ConditionSizes(512, ())))
-        by_hand = 2 * (512 * 263) + 512 + 263 + 3 * (512 * 512 + 512) + 8 * encoder_layer_size(512, 1024)
-        assert count(mdm) == by_hand == 17_880_327
-    vae = MldVae(MLD_VAE.recipes["paper"]["network"], inputs(space(), ConditionSizes(0, ())))
-    skips = 4 * (512 * 256 + 256) + 2 * 256
-    both = 9 * encoder_layer_size(256, 1024) + 9 * decoder_layer_size(256, 1024) + 2 * skips
-    assert count(vae) == 2 * 263 * 256 + 256 + 263 + 2 * 256 + 2 * 500 * 256 + both
-    mld = Mld(MLD.recipes["paper"]["network"], inputs(space(), ConditionSizes(768, ()), {"mld-vae": vae}))
-    maps = 2 * (768 * 256 + 256) + (256 * 256 + 256) + 3 * 256
-    assert count(mld) == maps + 9 * encoder_layer_size(256, 1024) + skips
-
-
-def test_a_pass_of_mdm_is_the_one_by_hand() -> None:
-    torch.manual_seed(1)
-    network = Mdm(MdmNetworkConfig(SIZES), inputs(space(), TEXTS)).eval()
-    lengths, steps, given = torch.tensor([5, 3]), torch.tensor([7, 900]), conditions(2)
-    noisy = torch.randn(2, 5, 263)
-    found = network(noisy, steps, given, lengths)
-    weights = network.state_dict()
-    for row in range(2):
-        own = int(lengths[row])
-
-        def position(place: int) -> torch.Tensor:
-            angles = [place / 10_000 ** (2 * i / 16) for i in range(8)]
-            return torch.tensor([f(angle) for angle in angles for f in (np.sin, np.cos)], dtype=torch.float32)
-
-        time = linear(weights, "step_in.0", position(int(steps[row])))
-        first = linear(weights, "step_in.2", time * torch.sigmoid(time)) + linear(weights, "text_in", given.text[row])
-        tokens = torch.cat((first[None], linear(weights, "frame_in", noisy[row, :own])))
-        tokens = tokens + torch.stack([position(place) for place in range(own + 1)])
-        for number in range(3):
-            tokens = layer(part(weights, f"layers.layers.{number}."), tokens, heads=2)
-        expected = linear(weights, "frame_out", tokens[1:])
-        torch.testing.assert_close(found[row, :own], expected, rtol=1e-4, atol=1e-5)
-
-
-def test_a_pass_of_mlds_vae_is_the_one_by_hand() -> None:
-    torch.manual_seed(2)
-    vae = MldVae(MldVaeNetworkConfig(SIZES, longest=20), inputs(space(), ConditionSizes(0, ()))).eval()
-    lengths, rows = torch.tensor([6, 4]), torch.randn(2, 6, 263)
-    batch = MotionBatch(rows, lengths, conditions(2, 0), torch.arange(2), torch.arange(6).expand(2, -1))
-    mean, log_variance = vae.encode(rows, lengths)
-    made = vae.decode(mean, batch.mask)
-    weights = vae.state_dict()
-    for row in range(2):
-        own = int(lengths[row])
-        tokens = torch.cat((weights["distribution"], linear(weights, "frame_in", rows[row, :own])))
-        tokens = long_skips(part(weights, "encoder."), tokens + weights["encoder_positions"][: own + 2], 2, 3)
-        torch.testing.assert_close(torch.stack((mean[row], log_variance[row])), tokens[:2], rtol=1e-4, atol=1e-5)
-        queries = weights["decoder_positions"][:own]
-        out = long_skips(part(weights, "decoder."), queries, 2, 3, memory=tokens[:1])
-        torch.testing.assert_close(made[row, :own], linear(weights, "frame_out", out), rtol=1e-4, atol=1e-5)
-    assert not made[1, 4:].any()
-
-
-def test_a_pass_of_mlds_denoiser_is_the_one_by_hand() -> None:
-    torch.manual_seed(3)
-    vae = MldVae(MldVaeNetworkConfig(SIZES, longest=20), inputs(space(), ConditionSizes(0, ())))
-    network = Mld(MldNetworkConfig(SIZES, time_features=12), inputs(space(), TEXTS, {"mld-vae": vae})).eval()
-    noisy, steps, given = torch.randn(2, 1, 16), torch.tensor([3, 500]), conditions(2)
-    found = network(noisy, steps, given)
-    weights = network.state_dict()
-    assert not [name for name in weights if "vae" in name]
-    for row in range(2):
-        angles = torch.tensor([int(steps[row]) / 10_000 ** (i / 6) for i in range(6)])
-        time = linear(weights, "step_in.0", torch.cat((angles.cos(), angles.sin())))
-        time = linear(weights, "step_in.2", time * torch.sigmoid(time))
-        text = linear(weights, "text_in.1", given.text[row].clamp(min=0))
-        tokens = torch.stack((noisy[row, 0], time, text)) + weights["positions"]
-        expected = long_skips(part(weights, "layers."), tokens, 2, 3)
-        torch.testing.assert_close(found[row, 0], expected[0], rtol=1e-3, atol=1e-4)
-
-
-def test_joints_are_those_of_the_vectors() -> None:
-    positions = analytic_positions(np.arange(50) / 20, 2)
-    vectors = native.vectors(positions, "smpl22", FPS)
-    mean, scale = torch.linspace(-1, 1, 263), torch.linspace(0.5, 2, 263)
-    of = PoseSpace(NativeVectors(), VectorScaling(mean, scale), FPS)
-    found = of.joints(((torch.from_numpy(vectors) - mean) / scale)[None])
-    np.testing.assert_allclose(found[0].numpy(), native.positions(vectors, "smpl22", FPS), atol=1e-5)
-
-
-@pytest.mark.parametrize("prediction", ["noise", "latent", "velocity"])
-@pytest.mark.parametrize("sampler", ["ddpm", "ddim"])
-def test_nothing_is_copied_from_the_device_in_a_step(sampler: str, prediction: Prediction) -> None:
-    """A tensor on torch's device "meta" has no values, so copying it to the CPU is an error."""
-    device = torch.device("meta")
-    config = DiffusionConfig(
-        num_steps=8, schedule="cosine", prediction=prediction, sampler=sampler, sampling_steps=8, guidance_scale=2.5
-    )
-
-    def output(noisy: torch.Tensor, steps: torch.Tensor, told: Conditions) -> torch.Tensor:
-        assert {noisy.device, steps.device, told.given.device} == {device}
-        return noisy
-
-    clean, mask = torch.zeros(2, 3, 4, device=device), torch.ones(2, 3, dtype=torch.bool, device=device)
-    loss = diffusion_loss(output, clean, mask, conditions(2).to(device), config, torch.Generator())
-    assert loss.device == device
-    batch = SampleBatch(
-        lengths=torch.tensor([3, 2]),
-        conditions=conditions(2),
-        unconditional=conditions(2),
-        generators=[torch.Generator() for _ in range(2)],
-        device=device,
-    )
-    found = diffusion_sample(output, batch, lambda: batch.noise_within(batch.lengths, 4), config)
-    assert (found.device, found.dtype, found.shape) == (device, torch.float64, (2, 3, 4))
-
-
-def positions(count: int, width: int) -> Tensor:
+def positions(count: int, width: int = 16) -> Tensor:
     angles = [[place / 10_000 ** (2 * i / width) for i in range(width // 2)] for place in range(count)]
     return torch.tensor([[f(angle) for angle in row for f in (np.sin, np.cos)] for row in angles], dtype=torch.float32)
 
 
-def field_space() -> PoseSpace:
-    made = space(66)
-    made.vectors = FIELD_VECTORS
-    return made
+def long_skips(skips: LongSkips, tokens: Tensor, *memory: Tensor) -> Tensor:
+    """Layers 0 … n − 1, of which i feeds n − 1 − i."""
+    kept: list[Tensor] = []
+    for number, layer in enumerate(skips.layers):
+        if number > len(skips.joins):
+            join = skips.joins[number - len(skips.joins) - 1]
+            tokens = join(torch.cat((tokens, kept[len(skips.layers) - 1 - number]), dim=-1))
+        tokens = layer(tokens[None], *memory)[0]
+        kept.append(tokens)
+    return skips.norm(tokens)
 
 
-def test_a_pass_of_inr_mlp_is_the_one_by_hand() -> None:
-    torch.manual_seed(1)
-    network = InrMlp(InrMlpNetworkConfig(4, 8, (10, 6)), inputs(field_space(), TEXTS, num_windows=3))
-    code, told, frames = torch.randn(2, 4), torch.randn(2, 4), torch.tensor([[0, 7, 3], [5, 5, 1]])
-    found, weights = network(frames, code, told), network.state_dict()
-    for row in range(2):
-        for column in range(3):
-            hidden = torch.cat((code[row], told[row], positions(8, 8)[frames[row, column]]))
-            for number in (0, 2):
-                hidden = linear(weights, f"layers.{number}", hidden)
-                hidden = torch.where(hidden > 0, hidden, hidden.exp() - 1)
-            expected = linear(weights, "layers.4", hidden)
-            torch.testing.assert_close(found[row, column], expected, rtol=1e-4, atol=1e-5)
+def count(network: nn.Module) -> int:
+    return sum(parameter.numel() for parameter in network.parameters())
 
 
-def test_mixtures_are_of_motions_of_one_action_and_length() -> None:
-    lengths = np.repeat([30, 60, 62, 90], 40)
-    found = [np.unique(lengths[rows]).tolist() for rows in length_intervals(lengths)]
-    # 50 codes and ten frames at least, 50 more behind, and the same length on one side.
-    assert found == [[30, 60], [62, 90]]
-    assert sum(len(rows) for rows in length_intervals(lengths)) == 160
-    rng = np.random.default_rng(0)
-    centres = np.array([np.full(16, 2.0), np.full(16, -2.0)])
-    codes = centres.repeat(20, axis=0) + rng.standard_normal((40, 16))
-    mixture = fit_mixture(codes, np.full_like(codes, 0.1), reseeds=1)
-    drawn = torch.stack([mixture.draw(torch.Generator().manual_seed(seed)) for seed in range(400)]).numpy()
-    near = np.linalg.norm(drawn[:, None] - centres, axis=2).min(axis=1)
-    assert (near < 8).mean() > 0.97 and 0.3 < (drawn[:, 0] > 0).mean() < 0.7
+def encoder_layer_size(d: int, f: int) -> int:
+    """Four d×d maps with biases, two norms, and d×f, f×d with biases."""
+    return 4 * (d * d + d) + 2 * 2 * d + (d * f + f) + (f * d + d)
 
 
-def test_a_pass_of_actor_is_the_one_by_hand() -> None:
-    torch.manual_seed(2)
-    network = Actor(ActorNetworkConfig(SIZES), inputs(space(), TEXTS)).eval()
-    lengths, rows, given = torch.tensor([6, 4]), torch.randn(2, 6, 263), conditions(2)
-    mean, log_variance = network.encode(rows, lengths, given)
-    batch = MotionBatch(rows, lengths, given, torch.arange(2), torch.arange(6).expand(2, -1))
-    made, weights = network.decode(mean, batch.mask, given), network.state_dict()
-    for row in range(2):
-        own = int(lengths[row])
-        first = [linear(weights, f"{name}_token.text", given.text[row]) for name in ("mean", "variance")]
-        tokens = torch.cat((torch.stack(first), linear(weights, "frame_in", rows[row, :own])))
-        tokens = tokens + positions(own + 2, 16)
-        for number in range(3):
-            tokens = layer(part(weights, f"encoder.layers.{number}."), tokens, 2)
-        torch.testing.assert_close(torch.stack((mean[row], log_variance[row])), tokens[:2], rtol=1e-4, atol=1e-5)
-        memory, tokens = tokens[:1] + linear(weights, "bias.text", given.text[row]), positions(own, 16)
-        for number in range(3):
-            tokens = layer(part(weights, f"decoder.layers.{number}."), tokens, 2, memory=memory)
-        torch.testing.assert_close(made[row, :own], linear(weights, "frame_out", tokens), rtol=1e-3, atol=1e-4)
+def test_published_sizes_have_the_published_numbers_of_parameters() -> None:
+    """MDM's 17.9 million (its Table 1 of sizes, without CLIP); those of MLD follow from its layers by hand."""
+    for stage in (MDM, MDM_50):
+        mdm = Mdm(stage.paper.network, inputs(ConditionSizes(512, ())))
+        by_hand = 2 * (512 * 263) + 512 + 263 + 3 * (512 * 512 + 512) + 8 * encoder_layer_size(512, 1024)
+        assert count(mdm) == by_hand == 17_880_327
+    vae = MldVae(MLD_VAE.paper.network, inputs(NONE))
+    skips, layer = 4 * (512 * 256 + 256) + 2 * 256, encoder_layer_size(256, 1024)
+    both = 9 * layer + 9 * (layer + 4 * (256 * 256 + 256) + 2 * 256) + 2 * skips
+    assert count(vae) == 2 * 263 * 256 + 256 + 263 + 2 * 256 + 2 * 500 * 256 + both
+    mld = Mld(MLD.paper.network, inputs(ConditionSizes(768, ()), {"mld-vae": vae}))
+    maps = 2 * (768 * 256 + 256) + (256 * 256 + 256) + 3 * 256
+    assert count(mld) == maps + 9 * layer + skips
+
+
+def test_mdm() -> None:
+    network, batch = Mdm(MdmNetworkConfig(SIZES), inputs()).eval(), batch_of([5, 3])
+    found = network(batch.rows, torch.tensor([7, 90]), batch.conditions, batch.mask)
+    for row, (length, step) in enumerate(((5, 7), (3, 90))):
+        first = network.step_in(positions(100)[step]) + network.text_in(batch.conditions.text[row])
+        tokens = torch.cat((first[None], network.frame_in(batch.rows[row, :length]))) + positions(length + 1)
+        close(found[row, :length], network.frame_out(network.layers(tokens[None])[0, 1:]))
+
+
+def test_mld() -> None:
+    vae, batch = MldVae(MldVaeNetworkConfig(SIZES, longest=20), inputs(NONE)).eval(), batch_of([6, 4])
+    mean, log_variance = vae.encode(batch.rows, batch.mask)
+    made = vae.decode(mean, batch.mask)
+    for row, length in enumerate((6, 4)):
+        tokens = torch.cat((vae.distribution, vae.frame_in(batch.rows[row, :length])))
+        tokens = long_skips(vae.encoder, tokens + vae.encoder_positions[: length + 2])
+        close(torch.stack((mean[row], log_variance[row])), tokens[:2])
+        out = long_skips(vae.decoder, vae.decoder_positions[:length], tokens[None, :1])
+        close(made[row, :length], vae.frame_out(out))
+    assert not made[1, 4:].any()
+    network = Mld(MldNetworkConfig(SIZES, time_features=12), inputs(earlier={"mld-vae": vae})).eval()
+    assert not [name for name in network.state_dict() if "vae" in name]
+    noisy = torch.randn(2, 1, 16)
+    found = network(noisy, torch.tensor([3, 500]), batch.conditions)
+    for row, step in enumerate((3, 500)):
+        angles = torch.tensor([step / 10_000 ** (i / 6) for i in range(6)])
+        time = network.step_in(torch.cat((angles.cos(), angles.sin())))
+        text = network.text_in[1](batch.conditions.text[row].clamp(min=0))
+        close(
+            found[row, 0], long_skips(network.layers, torch.stack((noisy[row, 0], time, text)) + network.positions)[0]
+        )
+
+
+def test_actor() -> None:
+    network, batch = Actor(ActorNetworkConfig(SIZES), inputs()).eval(), batch_of([6, 4])
+    mean, log_variance = network.encode(batch.rows, batch.mask, batch.conditions)
+    made = network.decode(mean, batch.mask, batch.conditions)
+    for row, length in enumerate((6, 4)):
+        first = [token.text(batch.conditions.text[row]) for token in (network.mean_token, network.variance_token)]
+        tokens = torch.cat((torch.stack(first), network.frame_in(batch.rows[row, :length]))) + positions(length + 2)
+        tokens = network.encoder(tokens[None])[0]
+        close(torch.stack((mean[row], log_variance[row])), tokens[:2])
+        memory = tokens[None, :1] + network.bias.text(batch.conditions.text[row])
+        close(made[row, :length], network.frame_out(network.decoder(positions(length)[None], memory)[0]))
     assert not made[1, 4:].any()
 
 
-def gru(weights: Weights, inputs: Tensor, hidden: Tensor) -> Tensor:
-    """A gated recurrent unit, written out (torch's order of gates: reset, update, new)."""
-    of_inputs = (inputs @ weights["weight_ih"].T + weights["bias_ih"]).chunk(3)
-    of_hidden = (hidden @ weights["weight_hh"].T + weights["bias_hh"]).chunk(3)
-    reset, update = (torch.sigmoid(of_inputs[gate] + of_hidden[gate]) for gate in (0, 1))
-    new = torch.tanh(of_inputs[2] + reset * of_hidden[2])
-    return (1 - update) * new + update * hidden
-
-
-def test_a_pass_of_camdm_is_the_one_by_hand() -> None:
-    torch.manual_seed(4)
-    network = Camdm(CamdmNetworkConfig(SIZES, past=3, future=5), inputs(space(), TEXTS)).eval()
-    torch.nn.init.normal_(network.no_past)
-    noisy, past, given = torch.randn(2, 5, 263), torch.randn(2, 3, 263), conditions(2)
+def test_camdm() -> None:
+    network = Camdm(CamdmNetworkConfig(SIZES, past=3, future=5), inputs()).eval()
+    nn.init.normal_(network.no_past)
+    noisy, past, given = torch.randn(2, 5, 263), torch.randn(2, 3, 263), conditions()
     found = network(noisy, torch.tensor([1, 3]), given, past, torch.tensor([True, False]))
-    weights = network.state_dict()
     for row, step in enumerate((1, 3)):
-        time = linear(weights, "step_in.0", positions(4, 16)[step])
-        time = linear(weights, "step_in.2", time * torch.sigmoid(time))
-        before = linear(weights, "past_in", past[row]) if row == 0 else weights["no_past"].expand(3, -1)
-        told = linear(weights, "condition.text", given.text[row])
-        tokens = torch.cat((time[None], told[None], before, linear(weights, "frame_in", noisy[row])))
-        tokens = tokens + positions(10, 16)
-        for number in range(3):
-            tokens = layer(part(weights, f"layers.layers.{number}."), tokens, 2)
-        torch.testing.assert_close(found[row], linear(weights, "frame_out", tokens[5:]), rtol=1e-3, atol=1e-4)
+        before = network.past_in(past[row]) if row == 0 else network.no_past.expand(3, -1)
+        first = torch.stack((network.step_in(positions(4)[step]), network.condition.text(given.text[row])))
+        tokens = torch.cat((first, before, network.frame_in(noisy[row]))) + positions(10)
+        close(found[row], network.frame_out(network.layers(tokens[None])[0, 5:]))
 
 
 def root_mean_square(values: Tensor) -> Tensor:
     return values / torch.sqrt(values.square().mean(-1, keepdim=True) + torch.finfo(torch.float32).eps)
 
 
-def flow_layer(weights: Weights, tokens: Tensor, told: Tensor, heads: int) -> Tensor:
+def flow_layer(layer: FlowLayer, tokens: Tensor, embedding: Tensor) -> Tensor:
     """AdaLN-zero, rotary positions, attention and SwiGLU, head by head and frame by frame."""
-    moved = linear(weights, "moved", told).chunk(6)
-    width = tokens.shape[1]
-    size = width // heads
-    hidden = linear(weights, "qkv", root_mean_square(tokens) * (1 + moved[1]) + moved[0])
+    moved, width = layer.moved(embedding).chunk(6), tokens.shape[1]
+    size = width // layer.heads
+    hidden = layer.qkv(root_mean_square(tokens) * (1 + moved[1]) + moved[0])
     mixed = torch.empty_like(tokens)
-    for head in range(heads):
+    for head in range(layer.heads):
         q, k, v = (hidden[:, kind * width + head * size :][:, :size] for kind in range(3))
-        q, k = root_mean_square(q) * weights["query_norm.weight"], root_mean_square(k) * weights["key_norm.weight"]
+        q, k = root_mean_square(q) * layer.query_norm.weight, root_mean_square(k) * layer.key_norm.weight
         for each in (q, k):
             for frame in range(len(tokens)):
                 for pair in range(size // 2):
@@ -292,79 +191,99 @@ def flow_layer(weights: Weights, tokens: Tensor, told: Tensor, heads: int) -> Te
                     each[frame, pair] = first * angle.cos() - second * angle.sin()
                     each[frame, pair + size // 2] = first * angle.sin() + second * angle.cos()
         mixed[:, head * size : (head + 1) * size] = torch.softmax(q @ k.T / size**0.5, dim=1) @ v
-    tokens = tokens + moved[2] * linear(weights, "attended", mixed)
-    gate, up = linear(weights, "gate_up", root_mean_square(tokens) * (1 + moved[4]) + moved[3]).chunk(2, dim=1)
-    return tokens + moved[5] * linear(weights, "down", gate * torch.sigmoid(gate) * up)
+    tokens = tokens + moved[2] * layer.attended(mixed)
+    gate, up = layer.gate_up(root_mean_square(tokens) * (1 + moved[4]) + moved[3]).chunk(2, dim=1)
+    return tokens + moved[5] * layer.down(gate * torch.sigmoid(gate) * up)
 
 
-def test_a_pass_of_the_flow_is_the_one_by_hand() -> None:
-    torch.manual_seed(5)
-    network = Flow(FlowNetworkConfig(SIZES), inputs(field_space(), TEXTS)).eval()
+def test_the_flow() -> None:
+    network, batch = Flow(FlowNetworkConfig(SIZES), inputs(of=FIELD)).eval(), batch_of([5, 3], 66)
     for weight in network.parameters():  # what starts as zeros would hide all behind it
-        torch.nn.init.normal_(weight, std=0.2)
-    noisy, lengths, times, given = torch.randn(2, 5, 66), torch.tensor([5, 3]), torch.tensor([0.25, 0.9]), conditions(2)
-    found, weights = network(noisy, times, given, lengths), network.state_dict()
-    for row in range(2):
-        own = int(lengths[row])
-        angles = [float(times[row]) * 1000 / 10_000 ** (2 * i / 16) for i in range(8)]
-        time = torch.tensor([f(angle) for angle in angles for f in (np.sin, np.cos)], dtype=torch.float32)
-        time = linear(weights, "time_in.0", time)
-        told = linear(weights, "time_in.2", time * torch.sigmoid(time)) + linear(
-            weights, "condition.text", given.text[row]
-        )
-        told = told * torch.sigmoid(told)
-        tokens = linear(weights, "frame_in", noisy[row, :own])
-        for number in range(3):
-            tokens = flow_layer(part(weights, f"layers.{number}."), tokens, told, 2)
-        shift, scale = linear(weights, "last", told).chunk(2)
-        expected = linear(weights, "frame_out", root_mean_square(tokens) * (1 + scale) + shift)
-        torch.testing.assert_close(found[row, :own], expected, rtol=1e-3, atol=1e-4)
+        nn.init.normal_(weight, std=0.2)
+    network.requires_grad_(False)
+    found = network(batch.rows, torch.tensor([0.25, 0.9]), batch.conditions, batch.mask)
+    for row, (length, step) in enumerate(((5, 250), (3, 900))):
+        time, text = network.time_in(positions(1000)[step]), network.condition.text(batch.conditions.text[row])
+        embedding = (time + text) * torch.sigmoid(time + text)
+        tokens = network.frame_in(batch.rows[row, :length])
+        for layer in network.layers:
+            tokens = flow_layer(layer, tokens, embedding)
+        shift, scale = network.last(embedding).chunk(2)
+        close(found[row, :length], network.frame_out(root_mean_square(tokens) * (1 + scale) + shift))
 
 
 def test_absolute_coordinates_are_the_joints() -> None:
-    positions_of = analytic_positions(np.arange(20) / 20, 1).astype(np.float32)
-    rows = torch.from_numpy(field.encode(positions_of[None], np.zeros(1), np.zeros((1, 2))))
-    of = field_space()
-    of.mean, of.scale = torch.linspace(-1, 1, 66), torch.linspace(0.5, 2, 66)
-    coordinates = AbsoluteCoordinates(of)
-    standard = coordinates.absolute((rows - of.mean) / of.scale)
-    mean, scale = coordinates._standard()
-    np.testing.assert_allclose((standard.view(20, 22, 3) * scale + mean).numpy(), positions_of, atol=1e-5)
-    torch.testing.assert_close(coordinates.relative(standard), (rows - of.mean) / of.scale, atol=1e-5, rtol=1e-5)
+    truth = analytic_positions(np.arange(20) / 20, 1).astype(np.float32)
+    rows = torch.from_numpy(field.encode(truth[None], np.zeros(1), np.zeros((1, 2))))
+    scaling = VectorScaling(torch.linspace(-1, 1, 66), torch.linspace(0.5, 2, 66))
+    coordinates = AbsoluteCoordinates(PoseSpace(FIELD_VECTORS, scaling, FPS))
+    absolute = coordinates.absolute(scaling.apply(rows))
+    np.testing.assert_allclose(coordinates.joints.invert(absolute)[0].view(20, 22, 3).numpy(), truth, atol=1e-5)
+    close(coordinates.relative(absolute), scaling.apply(rows))
     with pytest.raises(UsageError, match=r"motions.pose_vectors=field"):
         AbsoluteCoordinates(space())
 
 
-TINY_HIER = HierNetworkConfig(part=3, limb=5, width=7, critic=(4, 6))
+def test_joints_are_those_of_the_vectors() -> None:
+    vectors = native.vectors(analytic_positions(np.arange(50) / 20, 2), "smpl22", FPS)
+    scaling = VectorScaling(torch.linspace(-1, 1, 263), torch.linspace(0.5, 2, 263))
+    found = PoseSpace(NativeVectors(), scaling, FPS).joints(scaling.apply(torch.from_numpy(vectors))[None])
+    np.testing.assert_allclose(found[0].numpy(), native.positions(vectors, "smpl22", FPS), atol=1e-5)
 
 
-def batch_of(lengths: list[int]) -> MotionBatch:
-    torch.manual_seed(5)
-    rows, frames = torch.randn(len(lengths), max(lengths), 263), torch.arange(max(lengths))
-    seen = frames < torch.tensor(lengths)[:, None]
-    told = conditions(len(lengths))
-    return MotionBatch(
-        rows * seen[..., None], torch.tensor(lengths), told, torch.arange(len(lengths)), frames.expand(len(lengths), -1)
-    )
+@pytest.mark.parametrize("prediction", ["noise", "latent", "velocity"])
+@pytest.mark.parametrize("sampler", ["ddpm", "ddim"])
+def test_nothing_is_copied_from_the_device_in_a_step(sampler: str, prediction: Prediction) -> None:
+    """A tensor on torch's device "meta" has no values, so copying it to the CPU is an error."""
+    device = torch.device("meta")
+    config = DiffusionConfig(8, "cosine", prediction=prediction, sampler=sampler, sampling_steps=8, guidance_scale=2.5)
+
+    def output(noisy: Tensor, steps: Tensor, given: Conditions) -> Tensor:
+        assert {noisy.device, steps.device, given.given.device} == {device}
+        return noisy
+
+    batch = batch_of([3, 2]).at_step(0, 1, device)
+    assert diffusion_loss(output, config, batch, batch.rows, batch.mask).device == device
+    generators = [torch.Generator() for _ in range(2)]
+    wanted = SampleBatch(torch.tensor([3, 2]), batch.conditions, batch.conditions, generators, config)
+    found = diffusion_sample(output, wanted, lambda: wanted.noise_within(wanted.lengths, 4))
+    assert (found.device, found.dtype, found.shape) == (device, torch.float64, (2, 3, 4))
 
 
-def test_a_pass_of_jl2p_is_the_one_by_hand() -> None:
-    torch.manual_seed(1)
-    network, batch = Jl2p(Jl2pNetworkConfig(6), inputs(space(), TEXTS)), batch_of([5, 3])
-    weights = network.state_dict()
-    encoder = {name.removesuffix("_l0"): weight for name, weight in part(weights, "encoder.").items()}
-    codes, first = network.encode(batch.rows, batch.lengths), batch.rows[:, 0]
-    made = network.decode(codes, first, 4)
+def test_inr_mlp() -> None:
+    network = InrMlp(InrMlpNetworkConfig(4, 8, (10, 6)), inputs(of=FIELD))
+    code, condition, frames = torch.randn(2, 4), torch.randn(2, 4), torch.tensor([[0, 7, 3], [5, 5, 1]])
+    found = network(frames, code, condition)
+    for row in range(2):
+        for column in range(3):
+            hidden = torch.cat((code[row], condition[row], positions(8, 8)[frames[row, column]]))
+            close(found[row, column], network.layers(hidden))
+
+
+def test_mixtures_are_of_motions_of_one_action_and_length() -> None:
+    lengths = np.repeat([30, 60, 62, 90], 40)
+    found = [np.unique(lengths[rows]).tolist() for rows in length_intervals(lengths)]
+    # 50 codes and ten frames at least, 50 more behind, and the same length on one side.
+    assert found == [[30, 60], [62, 90]]
+    centres = np.array([np.full(16, 2.0), np.full(16, -2.0)])
+    codes = centres.repeat(20, axis=0) + np.random.default_rng(0).standard_normal((40, 16))
+    mixture = fit_mixture(codes, np.full_like(codes, 0.1), reseeds=1)
+    drawn = torch.stack([mixture.draw(torch.Generator().manual_seed(seed)) for seed in range(400)]).numpy()
+    near = np.linalg.norm(drawn[:, None] - centres, axis=2).min(axis=1)
+    assert (near < 8).mean() > 0.97 and 0.3 < (drawn[:, 0] > 0).mean() < 0.7
+
+
+def test_jl2p() -> None:
+    network, batch = Jl2p(Jl2pNetworkConfig(6), inputs()), batch_of([5, 3])
+    codes = network.encode(batch.rows, batch.lengths)
+    made = network.decode(codes, batch.rows[:, 0], 4)
     for row, length in enumerate((5, 3)):
-        state = torch.zeros(6)
-        for frame in range(length):
-            state = gru(encoder, batch.rows[row, frame], state)
-        torch.testing.assert_close(codes[row], state, rtol=1e-4, atol=1e-5)
-        pose = first[row]
+        state, pose = network.encoder(batch.rows[row, :length])[1][0], batch.rows[row, 0]
+        close(codes[row], state)
         for frame in range(4):
-            state = gru(part(weights, "cell."), pose, state)
-            pose = pose + linear(weights, "change", state)
-            torch.testing.assert_close(made[row, frame], pose, rtol=1e-4, atol=1e-4)
+            state = network.cell(pose, state)
+            pose = pose + network.change(state)
+            close(made[row, frame], pose)
 
 
 def test_body_parts_are_the_joints_that_their_names_say() -> None:
@@ -379,147 +298,91 @@ def test_body_parts_are_the_joints_that_their_names_say() -> None:
         assert len(joints) == 4 and own[list(joints)].all()
         assert tuple(number for number in numbers if number >= 259) == contacts
     with pytest.raises(UsageError, match=r"motions.pose_vectors=native"):
-        body_parts(field_space())
+        body_parts(FIELD)
 
 
-def tree(weights: Weights, row: Tensor, parts: list[list[int]]) -> list[Tensor]:
-    """Limbs with the trunk, of one pose."""
-    of_parts = [linear(weights, f"of_parts.{number}", row[numbers]) for number, numbers in enumerate(parts)]
-    return [linear(weights, f"of_limbs.{limb}", torch.cat((of_parts[limb], of_parts[4]))) for limb in range(4)]
-
-
-def test_a_pass_of_hier_is_the_one_by_hand() -> None:
-    torch.manual_seed(3)
-    network, batch = Hier(TINY_HIER, inputs(space(), TEXTS)).eval(), batch_of([4, 2])
-    for each in network.encoder.norms:
-        each.running_mean.normal_(), each.running_var.uniform_(0.5, 2.0)
-    weights, parts = network.state_dict(), body_parts(space())
-    codes = network.encoder(batch.rows, batch.lengths)
-    made = network.decoder(codes, batch.rows[:, 0], 3)
-    encoder, decoder = part(weights, "encoder."), part(weights, "decoder.")
+def test_hier() -> None:
+    network = Hier(HierNetworkConfig(part=3, limb=5, width=7, critic=(4, 6)), inputs()).eval()
+    for norm in network.encoder.norms:
+        norm.running_mean.normal_(), norm.running_var.uniform_(0.5, 2.0)
+    batch, parts, encoder, decoder = batch_of([4, 2]), body_parts(space()), network.encoder, network.decoder
+    codes = encoder(batch.rows, batch.lengths)
+    made = decoder(codes, batch.rows[:, 0], 3)
     for row, length in enumerate((4, 2)):
-        states = [torch.zeros(7), torch.zeros(7)]
-        for frame in range(length):
-            limbs = tree(encoder, batch.rows[row, frame], parts)
-            for half in range(2):
-                norm = part(encoder, f"norms.{half}.")
-                pair = torch.cat((limbs[2 * half], limbs[2 * half + 1]))
-                pair = (pair - norm["running_mean"]) / (norm["running_var"] + 1e-5).sqrt()
-                cell = {name.removesuffix("_l0"): each for name, each in part(encoder, f"cells.{half}.").items()}
-                states[half] = gru(cell, pair * norm["weight"] + norm["bias"], states[half])
-        torch.testing.assert_close(codes[:, row], torch.stack(states), rtol=1e-4, atol=1e-5)
+        rows, states = batch.rows[row, :length], []
+        inner = [layer(rows[:, own]) for layer, own in zip(encoder.of_parts, parts, strict=True)]
+        limbs = [encoder.of_limbs[limb](torch.cat((inner[limb], inner[4]), dim=1)) for limb in range(4)]
+        for half in range(2):
+            pair = encoder.norms[half](torch.cat(limbs[2 * half : 2 * half + 2], dim=1))
+            states.append(encoder.cells[half](pair)[1][0])
+        close(codes[:, row], torch.stack(states))
         pose = batch.rows[row, 0]
         for frame in range(3):
             change, trunks = torch.zeros(263), []
             for half in range(2):
-                told = pose[parts[2 * half] + parts[2 * half + 1] + parts[4]]
-                states[half] = gru(part(decoder, f"cells.{half}."), told, states[half])
-                pair = linear(decoder, f"to_pairs.{half}", states[half])
+                states[half] = decoder.cells[half](pose[parts[2 * half] + parts[2 * half + 1] + parts[4]], states[half])
+                pair = decoder.to_pairs[half](states[half])
                 for limb, own in ((2 * half, pair[:5]), (2 * half + 1, pair[5:])):
-                    inner = linear(decoder, f"to_limbs.{limb}", own)
-                    change[parts[limb]] = linear(decoder, f"to_parts.{limb}", inner[:3])
-                    trunks.append(linear(decoder, "to_parts.4", inner[3:]))
-            change[parts[4]] = sum(trunks) / 4
+                    inner_limb = decoder.to_limbs[limb](own)
+                    change[parts[limb]] = decoder.to_parts[limb](inner_limb[:3])
+                    trunks.append(decoder.to_parts[4](inner_limb[3:]))
+            change[parts[4]] = torch.stack(trunks).mean(dim=0)
             pose = pose + change
-            torch.testing.assert_close(made[row, frame], pose, rtol=1e-4, atol=1e-4)
+            close(made[row, frame], pose)
 
 
-NONE = ConditionSizes(0, ())
-TINY_PATH = NemfPathNetworkConfig(widths=(5, 4), kernel=3)
-TINY_NEMF = NemfNetworkConfig(
-    16, (5, 6), local_latent=4, turn_latent=3, frequencies=2, width=7, local_layers=3, turn_layers=2, kl_cycles=4
-)
+def residuals(layers: nn.Module, values: Tensor) -> Tensor:
+    """Of frames [frames, inputs]; the k-th convolution, by sums over its taps, weighs 1 / (k + 1)."""
+    for number, layer in enumerate(layers.children(), start=2):
+        assert isinstance(layer, Residual)
+        taps, halves = layer.changed.weight, layer.stride == 2
+        padding = torch.zeros((taps.shape[2] - 1) // 2, values.shape[1])
+        padded = torch.cat((padding, values, padding))
+        starts = range(0, len(padded) - taps.shape[2] + 1, layer.stride)
+        sums = [sum(taps[:, :, tap] @ padded[start + tap] for tap in range(taps.shape[2])) for start in starts]
+        changed = layer.activation((torch.stack(sums) + layer.changed.bias).T[None])[0].T
+        kept = (values[::2] + values[1::2]) / 2 if halves else values
+        kept = kept @ layer.kept.weight[:, :, 0].T + layer.kept.bias
+        values = changed / number + (1 - 1 / number) * kept
+    return values
 
 
-def tiny(config: NemfNetworkConfig = TINY_NEMF) -> Nemf:
-    torch.manual_seed(1)
-    return Nemf(config, inputs(space(), NONE, {"nemf-path": NemfPath(TINY_PATH, inputs(space(), NONE))})).eval()
-
-
-def cropped(rows: Tensor, lengths: list[int]) -> MotionBatch:
-    batch, frames = rows.shape[:2]
-    nothing = conditions(batch, 0).unconditional()
-    seen = torch.arange(frames) < torch.tensor(lengths)[:, None]
-    every = torch.arange(frames).expand(batch, -1)
-    return MotionBatch(rows * seen[..., None], torch.tensor(lengths), nothing, torch.arange(batch), every)
-
-
-def test_a_field_is_the_one_by_hand() -> None:
-    network = tiny()
+def test_nemf() -> None:
+    path = NemfPath(NemfPathNetworkConfig(widths=(5, 4), kernel=3), inputs(NONE))
+    sizes = NemfNetworkConfig(16, (5, 6), 4, 4, 3, frequencies=2, width=7, local_layers=3, turn_layers=2)
+    network = Nemf(sizes, inputs(NONE, {"nemf-path": path})).eval()
     local, turns = torch.randn(2, 4), torch.randn(2, 3)
-    positions, rotations, orientation = network(16, local, turns)
-    weights = network.state_dict()
-
-    def layer(name: str, inputs: Tensor) -> Tensor:
-        return norm(weights, f"{name}.1", linear(weights, f"{name}.0", inputs)).clamp(min=0)
-
+    made = torch.cat(network(16, local, turns), dim=-1)
     for row in range(2):
         for frame in (0, 5, 15):
             time = frame / 8 - 1
             waves = torch.tensor([np.sin(time), np.cos(time), np.sin(2 * time), np.cos(2 * time)], dtype=torch.float32)
-            told = torch.cat((waves, local[row]))
-            hidden = layer("local_layers.0", told)
-            for number in (1, 2):
-                hidden = layer(f"local_layers.{number}", torch.cat((hidden, told)))
-            pose = linear(weights, "pose_out", hidden)
-            for number in (0, 1):
-                hidden = layer(f"turn_layers.{number}", torch.cat((hidden, told, turns[row])))
-            expected = torch.cat((pose, linear(weights, "turn_out", hidden)))
-            found = torch.cat((positions[row, frame], rotations[row, frame], orientation[row, frame]))
-            torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-5)
+            given, hidden = torch.cat((waves, local[row])), torch.zeros(0)
+            for layer in network.local_layers:
+                hidden = layer(torch.cat((hidden, given)))
+            pose = network.pose_out(hidden)
+            for layer in network.turn_layers:
+                hidden = layer(torch.cat((hidden, given, turns[row])))
+            close(made[row, frame], torch.cat((pose, network.turn_out(hidden))))
 
 
-def residual(weights: Weights, values: Tensor, share: float, *, halves: bool) -> Tensor:
-    """Of frames [frames, inputs], convolution by sums over its taps; before the activation, and what is kept."""
-    taps = weights["changed.weight"]
-    kernel, step = taps.shape[2], 2 if halves else 1
-    around = (kernel - 1) // 2
-    padded = torch.cat((torch.zeros(around, values.shape[1]), values, torch.zeros(around, values.shape[1])))
-    starts = range(0, len(padded) - kernel + 1, step)
-    changed = [sum(taps[:, :, tap] @ padded[start + tap] for tap in range(kernel)) for start in starts]
-    changed = torch.stack(changed) + weights["changed.bias"]
-    kept = (values[::2] + values[1::2]) / 2 if halves else values
-    kept = kept @ weights["kept.weight"][:, :, 0].T + weights["kept.bias"]
-    changed = torch.tanh(changed) if halves else changed
-    return torch.stack((share * changed, (1 - share) * kept))
-
-
-def test_latents_are_those_by_hand() -> None:
-    network, rows, lengths = tiny(), torch.randn(2, 16, 263), [16, 11]
-    batch = cropped(rows, lengths)
-    (found, log_variance), (turns, _) = network.encode(batch.rows, batch.lengths)
-    weights = part(network.state_dict(), "local_encoder.")
-    for row, length in enumerate(lengths):
-        poses = torch.zeros(16, 189)
-        poses[:length] = rows[row, :length, 4:193]
-        changes = torch.zeros(16, 189)
-        changes[: length - 1] = (poses[1:length] - poses[: length - 1]) * float(network.space.fps) / 4
-        values = torch.cat((poses, changes), dim=1)
-        for number, share in ((0, 1 / 2), (1, 1 / 3)):
-            values = residual(part(weights, f"layers.{number}."), values, share, halves=True).sum(dim=0)
-        flat = values.T.flatten()
-        torch.testing.assert_close(found[row], linear(weights, "mean", flat), rtol=1e-4, atol=1e-4)
-        torch.testing.assert_close(log_variance[row], linear(weights, "log_variance", flat), rtol=1e-4, atol=1e-4)
-    # A motion's latents know nothing of the zeros behind it.
-    alone = network.encode(rows[1:, :11], torch.tensor([11]))
-    torch.testing.assert_close(alone[0][0], found[1:], rtol=1e-4, atol=1e-5)
-    torch.testing.assert_close(alone[1][0], turns[1:], rtol=1e-4, atol=1e-5)
-
-
-def test_a_path_is_the_one_by_hand() -> None:
-    torch.manual_seed(2)
-    network, rows = NemfPath(TINY_PATH, inputs(space(), NONE)), torch.randn(1, 9, 263)
-    root, contacts = network(rows, torch.tensor([9]))
-    weights = network.state_dict()
-    values = with_velocities(rows[..., 4:193], torch.tensor([9]), float(network.space.fps))[0]
-    values = torch.cat((values, rows[0, :, :1]), dim=1)
-    for number, share in ((0, 1 / 2), (1, 1 / 3), (2, 1 / 4)):
-        own = part(weights, f"layers.{number}.")
-        changed, kept = residual(own, values, share, halves=False)
-        if number < 2:
-            changed = torch.where(changed > 0, changed, own["activation.weight"] * changed)
-        values = changed + kept
-    torch.testing.assert_close(torch.cat((root[0], contacts[0]), dim=1), values, rtol=1e-4, atol=1e-5)
-    # A motion's path knows nothing of what is behind it.
-    shorter, _ = network(rows, torch.tensor([6]))
-    torch.testing.assert_close(shorter[:, :6], network(rows[:, :6], torch.tensor([6]))[0], rtol=1e-4, atol=1e-5)
+def test_nemfs_latents_and_path_see_no_padding() -> None:
+    path = NemfPath(NemfPathNetworkConfig(widths=(5, 4), kernel=3), inputs(NONE))
+    sizes = NemfNetworkConfig(16, (5, 6), 4, 4, 3, frequencies=2, width=7, local_layers=3, turn_layers=2)
+    network, batch = Nemf(sizes, inputs(NONE, {"nemf-path": path})).eval(), batch_of([16, 11])
+    (mean, log_variance), (turns, _) = network.encode(batch.rows, batch.lengths)
+    alone = network.encode(batch.rows[1:, :11], torch.tensor([11]))
+    close(alone[0][0], mean[1:])
+    close(alone[1][0], turns[1:])
+    root, contacts = path(batch.rows, batch.lengths)
+    for row, length in enumerate((16, 11)):
+        poses, changes = torch.zeros(16, 189), torch.zeros(16, 189)
+        poses[:length] = batch.rows[row, :length, 4:193]
+        changes[: length - 1] = (poses[1:length] - poses[: length - 1]) * 5
+        flat = residuals(network.local_encoder.layers, torch.cat((poses, changes), dim=1)).T.flatten()
+        close(mean[row], network.local_encoder.mean(flat))
+        close(log_variance[row], network.local_encoder.log_variance(flat))
+        own = batch.rows[row : row + 1, :length]
+        values = with_velocities(own[..., 4:193], torch.tensor([length]), 20.0)[0]
+        expected = residuals(path.layers, torch.cat((values, own[0, :, :1]), dim=1))
+        close(torch.cat((root, contacts), dim=-1)[row, :length], expected)

@@ -127,7 +127,7 @@ def test_a_model_refuses_what_it_does_not_know(run: Path) -> None:
     model = load_model("mdm-50", run)
     for request, why in (
         (GenerationRequest(3.5), "MDM, 50 steps generates more than 0 and up to 3 s, not 3.5 s"),
-        (GenerationRequest(1.0, text="a word"), "was trained without texts.* --set conditions.kind=text"),
+        (GenerationRequest(1.0, text="a word"), "was trained without texts"),
         (GenerationRequest(1.0, action="fly"), "knows no action 'fly'; it knows kind-0"),
     ):
         with pytest.raises(UsageError, match=why):
