@@ -7,8 +7,6 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from motionkit.data.corpus import open_frames, training_vectors
-from motionkit.data.poses import WindowPoses
 from torch import Tensor
 
 from motionkit.core.errors import UsageError
@@ -16,7 +14,7 @@ from motionkit.core.shapes import Bool, Float, Float32, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import parse_fps
 from motionkit.data.captions import actions_of_windows, captions_of_windows
-from motionkit.data.windows import cut_windows
+from motionkit.data.windows import WindowPoses, cut_windows, open_frames, training_vectors
 from motionkit.features.convention import PoseVectors, PoseVectorsName
 from motionkit.features.layout import SMPL22_LAYOUT, VectorLayout
 from motionkit.features.native import NativeVectors

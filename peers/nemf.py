@@ -117,7 +117,7 @@ class NemfPath(PeerNetwork):
         values = inputs.transpose(1, 2) * mask
         for layer in self.layers:
             values = layer(values) * mask
-        root, contacts = torch.split(values.transpose(1, 2), (ROOT, CONTACTS), dim=-1)
+        root, contacts = torch.split(values.transpose(1, 2), [ROOT, CONTACTS], dim=-1)
         return root, contacts
 
     def losses(self, batch: MotionBatch) -> dict[str, Tensor]:
@@ -244,7 +244,7 @@ class Nemf(PeerNetwork):
 
     def sample(self, batch: SampleBatch) -> Rows:
         """Standardised rows from latents ~ N(0, I); conditions are ignored."""
-        sizes = (self.config.local_latent, self.config.turn_latent)
+        sizes = [self.config.local_latent, self.config.turn_latent]
         local, turns = torch.split(batch.noise(sum(sizes)).float(), sizes, dim=1)
         return self.rows(local, turns, batch.lengths.to(batch.device))
 
