@@ -161,7 +161,7 @@ def noised(clean: Rows, config: DiffusionConfig, generator: torch.Generator) -> 
 def diffusion_loss(
     network: ConditionalNetwork, config: DiffusionConfig, batch: MotionBatch, clean: Rows, mask: Mask
 ) -> Float[Tensor, ""]:
-    """Squared error at random steps of what the network predicts, averaged over each motion's valid frames, then over motions."""
+    """Squared error of the prediction at random steps, averaged over each motion's valid frames, then over motions."""
     alphas = networks.cumulative_alphas(config).to(clean.device)
     noisy, steps, noise = noised(clean, config, batch.generator)
     target = networks.prediction_target(config.prediction, clean.flatten(1), noise.flatten(1), steps, alphas)
