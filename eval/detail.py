@@ -28,7 +28,7 @@ from eval.clip_fid.channels import (
 from eval.clip_fid.clips import ClipError
 from eval.clip_fid.motions import Motions, common_framerate, samples_of
 from eval.clip_fid.threads import in_threads
-from eval.metrics.resampling import Resampling, units_of
+from eval.metrics.number import Resampling, units_of
 from eval.sets.sets import SampleSet
 from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Float32, Float64

@@ -14,8 +14,7 @@ import scipy.linalg
 
 from benchmarks.command import arguments_parser, best_cpu_seconds, print_json
 from eval import clip_fid
-from eval.metrics.gaussian import fid, kid
-from eval.metrics.neighbours import prdc
+from eval.metrics.distributions import fid, kid, prdc
 
 RATES = (20, 40, 60, 100, 120)
 NUM_FEATURES = 49

@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.command import arguments_parser
 from eval.detail import RealDetail
-from eval.metrics.gaussian import fit_gaussian, frechet_distance
+from eval.metrics.distributions import fit_gaussian, frechet_distance
 from eval.sets.motions import low_pass, real_motion
 from motionkit.store import Store
 

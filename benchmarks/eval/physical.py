@@ -17,8 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from eval.metrics.metric import Metric
-from eval.metrics.number import half_width
-from eval.metrics.resampling import Resampling
+from eval.metrics.number import Resampling, half_width
 from eval.report.render import to_markdown
 from eval.report.results import Block, Cell, Measure, Result, Row, cell_of, measure, provenance, write_result
 from eval.sets.motions import RealMotion, real_motion, upsampled

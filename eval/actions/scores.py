@@ -11,15 +11,14 @@ from eval.actions.recogniser import Recognition
 from eval.metrics.actions import (
     accuracy,
     diversity,
-    diversity_with_replacement,
     multimodality_by_class,
-    multimodality_by_class_with_replacement,
     shares_of_hits,
 )
-from eval.metrics.gaussian import fit_gaussian, frechet_distance
-from eval.metrics.number import Resampled, Scores
-from eval.metrics.resampling import (
+from eval.metrics.distributions import fit_gaussian, frechet_distance
+from eval.metrics.number import (
+    Resampled,
     Resampling,
+    Scores,
     Units,
     resampled_fid,
     resampled_mean_distance,
@@ -128,20 +127,12 @@ def score_actions(
             for name, gaussian in gaussians.items():
                 assert fitted is not None
                 scores.add(f"fid_{name}" if name else "fid", frechet_distance(gaussian, fitted))
-            if protocol.pairs == "different":
-                scores.add("diversity", diversity(features, rng, protocol.diversity_pairs))
-                scores.add(
-                    "multimodality_by_class",
-                    multimodality_by_class(features, labels, rng=rng, num_pairs=protocol.class_pairs),
-                )
-            else:
-                scores.add(
-                    "diversity_with_replacement", diversity_with_replacement(features, rng, protocol.diversity_pairs)
-                )
-                scores.add(
-                    "multimodality_by_class_with_replacement",
-                    multimodality_by_class_with_replacement(features, labels, rng=rng, num_pairs=protocol.class_pairs),
-                )
+            replace = protocol.pairs == "with replacement"
+            suffix = "_with_replacement" if replace else ""
+            spread = diversity(features, rng, protocol.diversity_pairs, replace=replace)
+            scores.add(f"diversity{suffix}", spread)
+            spread = multimodality_by_class(features, labels, rng=rng, num_pairs=protocol.class_pairs, replace=replace)
+            scores.add(f"multimodality_by_class{suffix}", spread)
             on_replication()
         scores.resampled |= _resampled(references, draws, protocol)
     scores.remark_on_draws(len(draws), protocol.replications)

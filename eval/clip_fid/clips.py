@@ -6,7 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from eval.metrics.resampling import RESAMPLINGS
+from eval.metrics.number import RESAMPLINGS
 from eval.sets.sets import Ragged, SampleSet
 from motionkit.core.errors import MotionkitError
 from motionkit.core.shapes import Float, Float64, Int64

@@ -26,22 +26,23 @@ from eval.clip_fid.clips import (
     readable,
 )
 from eval.clip_fid.threads import in_threads
-from eval.metrics.gaussian import (
+from eval.metrics.distributions import (
+    RealManifold,
     fid_infinity,
     fit_gaussian,
     frechet_distance,
     kid,
-    quick_frechet_distance,
 )
 from eval.metrics.metric import Metric
-from eval.metrics.neighbours import RealManifold
-from eval.metrics.number import Number, Resampled, over_replications
-from eval.metrics.resampling import (
+from eval.metrics.number import (
+    Number,
+    Resampled,
     Resampling,
     Units,
     UnitSums,
     blocks_for,
-    resampled_scores,
+    over_replications,
+    resampled_fids,
     units_of,
 )
 from eval.sets.sets import SampleSet
@@ -119,7 +120,6 @@ CLIP_FID = Metric(
     "",
     False,
     f"NeRM §4.2, as {VERSION}",
-    "real, generated",
     score_rows,
     calibration="motionkit eval --calibrate",
 )
@@ -198,7 +198,7 @@ class _Takes:
         several = [each.num_takes > 1 and self._sets[0].num_takes > 1 for each in self._sets[1:]]
         with threadpool_limits(1, "blas"):
             chosen = [other for other, enough in zip(others, several, strict=True) if enough]
-            found = iter(resampled_scores(*real, chosen, quick_frechet_distance, self._resampling))
+            found = iter(resampled_fids(*real, chosen, self._resampling))
         return [next(found) if enough else () for enough in several]
 
 
@@ -246,7 +246,7 @@ def _compare(
         neighbours = manifold.compare(other)
         # FID∞ needs more than four clips per feature.
         with suppress(ValueError):
-            scores["fid_infinity"] = fid_infinity(real, other, rng).limit
+            scores["fid_infinity"] = fid_infinity(real, other, rng)
         scores["kid"] = kid(real, other)
         scores |= {"precision": neighbours.precision, "recall": neighbours.recall}
         scores |= {"density": neighbours.density, "coverage": neighbours.coverage}

@@ -4,23 +4,16 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from eval.sets.sets import Missing
-from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
+from motionkit.core.errors import DamagedFileError, MotionkitError
 from motionkit.core.kinematics import closest_rotations, matrix_to_quaternion
 from motionkit.core.shapes import Float64
-from motionkit.core.skeleton import Skeleton
-from motionkit.edit.encoders import (
-    encoder_loader,
-    installed_encoders,
-    runs_with,
-    trained_encoder_names,
-)
+from motionkit.edit.encoders import encoder_loader, installed_encoders, runs_with
 from motionkit.features.rotations import two_columns
 from motionkit.fields.interpolation import INTERPOLATORS, CurveKind, curve
 from motionkit.fields.joints import Joints
@@ -31,30 +24,19 @@ from motionkit.fields.motion_field import (
     Poses,
     at_fps,
     check_observed_alike,
-    check_times,
 )
-from motionkit.training.run import Loader, RunFolder, Task, commit, recorded_settings, versions
+from motionkit.training.run import RunFolder, Task, commit, recorded_settings, versions
 
 
 @dataclass(frozen=True)
 class RowCurves:
-    """An encoder by curves through root position and two columns of each rotation, made perpendicular again.
+    """A batch encoder by curves through root position and two columns of each rotation, made perpendicular again.
 
     Beyond the observed span values continue at constant velocity. Results depend on the skeleton's rest pose, since
     orthonormalisation favours a joint's first column.
     """
 
-    name: str
     kind: CurveKind
-
-    def encode(
-        self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
-    ) -> "RowCurveField":
-        """The field through all observed frames; raises `ValueError` for a negative reach."""
-        if not (0 <= before_seconds < np.inf and 0 <= after_seconds < np.inf):
-            raise ValueError(f"seconds beyond a motion are 0 or more, not {before_seconds:g} and {after_seconds:g}")
-        reach = (observation.start_seconds - before_seconds, observation.end_seconds + after_seconds)
-        return RowCurveField(self, observation, *reach)
 
     def query_many(
         self, observations: Sequence[Observation], times_seconds: Float64[np.ndarray, "times"]
@@ -74,29 +56,7 @@ class RowCurves:
         ]
 
 
-@dataclass(frozen=True, eq=False)
-class RowCurveField:
-    """The `MotionField` of `RowCurves`."""
-
-    encoder: RowCurves
-    observation: Observation
-    start_seconds: float
-    end_seconds: float
-
-    @property
-    def skeleton(self) -> Skeleton:
-        """The observation's skeleton."""
-        return self.observation.skeleton
-
-    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
-        """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
-        check_times(self, times_seconds)
-        (poses,) = self.encoder.query_many([self.observation], times_seconds)
-        return poses
-
-
-LINEAR = RowCurves("row-linear", "linear")
-CUBIC = RowCurves("row-cubic", "cubic")
+LINEAR, CUBIC = RowCurves("linear"), RowCurves("cubic")
 
 
 @dataclass(frozen=True)
@@ -108,7 +68,7 @@ class Completer:
     """
 
     name: str
-    encoder: MotionEncoder
+    encoder: MotionEncoder | BatchEncoder
     note: str
     fingerprint: str
     trained: bool = False
@@ -151,11 +111,11 @@ def trained_completers(
             except MotionkitError as error:
                 missing.add(f"{loader.title}: {error}")
         elif name not in asked:
-            missing.add(_untrained_reason(name, loader, run))
+            reason = f"not trained ({loader.train_command(run)})"
+            if run is not None and (others := runs_with(name, run.parent)):
+                reason = f"run {run.name!r} has none; --encoder {name}={others[-1].name} shows that of another"
+            missing.add(f"{loader.title}: {reason}")
     for name, folder in more:
-        if name not in trained_encoder_names():
-            names = ", ".join(trained_encoder_names()) or "none"
-            raise UsageError(f"--encoder {name}={folder.name}: trained encoders are {names}")
         row = completer_of(name, folder)
         found.append(replace(row, name=f"{row.name} ({folder.name})"))
     return found
@@ -169,46 +129,27 @@ def completer_of(name: str, run: Path) -> Completer:
     digest = hashlib.sha256(stage.model_path.read_bytes()).hexdigest() if stage.model_path.is_file() else str(run)
     begun = stage.read_config() if stage.config_path.is_file() else {}  # other packages' runs may be anything
     training = recorded_settings(RunFolder(run), loader.stages[-1]).get("training", {}) if begun else {}
+    schedule, answer = training.get("schedule", {}), training.get("answer", {})
+    form = str(answer.get("form", ""))
+    notes = [f"run {run.name!r}"]
+    if schedule.get("steps") is not None:
+        notes.append(f"{schedule['steps']:,} steps of {schedule.get('batch_size')}")
+    if form:
+        notes.append(form if form == "plain" else f"{form} corrections of {answer.get('base')}")
     return Completer(
         encoder.name,
         encoder,
-        _described_training(run, training),
+        ", ".join(notes),
         # Figures depend on the code too, so they are cached per commit.
-        f"{name}-{digest}-{code_version()}",
+        f"{name}-{digest}-{commit() or versions()['motionkit']}",
         trained=True,
-        form=str(training.get("answer", {}).get("form", "")),
+        form=form,
         facts={name: begun[name] for name in ("commit", "recipe", "seed", "config") if name in begun},
     )
 
 
-def _described_training(run: Path, training: Mapping[str, Any]) -> str:
-    """A description of the run: steps and form of the output, if known."""
-    described, schedule, answer = [f"run {run.name!r}"], training.get("schedule", {}), training.get("answer", {})
-    if schedule.get("steps") is not None:
-        described.append(f"{schedule['steps']:,} steps of {schedule.get('batch_size')}")
-    if answer.get("form") == "plain":
-        described.append("plain")
-    elif answer.get("form") is not None:
-        described.append(f"{answer['form']} corrections of {answer.get('base')}")
-    return ", ".join(described)
-
-
-@cache
-def code_version() -> str:
-    """The commit of this code, or the package's version outside a checkout."""
-    return commit() or versions()["motionkit"]
-
-
-def _untrained_reason(name: str, loader: Loader[MotionEncoder], run: Path | None) -> str:
-    others = [] if run is None else [path.name for path in runs_with(name, run.parent)]
-    if others:
-        run_name = run.name if run else ""
-        return f"{loader.title}: run {run_name!r} has none; --encoder {name}={others[-1]} shows that of another"
-    return f"{loader.title}: not trained ({loader.train_command(run)})"
-
-
 def query_many(
-    encoder: MotionEncoder,
+    encoder: MotionEncoder | BatchEncoder,
     observations: Sequence[Observation],
     times_seconds: Float64[np.ndarray, "times"],
     fps: Fraction,

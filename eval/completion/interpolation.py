@@ -1,118 +1,134 @@
-"""Errors of encoders in interpolating dropped frames: PA-HiRes' Tables 1 and 2, measured."""
+"""Interpolating dropped frames, PA-HiRes' Tables 1 and 2: given frames, scaling of pose vectors, errors of encoders.
 
-from collections.abc import Callable, Mapping, Sequence
+A clip has 16 given frames: at scale s its frame ⌊i·s⌋ is the i-th given one, at its true time. Clips start at every
+multiple of the largest scale's span, so that all scales of both tables use the same parts of the same takes.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
 
+from eval.completion.data_sets import TrueClips
 from eval.completion.encoders import Completer, query_many
-from eval.completion.protocol import InterpolationProtocol, scale_label
-from eval.completion.scores import ClipFrames, PoseScale, Scores, TakeStreams, scores_of
-from eval.completion.takes import TrueClips, TruePoses, observations
-from eval.metrics.metric import MeanStream, all_metrics
+from eval.completion.scores import Scores, add_clips
+from eval.metrics.motion import to_unit_range
+from motionkit.core.moments import stream
 from motionkit.core.shapes import Bool, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22
-from motionkit.features.rotations import rows_of_poses, two_columns
-from motionkit.fields.motion_field import Poses
+from motionkit.features import rotations
+from motionkit.fields.motion_field import Observation, Poses
 
+VERSION = "interpolation/1"
+INTEGER_SCALES = tuple(Fraction(scale) for scale in (2, 3, 4, 5))
+OTHER_SCALES = tuple(Fraction(scale) for scale in ("1.2", "2.4", "3.6", "4.8"))
+NUM_GIVEN, LARGEST_SCALE = 16, Fraction(5)
+# Metrics of whole clips of joint positions.
+TIMED_METRICS = ("velocity_error", "acceleration_error", "jerk_error")
 # A still body is reconstructed exactly: dB per clip are capped, at about float32's resolution.
 CEILING_DB = 100.0
-CLIPS_AT_ONCE = 32
+CLIPS_AT_ONCE, TRAINING_CLIPS_AT_ONCE = 32, 512
+
+ROOT_PATH, ROOT_HEIGHT, ROOT_ROTATION, JOINT_ROTATIONS = slice(0, 3, 2), slice(1, 2), slice(3, 9), slice(9, None)
+GROUPS = (ROOT_PATH, ROOT_HEIGHT, ROOT_ROTATION, JOINT_ROTATIONS)
+# Deviations are at least this share of their group's: otherwise the noise of joints that hardly turn would count as
+# much as a leg's swing.
+FLOOR_SHARE = 0.25
+# A smaller deviation is float32 rounding: a leaf of the skeleton, which has no bone to rotate.
+CONSTANT = 1e-5
 
 
-def timed_metrics() -> list[str]:
-    """Metrics of whole clips of joint positions and their framerate, all that are declared: velocity, acceleration …"""
-    return [metric.name for metric in all_metrics().values() if metric.arguments == "predicted, target, fps"]
+def given_frames(scale: Fraction) -> Int64[np.ndarray, "given"]:
+    """⌊i·s⌋ for i = 0 … 15, exactly; raises `ValueError` for scales outside (1, 5]."""
+    if not 1 < scale <= LARGEST_SCALE:
+        raise ValueError(f"scales lie above 1 and up to {LARGEST_SCALE}, not at {scale}")
+    return np.array([index * scale.numerator // scale.denominator for index in range(NUM_GIVEN)])
 
 
-def measured_metrics() -> tuple[str, ...]:
-    """The metrics of an output."""
-    return ("psnr", "ssim", "mpjpe_global", "rotation_angle_error", *timed_metrics())
+CLIP_FRAMES = int(given_frames(LARGEST_SCALE)[-1]) + 1
 
 
-def measure_interpolation(
-    clips: TrueClips,
-    scale: PoseScale,
-    scales: Sequence[Fraction],
-    completer: Completer,
-    advance: Callable[[], None] = lambda: None,
-) -> Scores:
-    """An encoder's figures by metric and scale; numbers of poses are scaled by `scale`.
-
-    `advance` is called once for each batch of clips (`num_batches`). Raises `MotionkitError` or `ValueError` if the
-    encoder fails.
-    """
-    protocol, metrics = InterpolationProtocol(), measured_metrics()
-    streams = {scale_label(each): TakeStreams(metrics) for each in scales}
-    for first in range(0, clips.num_clips, CLIPS_AT_ONCE):
-        part = slice(first, first + CLIPS_AT_ONCE)
-        truth, takes = clips.read(part), clips.takes[part]
-        rotations = truth.local_rotations()
-        for each in scales:
-            made = _answered(scale, protocol, each, completer, truth, rotations)
-            for chosen, of_take in streams[scale_label(each)].by_take(takes):
-                _add(of_take, protocol.synthesised(each), made.of(chosen))
-        advance()
-    return scores_of(streams, metrics)
-
-
-def num_batches(clips: TrueClips) -> int:
-    """Number of calls of `advance` in `measure_interpolation`."""
-    return -(-clips.num_clips // CLIPS_AT_ONCE)
+def scale_label(scale: Fraction) -> str:
+    """×2, ×2.4."""
+    return f"×{float(scale):g}"
 
 
 @dataclass(frozen=True, eq=False)
-class _Answered:
-    """Predicted and true clips: numbers in the unit range, positions, local rotations."""
+class PoseScale:
+    """Mean and deviation of the numbers that vary; the others are ignored."""
 
-    fps: float
-    predicted: Float64[np.ndarray, "clips frames numbers"]
-    target: Float64[np.ndarray, "clips frames numbers"]
-    positions: Float32[np.ndarray, "clips frames joints 3"]
-    true_positions: Float32[np.ndarray, "clips frames joints 3"]
-    turned: Float32[np.ndarray, "clips frames joints 4"]
-    true_turned: Float32[np.ndarray, "clips frames joints 4"]
+    mean: Float64[np.ndarray, "numbers"]
+    std: Float64[np.ndarray, "numbers"]
+    varies: Bool[np.ndarray, "all_numbers"]
 
-    def of(self, clips: Int64[np.ndarray, "chosen"]) -> "_Answered":
-        """Some of the clips."""
-        arrays = {name: each[clips] for name, each in vars(self).items() if name != "fps"}
-        return _Answered(self.fps, **arrays)
+    def unit_range(
+        self, vectors: Float32[np.ndarray, "clips frames all_numbers"]
+    ) -> Float64[np.ndarray, "clips frames numbers"]:
+        """0.5 + (x − μ)/(4σ) of the numbers that vary."""
+        return to_unit_range(vectors[..., self.varies], self.mean, self.std)
 
 
-def _answered(
-    unit: PoseScale,
-    protocol: InterpolationProtocol,
-    scale: Fraction,
-    completer: Completer,
-    whole: TruePoses,
-    rotations: Float32[np.ndarray, "clips frames joints 4"],
-) -> _Answered:
-    span = slice(0, protocol.span_frames(scale))
-    truth, rotations = whole.frames(span), rotations[:, span]
-    given = observations(truth, rotations, protocol.kept_frames(scale))
-    made = [_with_rotations(poses) for poses in query_many(completer.encoder, given, truth.times_seconds, truth.fps)]
-    positions = np.stack([poses.joint_positions for poses in made])
-    turned = np.stack([poses.local_rotations for poses in made if poses.local_rotations is not None])
-    vectors = np.concatenate((positions[:, :, 0], two_columns(turned)), axis=-1)
-    own = ClipFrames.of(truth.vectors)
-    predicted, target = (unit.unit_range(own.to_window(rows)) for rows in (vectors, truth.vectors))
-    return _Answered(float(truth.fps), predicted, target, positions, truth.joint_positions, turned, rotations)
+def in_first_frame(
+    vectors: Float32[np.ndarray, "clips frames numbers"], first: Float32[np.ndarray, "clips numbers"]
+) -> Float32[np.ndarray, "clips frames numbers"]:
+    """Vectors of the world in each clip's own frame: origin under the root of its first pose, which faces Z+."""
+    return rotations.to_window(vectors, rotations.heading(first, SMPL22), first[:, (0, 2)].astype(np.float64))
 
 
-def _add(streams: Mapping[str, MeanStream], asked: Bool[np.ndarray, "span"], made: _Answered) -> None:
-    streams["psnr"].update(made.predicted, made.target, synthesised=asked, ceiling_db=CEILING_DB)
-    streams["ssim"].update(made.predicted, made.target)
-    streams["mpjpe_global"].update(_frames(made.positions[:, asked]), _frames(made.true_positions[:, asked]))
-    streams["rotation_angle_error"].update(_frames(made.turned[:, asked]), _frames(made.true_turned[:, asked]))
-    for name in timed_metrics():
-        streams[name].update(made.positions, made.true_positions, fps=made.fps)
+def measure_scale(clips: TrueClips) -> PoseScale:
+    """Mean and deviation of all frames of training clips, each clip in its own frame.
+
+    The root's x and z share a deviation; a number has at least a quarter of its group's (root mean square over those
+    that vary). Groups: the root's path, its height, its rotation, the joints' rotations.
+    """
+    every = (poses.vectors for _, poses in clips.read(TRAINING_CLIPS_AT_ONCE))
+    found = stream(in_first_frame(rows, rows[:, 0]).reshape(-1, rows.shape[-1]) for rows in every)
+    variance = found.std**2
+    varies = variance > CONSTANT**2
+    variance[ROOT_PATH] = variance[ROOT_PATH].mean()
+    for group in GROUPS:
+        present = variance[group][varies[group]]
+        if present.size:
+            variance[group] = np.maximum(variance[group], FLOOR_SHARE**2 * present.mean())
+    return PoseScale(found.mean[varies], np.sqrt(variance[varies]), varies)
 
 
-def _with_rotations(poses: Poses) -> Poses:
-    """Poses with positions only get rotations by inverse kinematics, as all rows have."""
-    return poses if poses.local_rotations is not None else rows_of_poses(poses, SMPL22).poses()
+def measure_interpolation(
+    clips: TrueClips, scale: PoseScale, scales: Sequence[Fraction], completer: Completer
+) -> Scores:
+    """An encoder's figures by metric and scale; pose vectors are scaled by `scale`.
 
-
-def _frames(clips: Float32[np.ndarray, "clips frames joints numbers"]) -> Float32[np.ndarray, "rows joints numbers"]:
-    return clips.reshape(-1, *clips.shape[2:])
+    Predicted poses without rotations get them by inverse kinematics. Raises `MotionkitError` or `ValueError` if the
+    encoder fails.
+    """
+    scores: Scores = {}
+    for part, whole in clips.read(CLIPS_AT_ONCE):
+        takes, whole_rotations = clips.takes[part], whole.local_rotations()
+        for each in scales:
+            given = given_frames(each)
+            truth, turns = whole.frames(slice(0, given[-1] + 1)), whole_rotations[:, : given[-1] + 1]
+            synthesised = np.isin(np.arange(given[-1] + 1), given, invert=True)
+            observed = [
+                Observation(
+                    truth.times_seconds[given], Poses(positions[given], turned[given], positions[given, 0]), SMPL22
+                )
+                for positions, turned in zip(truth.joint_positions, turns, strict=True)
+            ]
+            made = [
+                poses if poses.local_rotations is not None else rotations.rows_of_poses(poses, SMPL22).poses()
+                for poses in query_many(completer.encoder, observed, truth.times_seconds, truth.fps)
+            ]
+            positions = np.stack([poses.joint_positions for poses in made])
+            turned = np.stack([poses.local_rotations for poses in made if poses.local_rotations is not None])
+            vectors = np.concatenate((positions[:, :, 0], rotations.two_columns(turned)), axis=-1)
+            pair = [scale.unit_range(in_first_frame(rows, truth.vectors[:, 0])) for rows in (vectors, truth.vectors)]
+            label = scale_label(each)
+            add_clips(scores, label, takes, "psnr", *pair, synthesised=synthesised, ceiling_db=CEILING_DB)
+            add_clips(scores, label, takes, "ssim", *pair)
+            joints = positions[:, synthesised], truth.joint_positions[:, synthesised]
+            add_clips(scores, label, takes, "mpjpe_global", *joints)
+            add_clips(scores, label, takes, "rotation_angle_error", turned[:, synthesised], turns[:, synthesised])
+            for name in TIMED_METRICS:
+                add_clips(scores, label, takes, name, positions, truth.joint_positions, fps=float(truth.fps))
+    return scores

@@ -1,189 +1,171 @@
-"""Scores of a row: means by metric and column, and the scaling of pose vectors."""
+"""Scores of a completion table: sums of metrics over takes, their means, and the blocks that show them."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import reduce
-from typing import TYPE_CHECKING
+from fractions import Fraction
 
 import numpy as np
 
-from eval.completion.takes import TrueClips
-from eval.metrics.metric import MeanStream, MeanSums, find_metric
-from eval.metrics.motion import to_unit_range
-from eval.metrics.number import Number, with_takes
-from eval.metrics.resampling import Resampling
-from motionkit.core.moments import stream
-from motionkit.core.shapes import Bool, Float32, Float64, Int64
-from motionkit.core.skeleton import SMPL22
-from motionkit.features import rotations
+from eval.completion.encoders import Completer
+from eval.metrics.metric import MeanSums, find_metric
+from eval.metrics.number import Number, Resampling, with_takes
+from eval.report.results import Block, Cell, Differences, Measure, Row, cell_of, differences_block, measure, pairs_of
+from eval.sets.sets import RowId
+from motionkit.core.shapes import Shaped
 
-# Sums of every take, so that takes can be resampled, and pooled with those of other data sets.
-TakeSums = Mapping[str, MeanSums]
+Scores = dict[str, dict[str, dict[str, list[float]]]]
+"""By metric, by column (a scale, a length) and by take: Σ weight·value and Σ weight of its clips."""
+
+# Metrics shown in another unit than their own: the factor, and the unit's name.
+UNITS = {"mpjpe_global": (100.0, "cm")}
+PLAIN = "plain"
+# Suffix of a block's title for each form; corrections share a block with interpolators.
+FORMS = {"": "", PLAIN: ", plain answers"}
 
 
-def mean_over_takes(takes: TakeSums) -> Number:
+def add_clips(
+    scores: Scores,
+    column: str,
+    takes: Sequence[str],
+    metric: str,
+    *arrays: Shaped[np.ndarray, "_clips ..."],
+    **settings: object,
+) -> None:
+    """Add clips, each of a take, to a metric's sums of these takes; settings are the metric's own."""
+    by_take = scores.setdefault(metric, {}).setdefault(column, {})
+    for take in dict.fromkeys(takes):
+        clips = [clip for clip, each in enumerate(takes) if each == take]
+        own = [array[clips] for array in arrays]
+        sums = find_metric(metric).add(MeanSums(*by_take.get(take, ())), *own, **settings)
+        by_take[take] = [sums.total, sums.weight]
+
+
+def mean_over_takes(by_take: Mapping[str, Sequence[float]]) -> Number:
     """The mean over clips, frames or true power, with its interval over takes; none for a single take."""
-    mean = reduce(MeanSums.merged, takes.values()).mean
-    if len(takes) < 2:
+    totals, sizes = np.array(list(by_take.values())).T
+    mean = sum(totals.tolist()) / sum(sizes.tolist())
+    if len(by_take) < 2:
         return Number(mean)
-    weights = Resampling().weights([f"take {take}" for take in takes])
-    totals, sizes = (weights @ [getattr(sums, name) for sums in takes.values()] for name in ("total", "weight"))
-    pairs = zip(totals.tolist(), sizes.tolist(), strict=True)
+    weights = Resampling().weights([f"take {take}" for take in by_take])
+    pairs = zip((weights @ totals).tolist(), (weights @ sizes).tolist(), strict=True)
     return with_takes(mean, tuple(total / size if size else None for total, size in pairs))
-
-
-# By metric, then by column (a scale, a length).
-Scores = Mapping[str, Mapping[str, TakeSums]]
-
-
-def to_plain(scores: Scores) -> dict[str, dict[str, dict[str, list[float]]]]:
-    """Scores as plain values: the sums of every take."""
-    return {
-        metric: {
-            column: {take: [sums.total, sums.weight] for take, sums in takes.items()}
-            for column, takes in columns.items()
-        }
-        for metric, columns in scores.items()
-    }
-
-
-def from_plain(values: Mapping[str, Mapping[str, Mapping[str, Sequence[float]]]]) -> Scores:
-    """Inverse of `to_plain`."""
-    return {
-        metric: {column: {take: MeanSums(*sums) for take, sums in takes.items()} for column, takes in columns.items()}
-        for metric, columns in values.items()
-    }
-
-
-class TakeStreams:
-    """Accumulates metrics per take."""
-
-    def __init__(self, metrics: Sequence[str]) -> None:
-        self._metrics = metrics
-        self._of_take: dict[str, dict[str, MeanStream]] = {}
-
-    def by_take(self, takes: Sequence[str]) -> Iterator[tuple[Int64[np.ndarray, "_clips"], Mapping[str, MeanStream]]]:
-        """The clips of every take of a batch, and the streams by metric that they are for."""
-        for take in dict.fromkeys(takes):
-            if take not in self._of_take:
-                self._of_take[take] = {name: MeanStream(find_metric(name)) for name in self._metrics}
-            yield np.array([place for place, each in enumerate(takes) if each == take]), self._of_take[take]
-
-    def means(self, metric: str) -> TakeSums:
-        """The accumulated sums of a metric."""
-        return {take: streams[metric].sums for take, streams in self._of_take.items()}
-
-
-def scores_of(streams: Mapping[str, TakeStreams], metrics: Sequence[str]) -> Scores:
-    """The accumulated sums by column."""
-    return {name: {column: of_column.means(name) for column, of_column in streams.items()} for name in metrics}
 
 
 def pooled(groups: Sequence[Mapping[str, Scores]]) -> dict[str, Scores]:
     """Scores of all groups' clips together, for the rows that every group has; rows in the first group's order."""
-    first, *others = groups
-    return {
-        name: reduce(_joined, (group[name] for group in groups))
-        for name in first
-        if all(name in group for group in others)
-    }
+    result: dict[str, Scores] = {}
+    for row in (name for name in groups[0] if all(name in group for group in groups)):
+        result[row] = {}
+        for metric, columns in groups[0][row].items():
+            result[row][metric] = {}
+            for column in columns:
+                together: dict[str, list[float]] = {}
+                for group in groups:
+                    for take, (total, weight) in group[row][metric][column].items():
+                        before = together.get(take, [0.0, 0.0])
+                        together[take] = [before[0] + total, before[1] + weight]
+                result[row][metric][column] = together
+    return result
 
 
-def _joined(first: Scores, second: Scores) -> Scores:
-    return {
-        metric: {column: _with_takes_of(sums, second[metric][column]) for column, sums in columns.items()}
-        for metric, columns in first.items()
-    }
+@dataclass(frozen=True)
+class Shown:
+    """The layout of a table: blocks by metric, with their titles, and further metrics of a block by title."""
 
-
-def _with_takes_of(first: TakeSums, second: TakeSums) -> TakeSums:
-    return {**first, **{take: first[take].merged(sums) if take in first else sums for take, sums in second.items()}}
-
-
-ROOT_PATH, ROOT_HEIGHT, ROOT_ROTATION, JOINT_ROTATIONS = slice(0, 3, 2), slice(1, 2), slice(3, 9), slice(9, None)
-GROUPS = (ROOT_PATH, ROOT_HEIGHT, ROOT_ROTATION, JOINT_ROTATIONS)
-# Deviations are at least this share of their group's: otherwise the noise of joints that hardly turn would count as
-# much as a leg's swing.
-FLOOR_SHARE = 0.25
-# A smaller deviation is float32 rounding: a leaf of the skeleton, which has no bone to rotate.
-CONSTANT = 1e-5
-CLIPS_AT_ONCE = 512
+    columns: tuple[str, ...]
+    metrics: Mapping[str, str]
+    details: Mapping[str, Mapping[str, str]]
 
 
 @dataclass(frozen=True, eq=False)
-class PoseScale:
-    """Mean and deviation of the numbers that vary; the others are ignored."""
+class Scope:
+    """The clips that figures are averaged over: of one data set, or of several."""
 
-    mean: Float64[np.ndarray, "numbers"]
-    std: Float64[np.ndarray, "numbers"]
-    varies: Bool[np.ndarray, "all_numbers"]
+    label: str
+    fps: Fraction
+    rows: Mapping[str, Scores]
+    note: str = ""
 
-    def unit_range(
-        self, vectors: Float32[np.ndarray, "clips frames all_numbers"]
-    ) -> Float64[np.ndarray, "clips frames numbers"]:
-        """0.5 + (x − μ)/(4σ) of the numbers that vary."""
-        return to_unit_range(vectors[..., self.varies], self.mean, self.std)
-
-
-@dataclass(frozen=True, eq=False)
-class ClipFrames:
-    """The clips' own frames: origin under the root at the first frame, which faces Z+."""
-
-    yaw: Float64[np.ndarray, "clips"]
-    origin: Float64[np.ndarray, "clips 2"]
-
-    @classmethod
-    def of(cls, vectors: Float32[np.ndarray, "clips frames numbers"]) -> "ClipFrames":
-        """By the first frame, which is given in every table."""
-        return cls(rotations.heading(vectors[:, 0], SMPL22), vectors[:, 0, (0, 2)].astype(np.float64))
-
-    def to_window(
-        self, vectors: Float32[np.ndarray, "clips frames numbers"]
-    ) -> Float32[np.ndarray, "clips frames numbers"]:
-        """World → each clip's own frame."""
-        return rotations.to_window(vectors, self.yaw, self.origin)
+    def number(self, row: str, metric: str, column: str) -> Number:
+        """A metric's number in the unit shown in tables."""
+        found, (factor, _) = mean_over_takes(self.rows[row][metric][column]), UNITS.get(metric, (1.0, ""))
+        resampled = tuple(None if each is None else factor * each for each in found.resampled)
+        return Number(factor * found.value, factor * found.ci95, resampled)
 
 
-def measure_scale(clips: TrueClips) -> PoseScale:
-    """Mean and deviation of all frames of training clips, each clip in its own frame.
+def shown_measure(metric: str) -> Measure:
+    """A metric's description in a block."""
+    return measure(metric, unit=UNITS[metric][1] if metric in UNITS else None)
 
-    The root's x and z share a deviation; a number has at least a quarter of its group's (root mean square over those
-    that vary). Groups: the root's path, its height, its rotation, the joints' rotations.
+
+def with_pools(scopes: Sequence[Scope], noun: str) -> list[Scope]:
+    """Add pooled scopes, first, for framerates that several data sets have; `noun` is what is pooled (clips)."""
+    pools = []
+    for fps in dict.fromkeys(scope.fps for scope in scopes):
+        same = [scope for scope in scopes if scope.fps == fps]
+        if len(same) > 1:
+            names = ", ".join(scope.label for scope in same)
+            note = f"All {noun} of {names}: each counts alike, and is scaled as in its own data set's block."
+            rows = pooled([scope.rows for scope in same])
+            pools.append(Scope(f"all data sets, {float(fps):g} fps", fps, rows, note))
+    return [*pools, *scopes]
+
+
+def blocks_of(scopes: Iterable[Scope], completers: Sequence[Completer], shown: Shown) -> list[Block]:
+    """Blocks of every scope, with paired differences; rows are described in the first block of each form.
+
+    Trained rows that predict poses directly (form `plain`) have their own blocks; corrections and rows of unknown form
+    share one. Rows that need no training are in both.
     """
-    parts = (slice(first, first + CLIPS_AT_ONCE) for first in range(0, clips.num_clips, CLIPS_AT_ONCE))
-    found = stream(_rows(clips, part) for part in parts)
-    variance = found.std**2
-    varies = variance > CONSTANT**2
-    variance[ROOT_PATH] = variance[ROOT_PATH].mean()
-    for group in GROUPS:
-        present = variance[group][varies[group]]
-        if present.size:
-            variance[group] = np.maximum(variance[group], FLOOR_SHARE**2 * present.mean())
-    return PoseScale(found.mean[varies], np.sqrt(variance[varies]), varies)
+    blocks: list[Block] = []
+    noted: set[str] = set()
+    for scope in scopes:
+        known = [each for each in completers if each.name in scope.rows]
+        forms = {"": [each for each in known if each.form != PLAIN]}
+        if any(each.form == PLAIN for each in known):
+            forms[PLAIN] = [each for each in known if not each.trained or each.form == PLAIN]
+        for form, rows in forms.items():
+            for metric, title in shown.metrics.items():
+                notes = form not in noted and metric == next(iter(shown.metrics))
+                block = Block(
+                    f"{scope.label}{FORMS[form]}: {title}",
+                    shown.columns,
+                    tuple(
+                        Row(each.name, "ours", _cells(scope, each, metric, shown), each.note * notes) for each in rows
+                    ),
+                    lower_is_better=find_metric(metric).higher_is_better is False,
+                    note=scope.note,
+                    metrics=(shown_measure(metric),),
+                )
+                differences = differences_block(block, _differences(scope, rows, metric, shown.columns))
+                blocks += [block] if differences is None else [block, differences]
+            noted.add(form)
+    return blocks
 
 
-def _rows(clips: TrueClips, part: slice) -> Float32[np.ndarray, "rows numbers"]:
-    vectors = clips.vectors(part)
-    own = ClipFrames.of(vectors).to_window(vectors)
-    return own.reshape(-1, own.shape[-1])
+def _cells(scope: Scope, row: Completer, metric: str, shown: Shown) -> dict[str, Cell]:
+    further = shown.details.get(metric, {})
+    cells = {}
+    for column in shown.columns:
+        details = {title: scope.number(row.name, name, column).value for name, title in further.items()}
+        cells[column] = cell_of(scope.number(row.name, metric, column), details)
+    return cells
 
 
-if TYPE_CHECKING:
-    from motionkit.store.reader import Store
-
-
-def split_remark(store: "Store", clips: TrueClips, split: str) -> str:
-    """A remark on the performers of these clips, and how many of them are in the training split too."""
-    rows = store.columns("source", "subject", "split")
-    chosen = rows.loc[sorted(set(clips.sequence_index.tolist()))]
-    if (chosen["subject"] == "").all():
-        return "the store does not name performers, so the same people may be in the training split."
-    performers = set(zip(chosen["source"], chosen["subject"], strict=True))
-    training = rows[rows["split"] == "train"]
-    shared = performers & set(zip(training["source"], training["subject"], strict=True))
-    if not shared:
-        return f"{len(performers)} performers, none of whom is in the training split."
-    return (
-        f"{len(performers)} performers, {len(shared)} of whom are in the training split too, with other takes "
-        "(motionkit split holds out whole performers)."
+def _differences(scope: Scope, rows: Sequence[Completer], metric: str, columns: Sequence[str]) -> Differences:
+    """Differences between trained rows, and from the untrained row that is best in most columns."""
+    untrained = [each.name for each in rows if not each.trained]
+    sign = -1.0 if find_metric(metric).higher_is_better else 1.0
+    wins = Counter(
+        min(untrained, key=lambda name: sign * scope.number(name, metric, column).value)
+        for column in (columns if untrained else ())
     )
+    best = [RowId(name) for name, _ in wins.most_common(1)]
+    found: dict[tuple[RowId, RowId], dict[str, Number]] = {}
+    for first, second in pairs_of([RowId(each.name) for each in rows if each.trained], best):
+        for column in columns:
+            numbers = (scope.number(row.system, metric, column) for row in (first, second))
+            if (less := Number.less(*numbers)) is not None:
+                found.setdefault((first, second), {})[column] = less
+    return found

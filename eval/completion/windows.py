@@ -1,80 +1,92 @@
-"""Windows of 65 frames as LaFAN1's benchmark prepares them: of LaFAN1 itself, and of any data set at 30 fps.
+"""Windows of 65 frames at 30 fps, for in-betweening (PA-HiRes, Table 3; LaFAN1's benchmark) and extrapolation.
 
-Source: https://github.com/ubisoft/ubisoft-laforge-animation-dataset (lafan1/extract.py and utils.py: windows, centring,
-facing).
+Windows of LaFAN1 itself and of any other data set are prepared as the benchmark prepares them. Source:
+https://github.com/ubisoft/ubisoft-laforge-animation-dataset (lafan1/extract.py and utils.py: windows, centring, facing;
+Harvey et al. 2020). Extrapolation has no published protocol; this is motionkit's own (docs/metrics.md).
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eval.completion.protocol import NUM_PAST_FRAMES
-from eval.completion.scores import split_remark
-from eval.completion.takes import DataSet, NoTakesError, open_clips
+from eval.completion.data_sets import DataSet, NoTakesError, open_clips, split_remark
+from eval.completion.encoders import Completer, query_many
+from eval.completion.scores import Scores, add_clips
 from motionkit.core import kinematics
-from motionkit.core.moments import Moments, stream
+from motionkit.core.moments import stream
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.features.rotations import heading, to_window
+from motionkit.fields.motion_field import Observation, Poses
 from motionkit.io import lafan1
+from motionkit.store.reader import Store
 from motionkit.store.sql import conjunction
 
-if TYPE_CHECKING:
-    from motionkit.store.reader import Store
-
+INBETWEENING_VERSION, EXTRAPOLATION_VERSION = "inbetweening/1", "extrapolation/1"
 FPS = Fraction(30)
+NUM_PAST_FRAMES = 10
 BENCHMARK_WINDOWS = 2232
 LAFAN1 = "source_format = 'lafan1' AND fps = 30"
-CLIPS_AT_ONCE = 512
+CLIPS_AT_ONCE, WINDOWS_AT_ONCE = 512, 64
 TRAIN_WINDOW_FRAMES, TRAIN_STEP_FRAMES = 50, 20
 TEST_WINDOW_FRAMES, TEST_STEP_FRAMES = 65, 40
 
+RootPaths = Float32[np.ndarray, "windows frames 3"]
+Rotations = Float32[np.ndarray, "windows frames joints 4"]
+
 
 @dataclass(frozen=True)
-class BenchmarkWindows:
-    """Windows of one take as the benchmark prepares them: `start_frames` in the take, root path in metres, rotations.
+class Question:
+    """Given and requested frames of a window, and the table's name for them."""
 
-    Every window is centred on its mean in x and z and rotated about y so that in frame 9 the root's own y axis, along
-    which LaFAN1's hips face, points to +x on the ground. Quaternions have continuous signs over the take.
-    """
-
-    start_frames: Int64[np.ndarray, "windows"]
-    root_translation: Float32[np.ndarray, "windows frames 3"]
-    local_rotations: Float32[np.ndarray, "windows frames joints 4"]
+    label: str
+    given: Int64[np.ndarray, "given"]
+    asked: Int64[np.ndarray, "asked"]
 
 
-def benchmark_windows(motion: Motion, *, window_frames: int, step_frames: int) -> BenchmarkWindows:
-    """Cut a take into the benchmark's windows (test: 65 frames every 40; training: 50 every 20).
-
-    A window starts at every multiple of the step for which start + window < number of frames: the comparison is strict,
-    so a window that ends with the last frame is left out. Raises `ValueError` for a motion without rotations, or for
-    windows too short to have the frame that sets their heading.
-    """
-    if motion.local_rotations is None or motion.root_translation is None:
-        raise ValueError(f"{motion.sequence_id} has no rotations, which the benchmark is about")
-    if window_frames < NUM_PAST_FRAMES or step_frames < 1:
-        raise ValueError(f"windows of {window_frames} frames every {step_frames}, expected at least 10 every 1")
-    starts = np.arange(0, max(motion.num_frames - window_frames, 0), step_frames)
-    frames = starts[:, None] + np.arange(window_frames)
-    rotations = kinematics.continuous_quaternions(motion.local_rotations)[frames].astype(np.float64)
-    root = motion.root_translation[frames].astype(np.float64)
-    root[..., ::2] -= root[..., ::2].mean(axis=1, keepdims=True)
-    back = _turn_to_x(rotations[:, NUM_PAST_FRAMES - 1, 0])[:, None]
-    rotations[:, :, 0] = kinematics.quaternion_multiply(back, rotations[:, :, 0])
-    return BenchmarkWindows(
-        start_frames=starts,
-        root_translation=kinematics.quaternion_rotate(back, root).astype(np.float32),
-        local_rotations=rotations.astype(np.float32),
+def gaps(lengths: Sequence[int] = (5, 15, 30, 45)) -> tuple[Question, ...]:
+    """10 past frames and the first future one are given, the n between them requested."""
+    past = np.arange(NUM_PAST_FRAMES)
+    return tuple(
+        Question(f"{n} frames", np.append(past, NUM_PAST_FRAMES + n), np.arange(NUM_PAST_FRAMES, NUM_PAST_FRAMES + n))
+        for n in lengths
     )
 
 
-def _turn_to_x(root: Float64[np.ndarray, "windows 4"]) -> Float64[np.ndarray, "windows 4"]:
-    forward = kinematics.quaternion_rotate(root, np.array([0.0, 1.0, 0.0])) * np.array([1.0, 0.0, 1.0])
-    return kinematics.quaternion_between(forward, np.array([1.0, 0.0, 0.0]))
+def continuations(lengths: Sequence[int] = (5, 15, 30), num_given: int = 30) -> tuple[Question, ...]:
+    """A second at 30 fps is given, the n frames after it requested; and likewise backwards.
+
+    The given second is the first one of the window, or the last one of the same 60 frames.
+    """
+    first, longest = np.arange(num_given), max(lengths)
+    after = (Question(f"after: {n}", first, np.arange(num_given, num_given + n)) for n in lengths)
+    before = (Question(f"before: {n}", first + longest, np.arange(longest - n, longest)) for n in lengths)
+    return (*after, *before)
+
+
+def benchmark_windows(motion: Motion, num_frames: int, every: int) -> tuple[RootPaths, Rotations]:
+    """Cut a take into the benchmark's windows: root paths in metres and local rotations.
+
+    A window starts at every multiple of `every` for which start + window < number of frames: the comparison is strict,
+    so a window that ends with the last frame is left out. Every window is centred on its mean in x and z and rotated
+    about y so that in frame 9 the root's own y axis, along which LaFAN1's hips face, points to +x on the ground.
+    Quaternions have continuous signs over the take. Raises `ValueError` for a motion without rotations.
+    """
+    if motion.local_rotations is None or motion.root_translation is None:
+        raise ValueError(f"{motion.sequence_id} has no rotations, which the benchmark is about")
+    starts = np.arange(0, max(motion.num_frames - num_frames, 0), every)
+    frames = starts[:, None] + np.arange(num_frames)
+    rotations = kinematics.continuous_quaternions(motion.local_rotations)[frames].astype(np.float64)
+    root = motion.root_translation[frames].astype(np.float64)
+    root[..., ::2] -= root[..., ::2].mean(axis=1, keepdims=True)
+    facing = kinematics.quaternion_rotate(rotations[:, NUM_PAST_FRAMES - 1, 0], np.array([0.0, 1.0, 0.0]))
+    on_ground = facing * np.array([1.0, 0.0, 1.0])
+    back = kinematics.quaternion_between(on_ground, np.array([1.0, 0.0, 0.0]))[:, None]
+    rotations[:, :, 0] = kinematics.quaternion_multiply(back, rotations[:, :, 0])
+    return kinematics.quaternion_rotate(back, root).astype(np.float32), rotations.astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +99,8 @@ class PoseWindows:
 
     name: str
     skeleton: Skeleton
-    root_translation: Float32[np.ndarray, "windows frames 3"]
-    local_rotations: Float32[np.ndarray, "windows frames joints 4"]
+    root_translation: RootPaths
+    local_rotations: Rotations
     takes: tuple[str, ...]
     position_std: Float64[np.ndarray, "joints 3"]
     num_training_windows: int
@@ -100,49 +112,41 @@ class PoseWindows:
         return len(self.root_translation)
 
 
-def lafan1_windows(store: "Store", advance: Callable[[], None] = lambda: None) -> PoseWindows:
+def lafan1_windows(store: Store) -> PoseWindows:
     """The benchmark's windows out of a store that holds LaFAN1's BVH files: subjects 1–4 train, subject 5 tests.
 
     Subjects decide, not the store's split. Takes come in the order of their names, so that the first training window,
     whose bones all poses get, is that of the first name. Raises `NoTakesError` where either set is empty.
     """
-    training = _lafan1_takes(store, lafan1.TRAIN_SUBJECTS)
+    training = [
+        motion for motion in _lafan1_takes(store, lafan1.TRAIN_SUBJECTS) if motion.num_frames > TRAIN_WINDOW_FRAMES
+    ]
+    if not training:
+        raise NoTakesError(f"no training take is longer than {TRAIN_WINDOW_FRAMES} frames")
+    windows = (benchmark_windows(motion, TRAIN_WINDOW_FRAMES, TRAIN_STEP_FRAMES) for motion in training)
+    positions = (global_poses(*each, motion.skeleton)[0] for each, motion in zip(windows, training, strict=True))
+    moments = stream(each.reshape(-1, 3 * each.shape[2]) for each in positions)
     test = _lafan1_takes(store, lafan1.TEST_SUBJECTS)
-    moments, skeleton = _training_statistics(_advancing(training, advance))
-    found = [benchmark_windows(motion, **_TEST) for motion in _advancing(test, advance)]
-    roots = np.concatenate([windows.root_translation for windows in found])
+    found = [benchmark_windows(motion, TEST_WINDOW_FRAMES, TEST_STEP_FRAMES) for motion in test]
+    roots = np.concatenate([root for root, _ in found])
     if not len(roots):
         raise NoTakesError(f"no take of subject 5 is longer than {TEST_WINDOW_FRAMES} frames")
     expected = "" if len(roots) == BENCHMARK_WINDOWS else f" (the whole data set has {BENCHMARK_WINDOWS:,})"
     return PoseWindows(
         name="LaFAN1",
-        skeleton=skeleton,
+        skeleton=training[0].skeleton,
         root_translation=roots,
-        local_rotations=np.concatenate([windows.local_rotations for windows in found]),
-        takes=tuple(f"LaFAN1 {take}" for take, each in enumerate(found) for _ in each.root_translation),
+        local_rotations=np.concatenate([rotations for _, rotations in found]),
+        takes=tuple(f"LaFAN1 {take}" for take, (root, _) in enumerate(found) for _ in root),
         position_std=moments.std.reshape(-1, 3),
         num_training_windows=moments.count // TRAIN_WINDOW_FRAMES,
         remark=f"subject 5, {len(roots):,} windows{expected}; statistics of subjects 1 to 4.",
     )
 
 
-_TEST = {"window_frames": TEST_WINDOW_FRAMES, "step_frames": TEST_STEP_FRAMES}
-_TRAIN = {"window_frames": TRAIN_WINDOW_FRAMES, "step_frames": TRAIN_STEP_FRAMES}
-
-
-def num_lafan1_takes(store: "Store") -> int:
-    """Number of calls of `advance` in `lafan1_windows`."""
-    subjects = (*lafan1.TRAIN_SUBJECTS, *lafan1.TEST_SUBJECTS)
-    return len(store.select(_of_subjects(subjects)))
-
-
-def _of_subjects(subjects: Iterable[str]) -> str:
+def _lafan1_takes(store: Store, subjects: tuple[str, ...]) -> list[Motion]:
     named = ", ".join(f"'{subject}'" for subject in subjects)
-    return conjunction(LAFAN1, f"lower(subject) IN ({named})")
-
-
-def _lafan1_takes(store: "Store", subjects: tuple[str, ...]) -> list[Motion]:
-    chosen = store.select(_of_subjects(subjects))
+    chosen = store.select(conjunction(LAFAN1, f"lower(subject) IN ({named})"))
     if not len(chosen):
         raise NoTakesError(
             f"the store has no take of LaFAN1's {' or '.join(subjects)} at 30 fps (motionkit ingest FOLDER-OF-ITS-BVH)"
@@ -151,35 +155,8 @@ def _lafan1_takes(store: "Store", subjects: tuple[str, ...]) -> list[Motion]:
     return [store.read(int(index)) for index in paths.sort_values().index]
 
 
-def _advancing(motions: Iterable[Motion], advance: Callable[[], None]) -> Iterator[Motion]:
-    for motion in motions:
-        yield motion
-        advance()
-
-
-def _training_statistics(motions: Iterable[Motion]) -> tuple[Moments, Skeleton]:
-    """Moments of the global positions of all training windows' frames, and the first take's skeleton."""
-    skeletons: list[Skeleton] = []
-
-    def parts() -> Iterator[Float32[np.ndarray, "rows numbers"]]:
-        for motion in motions:
-            windows = benchmark_windows(motion, **_TRAIN)
-            if not len(windows.start_frames):
-                continue
-            skeletons.append(motion.skeleton)
-            positions = global_poses(windows.root_translation, windows.local_rotations, motion.skeleton)[0]
-            yield positions.reshape(-1, positions.shape[2] * 3)
-
-    try:
-        return stream(parts()), skeletons[0]
-    except ValueError:
-        raise NoTakesError(f"no training take is longer than {TRAIN_WINDOW_FRAMES} frames") from None
-
-
 def global_poses(
-    root: Float32[np.ndarray, "windows frames 3"],
-    local_rotations: Float32[np.ndarray, "windows frames joints 4"],
-    skeleton: Skeleton,
+    root: RootPaths, local_rotations: Rotations, skeleton: Skeleton
 ) -> tuple[Float64[np.ndarray, "windows frames joints 3"], Float64[np.ndarray, "windows frames joints 4"]]:
     """Global positions in metres and global quaternions by the skeleton's offsets, float64.
 
@@ -192,7 +169,7 @@ def global_poses(
     return positions.reshape(*shape, 3), rotations.reshape(*shape, 4)
 
 
-def data_set_windows(store: "Store", data_set: DataSet, split: str, where: str | None) -> PoseWindows:
+def data_set_windows(store: Store, data_set: DataSet, split: str, where: str | None) -> PoseWindows:
     """The same windows of any data set in the 22-joint layout, its rotations those of rotation rows.
 
     Statistics are of the training split's windows, of the compared ones where there is none. Raises `NoTakesError`
@@ -207,18 +184,19 @@ def data_set_windows(store: "Store", data_set: DataSet, split: str, where: str |
         train = open_clips(store, data_set, split, where, TRAIN_WINDOW_FRAMES + 1, TRAIN_STEP_FRAMES)
         remark += " There is no training split: statistics are those of the compared takes."
 
-    def parts() -> Iterator[Float32[np.ndarray, "rows numbers"]]:
-        for first in range(0, train.num_clips, CLIPS_AT_ONCE):
-            poses = train.read(slice(first, first + CLIPS_AT_ONCE)).frames(slice(0, -1))
+    def parts() -> Iterator[Float64[np.ndarray, "rows numbers"]]:
+        for _, clips in train.read(CLIPS_AT_ONCE):
+            poses = clips.frames(slice(0, -1))
             yaw, origin = _benchmark_frame(poses.vectors)
-            yield _turned_positions(poses.joint_positions, yaw, origin).reshape(-1, 3 * SMPL22.num_joints)
+            centred = poses.joint_positions.astype(np.float64)
+            centred[..., ::2] -= origin[:, None, None]
+            back = kinematics.rotation_vector_to_quaternion(yaw[:, None, None, None] * np.array([0.0, -1.0, 0.0]))
+            yield kinematics.quaternion_rotate(back, centred).reshape(-1, 3 * SMPL22.num_joints)
 
     moments = stream(parts())
-    first_pose = train.read(slice(0, 1)).frames(slice(0, 1))
-    turned = []
-    for first in range(0, test.num_clips, CLIPS_AT_ONCE):
-        vectors = test.vectors(slice(first, first + CLIPS_AT_ONCE))[:, :-1]
-        turned.append(to_window(vectors, *_benchmark_frame(vectors)))
+    first_pose = next(train.read(1))[1].frames(slice(0, 1))
+    windows = (clips.vectors[:, :-1] for _, clips in test.read(CLIPS_AT_ONCE))
+    turned = [to_window(vectors, *_benchmark_frame(vectors)) for vectors in windows]
     rows = np.concatenate(turned)
     matrices = kinematics.closest_rotations(rows[..., 3:])
     rotations = kinematics.matrix_to_quaternion(matrices).astype(np.float32)
@@ -243,16 +221,6 @@ def _benchmark_frame(
     return yaw - np.pi / 2, origin
 
 
-def _turned_positions(
-    positions: Float32[np.ndarray, "windows frames joints 3"],
-    yaw: Float64[np.ndarray, "windows"],
-    origin: Float64[np.ndarray, "windows 2"],
-) -> Float64[np.ndarray, "windows frames joints 3"]:
-    x, z = (positions[..., axis] - origin[:, None, None, place] for place, axis in ((0, 0), (1, 2)))
-    sine, cosine = np.sin(-yaw)[:, None, None], np.cos(-yaw)[:, None, None]
-    return np.stack((cosine * x + sine * z, positions[..., 1].astype(np.float64), cosine * z - sine * x), axis=-1)
-
-
 def _bones(
     positions: Float32[np.ndarray, "1 joints 3"], rotations: Float32[np.ndarray, "1 joints 4"]
 ) -> Float32[np.ndarray, "joints 3"]:
@@ -266,11 +234,54 @@ def _bones(
     return bones
 
 
-def _continuous(
-    rotations: Float32[np.ndarray, "windows frames joints 4"],
-) -> Float32[np.ndarray, "windows frames joints 4"]:
+def _continuous(rotations: Rotations) -> Rotations:
     """Make quaternion signs continuous within each window."""
     windows, frames, joints, _ = rotations.shape
     side_by_side = rotations.transpose(1, 0, 2, 3).reshape(frames, windows * joints, 4)
     smooth = kinematics.continuous_quaternions(side_by_side).reshape(frames, windows, joints, 4)
     return np.ascontiguousarray(smooth.transpose(1, 0, 2, 3))
+
+
+def measure_windows(windows: PoseWindows, questions: Sequence[Question], completer: Completer) -> Scores:
+    """An encoder's L2P, L2Q (both), NPSS and MPJPE by metric and question.
+
+    Only local rotations and the root's position of its output are used: bones are those of the windows' skeleton, as
+    for the truth. Raises `MotionkitError` or `ValueError` if the encoder fails, or has positions only.
+    """
+    scores: Scores = {}
+    times = np.arange(windows.root_translation.shape[1], dtype=np.float64) / float(FPS)
+    for first in range(0, windows.num_windows, WINDOWS_AT_ONCE):
+        part = slice(first, first + WINDOWS_AT_ONCE)
+        root, local, takes = windows.root_translation[part], windows.local_rotations[part], windows.takes[part]
+        positions, rotations = global_poses(root, local, windows.skeleton)
+        for question in questions:
+            given, asked = question.given, question.asked
+            observed = [
+                Observation(times[given], Poses(*poses), windows.skeleton)
+                for poses in zip(positions[:, given].astype(np.float32), local[:, given], root[:, given], strict=True)
+            ]
+            made = query_many(completer.encoder, observed, times[asked], FPS)
+            predicted, turned = global_poses(*_root_and_rotations(made, local, question), windows.skeleton)
+            places, turns = (predicted, positions[:, asked]), (turned, rotations[:, asked])
+            add_clips(scores, question.label, takes, "l2p", *places, std=windows.position_std)
+            add_clips(scores, question.label, takes, "l2q", *turns)
+            add_clips(scores, question.label, takes, "l2q_as_signed", *turns)
+            add_clips(scores, question.label, takes, "npss", *(each.reshape(*each.shape[:2], -1) for each in turns))
+            add_clips(scores, question.label, takes, "mpjpe_global", *places)
+    return scores
+
+
+def _root_and_rotations(made: Sequence[Poses], local: Rotations, question: Question) -> tuple[RootPaths, Rotations]:
+    """Root and local rotations of an output, with continuous quaternion signs from the adjacent given pose on."""
+    answered = [poses.local_rotations for poses in made if poses.local_rotations is not None]
+    if len(answered) < len(made):
+        raise ValueError("its motion has positions only, but this table needs rotations")
+    roots = np.stack(
+        [poses.joint_positions[:, 0] if poses.root_translation is None else poses.root_translation for poses in made]
+    )
+    # The given pose next to the requested frames: the last one before them, or the first one after them.
+    before = question.given[question.given < question.asked[0]]
+    beside = int(before[-1]) if before.size else int(question.given[0])
+    order = slice(None) if before.size else slice(None, None, -1)
+    run = np.concatenate((local[:, beside : beside + 1], np.stack(answered)[:, order]), axis=1)
+    return roots, np.ascontiguousarray(_continuous(run)[:, 1:][:, order])

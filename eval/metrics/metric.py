@@ -1,45 +1,15 @@
-"""Metadata of metrics: unit, direction, source and, for means, the weights."""
+"""Metadata of metrics: unit, direction, source and, for means, the weights; sums of means; validation of features."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from importlib import import_module
-from pkgutil import iter_modules
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from motionkit.core.shapes import Float, Float64
+
 Array = npt.NDArray[np.generic]
-Arguments = Literal[
-    "real, generated", "predicted, target", "predicted, target, fps", "queries, candidates", "scores, labels", "one set"
-]
-
-
-@dataclass(frozen=True)
-class Metric:
-    """A metric as tables name it.
-
-    `higher_is_better` is None if the best value is the real set's own. `source` is the paper, or the code, that defines
-    it; `calibration` says how its robustness to gaming was tested, and where that is documented. `arguments` says what
-    the function's first arrays are, in order: those of "predicted, target, fps" are clips of joint positions [clips,
-    frames, joints, 3], and are in every table of interpolated motion. `weight` gives the weight of a batch from the
-    function's arrays; it is None if the metric is not a mean (a stream of such a metric needs other sums, or all rows).
-    `exponent` is 2 where the metric is the root of a mean of squares. `version` is incremented when the meaning of its
-    values changes.
-    """
-
-    name: str
-    title: str
-    unit: str
-    higher_is_better: bool | None
-    source: str
-    arguments: Arguments
-    function: Callable[..., object] = field(repr=False)
-    weight: Callable[..., float] | None = field(default=None, repr=False)
-    exponent: int = 1
-    version: int = 1
-    calibration: str = ""
 
 
 @dataclass(frozen=True)
@@ -70,34 +40,38 @@ class MeanSums:
         return self.total / self.weight
 
 
-class MeanStream:
-    """A metric over batches and ranks: `update` with its function's arguments, `merge` other ranks, read `value`."""
+@dataclass(frozen=True)
+class Metric:
+    """A metric as tables name it.
 
-    def __init__(self, metric: Metric) -> None:
-        if metric.weight is None:
-            raise ValueError(
-                f"{metric.name} is not a mean over batches; its function needs all samples (docs/metrics.md)"
-            )
-        self._metric = metric
-        self._weight = metric.weight
-        self.sums = MeanSums()
+    `higher_is_better` is None if the best value is the real set's own. `source` is the paper, or the code, that defines
+    it; `calibration` says how its robustness to gaming was tested, and where that is documented. `weight` gives the
+    weight of a batch from the function's arrays; it is None if the metric is not a mean: then its function needs all
+    samples. `exponent` is 2 where the metric is the root of a mean of squares. `version` is incremented when the
+    meaning of its values changes.
+    """
 
-    def update(self, *arrays: Array, **settings: object) -> None:
-        """Add a batch; arrays by position, everything else by keyword."""
-        value = self._metric.function(*arrays, **settings)
+    name: str
+    title: str
+    unit: str
+    higher_is_better: bool | None
+    source: str
+    function: Callable[..., object] = field(repr=False)
+    weight: Callable[..., float] | None = field(default=None, repr=False)
+    exponent: int = 1
+    version: int = 1
+    calibration: str = ""
+
+    def add(self, sums: MeanSums, *arrays: Array, **settings: object) -> MeanSums:
+        """The sums with one more batch: the function's arrays by position, everything else by keyword.
+
+        The metric over all batches is `sums.mean ** (1 / exponent)`. Raises `ValueError` for a metric that is no mean.
+        """
+        if self.weight is None:
+            raise ValueError(f"{self.name} is not a mean over batches: its function needs all samples")
+        value = self.function(*arrays, **settings)
         assert isinstance(value, float)
-        self.sums = self.sums.added(value**self._metric.exponent, self._weight(*arrays))
-
-    def merge(self, other: "MeanStream") -> None:
-        """Add the state of another rank's stream of the same metric."""
-        if other._metric.name != self._metric.name:
-            raise ValueError(f"a stream of {self._metric.name} cannot take in one of {other._metric.name}")
-        self.sums = self.sums.merged(other.sums)
-
-    @property
-    def value(self) -> float:
-        """The metric over all batches so far."""
-        return float(self.sums.mean ** (1 / self._metric.exponent))
+        return sums.added(value**self.exponent, self.weight(*arrays))
 
 
 def by_frames(first: Array, *_: Array) -> float:
@@ -132,16 +106,11 @@ def by_numbers(first: Array, *_: Array) -> float:
 
 @cache
 def all_metrics() -> Mapping[str, Metric]:
-    """All metrics by name: those that the modules of `eval.metrics` declare as a `Metric` or a tuple of them."""
-    import eval.metrics
+    """All metrics by name: those in `METRICS` of the modules of `eval.metrics`."""
+    from eval.metrics import actions, distributions, motion, physical, physical_published, retrieval
 
-    found: dict[str, Metric] = {}
-    for module in sorted(iter_modules(eval.metrics.__path__), key=lambda module: module.name):
-        for value in vars(import_module(f"eval.metrics.{module.name}")).values():
-            for each in value if isinstance(value, tuple) else (value,):
-                if isinstance(each, Metric):
-                    found[each.name] = each
-    return found
+    modules = (actions, distributions, motion, physical, physical_published, retrieval)
+    return {metric.name: metric for module in modules for metric in module.METRICS}
 
 
 def find_metric(name: str) -> Metric:
@@ -150,3 +119,21 @@ def find_metric(name: str) -> Metric:
     if name not in known:
         raise KeyError(f"there is no metric {name!r}: {', '.join(known)}")
     return known[name]
+
+
+def checked_features(
+    features: Float[np.ndarray, "samples features"], name: str, minimum: int
+) -> Float64[np.ndarray, "samples features"]:
+    """Features as float64; raises `ValueError` for other shapes, fewer than `minimum` samples, NaN or infinity."""
+    if features.ndim != 2:
+        raise ValueError(f"{name}: expected an array [samples, features], its shape is {features.shape}")
+    if len(features) < minimum:
+        raise ValueError(f"{name}: at least {minimum} samples are needed, there are {len(features)}")
+    values = np.asarray(features, dtype=np.float64)
+    finite = np.isfinite(values).all(axis=1)
+    if not finite.all():
+        raise ValueError(
+            f"{name}: {int((~finite).sum())} of {len(values)} rows hold NaN or infinity, the first is row "
+            f"{int(np.argmin(finite))}"
+        )
+    return values

@@ -8,9 +8,7 @@ import math
 
 import numpy as np
 
-from eval.metrics.checks import checked_difference, checked_features, checked_fps, checked_quaternions
 from eval.metrics.metric import (
-    Arguments,
     Metric,
     by_clip_frames,
     by_clip_steps,
@@ -18,21 +16,51 @@ from eval.metrics.metric import (
     by_frames,
     by_numbers,
     by_steps,
+    checked_features,
 )
 from motionkit.core.shapes import Bool, Float, Float64
 
+Positions = Float[np.ndarray, "*clips frames joints 3"]
+Quaternions = Float[np.ndarray, "*clips frames joints 4"]
+Vectors = Float[np.ndarray, "*clips frames numbers"]
 
-def mpjpe_global(
-    predicted: Float[np.ndarray, "frames joints 3"], target: Float[np.ndarray, "frames joints 3"]
-) -> float:
+
+def checked_difference(
+    predicted: Float[np.ndarray, "*predicted"], target: Float[np.ndarray, "*target"]
+) -> Float64[np.ndarray, "*predicted"]:
+    """predicted − target in float64; raises `ValueError` for unequal shapes, nothing to compare, NaN or infinity."""
+    if predicted.shape != target.shape:
+        raise ValueError(f"predicted is {predicted.shape}, target is {target.shape}; they must agree")
+    if not predicted.size:
+        raise ValueError("there are no frames to compare")
+    difference: Float64[np.ndarray, "*predicted"] = predicted.astype(np.float64) - target
+    if not np.isfinite(difference).all():
+        raise ValueError("predicted or target holds NaN or infinity")
+    return difference
+
+
+def checked_rotations(predicted: Quaternions, target: Quaternions) -> Float64[np.ndarray, "*clips frames joints 4"]:
+    """`checked_difference` of unit quaternions; raises `ValueError` for other lengths too."""
+    for name, quaternions in (("predicted", predicted), ("target", target)):
+        if not np.allclose(np.linalg.norm(quaternions, axis=-1), 1.0, atol=1e-3):
+            raise ValueError(f"{name}: quaternions must have unit length")
+    return checked_difference(predicted, target)
+
+
+def checked_fps(fps: float) -> float:
+    """Return the framerate; raises `ValueError` if it is not positive and finite."""
+    if not 0 < fps < np.inf:
+        raise ValueError(f"fps must be positive and finite, not {fps}")
+    return float(fps)
+
+
+def mpjpe_global(predicted: Positions, target: Positions) -> float:
     """Mean distance between predicted and true joints in metres, in global coordinates."""
     difference = checked_difference(predicted, target)
     return float(np.linalg.norm(difference, axis=-1).mean())
 
 
-def mpjpe_root_aligned(
-    predicted: Float[np.ndarray, "frames joints 3"], target: Float[np.ndarray, "frames joints 3"], root: int = 0
-) -> float:
+def mpjpe_root_aligned(predicted: Positions, target: Positions, root: int = 0) -> float:
     """Mean distance in metres with every frame's root aligned to the true one (the root itself is included, as 0).
 
     This is what motion-latent-diffusion and the NeRM paper's Table 4 call MPJPE.
@@ -42,9 +70,7 @@ def mpjpe_root_aligned(
     return float(np.linalg.norm(difference, axis=-1).mean())
 
 
-def mpjpe_procrustes(
-    predicted: Float[np.ndarray, "frames joints 3"], target: Float[np.ndarray, "frames joints 3"]
-) -> float:
+def mpjpe_procrustes(predicted: Positions, target: Positions) -> float:
     """Mean distance in metres after aligning rotation, translation and scale of every frame (PA-MPJPE; Gower 1975)."""
     checked_difference(predicted, target)
     x, y = predicted.astype(np.float64), target.astype(np.float64)
@@ -59,15 +85,12 @@ def mpjpe_procrustes(
     return float(np.linalg.norm(scale[:, None, None] * (x @ rotation) - y, axis=-1).mean())
 
 
-def rotation_angle_error(
-    predicted: Float[np.ndarray, "frames joints 4"], target: Float[np.ndarray, "frames joints 4"]
-) -> float:
+def rotation_angle_error(predicted: Quaternions, target: Quaternions) -> float:
     """Mean geodesic distance in degrees between predicted and true joint rotations.
 
     Unit quaternions of either sign, local or global on both sides. Raises `ValueError` for others.
     """
-    checked_difference(predicted, target)
-    checked_quaternions(predicted, target)
+    checked_rotations(predicted, target)
     p, q = predicted.astype(np.float64), target.astype(np.float64)
     # ‖p − q‖ and ‖p + q‖ are 2·sin and 2·cos of a quarter of the angle: exact for small angles, where arccos is not.
     apart, together = np.linalg.norm(p - q, axis=-1), np.linalg.norm(p + q, axis=-1)
@@ -75,7 +98,7 @@ def rotation_angle_error(
     return float(np.degrees(4.0 * quarter).mean())
 
 
-def mre(predicted: Float[np.ndarray, "frames numbers"], target: Float[np.ndarray, "frames numbers"]) -> float:
+def mre(predicted: Vectors, target: Vectors) -> float:
     """Root-mean-square difference over all numbers of the redundant pose vectors, in their raw units.
 
     The NeRM paper defines MRE as the Euclidean distance between two pose vectors, but its 0.041 beside an MPJPE of
@@ -85,47 +108,27 @@ def mre(predicted: Float[np.ndarray, "frames numbers"], target: Float[np.ndarray
     return float(np.sqrt(np.mean(difference * difference)))
 
 
-def mean_vector_distance(
-    predicted: Float[np.ndarray, "frames numbers"], target: Float[np.ndarray, "frames numbers"]
-) -> float:
+def mean_vector_distance(predicted: Vectors, target: Vectors) -> float:
     """Mean Euclidean distance between pose vectors: MRE as the paper describes it (L2 norm, raw units)."""
     return float(np.linalg.norm(checked_difference(predicted, target), axis=-1).mean())
 
 
-def velocity_error(
-    predicted: Float[np.ndarray, "*clips frames joints 3"],
-    target: Float[np.ndarray, "*clips frames joints 3"],
-    fps: float,
-) -> float:
+def velocity_error(predicted: Positions, target: Positions, fps: float) -> float:
     """Mean distance between predicted and true joint velocities, m/s."""
     return _derivative_error(predicted, target, fps, order=1)
 
 
-def acceleration_error(
-    predicted: Float[np.ndarray, "*clips frames joints 3"],
-    target: Float[np.ndarray, "*clips frames joints 3"],
-    fps: float,
-) -> float:
+def acceleration_error(predicted: Positions, target: Positions, fps: float) -> float:
     """Mean distance between predicted and true joint accelerations, m/s² ("Accel": Kanazawa et al. 2019)."""
     return _derivative_error(predicted, target, fps, order=2)
 
 
-def jerk_error(
-    predicted: Float[np.ndarray, "*clips frames joints 3"],
-    target: Float[np.ndarray, "*clips frames joints 3"],
-    fps: float,
-) -> float:
+def jerk_error(predicted: Positions, target: Positions, fps: float) -> float:
     """Mean distance between predicted and true joint jerks, m/s³."""
     return _derivative_error(predicted, target, fps, order=3)
 
 
-def _derivative_error(
-    predicted: Float[np.ndarray, "*clips frames joints 3"],
-    target: Float[np.ndarray, "*clips frames joints 3"],
-    fps: float,
-    *,
-    order: int,
-) -> float:
+def _derivative_error(predicted: Positions, target: Positions, fps: float, *, order: int) -> float:
     # Clips have an axis of their own, so that no difference is taken across two sequences. Differences are linear: the
     # difference of derivatives is the derivative of the difference.
     difference = checked_difference(predicted, target)
@@ -136,11 +139,7 @@ def _derivative_error(
     return float(np.linalg.norm(derivative, axis=-1).mean())
 
 
-def l2p(
-    predicted: Float[np.ndarray, "clips frames joints 3"],
-    target: Float[np.ndarray, "clips frames joints 3"],
-    std: Float[np.ndarray, "joints 3"],
-) -> float:
+def l2p(predicted: Positions, target: Positions, std: Float[np.ndarray, "joints 3"]) -> float:
     """Mean over frames of √Σ((p̂ − p)/σ)² over all joints' global coordinates; no unit.
 
     `std` is that of the *training* windows' global positions, for each coordinate. Source: Harvey et al. 2020
@@ -152,38 +151,30 @@ def l2p(
     return float(np.sqrt(np.square(difference).sum(axis=(-2, -1))).mean())
 
 
-def l2q(
-    predicted: Float[np.ndarray, "clips frames joints 4"], target: Float[np.ndarray, "clips frames joints 4"]
-) -> float:
+def l2q(predicted: Quaternions, target: Quaternions) -> float:
     """Mean over frames of √Σ(q̂ − q)² over all joints' global quaternions, each with the sign nearer to the true one.
 
     q and −q are the same rotation: without aligned signs the value depends on how the quaternions were computed. Raises
     `ValueError` for quaternions that are not of unit length. Source: Harvey et al. 2020; signs as in delta-interpolator
     (Oreshkin et al. 2022).
     """
-    difference = checked_difference(predicted, target)
-    checked_quaternions(predicted, target)
+    difference = checked_rotations(predicted, target)
     opposite = predicted.astype(np.float64) + target
     squared = np.minimum(np.square(difference).sum(axis=-1), np.square(opposite).sum(axis=-1))
     return float(np.sqrt(squared.sum(axis=-1)).mean())
 
 
-def l2q_as_signed(
-    predicted: Float[np.ndarray, "clips frames joints 4"], target: Float[np.ndarray, "clips frames joints 4"]
-) -> float:
+def l2q_as_signed(predicted: Quaternions, target: Quaternions) -> float:
     """`l2q` without aligning the signs: what the benchmark's own code computes.
 
     Signs should be continuous in each clip and start alike on both sides; a body that turns by more than half a turn is
     then farther from its first pose than by `l2q`. Source: Harvey et al. 2020.
     """
-    difference = checked_difference(predicted, target)
-    checked_quaternions(predicted, target)
+    difference = checked_rotations(predicted, target)
     return float(np.sqrt(np.square(difference).sum(axis=(-2, -1))).mean())
 
 
-def npss(
-    predicted: Float[np.ndarray, "clips frames numbers"], target: Float[np.ndarray, "clips frames numbers"]
-) -> float:
+def npss(predicted: Vectors, target: Vectors) -> float:
     """Distance of normalised power spectra over time, each number of each clip weighted by its true power; 0 is best.
 
     The distance is the L1 distance of cumulative spectra (an earth mover's distance). As in the LaFAN1 benchmark, power
@@ -201,18 +192,16 @@ def npss(
     return float((distance * weights).sum() / total)
 
 
-def npss_weight(target: Float[np.ndarray, "clips frames numbers"]) -> float:
+def npss_weight(target: Vectors) -> float:
     """The total true power: the weight of a batch's NPSS in the NPSS of many batches of equal length."""
     return float(_power(target).sum())
 
 
-def _power(signal: Float[np.ndarray, "clips frames numbers"]) -> Float64[np.ndarray, "clips frames numbers"]:
+def _power(signal: Vectors) -> Float64[np.ndarray, "*clips frames numbers"]:
     return np.square(np.fft.fft(signal.astype(np.float64), axis=1).real)
 
 
-def _cumulative(
-    power: Float64[np.ndarray, "clips frames numbers"],
-) -> Float64[np.ndarray, "clips frames numbers"]:
+def _cumulative(power: Float64[np.ndarray, "*clips frames numbers"]) -> Float64[np.ndarray, "*clips frames numbers"]:
     total = power.sum(axis=1, keepdims=True)
     return np.asarray(np.cumsum(power / np.where(total > 0, total, 1.0), axis=1))
 
@@ -222,10 +211,8 @@ _C1, _C2 = 0.01**2, 0.03**2
 
 
 def to_unit_range(
-    vectors: Float[np.ndarray, "*frames numbers"],
-    mean: Float[np.ndarray, "numbers"],
-    std: Float[np.ndarray, "numbers"],
-) -> Float64[np.ndarray, "*frames numbers"]:
+    vectors: Vectors, mean: Float[np.ndarray, "numbers"], std: Float[np.ndarray, "numbers"]
+) -> Float64[np.ndarray, "*clips frames numbers"]:
     """0.5 + (x − μ)/(4σ), not clipped: ± 2 standard deviations of the *training* data span the range of 1.
 
     σ must have been floored for each group of features; raises `ValueError` if it is not positive.
@@ -236,10 +223,7 @@ def to_unit_range(
 
 
 def psnr(
-    predicted: Float[np.ndarray, "*clips frames numbers"],
-    target: Float[np.ndarray, "*clips frames numbers"],
-    synthesised: Bool[np.ndarray, "marks"],
-    ceiling_db: float = math.inf,
+    predicted: Vectors, target: Vectors, synthesised: Bool[np.ndarray, "marks"], ceiling_db: float = math.inf
 ) -> float:
     """−10·log₁₀ of the mean squared error of a clip in the unit range, dB, over its synthesised frames alone.
 
@@ -257,9 +241,7 @@ def psnr(
         return float(np.mean(np.minimum(-10.0 * np.log10(error), ceiling_db)))
 
 
-def ssim(
-    predicted: Float[np.ndarray, "*clips frames numbers"], target: Float[np.ndarray, "*clips frames numbers"]
-) -> float:
+def ssim(predicted: Vectors, target: Vectors) -> float:
     """Structural similarity of a clip in the unit range: windows of 7 frames of each number, mean over all.
 
     Uniform windows wholly inside the clip, sample (N − 1) variances, K₁ = 0.01, K₂ = 0.03: what scikit-image computes
@@ -284,12 +266,11 @@ def ssim(
 def _window_means(
     signal: Float64[np.ndarray, "*clips frames numbers"],
 ) -> Float64[np.ndarray, "*clips windows numbers"]:
-    num_windows = signal.shape[-2] - SSIM_WINDOW + 1
-    total = signal[..., :num_windows, :].copy()
-    for first in range(1, SSIM_WINDOW):
-        total += signal[..., first : first + num_windows, :]
-    total /= SSIM_WINDOW
-    return total
+    from scipy.ndimage import uniform_filter1d
+
+    half = SSIM_WINDOW // 2
+    means: Float64[np.ndarray, "*clips windows numbers"] = uniform_filter1d(signal, SSIM_WINDOW, axis=-2)
+    return means[..., half:-half, :]
 
 
 ANKLE_HEIGHT = 0.08
@@ -308,61 +289,31 @@ def skating_speed(
     `heights` are H of each foot joint, 8 cm for ankles and 4 cm for toes; v is horizontal speed from a frame to the
     next, h the height at the first of the two. Source: Zhang et al. 2018 (MANN), as in NeMF (He et al. 2022).
     """
-    values, speed = _feet_and_speed(feet, fps)
-    if len(heights) != values.shape[1] or min(heights) <= 0:
-        raise ValueError(f"there are {values.shape[1]} foot joints and heights {heights}: one positive height for each")
+    if len(heights) != feet.shape[1] or min(heights) <= 0:
+        raise ValueError(f"there are {feet.shape[1]} foot joints and heights {heights}: one positive height for each")
+    values = checked_features(feet.reshape(len(feet), -1), "feet", minimum=2).reshape(feet.shape)
+    steps = np.diff(values[..., ::2], axis=0)
+    speed = np.hypot(steps[..., 0], steps[..., 1]) * checked_fps(fps)
     height = (values[:-1, :, 1] - floor) / np.asarray(heights)
     return float((speed * (2.0 - np.exp2(np.clip(height, 0.0, 1.0)))).mean())
 
 
-def _feet_and_speed(
-    feet: Float[np.ndarray, "frames feet 3"], fps: float
-) -> tuple[Float64[np.ndarray, "frames feet 3"], Float64[np.ndarray, "steps feet"]]:
-    if feet.shape[1] == 0:
-        raise ValueError("there are no foot joints to measure")
-    values = checked_features(feet.reshape(len(feet), -1), "feet", minimum=2).reshape(feet.shape)
-    steps = np.diff(values[..., ::2], axis=0)
-    return values, np.hypot(steps[..., 0], steps[..., 1]) * checked_fps(fps)
-
-
-_PAIR: Arguments = "predicted, target"
-_ONE: Arguments = "one set"
-_CLIPS: Arguments = "predicted, target, fps"
+_HARVEY, _DIFFERENCES = "Harvey et al. 2020", "mean joint distance of differences"
+_GEODESIC = "geodesic distance on SO(3)"
 METRICS = (
-    Metric("mpjpe_global", "MPJPE (global)", "m", False, "Ionescu et al. 2014", _PAIR, mpjpe_global, by_frames),
-    Metric("mpjpe", "MPJPE", "m", False, "motion-latent-diffusion; NeRM Table 4", _PAIR, mpjpe_root_aligned, by_frames),
-    Metric("mpjpe_procrustes", "MPJPE (Procrustes)", "m", False, "Gower 1975", _PAIR, mpjpe_procrustes, by_frames),
-    Metric(
-        "rotation_angle_error",
-        "Rotation error",
-        "°",
-        False,
-        "geodesic distance on SO(3)",
-        _PAIR,
-        rotation_angle_error,
-        by_frames,
-    ),
-    Metric("mre", "MRE", "raw", False, "NeRM Table 4, as a root mean square", _PAIR, mre, by_numbers, exponent=2),
-    Metric(
-        "mean_vector_distance", "MRE (L2 norm)", "raw", False, "NeRM Table 4", _PAIR, mean_vector_distance, by_frames
-    ),
-    Metric(
-        "velocity_error",
-        "Velocity error",
-        "m/s",
-        False,
-        "mean joint distance of differences",
-        _CLIPS,
-        velocity_error,
-        by_clip_steps(1),
-    ),
+    Metric("mpjpe_global", "MPJPE (global)", "m", False, "Ionescu et al. 2014", mpjpe_global, by_frames),
+    Metric("mpjpe", "MPJPE", "m", False, "motion-latent-diffusion; NeRM Table 4", mpjpe_root_aligned, by_frames),
+    Metric("mpjpe_procrustes", "MPJPE (Procrustes)", "m", False, "Gower 1975", mpjpe_procrustes, by_frames),
+    Metric("rotation_angle_error", "Rotation error", "°", False, _GEODESIC, rotation_angle_error, by_frames),
+    Metric("mre", "MRE", "raw", False, "NeRM Table 4, as a root mean square", mre, by_numbers, exponent=2),
+    Metric("mean_vector_distance", "MRE (L2 norm)", "raw", False, "NeRM Table 4", mean_vector_distance, by_frames),
+    Metric("velocity_error", "Velocity error", "m/s", False, _DIFFERENCES, velocity_error, by_clip_steps(1)),
     Metric(
         "acceleration_error",
         "Acceleration error",
         "m/s²",
         False,
         "Kanazawa et al. 2019",
-        _CLIPS,
         acceleration_error,
         by_clip_steps(2),
     ),
@@ -372,24 +323,14 @@ METRICS = (
         "m/s³",
         False,
         "mean joint distance of third differences",
-        _CLIPS,
         jerk_error,
         by_clip_steps(3),
     ),
-    Metric("l2p", "L2P", "", False, "Harvey et al. 2020", _PAIR, l2p, by_clip_frames),
-    Metric("l2q", "L2Q", "", False, "Harvey et al. 2020", _PAIR, l2q, by_clip_frames),
-    Metric(
-        "l2q_as_signed",
-        "L2Q (signs as they come)",
-        "",
-        False,
-        "Harvey et al. 2020",
-        _PAIR,
-        l2q_as_signed,
-        by_clip_frames,
-    ),
-    Metric("npss", "NPSS", "", False, "Gopalakrishnan et al. 2019", _PAIR, npss, lambda _, target: npss_weight(target)),
-    Metric("psnr", "PSNR", "dB", True, "motionkit", _PAIR, psnr, by_clips),
-    Metric("ssim", "SSIM", "", True, "Wang et al. 2004", _PAIR, ssim, by_clips),
-    Metric("skating_speed", "Foot skating", "m/s", False, "Zhang et al. 2018; NeMF", _ONE, skating_speed, by_steps),
+    Metric("l2p", "L2P", "", False, _HARVEY, l2p, by_clip_frames),
+    Metric("l2q", "L2Q", "", False, _HARVEY, l2q, by_clip_frames),
+    Metric("l2q_as_signed", "L2Q (signs as they come)", "", False, _HARVEY, l2q_as_signed, by_clip_frames),
+    Metric("npss", "NPSS", "", False, "Gopalakrishnan et al. 2019", npss, lambda _, target: npss_weight(target)),
+    Metric("psnr", "PSNR", "dB", True, "motionkit", psnr, by_clips),
+    Metric("ssim", "SSIM", "", True, "Wang et al. 2004", ssim, by_clips),
+    Metric("skating_speed", "Foot skating", "m/s", False, "Zhang et al. 2018; NeMF", skating_speed, by_steps),
 )

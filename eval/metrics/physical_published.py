@@ -7,8 +7,8 @@ project counts per frame is counted per frame here, without `fps`: such a value 
 
 import numpy as np
 
-from eval.metrics.checks import checked_features, checked_fps
-from eval.metrics.metric import Arguments, Metric
+from eval.metrics.metric import Metric, checked_features
+from eval.metrics.motion import checked_fps
 from motionkit.core.shapes import Bool, Float, Float64
 from motionkit.core.skeleton import SMPL22
 
@@ -239,20 +239,18 @@ def _low_twice(joints: Float64[np.ndarray, "frames joints 3"], height: float) ->
     return np.asarray(low[:-1] & low[1:])
 
 
-_ONE: Arguments = "one set"
-
 METRICS = (
-    Metric("gmd_skating_ratio", "GMD skating ratio", "", False, "GMD", _ONE, gmd_skating_ratio),
-    Metric("mdm_contact_share", "MDM contact", "", None, "MDM", _ONE, mdm_contact_share),
-    Metric("mdm_contact_loss", "MDM contact loss", "m²/frame²", False, "MDM", _ONE, mdm_contact_loss),
-    Metric("humanml3d_contact_share", "HumanML3D contact", "", None, "HumanML3D", _ONE, humanml3d_contact_share),
-    Metric("mbench_foot_sliding", "MBench foot sliding", "m/frame", False, "MBench", _ONE, mbench_foot_sliding),
-    Metric("mbench_foot_floating", "MBench foot floating", "", False, "MBench", _ONE, mbench_foot_floating),
-    Metric("mbench_penetration", "MBench penetration", "m", False, "MBench", _ONE, mbench_penetration),
-    Metric("mbench_jitter", "MBench jitter degree", "m/frame²", False, "MBench", _ONE, mbench_jitter),
-    Metric("kimodo_foot_skate", "Kimodo foot skate", "m/s", False, "Kimodo", _ONE, kimodo_foot_skate),
-    Metric("kimodo_skate_ratio", "Kimodo skate ratio", "", False, "Kimodo", _ONE, kimodo_skate_ratio),
-    Metric("physdiff_penetrate", "PhysDiff Penetrate", "mm", False, "PhysDiff, of joints", _ONE, physdiff_penetrate),
-    Metric("physdiff_float", "PhysDiff Float", "mm", False, "PhysDiff, of joints", _ONE, physdiff_float),
-    Metric("physdiff_skate", "PhysDiff Skate", "mm/frame", False, "PhysDiff, of joints", _ONE, physdiff_skate),
+    Metric("gmd_skating_ratio", "GMD skating ratio", "", False, "GMD", gmd_skating_ratio),
+    Metric("mdm_contact_share", "MDM contact", "", None, "MDM", mdm_contact_share),
+    Metric("mdm_contact_loss", "MDM contact loss", "m²/frame²", False, "MDM", mdm_contact_loss),
+    Metric("humanml3d_contact_share", "HumanML3D contact", "", None, "HumanML3D", humanml3d_contact_share),
+    Metric("mbench_foot_sliding", "MBench foot sliding", "m/frame", False, "MBench", mbench_foot_sliding),
+    Metric("mbench_foot_floating", "MBench foot floating", "", False, "MBench", mbench_foot_floating),
+    Metric("mbench_penetration", "MBench penetration", "m", False, "MBench", mbench_penetration),
+    Metric("mbench_jitter", "MBench jitter degree", "m/frame²", False, "MBench", mbench_jitter),
+    Metric("kimodo_foot_skate", "Kimodo foot skate", "m/s", False, "Kimodo", kimodo_foot_skate),
+    Metric("kimodo_skate_ratio", "Kimodo skate ratio", "", False, "Kimodo", kimodo_skate_ratio),
+    Metric("physdiff_penetrate", "PhysDiff Penetrate", "mm", False, "PhysDiff, of joints", physdiff_penetrate),
+    Metric("physdiff_float", "PhysDiff Float", "mm", False, "PhysDiff, of joints", physdiff_float),
+    Metric("physdiff_skate", "PhysDiff Skate", "mm/frame", False, "PhysDiff, of joints", physdiff_skate),
 )

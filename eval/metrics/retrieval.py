@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from eval.metrics.checks import checked_features
-from eval.metrics.metric import Arguments, Metric, by_frames
+from eval.metrics.metric import Metric, by_frames, checked_features
 from motionkit.core.shapes import Bool, Float, Float64, Int64
 
 RECALL_RANKS = (1, 2, 3, 5, 10)
@@ -25,7 +24,6 @@ class Retrieval:
 
     recall: Float64[np.ndarray, "ranks"]
     median_rank: float
-    num_queries: int
 
 
 def retrieval(
@@ -59,30 +57,7 @@ def retrieval(
             missed *= miss
         recall.append(float((1.0 - missed).mean()))
     ranks = nearer + (equals + 1) / (answers + 1)
-    return Retrieval(np.array(recall), float(np.median(ranks)), len(distances))
-
-
-RECALLS = tuple(
-    Metric(
-        f"recall_at_{rank}{suffix}",
-        f"R@{rank}{title}",
-        "",
-        True,
-        source,
-        "one set",
-        retrieval,
-    )
-    for suffix, title, source in (
-        ("", "", "TMR (Petrovich et al. 2023): a text asks for its motion"),
-        ("_motion_asks", " (a motion asks)", "TMR (Petrovich et al. 2023): a motion asks for its text"),
-        ("_real_asked", " (for the real one)", "Kimodo: a motion asks for the real motion of its text"),
-    )
-    for rank in RECALL_RANKS
-)
-MEDIAN_RANKS = tuple(
-    Metric(f"median_rank{suffix}", f"MedR{title}", "", False, "TMR (Petrovich et al. 2023)", "one set", retrieval)
-    for suffix, title in (("", ""), ("_motion_asks", " (a motion asks)"), ("_real_asked", " (for the real one)"))
-)
+    return Retrieval(np.array(recall), float(np.median(ranks)))
 
 
 def clip_score(queries: Float[np.ndarray, "pairs numbers"], candidates: Float[np.ndarray, "pairs numbers"]) -> float:
@@ -145,14 +120,6 @@ class RPrecision:
 
     top: Float64[np.ndarray, "ranks"]
     matching_distance: float
-    num_queries: int
-
-    def merged(self, other: "RPrecision") -> "RPrecision":
-        """The result over the pools of both; every query has the same weight."""
-        total = self.num_queries + other.num_queries
-        share, rest = self.num_queries / total, other.num_queries / total
-        distance = share * self.matching_distance + rest * other.matching_distance
-        return RPrecision(share * self.top + rest * other.top, distance, total)
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,24 +147,6 @@ def r_precision(
     Raises `ValueError` for fewer pairs than a pool or rows that are not finite.
     """
     return ranked(pool_distances(queries, candidates, rng.permutation(len(queries)), pool), ranks)
-
-
-R_PRECISION = tuple(
-    Metric(
-        f"r_precision_top{rank}{suffix}",
-        f"R-Precision, top {rank}{title}",
-        "",
-        True,
-        source,
-        "queries, candidates",
-        r_precision,
-    )
-    for suffix, title, source in (
-        ("", "", "text-to-motion (Guo et al. 2022): a text asks for its motion"),
-        ("_motion_asks", " (a motion asks)", "NeRM, appendix: a motion asks for its text"),
-    )
-    for rank in range(1, RANKS + 1)
-)
 
 
 def pool_distances(
@@ -232,7 +181,7 @@ def ranked(distances: Float64[np.ndarray, "pools pool pool"], ranks: int = RANKS
     """R-Precision from pools' distances with queries as rows."""
     own = np.diagonal(distances, axis1=1, axis2=2)
     top = np.array([found.mean() for found in hits(distances, ranks)])
-    return RPrecision(top, float(own.mean()), own.size)
+    return RPrecision(top, float(own.mean()))
 
 
 def ranked_both_ways(distances: Float64[np.ndarray, "pools texts motions"], ranks: int = RANKS) -> BothWays:
@@ -240,9 +189,31 @@ def ranked_both_ways(distances: Float64[np.ndarray, "pools texts motions"], rank
     return BothWays(ranked(distances, ranks), ranked(distances.swapaxes(1, 2), ranks))
 
 
-_QUERIES: Arguments = "queries, candidates"
+_T2M, _TMR = "text-to-motion (Guo et al. 2022)", "TMR (Petrovich et al. 2023)"
+_TEXT, _MOTION, _REAL = ("", ""), ("_motion_asks", " (a motion asks)"), ("_real_asked", " (for the real one)")
 METRICS = (
-    Metric("clip_score", "CLIP-score", "", True, "MARDM (Meng et al. 2024)", _QUERIES, clip_score, by_frames),
-    Metric("tmr_score", "TMR score", "", True, "TMR; Kimodo (Rempe et al. 2026)", _QUERIES, tmr_score, by_frames),
-    Metric("mm_dist", "MultiModal Dist", "", False, "text-to-motion (Guo et al. 2022)", _QUERIES, r_precision),
+    Metric("clip_score", "CLIP-score", "", True, "MARDM (Meng et al. 2024)", clip_score, by_frames),
+    Metric("tmr_score", "TMR score", "", True, "TMR; Kimodo (Rempe et al. 2026)", tmr_score, by_frames),
+    Metric("mm_dist", "MultiModal Dist", "", False, _T2M, r_precision),
+    *(
+        Metric(f"r_precision_top{rank}{suffix}", f"R-Precision, top {rank}{title}", "", True, source, r_precision)
+        for (suffix, title), source in (
+            (_TEXT, f"{_T2M}: a text asks for its motion"),
+            (_MOTION, "NeRM, appendix: a motion asks for its text"),
+        )
+        for rank in range(1, RANKS + 1)
+    ),
+    *(
+        Metric(f"recall_at_{rank}{suffix}", f"R@{rank}{title}", "", True, source, retrieval)
+        for (suffix, title), source in (
+            (_TEXT, f"{_TMR}: a text asks for its motion"),
+            (_MOTION, f"{_TMR}: a motion asks for its text"),
+            (_REAL, "Kimodo: a motion asks for the real motion of its text"),
+        )
+        for rank in RECALL_RANKS
+    ),
+    *(
+        Metric(f"median_rank{suffix}", f"MedR{title}", "", False, _TMR, retrieval)
+        for suffix, title in (_TEXT, _MOTION, _REAL)
+    ),
 )

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
-from eval.metrics.gaussian import fit_gaussian, frechet_distance
+from eval.metrics.distributions import fit_gaussian, frechet_distance
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.shapes import Float, Float32, Int64
 

@@ -11,10 +11,9 @@ import numpy as np
 
 from eval.config import EvalConfig
 from eval.metrics.metric import Metric, find_metric
-from eval.metrics.number import Number, with_takes
+from eval.metrics.number import Number, Resampling, Units, units_of, with_takes
 from eval.metrics.physical import METRICS, ground_height
 from eval.metrics.physical_published import METRICS as PUBLISHED
-from eval.metrics.resampling import Resampling, Units, units_of
 from eval.report.results import Block, Row, cell_of, differences_block, measure, of_interest, pairs_of
 from eval.sets.motions import NoRealMotionError, real_motion, training_motion
 from eval.sets.sets import REAL, RowId, SampleSet, Variant

@@ -7,8 +7,8 @@ from functools import partial
 
 import numpy as np
 
-from eval.metrics.number import Resampled
-from eval.metrics.resampling import (
+from eval.metrics.number import (
+    Resampled,
     Resampling,
     Units,
     resampled_fid,

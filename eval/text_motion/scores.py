@@ -6,7 +6,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from eval.metrics.actions import diversity, multimodality, multimodality_shared_pairs
-from eval.metrics.gaussian import Gaussian, fid_infinity, fit_gaussian, frechet_distance, kid
+from eval.metrics.distributions import Gaussian, fid_infinity, fit_gaussian, frechet_distance, kid
 from eval.metrics.number import Scores
 from eval.metrics.retrieval import clip_score, pool_distances, ranked_both_ways, tmr_score
 from eval.text_motion.pairs import AddTerms, PairTerms, TextMotionPairs, resampled_multimodality
@@ -203,7 +203,7 @@ def _add_details(
     if "fid_infinity" in protocol.details:
         try:
             rng = np.random.default_rng(seed)
-            scores.add("fid_infinity", fid_infinity(real.motions, draw.motions, rng).limit)
+            scores.add("fid_infinity", fid_infinity(real.motions, draw.motions, rng))
         except ValueError as error:
             scores.remark(f"FID∞ is left out: {error}")
     if "kid" in protocol.details:

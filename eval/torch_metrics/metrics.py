@@ -15,7 +15,7 @@ from torchmetrics.utilities import dim_zero_cat
 from eval.clip_fid.clips import Protocol
 from eval.clip_fid.features import Comparison, kinematic_source
 from eval.clip_fid.motions import Motions, samples_of
-from eval.metrics.gaussian import fid
+from eval.metrics.distributions import fid
 from eval.metrics.metric import MeanSums, find_metric
 from eval.metrics.retrieval import REFERENCE_POOL, r_precision
 from motionkit.core.shapes import Float, Int
@@ -93,7 +93,7 @@ class DeclaredMean(Metric):
 
 
 class FID(Metric):
-    """Fréchet distance of two sets of features, as `eval.metrics.gaussian.fid`: `update(features, real=True | False)`.
+    """Fréchet distance of two sets of features, as `eval.metrics.distributions.fid`: `update(features, real=…)`.
 
     Features of any network: [samples, features]. The states are all rows.
 

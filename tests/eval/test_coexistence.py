@@ -19,12 +19,12 @@ def test_both_are_importable(tmp_path: Path) -> None:
         path.write_text(f"WHERE = {name!r}\n", encoding="utf-8")
     script = (
         "import eval.eval_humanml, eval.a2m.tools, eval.unconstrained.evaluate\n"
-        "import eval.metrics.gaussian, eval.clip_fid.score\n"
+        "import eval.metrics.distributions, eval.clip_fid.score\n"
         "from eval.commands.eval import evaluate\n"
         "from eval.tables.table import reported_figures\n"
         "from eval.report.render import to_html\n"
         "assert len(reported_figures('nerm', '2')) == 20 and to_html([])\n"
-        "print(eval.eval_humanml.WHERE, eval.a2m.tools.WHERE, eval.metrics.gaussian.__name__)\n"
+        "print(eval.eval_humanml.WHERE, eval.a2m.tools.WHERE, eval.metrics.distributions.__name__)\n"
     )
     for order in ("", "import eval.clip_fid.score\n"):
         done = subprocess.run(
@@ -36,7 +36,7 @@ def test_both_are_importable(tmp_path: Path) -> None:
             check=False,
         )
         assert done.returncode == 0, done.stderr
-        assert done.stdout.split() == ["eval_humanml.py", "a2m/tools.py", "eval.metrics.gaussian"]
+        assert done.stdout.split() == ["eval_humanml.py", "a2m/tools.py", "eval.metrics.distributions"]
 
 
 def test_the_command_line_runs_beside_an_eval_package_of_somebodys(tmp_path: Path) -> None:

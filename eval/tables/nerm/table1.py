@@ -10,7 +10,7 @@ import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from eval.config import EvalConfig
-from eval.metrics.gaussian import fit_gaussian, frechet_distance
+from eval.metrics.distributions import fit_gaussian, frechet_distance
 from eval.metrics.metric import find_metric
 from eval.metrics.number import Number, Scores, over_replications
 from eval.metrics.retrieval import RECALL_RANKS, pool_distances, ranked_both_ways

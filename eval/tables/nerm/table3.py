@@ -12,7 +12,7 @@ from eval.actions.scores import ActionProtocol, LabelledRecognition, find_action
 from eval.actions.sets import ActionSet, NoActionsError, generated_like, known_actions, known_to_all, with_rotations
 from eval.config import EvalConfig
 from eval.metrics.actions import accuracy
-from eval.metrics.gaussian import kid
+from eval.metrics.distributions import kid
 from eval.metrics.number import Number, Scores, half_width
 from eval.report.results import DRAWING, Block, Cell, Row, differences_block, measure, of_interest, score_differences
 from eval.sets.motions import VARIANT_NOTES, RealMotion, has_training, is_unconditional, real_motion

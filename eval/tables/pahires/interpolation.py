@@ -12,12 +12,29 @@ from functools import partial
 from statistics import fmean
 from typing import Any
 
-from eval.completion.blocks import Scope, Shown, blocks_of, number, shown_measure, with_pools
+from eval.completion.data_sets import (
+    DataSet,
+    NoTakesError,
+    TrueClips,
+    data_sets_of,
+    open_clips,
+    shared_reason,
+    split_remark,
+)
 from eval.completion.encoders import INTERPOLATION, Completer, completer_of, trained_completers
-from eval.completion.interpolation import measure_interpolation, num_batches, timed_metrics
-from eval.completion.protocol import INTEGER_SCALES, OTHER_SCALES, VERSION, InterpolationProtocol, scale_label
-from eval.completion.scores import Scores, from_plain, measure_scale, split_remark, to_plain
-from eval.completion.takes import DataSet, NoTakesError, TrueClips, data_sets_of, open_clips, shared_reason
+from eval.completion.interpolation import (
+    CEILING_DB,
+    CLIP_FRAMES,
+    INTEGER_SCALES,
+    NUM_GIVEN,
+    OTHER_SCALES,
+    TIMED_METRICS,
+    VERSION,
+    measure_interpolation,
+    measure_scale,
+    scale_label,
+)
+from eval.completion.scores import Scope, Scores, Shown, blocks_of, shown_measure, with_pools
 from eval.config import EvalConfig
 from eval.metrics.metric import find_metric
 from eval.report.results import Block, Cell, Row
@@ -107,8 +124,8 @@ TABLE_1, TABLE_2 = (
 
 
 def _details() -> dict[str, dict[str, str]]:
-    """Further metrics, and all others declared for clips of joint positions."""
-    names = ["rotation_angle_error", *(name for name in timed_metrics() if name not in METRICS)]
+    """Further metrics, those of clips of joint positions among them."""
+    names = ["rotation_angle_error", *(name for name in TIMED_METRICS if name not in METRICS)]
     titles = {}
     for metric in map(find_metric, names):
         title = metric.title[0].lower() + metric.title[1:]
@@ -144,11 +161,10 @@ def _measure(
     config: EvalConfig,
 ) -> Measured:
     """A data set's figures, cached; raises `NoTakesError` if the compared split has no clip."""
-    frames = InterpolationProtocol().clip_frames
-    clips = open_clips(store, data_set, config.split, config.where, frames, frames)
+    clips = open_clips(store, data_set, config.split, config.where, CLIP_FRAMES, CLIP_FRAMES)
     remarks = []
     try:
-        training = open_clips(store, data_set, "train", None, frames, frames)
+        training = open_clips(store, data_set, "train", None, CLIP_FRAMES, CLIP_FRAMES)
     except NoTakesError:
         training = clips
         remarks.append(f"{data_set.label} has no training split: its deviations are those of the compared clips.")
@@ -163,21 +179,16 @@ def _measure(
     }
     rows: dict[str, Scores] = {}
 
-    def scores_of(completer: Completer) -> Any:
-        return to_plain(measure_interpolation(clips, scale, scales, completer, work.advance))
-
-    with task(
-        config.on_progress, data_set.label, num_batches(clips) * len(completers), note=f"{clips.num_clips} clips"
-    ) as work:
+    with task(config.on_progress, data_set.label, len(completers), note=f"{clips.num_clips} clips") as work:
         for completer in completers:
             with config.missing.skipping(f"{data_set.label}, {completer.name}", (MotionkitError, ValueError)):
-                values = cached(
+                rows[completer.name] = cached(
                     config.results,
                     "interpolation",
                     {**terms, "encoder": completer.fingerprint},
-                    partial(scores_of, completer),
+                    partial(measure_interpolation, clips, scale, scales, completer),
                 )
-                rows[completer.name] = from_plain(values)
+            work.advance()
     left_out = {
         f"shorter than {clips.num_frames} frames": clips.num_short,
         "of framerates that are no multiple of the table's": clips.num_other_fps,
@@ -199,15 +210,14 @@ def _caption(measured: Sequence[Measured], config: EvalConfig) -> str:
     )
     small = min(each.clips.num_takes for each in measured) < SMALL_TAKES
     return (
-        f"Of every clip {InterpolationProtocol().num_kept} real frames are given and all frames between them asked "
+        f"Of every clip {NUM_GIVEN} real frames are given and all frames between them asked "
         f"for; no frame of the truth is interpolated. S{config.real[1:]}: {counts}."
         + (" **Small scale**: a data set of fewer than 100 takes says little about others." if small else "")
     )
 
 
 def _definition() -> dict[str, Any]:
-    protocol = InterpolationProtocol()
-    return {"given_frames": protocol.num_kept, "clip_frames": protocol.clip_frames, "psnr_ceiling_db": 100.0}
+    return {"given_frames": NUM_GIVEN, "clip_frames": CLIP_FRAMES, "psnr_ceiling_db": CEILING_DB}
 
 
 def _printed(table: str, columns: tuple[str, ...]) -> list[Block]:
@@ -314,7 +324,7 @@ def _ablated(ablation: Ablation, scope: Scope, trained: _Runs) -> list[Block]:
             Row(
                 f"{each.name}, not trained",
                 "reference",
-                dict.fromkeys(columns, Cell(number(scope.rows[each.name], metric, scale_label(SCALE)).value)),
+                dict.fromkeys(columns, Cell(scope.number(each.name, metric, scale_label(SCALE)).value)),
             )
             for each in REFERENCES
         ]
@@ -347,7 +357,7 @@ def _starts(scopes: Sequence[Scope], trained: _Runs) -> list[Block]:
 
 def _by_seed(scope: Scope, runs: Mapping[int, RunFolder], metric: str) -> dict[int, float]:
     return {
-        seed: number(scope.rows[run.path.name], metric, scale_label(SCALE)).value
+        seed: scope.number(run.path.name, metric, scale_label(SCALE)).value
         for seed, run in runs.items()
         if run.path.name in scope.rows
     }

@@ -3,15 +3,22 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
-from eval.completion.blocks import Scope, Shown, blocks_of, with_pools
+from eval.completion.data_sets import NoTakesError, data_sets_of, shared_reason
 from eval.completion.encoders import HOLD, INTERPOLATION, Completer, trained_completers
-from eval.completion.inbetweening import measure_windows, num_batches
-from eval.completion.protocol import EXTRAPOLATION_VERSION, INBETWEENING_VERSION, Question, continuations, gaps
-from eval.completion.scores import Scores, from_plain, to_plain
-from eval.completion.takes import NoTakesError, data_sets_of, shared_reason
-from eval.completion.windows import FPS, PoseWindows, data_set_windows, lafan1_windows, num_lafan1_takes
+from eval.completion.scores import Scope, Scores, Shown, blocks_of, with_pools
+from eval.completion.windows import (
+    EXTRAPOLATION_VERSION,
+    FPS,
+    INBETWEENING_VERSION,
+    PoseWindows,
+    Question,
+    continuations,
+    data_set_windows,
+    gaps,
+    lafan1_windows,
+    measure_windows,
+)
 from eval.config import EvalConfig
 from eval.report.results import Block, Cell, Row
 from eval.tables.table import SOURCES, Content, Reported, Table, cached, reported_figures
@@ -135,11 +142,10 @@ def _all_windows(store: Store, config: EvalConfig) -> list[PoseWindows]:
     """The windows of all data sets at 30 fps that have any."""
     found, without = [], []
     for data_set in (each for each in data_sets_of(store) if each.fps == FPS):
-        with task(config.on_progress, f"windows of {data_set.name}") as work:
+        with task(config.on_progress, f"windows of {data_set.name}"):
             try:
                 if data_set.value == "lafan1":
-                    work.set_total(num_lafan1_takes(store))
-                    found.append(lafan1_windows(store, work.advance))
+                    found.append(lafan1_windows(store))
                 else:
                     found.append(data_set_windows(store, data_set, config.split, config.where))
             except NoTakesError as error:
@@ -162,20 +168,17 @@ def _rows(
     }
     rows: dict[str, Scores] = {}
 
-    def scores_of(completer: Completer) -> Any:
-        return to_plain(measure_windows(windows, table.questions, completer, work.advance))
-
-    with task(config.on_progress, windows.name, num_batches(windows) * len(completers)) as work:
+    with task(config.on_progress, windows.name, len(completers)) as work:
         for completer in completers:
             work.note(completer.name)
             with config.missing.skipping(f"{windows.name}, {completer.name}", (MotionkitError, ValueError)):
-                values = cached(
+                rows[completer.name] = cached(
                     config.results,
                     table.task,
                     {**terms, "encoder": completer.fingerprint},
-                    partial(scores_of, completer),
+                    partial(measure_windows, windows, table.questions, completer),
                 )
-                rows[completer.name] = from_plain(values)
+            work.advance()
     return rows
 
 

@@ -9,7 +9,7 @@ from eval.clip_fid import features, kinematic
 from eval.clip_fid.clips import REAL, Protocol, describe_clips, draw_clips, place_clips, readable
 from eval.clip_fid.features import fit_on
 from eval.clip_fid.kinematic import BLOCKS, NUM_FEATURES, WEIGHTS, KinematicDescriptor, fit_kinematic
-from eval.metrics.gaussian import Gaussian, fit_gaussian, frechet_distance
+from eval.metrics.distributions import Gaussian, fit_gaussian, frechet_distance
 from eval.sets.motions import low_pass
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.skeleton import SMPL22

@@ -8,7 +8,15 @@ from hypothesis import strategies as st
 from mpmath import matrix, mp
 from torchmetrics.image.fid import FrechetInceptionDistance
 
-from eval.metrics.gaussian import FeatureSums, Gaussian, feature_sums, fid, fid_infinity, fit_gaussian, frechet_distance
+from eval.metrics.distributions import (
+    FeatureSums,
+    Gaussian,
+    feature_sums,
+    fid,
+    fid_infinity,
+    fit_gaussian,
+    frechet_distance,
+)
 from tests.helpers.given_features import GivenFeatures
 
 

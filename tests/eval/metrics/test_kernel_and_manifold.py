@@ -14,8 +14,7 @@ from scipy.spatial.distance import cdist
 from torchmetrics.image.kid import KernelInceptionDistance
 
 from eval.metrics import gaussian, neighbours
-from eval.metrics.gaussian import kid
-from eval.metrics.neighbours import prdc
+from eval.metrics.distributions import kid, prdc
 from tests.helpers.given_features import GivenFeatures
 
 

@@ -5,14 +5,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eval.metrics.gaussian import fit_gaussian, frechet_distance, quick_frechet_distance
-from eval.metrics.number import Number, half_width, with_takes
-from eval.metrics.resampling import (
+from eval.metrics.distributions import fit_gaussian, frechet_distance, quick_frechet_distance
+from eval.metrics.number import (
+    Number,
     Resampling,
     UnitSums,
     blocks_for,
+    half_width,
     units_of,
     weighted_means,
+    with_takes,
 )
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from eval.metrics.gaussian import fid
+from eval.metrics.distributions import fid
 from eval.sets.sets import num_copies, size_remarks
 
 RNG = np.random.default_rng(0)

@@ -15,7 +15,7 @@ from eval import FID, ClipFID, DeclaredMean, RPrecision, clip_fid
 from eval.clip_fid import features
 from eval.clip_fid.clips import ClipError
 from eval.metrics.actions import accuracy
-from eval.metrics.gaussian import fid
+from eval.metrics.distributions import fid
 from eval.metrics.motion import acceleration_error, jerk_error, l2p, l2q, mpjpe_root_aligned, mre, npss, skating_speed
 from eval.metrics.retrieval import r_precision
 

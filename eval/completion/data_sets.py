@@ -1,6 +1,6 @@
 """Data sets of a store for PA-HiRes' tables: real frames at the table's framerate, nothing interpolated."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING
@@ -11,9 +11,7 @@ from eval.sets.motions import of_split_and
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.kinematics import closest_rotations, matrix_to_quaternion
 from motionkit.core.shapes import Float32, Float64, Int64
-from motionkit.core.skeleton import SMPL22
 from motionkit.data.rotation_sequences import open_rotation_sequences
-from motionkit.fields.motion_field import Observation, Poses
 from motionkit.store.cache import open_cache
 
 if TYPE_CHECKING:
@@ -32,13 +30,12 @@ def shared_reason(missing: Sequence[str]) -> str:
 
 @dataclass(frozen=True)
 class DataSet:
-    """Sequences of a store by a column's value (lower case), at a framerate; `paper` is the paper's name for it."""
+    """Sequences of a store by a column's value (lower case), at a framerate."""
 
     name: str
     column: str
     value: str
     fps: Fraction
-    paper: str = ""
 
     @property
     def label(self) -> str:
@@ -53,9 +50,9 @@ class DataSet:
 
 # The paper's data sets at their framerates, and CMU at its native one beside them.
 PUBLISHED = (
-    DataSet("HumanML3D", "source_format", "humanml3d", Fraction(20), "HumanML3D"),
-    DataSet("LaFAN1", "source_format", "lafan1", Fraction(30), "LaFAN1"),
-    DataSet("CMU", "source", "cmu", Fraction(30), "CMU"),
+    DataSet("HumanML3D", "source_format", "humanml3d", Fraction(20)),
+    DataSet("LaFAN1", "source_format", "lafan1", Fraction(30)),
+    DataSet("CMU", "source", "cmu", Fraction(30)),
     DataSet("CMU", "source", "cmu", Fraction(120)),
 )
 USUAL_FPS = Fraction(30)
@@ -71,16 +68,40 @@ def data_sets_of(store: "Store", fps: Sequence[Fraction] | None = None) -> list[
     found = [*PUBLISHED, *(DataSet(name or "unnamed source", "source", name.lower(), USUAL_FPS) for name in others)]
     if fps is None:
         return found
-    rates = {(each.column, each.value, rate): replace(each, fps=rate, paper="") for each in found for rate in fps}
+    rates = {(each.column, each.value, rate): replace(each, fps=rate) for each in found for rate in fps}
     own = {(each.column, each.value, each.fps): each for each in found}
     return [own.get(key, each) for key, each in rates.items()]
 
 
 @dataclass(frozen=True, eq=False)
-class TrueClips:
-    """B clips of equal length at the table's framerate.
+class TruePoses:
+    """World positions in metres and rotation rows (`features.rotations`) of clips at `fps`, in the 22-joint layout."""
 
-    Positions are the capture's in the 22-joint layout; rotations are the takes' rows (`features.rotations`).
+    fps: Fraction
+    joint_positions: Float32[np.ndarray, "clips frames joints 3"]
+    vectors: Float32[np.ndarray, "clips frames numbers"]
+
+    @property
+    def times_seconds(self) -> Float64[np.ndarray, "frames"]:
+        """Frame k is at k / fps."""
+        numbers = np.arange(self.vectors.shape[1], dtype=np.float64)
+        return np.asarray(numbers * self.fps.denominator / self.fps.numerator)
+
+    def local_rotations(self) -> Float32[np.ndarray, "clips frames joints 4"]:
+        """Unit quaternions."""
+        return matrix_to_quaternion(closest_rotations(self.vectors[..., 3:])).astype(np.float32)
+
+    def frames(self, frames: slice) -> "TruePoses":
+        """Some frames of all clips."""
+        return TruePoses(self.fps, self.joint_positions[:, frames], self.vectors[:, frames])
+
+
+@dataclass(frozen=True, eq=False)
+class TrueClips:
+    """Clips of equal length at the table's framerate: of a take's frames every `keep_every`-th from `first_row` on.
+
+    `sequence_index` is each clip's take in the store; takes too short for a clip, and those whose framerate is no whole
+    multiple of the table's, are counted.
     """
 
     fps: Fraction
@@ -99,60 +120,21 @@ class TrueClips:
         return len(self.first_row)
 
     @property
-    def num_takes(self) -> int:
-        """Number of takes that the clips come from."""
-        return len(np.unique(self.sequence_index))
-
-    @property
     def takes(self) -> tuple[str, ...]:
         """The take of each clip, named by its index in the store."""
         return tuple(map(str, self.sequence_index.tolist()))
 
-    def read(self, clips: slice) -> "TruePoses":
-        """The poses of some clips."""
-        frames = np.arange(self.num_frames) * self.keep_every[clips, None] + self.first_row[clips, None]
-        return TruePoses(self.fps, self.positions[frames], self.rows[frames])
-
-    def vectors(self, clips: slice) -> Float32[np.ndarray, "clips frames numbers"]:
-        """Rows alone, in the world's frame."""
-        frames = np.arange(self.num_frames) * self.keep_every[clips, None] + self.first_row[clips, None]
-        rows: Float32[np.ndarray, "clips frames numbers"] = self.rows[frames]
-        return rows
-
-
-@dataclass(frozen=True, eq=False)
-class TruePoses:
-    """World positions [clips, frames, 22, 3] in metres and rotation rows [clips, frames, 135] of clips at `fps`."""
-
-    fps: Fraction
-    joint_positions: Float32[np.ndarray, "clips frames joints 3"]
-    vectors: Float32[np.ndarray, "clips frames numbers"]
-
     @property
-    def times_seconds(self) -> Float64[np.ndarray, "frames"]:
-        """Frame k is at k / fps."""
-        numbers = np.arange(self.vectors.shape[1], dtype=np.float64)
-        return np.asarray(numbers * self.fps.denominator / self.fps.numerator)
+    def num_takes(self) -> int:
+        """Number of takes that the clips come from."""
+        return len(set(self.takes))
 
-    def local_rotations(self) -> Float32[np.ndarray, "clips frames joints 4"]:
-        """Unit quaternions."""
-        matrices = closest_rotations(self.vectors[..., 3:])
-        return matrix_to_quaternion(matrices).astype(np.float32)
-
-    def frames(self, frames: slice) -> "TruePoses":
-        """Some frames of all clips."""
-        return TruePoses(self.fps, self.joint_positions[:, frames], self.vectors[:, frames])
-
-
-def observations(
-    poses: TruePoses, rotations: Float32[np.ndarray, "clips frames joints 4"], given: Int64[np.ndarray, "given"]
-) -> list[Observation]:
-    """The encoder's input for each clip: the given frames at their true times."""
-    times = poses.times_seconds[given]
-    return [
-        Observation(times, Poses(positions[given], turned[given], positions[given, 0]), SMPL22)
-        for positions, turned in zip(poses.joint_positions, rotations, strict=True)
-    ]
+    def read(self, size: int) -> Iterator[tuple[slice, TruePoses]]:
+        """The poses of all clips, `size` clips at a time, and which clips these are."""
+        for first in range(0, self.num_clips, size):
+            clips = slice(first, first + size)
+            frames = np.arange(self.num_frames) * self.keep_every[clips, None] + self.first_row[clips, None]
+            yield clips, TruePoses(self.fps, self.positions[frames], self.rows[frames])
 
 
 def open_clips(
@@ -171,7 +153,16 @@ def open_clips(
     belongs = data_set.holds(store, takes.sequence_index)
     long_enough = belongs & (takes.num_frames >= num_frames)
     if not long_enough.any():
-        raise NoTakesError(_missing_reason(store, data_set, split, where, belongs, num_frames))
+        of_split = "" if split == "all" else f" of split {split!r}"
+        narrowed = f"{of_split} where {where}" if where else of_split
+        if belongs.any():
+            reason = f"none of the {int(belongs.sum())} takes{narrowed} has {num_frames} frames at "
+            raise NoTakesError(f"{reason}{float(data_set.fps):g} fps")
+        if data_set.holds(store, store.select(None)).any():
+            reason = f"no take{narrowed} has a framerate that is a whole multiple of"
+            raise NoTakesError(f"{reason} {float(data_set.fps):g} fps")
+        looked_for = f"{data_set.column} = {data_set.value!r}"
+        raise NoTakesError(f"the store has none of it (motionkit ingest; {looked_for} is what is looked for)")
     cache = open_cache(store, where=condition)
     chosen = np.flatnonzero(long_enough)
     counts = (takes.num_frames[chosen] - num_frames) // every + 1
@@ -191,19 +182,18 @@ def open_clips(
     )
 
 
-def _missing_reason(
-    store: "Store", data_set: DataSet, split: str, where: str | None, belongs: np.ndarray, num_frames: int
-) -> str:
-    of_split = "" if split == "all" else f" of split {split!r}"
-    restricted = f" where {where}" if where else ""
-    if belongs.any():
-        return (
-            f"none of the {int(belongs.sum())} takes{of_split}{restricted} has {num_frames} frames at "
-            f"{float(data_set.fps):g} fps"
-        )
-    every = store.select(None)
-    if not data_set.holds(store, every).any():
-        return (
-            f"the store has none of it (motionkit ingest; {data_set.column} = {data_set.value!r} is what is looked for)"
-        )
-    return f"no take{of_split}{restricted} has a framerate that is a whole multiple of {float(data_set.fps):g} fps"
+def split_remark(store: "Store", clips: TrueClips, split: str) -> str:
+    """A remark on the performers of these clips, and how many of them are in the training split too."""
+    rows = store.columns("source", "subject", "split")
+    chosen = rows.loc[sorted(set(clips.sequence_index.tolist()))]
+    if (chosen["subject"] == "").all():
+        return "the store does not name performers, so the same people may be in the training split."
+    performers = set(zip(chosen["source"], chosen["subject"], strict=True))
+    training = rows[rows["split"] == "train"]
+    shared = performers & set(zip(training["source"], training["subject"], strict=True))
+    if not shared:
+        return f"{len(performers)} performers, none of whom is in the training split."
+    return (
+        f"{len(performers)} performers, {len(shared)} of whom are in the training split too, with other takes "
+        "(motionkit split holds out whole performers)."
+    )

@@ -1,0 +1,218 @@
+"""Distances between distributions of features: Fréchet, kernel, nearest neighbours.
+
+Feature sets are arrays [samples, features], the real one first; everything is float64.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from eval.metrics.metric import Metric, checked_features
+from motionkit.core.shapes import Float, Float64
+
+BLOCK_ROWS = 512
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussian:
+    """Mean, N − 1 covariance and number of samples of a feature set, float64."""
+
+    mean: Float64[np.ndarray, "features"]
+    covariance: Float64[np.ndarray, "features features"]
+    num_samples: int
+
+    def __post_init__(self) -> None:
+        if self.num_samples < 2:
+            raise ValueError(f"a covariance needs at least 2 samples, not {self.num_samples}")
+        if not (np.isfinite(self.mean).all() and np.isfinite(self.covariance).all()):
+            raise ValueError("mean or covariance holds NaN or infinity; a distance from it would mean nothing")
+
+    @cached_property
+    def factor(self) -> Float64[np.ndarray, "features features"]:
+        """L with L·Lᵀ = covariance, from its eigenvalues; those negative by rounding are set to zero."""
+        eigenvalues, eigenvectors = np.linalg.eigh(self.covariance)
+        return np.asarray(eigenvectors * np.sqrt(np.maximum(eigenvalues, 0.0)), dtype=np.float64)
+
+
+def fit_gaussian(features: Float[np.ndarray, "samples features"]) -> Gaussian:
+    """Fit a Gaussian in float64. Raises `ValueError` for NaN, infinity or fewer than 2 samples."""
+    values = checked_features(features, "features", minimum=2)
+    mean = values.mean(axis=0)
+    centred = values - mean
+    return Gaussian(mean, centred.T @ centred / (len(values) - 1), len(values))
+
+
+def frechet_distance(a: Gaussian, b: Gaussian, *, quick: bool = False) -> float:
+    """‖μ₁ − μ₂‖² + Tr(Σ₁ + Σ₂ − 2(Σ₁Σ₂)^½): the squared 2-Wasserstein distance of two Gaussians; symmetric.
+
+    With Σᵢ = LᵢLᵢᵀ the trace of (Σ₁Σ₂)^½ is the sum of the singular values of L₁ᵀL₂: no matrix square root is taken
+    and singular covariances are no special case. `quick` takes the eigenvalues of L₁ᵀΣ₂L₁ instead, which needs no L₂
+    but is exact to 1e-7 of the variances only. With no more samples than features the distance is still that of the
+    two fitted (degenerate) Gaussians, but it says little about the distributions: its bias grows as features / N, so
+    quote N beside it. Source: Dowson & Landau 1982; Heusel et al. 2017.
+    """
+    if a.mean.shape != b.mean.shape:
+        raise ValueError(f"the two sets have {a.mean.size} and {b.mean.size} features")
+    if quick:
+        eigenvalues = np.linalg.eigvalsh(a.factor.T @ b.covariance @ a.factor)
+        cross = np.sqrt(np.maximum(eigenvalues, 0.0)).sum()
+    else:
+        cross = np.linalg.svd(a.factor.T @ b.factor, compute_uv=False).sum()
+    spread = np.trace(a.covariance) + np.trace(b.covariance) - 2.0 * cross
+    shift = a.mean - b.mean
+    return max(0.0, float(shift @ shift + spread))
+
+
+def fid(real: Float[np.ndarray, "n features"], generated: Float[np.ndarray, "m features"]) -> float:
+    """Fréchet distance between the Gaussians of two feature sets; see `frechet_distance`."""
+    # On a busy machine the BLAS threads wait for one another: ten times slower than a single one.
+    with threadpool_limits(1, "blas"):
+        return frechet_distance(fit_gaussian(real), fit_gaussian(generated))
+
+
+def fid_infinity(
+    real: Float[np.ndarray, "n features"],
+    generated: Float[np.ndarray, "m features"],
+    rng: np.random.Generator,
+    num_points: int = 8,
+    smallest_fraction: float = 0.25,
+) -> float:
+    """FID extrapolated to infinitely many samples, by a least-squares line over 1/N (Chong & Forsyth 2020, §4).
+
+    Both sides are thinned to the same N (the paper thins the generated side alone, its real statistics being fixed), so
+    that the limit is free of both sides' bias to first order; subsets are prefixes of one random order, N evenly spaced
+    from `smallest_fraction` of the smaller set to all of it. Raises `ValueError` for NaN or infinity, and if the
+    smallest subset has no more samples than features: FID of singular covariances is not linear in 1/N, its
+    extrapolation far off (two draws of 256 from one 128-dimensional normal distribution: 7.7 instead of 0).
+    """
+    real = checked_features(real, "real", minimum=2)
+    generated = checked_features(generated, "generated", minimum=2)
+    largest, features = min(len(real), len(generated)), real.shape[1]
+    sizes = np.unique(np.linspace(smallest_fraction * largest, largest, num_points).astype(np.int64)).tolist()
+    if len(sizes) < 2 or sizes[0] <= features:
+        raise ValueError(
+            f"{largest} samples of {features} features are too few to extrapolate from: it takes more than "
+            f"{math.ceil((features + 1) / smallest_fraction) - 1}"
+        )
+    orders = [rng.permutation(len(each))[:largest] for each in (real, generated)]
+    values = [
+        frechet_distance(fit_gaussian(real[orders[0][:size]]), fit_gaussian(generated[orders[1][:size]]))
+        for size in sizes
+    ]
+    _, limit = np.polyfit(1.0 / np.array(sizes), values, 1)
+    return float(limit)
+
+
+def kid(real: Float[np.ndarray, "n features"], generated: Float[np.ndarray, "m features"]) -> float:
+    """Unbiased squared MMD with k(x, y) = (x·y / features + 1)³; may be negative; expectation 0 for equal sets.
+
+    Published figures average over random subsets of 1,000; the U-statistic over whole sets, used here, has the same
+    expectation and less variance. Symmetric. The kernel depends on the origin, so its differences are rounding errors
+    for features far from it. Source: Bińkowski et al. 2018, §4.
+    """
+    x = checked_features(real, "real", minimum=2)
+    y = checked_features(generated, "generated", minimum=2)
+    within = []
+    for each in (x, y):
+        own = float(((np.einsum("nf,nf->n", each, each) / each.shape[1] + 1.0) ** 3).sum())
+        within.append((_kernel_sum(each, each) - own) / (len(each) * (len(each) - 1)))
+    return within[0] + within[1] - 2.0 * _kernel_sum(x, y) / (len(x) * len(y))
+
+
+def _kernel_sum(x: Float64[np.ndarray, "n features"], y: Float64[np.ndarray, "m features"]) -> float:
+    """Σᵢⱼ k(xᵢ, yⱼ), in blocks of rows so that the full matrix is never held."""
+    total = 0.0
+    for start in range(0, len(x), BLOCK_ROWS):
+        base = x[start : start + BLOCK_ROWS] @ y.T / x.shape[1] + 1.0
+        total += float(np.vdot(base * base, base))
+    return total
+
+
+@dataclass(frozen=True)
+class Prdc:
+    """Precision, density: how realistic the generated set is; recall, coverage: how much of the real set it holds."""
+
+    precision: float
+    recall: float
+    density: float
+    coverage: float
+
+
+class RealManifold:
+    """The balls of a real set, with which generated sets are compared; raises as `prdc`."""
+
+    def __init__(self, real: Float[np.ndarray, "n features"], num_neighbours: int = 5) -> None:
+        x = checked_features(real, "real", minimum=num_neighbours + 1)
+        if (x == x[0]).all():
+            raise ValueError("real: all rows are the same, so no sample has a neighbourhood to fall into")
+        self.num_neighbours, self._centre = num_neighbours, x.mean(axis=0)
+        self._real = x - self._centre
+        self._radii = _squared_radii(self._real, num_neighbours)
+
+    def compare(self, generated: Float[np.ndarray, "m features"]) -> Prdc:
+        """Precision, recall, density and coverage of a generated set."""
+        y = checked_features(generated, "generated", minimum=self.num_neighbours + 1) - self._centre
+        radii = _squared_radii(y, self.num_neighbours)
+        # Distances that differ by rounding alone are equal: a point on a ball's boundary is outside.
+        lengths = [np.square(each).sum(axis=1).max() for each in (self._real, y)]
+        rounding = 4.0 * (y.shape[1] + 4) * np.finfo(np.float64).eps * sum(lengths)
+        balls_holding, num_real = np.zeros(len(y)), len(self._real)
+        recalled = covered = 0
+        for start in range(0, num_real, BLOCK_ROWS):
+            rows = slice(start, start + BLOCK_ROWS)
+            distances = _squared_distances(self._real[rows], y) + rounding
+            in_real_balls = distances < self._radii[rows, None]
+            balls_holding += in_real_balls.sum(axis=0)
+            recalled += int((distances < radii).any(axis=1).sum())
+            covered += int(in_real_balls.any(axis=1).sum())
+        return Prdc(
+            precision=float((balls_holding > 0).mean()),
+            recall=recalled / num_real,
+            density=float(balls_holding.mean()) / self.num_neighbours,
+            coverage=covered / num_real,
+        )
+
+
+def prdc(
+    real: Float[np.ndarray, "n features"], generated: Float[np.ndarray, "m features"], num_neighbours: int = 5
+) -> Prdc:
+    """Precision and recall (Kynkäänniemi et al. 2019), density and coverage (Naeem et al. 2020), not symmetric.
+
+    A point's ball reaches to its k-th neighbour in its own set, excluding itself; the boundary is outside. Raises
+    `ValueError` for NaN, sets of no more than k samples, or a real set with identical rows.
+    """
+    return RealManifold(real, num_neighbours).compare(generated)
+
+
+def _squared_distances(
+    x: Float64[np.ndarray, "n features"], y: Float64[np.ndarray, "m features"]
+) -> Float64[np.ndarray, "n m"]:
+    # By one matrix product: three times as fast as scipy's cdist.
+    distances: Float64[np.ndarray, "n m"] = x @ (-2.0 * y.T)
+    distances += np.square(x).sum(axis=1)[:, None]
+    distances += np.square(y).sum(axis=1)
+    return distances
+
+
+def _squared_radii(points: Float64[np.ndarray, "n features"], num_neighbours: int) -> Float64[np.ndarray, "n"]:
+    """Squared distance of every point to its k-th neighbour in the same set; the nearest point is itself."""
+    blocks = (
+        _squared_distances(points[start : start + BLOCK_ROWS], points) for start in range(0, len(points), BLOCK_ROWS)
+    )
+    return np.concatenate([np.partition(block, num_neighbours, axis=1)[:, num_neighbours] for block in blocks])
+
+
+METRICS = (
+    Metric("fid", "FID", "", False, "Heusel et al. 2017", fid),
+    Metric("fid_train", "FID (training set)", "", False, "ACTOR (Petrovich et al. 2021)", fid),
+    Metric("fid_test", "FID (test set)", "", False, "ACTOR (Petrovich et al. 2021)", fid),
+    Metric("fid_infinity", "FID∞", "", False, "Chong & Forsyth 2020", fid_infinity),
+    Metric("kid", "KID", "", False, "Bińkowski et al. 2018", kid),
+    Metric("precision", "Precision", "", True, "Kynkäänniemi et al. 2019", prdc),
+    Metric("recall", "Recall", "", True, "Kynkäänniemi et al. 2019", prdc),
+    Metric("density", "Density", "", True, "Naeem et al. 2020", prdc),
+    Metric("coverage", "Coverage", "", True, "Naeem et al. 2020", prdc),
+)
