@@ -34,8 +34,8 @@ CLIPS_AT_ONCE, WINDOWS_AT_ONCE = 512, 64
 TRAIN_WINDOW_FRAMES, TRAIN_STEP_FRAMES = 50, 20
 TEST_WINDOW_FRAMES, TEST_STEP_FRAMES = 65, 40
 
-RootPaths = Float32[np.ndarray, "windows frames 3"]
-Rotations = Float32[np.ndarray, "windows frames joints 4"]
+RootPaths = Float32[np.ndarray, "windows _frames 3"]
+Rotations = Float32[np.ndarray, "windows _frames joints 4"]
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from scipy.spatial.distance import pdist
 
 from eval.actions.recogniser import Recognition
 from eval.actions.scores import ACTION_PROTOCOLS, LabelledRecognition, find_action_protocol, score_actions
-from eval.metrics.actions import multimodality_by_class, multimodality_by_class_with_replacement
 from eval.metrics.metric import find_metric
 from motionkit.core.errors import UsageError
 
@@ -22,34 +21,6 @@ def recognised(number: int, seed: int) -> LabelledRecognition:
     features = rng.normal(size=(number, 3)) + labels[:, None]
     scores = rng.normal(size=(number, CLASSES)) + 2 * np.eye(CLASSES)[labels]
     return LabelledRecognition(Recognition(features, scores), labels)
-
-
-def by_rejection(features: np.ndarray, labels: np.ndarray, rng: np.random.Generator, pairs: int) -> float:
-    """Pairs drawn from the whole set until every class has its share, as action-to-motion describes it."""
-    left, total = np.full(CLASSES, pairs), 0.0
-    while left.any():
-        first, second = rng.integers(len(labels), size=2)
-        if labels[first] == labels[second] and left[labels[first]]:
-            left[labels[first]] -= 1
-            total += float(np.linalg.norm(features[first] - features[second]))
-    return total / (pairs * CLASSES)
-
-
-def test_pairs_of_a_class_have_the_distribution_of_the_reference() -> None:
-    motions = recognised(24, 0)
-    features, labels = motions.recognition.features, motions.labels
-    reference = by_rejection(features, labels, np.random.default_rng(1), 3000)
-    found = multimodality_by_class_with_replacement(features, labels, rng=np.random.default_rng(2), num_pairs=3000)
-    assert found == pytest.approx(reference, rel=0.03)
-    # Six motions a class: one pair in six is a motion with itself.
-    different = multimodality_by_class(features, labels, rng=np.random.default_rng(3), num_pairs=3000)
-    assert different == pytest.approx(reference / (1 - 1 / 6), rel=0.03)
-    exact = []
-    for label in range(CLASSES):
-        members = features[labels == label]
-        distances = np.linalg.norm(members[:, None] - members[None], axis=-1)
-        exact.append(distances.sum() / (6 * 5))
-    assert different == pytest.approx(np.mean(exact), rel=0.03)
 
 
 def plain_fid(x: np.ndarray, y: np.ndarray) -> float:

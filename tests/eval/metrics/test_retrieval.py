@@ -1,31 +1,71 @@
-"""Retrieval against TMR's rule written out, chance for those who see nothing; similarity of pairs."""
+"""R-Precision and retrieval against their definitions; chance for those who see nothing; similarity of pairs."""
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eval.metrics.retrieval import RECALL_RANKS, clip_score, cosines, least_similar, retrieval, tmr_score
+from eval.metrics.retrieval import (
+    RECALL_RANKS,
+    clip_score,
+    cosines,
+    least_similar,
+    pool_distances,
+    r_precision,
+    ranked_both_ways,
+    retrieval,
+    tmr_score,
+)
 
 
-def plain(distances: np.ndarray, right: np.ndarray) -> tuple[list[float], float]:
-    """TMR's metrics where nothing is tied: the place of the nearest right candidate in each sorted row."""
-    places = []
+def places(distances: np.ndarray, right: np.ndarray) -> list[int]:
+    """The place of each query's nearest right candidate in its sorted row, where nothing is tied."""
+    found = []
     for row, allowed in zip(distances, right, strict=True):
         order = sorted(range(len(row)), key=row.__getitem__)
-        places.append(next(place for place, candidate in enumerate(order) if allowed[candidate]))
-    return [float(np.mean([place < rank for place in places])) for rank in RECALL_RANKS], float(np.median(places)) + 1
+        found.append(next(place for place, candidate in enumerate(order) if allowed[candidate]))
+    return found
+
+
+@given(pairs=st.integers(8, 40), pool=st.integers(2, 8), seed=st.integers(0, 1000))
+@settings(max_examples=30)
+def test_r_precision_agrees_with_its_definition(pairs: int, pool: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    texts = rng.normal(size=(pairs, 4))
+    motions = texts + rng.normal(size=(pairs, 4))
+    order = np.random.default_rng(seed).permutation(pairs)
+    pools = [order[start : start + pool] for start in range(0, pairs - pool + 1, pool)]
+    both = ranked_both_ways(pool_distances(texts, motions, order, pool))
+    for found, queries, candidates in (
+        (r_precision(texts, motions, rng=np.random.default_rng(seed), pool=pool), texts, motions),
+        (both.text_asks, texts, motions),
+        (both.motion_asks, motions, texts),
+    ):
+        distances = [np.linalg.norm(queries[rows, None] - candidates[rows], axis=-1) for rows in pools]
+        ranks = np.concatenate([places(each, np.eye(pool, dtype=bool)) for each in distances])
+        np.testing.assert_allclose(found.top, [(ranks < rank).mean() for rank in (1, 2, 3)])
+        assert found.matching_distance == pytest.approx(np.mean([np.diagonal(each) for each in distances]))
+
+
+def test_perfect_pairs_are_found_and_chance_is_rank_over_pool() -> None:
+    rng = np.random.default_rng(0)
+    embeddings = rng.normal(size=(3200, 8)).astype(np.float32)
+    perfect = r_precision(embeddings, embeddings, rng=rng)
+    assert perfect.top.tolist() == [1.0, 1.0, 1.0] and perfect.matching_distance == 0.0
+    chance = r_precision(embeddings, rng.permutation(embeddings), rng=rng).top
+    np.testing.assert_allclose(chance, np.array([1, 2, 3]) / 32, atol=0.015)
+    one_point = r_precision(np.zeros((64, 3)), np.zeros((64, 3)), rng=rng).top
+    np.testing.assert_allclose(one_point, np.array([1, 2, 3]) / 32)
 
 
 @given(st.integers(1, 40), st.floats(0, 0.3), st.integers(0, 2**32 - 1))
-def test_without_ties_it_is_the_place_in_the_sorted_row(number: int, share: float, seed: int) -> None:
+def test_retrieval_without_ties_is_the_place_in_the_sorted_row(number: int, share: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     distances = rng.permutation(number * number).reshape(number, number).astype(np.float64)
     right = (rng.uniform(size=distances.shape) < share) | np.eye(number, dtype=bool)
-    found = retrieval(distances, right)
-    recall, median = plain(distances, right)
-    np.testing.assert_allclose(found.recall, recall, atol=1e-12)
-    assert found.median_rank == median and found.num_queries == number
+    found, expected = retrieval(distances, right), np.array(places(distances, right))
+    np.testing.assert_allclose(found.recall, [(expected < rank).mean() for rank in RECALL_RANKS], atol=1e-12)
+    assert found.median_rank == np.median(expected) + 1
 
 
 @pytest.mark.parametrize("values", [1, 2, 5])
@@ -45,28 +85,12 @@ def test_who_sees_nothing_scores_chance() -> None:
     assert retrieval(np.array([[0.0, 0.0], [1.0, 0.0]])).recall[0] == 0.75
 
 
-def test_what_cannot_be_ranked_is_refused() -> None:
-    with pytest.raises(ValueError, match="finite"):
-        retrieval(np.full((2, 2), np.nan))
-    with pytest.raises(ValueError, match=r"\(2, 3\): say which"):
-        retrieval(np.zeros((2, 3)))
-    with pytest.raises(ValueError, match="query 1 has no right"):
-        retrieval(np.zeros((2, 2)), np.array([[True, False], [False, False]]))
-
-
 def test_clip_score_is_the_mean_cosine_of_pairs() -> None:
-    x = np.array([[1.0, 0.0], [0.0, 2.0], [3.0, 0.0]])
-    y = np.array([[5.0, 0.0], [0.0, -1.0], [0.0, 1.0]])
-    assert clip_score(x, y) == pytest.approx(0.0)
-    assert clip_score(x, 7 * x) == pytest.approx(1.0) and tmr_score(x, -x) == pytest.approx(0.0)
-    rng = np.random.default_rng(0)
-    a, b = rng.normal(size=(2, 9, 4)).astype(np.float32)
+    a, b = np.random.default_rng(0).normal(size=(2, 9, 4)).astype(np.float32)
     by_hand = [float(p @ q / np.sqrt((p @ p) * (q @ q))) for p, q in zip(a, b, strict=True)]
     assert clip_score(a, b) == pytest.approx(np.mean(by_hand), rel=1e-5)
+    assert clip_score(a, 7 * a) == pytest.approx(1.0) and tmr_score(a, -a) == pytest.approx(0.0)
     assert tmr_score(a, b) == pytest.approx(np.diag(cosines(a, b)).mean() / 2 + 0.5)
-    for wrong, said in ((np.zeros((3, 2)), "length 0"), (np.full((3, 2), np.nan), "NaN")):
-        with pytest.raises(ValueError, match=said):
-            clip_score(x, wrong)
 
 
 def test_the_least_similar_rows_are_of_different_kinds() -> None:
@@ -74,3 +98,19 @@ def test_the_least_similar_rows_are_of_different_kinds() -> None:
     chosen = least_similar(cosines(kinds, kinds), 5)
     assert sorted(chosen // 4) == [0, 1, 2, 3, 4]
     assert least_similar(cosines(kinds, kinds), 99).tolist() == list(range(20))
+
+
+def test_what_cannot_be_ranked_is_refused() -> None:
+    rng, broken = np.random.default_rng(0), np.full((32, 2), np.nan)
+    for queries, reason in ((np.zeros((31, 2)), "at least 32 pairs"), (broken, "finite")):
+        with pytest.raises(ValueError, match=reason):
+            r_precision(queries, queries, rng=rng)
+    with pytest.raises(ValueError, match="finite"):
+        retrieval(broken)
+    with pytest.raises(ValueError, match=r"\(2, 3\)"):
+        retrieval(np.zeros((2, 3)))
+    with pytest.raises(ValueError, match="query 1 has no right"):
+        retrieval(np.zeros((2, 2)), np.array([[True, False], [False, False]]))
+    for embeddings, reason in ((np.zeros((32, 2)), "length 0"), (broken, "NaN")):
+        with pytest.raises(ValueError, match=reason):
+            clip_score(np.ones((32, 2)), embeddings)

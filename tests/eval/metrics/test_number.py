@@ -1,21 +1,32 @@
-"""Resampled takes: what a resampling holds, what it makes of means and of Gaussians, when rows are told apart."""
+"""Intervals: over replications, and over resampled takes: their weights, means, Gaussians, and when rows differ."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eval.metrics.distributions import fit_gaussian, frechet_distance, quick_frechet_distance
+from eval.metrics.distributions import fit_gaussian
 from eval.metrics.number import (
     Number,
     Resampling,
     UnitSums,
     blocks_for,
     half_width,
+    over_replications,
     units_of,
     weighted_means,
     with_takes,
 )
+
+
+def test_interval_over_replications_is_the_reference_protocols() -> None:
+    values = [1.0, 2.0, 4.0, 5.0]
+    result = over_replications(values)
+    assert result.value == 3.0
+    assert result.ci95 == pytest.approx(1.96 * np.std(values) / 2)
+    assert over_replications([3.0]).ci95 == 0.0
+    with pytest.raises(ValueError, match="not finite"):
+        over_replications([1.0, float("nan")])
 
 
 def takes_of(values: list[int]) -> list[str]:
@@ -63,15 +74,6 @@ def test_a_weighted_gaussian_is_the_gaussian_of_repeated_takes(counts: list[int]
     assert found.num_samples == expected.num_samples
     np.testing.assert_allclose(found.mean, expected.mean, rtol=1e-12)
     np.testing.assert_allclose(found.covariance, expected.covariance, atol=1e-12)
-
-
-def test_the_quick_distance_is_the_distance() -> None:
-    rng = np.random.default_rng(0)
-    a, b = (fit_gaussian(rng.normal(size=(50, 6)) @ rng.normal(size=(6, 6))) for _ in range(2))
-    assert quick_frechet_distance(a, b) == pytest.approx(frechet_distance(a, b), rel=1e-9)
-    assert quick_frechet_distance(a, a) == pytest.approx(0.0, abs=1e-6)
-    with pytest.raises(ValueError, match="6 and 5 features"):
-        quick_frechet_distance(a, b.part(slice(0, 5)))
 
 
 def test_the_interval_of_a_mean_is_that_of_its_takes_and_not_of_its_values() -> None:

@@ -8,18 +8,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eval.completion.blocks import Scope, Shown, blocks_of, with_pools
 from eval.completion.encoders import HOLD, Completer
-from eval.completion.scores import Scores, TakeStreams, from_plain, mean_over_takes, pooled, scores_of, to_plain
-from eval.metrics.metric import MeanSums
+from eval.completion.scores import Scope, Scores, Shown, add_clips, blocks_of, mean_over_takes, pooled, with_pools
 
 SHOWN = Shown(("×2",), {"psnr": "PSNR (dB)", "mpjpe_global": "MPJPE (cm)"}, {"psnr": {"mpjpe_global": "joints (cm)"}})
 
 
 def scores(psnr: float, clips: float) -> Scores:
     return {
-        "psnr": {"×2": {f"{psnr}": MeanSums().added(float(psnr), float(clips))}},
-        "mpjpe_global": {"×2": {f"{psnr}": MeanSums().added(0.02, 9.0 * clips)}},
+        "psnr": {"×2": {f"{psnr}": [float(psnr * clips), float(clips)]}},
+        "mpjpe_global": {"×2": {f"{psnr}": [0.02 * 9.0 * clips, 9.0 * clips]}},
     }
 
 
@@ -28,24 +26,23 @@ def test_pooled_scores_are_those_of_all_clips_measured_at_once(sizes: list[int],
     """Of a mean over clips, one over frames and one over the truth's power."""
     rng = np.random.default_rng(seed)
     names = ("ssim", "l2q", "npss")
-    whole = {"15": TakeStreams(names)}
+    whole: Scores = {}
     parts = []
     for size in sizes:
         true = rng.normal(size=(size, 12, 2, 4)) * rng.uniform(0.5, 3)
         made = true + rng.normal(size=true.shape)
-        of_part = {"15": TakeStreams(names)}
+        of_part: Scores = {}
         # All in one take at once; of each part the first clip is one take, the others another.
         takes = [f"{len(parts)}"] + [f"{len(parts)} more"] * (size - 1)
-        for of_column, named in ((whole["15"], ["all"] * size), (of_part["15"], takes)):
-            for clips, streams in of_column.by_take(named):
-                a, b = made[clips], true[clips]
-                streams["l2q"].update(*(each / np.linalg.norm(each, axis=-1, keepdims=True) for each in (a, b)))
-                for name in ("ssim", "npss"):
-                    streams[name].update(*(each.reshape(len(clips), 12, 8) for each in (a, b)))
-        parts.append({"row": scores_of(of_part, names)})
-    together, at_once = pooled(parts)["row"], scores_of(whole, names)
+        units = [each / np.linalg.norm(each, axis=-1, keepdims=True) for each in (made, true)]
+        for some, named in ((whole, ["all"] * size), (of_part, takes)):
+            add_clips(some, "15", named, "l2q", *units)
+            for name in ("ssim", "npss"):
+                add_clips(some, "15", named, name, *(each.reshape(size, 12, 8) for each in (made, true)))
+        parts.append({"row": of_part})
+    together = pooled(parts)["row"]
     for name in names:
-        means = [mean_over_takes(each[name]["15"]).value for each in (together, at_once)]
+        means = [mean_over_takes(each[name]["15"]).value for each in (together, whole)]
         assert means[0] == pytest.approx(means[1], rel=1e-9)
 
 
@@ -89,13 +86,8 @@ def test_plain_answers_stand_in_blocks_of_their_own() -> None:
     assert [len(block.rows) for block in blocks_of([scope], rows[::2], SHOWN)] == [1, 1, 2, 2]
 
 
-def test_scores_come_back_from_plain_values_with_their_weights() -> None:
-    kept = scores(31.5, 7)
-    assert from_plain(to_plain(kept)) == kept
-
-
 def of_takes(values: list[float]) -> Scores:
-    sums = {f"take {place}": MeanSums().added(value, 2.0) for place, value in enumerate(values)}
+    sums = {f"take {place}": [2.0 * value, 2.0] for place, value in enumerate(values)}
     return {"psnr": {"×2": sums}, "mpjpe_global": {"×2": sums}}
 
 
