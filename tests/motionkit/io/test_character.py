@@ -20,19 +20,14 @@ from motionkit.io.gltf import GlbBuffer
 from motionkit.io.registry import ReadOptions
 from motionkit.io.smpl_body import mean_shape_skeleton
 from tests.helpers.analytic import analytic_motion
+from tests.helpers.mixamo import mixamo_name
 from tests.helpers.refusal import refusal
 from tests.motionkit.io.test_gltf import Played
 from tests.motionkit.io.test_retargeting import directions
 
-NAMES = {"pelvis": "Hips", "spine1": "Spine", "spine2": "Spine1", "spine3": "Spine2", "neck": "Neck", "head": "Head"}
-PARTS = {"hip": "UpLeg", "knee": "Leg", "ankle": "Foot", "foot": "ToeBase", "collar": "Shoulder", "shoulder": "Arm"}
-PARTS |= {"elbow": "ForeArm", "wrist": "Hand"}
 
-
-def mixamo_name(joint: str) -> str:
-    """What Mixamo calls one of SMPL's joints."""
-    side, _, part = joint.rpartition("_")
-    return f"mixamorig:{NAMES[joint] if joint in NAMES else side.capitalize() + PARTS[part]}"
+def prefixed(joint: str) -> str:
+    return f"mixamorig:{mixamo_name(joint)}"
 
 
 @pytest.fixture(scope="module")
@@ -45,12 +40,12 @@ def walk() -> mk.Motion:
 def rig() -> Skeleton:
     """A small body with Mixamo's names."""
     body = mean_shape_skeleton().scaled(0.6)
-    return replace(body, name="figure", joint_names=tuple(map(mixamo_name, body.joint_names)), feet=None)
+    return replace(body, name="figure", joint_names=tuple(map(prefixed, body.joint_names)), feet=None)
 
 
 def as_smpl(motion: mk.Motion) -> mk.Motion:
     """The motion with SMPL's names, in SMPL's order."""
-    order = [motion.skeleton.joint_names.index(mixamo_name(name)) for name in mean_shape_skeleton().joint_names]
+    order = [motion.skeleton.joint_names.index(prefixed(name)) for name in mean_shape_skeleton().joint_names]
     return replace(
         motion,
         joint_positions=motion.joint_positions[:, order],
