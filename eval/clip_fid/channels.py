@@ -101,9 +101,9 @@ def channels(positions: Float[np.ndarray, "frames joints 3"], fps: Fraction) -> 
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """The Fourier transform of a motion extended at both ends, and its linear trend."""
+    """The Fourier transform of a motion extended at both ends, in single precision, and its linear trend."""
 
-    values: npt.NDArray[np.complex128]
+    values: npt.NDArray[np.complex64]
     frequencies_hz: npt.NDArray[np.float64]
     trend: Signal
     pad: int
@@ -117,7 +117,7 @@ class Spectrum:
         whole = np.concatenate((before, signal, after))
         slope = (whole[-1] - whole[0]) / max(1, len(whole) - 1)
         trend = whole[:1] + np.arange(len(whole))[:, None] * slope
-        values = scipy.fft.rfft(whole - trend, axis=0)
+        values = scipy.fft.rfft((whole - trend).astype(np.float32), axis=0)
         return cls(values, scipy.fft.rfftfreq(len(whole), 1 / rate), trend, pad, rate)
 
     def below(self, cutoff_hz: float) -> Signal:
@@ -134,8 +134,8 @@ class Spectrum:
         return self._inverse(gain * np.square(2 * self.rate * np.sin(np.pi * self.frequencies_hz / self.rate)))
 
     def _inverse(self, gain: npt.NDArray[np.float64]) -> Signal:
-        signal: Signal = scipy.fft.irfft(self.values * gain[:, None], n=len(self.trend), axis=0)
-        return self._own(signal)
+        filtered = self.values * gain.astype(np.float32)[:, None]
+        return self._own(scipy.fft.irfft(filtered, n=len(self.trend), axis=0).astype(np.float64))
 
     def _own(self, continued: Signal) -> Signal:
         own: Signal = continued[self.pad : len(continued) - self.pad]

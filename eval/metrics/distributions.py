@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from eval.metrics.metric import Metric, checked_features
 from motionkit.core.shapes import Float, Float64
 
-BLOCK_ROWS = 512
+BLOCK_ROWS = 128
 
 
 @dataclass(frozen=True, eq=False)
