@@ -2,8 +2,9 @@
 
     python -m benchmarks.paths [--json]
 
-A file is touched if one of its functions is called; its import alone does not count. Modules are those that `import
-motionkit` has not loaded already. Each job runs in a process of its own, from the command line inwards:
+A file is touched if one of its functions is called; what runs while modules are imported does not count. Modules are
+those that `import motionkit` has not loaded already. Each job runs in a process of its own, from the command line
+inwards:
 
 - BVH to manifest: `motionkit ingest walk.bvh`, until the store has its manifest
 - to a training step: `motionkit train --stage field`, until the optimizer's first step
@@ -17,6 +18,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+from functools import cache
 from pathlib import Path
 from types import CodeType, FrameType
 from typing import Any
@@ -54,7 +56,7 @@ def trace(command: list[str], until_step: bool) -> dict[str, Any]:
     called: set[CodeType] = set()
 
     def note(frame: FrameType, event: str, _: object) -> None:
-        if event == "call":
+        if event == "call" and frame.f_code not in called and not _while_importing(frame):
             called.add(frame.f_code)
 
     from motionkit.cli.app import main
@@ -84,6 +86,16 @@ def trace(command: list[str], until_step: bool) -> dict[str, Any]:
     }
 
 
+def _while_importing(frame: FrameType | None) -> bool:
+    """Whether a module of the project is being imported below this frame."""
+    while frame is not None:
+        if frame.f_code.co_name == "<module>" and _of_project(frame.f_code.co_filename):
+            return True
+        frame = frame.f_back
+    return False
+
+
+@cache
 def _of_project(filename: str) -> str | None:
     path = Path(filename)
     if not path.is_relative_to(ROOT) or path.relative_to(ROOT).parts[0] not in PACKAGES:
