@@ -27,7 +27,6 @@ from motionkit.core.files import whole_file
 from motionkit.core.shapes import Float, Float32, Int64
 from motionkit.data.windows import chunks
 from motionkit.features import field
-from motionkit.fields.resample import resample_positions
 from motionkit.store.cache import PositionCache, open_cache
 from motionkit.training.devices import ALONE, Ranks, autocast, resolve_device, with_precision_of
 from motionkit.training.loop import (
@@ -280,6 +279,8 @@ def sequence_lengths(source: PositionCache, config: CodebookConfig) -> Int64[np.
 
 def write_vectors(source: PositionCache, config: CodebookConfig, path: Path) -> None:
     """Resample every sequence to 20 fps and write its `codebook_vectors`."""
+    from motionkit.fields.resample import resample_positions  # deferred: the field reads codes alone
+
     with whole_file(path) as temporary, temporary.open("wb") as file:
         for index in np.flatnonzero(sequence_lengths(source, config)).tolist():
             positions = np.asarray(source.sequence_positions(index))
@@ -359,8 +360,6 @@ def load_published(path: Path) -> Float32[Tensor, "codes dimension"]:
 
 
 STAGE_NAME = "codebook"
-FORMAT = "nerm-codebook"
-FORMAT_VERSION = 1
 
 
 def train_codebook(context: StageContext, config: NermConfig) -> None:
@@ -368,7 +367,7 @@ def train_codebook(context: StageContext, config: NermConfig) -> None:
     store, device, ranks = context.open_store(), resolve_device(context.device), context.ranks
     settings = with_precision_of(config.codebook, device)
     config = dataclasses.replace(config, codebook=settings)
-    description = {"format": FORMAT, "version": FORMAT_VERSION, "fps": FPS}
+    description = {"fps": FPS}
     weights = settings.published_weights
     if weights:
         codes = load_published(Path(weights))

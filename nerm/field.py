@@ -1,4 +1,13 @@
-"""A trained motion field f_θ(t, z, s) → pose: the result of stage 1 (paper §3.1), for generation and encoding."""
+"""A trained motion field f_θ(t, z, s) → pose: the result of stage 1 (paper §3.1), for generation and encoding.
+
+Local latents start from a linear model of the poses, fitted to a window by ridge regression: the path bank is fitted to
+the root's path and heading, then the pose banks to the principal components of the poses relative to the fitted path.
+The network starts as the same linear model.
+
+Contact is an output of the field too (ours): a small network on the decoder's input gives the probabilities that ankle
+and toe of both feet are on the ground, at any t. Feet of generated motions slide from residual noise, so their paths
+say little about contacts; z still does (docs/results/trials.md).
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -9,26 +18,184 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from motionkit.core.shapes import Float, Float32, Float64
+from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import normalise_seconds
-from motionkit.data.windows import Windows
+from motionkit.data.windows import WindowPoses, Windows, chunks
+from motionkit.features import field
 from motionkit.features.convention import PoseVectors
 from motionkit.features.field import FIELD_VECTORS
 from motionkit.features.native import NativeVectors
-from motionkit.fields.contact.planted import GRID_FPS
 from motionkit.fields.motion_field import Poses, check_times
 from motionkit.training.config import from_plain, to_plain
 from motionkit.training.devices import resolve_device
-from motionkit.training.loop import CheckpointError, load_tensors, prefixed, rebuilding, save_tensors, unprefixed
-from motionkit.training.pose_vectors import VectorScaling, vector_tensors, vectors_of
+from motionkit.training.loop import load_tensors, prefixed, rebuilding, save_tensors, unprefixed
+from motionkit.training.pose_vectors import ROOT_PATH, PoseTensors, VectorScaling, vector_tensors, vectors_of
 from motionkit.training.run import RunFolder, StageFolder
-from nerm.contact import ContactHead, contact_head, probabilities
-from nerm.linear_fit import LinearModel, PoseComponents
+from nerm.latents import KnotLayout, LocalLatents, local_latents, relative_to
 from nerm.network import EncodedCoordinates, FieldNetwork
 from nerm.recipes import FieldConfig
+
+TIMES_PER_WINDOW = 128
+HELD_TIMES = 128
+WINDOWS_AT_ONCE = 256
+
+
+def ridge_knots(
+    targets: Float[Tensor, "windows times width"],
+    coordinates: Float64[Tensor, "windows times"],
+    counts: Float[Tensor, "windows times"],
+    layout: KnotLayout,
+    ridge: float,
+) -> Float32[Tensor, "windows knots width"]:
+    """Fit knots to targets at given coordinates by ridge regression.
+
+    `counts` weights the instants; the ridge is in units of one instant.
+    """
+    weights = layout.interpolant(coordinates.reshape(-1)).reshape(*coordinates.shape, layout.num_knots)
+    counted = (weights * counts[..., None]).transpose(1, 2)
+    gram = counted @ weights + ridge * torch.eye(layout.num_knots, dtype=torch.float64)
+    knots: Tensor = torch.linalg.solve(gram, counted @ targets.double())
+    return knots.float()
+
+
+def measured_heading(
+    vectors: Float32[Tensor, "windows times numbers"],
+) -> Float64[Tensor, "windows times"]:
+    """The unwrapped heading (radians) of `field` vectors in metres and in order of time."""
+    heading = field.heading(field.decode(vectors.numpy())).astype(np.float64)
+    return torch.from_numpy(np.unwrap(heading, axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class PoseComponents:
+    """Principal components of standardised poses, scaled to unit variance."""
+
+    mean: Float32[Tensor, "numbers"]
+    directions: Float32[Tensor, "numbers components"]
+
+    def scores(self, standardised: Float[Tensor, "*poses numbers"]) -> Float[Tensor, "*poses components"]:
+        """Standardised vectors → component scores of unit variance."""
+        return (standardised - self.mean) @ self.directions
+
+    def inverse(self) -> Float32[Tensor, "components numbers"]:
+        """Maps scores back to centred vectors (a pseudo-inverse)."""
+        matrix: Tensor = torch.linalg.pinv(self.directions)
+        return matrix
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """Banks, scales and components of the linear model; `ridge` in units of one pose per knot."""
+
+    banks: LocalLatents
+    scaling: VectorScaling
+    components: PoseComponents
+    ridge: float
+
+    def fit(self, batch: PoseTensors) -> Float32[Tensor, "batch latent"]:
+        """Latents of windows from poses in order of time; the last pose is held beyond a window's end."""
+        batch, counts = held(batch)
+        path_knots, relative = _without_path(batch, counts, self.banks, self.scaling, self.ridge)
+        scores = self.components.scores(relative)
+        of_bank = torch.split(scores, [bank.numbers for bank in self.banks.pose], dim=-1)
+        pose_knots = [
+            ridge_knots(targets, batch.coordinates, counts, bank.knots, self.ridge)
+            for targets, bank in zip(of_bank, self.banks.pose, strict=True)
+        ]
+        return self.banks.join([*pose_knots, *path_knots])
+
+
+def linear_model(poses: WindowPoses, scaling: VectorScaling, config: FieldConfig) -> LinearModel | None:
+    """The linear model of the windows' poses; None for the global layout."""
+    banks, ridge = local_latents(config), config.latents.ridge
+    if banks is None:
+        return None
+    return LinearModel(banks, scaling, measure_components(poses, banks, scaling, ridge), ridge)
+
+
+def measure_components(poses: WindowPoses, banks: LocalLatents, scaling: VectorScaling, ridge: float) -> PoseComponents:
+    """Principal components of the windows' poses relative to their fitted paths; one pass, constant memory."""
+    size = len(scaling.mean)
+    count, total, outer = 0, torch.zeros(size).double(), torch.zeros(size, size).double()
+    for rows in chunks(len(poses.windows), WINDOWS_AT_ONCE):
+        batch = PoseTensors.of(poses.evenly(rows, TIMES_PER_WINDOW))
+        counts = torch.ones_like(batch.coordinates)
+        vectors = _without_path(batch, counts, banks, scaling, ridge)[1].double().flatten(0, 1)
+        count += len(vectors)
+        total, outer = total + vectors.sum(0), outer + vectors.T @ vectors
+    mean = total / count
+    values, axes = torch.linalg.eigh(outer / count - torch.outer(mean, mean))
+    largest = torch.argsort(values, descending=True)[: banks.num_components]
+    directions = axes[:, largest] / values[largest].clamp(min=1e-12).sqrt()
+    return PoseComponents(mean.float(), directions.float())
+
+
+def fit_windows(
+    poses: WindowPoses, model: LinearModel, windows: Int64[np.ndarray, "chosen"]
+) -> Float32[Tensor, "chosen latent"]:
+    """Fit the latents of these windows."""
+    return torch.cat(
+        [
+            model.fit(PoseTensors.of(poses.evenly(windows[rows], TIMES_PER_WINDOW)))
+            for rows in chunks(len(windows), WINDOWS_AT_ONCE)
+        ]
+    )
+
+
+def held(batch: PoseTensors) -> tuple[PoseTensors, Float64[Tensor, "batch times"]]:
+    """Hold each window's last pose from its end to t = 1; returns the batch and the weight of each instant.
+
+    Knots beyond a window's end then describe a body that stands still instead of being undetermined.
+    """
+    grid = torch.linspace(-1.0, 1.0, HELD_TIMES, dtype=torch.float64).expand(len(batch.window), -1)
+    last = batch.vectors[:, -1:].expand(-1, HELD_TIMES, -1)
+    counts = torch.cat((torch.ones_like(batch.coordinates), (grid > batch.coordinates[:, -1:]).double()), dim=1)
+    coordinates = torch.cat((batch.coordinates, grid), dim=1)
+    return PoseTensors(batch.window, coordinates, batch.fps, torch.cat((batch.vectors, last), dim=1)), counts
+
+
+def _without_path(
+    batch: PoseTensors,
+    counts: Float64[Tensor, "batch times"],
+    banks: LocalLatents,
+    scaling: VectorScaling,
+    ridge: float,
+) -> tuple[list[Float32[Tensor, "batch knots 3"]], Float32[Tensor, "batch times numbers"]]:
+    """The path bank's knots (empty without such a bank) and standardised poses relative to the path."""
+    standardised = scaling.apply(batch.vectors)
+    if banks.path is None:
+        return [], standardised
+    layout = banks.path.knots
+    x, z = (standardised[..., number].double() for number in ROOT_PATH)
+    measured = torch.stack((x, z, measured_heading(batch.vectors)), dim=-1)
+    units = banks.path_units().double()
+    knots = ridge_knots(measured / units, batch.coordinates, counts, layout, ridge)
+    weights = layout.interpolant(batch.coordinates.reshape(-1)).reshape(*batch.coordinates.shape, -1)
+    path = (weights @ knots.double()) * units
+    return [knots], relative_to(standardised, path.float())
+
+
+NUM_LOGITS, CONTACT_WIDTH = 4, 128
+
+
+class ContactHead(nn.Module):
+    """Logits of contact of left ankle, left toe, right ankle and right toe, from the output of `FieldNetwork.read`."""
+
+    def __init__(self, num_read: int) -> None:
+        super().__init__()
+        width = CONTACT_WIDTH
+        self.layers = nn.Sequential(
+            nn.Linear(num_read, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU(), nn.Linear(width, NUM_LOGITS)
+        )
+
+    def forward(self, read: Float[Tensor, "batch poses read"]) -> Float[Tensor, "batch poses 4"]:
+        """Logits."""
+        logits: Tensor = self.layers(read)
+        return logits
+
 
 GRIDS_KEPT = 16
 POSES_AT_ONCE = 8_192
@@ -107,6 +274,8 @@ class TrainedField:
 
         Motions of any duration share the grid of a whole window at `fps`, or at the rate of contact detection.
         """
+        from motionkit.fields.contact.planted import GRID_FPS  # deferred: training needs no planting
+
         rows, count = times_seconds.shape
         for rate in (float(fps), GRID_FPS):
             whole = np.arange(int(self.max_duration_seconds * rate + 1e-6) + 1) / rate
@@ -190,9 +359,8 @@ class TrainedField:
             return None
         encoded = self.encode_times(times_seconds[None], fps)
         with torch.no_grad():
-            read = self.network.read(latent[None].float().to(self.device), encoded)
-        contacts: Float32[np.ndarray, "times 2 2"] = probabilities(self.contacts, read)[0]
-        return contacts
+            logits = self.contacts(self.network.read(latent[None].float().to(self.device), encoded))
+        return np.asarray(torch.sigmoid(logits)[0].cpu().numpy().reshape(-1, 2, 2))
 
     def as_motion_field(
         self, latent: Float[Tensor, "latent"], duration_seconds: float, fps: Fraction | None = None
@@ -241,7 +409,6 @@ class LatentMotionField:
 
 
 STAGE_NAME = "field"
-FORMAT_VERSION = 2
 
 
 def save_field(folder: StageFolder, trained: TrainedField) -> None:
@@ -259,26 +426,18 @@ def save_field(folder: StageFolder, trained: TrainedField) -> None:
         tensors["components.mean"] = trained.components.mean
         tensors["components.directions"] = trained.components.directions
     description: dict[str, Any] = {
-        "format": "nerm-field",
-        "version": FORMAT_VERSION,
         "config": to_plain(trained.config),
-        "layout": trained.skeleton.name,
         "store_fingerprint": trained.store_fingerprint,
     }
     save_tensors(folder.model_path, tensors, description)
 
 
 def load_field(run: RunFolder | Path, device: str = "cpu") -> TrainedField:
-    """Load a run's trained field; raises `CheckpointError` if it is missing or of another format."""
+    """Load a run's trained field; raises `CheckpointError` if it is missing or another model's."""
     folder = (run if isinstance(run, RunFolder) else RunFolder(run)).stage(STAGE_NAME)
     if not folder.model_path.is_file():
         folder.read_summary()
     tensors, description = load_tensors(folder.model_path)
-    if description.get("format") != "nerm-field" or description.get("version") != FORMAT_VERSION:
-        raise CheckpointError(
-            f"{folder.model_path} is {description.get('format')!r} version {description.get('version')}, expected "
-            f"'nerm-field' version {FORMAT_VERSION}: train it again (motionkit train --stage field --overwrite)"
-        )
     where = resolve_device(device)
     with rebuilding(folder.model_path, STAGE_NAME, tensors):
         return _rebuild(tensors, description, where)
@@ -291,7 +450,7 @@ def _rebuild(tensors: Mapping[str, Tensor], description: Mapping[str, Any], wher
     network.load_state_dict(unprefixed("network", tensors))
     contacts = None
     if of_contacts := unprefixed("contacts", tensors):
-        contacts = contact_head(network)
+        contacts = ContactHead(network.num_read)
         contacts.load_state_dict(of_contacts)
         contacts = contacts.to(where).eval().requires_grad_(False)
     arrays = {name: tensor.numpy() for name, tensor in unprefixed("windows", tensors).items()}

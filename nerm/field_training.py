@@ -1,23 +1,25 @@
 """Stage `field`: training f_θ with one N(μ, Σ) per window, without an encoder (paper §3.1, Eq. 1, 3 and 4; B.2).
 
 Only the rows of a batch are gathered and updated, with their Adam moments, so a step's cost does not depend on the
-number of windows.
+number of windows. The contact head is trained after the decoder, which stays as it is.
 """
 
 import dataclasses
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import binary_cross_entropy_with_logits
 
 from motionkit.core.errors import UsageError
-from motionkit.core.progress import warn
+from motionkit.core.progress import OnProgress, task, warn
 from motionkit.core.shapes import Float, Float32, Int64
 from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import normalise_seconds
 from motionkit.data.windows import (
     FrameValues,
     WindowPoses,
@@ -31,37 +33,24 @@ from motionkit.data.windows import (
 from motionkit.features.convention import PoseVectors
 from motionkit.store.cache import PositionCache
 from motionkit.store.reader import Store
-from motionkit.training.devices import (
-    ALONE,
-    DealtRows,
-    Ranks,
-    autocast,
-    resolve_device,
-    with_precision_of,
-)
+from motionkit.training.devices import ALONE, DealtRows, Ranks, autocast, resolve_device, with_precision_of
 from motionkit.training.loop import (
     CheckpointError,
+    Learner,
     load_tensors,
-    load_training_tensors,
     prefixed,
     seeded_initialisation,
     step_generator,
-    training_tensors,
 )
-from motionkit.training.pose_vectors import PoseTensors, VectorScaling, measure_scaling
+from motionkit.training.pose_vectors import PoseTensors, measure_scaling
 from motionkit.training.run import RunError, RunFolder, StageContext
-from nerm.codebook import FORMAT, FORMAT_VERSION
-from nerm.contact import ContactTraining, contact_rows
-from nerm.field import TrainedField, save_field
-from nerm.latents import first_read, in_use, local_latents, measured_space
-from nerm.linear_fit import LinearModel, fit_windows, measure_components
+from nerm.field import NUM_LOGITS, ContactHead, TrainedField, fit_windows, linear_model, save_field
+from nerm.latents import first_read, in_use, measured_space
 from nerm.network import FieldNetwork
 from nerm.recipes import FieldConfig, NermConfig
 
 LOG_VARIANCE_RANGE = (-12.0, 4.0)
 WARMUP_FPS = Fraction(20)
-# Standard deviations of the latents' noise, in the denoiser's space, that the contact head is trained with.
-CONTACT_NOISE = 0.4
 
 
 class RowAdam:
@@ -123,33 +112,11 @@ def kl_divergence(
     return divergence.sum() / (mean.shape[1] * (num_windows or len(mean)))
 
 
-def linear_model(poses: WindowPoses, scaling: VectorScaling, config: FieldConfig) -> LinearModel | None:
-    """The linear model of the windows' poses that local latents are fitted with; None for the global layout."""
-    banks = local_latents(config)
-    if banks is None:
-        return None
-    ridge = config.latents.ridge
-    return LinearModel(banks, scaling, measure_components(poses, banks, scaling, ridge), ridge)
-
-
-def initial_means(
-    poses: WindowPoses,
-    model: LinearModel | None,
-    config: FieldConfig,
-    seed: int,
-    windows: Int64[Tensor, "chosen"],
-) -> Float32[Tensor, "chosen latent"]:
-    """μ of some windows before training: N(0, 1), or the linear model's fit."""
-    if model is not None:
-        return fit_windows(poses, model, windows.numpy())
-    return torch.randn(len(poses.windows), config.latents.dimension, generator=step_generator(seed, "latents"))[windows]
-
-
 class FieldTraining:
     """A `motionkit.training.loop.Trainable`: θ, {μ_i} and {log Σ_i} with their optimisers.
 
     Each rank owns the latents of its windows, a contiguous part of the corpus, and steps on its share of a batch; only
-    the gradient of θ is reduced between ranks.
+    the gradient of θ is reduced between ranks. A row of `latents` is μ_i, then log Σ_i.
     """
 
     def __init__(
@@ -163,31 +130,35 @@ class FieldTraining:
         ranks: Ranks = ALONE,
     ) -> None:
         self.poses, self.config, self.seed, self.device = poses, config, seed, device
-        self.scaling = measure_scaling(
+        scaling = measure_scaling(
             poses,
             grouped=config.loss.scaling == "group",
             root_weight=config.loss.root_weight,
             centred_path=config.latents.has_path,
         )
-        model = linear_model(poses, self.scaling, config)
-        self.components = None if model is None else model.components
-        self.ranks = ranks
+        self.scaling = scaling.to(device)
         in_corpus = np.argsort(poses.windows.start_row, kind="stable")
         self.own = DealtRows(ranks, poses.windows.duration_seconds, in_corpus)
-        means = initial_means(poses, model, config, seed, self.own.rows)
-        num_features = len(self.scaling.mean)
-        self.scaling = self.scaling.to(device)
         with seeded_initialisation(seed, "field"):
-            self.network = FieldNetwork(config, num_features, codebook).to(device)
-        if self.components is not None:
-            self.network.start_as_linear_model(self.components.mean, self.components.inverse())
-        self.visits = rows_by_duration(poses.windows, config.clips.seconds_per_visit)
-        self.steps = config.schedule.num_steps(len(self.visits))
-        self.optimizer = torch.optim.AdamW(self._parameter_groups(), weight_decay=config.optimizer.weight_decay)
-        self.mean = RowAdam(means.to(device), weight_decay=config.optimizer.weight_decay)
+            self.network = FieldNetwork(config, len(scaling.mean), codebook).to(device)
+        # μ begins as N(0, 1), or as the linear model's fit.
+        model = linear_model(poses, scaling, config)
+        if model is None:
+            generator = step_generator(seed, "latents")
+            means = torch.randn(len(poses.windows), config.latents.dimension, generator=generator)[self.own.rows]
+        else:
+            means = fit_windows(poses, model, self.own.rows.numpy())
+            self.network.start_as_linear_model(model.components.mean, model.components.inverse())
+        self.components = None if model is None else model.components
         # Eq. 9 has no Σ: with this log-variance stage 2 effectively draws μ.
         start = config.latents.initial_log_variance if config.latents.variational else LOG_VARIANCE_RANGE[0]
-        self.log_variance = RowAdam(torch.full_like(self.mean.table, start), weight_decay=config.optimizer.weight_decay)
+        self.visits = rows_by_duration(poses.windows, config.clips.seconds_per_visit)
+        self.steps = config.schedule.num_steps(len(self.visits))
+        decay = config.optimizer.weight_decay
+        self.learner = Learner(
+            self.network, torch.optim.AdamW(self._parameter_groups(), weight_decay=decay), ranks=ranks
+        )
+        self.latents = RowAdam(torch.cat((means, torch.full_like(means, start)), dim=1).to(device), weight_decay=decay)
 
     def _parameter_groups(self) -> list[dict[str, Any]]:
         """θ in two groups: attention (CCA, transformer decoder) diverges at learning rates that suit an MLP."""
@@ -196,12 +167,8 @@ class FieldTraining:
             attention += self.network.layers.parameters()
         ours = {id(parameter) for parameter in attention}
         decoder = [parameter for parameter in self.network.parameters() if id(parameter) not in ours]
-        rate = self.config.schedule.learning_rate
-        groups: list[dict[str, Any]] = [{"params": decoder, "lr": rate, "base_lr": rate}]
-        if attention:
-            rate = self.config.optimizer.attention_learning_rate
-            groups.append({"params": attention, "lr": rate, "base_lr": rate})
-        return groups
+        relative = self.config.optimizer.attention_learning_rate / self.config.schedule.learning_rate
+        return [{"params": decoder}, {"params": attention, "relative_rate": relative}]
 
     def step(self, step: int, generator: torch.Generator) -> Mapping[str, Tensor]:
         """One step on θ and on the latents of the batch."""
@@ -212,8 +179,8 @@ class FieldTraining:
         batch = self._draw(step, windows, mine, generator)
         distinct, which = torch.unique(windows[mine], return_inverse=True)
         rows = self.own.place(distinct).to(self.device)
-        mean = self.mean.table[rows].requires_grad_()
-        log_variance = self.log_variance.table[rows].requires_grad_()
+        posterior = self.latents.table[rows].requires_grad_()
+        mean, log_variance = posterior.chunk(2, dim=1)
         latents = mean[which]
         if config.latents.variational:
             noise = torch.randn(len(windows), latents.shape[1], generator=generator)[mine].to(self.device)
@@ -225,9 +192,11 @@ class FieldTraining:
         reconstruction = squares.sum() / (len(windows) * squares.shape[1:].numel())
         kl = kl_divergence(mean, log_variance, len(torch.unique(windows)))
         loss = reconstruction + config.loss.kl_weight * kl if config.latents.variational else reconstruction
-        self.optimizer.zero_grad(set_to_none=True)
-        torch.autograd.backward(loss)
-        self._update(step, rows, mean, log_variance)
+        factor = config.schedule.factor(step, self.steps)
+        self.learner.descend(loss, step, config.schedule.learning_rate * factor)
+        assert posterior.grad is not None
+        self.latents.update(rows, posterior.grad, config.optimizer.latent_learning_rate * factor)
+        self.latents.table[rows, mean.shape[1] :] = self.latents.table[rows, mean.shape[1] :].clamp(*LOG_VARIANCE_RANGE)
         return {"loss": loss, "reconstruction": reconstruction, "kl": kl}
 
     def _draw(
@@ -251,36 +220,21 @@ class FieldTraining:
         )
         return PoseTensors.of(batch).to(self.device)
 
-    def _update(self, step: int, rows: Int64[Tensor, "rows"], mean: Tensor, log_variance: Tensor) -> None:
-        config = self.config
-        factor = config.schedule.factor(step, self.steps)
-        for group in self.optimizer.param_groups:
-            group["lr"] = group["base_lr"] * factor
-        self.ranks.add_up_gradients(self.network.parameters())
-        self.optimizer.step()
-        assert mean.grad is not None
-        self.mean.update(rows, mean.grad, config.optimizer.latent_learning_rate * factor)
-        if log_variance.grad is not None:
-            self.log_variance.update(rows, log_variance.grad, config.optimizer.latent_learning_rate * factor)
-            self.log_variance.table[rows] = self.log_variance.table[rows].clamp(*LOG_VARIANCE_RANGE)
+    def posteriors(self) -> tuple[Float32[Tensor, "windows latent"], Float32[Tensor, "windows latent"]]:
+        """{μ_i} and {log Σ_i} of all windows, on the CPU of the first rank."""
+        mean, log_variance = self.own.gather(self.latents.table).chunk(2, dim=1)
+        return mean.contiguous(), log_variance.contiguous()
 
     def state_tensors(self) -> dict[str, Tensor]:
         """The complete training state; the latents of all ranks are gathered on the first."""
-        latents = {name: self.own.gather(table) for name, table in self._tables().items()}
-        return training_tensors(self.network, self.optimizer) | latents
-
-    def posteriors(self) -> tuple[Float32[Tensor, "windows latent"], Float32[Tensor, "windows latent"]]:
-        """{μ_i} and {log Σ_i} of all windows, on the CPU of the first rank."""
-        return self.own.gather(self.mean.table), self.own.gather(self.log_variance.table)
+        latents = {name: self.own.gather(table) for name, table in self.latents.tensors().items()}
+        return self.learner.state_tensors() | prefixed("latents", latents)
 
     def load_state_tensors(self, tensors: Mapping[str, Tensor]) -> None:
         """Restore what `state_tensors` returned."""
-        load_training_tensors(self.network, self.optimizer, tensors)
-        for name, table in self._tables().items():
-            table.copy_(tensors[name][self.own.rows])
-
-    def _tables(self) -> dict[str, Tensor]:
-        return prefixed("mean", self.mean.tensors()) | prefixed("log_variance", self.log_variance.tensors())
+        self.learner.load_state_tensors(tensors)
+        for name, table in self.latents.tensors().items():
+            table.copy_(tensors[f"latents.{name}"][self.own.rows])
 
 
 def training_windows(source: PositionCache, config: FieldConfig) -> Windows:
@@ -341,14 +295,8 @@ def train_field(context: StageContext, config: NermConfig) -> None:
     folder = context.begin("field", config, store_fingerprint=store.fingerprint, builds_on=builds_on)
     for remark in remarks(source, windows, settings) if ranks.is_first else []:
         warn(remark)
-    training = FieldTraining(
-        WindowPoses(windows, frames, settings.clips.fixed_framerate),
-        settings,
-        codebook=codes,
-        seed=context.seed,
-        device=device,
-        ranks=ranks,
-    )
+    poses = WindowPoses(windows, frames, settings.clips.fixed_framerate)
+    training = FieldTraining(poses, settings, codebook=codes, seed=context.seed, device=device, ranks=ranks)
     figures = context.train(training, folder, settings.precision)
     mean, log_variance = training.posteriors()
     if not ranks.is_first:
@@ -364,7 +312,10 @@ def train_field(context: StageContext, config: NermConfig) -> None:
         vectors=vectors,
     )
     if settings.contact_steps and trained.network.local is not None:
-        trained, figures["contacts"] = _with_contacts(trained, source, context)
+        contacts, figures["contacts"] = train_contacts(
+            trained, contact_rows(source), seed=context.seed, on_progress=context.on_progress
+        )
+        trained = dataclasses.replace(trained, contacts=contacts)
     save_field(folder, trained)
     hours = float(windows.duration_seconds.sum()) / 3600
     facts = {"windows": len(windows), "hours": round(hours, 3), "wall_seconds": round(time.perf_counter() - started, 1)}
@@ -372,22 +323,84 @@ def train_field(context: StageContext, config: NermConfig) -> None:
     folder.finish({**figures, **facts})
 
 
-def _with_contacts(trained: TrainedField, source: PositionCache, context: StageContext) -> tuple[TrainedField, float]:
-    """The field with a trained contact head, and the head's final loss."""
-    banks = trained.network.local
-    means, duration = trained.posterior_mean, trained.windows.duration_seconds / trained.max_duration_seconds
-    used = in_use(first_read(means.shape[1], banks), torch.from_numpy(duration).float())
-    space = measured_space(means, used, banks, "component")
+CONTACT_BATCH_SIZE, CONTACT_LEARNING_RATE = 256, 3e-3
+# Standard deviations of the latents' noise, in the denoiser's space.
+CONTACT_NOISE = 0.4
+CONTACT_ROWS, FEWEST_FRAMES = "contacts-1", 4
 
-    def noisy(latents: Float32[Tensor, "batch latent"], generator: torch.Generator) -> Tensor:
-        share = torch.rand(len(latents), 1, generator=generator)
-        noise = torch.randn(latents.shape, generator=generator)
-        return space.restore(space.standardise(latents) + CONTACT_NOISE * share * noise)
 
-    rows, network = contact_rows(source), trained.network
-    training = ContactTraining(network, means, trained.windows, rows, noisy, seed=context.seed)
-    loss = training.run(context.on_progress)
-    return dataclasses.replace(trained, contacts=training.head.eval().requires_grad_(False)), loss
+def train_contacts(
+    trained: TrainedField, rows: Float32[np.ndarray, "total_frames 4"], *, seed: int, on_progress: OnProgress
+) -> tuple[ContactHead, float]:
+    """Train a contact head on a frozen field, from noisy posterior means of its windows, with labels of all frames.
+
+    Also returns the mean loss of the last fifth of the steps, in nats per output.
+    """
+    network, windows, config, device = trained.network, trained.windows, trained.config, trained.device
+    means, banks = trained.posterior_mean, network.local
+    duration = torch.from_numpy(windows.duration_seconds / windows.max_duration_seconds).float()
+    space = measured_space(means, in_use(first_read(means.shape[1], banks), duration), banks, "component")
+    with seeded_initialisation(seed, "contacts"):
+        head = ContactHead(network.num_read).to(device)
+    learner = Learner(head, torch.optim.AdamW(head.parameters(), weight_decay=0.0))
+    visits = rows_by_duration(windows, config.clips.seconds_per_visit)
+    steps, losses = config.contact_steps, []
+    with task(on_progress, "contacts", steps) as work:
+        for step in range(steps):
+            generator = step_generator(seed, "contacts", step)
+            chosen = visits[shuffled_batches(len(visits), CONTACT_BATCH_SIZE, step, seed)]
+            uniform = torch.rand(len(chosen), config.clips.num_poses, generator=generator, dtype=torch.float64).numpy()
+            frame = np.floor(uniform * windows.num_frames[chosen][:, None]).astype(np.int64)
+            fps = windows.fps[chosen]
+            times = normalise_seconds(frame / fps[:, None], windows.max_duration_seconds)
+            share = torch.rand(len(chosen), 1, generator=generator)
+            noise = torch.randn(len(chosen), means.shape[1], generator=generator)
+            latents = space.restore(space.standardise(means[chosen]) + CONTACT_NOISE * share * noise)
+            with torch.no_grad():
+                encoded = network.encode_coordinates(
+                    torch.from_numpy(times).to(device), torch.from_numpy(fps).to(device)
+                )
+                read = network.read(latents.to(device), encoded)
+            labels = torch.from_numpy(labels_at(rows, windows, chosen, frame)).to(device)
+            loss = binary_cross_entropy_with_logits(head(read), labels)
+            learner.descend(loss, step, CONTACT_LEARNING_RATE * 0.5 * (1.0 + np.cos(np.pi * step / steps)))
+            losses.append(loss.detach())
+            work.advance()
+    return head.eval().requires_grad_(False), float(torch.stack(losses[-max(1, steps // 5) :]).mean())
+
+
+def labels_at(
+    rows: Float32[np.ndarray, "total_frames 4"],
+    windows: Windows,
+    window: Int64[np.ndarray, "batch"],
+    frame: Int64[np.ndarray, "batch poses"],
+) -> Float32[np.ndarray, "batch poses 4"]:
+    """Contact labels at frames of windows; left and right are swapped in mirrored windows."""
+    labels = rows[windows.start_row[window][:, None] + frame]
+    mirrored = windows.mirrored[window]
+    labels[mirrored] = labels[mirrored][..., [2, 3, 0, 1]]
+    return labels
+
+
+def contact_rows(cache: PositionCache) -> Float32[np.ndarray, "total_frames 4"]:
+    """Contact labels (1 or 0) of the foot joints for every row of the position cache, cached beside it."""
+    from motionkit.fields.contact.detection import (  # deferred: no field without contacts needs it
+        find_contacts,
+        ground_of,
+    )
+    from motionkit.fields.contact.legs import legs_of
+
+    def compute() -> Iterator[Float32[np.ndarray, "frames 4"]]:
+        legs = legs_of(SMPL22)
+        for sequence in range(cache.num_sequences):
+            paths = legs.foot_paths(np.asarray(cache.sequence_positions(sequence))).astype(np.float64)
+            down = np.zeros((len(paths), 2, 2), np.float32)
+            if len(paths) >= FEWEST_FRAMES:
+                fps = float(cache.exact_fps(sequence))
+                down[:] = find_contacts(paths, fps, ground_of(paths, fps)).down
+            yield down.reshape(-1, NUM_LOGITS)
+
+    return cache.derived_rows(CONTACT_ROWS, NUM_LOGITS, compute)
 
 
 def check_field(context: StageContext, config: NermConfig) -> None:
@@ -410,10 +423,9 @@ def load_codes(run: RunFolder) -> Float32[Tensor, "codes dimension"]:
             f"the time encoding 'codebook' needs the stage codebook of {run.path}: train it first (motionkit train "
             "--stage codebook), or use --set field.encoder.kind=fourier"
         )
-    tensors, description = load_tensors(folder.model_path)
-    if (description.get("format"), description.get("version")) != (FORMAT, FORMAT_VERSION) or "codes" not in tensors:
+    tensors, _ = load_tensors(folder.model_path)
+    if "codes" not in tensors:
         raise CheckpointError(
-            f"{folder.model_path} is {description.get('format')!r} version {description.get('version')}, expected "
-            f"{FORMAT!r} version {FORMAT_VERSION}: train it again (motionkit train --stage codebook --overwrite)"
+            f"{folder.model_path} has no codes: train it again (motionkit train --stage codebook --overwrite)"
         )
     return tensors["codes"]

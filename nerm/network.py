@@ -203,7 +203,7 @@ class FieldNetwork(nn.Module):
     The coordinate branch depends on t alone and is computed once per distinct coordinate. The first layer is split into
     parts for z (once per clip), the coordinate (once per distinct t) and the framerate. `codebook` [N, d] is needed for
     the time encoding "codebook" and unused otherwise. With local latents the network learns what their linear model
-    leaves (`nerm.linear_fit`).
+    leaves (`nerm.field.LinearModel`).
     """
 
     def __init__(

@@ -1,13 +1,13 @@
 """Joint layouts of the pose-vector conventions: facing joints, chains, slices of the vector."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Float, Float64
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
-from motionkit.io.humanml3d import vector_blocks
 
 
 @dataclass(frozen=True)
@@ -45,11 +45,14 @@ class VectorLayout:
     @property
     def blocks(self) -> tuple[slice, ...]:
         """The seven blocks inside which HumanML3D averages its standard deviation."""
-        return vector_blocks(self.num_joints)
+        _, *blocks = vars(self).values()
+        return tuple(blocks)
 
 
 def vector_layout(num_joints: int) -> VectorLayout:
     """Slices of the pose vector of a body with `num_joints` joints."""
+    from motionkit.io.humanml3d import vector_blocks  # deferred: `field` vectors need no slices
+
     return VectorLayout(num_joints, *vector_blocks(num_joints))
 
 
@@ -69,7 +72,11 @@ class PoseLayout:
     bone_directions: tuple[tuple[int, int, int], ...]
     leg_joints: tuple[int, int]
     contact_threshold: float
-    vector: VectorLayout
+
+    @cached_property
+    def vector(self) -> VectorLayout:
+        """Slices of its pose vectors."""
+        return vector_layout(self.num_joints)
 
     @property
     def name(self) -> str:
@@ -100,7 +107,6 @@ SMPL22_LAYOUT = PoseLayout(
     bone_directions=(_NONE, _X, _MX, _Y, _MY, _MY, _Y, _MY, _MY, _Y, _Z, _Z, _Y, _X, _MX, _Z, *(_MY,) * 6),
     leg_joints=(5, 8),
     contact_threshold=0.002,
-    vector=vector_layout(22),
 )
 
 KIT21_LAYOUT = PoseLayout(
@@ -113,10 +119,9 @@ KIT21_LAYOUT = PoseLayout(
     ),
     leg_joints=(17, 18),
     contact_threshold=0.05,
-    vector=vector_layout(21),
 )
 
-LAYOUTS: dict[str, PoseLayout] = {layout.name: layout for layout in (SMPL22_LAYOUT, KIT21_LAYOUT)}
+LAYOUTS = {"smpl22": SMPL22_LAYOUT, "kit21": KIT21_LAYOUT}
 
 
 def pose_layout(name: str) -> PoseLayout:

@@ -103,22 +103,3 @@ def vectors_of(name: PoseVectorsName, tensors: Mapping[str, Tensor]) -> PoseVect
     if name == "rotations":
         return RotationVectors(smpl_rig(tensors[RIG].numpy()))
     return FIELD_VECTORS if name == "field" else NativeVectors()
-
-
-def joints_of(numbers: Float[Tensor, "poses features"], vectors: PoseVectors) -> Float[Tensor, "poses joints 3"]:
-    """Joint positions in the window's frame, metres, of vectors in their own units; differentiable."""
-    if not isinstance(vectors, RotationVectors):
-        joints = numbers.reshape(len(numbers), -1, 3)
-        return torch.cat((joints[:, :1], joints[:, 1:] + joints[:, :1]), dim=1)
-    pairs = numbers[:, 3:].reshape(len(numbers), -1, 2, 3)
-    first = torch.nn.functional.normalize(pairs[..., 0, :], dim=-1)
-    second = pairs[..., 1, :]
-    second = torch.nn.functional.normalize(second - (first * second).sum(-1, keepdim=True) * first, dim=-1)
-    local = torch.stack((first, second, torch.linalg.cross(first, second)), dim=-1)
-    offsets = torch.as_tensor(vectors.skeleton.offsets, device=numbers.device)
-    world, places = [local[:, 0]], [numbers[:, :3] + offsets[0]]
-    for joint, parent in enumerate(vectors.skeleton.parents):
-        if parent >= 0:
-            world.append(world[parent] @ local[:, joint])
-            places.append(places[parent] + world[parent] @ offsets[joint])
-    return torch.stack(places, dim=1)

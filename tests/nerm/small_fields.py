@@ -75,12 +75,13 @@ BANKED = apply_overrides(
 
 
 def finished(training: FieldTraining) -> TrainedField:
+    mean, log_variance = training.posteriors()
     return TrainedField(
         network=training.network.eval().requires_grad_(False),
         scaling=training.scaling,
         components=training.components,
-        posterior_mean=training.mean.table,
-        posterior_log_variance=training.log_variance.table,
+        posterior_mean=mean,
+        posterior_log_variance=log_variance,
         windows=training.poses.windows,
         store_fingerprint="analytic",
     )

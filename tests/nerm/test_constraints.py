@@ -12,7 +12,7 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.fields.contact.legs import legs_of
 from motionkit.fields.motion_field import to_motion
 from motionkit.generate.constraints import Constraint
-from nerm.constraints import ConstraintCost, FootSliding, Search
+from nerm.model import ConstraintCost, FootSliding, Search
 from tests.helpers.analytic import analytic_motion
 
 BODY = torch.from_numpy(np.random.default_rng(0).normal(size=(22, 3))).float()

@@ -4,20 +4,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from jaxtyping import Float32
 
 from motionkit.core.progress import ignore
 from motionkit.core.skeleton import SMPL22
-from motionkit.data.windows import FrameValues, WindowPoses, cut_windows
-from motionkit.features.field import FIELD_VECTORS
+from motionkit.data.windows import cut_windows
 from motionkit.fields.assembly import Piece, assemble
 from motionkit.fields.motion_field import PredictsContacts
 from motionkit.training.config import apply_overrides
 from motionkit.training.run import StageFolder
-from nerm.contact import ContactTraining
 from nerm.field import TrainedField, load_field, save_field
-from nerm.field_training import FieldTraining
+from nerm.field_training import labels_at, train_contacts
 from tests.helpers.nerm_corpus import analytic_source
 from tests.nerm.small_fields import BANKED, finished, small_training
 
@@ -35,10 +32,9 @@ def swinging_left() -> Float32[np.ndarray, "frames 4"]:
 def trained() -> TrainedField:
     """A field that begins as its linear model, which knows these motions, with contacts learnt on top."""
     field = finished(small_training(CONFIG))
-    means, windows = field.posterior_mean, field.windows
-    training = ContactTraining(field.network, means, windows, swinging_left(), lambda latents, _: latents, seed=0)
-    assert training.run(ignore) < 0.15
-    return replace(field, contacts=training.head.eval())
+    contacts, loss = train_contacts(field, swinging_left(), seed=0, on_progress=ignore)
+    assert loss < 0.2
+    return replace(field, contacts=contacts)
 
 
 def test_contacts_follow_from_the_latent_at_any_instant(trained: TrainedField) -> None:
@@ -61,12 +57,9 @@ def test_contacts_follow_from_the_latent_at_any_instant(trained: TrainedField) -
 def test_a_mirrored_window_has_them_on_the_other_side() -> None:
     source = analytic_source()
     windows = cut_windows(source, max_duration_seconds=4.0, mirror_pairs=SMPL22.left_right_pairs)
-    poses = WindowPoses(windows, FrameValues(source.positions, FIELD_VECTORS))
-    field = FieldTraining(poses, CONFIG, codebook=None, seed=0, device=torch.device("cpu"))
-    training = ContactTraining(field.network, field.posteriors()[0], windows, swinging_left(), lambda z, _: z, seed=0)
     [plain], [mirrored] = (np.flatnonzero((windows.start_row == 0) & (windows.mirrored == is_it)) for is_it in (0, 1))
     frames = np.arange(100)[None]
-    there, here = (training._down(np.array([window]), frames).numpy()[0] for window in (plain, mirrored))
+    there, here = (labels_at(swinging_left(), windows, np.array([window]), frames)[0] for window in (plain, mirrored))
     assert there[:, :2].any() and not there[:, 2:].any()
     np.testing.assert_array_equal(here, there[:, [2, 3, 0, 1]])
 

@@ -91,17 +91,17 @@ def test_a_transformer_decoders_motion_is_a_function_of_time(monkeypatch: pytest
 
 def test_only_the_batch_s_latents_move() -> None:
     training = small_training(apply_overrides(SMALL, ["schedule.batch_size=1", "clips.seconds_per_visit=10.0"]))
-    before = training.mean.table.clone()
+    before = training.latents.table.clone()
     losses_of(training, 1)
-    moved = (training.mean.table != before).any(dim=1)
+    moved = (training.latents.table != before).any(dim=1)
     assert int(moved.sum()) == 1
 
 
 def test_training_without_distributions_leaves_variances_alone() -> None:
     training = small_training(apply_overrides(SMALL, ["latents.variational=false"]))
-    before = training.log_variance.table.clone()
+    before = training.posteriors()[1].clone()
     figures = training.step(0, step_generator(3, "field", 0))
-    assert torch.equal(training.log_variance.table, before)
+    assert torch.equal(training.posteriors()[1], before)
     assert torch.equal(figures["loss"], figures["reconstruction"])
 
 
@@ -109,7 +109,7 @@ def test_a_field_with_knots_begins_as_the_ridge_fit() -> None:
     training = small_training()
     batch = PoseTensors.of(training.poses.evenly(np.arange(4), 50))
     with torch.no_grad():
-        vectors = training.network(training.mean.table, batch.coordinates, batch.fps)
+        vectors = training.network(training.posteriors()[0], batch.coordinates, batch.fps)
     assert float((vectors - training.scaling.apply(batch.vectors)).square().mean()) < 0.1
 
 

@@ -16,7 +16,7 @@ from motionkit.features.field import FIELD_VECTORS
 from motionkit.store.cache import PositionCache
 from motionkit.training.config import apply_overrides
 from motionkit.training.pose_vectors import PoseTensors, VectorScaling, measure_scaling
-from nerm.field_training import linear_model
+from nerm.field import LinearModel, held, linear_model, ridge_knots
 from nerm.latents import (
     Kernel,
     KnotLayout,
@@ -32,7 +32,6 @@ from nerm.latents import (
     relative_to,
     steps_of,
 )
-from nerm.linear_fit import LinearModel, held, ridge_knots
 from nerm.network import FieldNetwork
 from nerm.recipes import FieldConfig, LatentScale
 from tests.helpers.nerm_corpus import analytic_positions, analytic_source, corpus_in_memory
