@@ -376,7 +376,7 @@ def labels_at(
     frame: Int64[np.ndarray, "batch poses"],
 ) -> Float32[np.ndarray, "batch poses 4"]:
     """Contact labels at frames of windows; left and right are swapped in mirrored windows."""
-    labels = rows[windows.start_row[window][:, None] + frame]
+    labels: Float32[np.ndarray, "batch poses 4"] = rows[windows.start_row[window][:, None] + frame]
     mirrored = windows.mirrored[window]
     labels[mirrored] = labels[mirrored][..., [2, 3, 0, 1]]
     return labels
