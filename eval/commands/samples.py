@@ -5,8 +5,7 @@ from typing import Annotated
 
 import typer
 
-from motionkit.cli.console import print_json, progress, stderr, stdout
-from motionkit.cli.options import Up
+from motionkit.cli.console import Up, print_json, progress, stderr, stdout
 from motionkit.core.errors import UsageError
 from motionkit.core.files import write_whole
 from motionkit.core.progress import task

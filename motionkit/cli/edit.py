@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from motionkit.cli.console import print_failures, print_json, progress, stderr, stdout
-from motionkit.cli.options import (
+from motionkit.cli.console import (
     AsJson,
     Clips,
     FileFormat,
@@ -25,7 +24,12 @@ from motionkit.cli.options import (
     Where,
     of_source,
     parse_rate,
+    print_failures,
+    print_json,
+    progress,
     read_options,
+    stderr,
+    stdout,
 )
 from motionkit.core import plugins
 from motionkit.core.errors import FormatError, MotionkitError, UsageError, describe

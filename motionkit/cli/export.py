@@ -8,8 +8,7 @@ from typing import Annotated
 
 import typer
 
-from motionkit.cli.console import print_json, progress, stderr, stdout
-from motionkit.cli.options import AsJson, Onto, Where, parse_rate, read_options
+from motionkit.cli.console import AsJson, Onto, Where, parse_rate, print_json, progress, read_options, stderr, stdout
 from motionkit.core.errors import UsageError
 from motionkit.core.files import default_path
 from motionkit.core.progress import task

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from motionkit.cli.console import print_json, progress, stdout
-from motionkit.cli.options import AsJson, RunsFolder
+from motionkit.cli.console import AsJson, RunsFolder, print_json, progress, stdout
 from motionkit.core.errors import StoreError, UsageError
 from motionkit.core.files import default_path, require_empty, whole_folder
 from motionkit.core.progress import task

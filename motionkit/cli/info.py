@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from motionkit.cli.console import print_json, stderr, stdout
-from motionkit.cli.options import Up, named_store
+from motionkit.cli.console import Up, named_store, print_json, stderr, stdout
 from motionkit.core.errors import UsageError
 from motionkit.core.files import default_path, is_store
 

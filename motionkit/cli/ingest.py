@@ -10,8 +10,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from motionkit.cli.console import print_json, progress, stderr, stdout
-from motionkit.cli.options import SkeletonMaps, Up, of_default, parse_rate, read_options
+from motionkit.cli.console import (
+    SkeletonMaps,
+    Up,
+    of_default,
+    parse_rate,
+    print_json,
+    progress,
+    read_options,
+    stderr,
+    stdout,
+)
 from motionkit.core.errors import FormatError, MotionkitError, UsageError
 from motionkit.core.files import default_path
 

@@ -6,8 +6,17 @@ from typing import Annotated, Literal
 
 import typer
 
-from motionkit.cli.console import print_json, progress, stderr, stdout
-from motionkit.cli.options import AsJson, StoreArgument, Where, named_store, of_default
+from motionkit.cli.console import (
+    AsJson,
+    StoreArgument,
+    Where,
+    named_store,
+    of_default,
+    print_json,
+    progress,
+    stderr,
+    stdout,
+)
 from motionkit.core.errors import UsageError
 from motionkit.core.files import default_path
 from motionkit.core.progress import task

@@ -10,8 +10,17 @@ from typing import Annotated, Any
 
 import typer
 
-from motionkit.cli.console import print_json, progress, stderr, stdout
-from motionkit.cli.options import RunsFolder, StoreArgument, named_store, of_default, parse_duration
+from motionkit.cli.console import (
+    RunsFolder,
+    StoreArgument,
+    named_store,
+    of_default,
+    parse_duration,
+    print_json,
+    progress,
+    stderr,
+    stdout,
+)
 from motionkit.core import plugins
 from motionkit.core.errors import MissingExtraError, UsageError
 from motionkit.core.files import default_path

@@ -6,8 +6,22 @@ from typing import Annotated, Literal
 
 import typer
 
-from motionkit.cli.console import print_failures, print_json, progress, stderr, stdout
-from motionkit.cli.options import AsJson, Clips, Overwrite, SkeletonMaps, StorePath, Up, Where, parse_rate, read_options
+from motionkit.cli.console import (
+    AsJson,
+    Clips,
+    Overwrite,
+    SkeletonMaps,
+    StorePath,
+    Up,
+    Where,
+    parse_rate,
+    print_failures,
+    print_json,
+    progress,
+    read_options,
+    stderr,
+    stdout,
+)
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.files import default_path
 from motionkit.core.progress import task

@@ -15,7 +15,7 @@ from eval.tables import train_for
 from eval.tables.table import Content, Table
 from eval.tables.train_for import table_that_shows
 from motionkit.cli import train as train_module
-from motionkit.cli.options import parse_duration
+from motionkit.cli.console import parse_duration
 from motionkit.core.errors import UsageError
 from motionkit.store import Store, StoreWriter
 from motionkit.store.commit import read_manifest

@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from motionkit.cli import console
-from motionkit.cli.console import LineConsole, print_json, print_table
-from motionkit.cli.options import parse_rate, read_options
+from motionkit.cli.console import LineConsole, parse_rate, print_json, print_table, read_options
 from motionkit.cli.train import tensorboard_events
 from motionkit.core.errors import MotionkitError, UsageError, describe, printable
 from motionkit.core.progress import Progress, warn
