@@ -1,7 +1,9 @@
 """`motionkit samples`: inspect a folder of samples before building a table from it."""
 
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -10,7 +12,8 @@ from motionkit.core.errors import UsageError
 from motionkit.core.files import write_whole
 from motionkit.core.progress import task
 
-STATISTICS_FILES = {"mean": "mean.npy", "std": "std.npy"}
+if TYPE_CHECKING:
+    from eval.sample_folder import SampleFolder
 
 
 def samples(
@@ -34,61 +37,98 @@ def samples(
 
     Example: motionkit samples takes
     """
-    from dataclasses import asdict
-
+    from eval.commands.eval import framerates
     from eval.sample_folder import SampleFolderError, SampleOptions, read_sample_folder
-    from eval.sample_folder.findings import lines, summarise
-    from motionkit.core.timegrid import parse_fps
 
-    try:
-        framerate = None if fps is None else parse_fps(fps)
-    except ValueError as error:
-        raise UsageError(f"--fps {fps}: {error}") from None
-    given = {
-        "fps": framerate,
-        "unit_metres": unit_metres,
-        "up": up,
-        "statistics": statistics,
-        "mean": mean,
-        "std": std,
-    }
-    stated: dict[str, object] = {key: value for key, value in given.items() if value is not None}
+    framerate = framerates(fps, "--fps")[0] if fps else None
+    of_init = {"unit_metres": unit_metres, "statistics": statistics, "mean": mean, "std": std}
+    given = [key for key, value in of_init.items() if value is not None]
     if init:
-        _write_manifest(folder, stated)
-    elif stated.keys() - {"fps", "up"}:
-        raise UsageError(f"--{sorted(stated.keys() - {'fps', 'up'})[0].replace('_', '-')} goes with --init")
+        _write_manifest(folder, {"fps": framerate, "up": up, **of_init})
+    elif given:
+        raise UsageError(f"--{given[0].replace('_', '-')} goes with --init")
     with progress() as show, task(show, "reading") as work:
-        read = read_sample_folder(folder.name, folder, SampleOptions(framerate, "--fps", up or ""), work.set)
-    found = summarise(read)
+        read = read_sample_folder(folder.name, folder, SampleOptions(framerate, up or ""), work.set)
+    found = _summary(read)
     if as_json:
-        print_json(asdict(found))
+        print_json(found)
     else:
-        for name, text in lines(found):
+        for name, text in _lines(found):
             stdout.print(f"{name:12}{text}")
-    if found.left_out:
-        raise SampleFolderError(f"{len(found.left_out):,} motions of {str(folder)!r} are left out of every table")
+    if read.left_out:
+        raise SampleFolderError(f"{len(read.left_out):,} motions of {str(folder)!r} are left out of every table")
 
 
-def _write_manifest(folder: Path, stated: dict[str, object]) -> None:
+def _write_manifest(folder: Path, values: Mapping[str, object]) -> None:
     """Write a new `samples.toml`, with the statistics' files beside it."""
-    from eval.sample_folder.manifest import MANIFEST, NORMALISED, RAW, manifest_text
+    from eval.sample_folder.manifest import MANIFEST, manifest_text, parse_manifest
 
+    path, stated = folder / MANIFEST, {key: value for key, value in values.items() if value is not None}
     if not folder.is_dir():
         raise UsageError(f"--init needs a folder, and {str(folder)!r} is not one")
-    path = folder / MANIFEST
     if path.exists() and path.stat().st_size:
         raise UsageError(f"{path} is there already: edit it, or remove it first")
-    if stated.get("statistics") not in (None, RAW, NORMALISED):
-        raise UsageError(f"--statistics {stated['statistics']}: expected {RAW} or {NORMALISED}")
-    if not (stated.get("statistics") == NORMALISED) == ("mean" in stated) == ("std" in stated):
-        raise UsageError("--statistics normalised needs --mean FILE and --std FILE, and they need it")
-    for key, name in STATISTICS_FILES.items():
-        source = stated.get(key)
+    for key, source in stated.items():
         if isinstance(source, Path):
-            if not source.is_file():
-                raise UsageError(f"--{key} {source}: there is no such file")
-            if source.resolve() != (folder / name).resolve():
-                write_whole(folder / name, source.read_bytes())
-            stated[key] = name
-    write_whole(path, manifest_text(stated))
+            if source.resolve() != (folder / f"{key}.npy").resolve():
+                write_whole(folder / f"{key}.npy", source.read_bytes())
+            stated[key] = f"{key}.npy"
+    text = manifest_text(stated)
+    parse_manifest(text, path)  # raises for values that do not fit together
+    write_whole(path, text)
     stderr.print(f"written: {path}")
+
+
+def _summary(folder: "SampleFolder") -> dict[str, Any]:
+    """Counts and sizes of the motions that were read, and problems of those that were not.
+
+    `frames` are minimum, median and maximum; `framerates` counts motions, `prompt_sizes` prompts by their number of
+    motions. `body_metres` is the median length from ankle to head, `reach_metres` the largest distance of a root from
+    its start.
+    """
+    import numpy as np
+
+    from eval.sample_folder.bodies import bone_lengths, some_poses
+
+    lengths, poses = folder.sequences.num_frames, some_poses(list(folder.sequences))
+    actions = Counter(filter(None, folder.actions))
+    return {
+        "name": folder.name,
+        "num_motions": folder.num_motions,
+        "duration_seconds": folder.duration_seconds,
+        "frames": [int(lengths.min()), int(np.median(lengths)), int(lengths.max())],
+        "framerates": {str(fps): count for fps, count in sorted(Counter(folder.fps).items())},
+        "num_captioned": sum(map(bool, folder.captions)),
+        "num_different_captions": len(set(filter(None, folder.captions))),
+        "num_with_action": actions.total(),
+        "actions": dict(actions.most_common()),
+        "prompt_sizes": dict(sorted(Counter(Counter(folder.groups).values()).items())),
+        "body_metres": float(np.median(bone_lengths(poses).sum(axis=-1))),
+        "reach_metres": float(np.linalg.norm(poses[:, :, 0, ::2] - poses[:, :1, 0, ::2], axis=-1).max()),
+        "remarks": folder.remarks,
+        "left_out": [str(problem) for problem in folder.left_out],
+    }
+
+
+def _lines(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """The summary as lines: a label, and the text."""
+
+    def share(count: int, num_different: int) -> str:
+        of_all = "" if count == found["num_motions"] else f" of {found['num_motions']:,}"
+        return f"{count:,}{of_all}, {num_different:,} different" if count else "none"
+
+    low, middle, high = found["frames"]
+    minutes = f"{found['duration_seconds'] / 60:.1f} min"
+    yield "motions", f"{found['num_motions']:,}, {minutes}, {low} to {high} frames (median {middle})"
+    rates = ", ".join(f"{fps} fps ({count:,})" for fps, count in found["framerates"].items())
+    yield "framerate", rates + ("" if len(found["framerates"]) == 1 else ": mixed; each motion is resampled by its own")
+    yield "captions", share(found["num_captioned"], found["num_different_captions"])
+    yield "actions", share(found["num_with_action"], len(found["actions"]))
+    sizes = sorted(found["prompt_sizes"].items(), key=lambda entry: -entry[1])[:4]
+    yield "prompts", ", ".join(f"{count:,} with {size:,} motion{'s'[: size > 1]} each" for size, count in sizes)
+    yield (
+        "bodies",
+        f"{found['body_metres']:.2f} m from ankle to head; roots get up to {found['reach_metres']:.1f} m away",
+    )
+    yield from (("note", remark) for remark in found["remarks"])
+    yield from (("left out", problem) for problem in found["left_out"])

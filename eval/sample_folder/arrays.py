@@ -42,24 +42,31 @@ class StoredMotion:
     group: str = ""
     fps: Fraction | None = None
 
-    @property
-    def is_vectors(self) -> bool:
-        """Whether these are pose vectors, not joints."""
-        return self.numbers.ndim == 2
-
 
 def read_stored(path: Path) -> list[StoredMotion]:
     """All motions of a .npy or .npz file. Raises `FormatError` for files without any; NaN is not checked."""
-    if path.suffix.lower() == ".npz":
-        return _of_dictionary(_archive(path), path)
-    found = npy.read_object(path, source_file.read_bytes(path))
-    if isinstance(found, dict):
-        return _of_dictionary(found, path)
-    if not isinstance(found, np.ndarray) or found.dtype.kind not in npy.NUMBERS:
-        message = "expected an array of numbers, or a dictionary of named arrays"
-        raise FormatError(message, path=path, reason="not-a-number")
-    motions = split_motions(found, path)
-    return [StoredMotion(numbers, _index(index, motions)) for index, numbers in enumerate(motions)]
+    data = source_file.read_bytes(path)
+    found = _archive(path, data) if path.suffix.lower() == ".npz" else npy.read_object(path, data)
+    if isinstance(found, np.ndarray):
+        found = {"motion": found}
+    if not isinstance(found, dict):
+        raise FormatError("expected an array, or a dictionary of named arrays", path=path, reason="not-a-number")
+    array = next((found[key] for key in MOTION_KEYS if isinstance(found.get(key), np.ndarray)), None)
+    if array is None:
+        held = ", ".join(sorted(map(str, found)))[:200] or "no known key"
+        message = f"no array 'motion'; it holds {held} (docs/samples.md says how to export)"
+        raise FormatError(message, path=path, reason="missing-key")
+    if array.dtype.kind not in npy.NUMBERS:
+        raise FormatError(f"array of {str(array.dtype)[:40]}, expected numbers", path=path, reason="not-a-number")
+    motions = split_motions(array, path)
+    lengths = _lengths(found.get("lengths"), len(motions), len(motions[0]), path)
+    captions, actions = (_texts(found, keys, len(motions), path) for keys in (TEXT_KEYS, ACTION_KEYS))
+    groups, fps = _groups(found, len(motions), path), _fps(found.get("fps"), path)
+    each = zip(motions, lengths, captions, actions, groups, strict=True)
+    return [
+        StoredMotion(numbers[:length], None if len(motions) == 1 else index, caption, action, group, fps)
+        for index, (numbers, length, caption, action, group) in enumerate(each)
+    ]
 
 
 def split_motions(array: np.ndarray, path: Path) -> list[np.ndarray]:
@@ -89,84 +96,44 @@ def split_motions(array: np.ndarray, path: Path) -> list[np.ndarray]:
     raise FormatError(f"array of shape {array.shape}, {EXPECTED}", path=path, reason="channel-count")
 
 
-def _archive(path: Path) -> dict[str, Any]:
+def _archive(path: Path, data: bytes) -> dict[str, Any]:
     """The known members of an .npz file: arrays unchanged, texts as lists."""
-    archive = npy.open_archive(path, source_file.read_bytes(path))
-    found: dict[str, Any] = {}
-    for key in archive.keys:
-        if key in (*TEXT_KEYS, *ACTION_KEYS):
-            found[key] = list(archive.strings(key))
-        elif key in (*MOTION_KEYS, "lengths"):
-            found[key] = archive.array(key)
-        elif key in ("num_samples", "num_repetitions", "fps"):
-            found[key] = archive.scalar(key)
-    return found
+    archive = npy.open_archive(path, data)
+    return {
+        **{key: list(archive.strings(key)) for key in (*TEXT_KEYS, *ACTION_KEYS) if key in archive},
+        **{key: archive.array(key) for key in (*MOTION_KEYS, "lengths") if key in archive},
+        **{key: archive.scalar(key) for key in ("num_samples", "num_repetitions", "fps") if key in archive},
+    }
 
 
-def _of_dictionary(found: Mapping[str, Any], path: Path) -> list[StoredMotion]:
-    """Motions of a dictionary such as MDM's: a batch under `motion`, with lengths, texts and repetitions beside it.
-
-    Repetitions follow one another: motion r · num_samples + s is repetition r of prompt s (motion-diffusion-model,
-    sample/generate.py). Frames beyond a motion's length are padding.
-    """
-    array = next((found[key] for key in MOTION_KEYS if isinstance(found.get(key), np.ndarray)), None)
-    if array is None:
-        held = ", ".join(sorted(map(str, found)))[:200] or "no known key"
-        raise FormatError(
-            f"no array 'motion'; it holds {held} (docs/samples.md says how to export)", path=path, reason="missing-key"
-        )
-    if array.dtype.kind not in "fiu":
-        raise FormatError(f"array of {array.dtype}, expected numbers", path=path, reason="not-a-number")
-    motions = split_motions(array, path)
-    lengths = _lengths(found.get("lengths"), motions, path)
-    captions = _texts(found, TEXT_KEYS, len(motions), path)
-    actions = _texts(found, ACTION_KEYS, len(motions), path)
-    groups = _groups(found, len(motions), path)
-    fps = _fps(found.get("fps"), path)
-    return [
-        StoredMotion(numbers[:length], _index(index, motions), caption, action, group, fps)
-        for index, (numbers, length, caption, action, group) in enumerate(
-            zip(motions, lengths, captions, actions, groups, strict=True)
-        )
-    ]
-
-
-def _index(index: int, motions: Sequence[np.ndarray]) -> int | None:
-    return index if len(motions) > 1 else None
-
-
-def _lengths(stated: object, motions: Sequence[np.ndarray], path: Path) -> list[int]:
-    if stated is None:
-        return [len(numbers) for numbers in motions]
+def _lengths(stated: Any, count: int, frames: int, path: Path) -> list[int]:
+    """The number of frames of each motion of a batch without padding."""
     lengths = stated.ravel().tolist() if isinstance(stated, np.ndarray) else stated
-    frames = len(motions[0])
-    if (
-        not isinstance(lengths, (list, tuple))
-        or len(lengths) != len(motions)
-        or not all(isinstance(length, int) and 1 <= length <= frames for length in lengths)
-    ):
-        raise FormatError(
-            f"lengths {shown(lengths)}, expected {len(motions)} whole numbers from 1 to {frames}",
-            path=path,
-            reason="lengths",
-        )
-    return list(lengths)
+    if lengths is None:
+        return [frames] * count
+    is_listed = isinstance(lengths, (list, tuple)) and len(lengths) == count
+    if not is_listed or any(each not in range(1, frames + 1) for each in lengths):
+        message = f"lengths {shown(lengths)}, expected {count} whole numbers from 1 to {frames}"
+        raise FormatError(message, path=path, reason="lengths")
+    return list(map(int, lengths))
 
 
 def _texts(found: Mapping[str, Any], keys: Sequence[str], count: int, path: Path) -> list[str]:
-    values = next((found[key] for key in keys if found.get(key) is not None), None)
-    if values is None:
-        return [""] * count
-    listed = values.tolist() if isinstance(values, np.ndarray) else [values] if isinstance(values, str) else values
-    if not isinstance(listed, (list, tuple)) or not all(isinstance(value, (str, int, float)) for value in listed):
-        raise FormatError(f"{' or '.join(keys)} is no list of texts", path=path, reason="text")
-    texts = [value if isinstance(value, str) else shown(value) for value in listed]
-    if len(texts) != count:
-        raise FormatError(f"{len(texts)} texts for {count} motions", path=path, reason="channel-count")
-    return texts
+    """A text for each motion, "" without any."""
+    values = next((found[key] for key in keys if found.get(key) is not None), [""] * count)
+    values = values.tolist() if isinstance(values, np.ndarray) else [values] if isinstance(values, str) else values
+    is_listed = isinstance(values, (list, tuple)) and len(values) == count
+    if not is_listed or not all(isinstance(value, (str, int, float)) for value in values):
+        message = f"{' or '.join(keys)}: {shown(values)}, expected {count} texts"
+        raise FormatError(message, path=path, reason="text")
+    return [value if isinstance(value, str) else shown(value) for value in values]
 
 
 def _groups(found: Mapping[str, Any], count: int, path: Path) -> list[str]:
+    """The prompt of each motion by MDM's order: motion r · num_samples + s is repetition r of prompt s.
+
+    See sample/generate.py of motion-diffusion-model.
+    """
     samples, repetitions = found.get("num_samples"), found.get("num_repetitions")
     if samples is None or repetitions is None:
         return [""] * count
@@ -177,12 +144,10 @@ def _groups(found: Mapping[str, Any], count: int, path: Path) -> list[str]:
     return [str(index % samples) for index in range(count)]
 
 
-def _fps(stated: object, path: Path) -> Fraction | None:
-    if stated is None:
-        return None
+def _fps(stated: Any, path: Path) -> Fraction | None:
     try:
-        if not isinstance(stated, (int, float, str)):
-            raise ValueError("no number")
-        return parse_fps(stated)
+        if stated is None or isinstance(stated, (int, float, str)):
+            return None if stated is None else parse_fps(stated)
+        raise ValueError(f"{shown(stated)}, expected a number")
     except ValueError as error:
         raise FormatError(f"fps: {error}", path=path, reason="framerate") from None

@@ -1,16 +1,18 @@
-"""Motions of one system in memory: one array in the 22-joint layout, a framerate, caption and action for each."""
+"""Motions of one system in memory, in the 22-joint layout, and the real takes that they belong to."""
 
 import hashlib
-from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from itertools import groupby
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
-from eval.sets.motions import each_upsampled
+from eval.sets.motions import RealMotion, each_upsampled
 from eval.sets.sets import Ragged, SampleSet
 from motionkit.core.errors import FormatError, MotionkitError
 from motionkit.core.shapes import Float32
@@ -23,7 +25,7 @@ class SampleFolderError(MotionkitError):
 
 @dataclass(frozen=True, eq=False)
 class SampleMotion:
-    """One motion in metres, y up; motions of one `group` share a prompt ("": its own).
+    """One motion of the file `path` in metres, y up; motions of one `group` share a prompt ("": its own).
 
     `vectors` are its pose vectors in their own units and `kit_joints` KIT-ML's 21 joints, if it came as these.
     """
@@ -36,6 +38,7 @@ class SampleMotion:
     group: str = ""
     vectors: Float32[np.ndarray, "frames numbers"] | None = None
     kit_joints: Float32[np.ndarray, "frames 21 3"] | None = None
+    path: Path = Path()
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,18 +110,13 @@ class SampleFolder:
         digest.update(np.ascontiguousarray(self.sequences.values, dtype="<f4").data)
         return digest.hexdigest()[:16]
 
-    def at(self, fps: Fraction, on_motion: Callable[[], None] = lambda: None) -> SampleSet:
+    def at(self, fps: Fraction) -> SampleSet:
         """All motions at one framerate: slower ones are upsampled by SLERP, faster ones anti-aliased.
 
-        If all are at that framerate, nothing is copied. `on_motion` is called after each motion.
+        If all are at that framerate, nothing is copied.
         """
-        sequences = self.sequences
-        if any(own != fps for own in self.fps):
-            resampled = []
-            for sequence in self._resampled(fps):
-                resampled.append(sequence)
-                on_motion()
-            sequences = Ragged.of(resampled)
+        is_resampled = any(own != fps for own in self.fps)
+        sequences = Ragged.of(list(self._resampled(fps))) if is_resampled else self.sequences
         texts = (self.sequence_ids, self.captions, self.actions)
         return SampleSet(self.name, fps, sequences, *texts, groups=self.groups)
 
@@ -129,14 +127,6 @@ class SampleFolder:
                 yield from each_upsampled(run, own, fps)
             else:
                 yield from (resample_positions(sequence, own, fps) for sequence in run)
-
-    def require_captions(self) -> None:
-        """Raise `SampleFolderError` if a motion has no caption: text metrics need all."""
-        self._require(self.captions, "caption", "text metrics compare each motion with its caption")
-
-    def require_actions(self) -> None:
-        """Raise `SampleFolderError` if a motion has no action: action metrics need all."""
-        self._require(self.actions, "action", "accuracy compares each motion with its action")
 
     def describe(self) -> str:
         """A summary: number, duration and framerates of motions, and remarks."""
@@ -151,13 +141,14 @@ class SampleFolder:
             lines.append(left_out_line(self.left_out, self.num_motions))
         return "; ".join((*lines, *self.remarks))
 
-    def _require(self, values: Sequence[str], what: str, why: str) -> None:
+    def require(self, what: Literal["caption", "action"]) -> None:
+        """Raise `SampleFolderError` if a motion has no caption, or no action: metrics of these need all."""
+        values = self.captions if what == "caption" else self.actions
         bare = [i for i, value in enumerate(values) if not value]
         if bare:
             raise SampleFolderError(
                 f"--samples {self.name}: {len(bare):,} of {self.num_motions:,} motions have no {what}, the first is "
-                f"{self.sequence_ids[bare[0]]!r}, and {why}; give a CSV beside them with the columns file,{what} "
-                "(docs/samples.md)"
+                f"{self.sequence_ids[bare[0]]!r}; give a CSV beside them with the columns file,{what} (docs/samples.md)"
             )
 
 
@@ -167,3 +158,65 @@ def left_out_line(left_out: Sequence[FormatError], num_kept: int) -> str:
         f"{count:,} {reason}" for reason, count in Counter(one.reason for one in left_out).most_common()
     )
     return f"{len(left_out):,} of {len(left_out) + num_kept:,} motions left out ({reasons}); first: {left_out[0]}"
+
+
+def rows_by_name(sample_ids: Sequence[str], real_ids: Sequence[str]) -> list[int | None]:
+    """The row of the real sequence whose id is a sample's name, or its file's stem."""
+    by_name = {name: row for row, name in enumerate(real_ids)}
+    stems = [name.rsplit("/", 1)[-1].rsplit(".", 1)[0] for name in sample_ids]
+    return [by_name.get(name, by_name.get(stem)) for name, stem in zip(sample_ids, stems, strict=True)]
+
+
+@dataclass(frozen=True)
+class TakesOfSamples:
+    """The real take of each motion of a folder, "" for none; all "" if neither names nor captions match."""
+
+    takes: tuple[str, ...]
+
+    @property
+    def num_without(self) -> int:
+        """Number of motions without a real take, in a folder where others have one."""
+        return self.takes.count("") if any(self.takes) else 0
+
+    def of_column(self, samples: SampleSet, real: SampleSet) -> SampleSet | None:
+        """The samples for a column's takes, each with its take and generation; None if there are none.
+
+        Without known takes, all samples; those of one prompt are then resampled together.
+        """
+        if not any(self.takes):
+            return replace(samples, takes=samples.groups)
+        wanted = set(real.sequence_ids)
+        chosen = [index for index, take in enumerate(self.takes) if take in wanted]
+        if not chosen:
+            return None
+        takes = tuple(self.takes[index] for index in chosen)
+        seen: dict[str, int] = defaultdict(int)
+        generations = []
+        for take in takes:
+            generations.append(seen[take])
+            seen[take] += 1
+        several = max(generations) > 0
+        return replace(samples.select(chosen), takes=takes, generations=tuple(generations) if several else ())
+
+
+def takes_of_samples(folder: SampleFolder, real: RealMotion) -> TakesOfSamples:
+    """Match by names if most of them are real sequences', else by captions.
+
+    Prompts with the same caption are assigned to its takes in turn, the fastest first, so that a single sample of a
+    caption is used at as many framerates as possible. Samples of one prompt have one take.
+    """
+    named = rows_by_name(folder.sequence_ids, real.sequence_ids)
+    if 2 * sum(row is not None for row in named) > len(named):
+        return TakesOfSamples(tuple("" if row is None else real.sequence_ids[row] for row in named))
+    by_caption: dict[str, list[int]] = defaultdict(list)
+    for row in sorted(range(len(real.fps)), key=lambda row: -real.fps[row]):
+        if real.captions[row]:
+            by_caption[real.captions[row]].append(row)
+    take_of_group: dict[str, str] = {}
+    answered: dict[str, int] = defaultdict(int)
+    for group, caption in zip(folder.groups, folder.captions, strict=True):
+        takes = by_caption.get(caption)
+        if takes and group not in take_of_group:
+            take_of_group[group] = real.sequence_ids[takes[answered[caption] % len(takes)]]
+            answered[caption] += 1
+    return TakesOfSamples(tuple(take_of_group.get(group, "") for group in folder.groups))

@@ -1,7 +1,11 @@
 """Reading a folder of samples: every motion that can be read, and a list of those that cannot."""
 
-from collections.abc import Callable, Iterator
+import os
+import re
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from fractions import Fraction
 from functools import cache
 from pathlib import Path
 
@@ -9,34 +13,52 @@ import numpy as np
 
 from eval.sample_folder.arrays import StoredMotion, read_stored
 from eval.sample_folder.bodies import (
-    LAYOUT_BY_WIDTH,
     STATE_STATISTICS,
     body_faults,
     check_vectors,
     padding_remark,
+    published_layout,
     upright,
 )
 from eval.sample_folder.folder import SampleFolder, SampleFolderError, SampleMotion, left_out_line
-from eval.sample_folder.listing import Listing, list_samples
-from eval.sample_folder.manifest import MANIFEST, SampleOptions, named_fields, read_prompts
-from motionkit.core.errors import FormatError, MotionkitError
+from eval.sample_folder.manifest import MANIFEST, Manifest, read_manifest, read_prompts
+from motionkit.core.errors import FormatError
 from motionkit.core.files import whole_number
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import KIT21, SMPL22
-from motionkit.core.skeletons.mapping import map_joints
+from motionkit.core.skeletons.mapping import SkeletonMapError, map_joints
 from motionkit.core.timegrid import TimeGrid
 from motionkit.features.statistics import Statistics
-from motionkit.io import humanml3d, joints_npy, npy, source_file, texts
-from motionkit.io.annotations import Annotation
-from motionkit.io.npy import MAX_NUMBER
+from motionkit.io import annotations, humanml3d, joints_npy, npy, source_file, texts
 from motionkit.io.registry import ReadOptions, SourceItem
-from motionkit.io.scan import read
+from motionkit.io.scan import read, scan
 
+ARRAY_SUFFIXES = (".npy", ".npz")
+STATISTICS_NAMES = frozenset({"mean", "std"})
+# What published code writes beside its samples: real motions, and copies with corrected feet.
+COPIES = ("*_gt.*", "*_ref.*", "*_ik.*")
+# Other formats are self-contained; these may be normalised, and state no framerate.
+PLAIN_ARRAYS = frozenset({"joints-npy", "pose-vectors"})
+# Problems of a scan that are reported differently here, or are none.
+HANDLED_HERE = ("caption-without-motion", "empty-folder", "unknown-format")
 MOST_SIDECAR_BYTES = 1 << 16
 CHECKED_ROWS = 20_000
 OnRead = Callable[[int, int], None]
 """Called with the number of files read and of all files."""
+
+
+@dataclass(frozen=True)
+class SampleOptions:
+    """Options for all folders of samples; `fps` and `up` (x, y or z) hold where nothing in a folder states them.
+
+    `keep_published` keeps pose vectors and KIT-ML's 21 joints beside the 22 joints, for evaluators that read these: up
+    to five times the memory.
+    """
+
+    fps: Fraction | None = None
+    up: str = ""
+    keep_published: bool = False
 
 
 def read_sample_folder(
@@ -48,42 +70,117 @@ def read_sample_folder(
     """Read every motion of a folder, or of one file.
 
     Motions that cannot be read, whose framerate is not known, that hold NaN or are no human bodies are in `left_out`.
-    Raises `SampleFolderError` without any other motion, or for missing metadata (statistics of pose vectors, unit of
-    length), and `FormatError` for a broken `samples.toml`.
+    Raises `SampleFolderError` without any other motion, for missing metadata (statistics of pose vectors), or for
+    motions that are no bodies, and `FormatError` for a broken `samples.toml`.
     """
-    listing = list_samples(name, source)
-    reader = _Reader(name, listing, options or SampleOptions())
-    motions, paths, left_out = list[SampleMotion](), list[Path](), list(listing.problems)
-    num_of_arrays = 0
-    files: tuple[Path | SourceItem, ...] = (*listing.arrays, *listing.items)
-    for number, file in enumerate(files):
-        for motion in reader.motions(file):
-            if isinstance(motion, FormatError):
-                left_out.append(motion)
-            else:
-                motions.append(motion)
-                paths.append(file.path if isinstance(file, SourceItem) else file)
-        if number + 1 == len(listing.arrays):
-            num_of_arrays = len(motions)
-        on_read(number + 1, listing.num_files)
+    reader = _Reader(name, list_samples(name, source), options or SampleOptions())
+    listing, left_out = reader.listing, list(reader.listing.problems)
+
+    def motions_of(files: Sequence[Path | SourceItem], num_before: int) -> Iterator[SampleMotion]:
+        for number, file in enumerate(files, start=num_before + 1):
+            for motion in reader.motions(file):
+                if isinstance(motion, SampleMotion):
+                    yield motion
+                else:
+                    left_out.append(motion)
+            on_read(number, len(listing.arrays) + len(listing.items))
+
+    # Other formats than plain arrays are turned when they are read.
+    arrays, remark = upright(list(motions_of(listing.arrays, 0)), reader.up)
+    motions = [*arrays, *motions_of(listing.items, len(listing.arrays))]
     if not motions:
         raise SampleFolderError(f"--samples {name}: no motion can be read: {left_out_line(left_out, 0)}")
     reader.check_vectors()
-    # Other formats than plain arrays are turned when they are read.
-    turned, remark = upright(motions[:num_of_arrays], reader.up)
-    motions = [*turned, *motions[num_of_arrays:]]
-    faults = body_faults(name, motions, up_is_stated=bool(reader.up))
-    for index, (reason, message) in sorted(faults.items()):
-        # Motions of one file are named by their place in it.
-        place, own = listing.place(paths[index]), motions[index].sequence_id
-        which = "" if own == place else f"motion {own.removeprefix(f'{place}/')}: "
-        left_out.append(FormatError(which + message, path=paths[index], reason=reason))
+    faults = body_faults(name, motions)
+    for index, message in faults.items():
+        motion = motions[index]
+        place = listing.place(motion.path)
+        which = "" if motion.sequence_id == place else f"motion {motion.sequence_id.removeprefix(f'{place}/')}: "
+        left_out.append(FormatError(which + message, path=motion.path, reason="body-size"))
     motions = [motion for index, motion in enumerate(motions) if index not in faults]
     if not motions:
         raise SampleFolderError(f"--samples {name}: no motion is a body: {left_out_line(left_out, 0)}")
     padded = f"of {reader.num_trimmed:,} motions the last frames, all zeros, were dropped"
     remarks = [*listing.remarks, *([padded] if reader.num_trimmed else []), *([remark] if remark else [])]
     return SampleFolder.of(name, motions, left_out, (*remarks, *padding_remark(motions)))
+
+
+@dataclass(frozen=True)
+class Listing:
+    """The files of one folder of samples: `arrays` are read here, `items` by motionkit's formats.
+
+    `rows` are the CSV files' rows by file; `problems` are files that cannot be listed or recognised.
+    """
+
+    root: Path
+    manifest: Manifest
+    arrays: Sequence[Path]
+    items: Sequence[SourceItem]
+    rows: Mapping[Path, annotations.Annotation]
+    problems: Sequence[FormatError]
+    remarks: Sequence[str]
+
+    def place(self, path: Path) -> str:
+        """A motion's id: its file's path relative to the folder, without suffix."""
+        return path.relative_to(self.root).with_suffix("").as_posix()
+
+
+def list_samples(name: str, source: Path) -> Listing:
+    """List a folder (or one file) of samples.
+
+    Raises `SampleFolderError` for an empty one, `FormatError` for a broken manifest.
+    """
+    if not source.exists():
+        raise SampleFolderError(f"--samples {name}: there is no folder {str(source)!r}")
+    root = (source if source.is_dir() else source.parent).resolve()
+    manifest, scanned = read_manifest(root), scan([source])
+    exclude = (() if manifest.files else COPIES) if manifest.exclude is None else manifest.exclude
+    dropped: Counter[str] = Counter()
+
+    def is_chosen(path: Path) -> bool:
+        place = path.relative_to(root)
+        if manifest.files and not any(map(place.match, manifest.files)):
+            return False
+        excluded = next(filter(place.match, exclude), None)
+        dropped.update([excluded] if excluded else [])
+        return excluded is None
+
+    plain = {item.path for item in scanned.items if item.format in PLAIN_ARRAYS}
+    plain |= {*scanned.ignored} if source.is_dir() or scanned.items else {root / source.name}
+    arrays = [
+        path
+        for path in sorted(plain, key=lambda path: (path.parent.parts, path.name))
+        if path.suffix.lower() in ARRAY_SUFFIXES and path.stem.lower() not in STATISTICS_NAMES
+        if path not in (manifest.mean, manifest.std) and is_chosen(path)
+    ]
+    items = [item for item in scanned.items if item.format not in PLAIN_ARRAYS and is_chosen(item.path)]
+    names = {path.stem for path in arrays}
+    if names and all(item.path.stem in names for item in items if not item.key):
+        dropped.update(f"*{item.path.suffix} of the same names as the arrays" for item in items if not item.key)
+        items = [item for item in items if item.key]
+    problems = [problem for problem in scanned.problems if problem.reason not in HANDLED_HERE]
+    if not arrays and not items and not problems:
+        raise SampleFolderError(
+            f"--samples {name}: no motion was found in {str(source)!r}: expected .npy, .npz, .bvh or another format (a "
+            ".pkl or .pt can execute code: export its arrays, docs/samples.md)"
+            + (f"; {MANIFEST} chooses files" if manifest.files or manifest.exclude else "")
+            + "".join(f"; {count:,} files {what} left out" for what, count in dropped.items())
+        )
+    remarks = [f"{count:,} files {what} left out (files in {MANIFEST} chooses)" for what, count in dropped.items()]
+    remarks += [f"{warning.path.name}: {warning.message}" for warning in scanned.warnings]
+    paths = [*arrays, *(item.path for item in items)]
+    folders = sorted({folder for path in paths for folder in path.parents if folder.is_relative_to(root)})
+    # The CSV nearest to a file wins.
+    rows = {
+        path: row
+        for folder in folders
+        for table in annotations.tables_in(folder)[0]
+        for path, row in table.rows.items()
+    }
+    absent = [path for path in rows if not os.path.exists(path)]  # noqa: PTH110 (a name may be too long)
+    if absent:
+        remarks.append(f"{len(absent):,} rows of the CSV describe files that are not there, first {absent[0].name!r}")
+    return Listing(root, manifest, arrays, items, rows, problems, remarks)
 
 
 @dataclass
@@ -94,105 +191,90 @@ class _Reader:
     listing: Listing
     options: SampleOptions
     num_trimmed: int = 0
-    _vectors: list[np.ndarray] = field(default_factory=list)
+    vectors: dict[int, list[np.ndarray]] = field(default_factory=lambda: defaultdict(list))
 
     def __post_init__(self) -> None:
-        prompts = self.listing.manifest.prompts
-        self._prompts = read_prompts(prompts) if prompts else ()
+        self.manifest = self.listing.manifest
+        # The axis that points up, empty where it is to be inferred.
+        self.up = self.manifest.up or self.options.up
+        self._prompts = read_prompts(self.manifest.prompts) if self.manifest.prompts else ()
         self._beside = cache(lambda folder: joints_npy.read_manifest(folder / joints_npy.MANIFEST))
         self._statistics = cache(self._load_statistics)
 
-    @property
-    def up(self) -> str:
-        """The axis that points up, empty where it is to be inferred."""
-        return self.listing.manifest.up or self.options.up
-
     def motions(self, source: Path | SourceItem) -> Iterator[SampleMotion | FormatError]:
         """The motions of one file with their framerates and texts, and problems of the others."""
+        path = source.path if isinstance(source, SourceItem) else source
         try:
-            if isinstance(source, SourceItem):
-                yield self._of_format(source)
-                return
-            for stored in read_stored(source):
+            for stored in [source] if isinstance(source, SourceItem) else read_stored(source):
                 try:
-                    yield self._of_array(source, stored)
+                    yield self._of_format(stored) if isinstance(stored, SourceItem) else self._of_array(path, stored)
                 except FormatError as problem:
                     yield problem
         except FormatError as problem:
             yield problem
-        except SampleFolderError:
-            raise
-        except MotionkitError as problem:
-            path = source.path if isinstance(source, SourceItem) else source
+        except SkeletonMapError as problem:
             yield FormatError(str(problem), path=path, reason="skeleton")
 
     def check_vectors(self) -> None:
         """Raise `SampleFolderError` if the pose vectors contradict what is said of them."""
-        for width in {rows.shape[1] for rows in self._vectors}:
-            stored = np.concatenate([rows for rows in self._vectors if rows.shape[1] == width])
-            stored = stored[:: -(-len(stored) // CHECKED_ROWS)].astype(np.float32)
-            check_vectors(self.name, stored, self._restored(stored), self.listing.manifest.statistics)
+        for rows in self.vectors.values():
+            stored = np.concatenate(rows)
+            stored = stored[:: -(-len(stored) // CHECKED_ROWS)]
+            check_vectors(self.name, stored, self._restored(stored), self.manifest.statistics)
 
     def _of_format(self, item: SourceItem) -> SampleMotion:
-        manifest = self.listing.manifest
-        motion = read(item, ReadOptions(fps=manifest.fps, unit_metres=manifest.unit_metres, up=self.up))
-        row, named = self.listing.rows.get(item.path, Annotation()), named_fields(item.path, manifest)
-        num_frames = row.get("num_frames") or whole_number(named.get("num_frames", "")) or None
-        positions = map_joints(motion, SMPL22.name)[:num_frames]
-        caption = (motion.captions[0].text if motion.captions else "") or named.get("caption", "")
-        group = row.get("group") or named.get("group", "")
+        options = ReadOptions(fps=self.manifest.fps, unit_metres=self.manifest.unit_metres, up=self.up)
+        motion, row = read(item, options), self.listing.rows.get(item.path, {})
+        group, num_frames = row.get("group") or published_group(item.path), row.get("num_frames")
         is_kit = self.options.keep_published and motion.skeleton.joint_names == KIT21.joint_names
         return SampleMotion(
             # A folder format names a sequence by its key, not by its file.
             sequence_id=item.key or self.listing.place(item.path),
-            positions=positions,
+            positions=map_joints(motion, SMPL22.name)[:num_frames],
             fps=motion.fps,
-            caption=caption or self._prompt(group),
-            action=motion.action or named.get("action", ""),
+            caption=motion.captions[0].text if motion.captions else self._prompt(group),
+            action=motion.action,
             group=group,
-            kit_joints=motion.joint_positions[: len(positions)] if is_kit else None,
+            kit_joints=motion.joint_positions[:num_frames] if is_kit else None,
+            path=item.path,
         )
 
     def _of_array(self, path: Path, stored: StoredMotion) -> SampleMotion:
-        row, named = self.listing.rows.get(path, Annotation()), named_fields(path, self.listing.manifest)
-        num_frames = row.get("num_frames") or whole_number(named.get("num_frames", "")) or None
-        numbers = self._trimmed(stored.numbers[:num_frames], path)
-        _check_finite(numbers, path, stored.index)
+        row, beside = self.listing.rows.get(path, {}), self._beside(path.parent)
+        numbers = self._trimmed(stored.numbers[: row.get("num_frames")], path)
+        numbers = npy.checked_numbers(numbers, path, "" if stored.index is None else f"motion {stored.index}")
+        layout = published_layout(numbers.shape[1]) if numbers.ndim == 2 else None
+        fps = self.manifest.fps or row.get("fps") or stored.fps or beside.fps or self.options.fps
+        fps = fps or (layout.fps if layout else None)
+        if fps is None:
+            message = f"nothing says its framerate; write fps = 20 (or what it is) into {self.listing.root / MANIFEST}"
+            raise FormatError(f"{message} (HumanML3D's models have 20, KIT-ML's 12.5)", path=path, reason="framerate")
+        if layout:
+            self.vectors[layout.num_values].append(numbers)
+            vectors = self._restored(numbers)
+            positions = humanml3d.recover_positions(vectors, layout.skeleton.num_joints)
+        else:
+            # The hands of SMPL's 24 and SMPL-H's 52 joints are dropped.
+            vectors, positions = None, numbers[:, : SMPL22.num_joints]
+        unit = self.manifest.unit_metres or (layout.unit_metres if layout else beside.unit_metres)
+        positions = positions if unit == 1.0 else positions * np.float32(unit)
+        kit_joints = positions if positions.shape[1] == KIT21.num_joints else None
+        if kit_joints is not None:
+            positions = map_joints(Motion(positions, KIT21, TimeGrid(fps, len(positions))), SMPL22.name)
+        group = row.get("group") or stored.group or published_group(path)
         caption = row["captions"][0].text if "captions" in row else stored.caption
         if not caption and stored.index is None:
             caption = _caption_beside(path)
-        group = row.get("group") or stored.group or named.get("group", "")
-        fps = self.listing.manifest.fps or row.get("fps") or stored.fps or self._beside(path.parent).fps
-        fps = fps or self.options.fps or (LAYOUT_BY_WIDTH[numbers.shape[1]].fps if stored.is_vectors else None)
-        if fps is None:
-            raise FormatError(
-                f"nothing says its framerate; write fps = 20 (or what it is) into {self.listing.root / MANIFEST}, or "
-                f"give {self.options.fps_option} 20 (HumanML3D's models have 20, KIT-ML's 12.5)",
-                path=path,
-                reason="framerate",
-            )
-        vectors = kit_joints = None
-        if stored.is_vectors:
-            if not self.listing.manifest.statistics:
-                raise SampleFolderError(
-                    f"--samples {self.name}: {numbers.shape[1]}-number pose vectors, and nothing says whether they are "
-                    f"normalised; {STATE_STATISTICS}"
-                )
-            self._vectors.append(numbers)
-            vectors = self._restored(numbers)
-        positions = self._joints(numbers, path) if vectors is None else self._joints_of(vectors)
-        if positions.shape[1] == KIT21.num_joints:
-            kit_joints = positions
-            positions = map_joints(Motion(positions, KIT21, TimeGrid(fps, len(positions))), SMPL22.name)
         return SampleMotion(
             sequence_id=self.listing.place(path) + ("" if stored.index is None else f"/{stored.index:04d}"),
             positions=positions,
             fps=fps,
-            caption=caption or named.get("caption", "") or self._prompt(group),
-            action=row.get("action") or stored.action or named.get("action", ""),
+            caption=caption or self._prompt(group),
+            action=row.get("action") or stored.action,
             group=group,
             vectors=vectors if self.options.keep_published else None,
             kit_joints=kit_joints if self.options.keep_published else None,
+            path=path,
         )
 
     def _trimmed(self, numbers: np.ndarray, path: Path) -> np.ndarray:
@@ -205,33 +287,22 @@ class _Reader:
         self.num_trimmed += 1
         return numbers[: kept[-1] + 1]
 
-    def _joints(self, numbers: np.ndarray, path: Path) -> Float32[np.ndarray, "frames joints 3"]:
-        # The hands of SMPL's 24 and SMPL-H's 52 joints are dropped.
-        positions = numbers[:, : SMPL22.num_joints].astype(np.float32, copy=False)
-        unit = self.listing.manifest.unit_metres or self._beside(path.parent).unit_metres
-        return positions if unit == 1.0 else positions * np.float32(unit)
-
-    def _joints_of(self, vectors: Float32[np.ndarray, "frames numbers"]) -> Float32[np.ndarray, "frames joints 3"]:
-        """Joint positions in metres, in the vectors' own layout."""
-        layout = LAYOUT_BY_WIDTH[vectors.shape[1]]
-        positions = humanml3d.recover_positions(vectors, layout.skeleton.num_joints)
-        unit = self.listing.manifest.unit_metres or layout.unit_metres
-        return positions if unit == 1.0 else positions * np.float32(unit)
-
     def _restored(self, numbers: np.ndarray) -> Float32[np.ndarray, "frames numbers"]:
         """Pose vectors in their own units."""
         statistics = self._statistics(numbers.shape[1])
-        return (numbers if statistics is None else statistics.restore(numbers)).astype(np.float32, copy=False)
+        return numbers if statistics is None else statistics.restore(numbers)
 
     def _load_statistics(self, width: int) -> Statistics | None:
         """The statistics that the manifest names; None for raw vectors. Raises `SampleFolderError`."""
-        mean, std = self.listing.manifest.mean, self.listing.manifest.std
-        if mean is None or std is None:
-            return None
+        what = f"--samples {self.name}: {width}-number pose vectors"
+        if not self.manifest.statistics:
+            raise SampleFolderError(f"{what}, and nothing says whether they are normalised; {STATE_STATISTICS}")
+        files = [path for path in (self.manifest.mean, self.manifest.std) if path is not None]
         try:
-            return Statistics("humanml3d", *(_statistic(path, width) for path in (mean, std)))
+            numbers = [npy.read_npy(path, source_file.read_bytes(path), (width,)).astype(np.float64) for path in files]
+            return Statistics("humanml3d", *numbers) if numbers else None
         except (FormatError, ValueError) as problem:
-            raise SampleFolderError(f"--samples {self.name}: {problem}") from None
+            raise SampleFolderError(f"{what}: {problem}") from None
 
     def _prompt(self, group: str) -> str:
         """The caption of a group from the prompts, empty for none."""
@@ -239,31 +310,10 @@ class _Reader:
         return "" if line is None or line >= len(self._prompts) else self._prompts[line]
 
 
-def _check_finite(numbers: np.ndarray, path: Path, index: int | None) -> None:
-    """Raise `FormatError` (`nan`, `range`) for the first frame with a value that is no number of a body."""
-    if numbers.dtype == np.float16:
-        numbers = numbers.astype(np.float32)  # a million is beyond what float16 can be compared with
-    with np.errstate(invalid="ignore"):
-        if numbers.max() <= MAX_NUMBER and numbers.min() >= -MAX_NUMBER:
-            return
-        flat = numbers.reshape(len(numbers), -1).astype(np.float64)
-    bad = ~((flat <= MAX_NUMBER) & (flat >= -MAX_NUMBER))
-    frame = int(np.flatnonzero(bad.any(axis=1))[0])
-    value = flat[frame][bad[frame]][0]
-    which = "" if index is None else f"motion {index}: "
-    reason = "range" if np.isfinite(value) else "nan"
-    raise FormatError(f"{which}{value} where a number of a body was expected", path=path, reason=reason, frame=frame)
-
-
-def _statistic(path: Path, width: int) -> np.ndarray:
-    numbers = npy.read_npy(path, source_file.read_bytes(path), (None,)).astype(np.float64)
-    if numbers.size != width:
-        raise FormatError(
-            f"{numbers.size} numbers for pose vectors of {width}; copy the statistics of the right dataset",
-            path=path,
-            reason="statistics",
-        )
-    return numbers
+def published_group(path: Path) -> str:
+    """The prompt's number in a file name as MDM and MoMask write it (sample3_repeat0_len196); else empty."""
+    match = re.fullmatch(r"sample_?(\d+)_rep(eat)?_?\d+(_len\d+)?(_ik)?", path.stem)
+    return match[1] if match else ""
 
 
 def _caption_beside(path: Path) -> str:

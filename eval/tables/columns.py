@@ -11,7 +11,7 @@ from eval.detail import LEAST_FPS, RealDetail
 from eval.detail import VERSION as DETAIL_VERSION
 from eval.metrics.number import Number
 from eval.report.results import Block, Cell, Row, pairs_of
-from eval.sample_folder.takes import takes_of_samples
+from eval.sample_folder.folder import takes_of_samples
 from eval.sets.motions import (
     NoRealMotionError,
     RealMotion,
@@ -175,8 +175,8 @@ def samples_at(real: RealMotion, fps: Fraction, config: EvalConfig) -> dict[RowI
     """
     rows: dict[RowId, SampleSet] = {}
     for folder in config.sample_folders:
-        with task(config.on_progress, f"{folder.name}, {label(fps)}", folder.num_motions) as work:
-            every = folder.at(fps, work.advance)
+        with task(config.on_progress, f"{folder.name}, {label(fps)}"):
+            every = folder.at(fps)
         found = takes_of_samples(folder, real).of_column(every, real.at(fps))
         if found is None:
             config.missing.add(f"{folder.name}, {label(fps)}: {NOT_SO_FAST}")

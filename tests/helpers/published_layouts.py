@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from eval.sets.sets import Ragged
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.features import humanml3d
@@ -165,7 +166,7 @@ def write_kit_joints(folder: Path, unit_metres: float | None) -> Path:
     return folder
 
 
-def same_order(found: Sequence[np.ndarray], order: Sequence[int], atol: float = 0.0) -> None:
+def same_order(found: Ragged, order: Sequence[int], atol: float = 0.0) -> None:
     """Assert that the motions found are those at these places."""
     assert len(found) == len(order)
     for positions, index in zip(found, order, strict=True):

@@ -2,12 +2,13 @@
 
 import json
 import re
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
 from eval.commands.samples import samples as command
-from eval.sample_folder.manifest import READERS, read_manifest
+from eval.sample_folder.manifest import Manifest, read_manifest
 from motionkit.core.errors import MotionkitError
 from tests.helpers import published_layouts as published
 from tests.helpers.repository import REPOSITORY
@@ -53,4 +54,4 @@ def test_the_manifests_of_the_page_are_manifests(tmp_path):
         (tmp_path / "samples.toml").write_text(block, encoding="utf-8")
         assert read_manifest(tmp_path).fps == 20
     whole = set(re.findall(r"^(\w+) = ", blocks[0], re.MULTILINE)) | {"exclude"}
-    assert whole == set(READERS)
+    assert whole == {field.name for field in fields(Manifest)}

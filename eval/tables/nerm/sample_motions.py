@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eval.sample_folder import SampleFolder
-from eval.sample_folder.takes import rows_by_name
+from eval.sample_folder.folder import rows_by_name
 from eval.sets.sets import SampleSet, middle
 from eval.text_motion.embedding_cache import Embedder, fingerprint_of_vectors
 from eval.text_motion.evaluator import PoseVectorEvaluator
@@ -46,7 +46,7 @@ def sample_embeddings(
     without a real motion are dropped. Raises `SampleFolderError` for a missing caption, and `UsageError` if no sample
     matches a real motion by name or caption.
     """
-    folder.require_captions()
+    folder.require("caption")
     fps = real.samples.fps
     most_frames = protocol.lengths_at(fps).most_frames(fps)
     samples = _cropped(folder.at(fps), most_frames)

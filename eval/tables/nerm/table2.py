@@ -11,7 +11,7 @@ from eval.clip_fid.score import CLIP_FID, VERSION
 from eval.config import EvalConfig
 from eval.metrics.number import Number
 from eval.report.results import Block, Cell, Row, differences_block, measure, of_interest
-from eval.sample_folder.takes import takes_of_samples
+from eval.sample_folder.folder import takes_of_samples
 from eval.sets.copies import HELD_OUT_SHARE, STILL_METRES, TrainingWindows, held_out_limit
 from eval.sets.motions import VARIANT_NOTES, NoRealMotionError, RealMotion, real_motion, sample_fields, training_motion
 from eval.sets.sets import REAL, RowId, SampleSet, Variant, set_remarks

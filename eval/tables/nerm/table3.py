@@ -194,7 +194,7 @@ def _samples(source: RecogniserSource, recogniser: ActionRecogniser, config: Eva
     systems = []
     for folder in config.sample_folders:
         with config.missing.skipping(folder.name):
-            folder.require_actions()
+            folder.require("action")
             known = known_actions(folder.at(source.fps), recogniser.actions)
             note = f"{_counted(known.samples.num_sequences, 1)}; {folder.describe()}"
             systems.append(_System(RowId(folder.name), (known.recognised(recogniser),), note))

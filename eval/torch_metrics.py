@@ -1,7 +1,12 @@
-"""The project's metrics as torchmetrics metrics: means by their declared names, FID, R-Precision and clip-FID."""
+"""The project's metrics as `torchmetrics.Metric`s: update, compute, reset, on any device, over batches and processes.
 
-from collections.abc import Sequence
+Each accumulates the inputs of a pure function of `eval.metrics` and calls it in `compute`, so the value does not depend
+on the batches. They need the extra `metrics`; the functions do not.
+"""
+
+from collections.abc import Mapping, Sequence
 from functools import cached_property
+from importlib.util import find_spec
 from inspect import signature
 from typing import Any
 
@@ -9,17 +14,20 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
-from torchmetrics import Metric
-from torchmetrics.utilities import dim_zero_cat
 
 from eval.clip_fid.clips import Protocol
 from eval.clip_fid.features import Comparison, kinematic_source
 from eval.clip_fid.motions import Motions, samples_of
-from eval.metrics.distributions import fid
 from eval.metrics.metric import MeanSums, find_metric
 from eval.metrics.retrieval import REFERENCE_POOL, r_precision
+from motionkit.core.errors import MissingExtraError
 from motionkit.core.shapes import Float, Int
 from motionkit.core.timegrid import Framerate, parse_fps
+
+if find_spec("torchmetrics") is None:
+    raise MissingExtraError("torchmetrics", "metrics")
+from torchmetrics import Metric
+from torchmetrics.utilities import dim_zero_cat
 
 
 def array_of(values: Tensor | npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -28,15 +36,19 @@ def array_of(values: Tensor | npt.NDArray[Any]) -> npt.NDArray[Any]:
         return np.asarray(values)
     if values.is_floating_point() and values.dtype not in (torch.float32, torch.float64):
         values = values.float()
-    array: npt.NDArray[Any] = values.detach().cpu().numpy()
-    return array
+    return np.asarray(values.detach().cpu().numpy())
 
 
-def rows_of(state: list[Tensor] | Tensor, what: str) -> npt.NDArray[Any]:
+def rows_of(state: list[Tensor] | Tensor) -> npt.NDArray[Any]:
     """All rows of a list state, including those of other processes. Raises `ValueError` if there are none."""
     if not len(state):
-        raise ValueError(f"there are no {what}: call update first")
+        raise ValueError("there are no samples: call update first")
     return array_of(dim_zero_cat(state))
+
+
+def scalars(metric: "Metric", values: Mapping[str, float]) -> dict[str, Float[Tensor, ""]]:
+    """Values as float64 tensors on a metric's device."""
+    return {name: torch.tensor(value, dtype=torch.float64, device=metric.device) for name, value in values.items()}
 
 
 class DeclaredMean(Metric):
@@ -54,7 +66,6 @@ class DeclaredMean(Metric):
     """
 
     full_state_update = False
-    is_differentiable = False
     total: Tensor
     weight: Tensor
 
@@ -78,9 +89,8 @@ class DeclaredMean(Metric):
     def update(self, *arrays: Tensor | npt.NDArray[Any]) -> None:
         """Add a batch. Raises as the function."""
         metric, given = find_metric(self.metric_name), [array_of(each) for each in arrays]
-        assert metric.weight is not None
         value = metric.function(*given, **self.settings)
-        assert isinstance(value, float)
+        assert metric.weight is not None and isinstance(value, float)
         batch = MeanSums().added(value**metric.exponent, metric.weight(*given))
         self.total += batch.total
         self.weight += batch.weight
@@ -88,42 +98,7 @@ class DeclaredMean(Metric):
     def compute(self) -> Tensor:
         """The mean over all batches, float64. Raises `ValueError` if there are none."""
         mean = MeanSums(float(self.total), float(self.weight)).mean
-        exponent = 1 / find_metric(self.metric_name).exponent
-        return torch.tensor(mean**exponent, dtype=torch.float64, device=self.total.device)
-
-
-class FID(Metric):
-    """Fréchet distance of two sets of features, as `eval.metrics.distributions.fid`: `update(features, real=…)`.
-
-    Features of any network: [samples, features]. The states are all rows.
-
-    >>> metric = FID()
-    >>> features = torch.randn(100, 4, generator=torch.Generator().manual_seed(0))
-    >>> metric.update(features, real=True)
-    >>> metric.update(features + 2, real=False)
-    >>> round(float(metric.compute()), 4)  # four features, each moved by 2
-    16.0
-    """
-
-    full_state_update = False
-    is_differentiable = False
-    higher_is_better = False
-    real: list[Tensor]
-    generated: list[Tensor]
-
-    def __init__(self, **settings: Any) -> None:
-        super().__init__(**settings)
-        self.add_state("real", [], dist_reduce_fx="cat")
-        self.add_state("generated", [], dist_reduce_fx="cat")
-
-    def update(self, features: Float[Tensor, "samples features"], real: bool) -> None:
-        """Add a batch to one side."""
-        (self.real if real else self.generated).append(features.detach().double())
-
-    def compute(self) -> Float[Tensor, ""]:
-        """The distance, float64. Raises `ValueError` for NaN, infinity, or a side of fewer than 2 samples."""
-        distance = fid(rows_of(self.real, "real samples"), rows_of(self.generated, "generated samples"))
-        return torch.tensor(distance, dtype=torch.float64, device=self.device)
+        return scalars(self, {"mean": mean ** (1 / find_metric(self.metric_name).exponent)})["mean"]
 
 
 class RPrecision(Metric):
@@ -140,7 +115,6 @@ class RPrecision(Metric):
     """
 
     full_state_update = False
-    is_differentiable = False
     queries: list[Tensor]
     candidates: list[Tensor]
 
@@ -159,11 +133,10 @@ class RPrecision(Metric):
 
     def compute(self) -> dict[str, Float[Tensor, ""]]:
         """`r_precision_top1` … `3` and `mm_dist`, float64. Raises `ValueError` for fewer pairs than a pool."""
-        queries, candidates = rows_of(self.queries, "pairs"), rows_of(self.candidates, "pairs")
-        precision = r_precision(queries, candidates, rng=np.random.default_rng(self.seed), pool=self.pool)
-        values = {f"r_precision_top{rank}": share for rank, share in enumerate(precision.top.tolist(), start=1)}
-        values["mm_dist"] = precision.matching_distance
-        return {name: torch.tensor(value, dtype=torch.float64, device=self.device) for name, value in values.items()}
+        rng = np.random.default_rng(self.seed)
+        precision = r_precision(rows_of(self.queries), rows_of(self.candidates), rng=rng, pool=self.pool)
+        top = {f"r_precision_top{rank}": share for rank, share in enumerate(precision.top.tolist(), start=1)}
+        return scalars(self, {**top, "mm_dist": precision.matching_distance})
 
 
 class ClipFID(Metric):
@@ -174,8 +147,7 @@ class ClipFID(Metric):
     since clips are drawn in proportion to the duration of all of them. The value is that of `eval.clip_fid` on the same
     motions in the same order. Scores are comparable only for the same real motions, framerate and number of clips.
 
-    Raises `UsageError`, `ClipError` and `MotionkitError` as `eval.clip_fid` does, for the real motions when the metric
-    is first computed.
+    Raises as `eval.clip_fid` does, for the real motions when the metric is first computed.
 
     >>> rng = np.random.default_rng(0)
     >>> walks = [rng.normal(size=(90, 22, 3)).cumsum(axis=0) / 100 for _ in range(4)]
@@ -187,7 +159,6 @@ class ClipFID(Metric):
     """
 
     full_state_update = False
-    is_differentiable = False
     higher_is_better = False
     positions: list[Tensor]
     num_frames: list[Tensor]
@@ -220,24 +191,20 @@ class ClipFID(Metric):
 
         Raises `UsageError` for other shapes, and `ValueError` for lengths beyond the batch or NaN.
         """
-        lengths = [len(motion) for motion in motions] if num_frames is None else [int(each) for each in num_frames]
-        if len(lengths) != len(motions) or any(
-            not 0 < length <= len(motion) for length, motion in zip(lengths, motions, strict=False)
-        ):
-            raise ValueError(f"{len(motions)} motions of at most {max(map(len, motions), default=0)} frames: {lengths}")
-        own = [motion[:length] for motion, length in zip(motions, lengths, strict=True)]
-        samples = samples_of("generated", [array_of(motion) for motion in own], self.fps)
+        lengths = [len(motion) for motion in motions] if num_frames is None else num_frames.tolist()
+        own = [array_of(motion)[:length] for motion, length in zip(motions, lengths, strict=True)]
+        if list(map(len, own)) != lengths:
+            raise ValueError(f"{len(motions)} motions of at most {max(map(len, motions))} frames: {lengths}")
+        samples = samples_of("generated", own, self.fps)
         self.positions.append(torch.from_numpy(samples.sequences.values).to(self.device))
         self.num_frames.append(torch.tensor(lengths, device=self.device))
 
     def compute(self) -> dict[str, Float[Tensor, ""]]:
         """`clip_fid` and half the width of its 95 % interval, `clip_fid_ci95`, float64."""
-        ends = np.cumsum(rows_of(self.num_frames, "motions"))
-        generated = np.split(rows_of(self.positions, "motions"), ends[:-1])
-        samples = samples_of("generated", generated, self.fps)
+        ends = np.cumsum(rows_of(self.num_frames))
+        samples = samples_of("generated", np.split(rows_of(self.positions), ends[:-1]), self.fps)
         score = self._comparison.scores({"generated": samples})["generated"]
-        values = {"clip_fid": score.value, "clip_fid_ci95": score.ci95}
-        return {name: torch.tensor(value, dtype=torch.float64, device=self.device) for name, value in values.items()}
+        return scalars(self, {"clip_fid": score.value, "clip_fid_ci95": score.ci95})
 
     @cached_property
     def _comparison(self) -> Comparison:
