@@ -152,8 +152,7 @@ def _pictured(store: "Store") -> list[str]:
 
 def _draw(places: dict[str, Path], real: "list[Motion]") -> None:
     """Table 2 as curves, and each caption's motion of the corpus above the generated one as strips of poses."""
-    from eval.report.curves import panels_of
-    from eval.report.figures import curves_figure, save
+    from eval.report.curves import curves_figure, panels_of, save
     from eval.report.results import read_result
     from motionkit.core.skeleton import SMPL22
     from motionkit.core.skeletons.mapping import map_joints

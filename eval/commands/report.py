@@ -1,7 +1,7 @@
 """`motionkit report`: every result as one page."""
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from motionkit.cli.console import print_json, print_text, progress, stderr
+from motionkit.cli.options import RunsFolder
 from motionkit.core.errors import UsageError
 from motionkit.core.files import default_path, write_whole
 from motionkit.core.progress import task
@@ -27,14 +28,12 @@ def report(
     format: Annotated[
         str, typer.Option(help="html for one page; png draws curves; markdown, latex or csv print the tables instead.")
     ] = "html",
-    store: Annotated[
-        Path | None, typer.Option(help="With html: begin with what this store holds.", show_default="none")
-    ] = None,
+    store: Annotated[Path | None, typer.Option(help="With html: begin with what this store holds.")] = None,
     run: Annotated[
         list[str] | None,
         typer.Option(help="With html: training curves of this run; with --store its motions too. May be repeated."),
     ] = None,
-    runs: Annotated[Path | None, typer.Option(help="Folder of all runs.", show_default="./runs")] = None,
+    runs: RunsFolder = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print every result as JSON.")] = False,
 ) -> None:
     """Show every result of the results folder: one HTML page, pictures, or Markdown, LaTeX or CSV on stdout.
@@ -46,8 +45,6 @@ def report(
 
     Example: motionkit report --store store --run nano
     """
-    from dataclasses import asdict
-
     from eval.report.render import to_csv, to_latex, to_markdown
     from eval.report.results import ResultError, find_results
 
@@ -72,8 +69,11 @@ def report(
         print(page)
         stderr.print(f"{len(found)} results")
     elif format == "png":
-        for path in _pictures(found, out or folder):
-            print(path)
+        from eval.report.curves import figure_of, save
+
+        for result in found:
+            if (figure := figure_of(result)) is not None:
+                print(save(figure, (out or folder) / f"{result.task}.png"))
     else:
         raise UsageError(f"there is no format {format!r}: html, png, {', '.join(printers)}")
     if there.faults:
@@ -82,28 +82,17 @@ def report(
 
 
 def _page(results: "list[Result]", store: Path | None, runs: list[Path]) -> str:
-    from eval.report.curves import figure_of
+    from eval.report.curves import figure_of, run_card
     from eval.report.render import to_html
-
-    cards = [] if store is None else [_card(store)]
-    with progress() as show:
-        cards += [_run_card(run, store, show) for run in runs]
-    figures = {number: figure for number, result in enumerate(results) if (figure := figure_of(result)) is not None}
-    return to_html(results, cards=cards, figures=figures)
-
-
-def _card(store: Path) -> str:
     from motionkit.store import Store
     from motionkit.store.reports import summarise
     from motionkit.viz.corpus_card import corpus_card
 
-    return corpus_card(summarise(Store.open(store)))
-
-
-def _run_card(run: Path, store: Path | None, show: "OnProgress") -> str:
-    from eval.report.training import run_card
-
-    return run_card(run, [] if store is None else list(_motions(run, store, show)))
+    with progress() as show:
+        cards = [] if store is None else [corpus_card(summarise(Store.open(store)))]
+        cards += [run_card(run, [] if store is None else list(_motions(run, store, show))) for run in runs]
+    figures = {number: figure for number, result in enumerate(results) if (figure := figure_of(result)) is not None}
+    return to_html(results, cards=cards, figures=figures)
 
 
 def _motions(run: Path, store: Path, show: "OnProgress") -> Iterator[tuple[str, str]]:
@@ -112,43 +101,28 @@ def _motions(run: Path, store: Path, show: "OnProgress") -> Iterator[tuple[str, 
 
     from eval.sets.motions import real_motion
     from eval.sets.sets import Missing
-    from eval.study.systems import of_model, of_real
+    from eval.study.trials import of_model, of_motions
     from eval.tables.models import trained_models
     from motionkit.core.skeleton import SMPL22
     from motionkit.store import Store
     from motionkit.viz.player import Panel, page_of
 
     held_out = real_motion(Store.open(store), "test")
-    real, rates = of_real(held_out), held_out.fps
-    order = [
-        index
-        for index in np.random.default_rng(0).permutation(len(real.captions)).tolist()
-        if real.seconds[index] >= SHORTEST_SHOWN_SECONDS
-    ]
+    real, rates = of_motions(held_out), held_out.fps
+    order = np.random.default_rng(0).permutation(len(real.captions)).tolist()
+    order = [index for index in order if real.seconds[index] >= SHORTEST_SHOWN_SECONDS]
     captioned = {real.captions[index]: index for index in order if real.captions[index]}
     chosen = list(captioned.values() or order)[:NUM_CAPTIONS]
-    prompts = replace(
-        real,
-        captions=tuple(real.captions[index] for index in chosen),
-        seconds=tuple(real.seconds[index] for index in chosen),
-    )
+    captions, seconds = (tuple(values[index] for index in chosen) for values in (real.captions, real.seconds))
     models = trained_models(run, Missing()).values()
     with task(show, "motions", len(chosen) * (len(models) + 1)) as work:
-        made = [of_model(each.loaded, [prompts], 0, LONGEST_SHOWN_SECONDS) for each in models]
+        prompts = replace(real, captions=captions, seconds=seconds)
+        generated = [of_model(each.loaded, [prompts], 0, LONGEST_SHOWN_SECONDS) for each in models]
         for number, index in enumerate(chosen):
-            takes = []
-            for system, place in [(real, index), *((each, number) for each in made)]:
+            panels = []
+            for system, place in [(real, index), *((each, number) for each in generated)]:
                 fps = FPS if system is not real or system.has(index, FPS) else rates[index]
                 positions = system.positions(place, fps)[: int(LONGEST_SHOWN_SECONDS * fps)]
-                takes.append(Panel(system.name, positions, SMPL22, fps))
+                panels.append(Panel(system.name, positions, SMPL22, fps))
                 work.advance()
-            yield real.captions[index] or f"Motion {number + 1}", page_of("", takes)
-
-
-def _pictures(results: "list[Result]", folder: Path) -> list[Path]:
-    """Draw the calibration and every result over framerates, or of seconds and a quality; returns what was drawn."""
-    from eval.report.curves import figure_of
-    from eval.report.figures import save
-
-    drawn = [(figure_of(result), folder / f"{result.task}.png") for result in results]
-    return [save(figure, path) for figure, path in drawn if figure is not None]
+            yield real.captions[index] or f"Motion {number + 1}", page_of("", panels)

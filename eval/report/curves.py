@@ -1,53 +1,112 @@
-"""Results as curves: seconds against quality, columns of a table over the framerate."""
+"""Curves of tables over the framerate, of seconds against quality, and of a run's training. No pyplot."""
 
 import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from textwrap import fill
 from typing import Any
 
+import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from eval.report.figures import BLUE, FRAMERATE_LABEL, GREY, Curve, Panel, curves_figure
-from eval.report.results import Block, Result, Row
+from eval.report.render import card
+from eval.report.results import Block, Result
+from motionkit.core.files import whole_file
+from motionkit.training.run import RunError, RunFolder
+
+# Okabe and Ito's palette, distinguishable with any colour vision: blue, vermillion, green, purple, orange, sky, grey.
+CURVE_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5F5F5F")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+FRAMERATE_LABEL = "framerate (frames per second)"
+# "120 fps", "×2.4", "15 frames", "λ = 0.5": prefix, number, unit.
+COLUMN = re.compile(r"(?P<before>×|\w+ = |)(?P<number>\d+(?:\.\d+)?)(?P<after> fps| frames|)")
+X_LABELS = {("", " fps"): FRAMERATE_LABEL, ("", " frames"): "number of frames", ("×", ""): "scale"}
 
 
-def cost_figure(result: Result, width_inches: float = 6.4) -> Figure | None:
-    """The first block whose columns begin with seconds and end with a quality; None if there is no such block.
+@dataclass(frozen=True)
+class Curve:
+    """One row of a table over a quantity: values and half-widths of their 95 % intervals (0 if there is none)."""
 
-    Rows with both are points, others levels (dashed). Both axes begin at zero, so that distances are to scale.
+    label: str
+    places: tuple[float, ...]
+    values: tuple[float, ...]
+    half_widths: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Comparable curves in one pair of axes; the axis of decibels need not include zero.
+
+    Losses over the steps of a training are lines without markers on a logarithmic axis.
     """
-    found = [block for block in result.blocks if block.columns and "seconds" in block.columns[0]]
-    block = next((block for block in found if any(block.columns[0] in row.cells for row in block.rows)), None)
-    if block is None:
-        return None
-    seconds, quality = block.columns[0], block.columns[-1]
-    points = [row for row in block.rows if seconds in row.cells and quality in row.cells]
-    levels = [row for row in block.rows if row not in points and quality in row.cells]
-    x = [row.cells[seconds].value for row in points]
-    y = [row.cells[quality].value for row in points]
-    half_widths = [row.cells[quality].ci95 or 0.0 for row in points]
-    figure = Figure(figsize=(width_inches, 0.65 * width_inches), layout="constrained")
-    axes = figure.subplots()
-    axes.errorbar(x, y, half_widths, color=BLUE, marker="o", markersize=4.5, capsize=2.0)
-    small: dict[str, Any] = {"textcoords": "offset points", "fontsize": 7.5}
-    for row, place in zip(points, zip(x, y, strict=True), strict=True):
-        axes.annotate(row.name, place, xytext=(0, -6), rotation=-40, va="top", **small)
-    for row in levels:
-        level = row.cells[quality].value
-        axes.axhline(level, color=GREY, linewidth=0.8, linestyle="--")
-        axes.annotate(row.name, (0.0, level), xytext=(4, 2), color=GREY, **small)
-    tops = map(sum, zip(y, half_widths, strict=True))
-    axes.set_xlim(0.0, 1.35 * max(x))
-    axes.set_ylim(0.0, 1.05 * max((*tops, *(row.cells[quality].value for row in levels))))
-    axes.set_xlabel(seconds, fontsize=9)
-    axes.set_ylabel(f"{quality} ({'lower' if block.lower_is_better else 'higher'} is better)", fontsize=9)
-    axes.set_title(result.title, fontsize=9.5, loc="left")
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.tick_params(labelsize=8)
+
+    title: str
+    y_label: str
+    curves: tuple[Curve, ...]
+    x_label: str = FRAMERATE_LABEL
+    from_zero: bool = True
+    is_training: bool = False
+
+
+def curves_figure(panels: Sequence[Panel], width_inches: float = 12.0, height_inches: float = 5.0) -> Figure:
+    """Panels of curves only, at most three per line."""
+    columns = min(3, len(panels))
+    lines = -(-len(panels) // columns)
+    figure = Figure(figsize=(width_inches, height_inches * lines), layout="constrained")
+    places = figure.subplots(lines, columns, squeeze=False).ravel()
+    for axes, panel in zip(places, panels, strict=False):
+        _draw(axes, panel)
+    for unused in places[len(panels) :]:
+        unused.set_visible(False)
     return figure
 
 
-# "120 fps", "×2.4", "15 frames", "λ = 0.5": prefix, number, unit.
-COLUMN = re.compile(r"(?P<before>×|\w+ = |)(?P<number>\d+(?:\.\d+)?)(?P<after> fps| frames|)")
-X_LABELS = {("", " fps"): FRAMERATE_LABEL, ("", " frames"): "frames asked for", ("×", ""): "scale"}
+def save(figure: Figure, path: Path) -> Path:
+    """Write a figure as PNG, SVG or PDF by its suffix, at 160 dots per inch; makes the folder."""
+    with whole_file(path) as temporary:
+        figure.savefig(temporary, dpi=160)
+    return path
+
+
+def _draw(axes: Axes, panel: Panel) -> None:
+    """Draw curves with shaded intervals; the axis is logarithmic if the values span more than a decade."""
+    for index, curve in enumerate(panel.curves):
+        places, values, widths = (np.array(column) for column in (curve.places, curve.values, curve.half_widths))
+        colour, marker = CURVE_COLOURS[index % len(CURVE_COLOURS)], MARKERS[index % len(MARKERS)]
+        # Colours repeat after seven curves; the next seven are dashed.
+        style = "-" if index < len(CURVE_COLOURS) else "--"
+        lines = axes.plot(places, values, style, color=colour, linewidth=1.6, label=fill(curve.label, 40))
+        if not panel.is_training:
+            lines[0].set(marker=marker, markersize=4.5)
+            low = np.maximum(values - widths, 1e-2 * values)
+            axes.fill_between(places, low, values + widths, color=colour, alpha=0.18, linewidth=0)
+    every = np.concatenate([np.array(curve.values) for curve in panel.curves])
+    if panel.is_training or (every.min() > 0.0 and every.max() > 10.0 * every.min()):
+        axes.set_yscale("log")
+    elif panel.from_zero:
+        axes.set_ylim(bottom=0.0)
+    if not panel.is_training:
+        ticks = sorted({place for curve in panel.curves for place in curve.places})
+        axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    _label(axes, panel.title, panel.x_label, panel.y_label)
+    axes.grid(axis="y", color="#E4E4E4", linewidth=0.7)
+    axes.legend(fontsize=7.5, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=2)
+
+
+def _label(axes: Axes, title: str, x_label: str, y_label: str) -> None:
+    axes.set_title(title, fontsize=9.5, loc="left")
+    axes.set_xlabel(x_label, fontsize=9)
+    axes.set_ylabel(y_label, fontsize=9)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelsize=8, which="both")
+
+
+def figure_of(result: Result) -> Figure | None:
+    """A table over framerates, or over seconds and a quality, drawn; None for any other."""
+    panels = panels_of(result)
+    return curves_figure(panels) if panels else cost_figure(result)
 
 
 def panels_of(result: Result, y_label: str = "lower is better") -> tuple[Panel, ...]:
@@ -56,19 +115,13 @@ def panels_of(result: Result, y_label: str = "lower is better") -> tuple[Panel, 
     `y_label` is that of the blocks in which lower is better; others have none. Blocks whose columns are not all values
     of one quantity ("120 fps", "×4", "30 frames", "λ = 0.5") are left out, and so are differences between rows.
     """
-    scores = [block for block in result.blocks if not block.differences_of]
-    ordered = sorted(filter(_quantity, scores), key=_is_from_paper)
-    panels = (
-        Panel(
-            block.title,
-            y_label if block.lower_is_better else "",
-            _curves(block),
-            _quantity(block) or "",
-            from_zero=block.lower_is_better,
-        )
-        for block in ordered
-    )
-    return tuple(panel for panel in panels if panel.curves)
+    panels = []
+    for block in sorted(result.blocks, key=lambda block: all(row.origin == "paper" for row in block.rows)):
+        quantity, curves = _quantity(block), _curves(block)
+        if quantity is not None and curves and not block.differences_of:
+            label = y_label if block.lower_is_better else ""
+            panels.append(Panel(block.title, label, curves, quantity, from_zero=block.lower_is_better))
+    return tuple(panels)
 
 
 def _quantity(block: Block) -> str | None:
@@ -81,32 +134,106 @@ def _quantity(block: Block) -> str | None:
     return X_LABELS.get(kind) or kind[0].removesuffix(" = ")
 
 
-def _is_from_paper(block: Block) -> bool:
-    return all(row.origin == "paper" for row in block.rows)
-
-
 def _curves(block: Block) -> tuple[Curve, ...]:
-    return tuple(_curve(row, block.columns) for row in block.rows if row.cells)
+    places = {column: float(match["number"]) for column in block.columns if (match := COLUMN.fullmatch(column))}
+    curves = []
+    for row in block.rows:
+        found = [(place, row.cells[column]) for column, place in places.items() if column in row.cells]
+        if found:
+            values, widths = tuple(cell.value for _, cell in found), tuple(cell.ci95 or 0.0 for _, cell in found)
+            label = row.name.removesuffix(" (paper)")
+            curves.append(Curve(label, tuple(place for place, _ in found), values, widths))
+    return tuple(curves)
 
 
-def _curve(row: Row, columns: tuple[str, ...]) -> Curve:
-    present = [column for column in columns if column in row.cells]
-    cells = [row.cells[column] for column in present]
-    return Curve(
-        label=row.name.removesuffix(" (paper)"),
-        places=tuple(_number(column) for column in present),
-        values=tuple(cell.value for cell in cells),
-        half_widths=tuple(cell.ci95 or 0.0 for cell in cells),
-    )
+def cost_figure(result: Result, width_inches: float = 6.4) -> Figure | None:
+    """The first block whose columns begin with seconds and end with a quality; None if there is no such block.
+
+    Rows with both are points, others levels (dashed). Both axes begin at zero, so that distances are to scale.
+    """
+    found = [block for block in result.blocks if block.columns and "seconds" in block.columns[0]]
+    block = next((block for block in found if any(block.columns[0] in row.cells for row in block.rows)), None)
+    if block is None:
+        return None
+    seconds, quality = block.columns[0], block.columns[-1]
+    rows = {row.name: row.cells for row in block.rows if quality in row.cells}
+    points = {name: cells for name, cells in rows.items() if seconds in cells}
+    x, y = ([cells[column].value for cells in points.values()] for column in (seconds, quality))
+    half_widths = [cells[quality].ci95 or 0.0 for cells in points.values()]
+    figure = Figure(figsize=(width_inches, 0.65 * width_inches), layout="constrained")
+    axes = figure.subplots()
+    axes.errorbar(x, y, half_widths, color=CURVE_COLOURS[0], marker="o", markersize=4.5, capsize=2.0)
+    small: dict[str, Any] = {"textcoords": "offset points", "fontsize": 7.5}
+    grey = CURVE_COLOURS[-1]
+    for name, cells in rows.items():
+        level = cells[quality].value
+        if name in points:
+            axes.annotate(name, (cells[seconds].value, level), xytext=(0, -6), rotation=-40, va="top", **small)
+        else:
+            axes.axhline(level, color=grey, linewidth=0.8, linestyle="--")
+            axes.annotate(name, (0.0, level), xytext=(4, 2), color=grey, **small)
+    tops = map(sum, zip(y, half_widths, strict=True))
+    axes.set_xlim(0.0, 1.35 * max(x))
+    axes.set_ylim(0.0, 1.05 * max((*tops, *(cells[quality].value for cells in rows.values()))))
+    better = "lower" if block.lower_is_better else "higher"
+    _label(axes, result.title, seconds, f"{quality} ({better} is better)")
+    return figure
 
 
-def _number(column: str) -> float:
-    match = COLUMN.fullmatch(column)
-    assert match is not None
-    return float(match["number"])
+@dataclass(frozen=True)
+class StageTraining:
+    """One stage of a run: facts for people, in order, and its logged steps, oldest first."""
+
+    name: str
+    facts: Mapping[str, str]
+    lines: Sequence[Mapping[str, float]]
 
 
-def figure_of(result: Result) -> Figure | None:
-    """A table over framerates, or over seconds and a quality, drawn; None for any other."""
-    panels = panels_of(result)
-    return curves_figure(panels) if panels else cost_figure(result)
+def stages_of(run: Path) -> list[StageTraining]:
+    """Every stage of a run, by name.
+
+    Raises `RunError` for a folder without stages, `DamagedFileError` for damaged files.
+    """
+    folders = sorted(path for path in run.glob("*") if (path / "config.json").is_file())
+    if not folders:
+        raise RunError(f"{run} holds no trained stage (motionkit train --run {run.name})")
+    weights = RunFolder(run).fingerprints()
+    found = []
+    for path in folders:
+        stage = RunFolder(run).stage(path.name)
+        config = stage.read_config()
+        facts = {
+            "recipe": str(config.get("recipe", "–")),
+            "steps": "–" if stage.is_complete else "not finished",
+            "parameters": "–",
+            "processor time": "–",
+            **stage.effort(),
+            "commit": str(config.get("commit") or "–")[:12],
+            "store": str(config.get("store_fingerprint", "–"))[:12],
+            "weights (sha256)": weights.get(path.name, "–")[:12],
+        }
+        found.append(StageTraining(path.name, facts, stage.read_metrics()))
+    return found
+
+
+def training_figure(stages: Sequence[StageTraining]) -> Figure | None:
+    """Logged values of each stage over its steps, on logarithmic axes; None if there are none."""
+    panels = []
+    for stage in stages:
+        curves = []
+        for name in dict.fromkeys(key for line in stage.lines for key in line if key not in ("step", "seconds")):
+            there = {line["step"]: line[name] for line in stage.lines if line.get(name, 0.0) > 0}
+            if there:
+                curves.append(Curve(name, tuple(there), tuple(there.values()), (0.0,) * len(there)))
+        if curves:
+            panels.append(Panel(stage.name, "", tuple(curves), "steps", is_training=True))
+    return curves_figure(panels, height_inches=3.6) if panels else None
+
+
+def run_card(run: Path, motions: Sequence[tuple[str, str]] = ()) -> str:
+    """An article about a run for the report's page; `motions` are titles and pages of animated skeletons.
+
+    Raises as `stages_of`.
+    """
+    stages = stages_of(run)
+    return card("run.html.j2", name=run.name, stages=stages, figure=training_figure(stages), motions=motions)

@@ -4,28 +4,23 @@ import base64
 import csv
 import io
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from eval.report.results import Block, Measure, Result, Row, best_in_column, format_cell, format_number
+from eval.report.results import Block, Measure, Result, best_in_column, format_cell, format_number
 
 if TYPE_CHECKING:
     from jinja2 import Environment
     from matplotlib.figure import Figure
 
+# What LaTeX's text mode reads as a command, or does not know.
 LATEX = str.maketrans(
     {
         **{character: f"\\{character}" for character in "&%$#_{}"},
-        "\\": r"\textbackslash{}",
-        "^": r"\textasciicircum{}",
-        "~": r"\textasciitilde{}",
-        "±": r"$\pm$",
-        "–": "--",
-        "∞": r"$\infty$",
-        "×": r"$\times$",
-        "↑": r"$\uparrow$",
-        "↓": r"$\downarrow$",
-        "→": r"$\rightarrow$",
+        **{"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}", "–": "--"},
+        **{"<": "$<$", ">": "$>$", "|": "$|$", "−": "$-$", "±": r"$\pm$", "×": r"$\times$", "÷": r"$\div$"},
+        **{"≤": r"$\leq$", "≥": r"$\geq$", "∞": r"$\infty$", "↑": r"$\uparrow$", "↓": r"$\downarrow$"},
+        **{"→": r"$\rightarrow$", "λ": r"$\lambda$", "μ": r"$\mu$", "σ": r"$\sigma$", "ζ": r"$\zeta$"},
+        **{"θ": r"$\theta$", "Δ": r"$\Delta$", "²": "$^2$", "³": "$^3$", "…": r"\dots{}"},
     }
 )
 
@@ -101,29 +96,18 @@ def format_measure(measure: Measure) -> str:
     return f"{measure.title}{unit}: {better} ({measure.source}{calibration})"
 
 
-@dataclass(frozen=True)
-class DetailTable:
-    """One further metric of a block: its rows and columns, in the block's order."""
-
-    name: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[Row, Mapping[str, float | int]], ...]
-
-
-def detail_tables(block: Block) -> list[DetailTable]:
-    """All further metrics of a block's own rows, in order of appearance."""
+def detail_tables(block: Block) -> list[dict[str, Any]]:
+    """Each further metric of a block's own rows: its name, columns, and rows with their values by column."""
     own = [row for row in block.rows if row.origin != "paper"]
-    names = dict.fromkeys(name for row in own for cell in row.cells.values() for name in cell.details)
-    return [_detail_table(name, block.columns, own) for name in names]
-
-
-def _detail_table(name: str, columns: Sequence[str], rows: Sequence[Row]) -> DetailTable:
-    found = [
-        (row, {column: cell.details[name] for column, cell in row.cells.items() if name in cell.details})
-        for row in rows
-    ]
-    kept = tuple((row, values) for row, values in found if values)
-    return DetailTable(name, tuple(column for column in columns if any(column in values for _, values in kept)), kept)
+    tables = []
+    for name in dict.fromkeys(name for row in own for cell in row.cells.values() for name in cell.details):
+        every = (
+            (row, {key: cell.details[name] for key, cell in row.cells.items() if name in cell.details}) for row in own
+        )
+        rows = [(row, values) for row, values in every if values]
+        columns = [column for column in block.columns if any(column in values for _, values in rows)]
+        tables.append({"name": name, "columns": columns, "rows": rows})
+    return tables
 
 
 def _environment(*, html: bool = False, latex: bool = False) -> "Environment":

@@ -7,7 +7,8 @@ import re
 import shlex
 import sys
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import asdict, dataclass, field
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from html import escape
 from itertools import combinations
@@ -123,16 +124,8 @@ def measure(metric: Metric | str, *, unit: str | None = None, column: str = "") 
     """The `Measure` of a metric (or its name), in `unit` if given."""
     known = find_metric(metric) if isinstance(metric, str) else metric
     better: dict[bool | None, Literal["lower", "higher", "as real"]] = {True: "higher", False: "lower", None: "as real"}
-    return Measure(
-        known.name,
-        known.title,
-        known.unit if unit is None else unit,
-        better[known.higher_is_better],
-        known.source,
-        known.version,
-        known.calibration,
-        column,
-    )
+    facts = (known.name, known.title, known.unit if unit is None else unit, better[known.higher_is_better])
+    return Measure(*facts, known.source, known.version, known.calibration, column)
 
 
 @dataclass(frozen=True)
@@ -229,20 +222,14 @@ def of_interest(block: Block, differences: Differences, best: Iterable[str] = ()
 
 def differences_block(block: Block, differences: Differences) -> Block | None:
     """A row for each pair of a block's rows, with its verdict; None if there is no pair."""
-    rows = tuple(
-        Row(
-            f"{first} − {second}",
-            "ours",
-            {column: Cell(each.value, each.ci95) for column, each in found.items()},
-            said(found, block.metrics),
-        )
-        for (first, second), found in differences.items()
-        if found
-    )
+    rows = []
+    for (first, second), found in differences.items():
+        cells = {column: Cell(each.value, each.ci95) for column, each in found.items()}
+        rows += [Row(f"{first} − {second}", "ours", cells, said(found, block.metrics))] if found else []
     if not rows:
         return None
-    title = block.title + DIFFERENCES
-    return Block(title, block.columns, rows, note=DIFFERENCES_NOTE, metrics=block.metrics, differences_of=block.title)
+    compared = Block(block.title + DIFFERENCES, block.columns, tuple(rows), note=DIFFERENCES_NOTE)
+    return replace(compared, metrics=block.metrics, differences_of=block.title)
 
 
 def _ranked(block: Block) -> dict[str, list[str]]:
@@ -339,11 +326,20 @@ def read_result(path: Path | str) -> Result:
 
     Raises `DamagedFileError` for a damaged file, `ResultError` for other files or another version.
     """
-    path = Path(path)
     try:
-        return _result(path, read_json(path, HINT))
-    except OSError as error:
-        raise ResultError(f"{path}: cannot be read as a result: {error}") from None
+        document = read_json(Path(path), HINT)
+        if (found := document.pop("format", None)) != FORMAT:
+            raise ValueError(f"not a result of format {FORMAT} (found {shown(found)})")
+        texts = {key: _texts(document.pop(key)) for key in ("notes", "missing")}
+        result = Result(**document | texts | {"blocks": tuple(map(_block, document["blocks"]))})
+        _require(str, result.task, result.version, result.title, result.caption, result.figure)
+        _require(dict, result.definition, result.provenance)
+        for name in (result.task, result.figure or result.task):
+            if not _FILE_NAME.fullmatch(name):
+                raise ValueError(f"{shown(name)} where a file's name was expected")
+        return result
+    except (AttributeError, KeyError, TypeError, ValueError, OSError) as error:
+        raise ResultError(f"{path}: cannot be read as a result: {error!r}; run the evaluation again") from None
 
 
 @dataclass(frozen=True)
@@ -360,52 +356,25 @@ def find_results(folder: Path) -> FoundResults:
     results, faults, others = [], [], []
     for path in sorted(folder.glob("*.json")):
         try:
-            document = read_json(path, HINT)
-            if str(document.get("format", "")).startswith(FORMAT_OF_ANY_VERSION):
-                results.append(_result(path, document))
-            else:
-                others.append(path)
+            with suppress(ValueError, RecursionError):
+                document = json.loads(path.read_bytes())
+                kind = document.get("format") if isinstance(document, dict) else None
+                if not str(kind).startswith(FORMAT_OF_ANY_VERSION):
+                    others.append(path)
+                    continue
+            results.append(read_result(path))
         except (MotionkitError, OSError) as error:
-            if _is_no_object(path):
-                others.append(path)
-            else:
-                faults.append(str(error))
+            faults.append(str(error))
     return FoundResults(tuple(results), tuple(faults), tuple(others))
-
-
-def _is_no_object(path: Path) -> bool:
-    """Whether a file is valid JSON, but not an object, as every result is."""
-    try:
-        return not isinstance(json.loads(path.read_bytes()), dict)
-    except (OSError, ValueError, RecursionError):
-        return False
-
-
-def _result(path: Path, document: dict[str, Any]) -> Result:
-    found = document.pop("format", None)
-    if found != FORMAT:
-        raise ResultError(f"{path}: not a result of format {FORMAT} (found {found!r}); run the evaluation again")
-    try:
-        blocks = tuple(_block(block) for block in document.pop("blocks"))
-        notes, missing = _texts(document.pop("notes")), _texts(document.pop("missing"))
-        result = Result(**document, blocks=blocks, notes=notes, missing=missing)
-        _require(str, result.task, result.version, result.title, result.caption, result.figure)
-        _require(dict, result.definition, result.provenance)
-        _require_file_name(result.task)
-        if result.figure:
-            _require_file_name(result.figure)
-        return result
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise ResultError(f"{path}: cannot be read as a result: {error!r}; run the evaluation again") from None
 
 
 def _block(document: dict[str, Any]) -> Block:
     rows = tuple(map(_row, document["rows"]))
     # Older results, which our pages show, declare no metrics, and name what is compared in a block's title alone.
     metrics = tuple(Measure(**each) for each in document.get("metrics", ()))
-    title = document["title"]
-    known = {"differences_of": title.removesuffix(DIFFERENCES) if title.endswith(DIFFERENCES) else "", **document}
-    block = Block(**{**known, "rows": rows, "columns": _texts(document["columns"]), "metrics": metrics})
+    compared, ending, _ = document["title"].rpartition(DIFFERENCES)
+    known = {"differences_of": compared if ending else "", **document}
+    block = Block(**known | {"rows": rows, "columns": _texts(document["columns"]), "metrics": metrics})
     for each in metrics:
         _require(str, *(value for name, value in vars(each).items() if name != "version"))
     _require(str, block.title, block.note, block.differences_of)
@@ -420,12 +389,6 @@ def _row(document: dict[str, Any]) -> Row:
     if row.origin not in get_args(Origin):
         raise ValueError(f"{row.origin[:40]!r}, expected one of {', '.join(get_args(Origin))}")
     return row
-
-
-def _require_file_name(name: str) -> None:
-    """Raise `ValueError` if the name of a file beside the result contains a path."""
-    if not _FILE_NAME.fullmatch(name):
-        raise ValueError(f"{shown(name)} where a file's name was expected")
 
 
 def parse_cell(document: dict[str, Any]) -> Cell:

@@ -1,6 +1,6 @@
 """Preferences of people: their answers, read with the key, as shares with intervals."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -9,15 +9,13 @@ from typing import Any
 from scipy.stats import binomtest
 
 from eval.sets.sets import Missing
-from eval.study.draw import QUESTIONS
-from eval.study.page import ANSWERS_FORMAT, KEY_FORMAT
+from eval.study.trials import ANSWERS_FORMAT, KEY_FORMAT, QUESTIONS
 from motionkit.core.errors import MotionkitError, shown
 from motionkit.core.files import read_json
 from motionkit.core.timegrid import parse_fps
 
 RESTORE = "restore it from a copy, without it the sides are unknown"
-ASK_AGAIN = "ask for the file again"
-OTHER = {"a": 0, "b": 1}
+SIDES = {"a": 0, "b": 1}
 
 
 class StudyError(MotionkitError):
@@ -40,51 +38,24 @@ class Preference:
     p_value: float
 
 
-@dataclass(frozen=True)
-class KeyTrial:
-    """A trial of a key: the names of the systems shown as A and B, one of which is the study's first."""
-
-    question: str
-    fps: Fraction
-    systems: tuple[str, str]
-
-
-@dataclass(frozen=True)
-class Key:
-    """A study's id, its first system, and its trials."""
-
-    study: str
-    first: str
-    trials: tuple[KeyTrial, ...]
-
-
-def read_key(path: Path) -> Key:
-    """Read what `write_study` wrote.
-
-    Raises `DamagedFileError` for a damaged file, and `StudyError` for one of another kind, or with a part that is
-    missing or invalid.
-    """
-    document = read_json(path, RESTORE)
-    if document.get("format") != KEY_FORMAT:
-        raise StudyError(f"{path}: not the key of a study (format {shown(str(document.get('format')))})")
+def read_key(path: Path) -> dict[str, Any]:
+    """Read the key that `write_study` wrote; raises `DamagedFileError`, or `StudyError` for another file."""
+    key = read_json(path, RESTORE)
     try:
-        systems = document["systems"]
-        key = Key(document["study"], systems[0], tuple(map(_trial, document["trials"])))
-        for number, trial in enumerate(key.trials):
-            one, two = trial.systems
-            is_known = trial.question in QUESTIONS and {one, two} <= set(systems)
-            if not is_known or one == two or key.first not in (one, two):
-                raise ValueError(f"trial {number}: expected a question of the study about its first system and another")
+        if key["format"] != KEY_FORMAT or not isinstance(key["study"], str):
+            raise ValueError(f"format {key['format']}")
+        first, *others = key["systems"]
+        for number, trial in enumerate(key["trials"]):
+            pair = {*trial["systems"]}
+            parse_fps(trial["fps"])
+            if trial["question"] not in QUESTIONS or first not in pair or len(pair & {first, *others}) != 2:
+                raise ValueError(f"trial {number} is no question about {first} and another system")
         return key
     except (LookupError, TypeError, ValueError) as error:
-        raise StudyError(f"{path}: not a valid key ({shown(repr(error))}): {RESTORE}") from None
+        raise StudyError(f"{path}: not a valid key of a study ({shown(repr(error))}): {RESTORE}") from None
 
 
-def _trial(trial: Mapping[str, Any]) -> KeyTrial:
-    return KeyTrial(trial["question"], parse_fps(trial["fps"]), tuple(trial["systems"]))
-
-
-def read_answers(paths: Iterable[Path], key: Key, missing: Missing) -> dict[str, dict[int, str]]:
+def read_answers(paths: Iterable[Path], key: Mapping[str, Any], missing: Missing) -> dict[str, dict[int, str]]:
     """Each participant's choices ("a" or "b") by trial; the problems of other files are added to `missing`.
 
     A participant counts once.
@@ -103,56 +74,46 @@ def read_answers(paths: Iterable[Path], key: Key, missing: Missing) -> dict[str,
     return answers
 
 
-def _answers(path: Path, key: Key) -> tuple[str, dict[int, str]]:
-    document = read_json(path, ASK_AGAIN)
-    if document.get("format") != ANSWERS_FORMAT:
-        raise StudyError(f"{path}: not the answers of a study: the page's last button downloads these")
-    if document.get("study") != key.study:
+def _answers(path: Path, key: Mapping[str, Any]) -> tuple[str, dict[int, str]]:
+    document = read_json(path, "ask for the file again")
+    if document.get("format") != ANSWERS_FORMAT or document.get("study") != key["study"]:
         other = shown(str(document.get("study")))
-        raise StudyError(f"{path}: answers of another study, {other}; the key is of {key.study}")
+        raise StudyError(f"{path}: not answers of study {key['study']}, but of another study or of none ({other})")
     try:
-        answers = [each for each in document["answers"] if each is not None]
-        choices = {each["trial"]: each["choice"] for each in answers}
+        answers = [(each["trial"], each["choice"]) for each in document["answers"] if each is not None]
+        choices = dict(answers)
         if len(choices) < len(answers):
             raise ValueError("a question is answered twice")
-        for trial, choice in choices.items():
-            if type(trial) is not int or not 0 <= trial < len(key.trials) or choice not in OTHER:
-                raise ValueError(f"{shown(str(choice))} to question {shown(str(trial))} of {len(key.trials)}")
+        for trial, choice in answers:
+            if type(trial) is not int or not 0 <= trial < len(key["trials"]) or choice not in SIDES:
+                raise ValueError(f"{shown(str(choice))} to question {shown(str(trial))} of {len(key['trials'])}")
         return shown(str(document["participant"])), choices
     except (KeyError, TypeError, ValueError) as error:
-        raise StudyError(f"{path}: damaged answers ({error}): {ASK_AGAIN}") from None
+        raise StudyError(f"{path}: damaged answers ({error}): ask for the file again") from None
 
 
-def preferences(key: Key, answers: Iterable[Mapping[int, str]]) -> list[Preference]:
+def preferences(key: Mapping[str, Any], answers: Iterable[Mapping[int, str]]) -> list[Preference]:
     """For each question and pair of systems, the preference for the study's first one, at each framerate.
 
     With three or more framerates, also for all above the lowest together. Answers are treated as independent.
     """
-    wins: dict[tuple[str, str], dict[Fraction, list[bool]]] = {}
+    first, wins = key["systems"][0], dict[tuple[str, str], dict[Fraction, list[bool]]]()
     for choices in answers:
         for number, choice in choices.items():
-            trial = key.trials[number]
-            chosen = trial.systems[OTHER[choice]]
-            (second,) = [name for name in trial.systems if name != key.first]
-            by_fps = wins.setdefault((trial.question, second), {})
-            by_fps.setdefault(trial.fps, []).append(chosen == key.first)
-    return [
-        _preference(question, key.first, second, fps, won)
-        for (question, second) in sorted(wins, key=lambda each: (list(QUESTIONS).index(each[0]), each[1]))
-        for fps, won in _columns(wins[question, second])
-    ]
-
-
-def _columns(by_fps: Mapping[Fraction, list[bool]]) -> Iterator[tuple[str, list[bool]]]:
-    rates = sorted(by_fps)
-    for fps in rates:
-        yield f"{float(fps):g}", by_fps[fps]
-    if len(rates) > 2:
-        yield f"{float(rates[1]):g} to {float(rates[-1]):g}", [won for fps in rates[1:] for won in by_fps[fps]]
-
-
-def _preference(question: str, first: str, second: str, fps: str, won: list[bool]) -> Preference:
-    test = binomtest(sum(won), len(won))
-    interval = test.proportion_ci(method="wilson")
-    share, bounds = sum(won) / len(won), (float(interval.low), float(interval.high))
-    return Preference(question, first, second, fps, len(won), sum(won), share, *bounds, float(test.pvalue))
+            trial = key["trials"][number]
+            (second,) = (name for name in trial["systems"] if name != first)
+            by_fps = wins.setdefault((trial["question"], second), {})
+            by_fps.setdefault(parse_fps(trial["fps"]), []).append(trial["systems"][SIDES[choice]] == first)
+    found = []
+    for question, second in sorted(wins, key=lambda each: (list(QUESTIONS).index(each[0]), each[1])):
+        by_fps = dict(sorted(wins[question, second].items()))
+        columns = {f"{float(fps):g}": won for fps, won in by_fps.items()}
+        if len(by_fps) > 2:
+            above = list(by_fps)[1:]
+            columns[f"{float(above[0]):g} to {float(above[-1]):g}"] = [won for fps in above for won in by_fps[fps]]
+        for fps, won in columns.items():
+            test = binomtest(sum(won), len(won))
+            interval = test.proportion_ci(method="wilson")
+            shares = sum(won) / len(won), float(interval.low), float(interval.high), float(test.pvalue)
+            found.append(Preference(question, first, second, fps, len(won), sum(won), *shares))
+    return found

