@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from motionkit.cli.options import RunsFolder
 
-from motionkit.cli.console import print_json, print_text, progress, stderr
+from motionkit.cli.console import RunsFolder, print_json, print_text, progress, stderr
 from motionkit.core.errors import UsageError
 from motionkit.core.files import default_path, write_whole
 from motionkit.core.progress import task

@@ -4,10 +4,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from motionkit.cli.options import AsJson, RunsFolder
 
 from eval.commands.eval import framerates, named_samples
-from motionkit.cli.console import print_json, print_table, progress, stderr, stdout
+from motionkit.cli.console import AsJson, RunsFolder, print_json, print_table, progress, stderr, stdout
 from motionkit.core.errors import MotionkitError
 from motionkit.core.files import default_path
 from motionkit.core.progress import task
