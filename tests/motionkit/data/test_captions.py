@@ -55,16 +55,11 @@ def test_windows_get_their_segments_and_mirrored_words(sequences):
     assert actions_of_windows(cut, sequences) == ["turn-left", "turn-right", "", "jump"]
 
 
-def captions(*spans):
-    return [{"text": f"{a}-{b}", "start_seconds": a, "end_seconds": b} for a, b in spans]
-
-
 def test_captions_of_a_window():
-    rows = captions((0.0, 20.0), (0.0, 4.0), (9.5, 14.0), (8.0, 12.0), (12.0, 20.0), (0.0, None), (9.0, None))
+    spans = ((0.0, 20.0), (0.0, 4.0), (9.5, 14.0), (8.0, 12.0), (12.0, 20.0), (0.0, None), (9.0, None))
+    rows = [caption(f"{start}-{end}", start, end) for start, end in spans]
     assert overlapping_captions(rows, 0.0, 10.0) == ("0.0-20.0", "0.0-4.0", "8.0-12.0", "0.0-None")
     assert overlapping_captions(rows, 9.0, 15.0)[-1] == "9.0-None"
-    with pytest.raises(ValueError, match="empty"):
-        overlapping_captions(rows, 3.0, 3.0)
 
 
 @pytest.mark.parametrize(
@@ -73,13 +68,10 @@ def test_captions_of_a_window():
         ("a person waves the left hand", "a person waves the right hand"),
         ("Left, then right; walk-turn-right", "Right, then left; walk-turn-left"),
         ("walks counter-clockwise around a bright cleft", "walks clockwise around a bright cleft"),
-        ("turn_left clockwise", "turn_right counterclockwise"),
         ("turns counter clockwise, then anti-clockwise", "turns clockwise, then clockwise"),
         ("Anticlockwise, then clockwise", "Clockwise, then counterclockwise"),
         ("leftward, leftwards and to the leftmost", "rightward, rightwards and to the rightmost"),
-        ("TURNS RIGHT", "TURNS LEFT"),
         ("upright, alright, counters and lefties", "upright, alright, counters and lefties"),
-        ("jumps", "jumps"),
     ],
 )
 def test_mirrored_text(text, seen_in_a_mirror):

@@ -26,5 +26,5 @@ def test_batches_hold_the_stores_frames(tmp_path):
     motion, start = store[int(batch["sequence_index"][4])], round(float(batch["start_seconds"][4]) * 120)
     assert (motion.sequence_id, start) == ("120", 16)
     np.testing.assert_array_equal(batch["joint_positions"][4], motion.joint_positions[16:48])
-    with pytest.raises(mk.UsageError, match=r"no sequence of .* has 101 frames"):
+    with pytest.raises(mk.UsageError, match="101"):
         mk.ClipDataset(store, num_frames=101)

@@ -51,7 +51,7 @@ def test_windows_cover_their_sequences_and_never_leave_them(
     source = make_source(frames, [rate] * len(frames))
     kept = [index for index, count in enumerate(frames) if (count - 1) / float(rate) >= 0.5]
     if not kept:
-        with pytest.raises(UsageError, match="no sequence lasts"):
+        with pytest.raises(UsageError):
             cut_windows(source, max_duration_seconds=longest, stride_seconds=min(stride, longest))
         return
     windows = cut_windows(source, max_duration_seconds=longest, stride_seconds=min(stride, longest))
@@ -172,10 +172,6 @@ def test_batches_go_through_all_rows_before_any_comes_back(count: int, batch: in
 
 def test_batches_are_the_same_in_every_version() -> None:
     # A resumed training goes on with them.
-    assert [shuffled_batches(5, 3, step, 7).tolist() for step in range(4)] == [
-        [1, 4, 3],
-        [2, 0, 3],
-        [4, 0, 1],
-        [2, 4, 3],
-    ]
+    drawn = np.concatenate([shuffled_batches(5, 3, step, 7) for step in range(4)])
+    assert drawn.tolist() == [1, 4, 3, 2, 0, 3, 4, 0, 1, 2, 4, 3]
     assert shuffled_batches(3, 8, 1, 7).tolist() == [1, 2, 1, 0, 2, 1, 0, 1]

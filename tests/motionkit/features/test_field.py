@@ -1,11 +1,9 @@
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import SMPL22
 from motionkit.features import field
 
@@ -52,19 +50,3 @@ def test_the_window_starts_at_the_origin_and_faces_z() -> None:
     assert np.allclose(local[:, 0, 0, [0, 2]], 0.0, atol=1e-6)
     assert np.allclose(vectors[:, :, 1], positions[:, :, 0, 1])
     assert np.allclose(field.heading(local[:, 0]), 0.0, atol=1e-6)
-
-
-def test_heading_follows_a_turn_about_the_vertical() -> None:
-    body = standing_bodies(np.random.default_rng(1), 1, 1)[0, 0]
-    before = field.heading(body)
-    for yaw in (-3.0, -1.0, 0.5, 3.1):
-        change = field.heading(turned(body, yaw, (0.0, 0.0))) - before
-        assert np.cos(change) == pytest.approx(np.cos(yaw), abs=1e-5)
-        assert np.sin(change) == pytest.approx(np.sin(yaw), abs=1e-5)
-
-
-def test_an_unknown_number_of_joints_is_refused_with_the_remedy() -> None:
-    with pytest.raises(UsageError, match=r"31 joints; map the motion"):
-        field.heading(np.zeros((1, 31, 3), np.float32))
-    with pytest.raises(ValueError, match="3 numbers per joint"):
-        field.decode(np.zeros((1, 1, 65), np.float32))

@@ -27,7 +27,7 @@ def wandering_body(body: PoseLayout, num_frames: int, seed: int) -> np.ndarray:
     return joints.astype(np.float32)
 
 
-@pytest.mark.parametrize(("name", "num_frames"), [("smpl22", 2), ("smpl22", 3), ("smpl22", 250), ("kit21", 40)])
+@pytest.mark.parametrize(("name", "num_frames"), [("smpl22", 2), ("smpl22", 120), ("kit21", 40)])
 def test_agrees_with_the_plain_reference(name: str, num_frames: int) -> None:
     joints = wandering_body(LAYOUTS[name], num_frames, seed=num_frames)
     found = humanml3d.vectors(joints, name)
@@ -75,11 +75,12 @@ def test_degenerate_bones_give_finite_rotations() -> None:
 
 
 def test_wrong_shapes_and_names_are_refused() -> None:
-    with pytest.raises(ValueError, match="at least 2 poses of 22 joints, not 9 of 21"):
-        humanml3d.vectors(np.zeros((9, 21, 3), np.float32), "smpl22")
-    with pytest.raises(UsageError, match="smpl22, kit21, not for 'smplx'"):
-        humanml3d.vectors(np.zeros((9, 21, 3), np.float32), "smplx")
-    with pytest.raises(ValueError, match="smpl22 vectors have 263 numbers, these have 251"):
+    joints = np.zeros((9, 21, 3), np.float32)
+    with pytest.raises(ValueError, match="22"):
+        humanml3d.vectors(joints, "smpl22")
+    with pytest.raises(UsageError, match="'smplx'"):
+        humanml3d.vectors(joints, "smplx")
+    with pytest.raises(ValueError, match="251"):
         humanml3d.positions(np.zeros((9, 251), np.float32), "smpl22")
 
 
@@ -114,15 +115,15 @@ def test_the_two_signatures_are_distinguished() -> None:
     weighted = evaluators(plain)
     statistics.check_statistics(plain, 22, "published")
     statistics.check_statistics(weighted, 22, "evaluator")
-    with pytest.raises(ValueError, match="these are evaluator statistics"):
-        statistics.check_statistics(weighted, 22, "published")
-    with pytest.raises(ValueError, match="these are published statistics"):
-        statistics.check_statistics(plain, 22, "evaluator")
     uneven = statistics.Statistics("humanml3d", plain.mean, np.linspace(1, 2, 263))
-    with pytest.raises(ValueError, match="varies inside numbers 1 to 2"):
-        statistics.check_statistics(uneven, 22, "published")
-    with pytest.raises(ValueError, match="have 251 numbers, these have 263"):
-        statistics.check_statistics(plain, 21, "published")
+    for given, joints, kind, says in (
+        (weighted, 22, "published", "evaluator"),
+        (plain, 22, "evaluator", "published"),
+        (uneven, 22, "published", "1 to 2"),
+        (plain, 21, "published", "251"),
+    ):
+        with pytest.raises(ValueError, match=says):
+            statistics.check_statistics(given, joints, kind)
 
 
 def test_signatures_of_the_real_files(captures: Path, golden_humanml3d: Path) -> None:

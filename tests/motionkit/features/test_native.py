@@ -90,8 +90,3 @@ def test_contacts_do_not_depend_on_the_unit() -> None:
     fps = Fraction(25, 2)
     pair = [native.vectors(analytic_motion(fps, "kit21", unit, 0.3), "kit21", fps)[:, 247:] for unit in (1.0, 1000.0)]
     assert np.array_equal(*pair) and 0.05 < pair[0].mean() < 0.95
-
-
-def test_a_single_pose_is_refused() -> None:
-    with pytest.raises(ValueError, match="at least 2 poses"):
-        native.vectors(np.zeros((1, 22, 3), np.float32), "smpl22", Fraction(20))

@@ -28,13 +28,6 @@ def moving(num_frames: int = 30) -> Motion:
     return Motion(analytic_positions(grid.seconds(), 1), SMPL22, grid)
 
 
-@given(seed=st.integers(0, 2**31))
-def test_columns_and_rotations_are_inverse(seed: int) -> None:
-    q = random_rotations(seed, 5, 22)
-    matrices = kinematics.closest_rotations(rotations.two_columns(q))
-    np.testing.assert_allclose(matrices, kinematics.quaternion_to_matrix(q), atol=1e-12)
-
-
 def test_positions_without_rotations_come_back_exactly() -> None:
     motion = moving()
     found = rotations.rotation_rows(motion)

