@@ -5,25 +5,28 @@ whole, and the command, repeated, must end with the files of an undisturbed run 
 under a reader or before a command is named.
 """
 
+import hashlib
 import json
 import re
+import shutil
 import signal
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
 from benchmarks.trust.process import UNDISTURBED, Fault, Outcome, run_command
-from benchmarks.trust.report import Case, Report
 from benchmarks.trust.scenarios import CALL, RUN, SCENARIOS, STARTS, STORE, Arguments, Scenario, train
-from benchmarks.trust.trees import copy, difference, look, tree
 from eval.report.results import environment
+from motionkit.core.errors import MotionkitError
+from motionkit.store import Store
+from motionkit.store.schema import MANIFEST_FILE
+from motionkit.store.validate import faults
 
-DEFAULT_SECONDS = 300.0
 # Number of trials of each kind in a whole drill; of file operations it tries all.
 NUM_TRIALS = {"bytes": 12, "moment": 12, "limit": 6, "interrupt": 6, "terminate": 3}
 # Permitted exit codes; 130 is Ctrl-C's.
@@ -43,6 +46,43 @@ MEETING: tuple[Arguments, ...] = (
     (*train("field"), "--resume"),
     ("generate", "--action", "walk", "--fps", "30", "--seconds", "1", "--out", "made", *RUN),
 )
+# Times, and checksums of files that hold them: of the document itself, of metrics.jsonl.
+VOLATILE = frozenset(("checksum", "cpu_seconds", "metrics", "metrics.jsonl", "time", "wall_seconds"))
+TIMED = (".jsonl", "summary.json")
+SHOWN = 3
+
+
+@dataclass(frozen=True)
+class Case:
+    """One kind of trial: the number of trials, and each failure in one line that says how to repeat it.
+
+    `figures` holds further numbers.
+    """
+
+    name: str
+    tried: int
+    failures: tuple[str, ...] = ()
+    figures: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Report:
+    """One part of the drill, after it ran."""
+
+    part: str
+    seed: int
+    seconds: float
+    cases: tuple[Case, ...]
+    environment: Mapping[str, Any]
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """All failures, each with the name of its case."""
+        return tuple(f"{case.name}: {failure}" for case in self.cases for failure in case.failures)
+
+    def plain(self) -> dict[str, Any]:
+        """The report as JSON holds it, with its sums."""
+        return {**asdict(self), "tried": sum(case.tried for case in self.cases), "failed": len(self.failures)}
 
 
 class UndisturbedError(Exception):
@@ -53,7 +93,7 @@ class UndisturbedError(Exception):
 class Expected:
     """The reference of an undisturbed run: the folder before it, after it, and after it was repeated.
 
-    `store_before` and `store_after` are what a reader finds in the store (`trees.look`).
+    `store_before` and `store_after` are what a reader finds in the store (`look`).
     """
 
     before: dict[str, str]
@@ -95,13 +135,13 @@ class Drill:
         start, place, ends = self.start_of(scenario.start), self.folder / "place", []
         for _ in range(2):
             copy(start, place)
-            before, store_before = tree(place), look_at(scenario, place)
+            before, store_before = tree(place), look(place / scenario.store)
             outcome = self.run(scenario, place)
             require_success(outcome, scenario.command)
             ends.append(tree(place))
         if differing := difference(ends[1], ends[0]):
             raise UndisturbedError(f"{scenario.name} does not give the same twice, without any fault: {differing}")
-        store_after = look_at(scenario, place)
+        store_after = look(place / scenario.store)
         changed = [place / name for name in ends[0] if ends[0][name] != before.get(name)]
         sizes = tuple(path.stat().st_size for path in changed if path.is_file() and path.stat().st_size)
         again = self.run(scenario, place, repeating=True)
@@ -117,7 +157,7 @@ class Drill:
         place = self.folder / "place"
         copy(self.start_of(scenario.start), place)
         hit = self.run(scenario, place, fault)
-        found = look_at(scenario, place)
+        found = look(place / scenario.store)
         problem = ending_fault(hit, scenario, expected, fault) or state_fault(scenario, expected, place, found)
         if problem:
             return problem
@@ -235,11 +275,6 @@ def ending_fault(hit: Outcome, scenario: Scenario, expected: Expected, fault: Fa
     return f"it failed without saying what with: {hit.last_line}" if hit.code == 1 and not explained else ""
 
 
-def look_at(scenario: Scenario, place: Path) -> dict[str, Any]:
-    """What a reader finds in the scenario's store."""
-    return look(place / scenario.store) if scenario.store else {}
-
-
 def refuses(outcome: Outcome, scenario: Scenario) -> bool:
     """Whether a repeated command says that there is nothing left to do."""
     return bool(scenario.refusal) and outcome.code in (1, 2) and bool(re.search(scenario.refusal, outcome.err))
@@ -249,3 +284,79 @@ def require_success(outcome: Outcome, arguments: Arguments) -> None:
     """Raise `UndisturbedError` if an undisturbed command failed."""
     if outcome.code != 0:
         raise UndisturbedError(f"`{' '.join(arguments)}` fails undisturbed ({outcome.code}): {outcome.last_line}")
+
+
+def tree(folder: Path) -> dict[str, str]:
+    """Every file and folder below a folder with a digest of its content, as far as it does not depend on the clock."""
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        found[name] = f"-> {path.readlink()}" if path.is_symlink() else "/" if path.is_dir() else _digest(path)
+    return found
+
+
+def difference(found: Mapping[str, str], expected: Mapping[str, str]) -> str:
+    """The differences of two trees, in a few words; empty if there are none."""
+    lines = []
+    for words, names in (
+        ("left over", found.keys() - expected.keys()),
+        ("missing", expected.keys() - found.keys()),
+        ("different", {name for name in found.keys() & expected.keys() if found[name] != expected[name]}),
+    ):
+        if names:
+            more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+            lines.append(f"{words}: {', '.join(sorted(names)[:SHOWN])}{more}")
+    return "; ".join(lines)
+
+
+def copy(source: Path, target: Path) -> None:
+    """Copy a folder over whatever was at the target."""
+    shutil.rmtree(target, ignore_errors=True)
+    shutil.copytree(source, target, symlinks=True)
+
+
+def _digest(path: Path) -> str:
+    if path.name.endswith(".lock"):
+        return "lock"  # it holds the number of a process
+    if path.name == "SHA256SUMS":
+        return "sums"  # of files that hold times
+    content = path.read_bytes()
+    try:
+        if path.suffix in (".json", ".jsonl"):
+            dropped = VOLATILE | {"seconds"} if path.name.endswith(TIMED) else VOLATILE
+            documents = [json.loads(part) for part in (content.splitlines() if path.suffix == ".jsonl" else [content])]
+            content = json.dumps([_kept(each, dropped) for each in documents], sort_keys=True).encode()
+        elif path.suffix == ".safetensors":
+            end = 8 + int.from_bytes(content[:8], "little")
+            header = json.loads(content[8:end])
+            description = json.loads(header.pop("__metadata__")["description"])
+            content = json.dumps([header, _kept(description, VOLATILE)], sort_keys=True).encode() + content[end:]
+    except (KeyError, ValueError):
+        pass  # as it stands
+    return hashlib.sha256(content).hexdigest()
+
+
+def _kept(value: Any, dropped: frozenset[str]) -> Any:
+    if isinstance(value, dict):
+        return {name: _kept(each, dropped) for name, each in value.items() if name not in dropped}
+    return [_kept(each, dropped) for each in value] if isinstance(value, list) else value
+
+
+def look(path: Path) -> dict[str, Any]:
+    """What a reader finds in a store: its fingerprint, a digest of every motion, and `validate`'s faults."""
+    if not (path / MANIFEST_FILE).exists():
+        return {}
+    try:
+        store = Store.open(path)
+        return {"fingerprint": store.fingerprint, "content": content_of(store), "faults": list(faults(path))}
+    except MotionkitError as error:
+        return {"unreadable": str(error)}
+
+
+def content_of(store: Store) -> str:
+    """A digest of the content of a store's sequences, independent of its parts and indices."""
+    found = hashlib.sha256()
+    for motion in store.read_many(store.select()):
+        facts = (motion.sequence_id, motion.fps, motion.split, motion.action, motion.captions)
+        found.update(repr(facts).encode() + np.ascontiguousarray(motion.joint_positions).tobytes())
+    return found.hexdigest()

@@ -76,15 +76,8 @@ def _text(rng: Random, content: bytes) -> bytes:
         return content[:start] + rng.choice((b"{", b"[", b"(", b'{"a":', content[start : start + 60])) * 20_000
     if fate == 8:
         text = content.decode("latin-1")
-        changed = (
-            text.encode("utf-16"),
-            content.replace(b"\n", b"\r"),
-            content.upper(),
-            b"",
-            b"\0" * 1000,
-            content * 2,
-        )
-        return rng.choice(changed)
+        returns = content.replace(b"\n", b"\r")
+        return rng.choice((text.encode("utf-16"), returns, content.upper(), b"", b"\0" * 1000, content * 2))
     return _bytes(rng, content)
 
 

@@ -157,14 +157,9 @@ def write_takes(folder: str, first: str, count: str, seconds: str) -> None:
     path, rows = Path(folder), ["file,fps,action,subject,caption,split\n"]
     path.mkdir(parents=True)
     for number in range(int(first), int(first) + int(count)):
-        action, fps, split = (
-            ACTIONS[number % 4],
-            (30, 60)[number // 2 % 2],
-            ("train", "train", "train", "test")[number % 4],
-        )
-        write_bvh(
-            to_motion(analytic_motion(action, float(seconds), number), Fraction(fps)), path / f"take-{number}.bvh"
-        )
+        action, fps, split = ACTIONS[number % 4], (30, 60)[number // 2 % 2], "test" if number % 4 == 3 else "train"
+        motion = to_motion(analytic_motion(action, float(seconds), number), Fraction(fps))
+        write_bvh(motion, path / f"take-{number}.bvh")
         rows.append(f"take-{number}.bvh,{fps},{action},p{number % 3},a person does a {action},{split}\n")
     (path / "clips.csv").write_text("".join(rows), "utf-8")
 

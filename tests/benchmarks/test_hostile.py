@@ -10,10 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.trust.crash import Drill, require_success
+from benchmarks.trust.crash import Drill, copy, require_success
 from benchmarks.trust.process import Outcome, run_command
 from benchmarks.trust.scenarios import EVAL_PAHIRES, GENERATE, takes, train
-from benchmarks.trust.trees import copy
 from tests.hostile import SCENES
 from tests.hostile.scene import EVIL, Scene, Spoil, links, text
 

@@ -7,10 +7,9 @@ from pathlib import Path
 import pytest
 
 from benchmarks.trust import crash
-from benchmarks.trust.crash import Drill
+from benchmarks.trust.crash import Drill, difference, tree
 from benchmarks.trust.process import Fault
 from benchmarks.trust.scenarios import STARTS, Scenario
-from benchmarks.trust.trees import difference, tree
 
 CARELESS = "call:tests.helpers.careless:"
 CAREFUL = Scenario("careful", "nothing", (f"{CARELESS}write_carefully", "letters"), store="", whole=("letters",))

@@ -1,4 +1,4 @@
-"""The drill's fuzz: what a reader does wrong is found and named, and ours do nothing wrong."""
+"""The drill's fuzz and flipped bytes: what a reader does wrong is found and named, and ours do nothing wrong."""
 
 import math
 import os
@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from benchmarks.trust import fuzz
-from benchmarks.trust.fuzz import Target, all_targets
-from benchmarks.trust.mutate import mutate
+from benchmarks.trust.crash import Drill
+from benchmarks.trust.fuzz import Target, all_targets, written_targets
+from benchmarks.trust.mutate import flip, mutate
 from motionkit.core.errors import MotionkitError
 
 # `MOTIONKIT_FUZZ_INPUTS=2000 pytest tests/benchmarks/test_trust_fuzz.py` hunts for longer.
@@ -79,3 +80,45 @@ def test_an_input_is_made_again(tmp_path: Path) -> None:
 def test_every_reader_explains_what_is_wrong(tmp_path: Path, target: Target) -> None:
     """A slice of `python -m benchmarks.trust fuzz`."""
     assert fuzz.run(0, math.inf, tmp_path, [target], INPUTS_EACH).failures == ()
+
+
+LETTERS = bytes(65 + number % 26 for number in range(200))
+
+
+def refuse_changes(message: str) -> Callable[[Path], object]:
+    def use(folder: Path) -> object:
+        if (folder / "letters").read_bytes() != LETTERS:
+            raise MotionkitError(message)
+        return None
+
+    return use
+
+
+@pytest.mark.parametrize(
+    ("use", "failure", "outcome"),
+    [
+        (lambda folder: None, "", "read"),
+        (refuse_changes("letters is damaged"), "", "refused"),
+        (refuse_changes("something is damaged"), "letters: not named: something is damaged", "failed"),
+        (lambda folder: sum((folder / "letters").read_bytes()), "letters: missed", "failed"),
+    ],
+)
+def test_each_outcome_is_distinguished(
+    use: Callable[[Path], object], failure: str, outcome: str, tmp_path: Path
+) -> None:
+    target = Target("letters", lambda folder: (folder / "letters").write_bytes(LETTERS), use, exact=True)
+    [case] = fuzz.run(3, math.inf, tmp_path, [target], 8).cases
+    assert case.figures == {outcome: 8}
+    assert list(case.failures) == [f"letters:3:{number}: {failure}" for number in range(8) if failure]
+
+
+def test_a_flip_changes_one_byte_and_is_made_again() -> None:
+    flips = [flip(Random(number), bytes(1000)) for number in range(200)]
+    assert flips == [flip(Random(number), bytes(1000)) for number in range(200)]
+    assert all(sum(map(bool, content)) == 1 for content in flips)
+
+
+def test_every_flip_in_a_store_is_noticed(tmp_path: Path) -> None:
+    """A slice of `python -m benchmarks.trust corruption`: the kinds whose starting folder is made in seconds."""
+    kinds = [target for target in written_targets(Drill(tmp_path / "drill")) if target.name.startswith("store")]
+    assert fuzz.run(0, math.inf, tmp_path / "flips", kinds, 8).failures == ()
