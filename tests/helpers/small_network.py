@@ -10,7 +10,8 @@ from motionkit.training.run import RunFolder, StageContext
 from pahires.temporal.base_curves import located, seconds_beyond
 from pahires.temporal.network import ObservedWindow
 from pahires.temporal.settings import TaskSettings, TemporalConfig, TemporalSettings
-from pahires.temporal.training import TrainedNetwork, load_network, train_network
+from pahires.temporal.system import TemporalSystem
+from pahires.temporal.training import TrainedNetwork
 from tests.helpers.tiny import write_store
 
 TASKS = TaskSettings(
@@ -58,8 +59,9 @@ class SmallNetwork(torch.nn.Module):
         return answer
 
 
-def make(config: SmallConfig, num_features: int) -> torch.nn.Module:
-    return SmallNetwork(num_features, config.network)
+SYSTEM = TemporalSystem(
+    "small", "", SmallConfig, lambda config, num_features: SmallNetwork(num_features, config.network), {}
+)
 
 
 def train(folder: Path, config: SmallConfig, *, resume: bool = False) -> RunFolder:
@@ -69,9 +71,9 @@ def train(folder: Path, config: SmallConfig, *, resume: bool = False) -> RunFold
         write_store(store)
     run = RunFolder(folder / "run")
     context = StageContext(store, run, "tiny", seed=3, resume=resume, device="cpu")
-    train_network(context, "small", config, make)
+    SYSTEM.train(context, config)
     return run
 
 
 def load(run: RunFolder) -> TrainedNetwork:
-    return load_network(run, "small", SmallConfig, make, name="Small")
+    return SYSTEM.load_network(run.path, "Small")

@@ -7,6 +7,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from pahires.model import PaHiRes
 from pahires.temporal.network import ObservedWindow
 from peers.delta_interp import DeltaInterp, DeltaInterpNetworkConfig
 from peers.super_resolution import (
@@ -22,6 +23,7 @@ from peers.super_resolution import (
     MetaSrNetworkConfig,
 )
 from peers.ts_former import RelativeEncoder, TsFormer, TsFormerNetworkConfig
+from tests.helpers.tiny_temporal import PAHIRES_NETWORK
 
 POSE = 9
 SMALL = EdsrConfig(blocks=1, features=4)
@@ -31,6 +33,7 @@ NETWORKS: dict[str, Callable[[], nn.Module]] = {
     "a-liif": lambda: ALiif(ALiifNetworkConfig(SMALL, width=6, layers=2, basis=3, expansion_hidden=8), POSE),
     "lmf": lambda: Lmf(LmfNetworkConfig(SMALL, width=6, layers=3), POSE),
     "delta-interp": lambda: DeltaInterp(DeltaInterpNetworkConfig(8, 2, 2, 2, 3, 20), POSE),
+    "pahires": lambda: PaHiRes(PAHIRES_NETWORK, POSE),
     "ts-former": lambda: TsFormer(TsFormerNetworkConfig(8, 2, 2, 4, 8), POSE),
 }
 ENSEMBLES, INBETWEENERS = ("liif", "a-liif", "lmf"), ("delta-interp", "ts-former")
@@ -41,7 +44,10 @@ GAP = [10.0, 11.0, 12.0, 13.0, 14.0, 15.0]
 
 def small(name: str) -> nn.Module:
     torch.manual_seed(0)
-    return NETWORKS[name]().eval()
+    network = NETWORKS[name]().eval()
+    if isinstance(network, PaHiRes):  # its answers start at zero
+        nn.init.normal_(network.answer.weight, std=0.1)
+    return network
 
 
 def window_of(kept: list[int], queries: list[float]) -> ObservedWindow:
@@ -85,7 +91,7 @@ def _codes(network: nn.Module, rows: Tensor) -> Tensor:
 
     head = hidden = convolved(encoder.head, rows)
     for block in encoder.blocks:
-        hidden = hidden + convolved(block.second, torch.clamp(convolved(block.first, hidden), min=0))
+        hidden = hidden + convolved(block[2], torch.clamp(convolved(block[0], hidden), min=0))
     features = convolved(encoder.tail, hidden) + head
     return torch.stack([torch.cat(near(features, frame)) for frame in range(last + 1)])
 
