@@ -1,6 +1,6 @@
 """ACTOR (Petrovich et al. 2021; Mathux/ACTOR, src/models/architectures/transformer.py): a conditional VAE."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
@@ -9,7 +9,7 @@ from torch.nn.functional import mse_loss
 from motionkit.training.config import Schedule
 from motionkit.training.networks import Conditions, kl_divergence, reparameterized
 from peers import layers
-from peers.generating import GIVEN, GIVEN_MINILM, SMALL, OptimizerConfig, PeerConfig, PeerStage, cosine
+from peers.generating import GIVEN, GIVEN_MINILM, SMALL, PeerConfig, PeerStage, cosine
 from peers.layers import ConditionVector, Latents, NetworkInputs, PeerNetwork, TransformerSizes, positions
 from peers.motions import Mask, MotionBatch, MotionsConfig, Rows, SampleBatch
 
@@ -18,7 +18,7 @@ from peers.motions import Mask, MotionBatch, MotionsConfig, Rows, SampleBatch
 class ActorNetworkConfig:
     """ACTOR: transformers of these sizes to one latent of their width and back."""
 
-    transformer: TransformerSizes = field(default_factory=lambda: TransformerSizes(8, 256, 4, 1024))
+    transformer: TransformerSizes = TransformerSizes(8, 256, 4, 1024)
     joint_weight: float = 1.0
     kl_weight: float = 1e-5
 
@@ -81,6 +81,6 @@ ACTOR = PeerStage(
         MotionsConfig(max_frames=60),
         replace(GIVEN, kind="action"),
         Schedule(epochs=5000, batch_size=20),
-        OptimizerConfig(weight_decay=0.01),
+        weight_decay=0.01,
     ),
 )

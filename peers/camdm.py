@@ -1,6 +1,6 @@
 """CAMDM (Chen et al. 2024; AIGAnimation/CAMDM, PyTorch/network): autoregressive diffusion of segments in four steps."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
@@ -9,7 +9,7 @@ from motionkit.core.shapes import Bool, Float
 from motionkit.training.config import DiffusionConfig, Schedule
 from motionkit.training.networks import Conditions
 from peers import layers
-from peers.generating import MINILM, SMALL, OptimizerConfig, PeerConfig, PeerStage, cosine
+from peers.generating import MINILM, SMALL, PeerConfig, PeerStage, cosine
 from peers.layers import ConditionVector, NetworkInputs, PeerNetwork, Steps, TransformerSizes, positions, sinusoids
 from peers.motions import ConditionsConfig, MotionBatch, MotionsConfig, Rows, SampleBatch
 
@@ -21,19 +21,12 @@ FEET, CONTACT_METRES = (7, 10, 8, 11), 0.01
 class CamdmNetworkConfig:
     """CAMDM: predicts `future` frames from `past` ones, which are dropped with probability `no_past`."""
 
-    transformer: TransformerSizes = field(default_factory=lambda: TransformerSizes(4, 256, 4, 1024))
+    transformer: TransformerSizes = TransformerSizes(4, 256, 4, 1024)
     past: int = 10
     future: int = 45
     no_past: float = 0.15
-    diffusion: DiffusionConfig = field(
-        default_factory=lambda: DiffusionConfig(
-            num_steps=4,
-            schedule="cosine",
-            prediction="latent",
-            sampler="ddpm",
-            sampling_steps=4,
-            guidance_scale=1.0,
-        )
+    diffusion: DiffusionConfig = DiffusionConfig(
+        num_steps=4, schedule="cosine", prediction="latent", sampler="ddpm", sampling_steps=4, guidance_scale=1.0
     )
 
 
@@ -116,14 +109,14 @@ CAMDM = PeerStage(
         STRETCHES,
         replace(MINILM, drop=0.15),
         cosine(6000, 64, 3e-3),
-        OptimizerConfig(ema_decay=0.995),
-        "auto",
+        ema_decay=0.995,
+        precision="auto",
     ),
     paper=PeerConfig(
         CamdmNetworkConfig(),
         STRETCHES,
         ConditionsConfig(drop=0.15),
         Schedule(epochs=100, batch_size=512),
-        OptimizerConfig(weight_decay=0.01),
+        weight_decay=0.01,
     ),
 )

@@ -1,6 +1,6 @@
 """ACMDM's small form (Meng et al. 2025; neu-vi/ACMDM, models/ACMDM.py): a rectified flow of absolute coordinates."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
@@ -11,7 +11,7 @@ from motionkit.core.shapes import Float
 from motionkit.training.config import Schedule
 from motionkit.training.networks import Conditions, guided
 from motionkit.training.pose_vectors import VectorScaling
-from peers.generating import MINILM, OptimizerConfig, PeerConfig, PeerStage, cosine
+from peers.generating import MINILM, PeerConfig, PeerStage, cosine
 from peers.layers import (
     ConditionVector,
     Latents,
@@ -32,7 +32,7 @@ TIME_SCALE = 1000
 class FlowNetworkConfig:
     """ACMDM's small form: a transformer of these sizes, sampled by `sampling_steps` Euler steps."""
 
-    transformer: TransformerSizes = field(default_factory=lambda: TransformerSizes(8, 512, 8, 1365))
+    transformer: TransformerSizes = TransformerSizes(8, 512, 8, 1365)
     sampling_steps: int = 50
     guidance_scale: float = 3.0
 
@@ -168,13 +168,14 @@ FLOW = PeerStage(
         COORDINATES,
         MINILM,
         cosine(5000, 16, 3e-3),
-        OptimizerConfig(ema_decay=0.995),
-        "auto",
+        ema_decay=0.995,
+        precision="auto",
     ),
     paper=PeerConfig(
         FlowNetworkConfig(),
         COORDINATES,
         schedule=Schedule(epochs=500, learning_rate=2e-4),
-        optimizer=OptimizerConfig(weight_decay=0.01, ema_decay=0.9999),
+        weight_decay=0.01,
+        ema_decay=0.9999,
     ),
 )

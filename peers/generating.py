@@ -3,7 +3,6 @@
 A trained system gives frames at its own framerate, and SLERP between them.
 """
 
-import dataclasses
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -50,29 +49,25 @@ MOTIONS_PER_BATCH = 64
 
 
 @dataclass(frozen=True)
-class OptimizerConfig:
-    """AdamW; `ema_decay` above 0 saves an exponential moving average of the weights; `clip_norm` above 0 clips the
-    gradient's norm."""
+class PeerConfig:
+    """A stage's configuration; the part `network` has the sizes of its own network.
 
+    AdamW; `ema_decay` above 0 saves an exponential moving average of the weights; `clip_norm` above 0 clips the
+    gradient's norm.
+    """
+
+    network: Any = None
+    motions: MotionsConfig = MotionsConfig()
+    conditions: ConditionsConfig = ConditionsConfig()
+    schedule: Schedule = Schedule(epochs=1)
     weight_decay: float = 0.0
     ema_decay: float = 0.0
     clip_norm: float = 0.0
+    precision: Precision = "float32"
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.ema_decay < 1.0:
             raise ValueError(f"ema_decay must lie in [0, 1), not {self.ema_decay}")
-
-
-@dataclass(frozen=True)
-class PeerConfig:
-    """A stage's configuration; the part `network` has the sizes of its own network."""
-
-    network: Any = None
-    motions: MotionsConfig = dataclasses.field(default_factory=MotionsConfig)
-    conditions: ConditionsConfig = dataclasses.field(default_factory=ConditionsConfig)
-    schedule: Schedule = dataclasses.field(default_factory=partial(Schedule, epochs=1))
-    optimizer: OptimizerConfig = dataclasses.field(default_factory=OptimizerConfig)
-    precision: Precision = "float32"
 
 
 def cosine(steps: int, batch_size: int, learning_rate: float) -> Schedule:
@@ -149,9 +144,9 @@ class PeerTraining:
         self.network = network.to(device)
         self.steps = config.schedule.num_steps(len(corpus))
         optimizer = torch.optim.AdamW(
-            network.parameters(), lr=config.schedule.learning_rate, weight_decay=config.optimizer.weight_decay
+            network.parameters(), lr=config.schedule.learning_rate, weight_decay=config.weight_decay
         )
-        self.learner = Learner(network, optimizer, config.optimizer.ema_decay)
+        self.learner = Learner(network, optimizer, config.ema_decay)
         self.state_tensors, self.load_state_tensors = self.learner.state_tensors, self.learner.load_state_tensors
 
     def step(self, step: int, generator: torch.Generator) -> Mapping[str, Tensor]:
@@ -162,7 +157,7 @@ class PeerTraining:
         with dropout_from(generator, self.device), autocast(self.config.precision, self.device):
             figures = self.network.train().losses(batch.at_step(step, self.steps, self.device))
         rate = schedule.factor(step, self.steps) * schedule.learning_rate
-        self.learner.descend(figures["loss"], step, rate, self.config.optimizer.clip_norm)
+        self.learner.descend(figures["loss"], step, rate, self.config.clip_norm)
         return {name: figure.detach() for name, figure in figures.items()}
 
 

@@ -15,7 +15,7 @@ from motionkit.core.shapes import Float
 from motionkit.features.layout import SMPL22_LAYOUT
 from motionkit.training.config import Schedule
 from motionkit.training.networks import Conditions
-from peers.generating import GIVEN, GIVEN_MINILM, SLOW, OptimizerConfig, PeerConfig, PeerStage, cosine
+from peers.generating import GIVEN, GIVEN_MINILM, SLOW, PeerConfig, PeerStage, cosine
 from peers.layers import ConditionVector, NetworkInputs, PeerNetwork, first_poses, last_states
 from peers.motions import Lengths, MotionBatch, PoseSpace, Rows, SampleBatch, frames_within
 
@@ -188,11 +188,7 @@ HIER = PeerStage(
     "Hier: autoregressive poses from one code for each half of the body",
     Hier,
     nano=PeerConfig(
-        HierNetworkConfig(limb=64, width=160, mean_first=0.5),
-        SLOW,
-        GIVEN_MINILM,
-        cosine(2400, 32, 3e-3),
-        OptimizerConfig(clip_norm=1.0),
+        HierNetworkConfig(limb=64, width=160, mean_first=0.5), SLOW, GIVEN_MINILM, cosine(2400, 32, 3e-3), clip_norm=1.0
     ),
     paper=PeerConfig(
         HierNetworkConfig(),

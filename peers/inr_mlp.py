@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from motionkit.core.shapes import Float, Float64, Int64
 from motionkit.training.config import Schedule
 from motionkit.training.networks import NO_ACTION, kl_divergence, reparameterized
-from peers.generating import GIVEN, GIVEN_MINILM, OptimizerConfig, PeerConfig, PeerStage, cosine
+from peers.generating import GIVEN, GIVEN_MINILM, PeerConfig, PeerStage, cosine
 from peers.layers import ConditionVector, Latents, NetworkInputs, PeerNetwork, sinusoids
 from peers.motions import MotionBatch, MotionsConfig, Rows, SampleBatch
 
@@ -184,14 +184,14 @@ INR_MLP = PeerStage(
         WHOLE_IN_5,
         GIVEN_MINILM,
         cosine(12_000, 256, 1e-3),
-        OptimizerConfig(clip_norm=2.0),
-        "auto",
+        clip_norm=2.0,
+        precision="auto",
     ),
     paper=PeerConfig(
         InrMlpNetworkConfig(),
         WHOLE_IN_5,
         replace(GIVEN, kind="action"),
         Schedule(epochs=10_000, batch_size=512, learning_rate=1e-3),
-        OptimizerConfig(clip_norm=2.0),
+        clip_norm=2.0,
     ),
 )

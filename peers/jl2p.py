@@ -11,7 +11,7 @@ from torch.nn.functional import smooth_l1_loss
 
 from motionkit.core.shapes import Float
 from motionkit.training.config import Schedule
-from peers.generating import GIVEN, GIVEN_MINILM, SLOW, OptimizerConfig, PeerConfig, PeerStage, cosine
+from peers.generating import GIVEN, GIVEN_MINILM, SLOW, PeerConfig, PeerStage, cosine
 from peers.layers import ConditionVector, Latents, NetworkInputs, PeerNetwork, first_poses, last_states
 from peers.motions import Lengths, MotionBatch, Rows, SampleBatch
 
@@ -82,7 +82,7 @@ JL2P = PeerStage(
         SLOW,
         GIVEN_MINILM,
         cosine(6000, 64, 1e-3),
-        OptimizerConfig(clip_norm=1.0),
+        clip_norm=1.0,
     ),
     paper=PeerConfig(
         Jl2pNetworkConfig(),

@@ -1,6 +1,6 @@
 """MDM (Tevet et al. 2023; GuyTevet/motion-diffusion-model, model/mdm.py): diffusion of whole motions."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from motionkit.training.config import DiffusionConfig, Schedule
 from motionkit.training.networks import Conditions
 from peers import layers
-from peers.generating import MINILM, SMALL, OptimizerConfig, PeerConfig, PeerStage, cosine
+from peers.generating import MINILM, SMALL, PeerConfig, PeerStage, cosine
 from peers.layers import NetworkInputs, PeerNetwork, Steps, TransformerSizes, positions, sinusoids
 from peers.motions import Mask, MotionBatch, Rows, SampleBatch
 
@@ -20,15 +20,9 @@ class MdmNetworkConfig:
     1,000 steps as first published, all of them sampled; `mdm-50` is trained separately with 50.
     """
 
-    transformer: TransformerSizes = field(default_factory=lambda: TransformerSizes(8, 512, 4, 1024))
-    diffusion: DiffusionConfig = field(
-        default_factory=lambda: DiffusionConfig(
-            schedule="cosine",
-            prediction="latent",
-            sampler="ddpm",
-            sampling_steps=1000,
-            guidance_scale=2.5,
-        )
+    transformer: TransformerSizes = TransformerSizes(8, 512, 4, 1024)
+    diffusion: DiffusionConfig = DiffusionConfig(
+        schedule="cosine", prediction="latent", sampler="ddpm", sampling_steps=1000, guidance_scale=2.5
     )
 
 
@@ -75,11 +69,7 @@ class Mdm(PeerNetwork):
 
 
 NANO = PeerConfig(
-    MdmNetworkConfig(SMALL),
-    conditions=MINILM,
-    schedule=cosine(6000, 16, 1e-3),
-    optimizer=OptimizerConfig(ema_decay=0.995),
-    precision="auto",
+    MdmNetworkConfig(SMALL), conditions=MINILM, schedule=cosine(6000, 16, 1e-3), ema_decay=0.995, precision="auto"
 )
 PAPER = PeerConfig(MdmNetworkConfig(), schedule=Schedule(steps=600_000))
 
@@ -88,7 +78,7 @@ def _in_50_steps(config: PeerConfig, ema_decay: float) -> PeerConfig:
     """The same training with 50 diffusion steps."""
     diffusion = replace(config.network.diffusion, num_steps=50, sampling_steps=50)
     network = replace(config.network, diffusion=diffusion)
-    return replace(config, network=network, optimizer=OptimizerConfig(ema_decay=ema_decay))
+    return replace(config, network=network, ema_decay=ema_decay)
 
 
 MDM = PeerStage("mdm", "MDM: diffusion of whole motions in 1,000 steps (NeRM's peer)", Mdm, NANO, PAPER)

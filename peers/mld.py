@@ -1,6 +1,6 @@
 """MLD (Chen et al. 2023; ChenFengYe/motion-latent-diffusion, mld/models): diffusion in the latent space of a VAE."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
@@ -10,7 +10,7 @@ from motionkit.core.shapes import Float
 from motionkit.training.config import DiffusionConfig, Schedule
 from motionkit.training.networks import Conditions, kl_divergence, reparameterized
 from peers import layers
-from peers.generating import MINILM, UNCONDITIONAL, OptimizerConfig, PeerConfig, PeerStage, cosine
+from peers.generating import MINILM, UNCONDITIONAL, PeerConfig, PeerStage, cosine
 from peers.layers import Latents, LongSkips, NetworkInputs, PeerNetwork, Steps, TransformerSizes
 from peers.motions import ConditionsConfig, Mask, MotionBatch, Rows, SampleBatch
 
@@ -24,7 +24,7 @@ class MldVaeNetworkConfig:
     `longest` is the number of learned positions.
     """
 
-    transformer: TransformerSizes = field(default_factory=lambda: TransformerSizes(9, 256, 4, 1024))
+    transformer: TransformerSizes = TransformerSizes(9, 256, 4, 1024)
     longest: int = 500
     joint_weight: float = 1.0
     kl_weight: float = 1e-4
@@ -37,10 +37,10 @@ class MldNetworkConfig:
     Training draws `noises` noise samples per latent, since encoding costs far more than denoising.
     """
 
-    transformer: TransformerSizes = field(default_factory=lambda: TransformerSizes(9, 256, 4, 1024))
+    transformer: TransformerSizes = TransformerSizes(9, 256, 4, 1024)
     time_features: int = 768
     noises: int = 1
-    diffusion: DiffusionConfig = field(default_factory=lambda: DiffusionConfig(sampling_spacing="leading"))
+    diffusion: DiffusionConfig = DiffusionConfig(sampling_spacing="leading")
 
 
 class MldVae(PeerNetwork):
@@ -158,7 +158,7 @@ MLD_VAE = PeerStage(
         MldVaeNetworkConfig(),
         conditions=UNCONDITIONAL,
         schedule=Schedule(epochs=6000, batch_size=128),
-        optimizer=OptimizerConfig(weight_decay=0.01),
+        weight_decay=0.01,
     ),
 )
 MLD = PeerStage(
@@ -169,14 +169,14 @@ MLD = PeerStage(
         MldNetworkConfig(SMALL_SKIPS, time_features=128, noises=8),
         conditions=replace(MINILM, nothing="empty"),
         schedule=cosine(4000, 16, 3e-3),
-        optimizer=OptimizerConfig(ema_decay=0.995),
+        ema_decay=0.995,
         precision="auto",
     ),
     paper=PeerConfig(
         MldNetworkConfig(),
         conditions=ConditionsConfig(nothing="empty"),
         schedule=Schedule(epochs=2000),
-        optimizer=OptimizerConfig(weight_decay=0.01),
+        weight_decay=0.01,
     ),
     builds_on=(MLD_VAE,),
 )

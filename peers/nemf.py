@@ -14,7 +14,7 @@ from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Float
 from motionkit.training.config import Schedule
 from motionkit.training.networks import kl_divergence, reparameterized
-from peers.generating import UNCONDITIONAL, OptimizerConfig, PeerConfig, PeerStage, cosine
+from peers.generating import UNCONDITIONAL, PeerConfig, PeerStage, cosine
 from peers.layers import NetworkInputs, PeerNetwork
 from peers.motions import Lengths, MotionBatch, MotionsConfig, PoseSpace, Rows, SampleBatch, frames_within
 
@@ -282,7 +282,7 @@ PUBLISHED: dict[str, Any] = {
     "motions": CLIPS,
     "conditions": UNCONDITIONAL,
     "schedule": Schedule(epochs=1000, batch_size=16),
-    "optimizer": OptimizerConfig(weight_decay=1e-4),
+    "weight_decay": 1e-4,
 }
 NEMF_PATH = PeerStage(
     PATH,

@@ -5,7 +5,7 @@ They differ in what makes a pose of the features on both sides of an instant.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import torch
@@ -47,29 +47,19 @@ class EdsrEncoder(nn.Module):
         super().__init__()
         features = config.features
         self.head = _convolution(numbers, features)
-        self.blocks = nn.ModuleList(ResidualBlock(features) for _ in range(config.blocks))
+        self.blocks = nn.ModuleList(
+            nn.Sequential(_convolution(features, features), nn.ReLU(), _convolution(features, features))
+            for _ in range(config.blocks)
+        )
         self.tail = _convolution(features, features)
 
     def forward(self, frames: Float[Tensor, "batch frames numbers"]) -> Features:
         """Features at the observed frames."""
         head = hidden = self.head(frames.transpose(1, 2))
         for block in self.blocks:
-            hidden = block(hidden)
+            hidden = hidden + block(hidden)
         features: Tensor = self.tail(hidden) + head
         return features.transpose(1, 2)
-
-
-class ResidualBlock(nn.Module):
-    """Convolution, ReLU, convolution, and the input added."""
-
-    def __init__(self, features: int) -> None:
-        super().__init__()
-        self.first, self.second = _convolution(features, features), _convolution(features, features)
-
-    def forward(self, hidden: Float[Tensor, "batch features frames"]) -> Float[Tensor, "batch features frames"]:
-        """The block's output, channels before frames."""
-        changed: Tensor = self.second(torch.relu(self.first(hidden)))
-        return hidden + changed
 
 
 def _convolution(inputs: int, outputs: int) -> nn.Conv1d:
@@ -120,7 +110,7 @@ def local_inputs(encoder: EdsrEncoder, window: ObservedWindow) -> tuple[Neighbou
 class LiifNetworkConfig:
     """LIIF: a decoder of `layers` hidden layers."""
 
-    encoder: EdsrConfig = field(default_factory=EdsrConfig)
+    encoder: EdsrConfig = EdsrConfig()
     hidden: int = 256
     layers: int = 4
 
@@ -147,7 +137,7 @@ class Liif(nn.Module):
 class MetaSrNetworkConfig:
     """Meta-SR: one hidden layer that predicts the weights."""
 
-    encoder: EdsrConfig = field(default_factory=EdsrConfig)
+    encoder: EdsrConfig = EdsrConfig()
     hidden: int = 256
 
 
@@ -197,7 +187,7 @@ class ALiifNetworkConfig:
     Published width 16, for three colour channels; 64, the width of the features, for pose vectors of 135 numbers.
     """
 
-    encoder: EdsrConfig = field(default_factory=EdsrConfig)
+    encoder: EdsrConfig = EdsrConfig()
     width: int = 16
     layers: int = 4
     basis: int = 10
@@ -255,7 +245,7 @@ class LmfNetworkConfig:
     latent MLP has one hidden layer of `latent_hidden` and (2·layers + 1)·width outputs, 208 as published.
     """
 
-    encoder: EdsrConfig = field(default_factory=EdsrConfig)
+    encoder: EdsrConfig = EdsrConfig()
     width: int = 16
     layers: int = 6
     latent_hidden: int = 208

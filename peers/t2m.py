@@ -10,7 +10,7 @@ from torch.nn.functional import l1_loss, smooth_l1_loss
 from motionkit.core.shapes import Float, Int64
 from motionkit.training.config import Schedule
 from motionkit.training.networks import Conditions
-from peers.generating import GIVEN, GIVEN_MINILM, UNCONDITIONAL, OptimizerConfig, PeerConfig, PeerStage, cosine
+from peers.generating import GIVEN, GIVEN_MINILM, UNCONDITIONAL, PeerConfig, PeerStage, cosine
 from peers.layers import ConditionVector, NetworkInputs, PeerNetwork, sinusoids
 from peers.motions import Lengths, MotionBatch, MotionsConfig, Rows, SampleBatch, frames_within
 
@@ -251,13 +251,13 @@ T2M = PeerStage(
         T2mNetworkConfig(width=256, value=128, latent=64),
         conditions=GIVEN_MINILM,
         schedule=cosine(1500, 32, 5e-4),
-        optimizer=OptimizerConfig(clip_norm=0.5),
+        clip_norm=0.5,
     ),
     paper=PeerConfig(
         T2mNetworkConfig(),
         conditions=GIVEN,
         schedule=Schedule(steps=300_000, batch_size=32, learning_rate=2e-4),
-        optimizer=OptimizerConfig(clip_norm=0.5),
+        clip_norm=0.5,
     ),
     builds_on=(T2M_AUTOENCODER,),
     share=0.7,

@@ -347,10 +347,15 @@ def residuals(layers: nn.Module, values: Tensor) -> Tensor:
     return values
 
 
-def test_nemf() -> None:
+def nemf() -> tuple[Nemf, NemfPath]:
+    torch.manual_seed(1)
     path = NemfPath(NemfPathNetworkConfig(widths=(5, 4), kernel=3), inputs(NONE))
     sizes = NemfNetworkConfig(16, (5, 6), 4, 4, 3, frequencies=2, width=7, local_layers=3, turn_layers=2)
-    network = Nemf(sizes, inputs(NONE, {"nemf-path": path})).eval()
+    return Nemf(sizes, inputs(NONE, {"nemf-path": path})).eval(), path
+
+
+def test_nemf() -> None:
+    network, _ = nemf()
     local, turns = torch.randn(2, 4), torch.randn(2, 3)
     made = torch.cat(network(16, local, turns), dim=-1)
     for row in range(2):
@@ -367,9 +372,7 @@ def test_nemf() -> None:
 
 
 def test_nemfs_latents_and_path_see_no_padding() -> None:
-    path = NemfPath(NemfPathNetworkConfig(widths=(5, 4), kernel=3), inputs(NONE))
-    sizes = NemfNetworkConfig(16, (5, 6), 4, 4, 3, frequencies=2, width=7, local_layers=3, turn_layers=2)
-    network, batch = Nemf(sizes, inputs(NONE, {"nemf-path": path})).eval(), batch_of([16, 11])
+    (network, path), batch = nemf(), batch_of([16, 11])
     (mean, log_variance), (turns, _) = network.encode(batch.rows, batch.lengths)
     alone = network.encode(batch.rows[1:, :11], torch.tensor([11]))
     close(alone[0][0], mean[1:])
