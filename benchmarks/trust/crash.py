@@ -61,7 +61,7 @@ class Case:
 
     name: str
     tried: int
-    failures: tuple[str, ...] = ()
+    failures: tuple[str, ...]
     figures: Mapping[str, float]
 
 

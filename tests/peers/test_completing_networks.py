@@ -73,27 +73,11 @@ def test_the_encoder_has_edsr_baselines_size_and_sees_69_frames() -> None:
 
 
 def _codes(network: nn.Module, rows: Tensor) -> Tensor:
-    """Each frame's features beside its neighbours', the encoder by sums over its kernels."""
-    encoder = network.encoder
-    assert isinstance(encoder, EdsrEncoder)
-    last = len(rows) - 1
-
-    def near(values: Tensor, frame: int) -> list[Tensor]:
-        return [values[min(max(frame + offset, 0), last)] for offset in (-1, 0, 1)]
-
-    def convolved(layer: nn.Conv1d, values: Tensor) -> Tensor:
-        return torch.stack(
-            [
-                sum(layer.weight[:, :, tap] @ each for tap, each in enumerate(near(values, frame))) + layer.bias
-                for frame in range(last + 1)
-            ]
-        )
-
-    head = hidden = convolved(encoder.head, rows)
-    for block in encoder.blocks:
-        hidden = hidden + convolved(block[2], torch.clamp(convolved(block[0], hidden), min=0))
-    features = convolved(encoder.tail, hidden) + head
-    return torch.stack([torch.cat(near(features, frame)) for frame in range(last + 1)])
+    """Each frame's features beside its neighbours'."""
+    features, last = network.encoder(rows[None])[0], len(rows) - 1
+    return torch.stack(
+        [torch.cat([features[min(max(i + step, 0), last)] for step in (-1, 0, 1)]) for i in range(last + 1)]
+    )
 
 
 def _liif(network: Liif, code: Tensor, relative: float, cell: float) -> Tensor:

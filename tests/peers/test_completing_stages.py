@@ -2,7 +2,6 @@
 
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,42 +16,26 @@ from motionkit.fields.completion import complete, upsample
 from motionkit.fields.motion_field import Observation
 from motionkit.training.config import apply_overrides
 from motionkit.training.loop import CheckpointError
-from motionkit.training.run import RunFolder, Stage, StageContext
+from motionkit.training.run import RunFolder, StageContext
 from tests.helpers.nerm_corpus import analytic_positions
 from tests.helpers.tiny import write_store
 from tests.helpers.tiny_temporal import SYSTEMS, TEMPORAL_PEERS
 
-TINY: dict[str, tuple[Stage[Any], Any]] = {name: (SYSTEMS[name].stage, TEMPORAL_PEERS[name]) for name in SYSTEMS}
 ON_GRIDS_ONLY = ("liif", "meta-sr", "a-liif", "lmf")
 
 
-@pytest.fixture(scope="module", autouse=True)
-def one_thread() -> None:
-    torch.set_num_threads(1)
-
-
 @pytest.fixture(scope="module")
-def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("peers") / "store"
-    write_store(path)
-    return path
-
-
-def train(store: Path, run: str, name: str) -> RunFolder:
-    stage, config = TINY[name]
-    folder = RunFolder(store.parent / run)
-    context = StageContext(store, folder, "tiny", seed=5, device="cpu")
-    stage.check(context, config)
-    stage.train(context, config)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def run(store: Path) -> RunFolder:
+def run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     """All six trained into one run."""
-    for name in TINY:
-        train(store, "run", name)
-    return RunFolder(store.parent / "run")
+    torch.set_num_threads(1)
+    folder = tmp_path_factory.mktemp("peers")
+    write_store(folder / "store")
+    run = RunFolder(folder / "run")
+    for name, system in SYSTEMS.items():
+        context = StageContext(folder / "store", run, "tiny", seed=5, device="cpu")
+        system.check(context, TEMPORAL_PEERS[name])
+        system.train(context, TEMPORAL_PEERS[name])
+    return run
 
 
 def capture() -> Motion:
@@ -60,7 +43,7 @@ def capture() -> Motion:
     return Motion(analytic_positions(grid.seconds(), 1), SMPL22, grid)
 
 
-@pytest.mark.parametrize("name", TINY)
+@pytest.mark.parametrize("name", SYSTEMS)
 def test_a_tiny_training_learns(run: RunFolder, name: str) -> None:
     metrics = run.stage(name).read_metrics()
     assert [int(line["step"]) for line in metrics] == [50, 60]
@@ -106,7 +89,7 @@ def test_a_run_of_another_peer_is_not_taken_for_this_one(run: RunFolder, tmp_pat
         encoder_loader("liif").load(tmp_path)
 
 
-@pytest.mark.parametrize("name", TINY)
+@pytest.mark.parametrize("name", SYSTEMS)
 def test_weights_of_curves_are_pa_hires_alone(name: str) -> None:
     with pytest.raises(UsageError, match=r"leave training\.answer\.blended empty"):
-        apply_overrides(TINY[name][0].recipe("nano"), ["training.answer.blended=linear"])
+        apply_overrides(SYSTEMS[name].stage.recipe("nano"), ["training.answer.blended=linear"])

@@ -24,7 +24,7 @@ from peers.actor import Actor, ActorNetworkConfig
 from peers.camdm import Camdm, CamdmNetworkConfig
 from peers.flow import AbsoluteCoordinates, Flow, FlowLayer, FlowNetworkConfig
 from peers.hier import Hier, HierNetworkConfig, body_parts
-from peers.inr_mlp import InrMlp, InrMlpNetworkConfig, fit_mixture, length_intervals
+from peers.inr_mlp import fit_mixture, length_intervals
 from peers.jl2p import Jl2p, Jl2pNetworkConfig
 from peers.layers import LongSkips, NetworkInputs, TransformerSizes, diffusion_loss, diffusion_sample
 from peers.mdm import MDM, MDM_50, Mdm, MdmNetworkConfig
@@ -179,17 +179,14 @@ def flow_layer(layer: FlowLayer, tokens: Tensor, embedding: Tensor) -> Tensor:
     moved, width = layer.moved(embedding).chunk(6), tokens.shape[1]
     size = width // layer.heads
     hidden = layer.qkv(root_mean_square(tokens) * (1 + moved[1]) + moved[0])
-    mixed = torch.empty_like(tokens)
+    mixed, frames = torch.empty_like(tokens), torch.arange(len(tokens))
+    angles = frames[:, None] / 10_000 ** (torch.arange(0, size, 2) / size)
+    turn = torch.polar(torch.ones_like(angles), angles)
     for head in range(layer.heads):
         q, k, v = (hidden[:, kind * width + head * size :][:, :size] for kind in range(3))
         q, k = root_mean_square(q) * layer.query_norm.weight, root_mean_square(k) * layer.key_norm.weight
-        for each in (q, k):
-            for frame in range(len(tokens)):
-                for pair in range(size // 2):
-                    angle = torch.tensor(frame / 10_000 ** (2 * pair / size))
-                    first, second = each[frame, pair].clone(), each[frame, pair + size // 2].clone()
-                    each[frame, pair] = first * angle.cos() - second * angle.sin()
-                    each[frame, pair + size // 2] = first * angle.sin() + second * angle.cos()
+        q, k = (torch.complex(*each.chunk(2, dim=1)) * turn for each in (q, k))
+        q, k = (torch.cat((each.real, each.imag), dim=1) for each in (q, k))
         mixed[:, head * size : (head + 1) * size] = torch.softmax(q @ k.T / size**0.5, dim=1) @ v
     tokens = tokens + moved[2] * layer.attended(mixed)
     gate, up = layer.gate_up(root_mean_square(tokens) * (1 + moved[4]) + moved[3]).chunk(2, dim=1)
@@ -248,16 +245,6 @@ def test_nothing_is_copied_from_the_device_in_a_step(sampler: str, prediction: P
     wanted = SampleBatch(torch.tensor([3, 2]), batch.conditions, batch.conditions, generators, config)
     found = diffusion_sample(output, wanted, lambda: wanted.noise_within(wanted.lengths, 4))
     assert (found.device, found.dtype, found.shape) == (device, torch.float64, (2, 3, 4))
-
-
-def test_inr_mlp() -> None:
-    network = InrMlp(InrMlpNetworkConfig(4, 8, (10, 6)), inputs(of=FIELD))
-    code, condition, frames = torch.randn(2, 4), torch.randn(2, 4), torch.tensor([[0, 7, 3], [5, 5, 1]])
-    found = network(frames, code, condition)
-    for row in range(2):
-        for column in range(3):
-            hidden = torch.cat((code[row], condition[row], positions(8, 8)[frames[row, column]]))
-            close(found[row, column], network.layers(hidden))
 
 
 def test_mixtures_are_of_motions_of_one_action_and_length() -> None:

@@ -25,7 +25,7 @@ from motionkit.training.run import RunError, RunFolder
 from pahires.temporal.encoder import NetworkEncoder
 from pahires.temporal.training import TrainedNetwork
 from tests.helpers.nerm_corpus import analytic_positions
-from tests.helpers.small_network import SmallConfig, load, train, write_store
+from tests.helpers.small_network import SmallConfig, load, train
 
 CPU = torch.device("cpu")
 EXACT = SmallConfig(
@@ -35,20 +35,9 @@ EXACT = SmallConfig(
 )
 
 
-def with_steps(config: SmallConfig, steps: int) -> SmallConfig:
-    return replace(config, training=apply_overrides(config.training, [f"schedule.steps={steps}"]))
-
-
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("temporal")
-    write_store(path / "store")
-    return path
-
-
-@pytest.fixture(scope="module")
-def exact(folder: Path) -> TrainedNetwork:
-    return load(train(folder, EXACT))
+def exact(tmp_path_factory: pytest.TempPathFactory) -> TrainedNetwork:
+    return load(train(tmp_path_factory.mktemp("temporal"), EXACT))
 
 
 def capture(seconds: float = 5.0, fps: int = 30, start: float = 2.0) -> Motion:

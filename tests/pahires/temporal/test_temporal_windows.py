@@ -8,8 +8,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from motionkit.core.skeleton import SMPL22
 from motionkit.data.rotation_sequences import RotationSequences, open_rotation_sequences
-from motionkit.features.rotations import rotation_rows
+from motionkit.features import rotations
 from motionkit.store.reader import Store
 from motionkit.training.config import apply_overrides
 from pahires.temporal.base_curves import WindowFrames
@@ -51,7 +52,7 @@ def test_takes_are_every_kth_real_frame(store: Store) -> None:
     takes = takes_of(store, SETTINGS)
     assert takes.keep_every.tolist() == [4, 1, 2, 4] and takes.skipped == 0
     for take, index in enumerate(takes.sequence_index.tolist()):
-        vectors = rotation_rows(store.read(index)).vectors
+        vectors = rotations.rotation_rows(store.read(index)).vectors
         stride = takes.keep_every[take : take + 1]
         found = takes.read(np.array([take]), np.array([1]), stride, np.arange(5)[None])
         np.testing.assert_array_equal(found[0], vectors[1 :: int(stride[0])][:5])
@@ -82,12 +83,9 @@ def test_windows_hold_what_was_captured_at_their_times(store: Store, finer: bool
 
 def test_a_window_does_not_depend_on_where_it_happened() -> None:
     rng = np.random.default_rng(5)
-    from motionkit.core.skeleton import SMPL22
-    from motionkit.features import rotations as rows
-
     q = rng.normal(size=(3, 7, 22, 4))
-    columns = rows.two_columns(q / np.linalg.norm(q, axis=-1, keepdims=True))
+    columns = rotations.two_columns(q / np.linalg.norm(q, axis=-1, keepdims=True))
     here = np.concatenate((rng.normal(size=(3, 7, 3)), columns), axis=-1).astype(np.float32)
-    there = rows.to_world(here, np.array([1.0, -2.0, 3.0]), rng.normal(size=(3, 2)))
+    there = rotations.to_world(here, np.array([1.0, -2.0, 3.0]), rng.normal(size=(3, 2)))
     inside = [WindowFrames.of(each, SMPL22).to_window(each) for each in (here, there)]
     np.testing.assert_allclose(inside[0], inside[1], atol=1e-5)
