@@ -10,7 +10,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from eval.clip_fid.features import Comparison
+from eval.clip_fid.score import Comparison
 from eval.detail import LEAST_FPS, DetailProfile, RealDetail
 from eval.metrics.number import Number
 from eval.sets.damage import Family, damages, games, shift_between_frames, translate, turn

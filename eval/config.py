@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eval.clip_fid.clips import Protocol
+from eval.clip_fid.score import Protocol
 from eval.report.results import provenance
 from eval.sample_folder import SampleFolder, SampleOptions, read_sample_folder
 from eval.sets.motions import of_split_and

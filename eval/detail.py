@@ -15,19 +15,18 @@ from itertools import pairwise
 import numpy as np
 import scipy.ndimage
 
-from eval.clip_fid.channels import (
+from eval.clip_fid.descriptor import (
     FOOT_JOINTS,
     GROUP_MEANS,
     NUM_GROUPS,
     SLOW_BANDS,
     Signal,
     Spectrum,
+    in_threads,
     noise_power,
     rate_of_change,
 )
-from eval.clip_fid.clips import ClipError
-from eval.clip_fid.motions import Motions, common_framerate, samples_of
-from eval.clip_fid.threads import in_threads
+from eval.clip_fid.score import ClipError, Motions, samples_at_one_framerate
 from eval.metrics.number import Resampling, units_of
 from eval.sets.sets import SampleSet
 from motionkit.core.errors import UsageError
@@ -387,6 +386,5 @@ def detail_profile(
     -6
     """
     sets = {"real": real, "generated": generated, "train": real if train is None else train}
-    rate = common_framerate(sets.values(), fps)
-    samples = {name: samples_of(name, motions, rate) for name, motions in sets.items()}
+    samples = samples_at_one_framerate(sets, fps)
     return RealDetail.of(samples["real"], samples["train"], seed).profile(samples["generated"])

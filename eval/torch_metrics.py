@@ -15,9 +15,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from eval.clip_fid.clips import Protocol
-from eval.clip_fid.features import Comparison, kinematic_source
-from eval.clip_fid.motions import Motions, samples_of
+from eval.clip_fid.score import KINEMATIC, Comparison, Motions, Protocol, samples_of
 from eval.metrics.metric import MeanSums, find_metric
 from eval.metrics.retrieval import REFERENCE_POOL, r_precision
 from motionkit.core.errors import MissingExtraError
@@ -208,4 +206,4 @@ class ClipFID(Metric):
 
     @cached_property
     def _comparison(self) -> Comparison:
-        return kinematic_source().comparison(self._real, self._train, self._protocol)
+        return KINEMATIC.comparison(self._real, self._train, self._protocol)

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.command import arguments_parser, print_json
-from eval.clip_fid.clips import Protocol
-from eval.clip_fid.features import kinematic_source
+from eval.clip_fid.score import KINEMATIC, Protocol
 from eval.sets.motions import RealMotion, real_motion, training_motion
 from eval.sets.sets import Ragged
 from motionkit.core.motion import Motion
@@ -46,7 +45,7 @@ def scores(store: Store, split: str, framerates: list[Fraction]) -> tuple[dict[s
     planted, changes = planted_takes(real)
     table: dict[str, Any] = {}
     for fps in framerates:
-        comparison = kinematic_source().comparison(real.at(fps), train.at(fps), PROTOCOL)
+        comparison = KINEMATIC.comparison(real.at(fps), train.at(fps), PROTOCOL)
         found = comparison.scores({"floor": real.at(fps), "planted": planted.at(fps)})
         row = {name: float(score.value) for name, score in found.items()}
         table[f"{fps} fps"] = row | {"ratio": row["planted"] / row["floor"]}

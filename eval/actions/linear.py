@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import eigh
 
 from eval.actions.recogniser import Recognition, check_fps
-from eval.clip_fid.channels import local_poses
+from eval.clip_fid.descriptor import local_poses
 from eval.sets.sets import SampleSet, middle
 from motionkit.core.errors import MotionkitError
 from motionkit.core.shapes import Float32, Float64

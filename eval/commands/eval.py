@@ -1,6 +1,7 @@
 """`motionkit eval`: build a table or a figure, or calibrate the feature sets."""
 
 import shlex
+from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,7 +16,6 @@ from motionkit.core.files import default_path, write_whole
 if TYPE_CHECKING:
     from fractions import Fraction
 
-    from eval.clip_fid.clips import PoseRange, SecondsRange
     from eval.config import EvalConfig
     from eval.report.results import Result
     from eval.tables.table import Table
@@ -89,7 +89,7 @@ def evaluate(
     fps: Annotated[str | None, _option(CLIPS, "Framerates, such as 20,60,120; the table's own by default.")] = None,
     clips: Annotated[int, _option(CLIPS, "Clips on each side (N).", min=64)] = 4096,
     replications: Annotated[int, _option(CLIPS, "Independent repetitions behind the intervals.", min=1)] = 20,
-    sizes: Annotated[str, _option(CLIPS, "Clip sizes: poses 16:64, or seconds 0.4s:1.6s.")] = "16:64",
+    sizes: Annotated[str, _option(CLIPS, "Clip sizes in poses.")] = "16:64",
     low_pass: Annotated[
         float | None, _option(CLIPS, "Smooth every set, real ones too, first.", min=0.1, metavar="HZ")
     ] = None,
@@ -128,7 +128,7 @@ def evaluate(
 
     Example: motionkit eval --table 2
     """
-    from eval.clip_fid.clips import Protocol
+    from eval.clip_fid.score import Protocol
     from eval.config import EvalConfig
     from eval.sample_folder import SampleOptions
     from eval.text_motion.guo.kind import GuoFiles
@@ -154,7 +154,7 @@ def evaluate(
         evaluators=tuple(evaluator.split(",")) if evaluator else None,
         guo=None if weights is None else GuoFiles(weights, glove, statistics),
         motion_clip=motion_clip,
-        clips=Protocol(_sizes(sizes), num_clips=clips, replications=replications, seed=seed),
+        clips=Protocol(*_sizes(sizes), num_clips=clips, replications=replications, seed=seed),
         low_pass_hz=low_pass,
         protocol=protocol,
         fps=framerates(fps, "--fps") if fps else None,
@@ -209,22 +209,13 @@ def framerates(text: str, option: str) -> "tuple[Fraction, ...]":
         raise UsageError(f"{option} {text}: {error}") from None
 
 
-def _sizes(text: str) -> "PoseRange | SecondsRange":
-    from eval.clip_fid.clips import PoseRange, SecondsRange
-
+def _sizes(text: str) -> tuple[int, int]:
+    """The fewest and the most poses of a clip."""
     low, _, high = text.partition(":")
-    try:
-        if low.endswith("s") and high.endswith("s"):
-            seconds = SecondsRange(float(low[:-1]), float(high[:-1]))
-            if 0 < seconds.minimum <= seconds.maximum:
-                return seconds
-        else:
-            poses = PoseRange(int(low), int(high))
-            if 8 <= poses.minimum <= poses.maximum:
-                return poses
-    except ValueError:
-        pass
-    raise UsageError(f"--sizes {text}: give poses such as 16:64 (at least 8), or seconds such as 0.4s:1.6s")
+    with suppress(ValueError):
+        if 8 <= int(low) <= int(high):
+            return int(low), int(high)
+    raise UsageError(f"--sizes {text}: give numbers of poses such as 16:64, at least 8")
 
 
 def _encoder(pair: str, runs: Path) -> tuple[str, Path]:

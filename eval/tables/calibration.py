@@ -17,8 +17,7 @@ from eval.calibration import (
     calibrate,
     level_name,
 )
-from eval.clip_fid.features import FeatureSource, feature_sources
-from eval.clip_fid.score import CLIP_FID
+from eval.clip_fid.score import CLIP_FID, FeatureSource, feature_sources
 from eval.config import EvalConfig
 from eval.report.results import Block, Cell, Row, measure
 from eval.sets.damage import NUM_GAMES, damages

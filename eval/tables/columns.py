@@ -4,8 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 
-from eval.clip_fid.clips import ClipError, check_lengths
-from eval.clip_fid.features import Comparison
+from eval.clip_fid.score import ClipError, Comparison
 from eval.config import EvalConfig
 from eval.detail import LEAST_FPS, RealDetail
 from eval.detail import VERSION as DETAIL_VERSION
@@ -206,7 +205,7 @@ def score_column(
     fitting = {}
     for row, samples in rows.items():
         with missing.skipping(f"{row}, {name}", (ClipError,)):
-            check_lengths(samples, comparison.protocol)
+            comparison.protocol.check_lengths(samples)
             fitting[row] = samples
     scores = comparison.scores(fitting, on_replication, sizes)
     cells = {row: _cell(score, rows[row], sizes.get(row)) for row, score in scores.items()}

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from eval.clip_fid.clips import REAL, ClipError, describe_clips, draw_clips, place_clips, readable
-from eval.clip_fid.features import Comparison, kinematic_source
-from eval.clip_fid.kinematic import VERSION as KINEMATIC_VERSION
+from eval.clip_fid.descriptor import VERSION as KINEMATIC_VERSION
+from eval.clip_fid.score import KINEMATIC, REAL, ClipError, Comparison, describe_clips, draw_clips, feature_input
 from eval.clip_fid.score import VERSION as CLIP_FID_VERSION
 from eval.config import EvalConfig
 from eval.detail import LEAST_FPS, RealDetail
@@ -203,7 +202,7 @@ class Yardstick:
 
         Raises `NoRealMotionError` if none has.
         """
-        train, source, missing = training_motion(self.store, self.real), kinematic_source(), Missing()
+        train, source, missing = training_motion(self.store, self.real), KINEMATIC, Missing()
         found = {}
         for fps in self.rates:
             with missing.skipping(f"clip-FID, {label(fps)}"):
@@ -278,9 +277,9 @@ def _row(trained: TrainedModel, variant: Variant) -> RowId:
 def _diversity(samples: SampleSet, comparison: Comparison) -> Cell:
     """Diversity of random clips in the features' space, over the protocol's replications."""
     protocol, features = comparison.protocol, comparison.features
-    samples, values = readable(samples, features), []
+    samples, values = feature_input(samples, features), []
     for replication in range(protocol.replications):
-        places = place_clips(draw_clips(protocol, samples.fps, replication, REAL), samples)
+        clips = draw_clips(samples, protocol, replication, REAL)
         rng = np.random.default_rng((protocol.seed, replication, 5))
-        values.append(diversity(describe_clips(samples, places, features), rng))
+        values.append(diversity(describe_clips(samples, clips, features), rng))
     return cell_of(over_replications(values))

@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 
 from eval.calibration import MIRRORED, Game, Graded, Scored, calibrate
-from eval.clip_fid import features
-from eval.clip_fid.clips import PoseRange, Protocol
-from eval.clip_fid.features import Comparison, fit_on
+from eval.clip_fid import score
+from eval.clip_fid.score import Comparison, Protocol, fit_on
 from eval.metrics.number import Number
 from eval.sets.damage import NUM_GAMES
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.skeleton import SMPL22
 
 FPS = Fraction(40)
-PROTOCOL = Protocol(sizes=PoseRange(16, 32), num_clips=400, replications=2, detailed_replications=0)
+PROTOCOL = Protocol(16, 32, num_clips=400, replications=2, detailed_replications=0)
 
 
 def scored(mean: float, ci95: float = 0.1) -> Scored:
@@ -69,7 +68,7 @@ def test_a_game_is_won_where_nothing_sees_it() -> None:
 
 
 def test_the_descriptor_sees_jitter_and_a_blind_feature_set_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(features, "FIT_CLIPS", 512)
+    monkeypatch.setattr(score, "FIT_CLIPS", 512)
     real = takes()
     seen = calibrate(Comparison(real, fit_on(real), PROTOCOL), None)
     families = {family.family: family for family in seen.graded}
@@ -83,7 +82,7 @@ def test_the_descriptor_sees_jitter_and_a_blind_feature_set_is_found_out(monkeyp
 
 
 def test_with_training_motion_every_game_is_played(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(features, "FIT_CLIPS", 512)
+    monkeypatch.setattr(score, "FIT_CLIPS", 512)
     real = takes()
     found = calibrate(Comparison(real, fit_on(real), PROTOCOL, training=real), None)
     assert [game.parent for game in found.games] == [

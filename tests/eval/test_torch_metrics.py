@@ -14,8 +14,8 @@ from torchmetrics import Metric, MetricCollection
 
 import eval
 from eval import ClipFID, DeclaredMean, RPrecision, clip_fid
-from eval.clip_fid import features
-from eval.clip_fid.clips import ClipError
+from eval.clip_fid import score
+from eval.clip_fid.score import ClipError
 from eval.metrics.actions import accuracy
 from eval.metrics.motion import acceleration_error, l2p, l2q, mpjpe_root_aligned, mre, npss, skating_speed
 from eval.metrics.retrieval import r_precision
@@ -50,7 +50,7 @@ FEW: dict[str, Any] = {"clips": 128, "replications": 2, "seed": 5}
 @pytest.fixture
 def quick_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fit the descriptor on few clips."""
-    monkeypatch.setattr(features, "FIT_CLIPS", 256)
+    monkeypatch.setattr(score, "FIT_CLIPS", 256)
 
 
 def fed(metric: Metric, arrays: tuple[np.ndarray, ...], cuts: tuple[int, ...]) -> Metric:

@@ -2,11 +2,11 @@
 
 import pytest
 
-from eval.clip_fid import features
+from eval.clip_fid import score
 from eval.tables.nerm import table2
 
 
 def make_tables_small(patch: pytest.MonkeyPatch) -> None:
     """Search few motions for copies and fit clip-FID on few clips; tests/eval knows enough of both."""
     patch.setattr(table2, "MAX_COPIES", 3)
-    patch.setattr(features, "FIT_CLIPS", 256)
+    patch.setattr(score, "FIT_CLIPS", 256)

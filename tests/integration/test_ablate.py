@@ -8,7 +8,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from eval.clip_fid.clips import PoseRange, Protocol
+from eval.clip_fid.score import Protocol
 from eval.commands.ablate import ablate
 from eval.config import EvalConfig
 from eval.report.render import to_markdown
@@ -145,7 +145,7 @@ def test_faults_are_reported_before_anything_is_trained(
 
 
 def request(project: Path, run: str, results: str, *rates: int) -> EvalConfig:
-    protocol = Protocol(sizes=PoseRange(16, 16), num_clips=80, replications=2, detailed_replications=0)
+    protocol = Protocol(16, 16, num_clips=80, replications=2, detailed_replications=0)
     fps = tuple(Fraction(rate) for rate in rates)
     return table_request(project / "store", project / results, run=project / "runs" / run, fps=fps, protocol=protocol)
 

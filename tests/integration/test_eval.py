@@ -133,7 +133,7 @@ def test_calibration(motionkit: Command, store: Path, tmp_path: Path) -> None:
 
 
 def test_sets_that_mislead_are_named_under_the_table(motionkit: Command, store: Path, tmp_path: Path) -> None:
-    """The real files as another system's, statues as a third's, fewer clips than features; sizes in seconds."""
+    """The real files as another system's, statues as a third's, fewer clips than features."""
     for name in ("copy", "statues"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "motions.json").write_text('{"fps": 120}')
@@ -141,7 +141,7 @@ def test_sets_that_mislead_are_named_under_the_table(motionkit: Command, store: 
         np.save(tmp_path / "copy" / f"walk-{index}.npy", walk(index, 120, 5.0))
         np.save(tmp_path / "statues" / f"{index}.npy", np.repeat(walk(index, 120, 0.02)[:1], 600, axis=0))
     samples = [part for name in ("copy", "statues") for part in ("--samples", f"{name}={tmp_path / name}")]
-    arguments = ("--clips", "64", "--replications", "2", "--features", "kinematic", "--sizes", "0.2s:0.5s", "--json")
+    arguments = ("--clips", "64", "--replications", "2", "--features", "kinematic", "--sizes", "16:32", "--json")
     done = motionkit(
         "eval", "--table", "2", "--store", store, "--results", tmp_path, "--fps", "120", *samples, *arguments
     )
@@ -154,7 +154,7 @@ def test_sets_that_mislead_are_named_under_the_table(motionkit: Command, store: 
     assert {"KID", "precision", "recall", "density", "coverage"} < set(details)
     # Too few clips for a line through covariances that are not singular.
     assert "FID_∞" not in details
-    assert result["definition"]["protocol"]["sizes"]["kind"] == "SecondsRange"
+    assert result["definition"]["protocol"]["max_poses"] == 32
 
 
 @pytest.mark.parametrize(

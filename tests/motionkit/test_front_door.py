@@ -53,8 +53,8 @@ def test_a_function_is_never_the_subpackage_of_its_name(first: str) -> None:
 
 
 def test_clip_fid_is_a_function_beside_its_package() -> None:
-    script = "import eval.clip_fid.score; from eval import clip_fid; from eval.clip_fid import channels; "
-    assert run(f"{script}print(callable(clip_fid), channels.__name__)") == "True eval.clip_fid.channels"
+    script = "import eval.clip_fid.score; from eval import clip_fid; from eval.clip_fid import descriptor; "
+    assert run(f"{script}print(callable(clip_fid), descriptor.__name__)") == "True eval.clip_fid.descriptor"
 
 
 def test_names_can_be_replaced_and_put_back(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,8 +6,7 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from eval.clip_fid.features import Comparison, FeatureSource, feature_sources
-from eval.clip_fid.score import CLIP_FID, VERSION
+from eval.clip_fid.score import CLIP_FID, VERSION, Comparison, FeatureSource, feature_sources
 from eval.config import EvalConfig
 from eval.metrics.number import Number
 from eval.report.results import Block, Cell, Row, differences_block, measure, of_interest
@@ -71,11 +70,11 @@ class _Sheet:
     def add(self, column: Column, config: EvalConfig) -> None:
         """Score a column's rows."""
         comparison = _comparison(self.source, column, config)
-        costs = comparison.protocol.costs(len(column.rows))
-        with task(config.on_progress, f"{self.source.name}, {column.label}", sum(costs)) as work:
-            left = iter(costs)
+        # Once with all rows, once for the halves.
+        steps = 2 * comparison.protocol.replications
+        with task(config.on_progress, f"{self.source.name}, {column.label}", steps) as work:
             cells, differences = score_column(
-                comparison, column.rows, config.missing, lambda: work.advance(next(left)), column.subset_sizes
+                comparison, column.rows, config.missing, work.advance, column.subset_sizes
             )
         features = comparison.features
         for row, cell in cells.items():
@@ -157,7 +156,7 @@ def compute(config: EvalConfig, store: Store) -> Content:
             _paper_block(),
         ),
         definition={
-            "protocol": {**asdict(config.clips), "sizes": _sizes(config)},
+            "protocol": asdict(config.clips),
             "real_sets": {column: {"sequences": number, "seconds": each} for column, (number, each) in sizes.items()},
             "generated_motions": num_generated,
         },
@@ -296,10 +295,6 @@ def _caption(seconds: Sequence[float], config: EvalConfig) -> str:
             "motion, so rows say how systems rank on this store and no more."
         )
     return caption
-
-
-def _sizes(config: EvalConfig) -> dict[str, object]:
-    return {"kind": type(config.clips.sizes).__name__, **asdict(config.clips.sizes)}
 
 
 def _notes(sizes: Mapping[str, tuple[int, float]], config: EvalConfig) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from eval.clip_fid.clips import SecondsRange
+from eval.clip_fid.score import Protocol
 from eval.commands.eval import evaluate
 from eval.config import EvalConfig
 from eval.report.results import Result
@@ -37,11 +37,11 @@ def config_of(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., 
 
 def test_options_become_a_configuration(config_of: Callable[..., EvalConfig], tmp_path: Path) -> None:
     (tmp_path / "wide").mkdir()
-    config = config_of(encoder=["liif=wide"], samples_fps="12.5", fps="20, 59.94", sizes="0.4s:1.6s", clips=128, seed=7)
+    config = config_of(encoder=["liif=wide"], samples_fps="12.5", fps="20, 59.94", sizes="8:32", clips=128, seed=7)
     assert (config.run, config.encoders) == (tmp_path / "mine", (("liif", tmp_path / "wide"),))
     assert config.sample_options.fps == Fraction(25, 2)
     assert config.fps == (Fraction(20), Fraction(60000, 1001))
-    assert (config.clips.sizes, config.clips.num_clips, config.clips.seed) == (SecondsRange(0.4, 1.6), 128, 7)
+    assert config.clips == Protocol(8, 32, num_clips=128, seed=7)
 
 
 @pytest.mark.parametrize(

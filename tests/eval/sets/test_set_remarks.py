@@ -3,24 +3,10 @@
 from fractions import Fraction
 
 import numpy as np
-import pytest
 
-from eval.clip_fid.clips import ClipError, PoseRange, Protocol
-from eval.clip_fid.score import score_rows
 from eval.sets.sets import SampleSet, sample_set, set_remarks
 
 FPS = Fraction(30)
-PROTOCOL = Protocol(sizes=PoseRange(16, 24), num_clips=64, replications=1, detailed_replications=1)
-
-
-class Flattened:
-    """The first pose's coordinates and the last one's: 132 numbers."""
-
-    name = "flattened"
-    fingerprint = "flattened/1"
-
-    def describe(self, clips: np.ndarray, fps: Fraction) -> np.ndarray:
-        return clips[:, [0, -1]].reshape(len(clips), -1).astype(np.float64)
 
 
 def moving(name: str, seed: int = 0, num_sequences: int = 4) -> SampleSet:
@@ -47,8 +33,3 @@ def test_sequences_of_the_real_set_are_found_in_any_order() -> None:
 def test_motion_that_stands_still_is_named_even_where_sequences_differ() -> None:
     remarks = set_remarks(moving("real"), {"statues": frozen("statues", 3), "dancer": moving("dancer", seed=3)})
     assert [remark.split(":")[0] for remark in remarks] == ["statues, 30 fps"]
-
-
-def test_a_real_set_with_constant_features_is_refused() -> None:
-    with pytest.raises(ClipError, match=r"statue at 30 fps: every clip has the same flattened features"):
-        score_rows(frozen("statue", 1), {"other": moving("other")}, Flattened(), PROTOCOL)

@@ -6,15 +6,13 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from eval.clip_fid.clips import PoseRange, Protocol
-from eval.clip_fid.features import Comparison
-from eval.clip_fid.score import score_rows
+from eval.clip_fid.score import Comparison, Protocol
 from eval.sets.sets import Missing, RowId, SampleSet, sample_set
 from eval.tables.columns import MOTIONS, P1, P2, SLERP, TAKES, TRAINING, score_column
 from tests.eval.test_calibration import MeanHeight
 
 FPS = Fraction(20)
-PROTOCOL = Protocol(PoseRange(8, 16), num_clips=64, replications=2, detailed_replications=0)
+PROTOCOL = Protocol(8, 16, num_clips=64, replications=2, detailed_replications=0)
 
 
 def takes(name: str, num_takes: int, frames: int = 40) -> SampleSet:
@@ -32,7 +30,7 @@ def test_cells_are_the_scores_of_the_rows_that_fit() -> None:
     assert set(cells) == {P1, P2, own}
     (told,) = missing.lines
     assert told.startswith("short, 20 fps: short: no sequence has the 16 poses")
-    expected = score_rows(real, {"other": other}, MeanHeight(), PROTOCOL)["other"]
+    expected = Comparison(real, MeanHeight(), PROTOCOL).scores({"other": other})["other"]
     cell = cells[own]
     assert (cell.value, cell.ci95) == (expected.value, expected.ci95)
     assert (cell.details[MOTIONS], cell.details[TAKES]) == (4, 4)

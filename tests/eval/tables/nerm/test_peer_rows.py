@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eval.clip_fid import features
-from eval.clip_fid.clips import Protocol
+from eval.clip_fid import score
+from eval.clip_fid.score import Protocol
 from eval.sets.sets import RowId, Variant
 from eval.tables.nerm import table2
 from motionkit.core.motion import Motion
@@ -38,7 +38,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_peer_of_a_run_has_rows_and_the_others_have_commands(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(features, "FIT_CLIPS", 600)
+    monkeypatch.setattr(score, "FIT_CLIPS", 600)
 
     def none(*arguments: object) -> None:
         raise ValueError("left out")

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from eval.clip_fid import features
-from eval.clip_fid.clips import Protocol
+from eval.clip_fid import score
+from eval.clip_fid.score import Protocol
 from eval.config import EvalConfig
 from eval.tables.nerm import figures
 from motionkit.core.errors import UsageError
@@ -46,7 +46,7 @@ def absent(run: Path) -> ScriptedModel:
 
 
 def request(store: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, *models: ScriptedModel) -> EvalConfig:
-    monkeypatch.setattr(features, "FIT_CLIPS", 400)
+    monkeypatch.setattr(score, "FIT_CLIPS", 400)
     install_models(monkeypatch, *(lambda run, model=model: model for model in models), absent)  # type: ignore[misc]
     protocol = Protocol(num_clips=100, replications=2, detailed_replications=1, resamplings=20)
     run = trained_run(folder / "run")

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eval.clip_fid import features
-from eval.clip_fid.clips import Protocol
+from eval.clip_fid import score
+from eval.clip_fid.score import Protocol
 from eval.report.results import Block, Result
 from eval.sample_folder import SampleOptions
 from eval.sets.motions import VARIANT_NOTES
@@ -67,7 +67,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def few_clips_in_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(features, "FIT_CLIPS", 1000)
+    monkeypatch.setattr(score, "FIT_CLIPS", 1000)
 
 
 @pytest.fixture

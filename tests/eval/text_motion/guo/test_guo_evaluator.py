@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from eval.clip_fid.clips import FeatureSet
+from eval.clip_fid.score import FeatureSet
 from eval.sets.sets import sample_set
 from eval.text_motion.evaluator import TextMotionEvaluator
 from eval.text_motion.guo import evaluator as guo
