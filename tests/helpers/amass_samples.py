@@ -4,6 +4,11 @@ from pathlib import Path
 
 import numpy as np
 
+from motionkit.core.motion import Motion
+from motionkit.io.registry import ReadOptions
+from motionkit.io.scan import read, scan
+from motionkit.io.smpl_body import PoseLayout
+
 WIDTHS = {"smpl": 72, "smplh": 156, "smplx": 165}
 
 
@@ -60,3 +65,38 @@ def write_amass(path: Path, fields: dict[str, object], *, compressed: bool = Fal
     path.parent.mkdir(parents=True, exist_ok=True)
     (np.savez_compressed if compressed else np.savez)(path, **fields, allow_pickle=True)  # type: ignore[arg-type]
     return path
+
+
+def read_one(folder: Path, options: ReadOptions | None = None) -> Motion:
+    """The one motion of a folder."""
+    found = scan([folder], options)
+    assert not found.problems
+    (item,) = found.items
+    return read(item, options)
+
+
+NUM_VERTICES = {"smplh": 6890, "smplx": 10475}
+NUM_DIRECTIONS = {"smplh": 300, "smplx": 400}
+
+
+def write_body_model(path: Path, layout: PoseLayout, seed: int = 0, **changes: object) -> Path:
+    """A body of random vertices that has what `smplx` asks for; its joints are means of a few vertices."""
+    rng = np.random.default_rng(seed)
+    vertices, joints = NUM_VERTICES.get(layout.family, 40), layout.num_joints
+    regressor = np.zeros((joints, vertices), np.float32)
+    for row in regressor:
+        row[rng.choice(vertices, 6, replace=False)] = 1 / 6
+    fields: dict[str, object] = {
+        "v_template": rng.normal(0, 0.5, (vertices, 3)),
+        "shapedirs": rng.normal(0, 0.05, (vertices, 3, NUM_DIRECTIONS.get(layout.family, 10))).astype(np.float32),
+        "J_regressor": regressor,
+        "kintree_table": np.stack((np.array([2**32 - 1, *layout.parents[1:]]), np.arange(joints))).astype(np.uint32),
+        "f": np.zeros((1, 3), np.uint32),
+        "posedirs": np.zeros((vertices, 3, 9 * (joints - 1)), np.float16),
+        "weights": np.full((vertices, joints), 1 / joints, np.float32),
+        "lmk_faces_idx": np.zeros(51, np.int64),
+        "lmk_bary_coords": np.zeros((51, 3)),
+    }
+    for side in "lr":
+        fields |= {f"hands_mean{side}": np.zeros(45), f"hands_components{side}": np.eye(45)}
+    return write_amass(path, fields | changes)

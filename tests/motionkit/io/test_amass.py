@@ -1,24 +1,34 @@
+"""AMASS's files: read with the mean shape or a body model, beside `smplx`, and written again."""
+
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
+import smplx
+import torch
 from scipy.spatial.transform import Rotation
 
-from motionkit.core.motion import Motion
+import motionkit as mk
+from motionkit.core.errors import FormatError
 from motionkit.core.skeletons.mapping import rest_positions
+from motionkit.fields.motion_field import to_motion
+from motionkit.io.amass import write_amass as write
 from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import read, scan
-from motionkit.io.smpl_body import mean_shape_skeleton
-from tests.helpers.amass_samples import WIDTHS, smplh_fields, stageii_fields, standing_poses, write_amass
+from motionkit.io.smpl_body import LAYOUTS, find_body_model, mean_shape_skeleton
+from tests.helpers.amass_samples import (
+    WIDTHS,
+    read_one,
+    smplh_fields,
+    stageii_fields,
+    standing_poses,
+    write_amass,
+    write_body_model,
+)
+from tests.helpers.analytic import analytic_motion
 from tests.helpers.refusal import refusal
-
-
-def read_one(folder: Path, options: ReadOptions | None = None) -> Motion:
-    found = scan([folder], options)
-    assert not found.problems
-    (item,) = found.items
-    return read(item, options)
+from tests.motionkit.io.test_retargeting import directions
 
 
 @pytest.mark.parametrize("compressed", [False, True])
@@ -128,3 +138,170 @@ def test_shapes_beside_the_motions_are_left_out(tmp_path: Path) -> None:
     write_amass(tmp_path / "s2" / "neutral_stagei.npz", {"betas": np.zeros(16), "gender": "neutral"})
     found = scan([tmp_path])
     assert [item.path.name for item in found.items] == ["a_poses.npz", "b_stageii.npz"] and not found.problems
+
+
+# Body models
+
+
+@pytest.mark.parametrize(
+    ("family", "name"), [("smplh", "smplh/female/model.npz"), ("smplx", "models/SMPLX_NEUTRAL.npz")]
+)
+def test_joints_are_those_of_the_smplx_package(tmp_path: Path, family: str, name: str) -> None:
+    layout = LAYOUTS[family]
+    path = write_body_model(tmp_path / name, layout)
+    rng = np.random.default_rng(5)
+    poses, trans = rng.normal(0, 0.4, (3, 3 * layout.num_joints)), rng.normal(0, 1, (3, 3))
+    fields = smplh_fields(3) if family == "smplh" else stageii_fields(3)
+    write_amass(tmp_path / "amass" / "a_poses.npz", fields | {"poses": poses, "trans": trans})
+    folder = tmp_path if family == "smplh" else tmp_path / "models"
+    motion = read_one(tmp_path / "amass", ReadOptions(body_models=folder))
+
+    betas = torch.tensor(np.tile(np.linspace(-1, 1, 16), (3, 1)), dtype=torch.float32)
+    parts = {"global_orient": (0, 3), "body_pose": (3, 66)}
+    hands = 75 if family == "smplx" else 66
+    parts |= {"left_hand_pose": (hands, hands + 45), "right_hand_pose": (hands + 45, hands + 90)}
+    if family == "smplx":
+        parts |= {"jaw_pose": (66, 69), "leye_pose": (69, 72), "reye_pose": (72, 75)}
+    model = (smplx.SMPLHLayer if family == "smplh" else smplx.SMPLXLayer)(
+        str(path), ext="npz", num_betas=16, flat_hand_mean=True, batch_size=3
+    )
+    turns = torch.tensor(poses, dtype=torch.float32)
+    matrices = {key: _matrices(turns[:, start:stop]) for key, (start, stop) in parts.items()}
+    posed = model(betas=betas, transl=torch.tensor(trans, dtype=torch.float32), **matrices)
+    x, y, z = np.moveaxis(posed.joints[:, : layout.num_joints].detach().numpy(), -1, 0)
+    assert np.abs(motion.joint_positions - np.stack((x, z, -y), axis=-1)).max() < 1e-5
+    assert motion.skeleton.joint_names == layout.joint_names
+
+
+def _matrices(vectors: torch.Tensor) -> torch.Tensor:
+    joints = vectors.shape[1] // 3
+    return smplx.lbs.batch_rodrigues(vectors.reshape(-1, 3)).reshape(-1, joints, 3, 3)
+
+
+@pytest.mark.parametrize(
+    ("gender", "expected"),
+    [
+        ("male", "male"),
+        ("b'male'", "male"),
+        (np.array(b"male", dtype=object), "male"),
+        ("female", "neutral"),
+        (None, "neutral"),
+    ],
+)
+def test_the_model_is_the_gender_s_or_neutral(tmp_path: Path, gender: object, expected: str) -> None:
+    layout = LAYOUTS["smpl"]
+    write_body_model(tmp_path / "models" / "smpl" / "SMPL_MALE.npz", layout, 1)
+    write_body_model(tmp_path / "models" / "smpl" / "SMPL_NEUTRAL.npz", layout, 2)
+    write_amass(tmp_path / "amass" / "a_poses.npz", smplh_fields(width=72, gender=gender))
+    motion = read_one(tmp_path / "amass", ReadOptions(body_models=tmp_path / "models"))
+    assert motion.skeleton.name == f"smpl-{expected}" and motion.skeleton.num_joints == 24
+
+
+def test_betas_of_any_form_and_none(tmp_path: Path) -> None:
+    layout = LAYOUTS["smpl"]
+    write_body_model(tmp_path / "models" / "SMPL_FEMALE.npz", layout)
+    model = find_body_model(tmp_path / "models", layout, "female")
+    betas = np.linspace(-1, 1, 16)
+    options = ReadOptions(body_models=tmp_path / "models")
+    for form in (betas, betas[None], np.tile(betas, (4, 1)), betas[:10], betas.astype(np.float32)):
+        write_amass(tmp_path / "amass" / "a_poses.npz", smplh_fields(width=72, betas=form))
+        offsets = read_one(tmp_path / "amass", options).skeleton.offsets
+        assert np.allclose(offsets[0], model.rest_joints(betas[:10])[0], atol=1e-6)
+    write_amass(tmp_path / "amass" / "a_poses.npz", smplh_fields(width=72, betas=None))
+    assert np.allclose(read_one(tmp_path / "amass", options).skeleton.offsets[0], model.mean_joints[0], atol=1e-6)
+
+
+def test_what_is_wrong_with_a_model_is_reported(tmp_path: Path) -> None:
+    layout = LAYOUTS["smpl"]
+    models = tmp_path / "models"
+    write_amass(tmp_path / "amass" / "a_poses.npz", smplh_fields(width=72))
+
+    def fault() -> FormatError:
+        (item,) = scan([tmp_path / "amass"]).items
+        return refusal(read, item, ReadOptions(body_models=models))
+
+    models.mkdir()
+    assert fault().reason == "no-body-model" and "smpl/SMPL_FEMALE.npz" in str(fault())
+    sparse = np.array({"format": "csc"}, dtype=object)
+    for number, (changes, reason) in enumerate(
+        [
+            ({"J_regressor": sparse}, "object-array"),
+            ({"J_regressor": np.zeros((17, 40))}, "bones"),
+            ({"shapedirs": np.zeros((3, 3, 10))}, "channel-count"),
+        ]
+    ):
+        models = tmp_path / str(number)
+        write_body_model(models / "SMPL_FEMALE.npz", layout, **changes)
+        assert fault().reason == reason, changes
+
+
+# Written again
+
+
+@pytest.mark.parametrize("models", [False, True])
+def test_smpl_s_own_rotations_come_back_as_they_were(tmp_path: Path, models: bool) -> None:
+    rng = np.random.default_rng(5)
+    poses, trans = standing_poses(5, 165) + rng.normal(0, 0.4, (5, 165)), rng.normal(0, 1, (5, 3))
+    fields = stageii_fields(5, poses=poses, trans=trans, mocap_frame_rate=np.array(59.94))
+    write_amass(tmp_path / "in" / "a_stageii.npz", fields)
+    options = ReadOptions()
+    if models:
+        write_body_model(tmp_path / "models" / "SMPLX_NEUTRAL.npz", LAYOUTS["smplx"], **standing_body(mean_rest()))
+        options = ReadOptions(body_models=tmp_path / "models")
+    motion = read_one(tmp_path / "in", options)
+    (tmp_path / "out").mkdir()
+    write(motion, tmp_path / "out" / "a.npz")
+    with np.load(tmp_path / "out" / "a.npz", allow_pickle=False) as made:
+        known = 165 if models else 66
+        np.testing.assert_allclose(made["poses"][:, :known], poses[:, :known], atol=1e-5)
+        assert not made["poses"][:, known:].any()
+        np.testing.assert_allclose(made["trans"], trans, atol=1e-5)
+        np.testing.assert_array_equal(made["pose_body"], made["poses"][:, 3:66])
+        np.testing.assert_array_equal(made["pose_hand"], made["poses"][:, 75:])
+        assert str(made["gender"]) == "neutral" and not made["betas"].any()
+    again = read_one(tmp_path / "out", ReadOptions())
+    assert again.fps == motion.fps == Fraction(60000, 1001)
+
+
+def mean_rest() -> np.ndarray:
+    """Where 55 joints of an upright body rest; what hangs on wrists and head is anywhere."""
+    places = np.random.default_rng(1).normal(0, 0.2, (55, 3))
+    places[:22] = rest_positions(mean_shape_skeleton())
+    return places
+
+
+def standing_body(places: np.ndarray) -> dict[str, object]:
+    """The arrays of a body model whose first vertices are its joints."""
+    vertices = np.zeros((10475, 3))
+    vertices[:55] = places
+    unmoved = np.zeros((10475, 3, 400), np.float32)
+    return {"v_template": vertices, "J_regressor": np.eye(55, 10475, dtype=np.float32), "shapedirs": unmoved}
+
+
+def test_gmr_s_calls_of_smplx_put_the_joints_where_the_motion_has_them(tmp_path: Path) -> None:
+    walk = to_motion(analytic_motion("walk", 2.0), Fraction(120))
+    write(walk, tmp_path / "walk.npz")
+    path = tmp_path / "models" / "smplx" / "SMPLX_NEUTRAL.npz"
+    write_body_model(path, LAYOUTS["smplx"], **standing_body(mean_rest()))
+    # general_motion_retargeting/utils/smpl.py, load_smplx_file
+    data = np.load(tmp_path / "walk.npz", allow_pickle=True)
+    count = len(data["pose_body"])
+    model = smplx.create(
+        str(tmp_path / "models"), "smplx", gender=str(data["gender"]), use_pca=False, ext="npz", flat_hand_mean=True
+    )
+    posed = model(
+        betas=torch.tensor(data["betas"]).float().view(1, -1),
+        global_orient=torch.tensor(data["root_orient"]).float(),
+        body_pose=torch.tensor(data["pose_body"]).float(),
+        transl=torch.tensor(data["trans"]).float(),
+        left_hand_pose=torch.zeros(count, 45),
+        right_hand_pose=torch.zeros(count, 45),
+        jaw_pose=torch.zeros(count, 3),
+        leye_pose=torch.zeros(count, 3),
+        reye_pose=torch.zeros(count, 3),
+        expression=torch.zeros(count, 10),
+    )
+    x, y, z = np.moveaxis(posed.joints[:, :22].detach().numpy(), -1, 0)
+    again = mk.read(tmp_path / "walk.npz")
+    np.testing.assert_allclose(np.stack((x, z, -y), axis=-1), again.joint_positions, atol=1e-4)
+    np.testing.assert_allclose(directions(again), directions(walk), atol=1e-3)

@@ -15,8 +15,7 @@ from motionkit.io.scan import read, scan
 from motionkit.io.smpl_body import LAYOUTS, find_body_model
 from motionkit.store import Store
 from motionkit.store.ingest import ingest
-from tests.helpers.amass_samples import smplh_fields, stageii_fields, write_amass
-from tests.motionkit.io.test_body_models import write_body_model
+from tests.helpers.amass_samples import smplh_fields, stageii_fields, write_amass, write_body_model
 
 HEADER = "source_path,start_frame,end_frame,new_name\n"
 # The store keeps numbers on a grid of 2^-22.

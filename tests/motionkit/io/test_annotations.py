@@ -78,18 +78,6 @@ def test_a_given_table_is_joined_to_those_beside_the_files_cell_by_cell(
     assert (motion.action, motion.split) == ("walk", "train")
 
 
-def test_a_given_table_may_describe_several_sources(tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / f"{name}.bvh").write_text(bvh_text())
-    table = tmp_path / "table.csv"
-    table.write_text("file,caption,fsp\na.bvh,a,60\nb.bvh,b,60\ngone.bvh,nobody,\n")
-    found = scan([tmp_path / "a", tmp_path / "b"], ReadOptions(captions=table))
-    assert [item.captions[0].text for item in found.items] == ["a", "b"]
-    assert [(problem.reason, problem.line) for problem in found.problems] == [("caption-without-motion", 4)]
-    assert [warning.reason for warning in found.warnings] == ["unknown-column"]
-
-
 @pytest.mark.parametrize(
     ("header", "unread"),
     [

@@ -13,7 +13,6 @@ from motionkit.io.bvh import T_POSE_DROPPED, read_bvh, read_document
 from motionkit.io.registry import ReadOptions
 from tests.helpers.format_samples import NUM_BVH_CHANNELS, bvh_hierarchy, bvh_text
 from tests.helpers.refusal import refusal
-from tests.helpers.repository import REPOSITORY
 
 
 def test_positions_rotations_and_framerate(tmp_path: Path) -> None:
@@ -125,12 +124,6 @@ def test_names_with_spaces_and_colons_and_repeated_ones(tmp_path: Path) -> None:
     assert {"rig:Left Arm", "Hand", "Hand_2"} <= set(motion.skeleton.joint_names)
 
 
-def test_a_given_framerate_replaces_an_unusable_one(tmp_path: Path) -> None:
-    (tmp_path / "a.bvh").write_text(bvh_text(frame_time="0"))
-    motion = read_bvh(tmp_path / "a.bvh", ReadOptions(fps=Fraction(48)))
-    assert motion.fps == 48 and motion.provenance.stated_fps == "Frame Time: 0"
-
-
 @pytest.mark.parametrize("moves", [0.0, 30.0])
 def test_bones_that_move_leave_positions_only(tmp_path: Path, moves: float) -> None:
     table = np.zeros((3, NUM_BVH_CHANNELS))
@@ -226,15 +219,3 @@ def test_a_longer_take_than_a_store_holds_is_refused(tmp_path: Path, monkeypatch
         with monkeypatch.context() as patched:
             patched.setattr(f"motionkit.io.source_file.{name}", limit)
             assert refusal(read_bvh, path).reason == "too-large"
-
-
-def test_the_lines_of_the_page_cut_a_take(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("long.bvh").write_text(bvh_text(rows(50).tolist()))
-    whole = read_bvh(Path("long.bvh"))
-    page = (REPOSITORY / "docs" / "formats.md").read_text(encoding="utf-8")
-    code = page.partition("### Long takes")[2].partition("```python\n")[2].partition("```")[0]
-    exec(code.replace("1_000_000", "20"), {})
-    parts = [read_bvh(path) for path in sorted(Path().glob("long-*.bvh"))]
-    assert [part.num_frames for part in parts] == [20, 20, 10]
-    assert np.array_equal(np.concatenate([part.joint_positions for part in parts]), whole.joint_positions)

@@ -21,7 +21,6 @@ from motionkit.edit.complete import CompletionRequest, complete_file
 from motionkit.edit.encoders import choose_encoder
 from motionkit.edit.motions import MotionSource, OutputPaths, find_motions
 from motionkit.fields.interpolation import INTERPOLATORS
-from motionkit.fields.motion_field import Observation
 from motionkit.io.bvh import BvhDocument, anchored_angles, read_bvh, read_document, write_bvh
 from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import parse_rules
@@ -124,16 +123,6 @@ def test_given_frames_are_the_lines_that_they_were(tmp_path: Path) -> None:
     assert set(made.table[:, 0]) == {12.3456} and set(made.table[:, foot + 2]) == {90.0}
     assert np.abs(np.diff(made.table, axis=0)).max() < 10
     assert made.table[-1, 3] > 200
-
-
-def test_new_frames_are_those_of_the_field(tmp_path: Path) -> None:
-    path = written(tmp_path / "in.bvh", bvh_text(rows()))
-    document = read_document(path)
-    made = completed(document, tmp_path / "out.bvh", fps=Fraction(60000, 1001))
-    field = CUBIC.encode(Observation(document.motion.timegrid.seconds(), document.poses, document.motion.skeleton))
-    wanted = field.query(made.motion.timegrid.seconds())
-    np.testing.assert_allclose(made.poses.joint_positions, wanted.joint_positions, atol=2e-6)
-    np.testing.assert_allclose(read_bvh(path).joint_positions, document.poses.joint_positions, atol=1e-6)
 
 
 def test_another_reader_sees_the_same_motion(tmp_path: Path) -> None:
@@ -288,21 +277,12 @@ ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX", "ZXZ", "XYX", "YZY")
 EVERY = 4
 
 
-def turning(seed: int, num_frames: int, speed: float) -> np.ndarray:
-    """Rotations of one joint that turns steadily about a slowly turning axis, [frames, 4]."""
-    rng = np.random.default_rng(seed)
-    steps = Rotation.from_rotvec(speed * rng.normal(size=3) + 0.3 * speed * rng.normal(size=(num_frames, 3)))
-    rotation, result = Rotation.random(rng=rng), []
-    for step in steps:
-        rotation = step * rotation
-        result.append(rotation.as_quat(scalar_first=True))
-    return np.array(result)
-
-
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 10_000), order=st.sampled_from(ORDERS), turns=st.integers(-2, 2), other=st.booleans())
 def test_angles_give_the_rotations_and_stay_near_their_anchors(seed: int, order: str, turns: int, other: bool) -> None:
-    rotations = turning(seed, 40, 0.02)
+    rng = np.random.default_rng(seed)
+    vectors = rng.normal(size=3) + np.cumsum(0.02 * rng.normal(size=3) + 0.006 * rng.normal(size=(40, 3)), axis=0)
+    rotations = Rotation.from_rotvec(vectors).as_quat(scalar_first=True)
     known = Rotation.from_quat(rotations[::EVERY], scalar_first=True).as_euler(order)
     if other:
         second = -known[:, 1] if order[0] == order[2] else np.pi - known[:, 1]
@@ -312,27 +292,3 @@ def test_angles_give_the_rotations_and_stay_near_their_anchors(seed: int, order:
     again = euler_to_quaternion(np.radians(found), order)
     assert np.abs(np.sum(again * rotations, axis=-1)).min() > 1 - 1e-9
     np.testing.assert_allclose(found[::EVERY], anchors, atol=1e-3)
-    # Far from the pole no angle moves much more than the body turns.
-    pole = np.sin if order[0] == order[2] else np.cos
-    safe = np.abs(pole(np.radians(found[:, 1]))) > 0.5
-    steps = np.abs(np.diff(found, axis=0)).max(axis=-1)[safe[1:] & safe[:-1]]
-    within = np.arange(1, 40) % EVERY != 0
-    assert (steps[within[safe[1:] & safe[:-1]]] < 30).all()
-
-
-def test_a_joint_at_the_pole_keeps_its_angles() -> None:
-    """At 90° only the sum of the outer angles is a rotation: they stay at what is expected."""
-    angles = np.broadcast_to(np.array([20.0, 90.0, -35.0]), (8, 3))
-    rotations = euler_to_quaternion(np.radians(angles), "ZXY").astype(np.float32).astype(np.float64)
-    found = anchored_angles(rotations, "ZXY", np.array(angles), np.array(angles[:1]), np.zeros(8, np.int64))
-    np.testing.assert_array_equal(found, np.degrees(np.radians(angles)))
-
-
-@pytest.mark.parametrize("order", ["X", "Z", "XY", "ZX", "ZXY"])
-def test_joints_of_fewer_axes_use_those_they_have_and_spin_on(order: str) -> None:
-    rng = np.random.default_rng(1)
-    angles = np.cumsum(rng.uniform(-4, 4, (91, len(order))), axis=0) * (len(order) < 3)
-    angles[:, -1] += np.linspace(0, 720, 91) * (len(order) != 2)
-    rotations = euler_to_quaternion(np.radians(angles), order)
-    found = anchored_angles(rotations, order, angles * 0 + 7.0, angles[:1], np.zeros(91, np.int64))
-    np.testing.assert_allclose(found, angles, atol=1e-6)

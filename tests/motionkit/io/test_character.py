@@ -153,24 +153,6 @@ def test_a_glb_keeps_its_nodes_and_moves_as_the_source(walk: mk.Motion, rig: Ske
     )
 
 
-def test_joints_that_are_matrices_move_alike(walk: mk.Motion, rig: Skeleton, tmp_path: Path) -> None:
-    write_glb_rig(tmp_path / "parts.glb", rig)
-    document, binary = read_glb(tmp_path / "parts.glb")
-    for node in document["nodes"][1:-1]:
-        matrix = np.eye(4)
-        x, y, z, w = node.pop("rotation")
-        matrix[:3, :3], matrix[:3, 3] = kinematics.quaternion_to_matrix(np.array([w, x, y, z])), node.pop("translation")
-        node["matrix"] = matrix.T.ravel().tolist()
-    write_glb(tmp_path / "matrices.glb", document, binary)
-    for name in ("parts", "matrices"):
-        character = read_character(tmp_path / f"{name}.glb", ReadOptions())
-        character.write(character.perform(walk), tmp_path / f"{name}-walk.glb")
-    document, _ = read_glb(tmp_path / "matrices-walk.glb")
-    assert not any("matrix" in node for node in document["nodes"])
-    places = [world_places(tmp_path / f"{name}-walk.glb") for name in ("parts", "matrices")]
-    np.testing.assert_allclose(places[0], places[1], atol=1e-5)
-
-
 @pytest.mark.parametrize(
     "damage",
     [

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid, parse_fps
-from motionkit.io.cuts import Cut, StepCut, TimeCut, crop, missing_seconds, unlike_stated_seconds
+from motionkit.io.cuts import Cut, StepCut, TimeCut, crop, missing_seconds
 from tests.helpers.refusal import refusal
 
 PATH = Path("walk.npz")
@@ -113,16 +113,6 @@ def test_seconds_beyond_the_end_are_missed_and_framerates_below_20_have_no_step(
     assert motion.num_frames == 50
     assert missed(motion, TimeCut(0.5, 1.5)) == pytest.approx(0.5)
     assert missed(motion, TimeCut(0.5, 1.01)) == missed(motion, TimeCut(0.5, None)) == 0.0
-
-
-@pytest.mark.parametrize(
-    ("num_frames", "fps", "stated", "unlike"),
-    [(600, 100, 6.2, False), (600, 120, 6.0, True), (20, 60, 0.5, False)],
-)
-def test_a_whole_file_that_is_not_as_long_as_stated(num_frames: int, fps: int, stated: float, unlike: bool) -> None:
-    assert unlike_stated_seconds(TimeCut(file_seconds=stated), num_frames, Fraction(fps)) == unlike
-    assert not unlike_stated_seconds(TimeCut(1.0, None, stated), num_frames, Fraction(fps))
-    assert not unlike_stated_seconds(TimeCut(), num_frames, Fraction(fps))
 
 
 @pytest.mark.parametrize(

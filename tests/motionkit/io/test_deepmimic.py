@@ -83,14 +83,6 @@ def test_two_durations_are_refused_unless_a_framerate_is_given(tmp_path: Path) -
     assert (motion.fps, motion.provenance.stated_fps) == (10, "3 × 0.1 s, 1 × 0.2 s")
 
 
-def test_quaternions_are_normalised_and_a_unit_scales_the_body(tmp_path: Path) -> None:
-    long = standing()
-    long[4] = 1.25
-    motion = read_deepmimic(written(tmp_path / "m.txt", [long, long]), ReadOptions(unit_metres=2.0))
-    plain = read_deepmimic(written(tmp_path / "n.txt", [standing(), standing()]))
-    assert np.allclose(motion.joint_positions, 2 * plain.joint_positions)
-
-
 FRAMES = [
     ([], "no-frames"),
     ([standing(), standing()[:-1]], "channel-count"),

@@ -16,8 +16,11 @@ from motionkit.features.quality import measure
 from motionkit.io import registry
 from motionkit.io.registry import ReadOptions, readers
 from motionkit.io.scan import read, scan
+from motionkit.io.source_file import read_bytes
 from tests.helpers.damage import damaged
 from tests.helpers.every_format import SOURCES
+from tests.helpers.refusal import refusal
+from tests.helpers.side_files import BESIDE
 
 OPTIONS = ReadOptions(fps=Fraction(30))
 # `MOTIONKIT_FUZZ_EXAMPLES=5000 pytest tests/motionkit/io/test_every_format.py` hunts for longer.
@@ -74,3 +77,36 @@ def test_only_explained_errors_come_out(tmp_path_factory, name, data, stated):
         measure(motion)
     for problem in problems:
         assert problem.reason and str(folder) in str(problem)
+
+
+HOSTILE = {
+    "nothing": b"",
+    "not UTF-8": b"caf\xe9,caption\n\xff\xfe",
+    "nested without end": b'{"fps": ' + b"[" * 100_000,
+    "hexadecimal digits without end": b"fps = 0x" + b"f" * 5000 + b"\n[[rule]]\nfiles='a'\nfps = 0x" + b"f" * 5000,
+    "numbers without end in a table": b"file,fps,num_frames,captions\ntake.bvh," + b",".join([b"9" * 5000] * 3) + b"\n",
+    "a path that leaves the folder": b"file,caption\n../../../etc/passwd,x\n/etc/passwd,y\ntake.bvh,walks\n",
+    "a name that no file can have": b"file,caption\n" + b"x" * 300 + b".bvh,x\n" + b"x/" * 3000 + b"y,z\n",
+    "a column twice": b"file,file,caption,caption\ntake.bvh,take.bvh,a,b\n",
+}
+
+
+@pytest.mark.parametrize("content", HOSTILE)
+@pytest.mark.parametrize("side", BESIDE)
+def test_hostile_files_beside_motions_are_explained(tmp_path, side, content):
+    name, file_name, _ = BESIDE[side]
+    SOURCES[name](tmp_path)
+    (tmp_path / file_name).parent.mkdir(exist_ok=True)
+    (tmp_path / file_name).write_bytes(HOSTILE[content])
+    motions, _ = read_source(tmp_path, OPTIONS if side == "annotations" else ReadOptions())
+    for motion in motions:
+        assert np.isfinite(motion.joint_positions).all()
+
+
+def test_a_pipe_among_the_files_is_not_waited_for(tmp_path):
+    SOURCES["bvh"](tmp_path)
+    for name in ("run.bvh", "captions.csv"):
+        os.mkfifo(tmp_path / name)
+    found = scan([tmp_path])
+    assert [item.path.name for item in found.items] == ["take.bvh"] and not found.problems
+    assert refusal(read_bytes, tmp_path / "run.bvh").path.name == "run.bvh"

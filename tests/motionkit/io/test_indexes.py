@@ -4,7 +4,6 @@ import json
 from collections import Counter
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from motionkit.core.motion import Caption
@@ -46,13 +45,6 @@ def test_humanml3d(published):
     assert by_name["000014"].cut == StepCut(647, 847, trim_frames=20, seen_fps=60.0)
     # Many clips of one file, and no two files that a generous comparison of names would take for one.
     assert len({entry.key for entry in index.entries}) == len({entry.parts for entry in index.entries}) == 11_715
-
-
-def test_the_published_clip_has_the_length_that_the_index_says(published, golden_humanml3d):
-    cut = next(entry.cut for entry in published.entries if entry.name == "012314")
-    assert isinstance(cut, StepCut) and cut.end_frame is not None
-    # 171 poses give 170 pose vectors, and new_joints are made from those.
-    assert len(np.load(golden_humanml3d / "new_joint_vecs/012314.npy")) == cut.end_frame - cut.start_frame - 1
 
 
 def test_kit(annotations):
@@ -193,20 +185,6 @@ def test_babel(tmp_path):
 )
 def test_spellings_of_one_file(index, file):
     assert file_key(index.split("/")) == file_key(file.split("/"))
-
-
-@pytest.mark.parametrize(
-    ("one", "other"),
-    [
-        ("KIT/3/kick01_poses.npz", "KIT/4/kick01_poses.npz"),
-        ("KIT/3/kick01_poses.npz", "EKUT/3/kick01_poses.npz"),
-        ("KIT/3/kick01_poses.npz", "KIT/3/kick0_1_poses.npz"),
-        ("mine/3/kick01.npz", "3/kick01.npz"),
-        ("KIT/3/kick_1.5_poses.npz", "KIT/3/kick_1.npz"),
-    ],
-)
-def test_files_that_differ(one, other):
-    assert file_key(one.split("/")) != file_key(other.split("/"))
 
 
 @pytest.mark.parametrize(

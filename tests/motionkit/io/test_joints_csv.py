@@ -11,7 +11,6 @@ from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io.joints_csv import read_joints_csv, write_joints_csv
 from motionkit.io.registry import ReadOptions
-from motionkit.io.scan import read, scan
 from tests.helpers.refusal import refusal
 
 HEAD = "time_seconds,Hips_x,Hips_y,Hips_z,Head_x,Head_y,Head_z\n"
@@ -82,13 +81,3 @@ def test_options(tmp_path):
 )
 def test_what_is_wrong_is_explained(tmp_path, text, reason):
     assert refusal(read_joints_csv, save(tmp_path / "bad.csv", text)).reason == reason
-
-
-def test_tables_of_annotations_are_not_motions(tmp_path):
-    save(tmp_path / "take.csv", HEAD + ROWS)
-    save(tmp_path / "words.csv", "file,caption\ntake.csv,someone slides\n")
-    save(tmp_path / "cuts.csv", "name,frame,start_x\n")
-    found = scan([tmp_path])
-    assert [item.path.name for item in found.items if item.format == "csv"][-1] == "take.csv"
-    motion = read(next(item for item in found.items if item.path.name == "take.csv"))
-    assert [caption.text for caption in motion.captions] == ["someone slides"]

@@ -62,14 +62,6 @@ def test_numbers_of_any_width_and_order_become_float32(dtype: str) -> None:
     np.testing.assert_array_equal(found, array.astype(np.float32))
 
 
-@pytest.mark.parametrize("order", ["<", ">"])
-def test_characters_that_do_not_exist_are_refused(order: str) -> None:
-    last, beyond = (np.array(number, order + "u4").tobytes() for number in (0x10FFFF, 0x110000))
-    content = with_header("(1,)", descr=f"{order}U1")
-    assert npy.parse_npy(PATH, content + last, None, npy.STRINGS).tolist() == [chr(0x10FFFF)]
-    assert refusal(npy.parse_npy, PATH, content + beyond, None, npy.STRINGS).path == PATH
-
-
 # Archives.
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from motionkit.io.bvh import read_bvh
 from motionkit.io.npz import read_npz
 from motionkit.io.registry import ReadOptions
-from motionkit.io.source_file import BLOCK_BYTES, format_table, read_bytes, read_table
+from motionkit.io.source_file import read_bytes, read_table
 from tests.helpers.format_samples import bvh_text
 from tests.helpers.refusal import refusal
 
@@ -52,11 +52,3 @@ def test_any_regular_table_is_read_as_python_reads_it(data: st.DataObject, rows:
     text = "".join(data.draw(SEPARATORS).join(row) + data.draw(LINE_ENDS) for row in words)
     table = read_table(text.encode(), rows, columns, Path("t"), 1)
     assert np.array_equal(table, np.array(words, dtype=np.float64))
-
-
-def test_written_numbers_of_thousands_of_rows_keep_every_digit() -> None:
-    table = np.random.default_rng(0).normal(size=(4000, 12))
-    table[7, :5] = -1 / 3, 1e-17, 123456.789, 0.0, 2.0
-    text = format_table(table)
-    assert len(text) > 3 * BLOCK_BYTES
-    assert np.array_equal(read_table(text, 4000, 12, Path("t"), 1), table)

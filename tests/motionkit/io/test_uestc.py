@@ -13,14 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints
-from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import read, scan
-from motionkit.io.smpl_body import SMPL
 from motionkit.io.uestc import ACTIONS, TRAIN_SUBJECTS, read_uestc
 from tests.helpers.bones import check_body
 from tests.helpers.refusal import refusal
 from tests.helpers.repository import REPOSITORY
-from tests.motionkit.io.test_body_models import write_body_model
 
 
 def pose(num_frames: int = 3, view: int = 0) -> np.ndarray:
@@ -75,15 +72,6 @@ def test_every_view_is_turned_to_the_front_one(tmp_path: Path, view: int) -> Non
 def test_without_a_translation_the_pelvis_stays(tmp_path: Path) -> None:
     motion = read_uestc(write(tmp_path / "a1_d8_p001_c2_color.npz"))
     assert np.ptp(motion.joint_positions[:, 0], axis=0).max() < 1e-6
-
-
-def test_a_body_model_gives_the_joints_of_these_betas(tmp_path: Path) -> None:
-    models = tmp_path / "models"
-    write_body_model(models / "smpl" / "SMPL_NEUTRAL.npz", SMPL)
-    path = write(tmp_path / "a1_d1_p001_c1_color.npz", betas=np.ones((3, 10), np.float32))
-    motion = read_uestc(path, ReadOptions(body_models=models))
-    assert motion.skeleton.joint_names == SMPL.joint_names
-    assert motion.skeleton != read_uestc(write(path), ReadOptions(body_models=models)).skeleton
 
 
 def test_the_documented_lines_make_files_that_are_read(tmp_path: Path) -> None:
