@@ -3,6 +3,7 @@
 import dataclasses
 import time
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,7 +15,6 @@ from motionkit.core.errors import UsageError
 from motionkit.core.files import sha256_of
 from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.data.captions import actions_of_windows, captions_of_windows
-from motionkit.data.windows import Windows
 from motionkit.generate.models import SamplingOptions
 from motionkit.store.cache import cache_root
 from motionkit.store.reader import Store
@@ -47,11 +47,11 @@ from motionkit.training.networks import (
 )
 from motionkit.training.run import RunError, RunFolder, StageContext
 from motionkit.training.text import TextEncoder, embed_texts, load_text_encoder
-from nerm.field import load_field
-from nerm.latents import LatentSpace, LocalLatents, first_read, in_use, local_latents, measured_space
+from nerm.field import TrainedField, load_field
+from nerm.latents import LatentSpace, LocalLatents, first_read, in_use, measured_space
 from nerm.network import Denoiser
-from nerm.paraphrases import with_paraphrases
 from nerm.recipes import DenoiserConfig, NermConfig
+from nerm.text import with_paraphrases
 
 SAMPLES_PER_BATCH = 256
 WEIGHT_DECAY = 0.01
@@ -91,20 +91,13 @@ class LatentCorpus:
 
 
 def corpus_of(
-    posterior_mean: Float32[Tensor, "windows latent"],
-    posterior_log_variance: Float32[Tensor, "windows latent"],
-    windows: Windows,
-    store: Store,
-    encoder: TextEncoder | None,
-    banks: LocalLatents | None = None,
-    paraphrases: int = 0,
-    seed: int = 0,
+    field: TrainedField, store: Store, encoder: TextEncoder | None, paraphrases: int, seed: int
 ) -> LatentCorpus:
-    """Posteriors with their windows' captions (embedded, and cached in the store's cache folder) and actions.
+    """A field's posteriors with their windows' captions (embedded, and cached in the store's cache folder) and actions.
 
     Up to `paraphrases` rewordings of each caption are drawn from `seed`; they stand for it in half of its uses.
     """
-    sequences = store.columns("captions", "action")
+    windows, sequences = field.windows, store.columns("captions", "action")
     captions = captions_of_windows(windows, sequences) if encoder is not None else [()] * len(windows)
     captions = with_paraphrases(captions, paraphrases, np.random.default_rng(seed))
 
@@ -117,7 +110,7 @@ def corpus_of(
 
     duration = torch.from_numpy(windows.duration_seconds / windows.max_duration_seconds).to(torch.float32)
     conditions = window_conditions(captions, actions_of_windows(windows, sequences), duration, embed)
-    return LatentCorpus(posterior_mean, posterior_log_variance, conditions, banks)
+    return LatentCorpus(field.posterior_mean, field.posterior_log_variance, conditions, field.network.local)
 
 
 def unit_rows(embeddings: Float32[np.ndarray, "texts dimension"]) -> Float32[np.ndarray, "texts dimension"]:
@@ -144,11 +137,6 @@ class TrainedDenoiser:
     text_fingerprint: str
     field_sha256: str
 
-    @property
-    def latent_dimension(self) -> int:
-        """Numbers in a latent."""
-        return len(self.space.mean)
-
     def sample(
         self,
         conditions: Conditions,
@@ -165,11 +153,10 @@ class TrainedDenoiser:
         """
         config = self.with_sampling(sampling)
         generators = [step_generator(seed, "generate", first + row) for row in range(len(conditions.action))]
-        found = []
-        for start in range(0, len(generators), SAMPLES_PER_BATCH):
-            rows = slice(start, start + SAMPLES_PER_BATCH)
-            found.append(self._sample_batch(config, conditions.rows(rows), generators[rows], adjust))
-        latents = torch.cat(found)
+        batches = [slice(start, start + SAMPLES_PER_BATCH) for start in range(0, len(generators), SAMPLES_PER_BATCH)]
+        latents = torch.cat(
+            [self._sample_batch(config, conditions.rows(rows), generators[rows], adjust) for rows in batches]
+        )
         if not torch.isfinite(latents).all():
             scale = config.diffusion.guidance_scale
             raise UsageError(f"sampling diverged: a guidance scale of {scale:g} is too large")
@@ -189,7 +176,7 @@ class TrainedDenoiser:
         adjust: Adjust | None,
     ) -> Float32[Tensor, "batch latent"]:
         def draw_noise() -> Float64[Tensor, "batch latent"]:
-            drawn = [torch.randn(self.latent_dimension, generator=g, dtype=torch.float64) for g in generators]
+            drawn = [torch.randn(len(self.space.mean), generator=g, dtype=torch.float64) for g in generators]
             return torch.stack(drawn)
 
         device = self.denoiser.positions.device
@@ -238,8 +225,8 @@ def save_denoiser(run: RunFolder, trained: TrainedDenoiser) -> None:
     save_tensors(run.stage(STAGE_NAME).model_path, tensors, description)
 
 
-def load_denoiser(run: RunFolder, device: torch.device | None = None) -> TrainedDenoiser:
-    """Read RUN/denoiser/model.safetensors; the network goes to `device` (default: the CPU).
+def load_denoiser(run: RunFolder, device: str | torch.device = "cpu") -> TrainedDenoiser:
+    """Read RUN/denoiser/model.safetensors; the network goes to `device`.
 
     Raises `RunError` if the stage was not trained to its end, `CheckpointError` for a damaged file.
     """
@@ -248,8 +235,7 @@ def load_denoiser(run: RunFolder, device: torch.device | None = None) -> Trained
     tensors, description = load_tensors(folder.model_path)
     with rebuilding(folder.model_path, STAGE_NAME, tensors):
         trained = _rebuild(tensors, description)
-    if device is not None:
-        trained.denoiser.to(device)
+    trained.denoiser.to(device)
     return trained
 
 
@@ -287,7 +273,7 @@ class DenoiserTraining:
         self.corpus = corpus
         self.device = device
         self.first_read = corpus.first_read
-        drawn = corpus.draw(torch.arange(len(corpus)), step_generator(seed, "latent space", 0))
+        drawn = corpus.draw(torch.arange(len(corpus)), step_generator(seed, "latent space"))
         used = in_use(self.first_read, corpus.conditions.duration)
         self.space = measured_space(drawn, used, corpus.banks, config.latent_scale)
         self.alphas = cumulative_alphas(config.diffusion)
@@ -322,8 +308,7 @@ class DenoiserTraining:
 
     def finished(self, *, text_fingerprint: str, field_sha256: str) -> TrainedDenoiser:
         """The trained denoiser, with its averaged weights, on the CPU."""
-        with seeded_initialisation(0, "denoiser"):
-            denoiser = Denoiser(self.config.network, self.first_read, self.corpus.conditions.sizes)
+        denoiser = deepcopy(self.denoiser).cpu()
         denoiser.load_state_dict(self.learner.trained_tensors())
         return TrainedDenoiser(
             config=self.config,
@@ -354,16 +339,7 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
         )
     started = time.perf_counter()
     encoder = _encoder(settings)
-    corpus = corpus_of(
-        field.posterior_mean,
-        field.posterior_log_variance,
-        field.windows,
-        store,
-        encoder,
-        local_latents(field.config),
-        settings.conditions.paraphrases,
-        context.seed,
-    )
+    corpus = corpus_of(field, store, encoder, settings.conditions.paraphrases, context.seed)
     if encoder is not None and not corpus.conditions.num_captions.any():
         raise _without_captions(f"none of the field's {len(corpus)} training windows", settings)
     folder = context.begin(STAGE_NAME, config, store_fingerprint=store.fingerprint, builds_on=("field",))
@@ -376,18 +352,15 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
         field_sha256=sha256_of(context.run.stage("field").model_path),
     )
     save_denoiser(context.run, trained)
-    folder.finish(
-        {
-            "loss": figures["loss"],
-            "steps": training.steps,
-            "parameters": sum(parameter.numel() for parameter in training.denoiser.parameters()),
-            "cpu_seconds": figures["cpu_seconds"],
-            "windows": len(corpus),
-            "captions": int(corpus.conditions.num_captions.sum()) // max(1, 2 * settings.conditions.paraphrases),
-            "actions": len(corpus.conditions.sizes.actions),
-            "seconds": round(time.perf_counter() - started, 1),
-        }
-    )
+    facts = {
+        "steps": training.steps,
+        "parameters": sum(parameter.numel() for parameter in training.denoiser.parameters()),
+        "windows": len(corpus),
+        "captions": int(corpus.conditions.num_captions.sum()) // max(1, 2 * settings.conditions.paraphrases),
+        "actions": len(corpus.conditions.sizes.actions),
+        "wall_seconds": round(time.perf_counter() - started, 1),
+    }
+    folder.finish({**figures, **facts})
 
 
 def check_denoiser(context: StageContext, config: NermConfig) -> None:

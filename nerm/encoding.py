@@ -19,7 +19,7 @@ from motionkit.core.shapes import Float, Float32, Float64, Int, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import normalise_seconds
 from motionkit.data.reconstruction import ModelWindows
-from motionkit.data.windows import FrameValues, WindowPoses, Windows, cut_windows, open_frames
+from motionkit.data.windows import FrameValues, WindowPoses, Windows, chunks, cut_windows, open_frames
 from motionkit.features import field
 from motionkit.fields.assembly import AssembledField, Piece, assemble, even_starts
 from motionkit.fields.motion_field import MotionField, Observation
@@ -37,17 +37,7 @@ PROBES = 8
 SMALLEST_EFFECT = 0.05
 
 
-def starting_latents(trained: TrainedField, batch: PoseTensors) -> Float32[Tensor, "batch latent"]:
-    """The initial z: the linear fit that initialises training too (local layout), or the prior's mean."""
-    model = trained.linear_model
-    if model is None:
-        return torch.zeros(len(batch.window), trained.latent_dimension)
-    return model.fit(batch)
-
-
-def encode_by_optimisation(
-    trained: TrainedField, batch: PoseTensors, *, evaluations: int = EVALUATIONS
-) -> Float32[Tensor, "batch latent"]:
+def encode_by_optimisation(trained: TrainedField, batch: PoseTensors) -> Float32[Tensor, "batch latent"]:
     """The z of each clip of a batch: argmin ‖f_θ(t, z, s) − x‖² + λ_KL·½‖z‖²/d, independent of the other clips.
 
     A clip's poses must be in order of time. ½‖z‖²/d is the KL term for a fixed posterior variance; a field without
@@ -56,7 +46,9 @@ def encode_by_optimisation(
     config, device = trained.config, trained.device
     kl_weight = config.loss.kl_weight if config.latents.variational else 0.0
     target = trained.scaling.apply(batch.vectors.to(device))
-    start = starting_latents(trained, batch).to(device)
+    model = trained.linear_model
+    start = torch.zeros(len(batch.window), trained.latent_dimension) if model is None else model.fit(batch)
+    start = start.to(device)
     fps = batch.fps.to(device)
     with torch.no_grad():
         encoded = trained.network.encode_coordinates(batch.coordinates.to(device), fps)
@@ -71,7 +63,7 @@ def encode_by_optimisation(
         (gradients,) = torch.autograd.grad(losses.sum(), moved)
         return losses.detach(), gradients
 
-    return (start + unit * minimise_each(objective, torch.zeros_like(start), evaluations)).cpu()
+    return (start + unit * minimise_each(objective, torch.zeros_like(start), EVALUATIONS)).cpu()
 
 
 @torch.no_grad()
@@ -165,14 +157,13 @@ WINDOWS_AT_ONCE = 64
 class NermEncoder:
     """A `MotionEncoder` that `ReconstructsWindows`: latents of a frozen field, one per window of at most l_max seconds.
 
-    Neighbouring windows overlap by at least `overlap_seconds`; each z is fitted to at most `num_poses` observed poses,
-    evenly spaced among those of its window. `name` is its row in tables.
+    Neighbouring windows overlap by at least `overlap_seconds`; each z is fitted to at most 100 observed poses, evenly
+    spaced among those of its window. `name` is its row in tables.
     """
 
     trained: TrainedField
     name: str = "NeRM"
     overlap_seconds: float = 1.0
-    num_poses: int = POSES_TO_ENCODE_FROM
 
     @property
     def store_fingerprint(self) -> str:
@@ -196,10 +187,7 @@ class NermEncoder:
         """
         trained = self.trained
         source, frames = open_frames(trained.vectors, store, where)
-        windows = cut_windows(
-            source,
-            max_duration_seconds=trained.max_duration_seconds,
-        )
+        windows = cut_windows(source, max_duration_seconds=trained.max_duration_seconds)
 
         def fields(rows: Int64[np.ndarray, "chosen"]) -> list[MotionField]:
             chosen = windows.select(rows)
@@ -208,10 +196,8 @@ class NermEncoder:
         return ModelWindows(source, windows, fields, "encoded by optimisation")
 
     def _fields(self, windows: Windows, latents: Float32[Tensor, "windows latent"]) -> list[MotionField]:
-        seconds = windows.duration_seconds.tolist()
-        return [
-            self.trained.as_motion_field(each, float(length)) for each, length in zip(latents, seconds, strict=True)
-        ]
+        pairs = zip(latents, windows.duration_seconds.tolist(), strict=True)
+        return [self.trained.as_motion_field(latent, seconds) for latent, seconds in pairs]
 
     def encode(
         self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
@@ -231,10 +217,8 @@ class NermEncoder:
         span = observation.end_seconds + after_seconds - start
         length = min(span, self.trained.max_duration_seconds)
         starts = start + even_starts(span, self.trained.max_duration_seconds, self.overlap_seconds)
-        pieces: list[Piece] = []
-        for first in range(0, len(starts), WINDOWS_AT_ONCE):
-            pieces += self._pieces(observation, starts[first : first + WINDOWS_AT_ONCE], length)
-        return assemble(pieces)
+        parts = (self._pieces(observation, starts[rows], length) for rows in chunks(len(starts), WINDOWS_AT_ONCE))
+        return assemble([piece for pieces in parts for piece in pieces])
 
     def _pieces(self, observation: Observation, starts: Float64[np.ndarray, "windows"], length: float) -> list[Piece]:
         rows = self._rows(observation, starts, length)
@@ -262,7 +246,7 @@ class NermEncoder:
     def _rows(
         self, observation: Observation, starts: Float64[np.ndarray, "windows"], length: float
     ) -> Int[np.ndarray, "windows poses"]:
-        """Observed frames to fit each window to; repeated if it has fewer than `num_poses`."""
+        """Observed frames to fit each window to; repeated if they are fewer than 100."""
         times = observation.times_seconds
         first = np.searchsorted(times, starts - 1e-9)
         last = np.searchsorted(times, starts + length + 1e-9) - 1
@@ -272,29 +256,17 @@ class NermEncoder:
                 f"no pose is observed between {empty:.2f} and {empty + length:.2f} s: a window of "
                 f"{self.trained.max_duration_seconds:g} s (l_max) needs at least one"
             )
-        return np.rint(np.linspace(first, last, self.num_poses, axis=1)).astype(np.int64)
+        return np.rint(np.linspace(first, last, POSES_TO_ENCODE_FROM, axis=1)).astype(np.int64)
 
 
-def encode_windows(
-    trained: TrainedField,
-    windows: Windows,
-    frames: FrameValues,
-    *,
-    num_poses: int = POSES_TO_ENCODE_FROM,
-) -> Float32[Tensor, "windows latent"]:
-    """The latents of windows that were not in training, by optimisation on `num_poses` native poses of each.
+def encode_windows(trained: TrainedField, windows: Windows, frames: FrameValues) -> Float32[Tensor, "windows latent"]:
+    """The latents of windows that were not in training, by optimisation on 100 native poses of each.
 
     `frames` come from opening the field's pose vectors.
     """
     poses = WindowPoses(windows, frames)
-    latents = [
-        encode_by_optimisation(
-            trained,
-            PoseTensors.of(poses.evenly(np.arange(start, min(start + WINDOWS_AT_ONCE, len(windows))), num_poses)),
-        )
-        for start in range(0, len(windows), WINDOWS_AT_ONCE)
-    ]
-    return torch.cat(latents)
+    batches = (poses.evenly(rows, POSES_TO_ENCODE_FROM) for rows in chunks(len(windows), WINDOWS_AT_ONCE))
+    return torch.cat([encode_by_optimisation(trained, PoseTensors.of(batch)) for batch in batches])
 
 
 def load(run: Path) -> NermEncoder:

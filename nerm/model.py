@@ -218,7 +218,7 @@ TURN_METRES = 0.3
 INSTANTS_PER_SECOND = 60.0
 # Speed of a foot in contact, m/s, and independent samples per second; deviation of bone lengths, m.
 FEET_DEVIATION, SAMPLES_PER_SECOND = 0.1, 3.0
-BONE_DEVIATION, BONE_SAMPLES = 0.003, 100
+BONE_DEVIATION, MEDIAN_SAMPLES = 0.003, 100
 
 
 JointsOf = Callable[[Float32[Tensor, "latent"]], Float32[Tensor, "instants joints 3"]]
@@ -381,7 +381,7 @@ def foot_sliding(trained: TrainedField, duration_seconds: float) -> FootSliding 
 @torch.no_grad()
 def median_bones(trained: TrainedField, latent: Float32[Tensor, "latent"], seconds: float) -> Float32[Tensor, "bones"]:
     """Median bone lengths over a motion."""
-    joints = JointsAt(trained, np.linspace(0.0, seconds, BONE_SAMPLES))(latent)
+    joints = JointsAt(trained, np.linspace(0.0, seconds, MEDIAN_SAMPLES))(latent)
     return _bones(joints[:, : SMPL22.num_joints]).median(dim=0).values
 
 

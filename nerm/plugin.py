@@ -10,8 +10,8 @@ MODELS = {
 }
 ENCODERS = {"nerm": Loader("NeRM", ("field",), lazily("nerm.encoding:load"), tasks=("reconstruction",))}
 TEXT_ENCODERS = {
-    "minilm": "nerm.minilm:load_minilm",
+    "minilm": "nerm.text:load_minilm",
     "clip": "nerm.text:load_clip",
     "transformers": "nerm.text:load_transformers",
 }
-ABLATIONS = {"nerm": "nerm.ablations:NERM"}
+ABLATIONS = {"nerm": "nerm.recipes:NERM"}

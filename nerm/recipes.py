@@ -1,4 +1,4 @@
-"""NeRM's settings (no torch), its recipes, its stages, and how its rows are named.
+"""NeRM's settings (no torch), its recipes, its stages, how its rows are named, and its ablations.
 
 The settings' defaults are the paper's. Recipes: `paper` (the paper's settings), `base` (an hour on a GPU), `small` (an
 hour and a half on two cores), `nano` and `demo` (minutes there).
@@ -9,9 +9,11 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Literal
 
+from motionkit.core.files import write_whole
 from motionkit.core.plugins import lazily
 from motionkit.core.timegrid import parse_fps
 from motionkit.features.convention import PoseVectorsName
+from motionkit.training.ablations import Ablation, Ablations, Entry, Variant
 from motionkit.training.config import (
     ConfigLike,
     DiffusionConfig,
@@ -21,7 +23,7 @@ from motionkit.training.config import (
     from_plain,
     require_positive,
 )
-from motionkit.training.run import RunFolder, Stage
+from motionkit.training.run import RunFolder, Stage, StageContext, clear_stage
 
 
 @dataclass(frozen=True)
@@ -471,3 +473,124 @@ def _has_published_codebook(run: RunFolder) -> bool:
         return False
     codebook = from_plain(CodebookConfig, stage.read_config()["config"]["codebook"])
     return bool(codebook.published_weights) or not _differences(codebook, CodebookConfig())
+
+
+# Ablations: the paper's Tables 5 to 9, and ours. A variant is one training run, which tables share, so the paper's full
+# model is trained once for all. The paper's tables use its own layout of z, `global`; rows of our layout, `local`, are
+# added where they apply.
+
+# Overrides for a recipe made for the other layout.
+LAYOUTS: dict[LatentLayout, tuple[str, ...]] = {
+    "global": (
+        "field.latents.layout=global",
+        "field.optimizer.latent_learning_rate=1e-1",
+        "denoiser.network.latent_tokens=1",
+    ),
+    "local": ("field.latents.layout=local",),
+}
+
+
+def _variant(layout: LatentLayout, name: str = "", *change: str) -> Variant:
+    """A variant with this layout of z, whichever layout the recipe has."""
+
+    def needs(recipe: NermConfig) -> tuple[str, ...]:
+        return () if recipe.field.latents.layout == layout else LAYOUTS[layout]
+
+    either = tuple(setting for settings in LAYOUTS.values() for setting in settings)
+    return Variant(f"{layout}-{name}" if name else layout, change, needs, either, ("codebook.where", "field.where"))
+
+
+def _row(layout: LatentLayout, label: str, name: str = "", change: str = "", reported: str = "") -> Entry:
+    """A row that changes a setting of a layout; `name` is the variant's, "" for the layout as the recipe has it."""
+    variant = _variant(layout, name, change) if name else _variant(layout)
+    return Entry(f"{layout}: {label}", variant, reported)
+
+
+_NO_TIME = ("no coordinate at all", "no-time", "field.encoder.kind=none")
+_FOURIER = ("Fourier features", "fourier", "field.encoder.kind=fourier")
+_POINT = ("one z a window, no distribution (Eq. 9)", "non-variational", "field.latents.variational=false")
+_UNWARMED = ("no warm-up at one framerate", "warmup-0", "field.clips.warmup_fraction=0")
+_WARMED = ("half of the steps at 20 fps", "warmup-50", "field.clips.warmup_fraction=0.5")
+_FIXED = ("all steps at 20 fps (NeRM-fixed)", "fixed-20", "field.clips.fixed_fps=20")
+
+
+def _table(table: str, title: str, *entries: Entry, stages: tuple[str, ...] = ("field", "denoiser")) -> Ablation:
+    return Ablation(table, title, entries, stages)
+
+
+ABLATIONS = {
+    "5": _table(
+        *("5", "time encoding"),
+        _row("global", *_NO_TIME),
+        _row("global", "the coordinate itself", "raw-time", "field.encoder.kind=raw", "no time encoding"),
+        _row("global", *_FOURIER, "fourier"),
+        _row("global", "Fourier features and codebook", reported="codebook"),
+        _row("local", *_NO_TIME),
+        _row("local", *_FOURIER),
+        _row("local", "Fourier features and codebook"),
+    ),
+    "6": _table(
+        *("6", "variational latents"),
+        _row("global", *_POINT, "non-variational"),
+        _row("global", "variational", reported="variational"),
+        _row("local", *_POINT),
+        _row("local", "variational"),
+    ),
+    "7": _table(
+        *("7", "decoder"),
+        _row("global", "transformer", "transformer", "field.decoder.kind=transformer", "transformer decoder"),
+        _row("global", "MLP", reported="mlp decoder"),
+    ),
+    "8": _table(
+        *("8", "size of z and weight of the KL term"),
+        _row("global", "d = 128", "d-128", "field.latents.dimension=128", "latent_dim=128"),
+        _row("global", "d = 256", reported="latent_dim=256"),
+        _row("global", "d = 512", "d-512", "field.latents.dimension=512", "latent_dim=512"),
+        _row("global", "λ_KL = 1e-5", "kl-1e-5", "field.loss.kl_weight=1e-5", "kl_weight=1e-5"),
+        _row("global", "λ_KL = 1e-4", reported="kl_weight=1e-4"),
+        _row("global", "λ_KL = 1e-3", "kl-1e-3", "field.loss.kl_weight=1e-3", "kl_weight=1e-3"),
+        stages=("field",),
+    ),
+    # Knots lie at normalised coordinates, so this table has no rows of the local layout.
+    "9": _table(
+        *("9", "time normalisation"),
+        _row("global", "frame numbers 1 … T", "frame-numbers", "field.encoder.coordinates=frames"),
+        _row("global", "normalised to [−1, 1]"),
+    ),
+    "ours": _table(
+        *("ours", "layout of z, and framerates in training"),
+        _row("global", "as the recipe"),
+        *(_row("global", *change) for change in (_UNWARMED, _WARMED)),
+        _row("global", *_FIXED, "NeRM-fixed"),
+        _row("local", "as the recipe"),
+        *(_row("local", *change) for change in (_UNWARMED, _WARMED, _FIXED)),
+    ),
+}
+
+
+def share_codebook(common: StageContext, run: RunFolder, config: NermConfig) -> None:
+    """Give a run the codebook of the common run, trained first if it is missing.
+
+    Variants differ in how the codes are used, not in the codes, so they share one codebook. A variant without codes
+    gets none.
+    """
+    from motionkit.store.commit import read_manifest  # deferred: networks read settings without a store
+
+    if config.field.encoder.kind != "codebook":
+        return
+    source, target = common.run.stage(CODEBOOK.name), run.stage(CODEBOOK.name)
+    with source.locked():
+        if source.is_complete:
+            CODEBOOK.check_kept(common, config, read_manifest(common.store).fingerprint)
+        else:
+            CODEBOOK.train(common, config)
+    if target.is_complete and target.model_path.read_bytes() == source.model_path.read_bytes():
+        return
+    with target.locked():
+        clear_stage(target)
+        for path in source.result_paths:  # The last one marks the stage as complete.
+            if path.is_file():
+                write_whole(target.path / path.name, path.read_bytes())
+
+
+NERM = Ablations("nerm", ABLATIONS, RECIPES, {"field": FIELD, "denoiser": DENOISER}, share_codebook, is_default=True)

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from motionkit.core.errors import UsageError
-from motionkit.store.sql import conjunction
 from motionkit.training.config import ConfigLike, apply_overrides, flatten, parse_override
 from motionkit.training.run import RunFolder, Stage, StageContext
 
@@ -38,6 +37,8 @@ class Variant:
 
         `where` (SQL) restricts the sequences. Raises `UsageError` for an override of a varied setting.
         """
+        from motionkit.store.sql import conjunction  # deferred: tables are listed without a store
+
         varied = {parse_override(setting)[0] for setting in self.change}
         for override in overrides:
             if parse_override(override)[0] in varied:

@@ -12,9 +12,8 @@ from motionkit.store.cache import PositionCache
 from motionkit.training.ablations import Variant
 from motionkit.training.config import apply_overrides, flatten, parse_override
 from motionkit.training.loop import step_generator
-from nerm.ablations import ABLATIONS, GLOBAL, LOCAL, NERM
 from nerm.field_training import FieldTraining, remarks, training_windows
-from nerm.recipes import RECIPES, FieldConfig, NermConfig, nano, paper
+from nerm.recipes import ABLATIONS, NERM, RECIPES, FieldConfig, NermConfig, nano
 from tests.helpers.nerm_corpus import analytic_source
 
 CODES = torch.randn(20, 12, generator=torch.Generator().manual_seed(5))
@@ -35,6 +34,9 @@ SMALLER = (
 )
 LAYOUTS = ("global", "local")
 VARIANTS = sorted({variant for ablation in ABLATIONS.values() for variant in ablation.variants}, key=lambda v: v.name)
+
+
+GLOBAL, LOCAL = (next(each for each in VARIANTS if each.name == layout) for layout in LAYOUTS)
 
 
 def _settings(recipe: str, *changes: str) -> FieldConfig:
@@ -86,23 +88,6 @@ def test_the_rows_of_a_table_are_different_trainings() -> None:
     for ablation in ABLATIONS.values():
         configs = {variant.configure(nano()) for variant in ablation.variants}
         assert len(configs) == len(ablation.variants), ablation.table
-
-
-def test_the_global_layout_of_the_paper_s_recipe_is_the_recipe() -> None:
-    assert GLOBAL.configure(paper()) == paper()
-
-
-def test_the_local_layout_of_nano_is_nano() -> None:
-    assert LOCAL.configure(nano()) == nano()
-
-
-def test_overrides_are_shared_but_not_those_of_what_is_varied() -> None:
-    non_variational = next(variant for variant in VARIANTS if variant.name == "global-non-variational")
-    config = non_variational.configure(nano(), ["field.schedule.steps=7"], "fps >= 60")
-    assert config.field.schedule.steps == 7
-    assert config.field.where == config.codebook.where == "(split = 'train') AND (fps >= 60)"
-    with pytest.raises(UsageError, match=r"field\.latents\.variational.*what 'global-non-variational' varies"):
-        non_variational.configure(nano(), ["field.latents.variational=true"])
 
 
 def test_frame_numbers_and_knots_exclude_each_other() -> None:

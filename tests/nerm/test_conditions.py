@@ -1,11 +1,8 @@
 """Zero masks, guidance (Eq. 6), and which captions belong to a window."""
 
-import pytest
 import torch
 
-from motionkit.core.errors import UsageError
-from motionkit.training.networks import NO_ACTION, Conditions, ConditionSizes, guided
-from nerm.network import ConditionEmbedding
+from motionkit.training.networks import NO_ACTION, Conditions, guided
 
 
 def conditions(batch: int = 3) -> Conditions:
@@ -54,23 +51,3 @@ def test_dropping_masks_with_zeros_and_keeps_the_duration():
     assert dropped.action.tolist() == [NO_ACTION, 1, NO_ACTION]
     torch.testing.assert_close(dropped.text[1], given_conditions.text[1])
     torch.testing.assert_close(dropped.duration, given_conditions.duration)
-
-
-def test_masked_tokens_do_not_depend_on_what_was_masked():
-    torch.manual_seed(0)
-    embedding = ConditionEmbedding(ConditionSizes(text_dimension=5, actions=("walk", "jump")), width=8)
-    first, second = conditions(), conditions()
-    second = Conditions.zero_masked(
-        text=second.text + 3, action=1 - second.action.clamp(max=1), duration=second.duration
-    )
-    everything = torch.ones(3, dtype=torch.bool)
-    torch.testing.assert_close(embedding(first.dropped(everything)), embedding(second.dropped(everything)))
-    assert not torch.allclose(embedding(first), embedding(second))
-
-
-def test_unknown_action_is_refused_by_name():
-    layout = ConditionSizes(text_dimension=5, actions=("jump", "walk"))
-    assert layout.action_index("walk") == 1
-    assert layout.action_index("") == NO_ACTION
-    with pytest.raises(UsageError, match=r"no action 'swim'; it knows jump, walk"):
-        layout.action_index("swim")

@@ -65,15 +65,6 @@ def test_a_heading_costs_what_the_chord_is_long() -> None:
     assert costs[1] == pytest.approx(2 * 0.5 * 2.0 * (0.3 / north.deviation) ** 2, rel=1e-4)
 
 
-def test_a_pose_costs_nothing_wherever_it_stands_and_faces() -> None:
-    turned = torch.stack((BODY[:, 2] + 4.0, BODY[:, 1], -BODY[:, 0] - 1.0), dim=-1)
-    wanted = Constraint.pose(BODY.double().numpy(), 1.0)
-    assert float(ConstraintCost(lambda latent: turned[None], (wanted,)).cost(torch.zeros(6), torch.zeros(3))) < 1e-3
-    raised = turned + torch.tensor([0.0, 0.1, 0.0])
-    costs = ConstraintCost(lambda latent: raised[None], (wanted,)).cost(torch.zeros(6), torch.zeros(3))
-    assert float(costs) == pytest.approx(22 * 0.5 * (0.1 / wanted.deviation) ** 2, rel=1e-2)
-
-
 def test_bones_of_another_length_cost_at_poses_alone() -> None:
     wanted = (Constraint.pose(BODY.double().numpy(), 0.0), Constraint.path([(0, 0), (1, 0)], [0.0, 0.125]))
     of_pose, of_path = (

@@ -9,7 +9,6 @@ from jaxtyping import Float32
 from motionkit.core.progress import ignore
 from motionkit.core.skeleton import SMPL22
 from motionkit.data.windows import cut_windows
-from motionkit.fields.assembly import Piece, assemble
 from motionkit.fields.motion_field import PredictsContacts
 from motionkit.training.config import apply_overrides
 from motionkit.training.run import StageFolder
@@ -73,16 +72,3 @@ def test_contacts_are_in_the_file_and_older_files_have_none(trained: TrainedFiel
         assert (said[0] is None) == (said[1] is None) == (name == "without")
         if said[0] is not None:
             np.testing.assert_array_equal(said[0], said[1])
-
-
-def test_joined_motions_know_contacts_where_all_pieces_do(trained: TrainedField) -> None:
-    one, other = (trained.as_motion_field(trained.posterior_mean[window], 4.0) for window in (0, 1))
-    whole = assemble([Piece(one, 0.0), Piece(other, 3.0)])
-    times = np.linspace(0.0, 7.0, 29)
-    said, first, second = whole.contacts(times), one.contacts(times[:13]), other.contacts(times[16:] - 3.0)
-    assert said is not None and first is not None and second is not None
-    np.testing.assert_allclose(said[:13], first, atol=1e-6)
-    np.testing.assert_allclose(said[16:], second, atol=1e-6)
-    silent = trained.as_motion_field(trained.posterior_mean[1], 4.0)
-    silent = replace(silent, field=replace(trained, contacts=None))
-    assert assemble([Piece(one, 0.0), Piece(silent, 3.0)]).contacts(times) is None

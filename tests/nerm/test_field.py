@@ -53,13 +53,6 @@ def test_what_is_loaded_decodes_as_what_was_saved(small_field: TrainedField, tmp
     assert loaded.posterior_log_variance.shape == (4, dimension)
 
 
-def test_poses_do_not_depend_on_what_else_is_asked_for(small_field: TrainedField) -> None:
-    times = np.array([3.0, 0.1, 2.2, 0.7])
-    together = small_field.decode(small_field.posterior_mean, times, FPS[4])
-    alone = small_field.decode(small_field.posterior_mean[2:3], times[1:2], FPS[4])
-    np.testing.assert_allclose(alone[0, 0], together[2, 1], atol=1e-5)
-
-
 def test_a_latent_is_a_motion_field(small_field: TrainedField) -> None:
     motion = small_field.as_motion_field(small_field.posterior_mean[1], 2.5)
     assert (motion.start_seconds, motion.end_seconds, motion.skeleton) == (0.0, 2.5, SMPL22)

@@ -10,7 +10,6 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motionkit.core.errors import UsageError
 from motionkit.data.windows import FrameValues, WindowPoses, cut_windows
 from motionkit.features.field import FIELD_VECTORS
 from motionkit.store.cache import PositionCache
@@ -38,12 +37,6 @@ from tests.helpers.nerm_corpus import analytic_positions, analytic_source, corpu
 
 KERNELS: list[Kernel] = ["hann", "lanczos"]
 TIMES = torch.linspace(-1, 1, 301, dtype=torch.float64)
-
-
-def test_lanczos_passes_through_inner_knots_and_hann_does_not() -> None:
-    lanczos, hann = (KnotLayout(9, kernel, 2.0, 0) for kernel in ("lanczos", "hann"))  # type: ignore[arg-type]
-    torch.testing.assert_close(lanczos.interpolant(lanczos.centres()), torch.eye(9, dtype=torch.float64))
-    assert float(hann.interpolant(hann.centres())[4, 4]) == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
@@ -117,17 +110,6 @@ def test_poses_relative_to_a_path_come_back() -> None:
     torch.testing.assert_close(placed(relative_to(vectors, path), path), vectors, atol=1e-5, rtol=1e-5)
 
 
-def test_z_goes_by_stretches_of_time() -> None:
-    banks = _banks()
-    numbers = banks.describe()
-    assert (banks.num_segments, banks.dimension) == (8, 160)
-    stretch = torch.floor((numbers.centre + 1.0) / 2.0 * 8).long().view(8, -1)
-    assert torch.equal(stretch, torch.arange(8)[:, None].expand(8, 20))
-    assert numbers.bank.view(8, -1)[3].tolist() == [0] * 12 + [1] * 5 + [2] * 3
-    assert numbers.knot.view(8, -1)[3].tolist() == [6] * 6 + [7] * 6 + [3] * 8
-    assert numbers.component.view(8, -1)[3].tolist() == [*range(6), *range(6), *range(6, 11), 0, 1, 2]
-
-
 def test_what_is_described_is_what_is_read() -> None:
     banks = _banks()
     numbers = banks.describe()
@@ -182,12 +164,6 @@ def test_what_a_short_window_does_not_reach_holds_its_last_pose() -> None:
         late = knots[:, -knots.shape[1] // 4 :, :3]
         assert float((late - late[:, -1:]).abs().max()) < 0.2
         assert float(late.abs().max()) > 0.4
-
-
-@pytest.mark.parametrize("wrong", ["latents.knots=16", "loss.scaling=number"])
-def test_banks_that_do_not_add_up_are_refused(wrong: str) -> None:
-    with pytest.raises(UsageError, match=wrong.partition("=")[0].rpartition(".")[2]):
-        apply_overrides(BANKED, [wrong])
 
 
 ONE_BANK = apply_overrides(
@@ -272,15 +248,6 @@ def test_steps_do_not_depend_on_where_a_path_is_and_how_it_lies(seed: int, yaw: 
     torch.testing.assert_close(steps_of(moved)[:, 1:], steps_of(places)[:, 1:], rtol=1e-7, atol=1e-7)
 
 
-def test_walking_round_a_circle_is_a_row_of_equal_steps_forward() -> None:
-    """Heading 0 is Z+, positive turns towards X+: a body on a circle of radius 2 faces along its tangent."""
-    angle = torch.linspace(0, 4, 9, dtype=torch.float64)
-    places = torch.stack((2 * (1 - torch.cos(angle)), 2 * torch.sin(angle), angle), dim=-1)[None]
-    chord = 2 * 2 * math.sin(0.5 / 2)
-    expected = torch.tensor([0.0, chord, 0.5], dtype=torch.float64).expand(8, 3)
-    torch.testing.assert_close(steps_of(places)[0, 1:], expected, rtol=0, atol=1e-12)
-
-
 @pytest.mark.parametrize("banks", [BANKS, replace(BANKS, path=None), None], ids=["path", "no path", "no knots"])
 @pytest.mark.parametrize("scale", ["number", "component"])
 def test_draws_have_mean_0_and_deviation_1_and_come_back(banks: LocalLatents | None, scale: LatentScale) -> None:
@@ -297,13 +264,3 @@ def test_draws_have_mean_0_and_deviation_1_and_come_back(banks: LocalLatents | N
         if len(of_kind):
             assert float(of_kind.mean()) == pytest.approx(0, abs=1e-3)
             assert float(of_kind.std()) == pytest.approx(1, abs=1e-3)
-
-
-def test_numbers_that_nobody_uses_do_not_count() -> None:
-    """Knots beyond the end hold 1000: neither mean nor deviation notices, and what is never used is left as it is."""
-    draws = torch.randn(500, BANKS.dimension, generator=torch.Generator().manual_seed(0))
-    first = first_read(BANKS.dimension, BANKS)
-    used = in_use(first, torch.full((500,), 0.3))
-    space = measured_space(torch.where(used, draws, torch.full_like(draws, 1000.0)), used, BANKS, "number")
-    assert float(space.mean.abs().max()) < 0.2
-    assert space.deviation[~used[0]].tolist() == [1.0] * int((~used[0]).sum())

@@ -10,8 +10,8 @@ import torch
 
 from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import SMPL22
-from motionkit.fields.motion_field import Poses, check_times, to_motion
-from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions
+from motionkit.fields.motion_field import Poses, check_times
+from motionkit.generate.models import GenerationRequest, SamplingOptions
 from motionkit.training.config import DiffusionConfig, apply_overrides
 from motionkit.training.loop import seeded_initialisation
 from motionkit.training.networks import ConditionSizes
@@ -98,24 +98,6 @@ def encoder(monkeypatch):
     letters = LetterEncoder()
     monkeypatch.setattr("motionkit.training.text.load_text_encoder", lambda name: letters)
     return letters
-
-
-def test_it_is_a_generative_model():
-    model = known_model()
-    accepted: GenerativeModel = model
-    assert accepted.name == "NeRM"
-    assert (model.max_training_fps, model.max_duration_seconds) == (Fraction(120), 8.0)
-    assert model.generate([], seed=0) == []
-
-
-def test_the_motion_is_the_same_at_every_framerate():
-    [field] = known_model().generate([GenerationRequest(2.0, action="walk")], seed=7)
-    slow, fast = to_motion(field, Fraction(20)), to_motion(field, Fraction(24000, 1001))
-    start = slow.joint_positions[0, 0, 0]
-    np.testing.assert_allclose(slow.joint_positions[:, 0, 0] - start, slow.timegrid.seconds(), atol=1e-5)
-    np.testing.assert_allclose(fast.joint_positions[:, 0, 0] - start, fast.timegrid.seconds(), atol=1e-5)
-    np.testing.assert_array_equal(slow.joint_positions[..., 1], slow.joint_positions[0, 0, 1])
-    assert fast.joint_positions[0, 0, 1] == slow.joint_positions[0, 0, 1]
 
 
 def test_seeds_and_requests_decide(encoder):

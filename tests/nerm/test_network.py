@@ -13,7 +13,6 @@ from nerm.network import (
     Denoiser,
     FieldNetwork,
     attention,
-    distinct,
 )
 from nerm.recipes import RECIPES, FieldConfig, TransformerConfig
 
@@ -116,18 +115,6 @@ def test_through_a_context_a_transformers_pose_depends_on_nothing_else_either() 
     assert (decoded([0, 1, 2, 3, 4, 5, 6], 0)[:, 6] - together[:, 6]).abs().max() > 1e-3
 
 
-def test_attention_once_per_distinct_coordinate_equals_attention_per_clip() -> None:
-    network = _network()
-    assert network.fourier is not None
-    assert network.attention is not None
-    _, coordinates, fps = _clips()
-    encoded = network.encode_coordinates(coordinates, fps)
-    assert encoded.features is not None
-    assert len(encoded.features) < coordinates.numel()
-    per_clip = torch.stack([network.attention(network.fourier(clip)) for clip in coordinates])
-    torch.testing.assert_close(encoded.features[encoded.which], per_clip, atol=1e-6, rtol=1e-5)
-
-
 def test_the_codebook_is_frozen_and_travels_with_the_weights() -> None:
     network = _network()
     assert "attention.codebook" in network.state_dict()
@@ -143,13 +130,6 @@ def test_the_decoder_is_the_paper_s() -> None:
     assert (encoder.num_queries, encoder.query_width, encoder.num_heads, encoder.num_layers) == (256, 128, 4, 3)
     assert (config.schedule.batch_size, config.schedule.learning_rate) == (4096, 1e-4)
     assert (config.loss.kl_weight, config.latents.layout) == (1e-4, "global")
-
-
-def test_instants_reached_at_two_framerates_are_one_coordinate() -> None:
-    seconds = torch.tensor([[k / 30 for k in range(4)], [4 * k / 120 for k in range(4)]], dtype=torch.float64)
-    values, which = distinct(-1 + 2 * seconds / 10)
-    assert len(values) == 4
-    assert torch.equal(which[0], which[1])
 
 
 def test_a_local_latent_means_the_same_at_every_knot() -> None:

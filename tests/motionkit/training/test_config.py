@@ -72,11 +72,6 @@ def test_settings_given_are_set(config: Outer) -> None:
     assert apply_overrides(Outer(), settings) == config
 
 
-def test_flat_keys_name_every_leaf() -> None:
-    inner = ("steps", "rate", "activation", "widths", "limit")
-    assert list(flatten(Outer())) == ["name", "fast", *(f"field.{name}" for name in inner)]
-
-
 def test_a_value_that_the_dataclass_itself_refuses_is_a_usage_error() -> None:
     @dataclass(frozen=True)
     class Positive:

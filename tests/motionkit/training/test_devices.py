@@ -64,11 +64,6 @@ def test_parts_are_all_rows_once(size: int, more: int) -> None:
     assert max(lengths) - min(lengths) <= 1
 
 
-def test_a_batch_that_is_too_small_is_refused() -> None:
-    with pytest.raises(UsageError, match="a batch of 3 can't be shared by 4 ranks"):
-        Ranks(1, 4).rows_of(3)
-
-
 @given(st.integers(1, 5), st.lists(st.floats(0.5, 10.0), min_size=1, max_size=40), st.randoms())
 def test_rows_are_dealt_once_each_and_in_balance(size: int, weights: list[float], random: np.random.Generator) -> None:
     order = np.arange(len(weights))
@@ -85,14 +80,6 @@ def test_rows_are_dealt_once_each_and_in_balance(size: int, weights: list[float]
         assert abs(weight[each.rows.numpy()].sum() - weight.sum() / size) <= weight.max() + 1e-9
 
 
-def test_rows_of_a_batch_are_found_in_their_owner_s_table() -> None:
-    dealt = [DealtRows(Ranks(rank, 2), np.ones(6), np.array([5, 0, 3, 1, 2, 4])) for rank in range(2)]
-    assert [each.rows.tolist() for each in dealt] == [[0, 3, 5], [1, 2, 4]]
-    batch = torch.tensor([4, 5, 0, 4])
-    assert [each.mine(batch).tolist() for each in dealt] == [[1, 2], [0, 3]]
-    assert dealt[0].place(torch.tensor([5, 0])).tolist() == [2, 0]
-
-
 def test_one_rank_does_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("WORLD_SIZE", "1")
     with joined_ranks() as ranks:
@@ -105,11 +92,3 @@ def test_one_rank_does_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
         ranks.wait()
     table = torch.randn(4, 2)
     assert torch.equal(DealtRows(ALONE, np.ones(4), np.arange(4)).gather(table), table)
-
-
-def test_what_fails_on_the_first_rank_is_reported_there() -> None:
-    def fail() -> None:
-        raise UsageError("no")
-
-    with pytest.raises(UsageError, match="no"):
-        ALONE.on_first(fail)

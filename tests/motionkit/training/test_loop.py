@@ -72,14 +72,6 @@ def test_an_interrupted_and_resumed_training_equals_an_uninterrupted_one_bit_by_
     assert seconds == sorted(seconds)
 
 
-def test_the_seed_decides_everything(tmp_path: Path) -> None:
-    losses = [
-        train_loop(Regression(steps=5), _folder(tmp_path / str(index) / "stage"), seed=seed)["loss"]
-        for index, seed in enumerate((1, 1, 2))
-    ]
-    assert losses[0] == losses[1] != losses[2]
-
-
 def test_metrics_ahead_of_the_checkpoint_are_forgotten(tmp_path: Path) -> None:
     folder = _folder(tmp_path / "stage")
     with pytest.raises(KeyboardInterrupt):
@@ -105,16 +97,6 @@ def test_a_checkpoint_of_another_stage_is_refused(tmp_path: Path) -> None:
     save_tensors(folder.checkpoint_path, {}, {"step": 3, "stage": "other"})
     with pytest.raises(CheckpointError, match="is of stage 'other'"):
         train_loop(Regression(steps=5), folder, seed=0)
-
-
-def test_rates_warm_up_and_fall_to_zero() -> None:
-    schedule = Schedule(100, kind="cosine", warmup_fraction=0.1)
-    factors = [schedule.factor(step, 100) for step in range(101)]
-    assert factors[0] == pytest.approx(0.1)
-    assert factors[10] == 1.0
-    assert factors[55] == pytest.approx(0.5)
-    assert factors[100] == pytest.approx(0.0)
-    assert Schedule(100).factor(70, 100) == 1.0
 
 
 def test_a_weight_average_of_constant_weights_is_those_weights() -> None:

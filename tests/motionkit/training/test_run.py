@@ -1,4 +1,3 @@
-import re
 import subprocess
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -101,33 +100,6 @@ def test_an_overwrite_that_was_stopped_leaves_nothing_that_another_training_take
     assert [path.name for path in folder.path.iterdir()] == ["config.json"]
 
 
-def test_settings_of_another_stage_do_not_stop_a_resume(tmp_path: Path) -> None:
-    _context(tmp_path).begin("first", Config(), store_fingerprint="abc")
-    other = Config(second=Part(steps=99))
-    _context(tmp_path, resume=True).begin("first", other, store_fingerprint="abc")
-    with pytest.raises(RunError, match=r"first\.steps 5 → 9"):
-        _context(tmp_path, resume=True).begin("first", Config(first=Part(9)), store_fingerprint="abc")
-
-
-def test_a_stage_is_not_resumed_upon_another_than_it_was_begun_with(tmp_path: Path) -> None:
-    model = RunFolder(tmp_path).stage("first").model_path
-    model.parent.mkdir()
-    model.write_bytes(b"one")
-    folder = _context(tmp_path).begin("second", Config(), store_fingerprint="abc", builds_on=("first",))
-    assert list(folder.read_config()["builds_on"]) == ["first"]
-    _context(tmp_path, resume=True).begin("second", Config(), store_fingerprint="abc", builds_on=("first",))
-    model.write_bytes(b"two")
-    with pytest.raises(RunError, match=r"\(builds_on.first .* --stage second --run"):
-        _context(tmp_path, resume=True).begin("second", Config(), store_fingerprint="abc", builds_on=("first",))
-    model.unlink()
-    _context(tmp_path, resume=True).begin("second", Config(), store_fingerprint="abc", builds_on=("first",))
-
-
-def test_an_untrained_stage_is_named_with_the_command_that_trains_it(tmp_path: Path) -> None:
-    with pytest.raises(RunError, match="motionkit train --stage field --run nano"):
-        RunFolder(tmp_path / "nano").stage("field").read_config()
-
-
 def test_stages_are_chosen_by_name_or_all_of_the_model(monkeypatch: pytest.MonkeyPatch) -> None:
     def stage(name: str) -> Stage[Config]:
         return Stage(name, "", {"nano": Config}, lambda context, config: None)
@@ -162,12 +134,6 @@ def test_the_commit_is_that_of_this_code_and_of_no_checkout_around_it(tmp_path: 
     git("commit", "-q", "-m", "somebody's own work")
     assert commit(kept) == git("rev-parse", "HEAD")
     assert commit(installed) is None
-
-
-@pytest.mark.parametrize("name", ["", "-rf", "a/b", "..", "two words"])
-def test_a_stage_has_a_name_that_is_a_folder_and_no_option(name: str) -> None:
-    with pytest.raises(UsageError, match=re.escape(repr(name))):
-        Stage(name, "", {"nano": Config}, lambda context, config: None)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,4 @@
 import json
-import shutil
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
@@ -106,14 +105,6 @@ def test_a_complete_stage_is_not_kept_for_what_it_is_not(folder: Path) -> None:
         CliRunner().invoke(_app(), ["--run", "mine", "--resume", "--set", "first.steps=6"], catch_exceptions=False)
 
 
-def test_what_a_stage_builds_on_may_change_while_the_command_runs(folder: Path) -> None:
-    _run("--run", "mine")
-    shutil.rmtree(folder / "runs" / "mine" / "first")
-    # The first stage is trained anew, with other settings: then the second one is of another.
-    with pytest.raises(RunError, match=r"second was begun from other inputs \(builds_on.first"):
-        CliRunner().invoke(_app(), ["--run", "mine", "--resume", "--set", "first.steps=6"], catch_exceptions=False)
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -129,13 +120,6 @@ def test_what_a_stage_builds_on_may_change_while_the_command_runs(folder: Path) 
 def test_what_makes_no_sense_is_refused_with_what_would(folder: Path, arguments: list[str], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         CliRunner().invoke(_app(), arguments, catch_exceptions=False)
-
-
-def test_the_settings_that_would_be_trained_are_shown(folder: Path) -> None:
-    assert _run("--show", "--set", "second.steps=9") == {"first.steps": 5, "second.steps": 9}
-    shown = CliRunner().invoke(_app(), ["--show", "--set", "second.steps=9"], catch_exceptions=False)
-    assert shown.stdout.splitlines() == ["first.steps=5", "second.steps=9"]
-    assert not (folder / "runs").exists()
 
 
 @pytest.mark.parametrize("stage", ["all", "evaluator"])
