@@ -159,7 +159,7 @@ def test_importing_eval_is_light_and_a_missing_package_is_named() -> None:
 
 def values_of(rows: slice, motions: slice) -> dict[str, float]:
     """The metrics of some of the data; in a group of processes, of the data of all."""
-    features.FIT_CLIPS = 256
+    score.FIT_CLIPS = 256
     pairs, error = RPrecision(), DeclaredMean("mpjpe")
     clips = ClipFID(60, MOTIONS[:2], clips=64, replications=2)
     pairs.update(torch.from_numpy(ROWS[rows]), torch.from_numpy(OTHERS[rows]))
