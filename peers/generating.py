@@ -216,7 +216,6 @@ def train_stage(stage: PeerStage, context: StageContext, config: PeerConfig) -> 
         "config": to_plain(config),
         "actions": list(sizes.actions),
         "text_fingerprint": "" if encoder is None else encoder.fingerprint,
-        "store_fingerprint": store.fingerprint,
         "builds_on": context.run.fingerprints(stage.earlier),
     }
     save_tensors(folder.model_path, tensors, description)

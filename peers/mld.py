@@ -112,7 +112,10 @@ class Mld(PeerNetwork):
         self, noisy: Float[Tensor, "batch 1 width"], steps: Steps, conditions: Conditions
     ) -> Float[Tensor, "batch 1 width"]:
         """ε of a noisy latent."""
-        tokens = [noisy, self.step_in(step_features(steps, self.config.time_features))[:, None]]
+        # Sinusoids with cos before sin (diffusers' `Timesteps` with `flip_sin_to_cos`).
+        half = self.config.time_features // 2
+        angles = steps[:, None].to(torch.float32) * 10_000.0 ** -(torch.arange(half, device=steps.device) / half)
+        tokens = [noisy, self.step_in(torch.cat((angles.cos(), angles.sin()), dim=1))[:, None]]
         if self.text_in is not None:
             tokens.append(self.text_in(conditions.text)[:, None])
         if self.actions is not None:
@@ -134,13 +137,6 @@ class Mld(PeerNetwork):
         """Standardised rows."""
         latents = layers.diffusion_sample(self, batch, lambda: batch.noise(1, self.width))
         return self.vae[0].decode(latents[:, 0].float(), batch.mask)
-
-
-def step_features(steps: Steps, width: int) -> Latents:
-    """Sinusoidal step embedding, cos before sin (diffusers' `Timesteps` with `flip_sin_to_cos`)."""
-    exponents = torch.arange(width // 2, device=steps.device) / (width // 2)
-    angles = steps[:, None].to(torch.float32) * 10_000.0 ** (-exponents)
-    return torch.cat((angles.cos(), angles.sin()), dim=1)
 
 
 SMALL_SKIPS = TransformerSizes(5, 128, 2, 256, dropout=0.0)

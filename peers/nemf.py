@@ -82,15 +82,11 @@ def residuals(widths: tuple[int, ...], kernel: int, activation: Callable[[], nn.
     ]
 
 
-def poses_of(rows: Rows, space: PoseSpace) -> Float[Tensor, "batch frames poses"]:
-    """Joint positions and rotations of rows."""
-    return rows[..., space.layout.joint_positions.start : space.layout.joint_rotations.stop]
-
-
-def with_velocities(poses: Rows, lengths: Lengths, fps: float) -> Float[Tensor, "batch frames twice"]:
-    """Poses concatenated with their velocities per quarter second (of similar scale); zeros at a motion's end."""
+def with_velocities(rows: Rows, lengths: Lengths, space: PoseSpace) -> Float[Tensor, "batch frames inputs"]:
+    """Joint positions and rotations, and their changes per quarter second (of similar scale), 0 at a motion's end."""
+    poses = rows[..., space.layout.joint_positions.start : space.layout.joint_rotations.stop]
     changes = pad(poses.diff(dim=1), (0, 0, 0, 1)) * frames_within(lengths - 1, poses.shape[1])[..., None]
-    return torch.cat((poses, 0.25 * fps * changes), dim=-1)
+    return torch.cat((poses, 0.25 * float(space.fps) * changes), dim=-1)
 
 
 class NemfPath(PeerNetwork):
@@ -111,7 +107,7 @@ class NemfPath(PeerNetwork):
 
         Only yaw velocity, joints and rotations of a row are used.
         """
-        inputs = with_velocities(poses_of(rows, self.space), lengths, float(self.space.fps))
+        inputs = with_velocities(rows, lengths, self.space)
         inputs = torch.cat((inputs, rows[..., self.space.layout.root_yaw_velocity]), dim=-1)
         mask = frames_within(lengths, rows.shape[1])[:, None]
         values = inputs.transpose(1, 2) * mask
@@ -195,7 +191,7 @@ class Nemf(PeerNetwork):
             raise UsageError(f"a motion of {rows.shape[1]} frames is longer than network.frames={self.config.frames}")
         rows = pad(rows, (0, 0, 0, self.config.frames - rows.shape[1]))
         mask = frames_within(lengths, rows.shape[1])[..., None]
-        poses = with_velocities(poses_of(rows, self.space), lengths, float(self.space.fps))
+        poses = with_velocities(rows, lengths, self.space)
         return self.local_encoder(poses), self.turn_encoder(_columns(self._orientation(rows)) * mask)
 
     def losses(self, batch: MotionBatch) -> dict[str, Tensor]:

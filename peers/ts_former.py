@@ -60,7 +60,11 @@ class TsFormer(nn.Module):
         ends = torch.stack((times - gap.before_seconds[:, None], gap.after_seconds[:, None] - times), dim=-1)
         seen = torch.ones_like(window.times_seconds, dtype=torch.bool)
 
-        entered = _marked(torch.cat((window.frames, _placeholders(window, instants)), dim=1), given)
+        # Zeros, with the root on straight lines between observed frames.
+        near = neighbours(window.asked(instants))
+        lines = near.mixed(gathered(window.frames, near.rows))
+        placeholders = lines * (torch.arange(lines.shape[-1], device=lines.device) < ROOT_NUMBERS)
+        entered = _marked(torch.cat((window.frames, placeholders), dim=1), given)
         keyframe_positions = self.keyframe_position(ends * self.frames_per_second)
         draft = self.context(entered, positions, seen, added=keyframe_positions)[:, given:]
         entered = _marked(torch.cat((window.frames, draft), dim=1), given)
@@ -86,16 +90,6 @@ def missing_instants(
     most = int(missing.sum(dim=1).max())
     first = torch.argsort((~missing).to(torch.int8), dim=1, stable=True)[:, :most]
     return grid.gather(1, first), missing.gather(1, first)
-
-
-def _placeholders(
-    window: ObservedWindow, times_seconds: Float[Tensor, "batch instants"]
-) -> Float[Tensor, "batch instants numbers"]:
-    """Zeros, with the root on straight lines between observed frames."""
-    near = neighbours(window.asked(times_seconds))
-    lines = near.mixed(gathered(window.frames, near.rows))
-    root = torch.arange(lines.shape[-1], device=lines.device) < ROOT_NUMBERS
-    return lines * root
 
 
 def _marked(poses: Float[Tensor, "batch rows numbers"], given: int) -> Float[Tensor, "batch rows inputs"]:

@@ -17,7 +17,6 @@ from tests.helpers.nerm_corpus import analytic_positions
 
 TIMES = np.array([0.0, 0.1, 0.15, 0.4, 0.45, 0.7])
 QUERIES = np.linspace(0.0, 0.7, 29)
-BASES: tuple[Base, ...] = ("hold", "linear", "slerp", "catmull-rom", "cubic", "eased")
 
 
 def rows_at(times: np.ndarray) -> np.ndarray:

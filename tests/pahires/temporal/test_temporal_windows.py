@@ -9,21 +9,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motionkit.core.skeleton import SMPL22
-from motionkit.data.rotation_sequences import RotationSequences, open_rotation_sequences
 from motionkit.features import rotations
 from motionkit.store.reader import Store
 from motionkit.training.config import apply_overrides
 from pahires.temporal.base_curves import WindowFrames
 from pahires.temporal.settings import TaskSettings, TemporalSettings
+from pahires.temporal.system import open_takes
 from pahires.temporal.windows import TASKS, WindowSampler, draw_layout
 from tests.helpers.small_network import TASKS as SMALL_TASKS
 from tests.helpers.tiny import write_store
 
 SETTINGS = apply_overrides(TemporalSettings(tasks=SMALL_TASKS, mirrored=False), ["schedule.batch_size=16"])
-
-
-def takes_of(store: Store, settings: TemporalSettings) -> RotationSequences:
-    return open_rotation_sequences(store, settings.framerate, where=settings.where or None, layout=settings.layout)
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +45,7 @@ def test_layouts_ascend_and_ask_for_neighbouring_frames(task: str, seed: int) ->
 
 
 def test_takes_are_every_kth_real_frame(store: Store) -> None:
-    takes = takes_of(store, SETTINGS)
+    takes = open_takes(store, SETTINGS)
     assert takes.keep_every.tolist() == [4, 1, 2, 4] and takes.skipped == 0
     for take, index in enumerate(takes.sequence_index.tolist()):
         vectors = rotations.rotation_rows(store.read(index)).vectors
@@ -61,7 +57,7 @@ def test_takes_are_every_kth_real_frame(store: Store) -> None:
 
 @pytest.mark.parametrize("finer", [False, True])
 def test_windows_hold_what_was_captured_at_their_times(store: Store, finer: bool) -> None:
-    sampler = WindowSampler(takes_of(store, SETTINGS), replace(SETTINGS, finer=finer))
+    sampler = WindowSampler(open_takes(store, SETTINGS), replace(SETTINGS, finer=finer))
     rng = np.random.default_rng(0)
     scaling = sampler.measure(rng)
     rates = set()
