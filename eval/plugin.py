@@ -24,13 +24,13 @@ TABLES = {
     "nerm-figure8": "eval.tables.nerm.figures:FIGURE_8",
     "nerm-ours": "eval.tables.nerm.ablations:TABLE_OURS",
     "nerm-physical": "eval.tables.physical:TABLE",
-    "pahires-1": "eval.tables.pahires.interpolation:TABLE_1",
-    "pahires-2": "eval.tables.pahires.interpolation:TABLE_2",
-    "pahires-3": "eval.tables.pahires.windows:TABLE_3",
-    "pahires-4": "eval.tables.pahires.interpolation:TABLE_4",
-    "pahires-extrapolation": "eval.tables.pahires.windows:TABLE_EXTRAPOLATION",
-    "pahires-figure5": "eval.tables.pahires.interpolation:FIGURE_5",
-    "pahires-figure6": "eval.tables.pahires.interpolation:FIGURE_6",
+    "pahires-1": "eval.tables.pahires:TABLE_1",
+    "pahires-2": "eval.tables.pahires:TABLE_2",
+    "pahires-3": "eval.tables.pahires:TABLE_3",
+    "pahires-4": "eval.tables.pahires:TABLE_4",
+    "pahires-extrapolation": "eval.tables.pahires:TABLE_EXTRAPOLATION",
+    "pahires-figure5": "eval.tables.pahires:FIGURE_5",
+    "pahires-figure6": "eval.tables.pahires:FIGURE_6",
 }
 # What `motionkit train --for KIND:NAME` trains, by KIND.
 PLANS = dict.fromkeys(("table", "figure"), "eval.tables.train_for:plan")

@@ -4,22 +4,20 @@ The ground truth at s fps is the capture, low-passed and downsampled if its fram
 have none and are left out.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eval.config import EvalConfig
 from eval.metrics.motion import mean_vector_distance, mpjpe_global, mpjpe_root_aligned, mre
 from eval.report.results import Cell
-from eval.sets.sets import Missing
 from motionkit.core.errors import UsageError
 from motionkit.core.mirror import mirror_positions
 from motionkit.core.shapes import Bool, Float32, Int64
 from motionkit.core.skeleton import SMPL22
-from motionkit.data.reconstruction import ModelWindows, ReconstructsWindows
+from motionkit.data.reconstruction import ReconstructsWindows
 from motionkit.data.windows import Windows
 from motionkit.features import field
 from motionkit.features.native import vectors
@@ -28,22 +26,15 @@ from motionkit.fields.resample import resample_positions
 from motionkit.store.cache import PositionCache
 
 if TYPE_CHECKING:
+    from eval.tables.table import EvalConfig
     from motionkit.store.reader import Store
 
+VERSION = "reconstruction/2"
 TRAINING, HELD_OUT = "training windows", "held-out windows"
 MOST_WINDOWS = 384
 GLOBAL = "global MPJPE, mm"
 DISTANCE = "L2 norm of the whole vector"
 COUNT = "windows"
-
-
-@dataclass(frozen=True, eq=False)
-class Reconstruction:
-    """One window as decoded and as captured, in the window's frame (metres), and how long it lasts."""
-
-    found: Float32[np.ndarray, "poses joints 3"]
-    truth: Float32[np.ndarray, "poses joints 3"]
-    seconds: float
 
 
 def window_truth(
@@ -57,16 +48,6 @@ def window_truth(
     sampled = resample_positions(positions, windows.exact_fps(row), fps)
     chosen = slice(row, row + 1)
     return np.asarray(field.to_window(sampled[None], windows.yaw[chosen], windows.origin[chosen])[0])
-
-
-def reconstructions(
-    source: PositionCache, windows: Windows, fields: Sequence[MotionField], fps: Fraction
-) -> Iterator[Reconstruction]:
-    """Windows that have a ground truth at `fps`, each with its decoded motion at that framerate."""
-    for row in np.flatnonzero(windows.fps >= float(fps) - 1e-6).tolist():
-        truth = window_truth(source, windows, row, fps)
-        found = to_motion(fields[row], fps).joint_positions[:, : truth.shape[1]]
-        yield Reconstruction(found, truth, float(windows.duration_seconds[row]))
 
 
 def separate_windows(windows: Windows) -> Int64[np.ndarray, "chosen"]:
@@ -102,33 +83,21 @@ class WindowErrors:
     seconds: float
 
 
-def window_errors(window: Reconstruction, fps: Fraction) -> WindowErrors:
-    """The errors of one window that was decoded at `fps`."""
-    found, truth = (vectors(positions, "smpl22", fps) for positions in (window.found, window.truth))
+def window_errors(
+    decoded: Float32[np.ndarray, "poses joints 3"],
+    truth: Float32[np.ndarray, "poses joints 3"],
+    fps: Fraction,
+    seconds: float,
+) -> WindowErrors:
+    """The errors of one window of some seconds, decoded at `fps`; both in the window's frame, metres."""
+    found, expected = (vectors(positions, "smpl22", fps) for positions in (decoded, truth))
     return WindowErrors(
-        aligned_mm=1000.0 * mpjpe_root_aligned(window.found, window.truth),
-        global_mm=1000.0 * mpjpe_global(window.found, window.truth),
-        mre=mre(found, truth),
-        vector_distance=mean_vector_distance(found, truth),
-        seconds=window.seconds,
+        aligned_mm=1000.0 * mpjpe_root_aligned(decoded, truth),
+        global_mm=1000.0 * mpjpe_global(decoded, truth),
+        mre=mre(found, expected),
+        vector_distance=mean_vector_distance(found, expected),
+        seconds=seconds,
     )
-
-
-def mpjpe_cell(windows: Sequence[WindowErrors]) -> Cell | None:
-    """Root-aligned MPJPE in millimetres, windows weighing by duration; None where there is no window."""
-    if not windows:
-        return None
-    aligned = _mean(windows, (window.aligned_mm for window in windows))
-    whole = _mean(windows, (window.global_mm for window in windows))
-    return Cell(aligned, None, {GLOBAL: whole, COUNT: float(len(windows))})
-
-
-def mre_cell(windows: Sequence[WindowErrors]) -> Cell | None:
-    """MRE of `native` vectors, windows weighing by duration; None where there is no window."""
-    if not windows:
-        return None
-    distance = _mean(windows, (window.vector_distance for window in windows))
-    return Cell(_mean(windows, (window.mre for window in windows)), None, {DISTANCE: distance})
 
 
 def _mean(windows: Sequence[WindowErrors], values: Iterable[float]) -> float:
@@ -136,8 +105,21 @@ def _mean(windows: Sequence[WindowErrors], values: Iterable[float]) -> float:
     return sum(window.seconds * value for window, value in zip(windows, values, strict=True)) / seconds
 
 
+def mpjpe_cell(windows: Sequence[WindowErrors]) -> Cell:
+    """Root-aligned MPJPE in millimetres, windows weighing by duration."""
+    aligned = _mean(windows, (window.aligned_mm for window in windows))
+    whole = _mean(windows, (window.global_mm for window in windows))
+    return Cell(aligned, None, {GLOBAL: whole, COUNT: float(len(windows))})
+
+
+def mre_cell(windows: Sequence[WindowErrors]) -> Cell:
+    """MRE of `native` vectors, windows weighing by duration."""
+    distance = _mean(windows, (window.vector_distance for window in windows))
+    return Cell(_mean(windows, (window.mre for window in windows)), None, {DISTANCE: distance})
+
+
 @dataclass(frozen=True, eq=False)
-class DescribedWindows:
+class Reconstructed:
     """Windows of a source, each with a model's reconstruction: a motion field in the window's own frame."""
 
     source: PositionCache
@@ -145,31 +127,33 @@ class DescribedWindows:
     fields: Sequence[MotionField]
     described: str
 
-    def errors(self, rows: Int64[np.ndarray, "chosen"], fps: Fraction) -> dict[int, WindowErrors]:
-        """The errors of some of the windows at a framerate, by row; those without a ground truth have none."""
-        rows = rows[comparable(self.windows, [fps])[rows]]
-        found = reconstructions(self.source, self.windows.select(rows), [self.fields[row] for row in rows], fps)
-        return {int(row): window_errors(window, fps) for row, window in zip(rows, found, strict=True)}
+    def errors(self, fps: Fraction) -> dict[int, WindowErrors]:
+        """The errors at a framerate by the window's row; windows without a ground truth have none."""
+        found = {}
+        for row in np.flatnonzero(comparable(self.windows, [fps])).tolist():
+            truth = window_truth(self.source, self.windows, row, fps)
+            decoded = to_motion(self.fields[row], fps).joint_positions[:, : truth.shape[1]]
+            found[row] = window_errors(decoded, truth, fps, float(self.windows.duration_seconds[row]))
+        return found
 
 
-def described_windows(
-    encoder: ReconstructsWindows, store: "Store", config: EvalConfig, rates: Sequence[Fraction], missing: Missing
-) -> dict[str, DescribedWindows]:
+def reconstructed_windows(
+    encoder: ReconstructsWindows, store: "Store", config: "EvalConfig", rates: Sequence[Fraction]
+) -> dict[str, Reconstructed]:
     """Samples of the windows that an encoder was trained on, and of another split's if there are any.
 
     Of each at most `MOST_WINDOWS` random ones; those fast enough for all framerates come first.
     """
-
-    def sample(windows: ModelWindows) -> DescribedWindows:
-        shuffled = np.random.default_rng(config.seed).permutation(separate_windows(windows.windows))
-        fast = comparable(windows.windows, rates)[shuffled]
-        first_fast = np.concatenate((shuffled[fast], shuffled[~fast]))
-        rows = np.sort(first_fast[: min(MOST_WINDOWS, config.max_motions)])
-        return DescribedWindows(windows.source, windows.windows.select(rows), windows.fields(rows), windows.described)
-
-    found = {TRAINING: sample(encoder.training_windows(store))}
-    with missing.skipping(HELD_OUT, (UsageError,)):
+    sources = {TRAINING: encoder.training_windows(store)}
+    with config.missing.skipping(HELD_OUT, (UsageError,)):
         if config.split in ("all", "train"):
             raise UsageError(f"split {config.split!r} holds training windows; name another (--split test)")
-        found[HELD_OUT] = sample(encoder.other_windows(store, config.condition))
+        sources[HELD_OUT] = encoder.other_windows(store, config.condition)
+    found = {}
+    for name, each in sources.items():
+        shuffled = np.random.default_rng(config.seed).permutation(separate_windows(each.windows))
+        fast = comparable(each.windows, rates)[shuffled]
+        first_fast = np.concatenate((shuffled[fast], shuffled[~fast]))
+        rows = np.sort(first_fast[: min(MOST_WINDOWS, config.max_motions)])
+        found[name] = Reconstructed(each.source, each.windows.select(rows), each.fields(rows), each.described)
     return found

@@ -7,6 +7,7 @@ hour and a half on two cores), `nano` and `demo` (minutes there).
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import partial
 from typing import Literal
 
 from motionkit.core.files import write_whole
@@ -490,90 +491,85 @@ LAYOUTS: dict[LatentLayout, tuple[str, ...]] = {
 }
 
 
-def _variant(layout: LatentLayout, name: str = "", *change: str) -> Variant:
-    """A variant with this layout of z, whichever layout the recipe has."""
-
-    def needs(recipe: NermConfig) -> tuple[str, ...]:
-        return () if recipe.field.latents.layout == layout else LAYOUTS[layout]
-
-    either = tuple(setting for settings in LAYOUTS.values() for setting in settings)
-    return Variant(f"{layout}-{name}" if name else layout, change, needs, either, ("codebook.where", "field.where"))
+def _needs(layout: LatentLayout, recipe: NermConfig) -> tuple[str, ...]:
+    return () if recipe.field.latents.layout == layout else LAYOUTS[layout]
 
 
-def _row(layout: LatentLayout, label: str, name: str = "", change: str = "", reported: str = "") -> Entry:
+def _row(layout: LatentLayout, label: str, name: str = "", change: str = "") -> Entry:
     """A row that changes a setting of a layout; `name` is the variant's, "" for the layout as the recipe has it."""
-    variant = _variant(layout, name, change) if name else _variant(layout)
-    return Entry(f"{layout}: {label}", variant, reported)
+    changes = (change,) if change else ()
+    variant = Variant(f"{layout}-{name}" if name else layout, changes, partial(_needs, layout))
+    return Entry(f"{layout}: {label}", variant)
+
+
+def _table(number: str, title: str, *rows: Entry, stages: tuple[str, ...] = ("field", "denoiser")) -> Ablation:
+    return Ablation(number, title, rows, stages)
 
 
 _NO_TIME = ("no coordinate at all", "no-time", "field.encoder.kind=none")
 _FOURIER = ("Fourier features", "fourier", "field.encoder.kind=fourier")
 _POINT = ("one z a window, no distribution (Eq. 9)", "non-variational", "field.latents.variational=false")
-_UNWARMED = ("no warm-up at one framerate", "warmup-0", "field.clips.warmup_fraction=0")
-_WARMED = ("half of the steps at 20 fps", "warmup-50", "field.clips.warmup_fraction=0.5")
-_FIXED = ("all steps at 20 fps (NeRM-fixed)", "fixed-20", "field.clips.fixed_fps=20")
-
-
-def _table(table: str, title: str, *entries: Entry, stages: tuple[str, ...] = ("field", "denoiser")) -> Ablation:
-    return Ablation(table, title, entries, stages)
-
-
-ABLATIONS = {
-    "5": _table(
-        *("5", "time encoding"),
+_FRAMERATES = (
+    ("as the recipe",),
+    ("no warm-up at one framerate", "warmup-0", "field.clips.warmup_fraction=0"),
+    ("half of the steps at 20 fps", "warmup-50", "field.clips.warmup_fraction=0.5"),
+    ("all steps at 20 fps (NeRM-fixed)", "fixed-20", "field.clips.fixed_fps=20"),
+)
+_TABLES = (
+    _table(
+        "5",
+        "time encoding",
         _row("global", *_NO_TIME),
-        _row("global", "the coordinate itself", "raw-time", "field.encoder.kind=raw", "no time encoding"),
-        _row("global", *_FOURIER, "fourier"),
-        _row("global", "Fourier features and codebook", reported="codebook"),
+        _row("global", "the coordinate itself", "raw-time", "field.encoder.kind=raw"),
+        _row("global", *_FOURIER),
+        _row("global", "Fourier features and codebook"),
         _row("local", *_NO_TIME),
         _row("local", *_FOURIER),
         _row("local", "Fourier features and codebook"),
     ),
-    "6": _table(
-        *("6", "variational latents"),
-        _row("global", *_POINT, "non-variational"),
-        _row("global", "variational", reported="variational"),
+    _table(
+        "6",
+        "variational latents",
+        _row("global", *_POINT),
+        _row("global", "variational"),
         _row("local", *_POINT),
         _row("local", "variational"),
     ),
-    "7": _table(
-        *("7", "decoder"),
-        _row("global", "transformer", "transformer", "field.decoder.kind=transformer", "transformer decoder"),
-        _row("global", "MLP", reported="mlp decoder"),
+    _table(
+        "7",
+        "decoder",
+        _row("global", "transformer", "transformer", "field.decoder.kind=transformer"),
+        _row("global", "MLP"),
     ),
-    "8": _table(
-        *("8", "size of z and weight of the KL term"),
-        _row("global", "d = 128", "d-128", "field.latents.dimension=128", "latent_dim=128"),
-        _row("global", "d = 256", reported="latent_dim=256"),
-        _row("global", "d = 512", "d-512", "field.latents.dimension=512", "latent_dim=512"),
-        _row("global", "λ_KL = 1e-5", "kl-1e-5", "field.loss.kl_weight=1e-5", "kl_weight=1e-5"),
-        _row("global", "λ_KL = 1e-4", reported="kl_weight=1e-4"),
-        _row("global", "λ_KL = 1e-3", "kl-1e-3", "field.loss.kl_weight=1e-3", "kl_weight=1e-3"),
+    _table(
+        "8",
+        "size of z and weight of the KL term",
+        _row("global", "d = 128", "d-128", "field.latents.dimension=128"),
+        _row("global", "d = 256"),
+        _row("global", "d = 512", "d-512", "field.latents.dimension=512"),
+        _row("global", "λ_KL = 1e-5", "kl-1e-5", "field.loss.kl_weight=1e-5"),
+        _row("global", "λ_KL = 1e-4"),
+        _row("global", "λ_KL = 1e-3", "kl-1e-3", "field.loss.kl_weight=1e-3"),
         stages=("field",),
     ),
     # Knots lie at normalised coordinates, so this table has no rows of the local layout.
-    "9": _table(
-        *("9", "time normalisation"),
+    _table(
+        "9",
+        "time normalisation",
         _row("global", "frame numbers 1 … T", "frame-numbers", "field.encoder.coordinates=frames"),
         _row("global", "normalised to [−1, 1]"),
     ),
-    "ours": _table(
-        *("ours", "layout of z, and framerates in training"),
-        _row("global", "as the recipe"),
-        *(_row("global", *change) for change in (_UNWARMED, _WARMED)),
-        _row("global", *_FIXED, "NeRM-fixed"),
-        _row("local", "as the recipe"),
-        *(_row("local", *change) for change in (_UNWARMED, _WARMED, _FIXED)),
+    _table(
+        "ours",
+        "layout of z, and framerates in training",
+        *(_row("global", *change) for change in _FRAMERATES),
+        *(_row("local", *change) for change in _FRAMERATES),
     ),
-}
+)
 
 
 def share_codebook(common: StageContext, run: RunFolder, config: NermConfig) -> None:
-    """Give a run the codebook of the common run, trained first if it is missing.
-
-    Variants differ in how the codes are used, not in the codes, so they share one codebook. A variant without codes
-    gets none.
-    """
+    """Give a run the codebook of the common run, trained first if it is missing; a variant without codes gets none."""
     from motionkit.store.commit import read_manifest  # deferred: networks read settings without a store
 
     if config.field.encoder.kind != "codebook":
@@ -593,4 +589,10 @@ def share_codebook(common: StageContext, run: RunFolder, config: NermConfig) -> 
                 write_whole(target.path / path.name, path.read_bytes())
 
 
-NERM = Ablations("nerm", ABLATIONS, RECIPES, {"field": FIELD, "denoiser": DENOISER}, share_codebook, is_default=True)
+NERM = Ablations(
+    "nerm",
+    {ablation.table: ablation for ablation in _TABLES},
+    {"field": FIELD, "denoiser": DENOISER},
+    share_codebook,
+    is_default=True,
+)

@@ -22,8 +22,8 @@ from eval.report.render import to_markdown
 from eval.report.results import Block, Cell, Measure, Result, Row, cell_of, measure, provenance, write_result
 from eval.sets.motions import RealMotion, real_motion, upsampled
 from eval.sets.sets import SampleSet
-from eval.tables.columns import label
 from eval.tables.physical import OURS, PER_FRAME, TABLE, Measured, floors_of, measured
+from eval.tables.systems import label
 from motionkit.store import Store
 
 NATIVE = Fraction(120)

@@ -33,7 +33,7 @@ from eval.sets.motions import (
     windows_of,
 )
 from eval.sets.sets import Missing, SampleSet
-from eval.tables.models import require_models
+from eval.tables.systems import require_models
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.fields.detail import GRID_FPS, Detail, SlowMotion, detailed, fit_detail

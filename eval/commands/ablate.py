@@ -1,28 +1,31 @@
 """`motionkit ablate`: train the variants of an ablation table."""
 
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from eval.tables.ablation_runs import find_ablation, find_ablations, papers_with_ablations, run_name, train_variant
 from motionkit.cli.console import print_json, progress, stderr, stdout
+from motionkit.cli.train import narrowed
+from motionkit.core import plugins
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.files import default_path
-from motionkit.training.ablations import Ablation, Ablations, Variant
+from motionkit.training.ablations import Ablation, Ablations, Variant, find_ablations, run_of
 from motionkit.training.run import RunFolder, StageContext
 
 
 def ablate(
     tables: Annotated[list[str] | None, typer.Argument(help="Tables of the paper: 5, figure6 …; or all.")] = None,
-    listing: Annotated[bool, typer.Option("--list", help="Say what there is and what is trained; train nothing.")] = (
-        False
-    ),
+    listing: Annotated[
+        bool, typer.Option("--list", help="Print the variants and what is trained; train nothing.")
+    ] = False,
     only: Annotated[
         str | None, typer.Option(metavar="NAME,…", help="These variants alone (--list names them).")
     ] = None,
     paper: Annotated[
-        str | None, typer.Option(help=f"Paper whose model is varied: {', '.join(papers_with_ablations())}.")
+        str | None, typer.Option(help=f"Paper whose model is varied: {', '.join(plugins.names('ABLATIONS'))}.")
     ] = None,
     recipe: Annotated[
         str, typer.Option(help="Named configuration that is varied: nano, small, demo, base, paper.")
@@ -48,32 +51,38 @@ def ablate(
     Example: motionkit ablate 5 --list
     """
     ablations = find_ablations(paper)
-    names = list(ablations.tables) if "all" in (tables or ()) else list(dict.fromkeys(tables or ()))
-    chosen = [find_ablation(ablations, name) for name in names]
+    names = list(ablations.tables) if tables == ["all"] or (listing and not tables) else tables or []
+    for name in names or [""]:
+        if name not in ablations.tables:
+            known = ", ".join(f"{table} ({each.title})" for table, each in ablations.tables.items())
+            raise UsageError(f"there is no ablation {name!r} of {ablations.paper!r}; name a table: {known}, or all")
+    chosen = [ablations.tables[name] for name in names]
     # Runs of models other than the default one have the paper in their names.
     named = recipe if ablations.is_default else f"{ablations.paper}-{recipe}"
-    folder, prefix = runs or default_path("runs"), run or named
+    prefix = (runs or default_path("runs")) / (run or named)
     if listing:
-        _list(chosen or list(ablations.tables.values()), folder, prefix, seed, as_json)
+        for ablation in chosen:
+            for variant in ablation.variants:
+                state = [name for name in ablation.stages if run_of(prefix, variant, seed).stage(name).is_complete]
+                settings, trained = " ".join(variant.change) or "the recipe's own settings", " and ".join(state)
+                stdout.print(f"{ablation.table:8} {variant.name:24} {settings:40} {trained or 'not trained'}")
         return
-    if not chosen:
-        known = ", ".join(ablations.tables)
-        raise UsageError(f"name a table: {known}, or all (motionkit ablate --list says what they vary)")
     variants = _variants(ablations, chosen, only, stage)
-    if recipe not in ablations.recipes:
-        raise UsageError(f"there is no recipe {recipe!r}: {', '.join(ablations.recipes)}")
-    base = ablations.recipes[recipe]()
-    configs = {variant: variant.configure(base, overrides or [], where) for variant in variants}
+    first = next(iter(ablations.stages.values()))
+    base = first.recipe(recipe)
+    configs = [variant.configure(base, overrides or []) for variant in variants]
+    if where:
+        configs = [narrowed((first,), [config], where)[0] for config in configs]
 
     from motionkit.store.commit import read_manifest
 
     store = store or default_path("store")
-    read_manifest(store)  # fail on a missing store before heavy imports
-    trained = []
+    fingerprint = read_manifest(store).fingerprint  # fails for a missing store before heavy imports
+    outcomes = []
     with progress() as show:
         common = StageContext(
             store,
-            RunFolder(folder / prefix),
+            RunFolder(prefix),
             recipe,
             seed=seed,
             resume=not overwrite,
@@ -81,20 +90,23 @@ def ablate(
             device=device,
             on_progress=show,
         )
-        for number, (variant, stages) in enumerate(variants.items(), start=1):
-            stderr.print(f"{number} of {len(variants)}: {run_name(prefix, variant, seed)}")
+        for number, ((variant, stages), config) in enumerate(zip(variants.items(), configs, strict=True), start=1):
+            context = replace(common, run=run_of(prefix, variant, seed))
+            stderr.print(f"{number} of {len(variants)}: {context.run.path.name}")
             try:
-                trained.append(train_variant(ablations, common, variant, configs[variant], stages))
+                summaries = _train(ablations, common, context, config, stages, fingerprint)
             except MotionkitError as error:
                 # The others are trained all the same.
                 stderr.print(f"motionkit: {variant.name}: {error}")
                 continue
+            outcomes.append({"run": context.run.path.name, "variant": variant.name, "stages": summaries})
             if not as_json:
-                _print_outcome(trained[-1])
+                losses = ", ".join(f"{name} loss {summary['loss']:.4g}" for name, summary in summaries.items())
+                stdout.print(f"{context.run.path.name}: {losses}")
     if as_json:
-        print_json({"runs": str(folder), "trained": trained})
-    if len(trained) < len(variants):
-        failed = len(variants) - len(trained)
+        print_json({"runs": str(prefix.parent), "trained": outcomes})
+    if len(outcomes) < len(variants):
+        failed = len(variants) - len(outcomes)
         raise MotionkitError(f"{failed} of {len(variants)} variants failed; the same command tries again")
 
 
@@ -110,44 +122,36 @@ def _variants(
         for variant in ablation.variants:
             needed = ablation.stages if stage == "all" else (first,)
             stages[variant] = max(stages.get(variant, ()), needed, key=len)
-    if only is None:
-        return stages
     known = {variant.name: variant for variant in stages}
-    names = [name.strip() for name in only.split(",")]
-    for name in names:
-        if name not in known:
-            raise UsageError(f"--only {name}: no such variant in the tables named; there are: {', '.join(known)}")
+    names = list(known) if only is None else [name.strip() for name in only.split(",")]
+    if unknown := [name for name in names if name not in known]:
+        raise UsageError(f"--only {unknown[0]}: no such variant in these tables; there are: {', '.join(known)}")
     return {known[name]: stages[known[name]] for name in names}
 
 
-def _print_outcome(outcome: dict[str, Any]) -> None:
-    losses = ", ".join(f"{name} loss {summary['loss']:.4g}" for name, summary in outcome["stages"].items())
-    stdout.print(f"{outcome['run']}: {losses}, {outcome['cpu_seconds']:.0f} CPU seconds")
+def _train(
+    ablations: Ablations,
+    common: StageContext,
+    context: StageContext,
+    config: Any,
+    stages: tuple[str, ...],
+    fingerprint: str,
+) -> dict[str, Any]:
+    """Train a variant's missing stages in its run; returns each stage's summary.
 
-
-def _list(chosen: list[Ablation], runs: Path, prefix: str, seed: int, as_json: bool) -> None:
-    rows = []
-    for ablation in chosen:
-        for entry in ablation.entries:
-            name = run_name(prefix, entry.variant, seed)
-            complete = [stage for stage in ablation.stages if RunFolder(runs / name).stage(stage).is_complete]
-            rows.append(
-                {
-                    "table": ablation.table,
-                    "row": entry.name,
-                    "variant": entry.variant.name,
-                    "settings": list(entry.variant.change),
-                    "run": name,
-                    "complete": complete,
-                    "needed": list(ablation.stages),
-                }
-            )
-    if as_json:
-        print_json(rows)
-        return
-    for ablation in chosen:
-        stdout.print(f"{ablation.table}: {ablation.title}")
-        for row in (row for row in rows if row["table"] == ablation.table):
-            state = " and ".join(row["complete"]) or "not trained"
-            settings = " ".join(row["settings"]) or "the recipe's own settings"
-            stdout.print(f"  {row['variant']:24} {settings:34} {state}")
+    `common` is the context of RUNS/PREFIX, which has what all variants share.
+    """
+    summaries = {}
+    with ExitStack() as locks:
+        for name in stages:
+            locks.enter_context(context.run.stage(name).locked())
+        # What is shared has one seed, and is never replaced.
+        ablations.prepare(replace(common, seed=0, resume=True, overwrite=False), context.run, config)
+        for name in stages:
+            folder, stage = context.run.stage(name), ablations.stages[name]
+            if folder.is_complete and not context.overwrite:
+                stage.check_kept(context, config, fingerprint)
+            else:
+                stage.train(context, config)
+            summaries[name] = folder.read_summary()
+    return summaries

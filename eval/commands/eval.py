@@ -16,9 +16,8 @@ from motionkit.core.files import default_path, write_whole
 if TYPE_CHECKING:
     from fractions import Fraction
 
-    from eval.config import EvalConfig
     from eval.report.results import Result
-    from eval.tables.table import Table
+    from eval.tables.table import EvalConfig, Table
 
 ALL = "all"
 SHOWN_PROBLEMS = 10
@@ -90,9 +89,6 @@ def evaluate(
     clips: Annotated[int, _option(CLIPS, "Clips on each side (N).", min=64)] = 4096,
     replications: Annotated[int, _option(CLIPS, "Independent repetitions behind the intervals.", min=1)] = 20,
     sizes: Annotated[str, _option(CLIPS, "Clip sizes in poses.")] = "16:64",
-    low_pass: Annotated[
-        float | None, _option(CLIPS, "Smooth every set, real ones too, first.", min=0.1, metavar="HZ")
-    ] = None,
     evaluator: Annotated[
         str | None,
         _option(
@@ -129,13 +125,13 @@ def evaluate(
     Example: motionkit eval --table 2
     """
     from eval.clip_fid.score import Protocol
-    from eval.config import EvalConfig
     from eval.sample_folder import SampleOptions
+    from eval.tables.table import EvalConfig
     from eval.text_motion.guo.kind import GuoFiles
 
     tables = _chosen(table, figure, calibrate, paper)
-    if calibrate and (low_pass is not None or samples):
-        raise UsageError("--calibrate damages real motion by itself: leave out --low-pass and --samples")
+    if calibrate and samples:
+        raise UsageError("--calibrate damages real motion by itself: leave out --samples")
     if weights is None and (glove or statistics):
         option = "--glove" if glove else "--statistics"
         raise UsageError(f"{option} needs a published evaluator: give its weights with --weights finest.tar")
@@ -155,7 +151,6 @@ def evaluate(
         guo=None if weights is None else GuoFiles(weights, glove, statistics),
         motion_clip=motion_clip,
         clips=Protocol(*_sizes(sizes), num_clips=clips, replications=replications, seed=seed),
-        low_pass_hz=low_pass,
         protocol=protocol,
         fps=framerates(fps, "--fps") if fps else None,
         seed=seed,

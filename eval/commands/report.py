@@ -101,7 +101,7 @@ def _motions(run: Path, store: Path, show: "OnProgress") -> Iterator[tuple[str, 
     from eval.sets.motions import real_motion
     from eval.sets.sets import Missing
     from eval.study.trials import of_model, of_motions
-    from eval.tables.models import trained_models
+    from eval.tables.systems import trained_models
     from motionkit.core.skeleton import SMPL22
     from motionkit.store import Store
     from motionkit.viz.player import Panel, page_of

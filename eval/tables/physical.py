@@ -9,7 +9,6 @@ from fractions import Fraction
 
 import numpy as np
 
-from eval.config import EvalConfig
 from eval.metrics.metric import Metric, find_metric
 from eval.metrics.number import Number, Resampling, Units, units_of, with_takes
 from eval.metrics.physical import METRICS, ground_height
@@ -17,9 +16,8 @@ from eval.metrics.physical_published import METRICS as PUBLISHED
 from eval.report.results import Block, Row, cell_of, differences_block, measure, of_interest, pairs_of
 from eval.sets.motions import NoRealMotionError, real_motion, training_motion
 from eval.sets.sets import REAL, RowId, SampleSet, Variant
-from eval.tables.columns import detail_blocks, generated_at, label, real_column, samples_at
-from eval.tables.models import generated_fields
-from eval.tables.table import Content, Table
+from eval.tables.systems import Column, detail_blocks, generated_at, generated_fields, label, real_column, samples_at
+from eval.tables.table import Content, EvalConfig, Table
 from motionkit.core.progress import task
 from motionkit.core.shapes import Float64
 from motionkit.generate.models import installed_models
@@ -31,15 +29,8 @@ SKATING = find_metric("slide_speed").title
 PER_INSTANT = ("physdiff_penetrate", "physdiff_float")
 OURS = (*METRICS[:4], *(find_metric(name) for name in PER_INSTANT), *METRICS[4:])
 PER_FRAME = tuple(metric for metric in PUBLISHED if metric.name not in PER_INSTANT)
-NOTE = (
-    "Of each motion by itself, with its floor (its lowest joint is lower for 5 % of the time) at 0; a row is the mean "
-    "over its motions, weighing by their seconds, ± half its 95 % interval over takes. No figure stands for itself: a "
-    "frozen body doesn't skate (docs/results/physical.md)."
-)
-PUBLISHED_NOTE = (
-    "As their projects compute them, on the same motions with the same floor. All but Kimodo's count per frame, and "
-    "Kimodo's see a capture's noise at high framerates: numbers of two framerates don't compare."
-)
+NOTE = "Means over motions, weighing by their seconds, ± half the 95 % interval over takes (docs/metrics.md)."
+PUBLISHED_NOTE = "As their projects compute them: numbers of two framerates don't compare."
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,52 +87,38 @@ def compute(config: EvalConfig, store: Store) -> Content:
 
     Raises `NoRealMotionError` if no framerate has real motion.
     """
-    folders = config.sample_folders
     real = real_motion(store, config.split, config.where)
     train = training_motion(store, real)
-    references: dict[Fraction, SampleSet] = {}
+    columns: list[Column] = []
     for fps in config.fps or RATES:
         with config.missing.skipping(label(fps), (NoRealMotionError,)):
-            references[fps] = real.at(fps)
-    if not references:
+            columns.append(real_column(fps, real, train))
+    if not columns:
         raise NoRealMotionError(config.missing.lines[-1])
-    generated = generated_fields(config, real.at(min(references)))
+    generated, training = generated_fields(config, min(columns, key=lambda column: column.fps).real)
     blocks: list[Block] = []
-    for fps, reference in references.items():
-        sets = {REAL: reference, **generated_at(generated.rows, reference, fps, config.missing)}
-        sets |= samples_at(real, fps, config)
-        notes = _notes(sets, generated.training)
-        blocks += _blocks(fps, sets, notes, config)
-        blocks += detail_blocks(reference, real_column(fps, real, train).train, sets, notes, config)
+    for column in columns:
+        sets = {REAL: column.real, **generated_at(generated, column.real, column.fps, config.missing)}
+        sets |= samples_at(real, column.fps, config)
+        rows: dict[RowId, Measured] = {}
+        notes: dict[RowId, str] = {}
+        for row, samples in sets.items():
+            with task(config.on_progress, f"{row}, {label(column.fps)}", samples.num_sequences) as work:
+                rows[row] = measured(samples, work.advance)
+            trained = training.get(row.system, "") if row.variant is Variant.AS_IS else ""
+            size = f"{samples.num_takes} takes, {samples.num_sequences} motions, {samples.duration_seconds:.0f} s"
+            notes[row] = "; ".join(filter(None, (size, trained)))
+        for title, metrics, note in (
+            ("Per second", OURS, NOTE),
+            ("By the field's definitions", PER_FRAME, PUBLISHED_NOTE),
+        ):
+            blocks += blocks_of(f"{title}, at {label(column.fps)}", metrics, rows, notes, note, config.seed)
+        blocks += detail_blocks(column.real, column.train, sets, notes, config)
     return Content(
         caption=f"Physical figures of real motion, {config.real}, and of what was made for it.",
         blocks=blocks,
-        notes=tuple(f"{folder.name}: {folder.describe()}" for folder in folders),
+        notes=tuple(f"{folder.name}: {folder.describe()}" for folder in config.sample_folders),
     )
-
-
-def _notes(sets: Mapping[RowId, SampleSet], training: Mapping[str, str]) -> dict[RowId, str]:
-    """Each row's size, and how its model was trained."""
-    notes = {}
-    for row, samples in sets.items():
-        trained = training.get(row.system) if row.variant is Variant.AS_IS else None
-        size = f"{samples.num_takes} takes, {samples.num_sequences} motions, {samples.duration_seconds:.0f} s"
-        notes[row] = "; ".join(filter(None, (size, trained)))
-    return notes
-
-
-def _blocks(
-    fps: Fraction, sets: Mapping[RowId, SampleSet], notes: Mapping[RowId, str], config: EvalConfig
-) -> list[Block]:
-    """The blocks of our and the published metrics, at one framerate."""
-    rows: dict[RowId, Measured] = {}
-    for row, samples in sets.items():
-        with task(config.on_progress, f"{row}, {label(fps)}", samples.num_sequences) as work:
-            rows[row] = measured(samples, work.advance)
-    return [
-        *blocks_of(f"Per second, at {label(fps)}", OURS, rows, notes, NOTE, config.seed),
-        *blocks_of(f"By the field's definitions, at {label(fps)}", PER_FRAME, rows, notes, PUBLISHED_NOTE, config.seed),
-    ]
 
 
 def blocks_of(
@@ -153,29 +130,34 @@ def blocks_of(
     seed: int,
 ) -> list[Block]:
     """A block with a column for each metric that some row has, and the rows' differences; `REAL` is the reference."""
-    means = {row: _means(metrics, found, Resampling(seed=seed)) for row, found in rows.items()}
+    means: dict[RowId, dict[str, Number]] = {}
+    for row, found in rows.items():
+        by_column = {metric.title: found.mean(metric, Resampling(seed=seed)) for metric in metrics}
+        means[row] = {title: mean for title, mean in by_column.items() if mean is not None}
     shown = [metric for metric in metrics if any(metric.title in row for row in means.values())]
-    columns = tuple(metric.title for metric in shown)
-    measures = tuple(measure(metric, column=metric.title) for metric in shown)
-    found = tuple(
-        Row(
-            str(row),
-            "reference" if row == REAL else "ours",
-            {column: cell_of(mean) for column, mean in by_column.items()},
-            notes[row],
-        )
-        for row, by_column in means.items()
+    block = Block(
+        title,
+        tuple(metric.title for metric in shown),
+        tuple(
+            Row(
+                str(row),
+                "reference" if row == REAL else "ours",
+                {column: cell_of(mean) for column, mean in by_column.items()},
+                notes[row],
+            )
+            for row, by_column in means.items()
+        ),
+        note=note,
+        metrics=tuple(measure(metric, column=metric.title) for metric in shown),
     )
-    pairs = pairs_of((row for row in means if row != REAL), (REAL,))
     paired = {
         (first, second): {
             column: difference
             for column, mean in means[first].items()
             if column in means[second] and (difference := mean.less(means[second][column])) is not None
         }
-        for first, second in pairs
+        for first, second in pairs_of((row for row in means if row != REAL), (REAL,))
     }
-    block = Block(title, columns, found, note=note, metrics=measures)
     differences = differences_block(block, of_interest(block, paired, _nearest(means)))
     return [block, *([differences] if differences else [])]
 
@@ -185,12 +167,6 @@ def _nearest(means: Mapping[RowId, Mapping[str, Number]]) -> list[str]:
     speeds = {row: by_column[SKATING].value for row, by_column in means.items() if SKATING in by_column}
     real = speeds.pop(REAL, None)
     return [] if real is None else [str(row) for row in sorted(speeds, key=lambda row: abs(speeds[row] - real))[:1]]
-
-
-def _means(metrics: Sequence[Metric], row: Measured, resampling: Resampling) -> dict[str, Number]:
-    """A row's means by column."""
-    found = {metric.title: row.mean(metric, resampling) for metric in metrics}
-    return {title: mean for title, mean in found.items() if mean is not None}
 
 
 TABLE = Table(

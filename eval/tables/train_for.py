@@ -1,7 +1,4 @@
-"""The stages to train for a table of systems, in order, and their shares of a time budget: `motionkit train --for`.
-
-A system is a model or encoder that tables load from runs (`motionkit.training.run`).
-"""
+"""The stages to train for a table of systems, in order, and their shares of a time budget: `motionkit train --for`."""
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
@@ -10,8 +7,6 @@ from eval.tables.table import Table
 from motionkit.core import plugins
 from motionkit.core.errors import UsageError
 from motionkit.training.run import Stage, StageContext, StagePlan
-
-KINDS = {"table": "", "figure": "figure"}
 
 
 def plan(target: str, paper: str | None, context: StageContext, overrides: Sequence[str]) -> StagePlan:
@@ -23,9 +18,8 @@ def plan(target: str, paper: str | None, context: StageContext, overrides: Seque
     table = table_that_shows(paper, target)
     stages: dict[str, Stage[Any]] = plugins.load_all("STAGES")
     systems = list(table.shown().values())
-    for name in (name for system in systems for name in system.stages):
-        if name not in stages:
-            raise UsageError(f"no stage is called {name!r}; there are: {', '.join(stages)}")
+    if unknown := [name for system in systems for name in system.stages if name not in stages]:
+        raise UsageError(f"no stage is called {unknown[0]!r}; there are: {', '.join(stages)}")
 
     def is_kept(name: str) -> bool:
         return not context.overwrite and context.run.stage(name).is_complete
@@ -35,18 +29,18 @@ def plan(target: str, paper: str | None, context: StageContext, overrides: Seque
             return tuple(context.run.stage(name).read_config().get("builds_on", {}))
         return stages[name].builds_on(stages[name].configured(context.recipe, (*table.settings, *overrides)))
 
-    def missing(name: str) -> Iterable[str]:
+    def earlier_to_train(name: str) -> Iterable[str]:
         return () if is_kept(name) else earlier(name)
 
     shares: dict[str, float] = {}
-    needed = _with_earlier([name for name in table.reads if name in stages], missing)
+    needed = _with_earlier([name for name in table.reads if name in stages], earlier_to_train)
     for system in systems:
-        needed |= _with_earlier(system.stages, missing)
+        needed |= _with_earlier(system.stages, earlier_to_train)
         own = _with_earlier(system.stages, earlier)
-        whole = sum(stages[name].share for name in own)
         for name in own:
             # A stage of two systems gets the larger share.
-            shares[name] = max(shares.get(name, 0.0), stages[name].share / whole)
+            share = stages[name].share / sum(stages[each].share for each in own)
+            shares[name] = max(shares.get(name, 0.0), share)
     of_paper = "" if paper is None else f" --paper {paper}"
     return StagePlan(
         tuple(stage for name, stage in stages.items() if name in needed),
@@ -61,19 +55,12 @@ def table_that_shows(paper: str | None, target: str) -> Table:
 
     Without a paper, the one with default tables is preferred.
     """
-    kind, _, number = target.partition(":")
-    if not number or kind not in KINDS:
-        raise UsageError(f"--for {target}: table:NUMBER or figure:NUMBER, such as table:2")
-    installed = plugins.names("TABLES")
-    tables: list[Table] = [
-        plugins.load("TABLES", name)
-        for name in installed
-        if name.endswith(f"-{KINDS[kind]}{number}") and (paper is None or name.startswith(f"{paper}-"))
-    ]
-    if not tables:
-        names = ", ".join(installed)
-        raise UsageError(f"--for {target}: there is no such table; installed tables: {names or 'none'}")
-    table = next((each for each in tables if each.is_default), tables[0])
+    known: dict[str, Table] = plugins.load_all("TABLES")
+    of_papers = [table for name, table in known.items() if paper in (None, name.partition("-")[0])]
+    named = [table for table in of_papers if table.target == target]
+    if not named:
+        raise UsageError(f"--for {target}: table:NUMBER or figure:NUMBER of the installed tables: {', '.join(known)}")
+    table = max(named, key=lambda table: table.is_default)
     if not table.shown():
         raise UsageError(f"--for {target}: that table has no rows of systems (of ablations: motionkit ablate)")
     return table

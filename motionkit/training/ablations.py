@@ -1,15 +1,16 @@
-"""Ablations: tables whose rows are runs that differ from a recipe in a few settings.
+"""Ablations: tables whose rows are runs that differ from a recipe in a few settings; `motionkit ablate` trains them.
 
 A package lists its own in `ABLATIONS` (`motionkit.core.plugins`) by the paper, from a module that imports lightly.
-`motionkit ablate` trains the runs; the tables are listed in `TABLES`.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
+from motionkit.core import plugins
 from motionkit.core.errors import UsageError
-from motionkit.training.config import ConfigLike, apply_overrides, flatten, parse_override
+from motionkit.training.config import apply_overrides, parse_override
 from motionkit.training.run import RunFolder, Stage, StageContext
 
 
@@ -17,47 +18,31 @@ from motionkit.training.run import RunFolder, Stage, StageContext
 class Variant:
     """One training run: a name, and the settings that it changes in a recipe, as `--set` takes them.
 
-    `needs` returns settings to apply to a recipe before the change; `may_need` are all that it may return. `conditions`
-    are the recipe's own SQL conditions on sequences, by their dotted keys.
+    `needs` returns settings to apply to a recipe before the change.
     """
 
     name: str
     change: tuple[str, ...] = ()
     needs: Callable[[Any], tuple[str, ...]] = field(default=lambda recipe: (), compare=False, repr=False)
-    may_need: tuple[str, ...] = ()
-    conditions: tuple[str, ...] = ()
 
-    @property
-    def varied(self) -> frozenset[str]:
-        """Keys of all settings in which a table's runs may differ: of `change`, and of `may_need`."""
-        return frozenset(parse_override(setting)[0] for setting in (*self.change, *self.may_need))
-
-    def configure(self, recipe: Any, overrides: Sequence[str] = (), where: str | None = None) -> Any:
+    def configure(self, recipe: Any, overrides: Sequence[str] = ()) -> Any:
         """A recipe's configuration with its needs, common overrides, and this variant's change.
 
-        `where` (SQL) restricts the sequences. Raises `UsageError` for an override of a varied setting.
+        Raises `UsageError` for an override of a varied setting.
         """
-        from motionkit.store.sql import conjunction  # deferred: tables are listed without a store
-
         varied = {parse_override(setting)[0] for setting in self.change}
         for override in overrides:
             if parse_override(override)[0] in varied:
                 raise UsageError(f"--set {override}: this is what {self.name!r} varies ({', '.join(self.change)})")
-        given = flatten(recipe)
-        narrowed = [f"{key}={conjunction(given[key], where)}" for key in self.conditions if where]
-        return apply_overrides(recipe, [*self.needs(recipe), *self.change, *narrowed, *overrides])
+        return apply_overrides(recipe, [*self.needs(recipe), *self.change, *overrides])
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A row of a table, or a cell if it has a `column`: a variant and its label.
-
-    `reported` is its name in the paper's figures.
-    """
+    """A row of a table, or a cell if it has a `column`: a label and a variant."""
 
     label: str
     variant: Variant
-    reported: str = ""
     column: str = ""
 
     @property
@@ -85,15 +70,47 @@ class Ablation:
 class Ablations:
     """All ablations of one paper's model, which is installed under the name `paper` too.
 
-    `recipes` are those that can be varied; `stages` are the stages to train, of which `--stage` can select the first
-    alone. `prepare`, called before a run's first stage with the context of the common run, the variant's run and its
-    configuration, gives that run what all variants share (a codebook), trained in the common run if it is missing.
-    `is_default` marks the default of `motionkit ablate`.
+    `stages` are the stages to train. `prepare`, called before a run's first stage with the context of the common run,
+    the variant's run and its configuration, gives that run what all variants share (a codebook), trained in the common
+    run if it is missing. `is_default` marks the default of `motionkit ablate`.
     """
 
     paper: str
     tables: Mapping[str, Ablation]
-    recipes: Mapping[str, Callable[[], ConfigLike]]
     stages: Mapping[str, Stage[Any]]
     prepare: Callable[[StageContext, RunFolder, Any], None] = lambda common, run, config: None
     is_default: bool = False
+
+    def command(self, table: str, prefix: Path) -> str:
+        """The command that trains a table's variants as runs PREFIX-VARIANT."""
+        return f"motionkit ablate {table}{'' if self.is_default else f' --paper {self.paper}'} --run {prefix.name}"
+
+    def trained_runs(self, table: str, prefix: Path | None, stage: str) -> dict[str, dict[int, RunFolder]]:
+        """The runs of a table's entries, by the entry's name and the seed, in which a stage is complete.
+
+        Raises `UsageError` without the runs' prefix, or if none is trained.
+        """
+        if prefix is None:
+            raise UsageError("an ablation table needs the name of its runs: --run NAME for runs/NAME-VARIANT")
+        runs = {}
+        for entry in self.tables[table].entries:
+            named = {seed: run_of(prefix, entry.variant, seed) for seed in range(100)}
+            runs[entry.name] = {seed: run for seed, run in named.items() if run.stage(stage).is_complete}
+        if not any(runs.values()):
+            command = self.command(table, prefix)
+            raise UsageError(f"no run of this table is trained in {str(prefix.parent)!r} ({command})")
+        return runs
+
+
+def find_ablations(paper: str | None = None) -> Ablations:
+    """The ablations of a paper's model, or the default ones; raises `UsageError` that lists the known papers."""
+    known: dict[str, Ablations] = plugins.load_all("ABLATIONS")
+    for name, ablations in known.items():
+        if name == paper or (paper is None and ablations.is_default):
+            return ablations
+    raise UsageError(f"there are no ablations of {paper!r}; --paper: {', '.join(known) or 'none'}")
+
+
+def run_of(prefix: Path, variant: Variant, seed: int) -> RunFolder:
+    """The run of one variant: PREFIX-VARIANT, and -seedN after it for any seed but 0."""
+    return RunFolder(prefix.with_name(f"{prefix.name}-{variant.name}" + (f"-seed{seed}" if seed else "")))

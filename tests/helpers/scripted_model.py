@@ -76,5 +76,5 @@ def install_models(monkeypatch: pytest.MonkeyPatch, *scripted: Callable[[Path], 
         f"model-{number}": Loader("NeRM", STAGES, load, fixed_fps_setting="field.clips.fixed_fps")
         for number, load in enumerate(scripted)
     }
-    for module in ("eval.tables.models", "eval.tables.nerm.table1"):
+    for module in ("eval.tables.systems", "eval.tables.nerm.table1"):
         monkeypatch.setattr(f"{module}.installed_models", lambda: loaders)

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from eval.config import EvalConfig
+from eval.tables.table import EvalConfig
 
 NAMES = {"features": "evaluators", "names": "evaluators", "published": "protocol"}
 

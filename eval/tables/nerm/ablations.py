@@ -4,38 +4,39 @@ A row is a variant; its numbers are means over the seeds it was trained with. An
 numbers, with the command that trains it.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
 from eval.clip_fid.score import CLIP_FID
-from eval.config import EvalConfig
-from eval.reconstruction import HELD_OUT, TRAINING
+from eval.reconstruction import HELD_OUT, TRAINING, mpjpe_cell, mre_cell, reconstructed_windows
 from eval.report.results import Block, Cell, Row, measure
-from eval.tables.ablation_runs import ablate_command, find_ablations, trained_runs
-from eval.tables.columns import COLUMNS, label
-from eval.tables.models import Trained
-from eval.tables.runs import MPJPE, MRE, SYNTHESIS, Rows, Yardstick, error_of
-from eval.tables.table import SOURCES, Content, Reported, Table, printed_block, reported_figures
-from motionkit.core.progress import task
+from eval.sets.motions import generate_fields
+from eval.sets.sets import RowId
+from eval.tables.systems import COLUMNS, Trained, Yardstick, label, reconstructor
+from eval.tables.table import SOURCES, Content, EvalConfig, Table, printed_block, reported_figures
+from motionkit.core.progress import tracked
 from motionkit.edit.encoders import encoder_loader
 from motionkit.generate.models import model_loader
 from motionkit.store.reader import Store
-from motionkit.training.ablations import Ablation
-from motionkit.training.config import leaves
-from motionkit.training.run import Loader, RunFolder, recorded_settings
+from motionkit.training.ablations import Ablation, find_ablations
+from motionkit.training.run import RunFolder
 
 NERM = find_ablations("nerm")
 LOWEST, HIGHEST = "lowest of the seeds", "highest of the seeds"
-RECONSTRUCTION = {
-    (TRAINING, MPJPE): "Reconstruction of training windows, from their μ",
-    (TRAINING, MRE): "Reconstruction of training windows, from their μ",
-    (HELD_OUT, MPJPE): "Reconstruction of held-out windows, encoded by optimisation",
-}
-MEASURES = {MPJPE: measure("mpjpe", unit="mm"), MRE: measure("mre")}
+SYNTHESIS = "Motion synthesis: clip-FID on the kinematic descriptor"
+# Blocks of errors: the windows' kind, the title, the error's cell, its metric.
+ERRORS = (
+    (TRAINING, "from their μ: root-aligned MPJPE (mm)", mpjpe_cell, measure("mpjpe", unit="mm")),
+    (TRAINING, "from their μ: MRE", mre_cell, measure("mre")),
+    (HELD_OUT, "encoded by optimisation: root-aligned MPJPE (mm)", mpjpe_cell, measure("mpjpe", unit="mm")),
+)
+METRICS = {f"Reconstruction of {which}, {title}": metric for which, title, _, metric in ERRORS}
+METRICS |= {SYNTHESIS: measure(CLIP_FID)}
+PRINTED = {"mre": "motion reconstruction, MRE", "clip_fid": "motion synthesis, clip-FID"}
 
-# Trained runs by the entries' labels, then by seed.
-_Runs = Mapping[str, Mapping[int, RunFolder]]
+# Cells by block, then by column.
+Numbers = dict[str, dict[str, Cell]]
 
 
 def compute(ablation: Ablation, config: EvalConfig, store: Store) -> Content:
@@ -44,104 +45,70 @@ def compute(ablation: Ablation, config: EvalConfig, store: Store) -> Content:
     Raises `UsageError` without a run's name, or if none of the table's runs is trained.
     """
     encoder, model = encoder_loader(NERM.paper), model_loader(NERM.paper)
-    runs = trained_runs(NERM, ablation.table, config.run, encoder.stages[-1])
-    yardstick = Yardstick(store, config, config.fps or COLUMNS)
-    rebuilt = _measure(runs, encoder, yardstick.reconstruction, config)
-    blocks = [
-        Block(
-            f"{title}: {error}",
-            yardstick.labels,
-            tuple(_rows(ablation, runs, rebuilt, error_of(windows, error), encoder, config)),
-            metrics=(MEASURES[error],),
-        )
-        for (windows, error), title in RECONSTRUCTION.items()
-    ]
-    generating = model.stages[-1]
-    if generating in ablation.stages:
-        generated = _measure(runs, model, yardstick.synthesis, config)
-        rows = list(_rows(ablation, runs, generated, SYNTHESIS, model, config))
+    runs = NERM.trained_runs(ablation.table, config.run, encoder.stages[-1])
+    assert config.run is not None
+    command = NERM.command(ablation.table, config.run)
+    rates = config.fps or COLUMNS
+    folders = list(dict.fromkeys(run for by_seed in runs.values() for run in by_seed.values()))
+    generating = [run for run in folders if model.complete_in(run.path)] if model.stages[-1] in ablation.stages else []
+    yardstick = Yardstick.of(store, config, rates) if generating else None
+    numbers: dict[RunFolder, Numbers] = {}
+    for run in tracked(config.on_progress, "measuring runs", folders, len(folders)):
+        numbers[run] = {}
+        with config.missing.skipping(run.path.name):
+            numbers[run] |= _reconstruction(Trained(encoder, run.path), store, config)
+            if yardstick is not None and run in generating:
+                loaded = Trained(model, run.path).loaded
+                fields = generate_fields(loaded, yardstick.windows(loaded), config.seed, config.max_motions)
+                row = RowId(f"{loaded.name} of run {run.path.name!r}")
+                numbers[run][SYNTHESIS] = yardstick.clip_fid(row, yardstick.sets(row, fields))
+    blocks = []
+    for title, metric in METRICS.items():
+        rows = []
+        for entry in ablation.entries:
+            by_seed = runs[entry.name].values()
+            cells = _mean([numbers[run][title] for run in by_seed if title in numbers[run]])
+            steps = sorted({run.stage(encoder.stages[-1]).effort().get("steps", "?") for run in by_seed})
+            note = f"{len(by_seed)} seeds; field: {' or '.join(steps)} steps"
+            if not cells:
+                note = f"not trained: {command} --only {entry.variant.name}"
+            rows.append(Row(entry.label, "ours", cells, note))
         if any(row.cells for row in rows):
-            rows = [*yardstick.floor_rows(), *rows]
-        else:
-            assert config.run is not None
-            command = f"motionkit ablate {ablation.table} --run {config.run.name}"
-            config.missing.add(f"clip-FID: no {generating} is trained ({command})")
-        blocks.append(
-            Block(
-                "Motion synthesis: clip-FID on the kinematic descriptor",
-                yardstick.labels,
-                tuple(rows),
-                note=(
-                    f"Mean over {config.clips.replications} replications of N = {config.clips.num_clips:,} clips a "
-                    "side ± half the 95 % interval over takes: how far one run's number would move with other takes, "
-                    "not with another seed."
-                ),
-                metrics=(measure(CLIP_FID),),
-            )
-        )
-    folders = tuple(dict.fromkeys(run.path for of_entry in runs.values() for run in of_entry.values()))
-    printed = _printed(ablation)
+            floors = yardstick.floor_rows() if title == SYNTHESIS and yardstick is not None else []
+            labels = tuple(map(label, rates))
+            blocks.append(Block(title, labels, (*floors, *rows), metrics=(metric,)))
+    if model.stages[-1] in ablation.stages and not generating:
+        config.missing.add(f"clip-FID: no {model.stages[-1]} is trained ({command})")
+    printed = _printed(ablation.table)
     return Content(
         caption=(
-            "What one setting does to the first stage's reconstructions and to generated motion. All rows have the "
-            "same recipe but for what they name, the same codebook and the same windows; 'global' is the paper's "
-            f"layout of z, 'local' ours. Compared with {config.real}."
+            "What one setting does to the first stage's reconstructions and to generated motion. 'global' is the "
+            f"paper's layout of z, 'local' ours. Compared with {config.real}; clip-FID as in Table 2."
         ),
-        blocks=(*(block for block in blocks if any(row.cells for row in block.rows)), *printed),
-        definition={
-            "rows": {entry.label: list(entry.variant.change) for entry in ablation.entries},
-        },
-        notes=(*_differences(ablation, runs, model.stages), *(() if printed else (_nothing_printed(ablation),))),
-        runs=folders,
+        blocks=(*blocks, *printed),
+        definition={"rows": {entry.label: list(entry.variant.change) for entry in ablation.entries}},
+        notes=() if printed else ("The paper's figures of this table are illegible in our copy, or it has none.",),
+        runs=tuple(run.path for run in folders),
         provenance={
-            "runs": {
-                run.name: {
-                    name: RunFolder(run).stage(name).read_summary()
-                    for name in model.stages
-                    if RunFolder(run).stage(name).is_complete
-                }
-                for run in folders
-            }
+            "runs": {run.path.name: {name: run.stage(name).effort() for name in model.stages} for run in folders}
         },
     )
 
 
-def _measure(
-    runs: _Runs, loader: Loader[Any], number: Callable[[Trained[Any]], Rows], config: EvalConfig
-) -> dict[RunFolder, Rows]:
-    """A measurement of the loader's object in every run that has it."""
-    stage, found = loader.stages[-1], {}
-    folders = dict.fromkeys(run for of_entry in runs.values() for run in of_entry.values())
-    complete = [run for run in folders if run.stage(stage).is_complete]
-    with task(config.on_progress, f"measuring {stage}", len(complete)) as work:
-        for run in complete:
-            work.note(run.path.name)
-            with config.missing.skipping(run.path.name):
-                found[run] = number(Trained(loader, run.path))
-            work.advance()
+def _reconstruction(trained: Trained[Any], store: Store, config: EvalConfig) -> Numbers:
+    """Errors of an encoder's training windows, from their trained latents, and of held-out windows."""
+    rates, found = config.fps or COLUMNS, Numbers()
+    samples = reconstructed_windows(reconstructor(trained, store), store, config, rates)
+    for which, sample in samples.items():
+        for fps in rates:
+            errors = list(sample.errors(fps).values())
+            if not errors:
+                config.missing.add(f"{which}, {label(fps)}: no take is that fast")
+                continue
+            for windows, title, cell, _ in ERRORS:
+                if windows == which:
+                    found.setdefault(f"Reconstruction of {which}, {title}", {})[label(fps)] = cell(errors)
     return found
-
-
-def _rows(
-    ablation: Ablation,
-    runs: _Runs,
-    measured: Mapping[RunFolder, Rows],
-    number: str,
-    loader: Loader[Any],
-    config: EvalConfig,
-) -> list[Row]:
-    """A row for each entry: the mean of a number over its seeds, or the command that trains it."""
-    assert config.run is not None
-    rows, stage = [], loader.stages[-1]
-    for entry in ablation.entries:
-        trained = [run for run in runs[entry.name].values() if run.stage(stage).is_complete]
-        cells = _mean([measured[run][number] for run in trained if run in measured and number in measured[run]])
-        note = f"mean of {len(trained)} seeds" if len(trained) > 1 else ""
-        if not trained:
-            what = f"its {stage} is not trained" if runs[entry.name] else "not trained"
-            note = f"{what}: {ablate_command(NERM, ablation.table, config.run.name, entry.variant)}"
-        rows.append(Row(entry.label, "ours", cells, note))
-    return rows
 
 
 def _mean(of_seeds: Sequence[Mapping[str, Cell]]) -> dict[str, Cell]:
@@ -150,63 +117,25 @@ def _mean(of_seeds: Sequence[Mapping[str, Cell]]) -> dict[str, Cell]:
         return dict(of_seeds[0])
     found = {}
     for column in dict.fromkeys(column for cells in of_seeds for column in cells):
-        cells = [each[column] for each in of_seeds if column in each]
-        values = [cell.value for cell in cells]
-        shared = [name for name in cells[0].details if all(name in cell.details for cell in cells)]
-        details = {name: sum(cell.details[name] for cell in cells) / len(cells) for name in shared}
-        details |= {LOWEST: min(values), HIGHEST: max(values)}
-        found[column] = Cell(sum(values) / len(values), None, details)
+        values = [cells[column].value for cells in of_seeds if column in cells]
+        found[column] = Cell(sum(values) / len(values), None, {LOWEST: min(values), HIGHEST: max(values)})
     return found
 
 
-def _differences(ablation: Ablation, runs: _Runs, stages: Sequence[str]) -> tuple[str, ...]:
-    """A warning if runs differ in more than what the table varies, such as training time or sequences."""
-    varied = frozenset[str]().union(*(entry.variant.varied for entry in ablation.entries if runs[entry.name]))
-    values: dict[str, dict[str, list[str]]] = {}
-    for run in dict.fromkeys(run for of_entry in runs.values() for run in of_entry.values()):
-        for stage in stages:
-            if run.stage(stage).is_complete:
-                for key, value in leaves(recorded_settings(run, stage)[stage], f"{stage}.").items():
-                    values.setdefault(key, {}).setdefault(str(value), []).append(run.path.name)
-    return tuple(
-        f"These runs differ in more than the table varies: {key} is "
-        + ", ".join(f"{value} in {' and '.join(names)}" for value, names in found.items())
-        + "."
-        for key, found in values.items()
-        if len(found) > 1 and key not in varied
-    )
-
-
-def _printed(ablation: Ablation) -> list[Block]:
+def _printed(table: str) -> list[Block]:
     """The paper's own figures in its own units: MRE, and clip-FID by its own evaluator."""
-
-    def row(figure: Reported) -> str:
-        return figure.setting.partition(";")[2].replace("=", " = ") or figure.method
-
-    def column(figure: Reported) -> str:
-        return label(figure.setting.partition(";")[0])
-
-    figures = [figure for figure in reported_figures("nerm", ablation.table) if figure.value is not None]
-    notes = dict.fromkeys(f"{row(each)} at {column(each)}: {each.note}." for each in figures if each.note)
-    scale = f"100 sequences of another data set, trained for far longer. Source: {SOURCES['nerm']}."
-    titles = {"mre": "motion reconstruction, MRE", "clip_fid": "motion synthesis, clip-FID"}
+    figures = [figure for figure in reported_figures("nerm", table) if figure.value is not None]
     blocks = [
         printed_block(
             f"Printed in the NeRM paper (HumanML3D): {title}",
             [figure for figure in figures if figure.metric == metric],
-            column,
-            name=row,
-            note=" ".join((scale, *notes)),
+            lambda figure: label(figure.setting.partition(";")[0]),
+            name=lambda figure: figure.setting.partition(";")[2].replace("=", " = ") or figure.method,
+            note=f"100 sequences of another data set, trained for far longer. Source: {SOURCES['nerm']}.",
         )
-        for metric, title in titles.items()
+        for metric, title in PRINTED.items()
     ]
     return [block for block in blocks if block.rows]
-
-
-def _nothing_printed(ablation: Ablation) -> str:
-    if ablation.table.isdigit():
-        return "The paper's figures of this table are illegible in the copy that the reported figures were read from."
-    return "The paper has no such table; its NeRM-fixed is a row of its Table 1."
 
 
 TABLES = {

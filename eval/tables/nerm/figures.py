@@ -2,34 +2,46 @@
 
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 
-from eval.clip_fid.score import CLIP_FID
-from eval.config import EvalConfig
-from eval.report.results import Block, Cell, Row, measure
-from eval.sets.motions import VARIANT_NOTES, needs_a_condition
-from eval.sets.sets import REAL, RowId, Variant
-from eval.tables.columns import COLUMNS, detail_block, label
-from eval.tables.models import TrainedModel, require_models, training_note
-from eval.tables.runs import DETAIL, DIVERSITY, REAL_DIVERSITY, SYNTHESIS, Rows, Yardstick
-from eval.tables.table import Content, Table
+from eval.clip_fid.score import CLIP_FID, Comparison, describe_clips, draw_clips, feature_input
+from eval.clip_fid.score import REAL as REAL_STREAM
+from eval.metrics.actions import diversity
+from eval.metrics.number import over_replications
+from eval.report.results import Block, Cell, Row, cell_of, measure
+from eval.sets.motions import (
+    VARIANT_NOTES,
+    NoRealMotionError,
+    Window,
+    generate_fields,
+    needs_a_condition,
+    planted_fields,
+    refusal,
+)
+from eval.sets.sets import REAL, RowId, SampleSet, Variant
+from eval.tables.systems import COLUMNS, Yardstick, detail_blocks, label, require_models
+from eval.tables.table import Content, EvalConfig, Table
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import tracked
 from motionkit.core.shapes import Float32
-from motionkit.fields.motion_field import to_motion
+from motionkit.fields.motion_field import MotionField, to_motion
 from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions, installed_models
 from motionkit.store.reader import Store
 from motionkit.training.run import RunError
 
 ANY_CONDITION = "it never learnt to do without a condition: each motion has that of a random training motion"
-VARIANTS = (Variant.AS_IS, Variant.PLANTED)
 TARGET_FPS, OTHER_FPS = Fraction(60), (Fraction(20), Fraction(120))
 SECONDS = 9.8
 STEPS = (50, 20, 10, 5)
 REPEATS = 5
 CPU, WALL = "CPU seconds a motion", "seconds a motion"
+
+
+def _and_planted(name: str, fields: Mapping[Window, MotionField]) -> dict[RowId, Mapping[Window, MotionField]]:
+    return {RowId(name): fields, RowId(name, Variant.PLANTED): planted_fields(fields)}
 
 
 def unconditional(config: EvalConfig, store: Store) -> Content:
@@ -38,16 +50,23 @@ def unconditional(config: EvalConfig, store: Store) -> Content:
     Raises `UsageError` without a run, `RunError` if it holds no model or none generates.
     """
     models = require_models(config.run, "figure 5", config.missing)
-    yardstick = Yardstick(store, config, config.fps or COLUMNS)
-    floors = yardstick.floor_rows()
-    made: dict[str, Rows] = {}
+    yardstick = Yardstick.of(store, config, config.fps or COLUMNS)
+    scores, spreads = [], []
     for name in tracked(config.on_progress, "systems", models, len(models)):
         with config.missing.skipping(name):
-            made[name] = yardstick.unconditional(models[name])
-    if not made:
+            model = models[name].loaded
+            fields = generate_fields(model, _windows(model, yardstick), config.seed, config.max_motions)
+            notes = (models[name].note, ANY_CONDITION if needs_a_condition(model) else "")
+            for row, own in _and_planted(f"{name}, unconditional", fields).items():
+                sets = yardstick.sets(row, own)
+                note = VARIANT_NOTES.get(row.variant) or "; ".join(filter(None, notes))
+                scores.append(Row(str(row), "ours", yardstick.clip_fid(row, sets), note))
+                spread = {label(fps): _diversity(each, yardstick.comparisons[fps]) for fps, each in sets.items()}
+                spreads.append(Row(str(row), "ours", spread, VARIANT_NOTES.get(row.variant, "")))
+    if not scores:
         raise RunError("; ".join(config.missing.lines))
-    notes = {name: _note(models[name]) for name in made}
-    real = next(iter(made.values()))[REAL_DIVERSITY]
+    real = {label(fps): _diversity(each.real, each) for fps, each in yardstick.comparisons.items()}
+    labels = tuple(map(label, config.fps or COLUMNS))
     return Content(
         caption=(
             "Motions generated without a text or action of their own, as long as the real sequences of "
@@ -57,43 +76,50 @@ def unconditional(config: EvalConfig, store: Store) -> Content:
         blocks=(
             Block(
                 "clip-FID on the kinematic descriptor",
-                yardstick.labels,
-                (*floors, *_rows(made, SYNTHESIS, notes)),
+                labels,
+                (*yardstick.floor_rows(), *scores),
                 metrics=(measure(CLIP_FID),),
             ),
             Block(
                 "Diversity (Eq. 7) of clips in the kinematic descriptor's space",
-                yardstick.labels,
-                (Row(str(REAL), "reference", real), *_rows(made, DIVERSITY, {})),
+                labels,
+                (Row(str(REAL), "reference", real), *spreads),
                 lower_is_better=False,
-                note="Better the closer to real motion's. It sees clips, not whole motions.",
+                note="Better the closer to real motion's.",
                 metrics=(measure("diversity"),),
             ),
-        ),
-        notes=(
-            "The paper draws this figure as bars without numbers, for methods trained on another data set; its FID of "
-            "whole motions needs the evaluator of Guo et al.",
         ),
     )
 
 
-def _note(trained: TrainedModel) -> str:
-    condition = ANY_CONDITION if needs_a_condition(trained.loaded) else ""
-    return "; ".join(filter(None, (training_note(trained), condition)))
+def _windows(model: GenerativeModel, yardstick: Yardstick) -> list[Window]:
+    """Requests without conditions; a model that never learnt to do without gets random ones of training motion."""
+    windows = yardstick.windows(model)
+    requests = [GenerationRequest(window.request.duration_seconds) for window in windows]
+    if needs_a_condition(model):
+        train = yardstick.train
+        known = [
+            pair
+            for pair in zip(train.captions, train.actions, strict=True)
+            if any(pair) and not refusal(model, GenerationRequest(None, *pair))
+        ]
+        if not known:
+            raise NoRealMotionError(f"{model.name} needs a condition, and no training motion has one that it knows")
+        chosen = np.random.default_rng((yardstick.config.seed, 11)).integers(len(known), size=len(requests))
+        pairs = zip(requests, chosen.tolist(), strict=True)
+        requests = [replace(request, text=known[row][0], action=known[row][1]) for request, row in pairs]
+    return [replace(window, request=request) for window, request in zip(windows, requests, strict=True)]
 
 
-def _rows(made: dict[str, Rows], quantity: str, notes: dict[str, str]) -> list[Row]:
-    """Each model's row of a quantity, with a note, and that of its planted motions."""
-    return [
-        Row(
-            str(RowId(f"{name}, unconditional", variant)),
-            "ours",
-            rows.get(str(RowId(quantity, variant)), {}),
-            notes.get(name, "") if variant is Variant.AS_IS else VARIANT_NOTES[variant],
-        )
-        for name, rows in made.items()
-        for variant in VARIANTS
-    ]
+def _diversity(samples: SampleSet, comparison: Comparison) -> Cell:
+    """Diversity of random clips in the features' space, over the protocol's replications."""
+    protocol, features = comparison.protocol, comparison.features
+    samples, values = feature_input(samples, features), []
+    for replication in range(protocol.replications):
+        clips = draw_clips(samples, protocol, replication, REAL_STREAM)
+        rng = np.random.default_rng((protocol.seed, replication, 5))
+        values.append(diversity(describe_clips(samples, clips, features), rng))
+    return cell_of(over_replications(values))
 
 
 def cost(config: EvalConfig, store: Store) -> Content:
@@ -105,50 +131,48 @@ def cost(config: EvalConfig, store: Store) -> Content:
     if others:
         raise UsageError(f"figure 8 is at one framerate: --fps {fps}")
     models = require_models(config.run, "figure 8", config.missing)
-    yardstick = Yardstick(store, config, (fps,))
-    quality = f"clip-FID, {label(fps)}"
-    columns = {variant: str(RowId(quality, variant)) for variant in VARIANTS}
-    rows = [
-        Row(row.name, row.origin, dict(zip([quality], row.cells.values(), strict=False)))
-        for row in yardstick.floor_rows()
+    yardstick = Yardstick.of(store, config, (fps,))
+    real = yardstick.comparisons[fps]
+    columns = {variant: str(RowId(f"clip-FID, {label(fps)}", variant)) for variant in (Variant.AS_IS, Variant.PLANTED)}
+    as_is = columns[Variant.AS_IS]
+    floors = [
+        replace(row, cells=dict(zip([as_is], row.cells.values(), strict=False))) for row in yardstick.floor_rows()
     ]
+    rows: list[Row] = []
+    sets: dict[RowId, SampleSet] = {}
     seconds = min(SECONDS, *(trained.loaded.max_duration_seconds for trained in models.values()))
-    num_references = len(rows)
-    details: dict[RowId, Mapping[str, Cell]] = {}
     for name in tracked(config.on_progress, "systems", models, len(models)):
         with config.missing.skipping(name):
-            trained, own = models[name], []
-            for suffix, sampling in _samplings(trained.loaded, fps, seconds).items():
-                scores = yardstick.synthesis(trained, sampling, planted=True)
-                cells = generation_cost(trained.loaded, sampling, fps, seconds)
-                for variant, column in columns.items():
-                    scored = scores[str(RowId(SYNTHESIS, variant))]
-                    cells |= {column: scored[label(fps)]} if scored else {}
-                    if detail := scores.get(str(RowId(f"{DETAIL}, {label(fps)}", variant))):
-                        details[RowId(f"{name}{suffix}", variant)] = detail
-                own.append(Row(f"{name}{suffix}", "ours", cells, training_note(trained)))
+            model, own = models[name].loaded, []
+            for suffix, sampling in _samplings(model, fps, seconds).items():
+                fields = generate_fields(model, yardstick.windows(model), config.seed, config.max_motions, sampling)
+                cells = generation_cost(model, sampling, fps, seconds)
+                for row, each in _and_planted(f"{name}{suffix}", fields).items():
+                    if at_fps := yardstick.sets(row, each):
+                        sets[row] = at_fps[fps]
+                        cells |= dict(
+                            zip([columns[row.variant]], yardstick.clip_fid(row, at_fps).values(), strict=False)
+                        )
+                own.append(Row(f"{name}{suffix}", "ours", cells, models[name].note))
             rows += own
-    if len(rows) == num_references:
+    if not rows:
         raise RunError("; ".join(config.missing.lines))
     return Content(
         caption=(
             f"Generating one motion of {seconds:g} s at {label(fps)} without a condition, the quickest of {REPEATS} "
-            f"calls; planting is not in it. clip-FID and the detail profile as in Table 2, {config.real}."
+            "calls; planting is not in it. Seconds are of this machine; CPU seconds count all threads. clip-FID and "
+            f"the detail profile as in Table 2, {config.real}."
         ),
         blocks=(
             Block(
                 "Cost and clip-FID",
                 (CPU, WALL, *columns.values()),
-                tuple(rows),
+                (*floors, *rows),
                 metrics=tuple(measure(CLIP_FID, column=column) for column in columns.values()),
             ),
-            *([detail_block(yardstick.details[fps], details, {})] if details else []),
+            *detail_blocks(real.real, real.training, sets, {}, config),
         ),
         definition={"seconds": seconds, "fps": str(fps), "repeats": REPEATS},
-        notes=(
-            "The paper draws this figure without numbers, for one GPU (RTX 3090). Seconds are of this machine, and "
-            "wall seconds of whatever else it did; CPU seconds count all threads.",
-        ),
     )
 
 
@@ -197,15 +221,10 @@ def _samplings(model: GenerativeModel, fps: Fraction, seconds: float) -> dict[st
     return {suffix: SamplingOptions(), **others}
 
 
-FIGURE_5 = Table(
-    "nerm",
-    "figure5",
-    "unconditional generation",
-    "unconditional/3",
-    unconditional,
-    takes_samples=False,
-    shown=installed_models,
-)
-FIGURE_8 = Table(
-    "nerm", "figure8", "inference time and quality", "cost/3", cost, takes_samples=False, shown=installed_models
+FIGURE_5, FIGURE_8 = (
+    Table("nerm", number, title, version, compute, takes_samples=False, shown=installed_models)
+    for number, title, version, compute in (
+        ("figure5", "unconditional generation", "unconditional/3", unconditional),
+        ("figure8", "inference time and quality", "cost/3", cost),
+    )
 )

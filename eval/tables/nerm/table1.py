@@ -1,19 +1,19 @@
 """NeRM's Table 1: text-to-motion with whole motions at one framerate, under a protocol."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 
 import numpy as np
-import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
-from eval.config import EvalConfig
 from eval.metrics.distributions import fit_gaussian, frechet_distance
 from eval.metrics.metric import find_metric
 from eval.metrics.number import Number, Scores, over_replications
 from eval.metrics.retrieval import RECALL_RANKS, pool_distances, ranked_both_ways
+from eval.native_evaluator.evaluator import NativeTextMotion, load_native, load_tmr
 from eval.report.results import (
     DRAWING,
     Block,
@@ -27,56 +27,51 @@ from eval.report.results import (
     score_differences,
 )
 from eval.sample_folder import SampleFolder
+from eval.sample_folder.folder import rows_by_name
 from eval.sets.motions import VARIANT_NOTES, NoRealMotionError, refusal
-from eval.sets.sets import REAL, RowId, check_sample_names, size_remarks
-from eval.tables.models import Trained, TrainedModel, trained_models, training_note
-from eval.tables.nerm.sample_motions import sample_embeddings
-from eval.tables.table import SOURCES, Content, Table, printed_block, reported_figures
-from eval.text_motion.embedding_cache import FOLDER, Embedder
-from eval.text_motion.evaluator import TextMotionEvaluator
+from eval.sets.sets import REAL, RowId, SampleSet, check_sample_names, middle, size_remarks
+from eval.tables.systems import Trained, TrainedModel, trained_models
+from eval.tables.table import SOURCES, Content, EvalConfig, Table, printed_block, reported_figures
+from eval.text_motion.embedding_cache import FOLDER, Embedder, fingerprint_of_vectors
+from eval.text_motion.evaluator import PoseVectorEvaluator, TextMotionEvaluator
+from eval.text_motion.guo.evaluator import load_guo
 from eval.text_motion.model_motions import ModelMotions
+from eval.text_motion.motion_clip import load_motion_clip
 from eval.text_motion.pairs import PairTerms, TextMotionPairs
-from eval.text_motion.protocol import (
-    RetrievalRule,
-    TextMotionProtocol,
-    find_text_motion_protocol,
+from eval.text_motion.protocol import RetrievalRule, TextMotionProtocol, find_text_motion_protocol
+from eval.text_motion.real_pairs import (
+    MADE_OF_22,
+    CaptionedMotions,
+    as_kit_joints,
+    captioned_motions,
+    kit_bone_lengths,
+    limited,
 )
-from eval.text_motion.real_pairs import MADE_OF_22, CaptionedMotions, captioned_motions, kit_bone_lengths, limited
 from eval.text_motion.retrieval import SUFFIXES, no_distance, score_retrieval, share_of_same_texts
 from eval.text_motion.scores import PAIR_SCORES, score_text_motion
 from motionkit.core.errors import MotionkitError, UsageError
+from motionkit.core.motion import Caption
 from motionkit.core.progress import task
-from motionkit.core.shapes import Float32
-from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS
+from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.generate.models import GenerationRequest, installed_models
 from motionkit.store.reader import Store
 from motionkit.training.text import load_text_encoder
 
-VERSION = "text-motion/1"
 DEFAULT_FPS = Fraction(20)
 FIXED_SUFFIX, FIXED_ROW = "-fixed", ", fixed framerate"
 """Suffixes of a run whose models were trained at a single framerate, and of their rows."""
 SMALL = 1000
 """With fewer motions the caption calls the table small-scale."""
 SENTENCES = "minilm"
+EVALUATORS = ("native", "guo", "motion-clip", "tmr")
 CHANCE, ORACLE, FLOOR = "chance", "each motion on its caption's point", "real, disjoint halves"
 NOTES = {
     ORACLE: "the ceiling of R-Precision: motions that share a caption are indistinguishable",
-    FLOOR: "FID between random halves of the real motions, split anew in every replication: what other motions reach; "
-    "± is of a single split",
+    FLOOR: "FID between random halves of the real motions; ± is of a single split",
 }
-DETAILS = ("fid_infinity", "kid")
+AS_VECTORS = "read as the pose vectors that they came as"
+BY_JOINTS = "read as pose vectors made of joint positions"
 COUNT = "N"
-PRINTED_NOTES = (
-    "Theirs, not ours: another evaluator on other motions; FIDs compare under one evaluator, reference and N only. "
-    "NeRM's text does not say its N. MDM's FID is of 1,024 generated motions, T2M's of 4,640. MDM's R-Precision and "
-    "MultiModal Dist predate the correction of a bug in its captions' lengths (motion-diffusion-model #182), its "
-    "MultiModality that of #241. Empty cells are not printed or not legible in our copy. "
-)
-
-
-# A framerate and a joint layout, which an evaluator sees.
-_Sight = tuple[Fraction, str]
 
 
 @dataclass(frozen=True)
@@ -105,40 +100,35 @@ def compute(config: EvalConfig, store: Store) -> Content:
             longest = each.loaded.max_duration_seconds
             lengths, kit_lengths = (limited(rule, longest) for rule in (protocol.lengths, protocol.kit_lengths))
             protocol = replace(protocol, lengths=lengths, kit_lengths=kit_lengths)
-        real: dict[_Sight, CaptionedMotions] = {}
-        for evaluator in evaluators:
-            fps, layout = sight = _sight(config, evaluator)
-            if sight not in real:
-                rule = protocol.lengths_at(fps)
-                real[sight] = captioned_motions(store, config.split, config.where, fps, rule, layout)
-                _check_pool(real[sight], protocol, config)
+    every = [_OneEvaluator(config, protocol, evaluator, store) for evaluator in evaluators]
     blocks: list[Block] = []
-    for evaluator in evaluators:
-        try:
-            blocks += _OneEvaluator(config, protocol, evaluator, real[_sight(config, evaluator)]).blocks(models)
-        except MotionkitError as error:
-            if len(evaluators) == 1:
-                raise
-            config.missing.add(f"evaluator {evaluator.name!r}: {error}")
+    for one in every:
+        with config.missing.skipping(f"evaluator {one.evaluator.name!r}"):
+            blocks += one.blocks(models)
     if not blocks:
         raise UsageError("; ".join(config.missing.lines))
+    fewest = min(len(each.real.captions) for each in every)
+    small = "" if fewest >= SMALL else f" A small-scale run: {fewest} real motions, and FID has the bias of its N."
     return Content(
-        caption=_caption(config, protocol, real),
-        blocks=(*blocks, *map(paper_block, dict.fromkeys(fps for fps, _ in real))),
+        caption=(
+            f"Whole motions and their captions, protocol {protocol.name!r} ({protocol.title}): mean over "
+            f"{protocol.replications} replications ± half the 95 % interval over takes, {config.real}.{small}"
+        ),
+        blocks=(*blocks, *map(paper_block, dict.fromkeys(each.real.samples.fps for each in every))),
         definition={
             "protocol": asdict(protocol),
             "real_motions": {
-                _label(sight): {
-                    "motions": each.samples.num_sequences,
-                    "different_captions": len(set(each.samples.captions)),
-                    "cropped": each.num_cropped,
-                    "left_out": dict(each.left_out),
+                each.evaluator.name: {
+                    "fps": str(each.real.samples.fps),
+                    "motions": each.real.samples.num_sequences,
+                    "different_captions": len(set(each.real.samples.captions)),
+                    "cropped": each.real.num_cropped,
+                    "left_out": dict(each.real.left_out),
                 }
-                for sight, each in real.items()
+                for each in every
             },
         },
-        notes=_notes(protocol, real),
-        provenance={"runs": {each.run.name: dict(each.identity) for each in models.values()}},
+        provenance={"runs": {each.run.name: each.identity for each in models.values()}},
     )
 
 
@@ -146,7 +136,7 @@ TABLE = Table(
     "nerm",
     "1",
     "text-to-motion at 20 fps",
-    VERSION,
+    "text-motion/1",
     compute,
     heading="Table 1: text-to-motion",
     shown=installed_models,
@@ -159,56 +149,31 @@ def text_motion_evaluators(config: EvalConfig) -> list[TextMotionEvaluator]:
 
     Raises `UsageError` for a name that is not a text-motion evaluator, and if no evaluator is available.
     """
-    known: dict[str, Callable[[], TextMotionEvaluator]] = {
-        "native": lambda: _native(config),
-        "guo": lambda: _guo(config),
-        "motion-clip": lambda: _motion_clip(config),
-        "tmr": lambda: _tmr(config),
-    }
-    wanted, found = config.evaluators or ("native",), []
-    for name in wanted:
-        if name not in known:
-            raise UsageError(f"--evaluator {name}: not an evaluator of text and motion; give {', '.join(known)}")
-    for name in wanted:
+    names, found = config.evaluators or ("native",), []
+    for name in names:
+        if name not in EVALUATORS:
+            raise UsageError(f"--evaluator {name}: not an evaluator of text and motion; give {', '.join(EVALUATORS)}")
+    for name in names:
         with config.missing.skipping(f"evaluator {name!r}"):
-            found.append(known[name]())
+            found.append(_evaluator(name, config))
     if not found:
         raise UsageError("; ".join(config.missing.lines))
     return found
 
 
-def _native(config: EvalConfig) -> TextMotionEvaluator:
-    from eval.native_evaluator.evaluator import NativeTextMotion, load_native
-
+def _evaluator(name: str, config: EvalConfig) -> TextMotionEvaluator:
+    if name == "guo":
+        if config.guo is None or config.guo.glove is None:
+            raise UsageError("--evaluator guo needs --weights finest.tar and --glove DIR (docs/evaluators.md)")
+        return load_guo(config.guo)
+    if name == "motion-clip":
+        if config.motion_clip is None:
+            raise UsageError("--evaluator motion-clip needs its folder: --motion-clip DIR (docs/evaluators.md)")
+        return load_motion_clip(config.motion_clip)
     if config.run is None:
-        raise MotionkitError("it belongs to a run, and none was given (motionkit train --stage evaluator)")
-    return NativeTextMotion(load_native(config.run))
-
-
-def _guo(config: EvalConfig) -> TextMotionEvaluator:
-    from eval.text_motion.guo.evaluator import load_guo
-
-    if config.guo is None:
-        raise UsageError("--evaluator guo needs its weights: --weights finest.tar (docs/evaluators.md)")
-    if config.guo.glove is None:
-        raise UsageError("--evaluator guo reads captions with GloVe's word vectors: --glove DIR (docs/evaluators.md)")
-    return load_guo(config.guo)
-
-
-def _motion_clip(config: EvalConfig) -> TextMotionEvaluator:
-    from eval.text_motion.motion_clip import load_motion_clip
-
-    if config.motion_clip is None:
-        raise UsageError("--evaluator motion-clip needs its folder: --motion-clip DIR (docs/evaluators.md)")
-    return load_motion_clip(config.motion_clip)
-
-
-def _tmr(config: EvalConfig) -> TextMotionEvaluator:
-    from eval.native_evaluator.evaluator import load_tmr
-
-    if config.run is None:
-        raise MotionkitError("it belongs to a run, and none was given (motionkit train --stage tmr)")
-    return load_tmr(config.run)
+        stage = "evaluator" if name == "native" else name
+        raise MotionkitError(f"it belongs to a run, and none was given (motionkit train --stage {stage})")
+    return NativeTextMotion(load_native(config.run)) if name == "native" else load_tmr(config.run)
 
 
 def _models(config: EvalConfig) -> dict[str, TrainedModel]:
@@ -219,13 +184,11 @@ def _models(config: EvalConfig) -> dict[str, TrainedModel]:
         for loader in installed_models().values():
             if not loader.fixed_fps_setting:
                 continue
-            title = loader.title + FIXED_SUFFIX
-            if not run.is_dir():
-                setting = f"--set {loader.fixed_fps_setting}={float(DEFAULT_FPS):g}"
-                command = f"motionkit train --run {run.name} {setting}"
-                config.missing.add(f"{title}: there is no run {run.name!r} ({command} makes it)")
-                continue
-            with config.missing.skipping(title):
+            with config.missing.skipping(loader.title + FIXED_SUFFIX):
+                if not run.is_dir():
+                    setting = f"--set {loader.fixed_fps_setting}={float(DEFAULT_FPS):g}"
+                    command = f"motionkit train --run {run.name} {setting}"
+                    raise MotionkitError(f"there is no run {run.name!r} ({command} makes it)")
                 model = Trained(loader, run)
                 found[model.loaded.name + FIXED_ROW] = model
     for name in list(found):
@@ -236,48 +199,35 @@ def _models(config: EvalConfig) -> dict[str, TrainedModel]:
     return found
 
 
-def _sight(config: EvalConfig, evaluator: TextMotionEvaluator) -> _Sight:
-    asked = config.fps or (evaluator.fps or DEFAULT_FPS,)
-    if len(asked) != 1:
-        raise UsageError("table 1 compares whole motions at one framerate: give one --fps, such as 20 or 12.5")
-    if evaluator.fps not in (None, asked[0]):
-        only = float(evaluator.fps or 0)
-        raise UsageError(f"--fps {float(asked[0]):g}: the evaluator {evaluator.name!r} is only valid at {only:g} fps")
-    return asked[0], evaluator.layout
-
-
-def _label(sight: _Sight) -> str:
-    fps, layout = sight
-    joints = "" if layout == SMPL22.name else f", {STANDARD_SKELETONS[layout].num_joints} joints of KIT-ML"
-    return f"{float(fps):g} fps{joints}"
-
-
-def _check_pool(real: CaptionedMotions, protocol: TextMotionProtocol, config: EvalConfig) -> None:
-    """Raise if not a single pool can be filled."""
-    if real.samples.num_sequences < protocol.pool:
-        raise NoRealMotionError(
-            f"{real.samples.name}: {real.samples.num_sequences} captioned motions take part, but a text chooses among "
-            f"{protocol.pool} (protocol {protocol.name!r}); name a larger split (--split all) or ingest more"
-        )
-    if config.max_motions < protocol.pool:
-        raise UsageError(
-            f"--motions {config.max_motions}: a text chooses among {protocol.pool}; give at least that many"
-        )
-
-
 class _OneEvaluator:
     """One evaluator's rows and blocks."""
 
     def __init__(
-        self, config: EvalConfig, protocol: TextMotionProtocol, evaluator: TextMotionEvaluator, real: CaptionedMotions
+        self, config: EvalConfig, protocol: TextMotionProtocol, evaluator: TextMotionEvaluator, store: Store
     ) -> None:
+        rates = config.fps or (evaluator.fps or DEFAULT_FPS,)
+        if len(rates) != 1 or evaluator.fps not in (None, rates[0]):
+            only = "" if evaluator.fps is None else f", for {evaluator.name!r} {float(evaluator.fps):g}"
+            raise UsageError(f"table 1 compares whole motions at one framerate: give one --fps{only}")
+        rule = protocol.lengths_at(rates[0])
+        real = captioned_motions(store, config.split, config.where, rates[0], rule, evaluator.layout)
+        if min(real.samples.num_sequences, config.max_motions) < protocol.pool:
+            raise NoRealMotionError(
+                f"{real.samples.name}: {real.samples.num_sequences} captioned motions, --motions {config.max_motions}, "
+                f"but a text chooses among {protocol.pool} (protocol {protocol.name!r}); name a larger split (--split "
+                "all), ingest more, or give more --motions"
+            )
         self.config, self.protocol, self.evaluator, self.real = config, protocol, evaluator, real
         self.embedder = Embedder(evaluator, config.results / FOLDER)
         with task(config.on_progress, f"{evaluator.name}: embedding real motion"):
             texts, motions = self.embedder.texts(real.captions), self.embedder.motions(real.samples)
             self.pairs = TextMotionPairs(texts, motions, real.samples.sequence_ids)
-        self.chosen = self._chosen()
-        self.pair_score = evaluator.pair_score
+        # The real motions to generate for: all, or a random subset of the requested size.
+        number = real.samples.num_sequences
+        most = min(config.max_motions, protocol.num_motions or number)
+        self.chosen = np.arange(number)
+        if most < number:
+            self.chosen = np.sort(np.random.default_rng((config.seed, 7)).choice(number, size=most, replace=False))
         # Embeddings of the real motions' captions by an encoder independent of the evaluators, for retrieval.
         self.sentences: Float32[np.ndarray, "pairs numbers"] | None = None
         if protocol.retrieval:
@@ -285,49 +235,40 @@ class _OneEvaluator:
 
     def blocks(self, models: Mapping[str, TrainedModel]) -> list[Block]:
         """All scores, retrieval, and differences of rows."""
-        fps, missing = self.real.samples.fps, self.config.missing
+        config, fps, evaluator = self.config, self.real.samples.fps, self.evaluator
         rows = [self._real_row()]
         for name, model in models.items():
-            with missing.skipping(f"{name}, {self.evaluator.name}", (MotionkitError, ValueError)):
+            with config.missing.skipping(f"{name}, {evaluator.name}", (MotionkitError, ValueError)):
                 rows += self._model_rows(name, model)
-        for folder in self.config.sample_folders:
-            with missing.skipping(f"{folder.name}, {self.evaluator.name}", (MotionkitError, ValueError)):
+        for folder in config.sample_folders:
+            with config.missing.skipping(f"{folder.name}, {evaluator.name}", (MotionkitError, ValueError)):
                 rows.append(self._sample_row(folder))
-        head = f"{self.evaluator.name} evaluator, protocol {self.protocol.name}, {float(fps):g} fps"
-        main, other_way, *differences = scored_blocks(rows, self.pairs, self.protocol, self.config.seed, head)
-        main = replace(main, note=" ".join(filter(None, (main.note, self.evaluator.remark_at(fps)))))
-        provenance = {
-            "evaluator": self.evaluator.name,
-            "fingerprint": self.evaluator.fingerprint,
-            "protocol": self.protocol.name,
-        }
-        found = [main, other_way]
+        head = f"{evaluator.name} evaluator, protocol {self.protocol.name}, {float(fps):g} fps"
+        main, other_way, *differences = scored_blocks(rows, self.pairs, self.protocol, config.seed, head)
+        found = [replace(main, note=" ".join(filter(None, (main.note, evaluator.remark_at(fps))))), other_way]
         if self.sentences is not None:
             own, sentences = self.pairs.select(self.chosen), self.sentences[self.chosen]
             found += [
-                retrieval_block(rule, index, rows, own, sentences, self.config.seed, head)
+                retrieval_block(rule, index, rows, own, sentences, config.seed, head)
                 for index, rule in enumerate(self.protocol.retrieval)
             ]
+        provenance = {
+            "evaluator": evaluator.name,
+            "fingerprint": evaluator.fingerprint,
+            "protocol": self.protocol.name,
+        }
         return [*(replace(block, provenance=provenance) for block in found), *differences]
-
-    def _chosen(self) -> npt.NDArray[np.int64]:
-        """The real motions to generate for: all, or a random subset of the requested size."""
-        number = self.real.samples.num_sequences
-        most = min(self.config.max_motions, self.protocol.num_motions or number)
-        if number <= most:
-            return np.arange(number)
-        return np.sort(np.random.default_rng((self.config.seed, 7)).choice(number, size=most, replace=False))
 
     def _real_row(self) -> ScoredRow:
         """Real motion under the protocol; without FID if that would be a set's distance from itself."""
         own = self.pairs.select(self.chosen)
-        scores = self._score(own if self.protocol.reference == "paired" else self.pairs, [own])
         if self.protocol.reference == "redraw":
             note = "its FID is what dropped remainders and the choice of motions leave"
-            return ScoredRow(REAL, "reference", scores, note)
+            return ScoredRow(REAL, "reference", self._score(self.pairs, [own]), note)
+        row = self._scored(REAL, "", own if self.protocol.reference == "paired" else self.pairs, [own], self.chosen)
         for name in ("fid", "fid_infinity", "kid"):
-            scores.replications.pop(name, None)
-        return ScoredRow(REAL, "reference", scores, retrieval=self._retrieval(own, [own], self.chosen))
+            row.scores.replications.pop(name, None)
+        return replace(row, origin="reference")
 
     def _model_rows(self, name: str, trained: TrainedModel) -> list[ScoredRow]:
         """A model's rows, as generated and planted."""
@@ -340,41 +281,45 @@ class _OneEvaluator:
         reference = self.pairs.select(self.chosen) if self.protocol.reference == "paired" else self.pairs
         rows = []
         for row in motions.rows:
+            made = (trained.note, "" if lengths is None else MADE_OF_22, VARIANT_NOTES.get(row.variant))
+            note = "; ".join((f"run {trained.run.name!r}", *filter(None, made)))
             own = [draw[row] for draw in draws]
-            remarks = size_remarks(self.pairs.motions, reference.motions, own[0].motions, config.seed)
-            made = (training_note(trained), "" if lengths is None else MADE_OF_22, VARIANT_NOTES.get(row.variant))
-            note = "; ".join((f"run {trained.run.name!r}", *filter(None, made), *remarks))
-            scores = self._score(reference, own, repeated.get(row))
-            rows.append(ScoredRow(row, "ours", scores, note, self._retrieval(reference, own, self.chosen)))
+            rows.append(self._scored(row, note, reference, own, self.chosen, repeated.get(row)))
         return rows
 
     def _sample_row(self, folder: SampleFolder) -> ScoredRow:
         found = sample_embeddings(folder, self.real, self.protocol, self.embedder)
-        reference, draws = self.pairs, list(found.draws)
-        if found.real_rows is not None:
-            reference = self.pairs.select(found.real_rows)
-        scores = self._score(reference, draws, found.repeated)
-        remarks = size_remarks(self.pairs.motions, reference.motions, draws[0].motions, self.config.seed)
-        note = "; ".join((folder.describe(), *found.remarks, *remarks))
-        ranked = self._retrieval(reference, draws, found.real_rows)
-        return ScoredRow(RowId(folder.name), "ours", scores, note, ranked)
+        reference = self.pairs if found.real_rows is None else self.pairs.select(found.real_rows)
+        note = "; ".join((folder.describe(), *found.remarks))
+        return self._scored(RowId(folder.name), note, reference, list(found.draws), found.real_rows, found.repeated)
 
-    def _retrieval(
-        self, reference: TextMotionPairs, draws: list[TextMotionPairs], rows: npt.NDArray[np.int64] | None
-    ) -> tuple[Mapping[str, Number], ...]:
-        """Retrieval with motions for the captions of some of the real ones, under each of the protocol's rules."""
-        if self.sentences is None:
-            return ()
-        sentences = self.sentences if rows is None else self.sentences[rows]
-        return tuple(
-            score_retrieval(reference, draws, rule, sentences, self.config.seed) for rule in self.protocol.retrieval
-        )
+    def _scored(
+        self,
+        row: RowId,
+        note: str,
+        reference: TextMotionPairs,
+        draws: list[TextMotionPairs],
+        real_rows: Int64[np.ndarray, "pairs"] | None,
+        repeated: Float64[np.ndarray, "texts generations features"] | None = None,
+    ) -> ScoredRow:
+        """A row's scores, and its retrieval for the captions of these real motions (None: of all)."""
+        remarks = []
+        if row != REAL:
+            remarks = size_remarks(self.pairs.motions, reference.motions, draws[0].motions, self.config.seed)
+        ranked: tuple[Mapping[str, Number], ...] = ()
+        if self.sentences is not None:
+            sentences = self.sentences if real_rows is None else self.sentences[real_rows]
+            ranked = tuple(
+                score_retrieval(reference, draws, rule, sentences, self.config.seed) for rule in self.protocol.retrieval
+            )
+        scores = self._score(reference, draws, repeated)
+        return ScoredRow(row, "ours", scores, "; ".join(filter(None, (note, *remarks))), ranked)
 
     def _score(
         self,
         reference: TextMotionPairs,
         draws: list[TextMotionPairs],
-        repeated: npt.NDArray[np.float64] | None = None,
+        repeated: Float64[np.ndarray, "texts generations features"] | None = None,
     ) -> Scores:
         with task(self.config.on_progress, "scoring", self.protocol.replications) as work:
             return score_text_motion(
@@ -383,9 +328,112 @@ class _OneEvaluator:
                 self.protocol,
                 self.config.seed,
                 repeated=repeated,
-                pair_score=self.pair_score,
+                pair_score=self.evaluator.pair_score,
                 on_replication=work.advance,
             )
+
+
+@dataclass(frozen=True, eq=False)
+class SampleEmbeddings:
+    """`draws` are the k-th motions of every prompt, `real_rows` their real motions if the protocol pairs them.
+
+    `remarks` states how motions were converted for an evaluator of pose vectors, and which have no real motion.
+    """
+
+    draws: tuple[TextMotionPairs, ...]
+    repeated: Float64[np.ndarray, "texts generations features"] | None
+    real_rows: Int64[np.ndarray, "pairs"] | None
+    remarks: tuple[str, ...] = ()
+
+
+def sample_embeddings(
+    folder: SampleFolder, real: CaptionedMotions, protocol: TextMotionProtocol, embedder: Embedder
+) -> SampleEmbeddings:
+    """Embed a folder's motions and captions; motions longer than allowed are cropped like the real ones.
+
+    A caption that the real set has too keeps its tokens. If the protocol pairs motions with real ones, prompts
+    without a real motion are dropped. Raises `SampleFolderError` for a missing caption, and `UsageError` if no sample
+    matches a real motion by name or caption.
+    """
+    folder.require("caption")
+    fps = real.samples.fps
+    most_frames = protocol.lengths_at(fps).most_frames(fps)
+    samples = folder.at(fps)
+    cropped = [middle(sequence, most_frames) for sequence in samples.sequences]
+    samples = samples.with_positions(samples.name, samples.fps, cropped)
+    motions, path = _embedded(folder, samples, real.samples, most_frames, embedder)
+    texts = embedder.texts([real.known_captions.get(text, Caption(text)) for text in samples.captions])
+    groups = [np.array(rows) for rows in samples.rows_by_group().values()]
+    most = max(map(len, groups))
+    repeated = motions[np.stack([rows for rows in groups if len(rows) == most])] if most > 1 else None
+    found = _real_rows(samples.select(np.array([rows[0] for rows in groups])), real)
+    remarks, paired = [path] if path else [], None
+    if protocol.reference == "paired":
+        paired = np.array([row for row in found if row is not None], dtype=np.int64)
+        if not len(paired):
+            raise UsageError(
+                f"protocol {protocol.name!r} compares with the real motions of the same texts; name the files after "
+                "the real sequences, or give them the captions of real sequences of this split"
+            )
+        if without := len(groups) - len(paired):
+            remarks.append(
+                f"{without:,} of {len(groups):,} have no real motion of their text that takes part: left out"
+            )
+        groups = [rows for rows, row in zip(groups, found, strict=True) if row is not None]
+        found = [row for row in found if row is not None]
+    ids = real.samples.sequence_ids
+    takes = tuple(f"prompt {number}" if row is None else ids[row] for number, row in enumerate(found))
+    fewest = min(map(len, groups))
+    draws = [np.array([rows[number] for rows in groups]) for number in range(fewest)]
+    pairs = tuple(TextMotionPairs(texts[rows], motions[rows], takes) for rows in draws)
+    return SampleEmbeddings(pairs, repeated, paired, tuple(remarks))
+
+
+def _embedded(
+    folder: SampleFolder, samples: SampleSet, real: SampleSet, most_frames: int, embedder: Embedder
+) -> tuple[Float64[np.ndarray, "motions features"], str]:
+    """Embeddings of a folder's motions: from its pose vectors if the evaluator reads them, else from joints."""
+    evaluator = embedder.evaluator
+    if not isinstance(evaluator, PoseVectorEvaluator):
+        return embedder.motions(samples), ""
+    if not folder.vectors:
+        reason = "not all came as vectors of one size"
+    elif (size := folder.vectors[0].shape[1]) != evaluator.vector_size:
+        reason = f"vectors of {size} numbers, it reads {evaluator.vector_size}"
+    elif set(folder.fps) != {evaluator.fps}:
+        reason = f"vectors of another framerate than {evaluator.fps} fps"
+    else:
+        # T poses make T − 1 vectors, so the longest motion has one vector fewer than poses.
+        lengths = np.minimum(folder.sequences.num_frames, most_frames - 1).tolist()
+        vectors = [
+            # A crop is followed by the motion itself; only whole motions are followed by the stored padding.
+            motion if length == frames else middle(motion[:frames], length)
+            for motion, length, frames in zip(
+                folder.vectors, lengths, folder.sequences.num_frames.tolist(), strict=True
+            )
+        ]
+        key = {"vectors": fingerprint_of_vectors(vectors), "lengths": lengths}
+        return embedder.kept(key, len(vectors), lambda: evaluator.embed_vectors(vectors, lengths)), AS_VECTORS
+    kit_lengths = kit_bone_lengths(real)
+    if kit_lengths is None:
+        return embedder.motions(samples), f"{BY_JOINTS} ({reason})"
+    if folder.kit_joints and set(folder.fps) == {samples.fps}:
+        joints = [middle(motion, most_frames) for motion in folder.kit_joints]
+        own = samples.with_positions(samples.name, samples.fps, joints)
+        return embedder.motions(own), f"{BY_JOINTS} of KIT-ML's joints as they came ({reason})"
+    return embedder.motions(as_kit_joints(samples, kit_lengths)), f"{BY_JOINTS}, {MADE_OF_22} ({reason})"
+
+
+def _real_rows(samples: SampleSet, real: CaptionedMotions) -> list[int | None]:
+    """The real motion of each sample, each used once, or None: by names if most match, else by captions."""
+    named = rows_by_name(samples.sequence_ids, real.samples.sequence_ids)
+    fitting = [row for row in named if row is not None]
+    if 2 * len(fitting) > len(named) and len(set(fitting)) == len(fitting):
+        return named
+    by_caption: dict[str, list[int]] = defaultdict(list)
+    for row in reversed(range(real.samples.num_sequences)):
+        by_caption[real.samples.captions[row]].append(row)
+    return [by_caption[text].pop() if by_caption[text] else None for text in samples.captions]
 
 
 def title_of(name: str) -> str:
@@ -401,46 +449,41 @@ def scored_blocks(
     protocol: TextMotionProtocol,
     seed: int,
     head: str,
-) -> tuple[Block, ...]:
+) -> list[Block]:
     """All metrics with the protocol's direction of R-Precision, the other direction, and differences of rows."""
     texts_ask = [f"r_precision_top{rank}" for rank in (1, 2, 3)]
     motions_ask = [f"{name}_motion_asks" for name in texts_ask]
-    shared = [remark for remark in rows[0].scores.remarks if all(remark in row.scores.remarks for row in rows)]
     asked, turned = (texts_ask, motions_ask) if protocol.asks == "text" else (motions_ask, texts_ask)
     paired = [name for name in PAIR_SCORES if name in rows[0].scores.values]
     every = [*asked, "mm_dist", *paired, "fid", "diversity", protocol.multimodality.metric]
+    shared = [remark for remark in rows[0].scores.remarks if all(remark in row.scores.remarks for row in rows)]
     oracle = _oracle(real, protocol, seed)
     floor = {title_of("fid"): cell_of(_halves(real, protocol, seed)), COUNT: Cell(len(real.motions) // 2)}
-    main = Block(
-        f"Table 1: {head}",
-        (*map(title_of, every), COUNT),
-        (
-            Row(ORACLE, "reference", {title_of(name): oracle[name] for name in asked}, NOTES[ORACLE]),
-            Row(FLOOR, "reference", floor, NOTES[FLOOR]),
-            *(_row(row, every, leaving_out=shared) for row in rows),
-        ),
-        lower_is_better=False,
-        note=". ".join(
-            (f"{COUNT}: motions of a row that count; FIDs of different {COUNT} do not compare", *map(_sentence, shared))
-        )
-        + ".",
-        metrics=tuple(measure(name, column=title_of(name)) for name in every),
+    remarks = (f"{COUNT}: motions of a row; FIDs of different {COUNT} do not compare", *shared)
+
+    def block(title: str, names: list[str], found: Sequence[Row], note: str) -> Block:
+        shown = {title_of(name): oracle[name] for name in names if name in oracle}
+        ceiling = Row(ORACLE, "reference", shown, NOTES[ORACLE])
+        measures = tuple(measure(name, column=title_of(name)) for name in names)
+        columns = (*map(title_of, names), COUNT)
+        return Block(f"{title}: {head}", columns, (ceiling, *found), False, note, metrics=measures)
+
+    main = block(
+        "Table 1",
+        every,
+        (Row(FLOOR, "reference", floor, NOTES[FLOOR]), *(_row(row, every, shared) for row in rows)),
+        ". ".join(remark[0].upper() + remark[1:].rstrip(".") for remark in remarks) + ".",
     )
-    other_way = Block(
-        f"R-Precision the other way round: {head}",
-        (*map(title_of, turned), COUNT),
-        (
-            Row(ORACLE, "reference", {title_of(name): oracle[name] for name in turned}, NOTES[ORACLE]),
-            *(replace(_row(row, turned), note="") for row in rows),
-        ),
-        lower_is_better=False,
-        note="The reference code asks with a text for its motion; the NeRM paper's words, with a motion for its text.",
-        metrics=tuple(measure(name, column=title_of(name)) for name in turned),
+    other_way = block(
+        "R-Precision the other way round",
+        turned,
+        [replace(_row(row, turned), note="") for row in rows],
+        "The reference code asks with a text for its motion; the NeRM paper's words, with a motion for its text.",
     )
     own = {each.row: each.scores.values for each in rows if each.origin == "ours"}
     differences = score_differences(own, {name: title_of(name) for name in every})
     tests = differences_block(main, of_interest(main, differences))
-    return (main, other_way) if tests is None else (main, other_way, tests)
+    return [main, other_way, *([] if tests is None else [tests])]
 
 
 def paper_block(fps: Fraction) -> Block:
@@ -454,28 +497,22 @@ def paper_block(fps: Fraction) -> Block:
         lambda figure: title_of(figure.metric),
         columns=tuple(title_of(name) for name in names if any(figure.metric == name for figure in figures)),
         lower_is_better=False,
-        note=f"{PRINTED_NOTES}Source: {SOURCES['nerm']}.",
+        note=f"Theirs, by another evaluator on other motions (docs/tables.md). Source: {SOURCES['nerm']}.",
     )
 
 
-def _sentence(remark: str) -> str:
-    return remark[0].upper() + remark[1:].rstrip(".")
-
-
 def _row(row: ScoredRow, names: Sequence[str], leaving_out: Sequence[str] = ()) -> Row:
-    values = row.scores.values
+    values, sizes = row.scores.values, row.scores.sizes
     cells = {title_of(name): _score_cell(values[name]) for name in names if name in values}
-    details = {find_metric(name).title: values[name].value for name in DETAILS if name in values}
-    if "fid" in names and details:
-        fid = cells[title_of("fid")]
-        cells[title_of("fid")] = replace(fid, details={**fid.details, **details})
-    sizes = row.scores.sizes
+    if fid := cells.get(title_of("fid")):
+        further = {find_metric(name).title: values[name].value for name in ("fid_infinity", "kid") if name in values}
+        cells[title_of("fid")] = replace(fid, details={**fid.details, **further})
     cells[COUNT] = Cell(sizes["generated"])
     counted = f"N = {sizes['generated']:,} against {sizes['real']:,} real motions"
     if "multimodality texts" in sizes:
         counted += f", {sizes['multimodality generations']} motions of {sizes['multimodality texts']} texts"
     remarks = [remark for remark in row.scores.remarks if remark not in leaving_out]
-    return Row(str(row.row), row.origin, cells, "; ".join((*([row.note] if row.note else []), counted, *remarks)))
+    return Row(str(row.row), row.origin, cells, "; ".join(filter(None, (row.note, counted, *remarks))))
 
 
 def _score_cell(number: Number) -> Cell:
@@ -532,59 +569,24 @@ def retrieval_block(
         for name in (*(f"recall_at_{rank}" for rank in RECALL_RANKS), "median_rank")
     ]
 
-    def cells(values: Mapping[str, Number]) -> dict[str, Cell]:
-        return {title_of(name): Cell(values[name].value) for name in names}
+    def row(name: str, origin: Origin, values: Mapping[str, Number], note: str = "") -> Row:
+        return Row(name, origin, {title_of(metric): Cell(values[metric].value) for metric in names}, note)
 
     number, oracle = len(real.motions), TextMotionPairs(real.texts, real.texts)
     chance = score_retrieval(real, [real], rule, sentences, seed, no_distance)
     ceiling = score_retrieval(oracle, [oracle], rule, sentences, seed)
-    same = share_of_same_texts(rule, real, sentences)
-    merged = f" {same:.2%} of the other texts count as a text's own." if rule.same_above is not None else ""
-    chosen_among = rule.pool or min(number, rule.least_similar or number)
+    note = f"Shares, not per cent; sentences are compared by {SENTENCES}."
+    if rule.same_above is not None:
+        note += f" {share_of_same_texts(rule, real, sentences):.2%} of the other texts count as a text's own."
     return Block(
-        f"Retrieval, {rule.name}, N = {chosen_among}: {head}",
+        f"Retrieval, {rule.name}, N = {rule.pool or min(number, rule.least_similar or number)}: {head}",
         tuple(map(title_of, names)),
         (
-            Row(CHANCE, "reference", cells(chance), "an evaluator that sees nothing"),
-            Row(ORACLE, "reference", cells(ceiling), "captions that stand in the set twice are its ceiling"),
-            *(Row(str(each.row), each.origin, cells(each.retrieval[index])) for each in rows if each.retrieval),
+            row(CHANCE, "reference", chance, "an evaluator that sees nothing"),
+            row(ORACLE, "reference", ceiling, "captions that stand in the set twice are its ceiling"),
+            *(row(str(each.row), each.origin, each.retrieval[index]) for each in rows if each.retrieval),
         ),
         lower_is_better=False,
-        note=(
-            f"Shares, not per cent.{merged} Sentences are compared by {SENTENCES}; candidates at one distance share "
-            "their ranks by expectation, where TMR's code takes their mean rank."
-        ),
+        note=note,
         metrics=tuple(measure(name, column=title_of(name)) for name in names),
-    )
-
-
-def _caption(config: EvalConfig, protocol: TextMotionProtocol, real: Mapping[_Sight, CaptionedMotions]) -> str:
-    caption = (
-        f"Whole motions and their captions, protocol {protocol.name!r} ({protocol.title}): mean over "
-        f"{protocol.replications} replications ± half the 95 % interval over takes, {config.real}."
-    )
-    fewest = min(each.samples.num_sequences for each in real.values())
-    if fewest < SMALL:
-        caption += (
-            f" A small-scale run: {fewest} real motions, so rows say how systems rank on this store and no more; FID "
-            "has the bias of its N."
-        )
-    return caption
-
-
-def _notes(protocol: TextMotionProtocol, real: Mapping[_Sight, CaptionedMotions]) -> tuple[str, ...]:
-    notes = []
-    for sight, each in real.items():
-        without = "".join(f", {count} left out ({reason})" for reason, count in each.left_out.items())
-        longest = protocol.lengths_at(sight[0]).longest_seconds
-        cropped = f", {each.num_cropped} cropped to their middle {longest:g} s"
-        notes.append(
-            f"Real motions at {_label(sight)}: {each.samples.num_sequences} with "
-            f"{len(set(each.samples.captions))} different captions{cropped if each.num_cropped else ''}{without}."
-        )
-    chance = ", ".join(f"{rank / protocol.pool:.3f}" for rank in (1, 2, 3))
-    return (
-        *notes,
-        f"Pools of {protocol.pool}: chance is {chance}.",
-        "Embeddings, and with them every number but the paper's, compare only under one evaluator's fingerprint.",
     )

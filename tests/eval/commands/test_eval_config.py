@@ -10,9 +10,8 @@ import pytest
 
 from eval.clip_fid.score import Protocol
 from eval.commands.eval import evaluate
-from eval.config import EvalConfig
 from eval.report.results import Result
-from eval.tables.table import Table
+from eval.tables.table import EvalConfig, Table
 from motionkit.core.errors import UsageError
 from motionkit.training.run import Loader
 from tests.helpers.scripted_model import ScriptedModel
@@ -53,7 +52,7 @@ def test_options_become_a_configuration(config_of: Callable[..., EvalConfig], tm
         ({"sizes": "64:16"}, "--sizes 64:16"),
         ({"fps": "fast"}, "--fps fast"),
         ({"calibrate": True}, "give --table NUMBER"),
-        ({"table": None, "calibrate": True, "low_pass": 4.0}, "leave out --low-pass"),
+        ({"table": None, "calibrate": True, "samples": ["a=here"]}, "leave out --samples"),
         ({"encoder": ["liif=none"]}, "there is no run"),
         ({"paper": "nobody"}, "no table 2 of 'nobody'"),
     ],

@@ -8,8 +8,8 @@ import pytest
 
 from eval.clip_fid.score import Comparison, Protocol
 from eval.sets.sets import Missing, RowId, SampleSet, sample_set
-from eval.tables.columns import MOTIONS, P1, P2, SLERP, TAKES, TRAINING, score_column
-from tests.eval.test_calibration import MeanHeight
+from eval.tables.systems import MOTIONS, P1, P2, SLERP, TAKES, TRAINING, score_column
+from tests.eval.tables.test_calibration import MeanHeight
 
 FPS = Fraction(20)
 PROTOCOL = Protocol(8, 16, num_clips=64, replications=2, detailed_replications=0)

@@ -10,9 +10,8 @@ import torch
 import typer
 from typer.testing import CliRunner
 
-from eval.config import EvalConfig
 from eval.tables import train_for
-from eval.tables.table import Content, Table
+from eval.tables.table import Content, EvalConfig, Table
 from eval.tables.train_for import table_that_shows
 from motionkit.cli import train as train_module
 from motionkit.cli.console import parse_duration
@@ -223,8 +222,8 @@ def test_tables_are_known_by_what_they_show() -> None:
     assert set(table_that_shows("pahires", "table:3").shown()) >= {"pahires", "ts-former"}
     assert table_that_shows("nerm", "figure:8").reads == ()
     for paper, wanted, told in (
-        ("nerm", "2", "--for 2: table:NUMBER or figure:NUMBER, such as table:2"),
-        ("nerm", "table:99", "there is no such table; installed tables: nerm-1"),
+        ("nerm", "2", "--for 2: table:NUMBER or figure:NUMBER of the installed tables: nerm-1"),
+        ("nerm", "table:99", "of the installed tables: nerm-1"),
         ("nerm", "table:5", "no rows of systems (of ablations: motionkit ablate)"),
     ):
         with pytest.raises(UsageError) as found:

@@ -7,8 +7,8 @@ import pytest
 
 from eval.clip_fid import score
 from eval.clip_fid.score import Protocol
-from eval.config import EvalConfig
 from eval.tables.nerm import figures
+from eval.tables.table import EvalConfig
 from motionkit.core.errors import UsageError
 from motionkit.generate.models import GenerationRequest
 from motionkit.training.run import RunError

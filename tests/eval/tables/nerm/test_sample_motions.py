@@ -10,7 +10,7 @@ import pytest
 from eval.sample_folder import SampleFolder
 from eval.sample_folder.folder import SampleFolderError
 from eval.sets.sets import Ragged, SampleSet, sample_set
-from eval.tables.nerm.sample_motions import AS_VECTORS, BY_JOINTS, sample_embeddings
+from eval.tables.nerm.table1 import AS_VECTORS, BY_JOINTS, sample_embeddings
 from eval.text_motion.embedding_cache import Embedder
 from eval.text_motion.protocol import find_text_motion_protocol
 from eval.text_motion.real_pairs import CaptionedMotions

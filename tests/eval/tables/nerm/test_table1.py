@@ -16,6 +16,7 @@ from eval.sets.motions import NoRealMotionError
 from eval.sets.sets import SampleSet
 from eval.tables.nerm import table1
 from eval.tables.nerm.table1 import FLOOR, ORACLE, title_of
+from eval.text_motion.guo.kind import GuoFiles
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
@@ -88,13 +89,9 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
+    """A run, and beside it one that was trained at a single framerate."""
+    trained_run(tmp_path / "runs" / "nano-fixed")
     return trained_run(tmp_path / "runs" / "nano")
-
-
-@pytest.fixture
-def fixed(run: Path) -> Path:
-    """What was trained at a single framerate, beside the run."""
-    return trained_run(run.with_name("nano-fixed"))
 
 
 @pytest.fixture
@@ -102,7 +99,7 @@ def models(run: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, ScriptedMode
     """`nano` listens to its captions, `nano-fixed` doesn't."""
     made = {"nano": ScriptedModel(listens), "nano-fixed": ScriptedModel(ignores)}
     install_models(monkeypatch, lambda folder: made[folder.name])
-    monkeypatch.setattr(table1, "_native", lambda request: Shapes())
+    monkeypatch.setattr(table1, "_evaluator", lambda name, config: Shapes())
     return made
 
 
@@ -115,7 +112,7 @@ def rows_of(result: Result, block: int = 0) -> dict[str, dict[str, float]]:
 
 
 def test_a_model_that_is_the_real_motion_scores_like_it(
-    store: Path, kept: Path, run: Path, fixed: Path, models: dict[str, ScriptedModel]
+    store: Path, kept: Path, run: Path, models: dict[str, ScriptedModel]
 ) -> None:
     result = build(store, kept, run)
     rows = rows_of(result)
@@ -145,12 +142,12 @@ def test_a_model_that_is_the_real_motion_scores_like_it(
 
 
 def test_the_result_says_what_its_numbers_mean(
-    store: Path, kept: Path, tmp_path: Path, run: Path, fixed: Path, models: dict[str, ScriptedModel]
+    store: Path, kept: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]
 ) -> None:
     result = build(store, kept, run, published="t2m")
     assert result.definition["protocol"]["name"] == "t2m"
     assert result.definition["protocol"]["multimodality"]["pairs"] == "shared"
-    assert result.definition["real_motions"]["20 fps"]["motions"] == 70
+    assert result.definition["real_motions"]["shapes"]["motions"] == 70
     assert set(result.provenance["runs"]) == {"nano", "nano-fixed"}
     assert result.blocks[0].provenance == {"evaluator": "shapes", "fingerprint": "1", "protocol": "t2m"}
     assert rows_of(result)["real"][FID] > 0
@@ -170,7 +167,6 @@ def test_retrieval_stands_in_blocks_of_its_own(
     store: Path,
     kept: Path,
     run: Path,
-    fixed: Path,
     models: dict[str, ScriptedModel],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -212,7 +208,7 @@ def test_embeddings_are_kept_and_motions_are_not_generated_again(
 
 
 def test_a_model_that_makes_less_crops_the_real_motions(
-    store: Path, kept: Path, run: Path, fixed: Path, models: dict[str, ScriptedModel]
+    store: Path, kept: Path, run: Path, models: dict[str, ScriptedModel]
 ) -> None:
     def check(request: GenerationRequest, sampling: SamplingOptions = SamplingOptions()) -> None:
         raise UsageError("no texts")
@@ -222,13 +218,11 @@ def test_a_model_that_makes_less_crops_the_real_motions(
     models["nano-fixed"].max_duration_seconds, models["nano-fixed"].check = 1.0, check  # type: ignore[misc, attr-defined]
     result = build(store, kept, run)
     assert "NeRM, fixed framerate: no texts" in result.missing
-    assert result.definition["real_motions"]["20 fps"]["cropped"] == 23
+    assert result.definition["real_motions"]["shapes"]["cropped"] == 23
     assert result.definition["protocol"]["lengths"]["longest_seconds"] == 3.0
 
 
-def test_what_there_is_not_is_named(
-    store: Path, tmp_path: Path, run: Path, fixed: Path, models: dict[str, ScriptedModel]
-) -> None:
+def test_what_there_is_not_is_named(store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]) -> None:
     result = build(store, tmp_path / "results", run.with_name("nowhere"))
     assert set(rows_of(result)) == {ORACLE, FLOOR, "real"}
     assert any("NeRM: there is no run" in line for line in result.missing)
@@ -247,23 +241,37 @@ def test_what_there_is_not_is_named(
     ("changes", "message"),
     [
         ({"published": "mmd"}, "no text-to-motion protocol 'mmd'"),
-        ({"features": ("kinematic",)}, "--evaluator kinematic: not an evaluator of text and motion"),
+        ({"features": ("kinematic",)}, "--evaluator kinematic"),
+        ({"features": ("guo",)}, "--weights"),
+        ({"features": ("guo",), "guo": GuoFiles(Path("finest.tar"))}, "--glove"),
+        ({"features": ("motion-clip",)}, "--motion-clip"),
         ({"fps": (Fraction(20), Fraction(60))}, "give one --fps"),
-        ({"max_motions": 31}, "--motions 31: a text chooses among 32"),
     ],
 )
 def test_requests_that_mean_nothing(
-    changes: dict[str, object], message: str, store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]
+    changes: dict[str, object], message: str, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(table1, "load_native", lambda run: Shapes())
+    monkeypatch.setattr(table1, "NativeTextMotion", lambda loaded: loaded)
     with pytest.raises(UsageError, match=message):
-        build(store, tmp_path / "results", run, **changes)
+        build(store, tmp_path / "results", tmp_path / "run", **changes)
+
+
+def test_an_evaluator_that_is_missing_leaves_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(table1, "load_guo", lambda files: Shapes())
+    files = GuoFiles(Path("finest.tar"), glove=Path("glove"))
+    config = table_request(Path("store"), Path("results"), features=("guo", "native"), guo=files)
+    assert [each.name for each in table1.text_motion_evaluators(config)] == ["shapes"]
+    assert config.missing.lines[0].startswith("evaluator 'native': it belongs to a run")
 
 
 def test_broken_and_too_few_motions_are_reported(
     store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with pytest.raises(NoRealMotionError, match="31 captioned motions take part, but a text chooses among 32"):
+    with pytest.raises(NoRealMotionError, match=r"31 captioned motions, .* a text chooses among 32"):
         build(store, tmp_path / "results", run, where="sequence_id < 'take-031'")
+    with pytest.raises(NoRealMotionError, match="--motions 31, but a text chooses among 32"):
+        build(store, tmp_path / "results", run, max_motions=31)
 
     models["nano"].script = lambda request, chance: lambda times: np.full((len(times), 22, 3), np.nan, np.float32)
     told = build(store, tmp_path / "results", run)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from eval.actions.sets import NoActionsError, known_actions, with_rotations
+from eval.actions.sets import with_rotations
 from eval.actions.uestc import StgcnNetwork
 from eval.report.render import to_markdown
 from eval.report.results import Result, read_result, write_result
@@ -108,9 +108,7 @@ def test_a_model_that_obeys_scores_like_real_motion(
     assert titles[-2:] == ["Printed in the NeRM paper for UESTC", "Printed in the NeRM paper for HumanAct12"]
     assert read_result(write_result(result, tmp_path)).blocks[0].rows[1].name == "NeRM"
     text = to_markdown(result)
-    assert (
-        "protocol 'a2m' counts 3,000 motions, here are 36" in text and "1.96 · variance, which is no interval" in text
-    )
+    assert "protocol 'a2m' counts 3,000 motions, here are 36" in text and "1.96 · variance" in text
 
 
 def test_a_model_that_does_something_else_is_found_out(
@@ -178,35 +176,18 @@ def test_what_cannot_be_scored_is_said(store: Path, tmp_path: Path, monkeypatch:
     assert any("there is no run" in line for line in result.missing)
     run = with_model(monkeypatch, tmp_path, ScriptedModel(knows_nothing))
     assert any("the model knows no action" in line for line in build(store, tmp_path, run=run).missing)
-    with pytest.raises(UsageError, match="no recogniser of actions 'best': linear, humanact12, cmu-mocap, uestc"):
-        build(store, tmp_path, features=("best",))
-    with pytest.raises(UsageError, match="one recogniser of actions at a time"):
-        build(store, tmp_path, features=("linear", "uestc"))
-    with pytest.raises(UsageError, match="no action protocol 't2m': native, a2m, actor, mdm"):
-        build(store, tmp_path, published="t2m")
-    with pytest.raises(UsageError, match="--evaluator humanact12 needs the file of its weights"):
-        build(store, tmp_path, features=("humanact12",))
-    with pytest.raises(UsageError, match="--weights needs a published recogniser"):
-        build(store, tmp_path, guo=GuoFiles(tmp_path / "some.tar"))
+    for changes, message in (
+        ({"features": ("best",)}, "no recogniser of actions 'best'"),
+        ({"features": ("linear", "uestc")}, "one recogniser"),
+        ({"published": "t2m"}, "no action protocol 't2m'"),
+        ({"features": ("humanact12",)}, "needs the file of its weights"),
+        ({"guo": GuoFiles(tmp_path / "some.tar")}, "--weights"),
+    ):
+        with pytest.raises(UsageError, match=message):
+            build(store, tmp_path, **changes)
     untrained = write_store(tmp_path / "untrained", ("test",))
     with pytest.raises(UsageError, match="has no training split, and 'linear' is fitted on one"):
         build(untrained, tmp_path)
-
-
-def test_actions_are_found_however_they_are_spelt_and_single_motions_are_left_out() -> None:
-    names = ("Warm_Up", "warm up", "JUMP", "jump", "jump", "sit", "", "fly", "hop", "hop")
-    lengths = (40, 40, 40, 40, 5, 40, 40, 40, 40, 5)
-    made = [acted("nod", i, length) for i, length in enumerate(lengths)]
-    samples = sample_set("some", FPS, made, [str(i) for i in range(10)], actions=names)
-    found = known_actions(samples, ("warm-up", "jump", "sit", "hop"))
-    assert found.samples.sequence_ids == ("0", "1", "2", "3") and found.labels.tolist() == [0, 0, 1, 1]
-    assert found.left_out == (
-        "2 motions of actions that it does not know: fly (1), no action (1)",
-        "actions with a single motion: sit, hop",
-        "2 motions of fewer than 10 frames",
-    )
-    with pytest.raises(NoActionsError, match=r"some: no motion has an action that the recogniser knows \(dance\)"):
-        known_actions(samples, ("dance",))
 
 
 def turning(num_frames: int, seed: int, joints: int) -> np.ndarray:

@@ -5,12 +5,12 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from eval.calibration import MIRRORED, Game, Graded, Scored, calibrate
 from eval.clip_fid import score
 from eval.clip_fid.score import Comparison, Protocol, fit_on
 from eval.metrics.number import Number
 from eval.sets.damage import NUM_GAMES
 from eval.sets.sets import SampleSet, sample_set
+from eval.tables.calibration import MIRRORED, Game, Graded, Scored, calibrate
 from motionkit.core.skeleton import SMPL22
 
 FPS = Fraction(40)

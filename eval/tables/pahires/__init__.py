@@ -1,1 +1,0 @@
-"""PA-HiRes's tables and figures."""

@@ -1,0 +1,433 @@
+"""What tables have rows of: real motion and its baselines, a run's models and encoders, other systems' samples."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from eval.clip_fid.score import KINEMATIC, ClipError, Comparison
+from eval.detail import LEAST_FPS, RealDetail
+from eval.detail import VERSION as DETAIL_VERSION
+from eval.metrics.number import Number
+from eval.report.results import Block, Cell, Row, pairs_of
+from eval.sample_folder.folder import takes_of_samples
+from eval.sets.motions import (
+    NoRealMotionError,
+    RealMotion,
+    Window,
+    detailed_fields,
+    generate_fields,
+    is_framed,
+    is_unconditional,
+    planted_fields,
+    planted_set,
+    real_motion,
+    sample_fields,
+    training_motion,
+    upsample_as_vectors,
+    upsampled,
+    windows_of,
+)
+from eval.sets.sets import REAL, TRAINING_TAKES, Missing, RowId, SampleSet, Variant, check_sample_names
+from eval.tables.table import EvalConfig
+from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
+from motionkit.core.files import sha256_of
+from motionkit.core.progress import task, tracked
+from motionkit.data.reconstruction import ReconstructsWindows
+from motionkit.edit.encoders import installed_encoders
+from motionkit.fields.motion_field import MotionEncoder, MotionField
+from motionkit.generate.models import GenerativeModel, installed_models
+from motionkit.store.reader import Store
+from motionkit.training.detail import has_detail, load_detail
+from motionkit.training.run import Loader, RunError, RunFolder
+
+COLUMNS = tuple(Fraction(rate) for rate in (20, 40, 60, 100, 120))
+LOW_FPS = Fraction(20)
+P1 = RowId(REAL.system, Variant.INDEPENDENT_DRAWS)
+P2 = RowId(REAL.system, Variant.HALVES)
+SLERP = RowId(REAL.system, Variant.KEPT_AT_20)
+VECTORS = RowId(REAL.system, Variant.KEPT_AS_VECTORS)
+TRAINING = RowId(TRAINING_TAKES.system, Variant.AS_GENERATOR)
+REFERENCES = (P1, P2, TRAINING, SLERP, VECTORS)
+ROW_NOTES = {
+    P1: "two draws from the same takes: what sampling alone leaves",
+    P2: "takes of one half against takes of the other, few against few; ± is of a single split",
+    TRAINING: "random subsets of as many takes as the row with the fewest: what a generator that is real motion scores",
+    SLERP: "joint rotations on great arcs, the root on straight lines: the fair way to upsample",
+    VECTORS: "humanml3d vectors interpolated with per-frame velocities unscaled: a handicap of the procedure",
+}
+NOT_SO_FAST = "no generated motion is for a sequence this fast"
+MOTIONS, TAKES = "motions", "takes"
+DRAWING = "± of the drawing of clips alone"
+LOWEST, HIGHEST = "real takes, lowest (2.5 %)", "real takes, highest (97.5 %)"
+OUTSIDE = "*"
+DETAIL_NOTE = (
+    "T: timing, as a share of real motion's. Hz: power in that band, in dB relative to real motion's. R: change of "
+    f"bone lengths > 8 Hz, in mm. {OUTSIDE} marks what lies outside of the range of random halves of the real takes."
+)
+
+T = TypeVar("T")
+# Models' motions for windows of real sequences.
+ModelFields = Mapping[RowId, Mapping[Window, MotionField]]
+# Differences of two rows with paired intervals.
+Pairs = Mapping[tuple[RowId, RowId], Number]
+
+
+def label(fps: Fraction | str) -> str:
+    """`20 fps`, `12.5 fps` for a framerate, or for the paper's `20fps`."""
+    return f"{float(fps):.5g} fps" if isinstance(fps, Fraction) else fps.replace("fps", " fps")
+
+
+@dataclass(frozen=True, eq=False)
+class Trained(Generic[T]):
+    """A loader's object from a run, loaded on first use."""
+
+    loader: Loader[T]
+    run: Path
+
+    @cached_property
+    def loaded(self) -> T:
+        """The model; raises what loading it raises."""
+        return self.loader.load(self.run)
+
+    @property
+    def identity(self) -> dict[str, str]:
+        """Hexadecimal sha256 of each of its stages' models, or of the summary of a stage without one."""
+        stages = [RunFolder(self.run).stage(name) for name in self.loader.stages]
+        paths = [each.model_path if each.model_path.is_file() else each.summary_path for each in stages]
+        return {path.parent.name: sha256_of(path) for path in paths}
+
+    @property
+    def note(self) -> str:
+        """How a model was trained, by its stages' summaries: steps, parameters, processor time, framerate."""
+        notes = []
+        for name in self.loader.stages:
+            effort = RunFolder(self.run).stage(name).effort().items()
+            facts = [f"{value} of {fact}" if fact == "processor time" else f"{value} {fact}" for fact, value in effort]
+            notes += [f"{name}: {', '.join(facts)}"] if facts else []
+        model: Any = self.loaded
+        knows = ", knows no texts and no actions" if is_unconditional(model) else ""
+        return "; ".join((*notes, f"trained at up to {float(model.max_training_fps):g} fps{knows}")) if notes else ""
+
+
+# A generative model of a run.
+TrainedModel = Trained[GenerativeModel]
+
+
+def trained_models(run: Path | None, missing: Missing) -> dict[str, TrainedModel]:
+    """The installed models in a run by their row names; those that it lacks are missing, with what trains them."""
+    found: dict[str, TrainedModel] = {}
+    for loader in installed_models().values():
+        try:
+            if run is None or not run.is_dir():
+                where = "no run was given" if run is None else f"there is no run {str(run)!r}"
+                raise RunError(f"{where} ({loader.train_command(run)})")
+            if not loader.begun_in(run):
+                raise RunError(f"run {run.name!r} has none ({loader.train_command(run)})")
+            model = Trained(loader, run)
+            if (name := model.loaded.name) in found:
+                raise RunError(f"another model of the run is called {name!r} too")
+            found[name] = model
+        except DamagedFileError:
+            raise
+        except MotionkitError as error:
+            missing.add(f"{loader.title}: {error}")
+    return found
+
+
+def require_models(run: Path | None, what: str, missing: Missing) -> dict[str, TrainedModel]:
+    """As `trained_models`; raises `UsageError` without a run, `RunError` if it holds no model."""
+    if run is None:
+        raise UsageError(f"{what} needs trained systems: --run NAME (motionkit train --for {what.replace(' ', ':')})")
+    if not any(loader.begun_in(run) for loader in installed_models().values()):
+        raise RunError(f"{str(run)!r} holds no trained system: motionkit train --for table:2 --run {run.name}")
+    found = trained_models(run, missing)
+    if not found:
+        raise RunError("; ".join(missing.lines))
+    return found
+
+
+def trained_reconstructors(run: Path) -> dict[str, Trained[MotionEncoder]]:
+    """The installed encoders in a run that reconstruct windows of motion, by name.
+
+    Raises `RunError` if there is none, and what loading them raises.
+    """
+    loaders = installed_encoders("reconstruction").values()
+    held = [Trained(loader, run) for loader in loaders if loader.begun_in(run)]
+    if not held:
+        commands = " or ".join(loader.train_command(run) for loader in loaders) or "none is installed"
+        raise RunError(f"run {run.name!r} holds no model that reconstructs windows of motion: {commands}")
+    return {each.loaded.name: each for each in held}
+
+
+def reconstructor(trained: Trained[MotionEncoder], store: Store) -> ReconstructsWindows:
+    """An encoder that reconstructs windows of this store; raises `UsageError` for any other."""
+    encoder = trained.loaded
+    if not isinstance(encoder, ReconstructsWindows):
+        raise UsageError(f"{trained.loader.title} doesn't reconstruct windows of motion")
+    if encoder.store_fingerprint != store.fingerprint:
+        raise UsageError(
+            f"{encoder.name} of {trained.run} was trained on another state of the store (fingerprint "
+            f"{encoder.store_fingerprint[:16]}, now {store.fingerprint[:16]}): name that store, or train again"
+        )
+    return encoder
+
+
+def generated_fields(config: EvalConfig, real: SampleSet) -> tuple[ModelFields, dict[str, str]]:
+    """Motions that each model of the run generates for the captions and durations of a real set.
+
+    As generated, planted, and, if the run has a trained detail stage and the model is continuous in time, planted with
+    detail; and each model's `Trained.note` by its name. Raises `UsageError` for samples named like one of these rows.
+    """
+    run, most, draws = config.run, config.max_motions, config.draws
+    models = trained_models(run, config.missing)
+    check_sample_names(config.samples, models)
+    detail = load_detail(run) if run is not None and has_detail(run) else None
+    rows: dict[RowId, dict[Window, MotionField]] = {}
+    for name, trained in tracked(config.on_progress, "systems", models.items(), len(models)):
+        with config.missing.skipping(name):
+            windows = windows_of(real, trained.loaded.max_duration_seconds)
+            with task(config.on_progress, f"generating {name}", draws * min(len(windows), most)) as work:
+                fields = generate_fields(
+                    trained.loaded, windows, config.seed, most, draws=draws, on_motions=work.advance
+                )
+            standing = planted_fields(fields)
+            rows |= {RowId(name): fields, RowId(name, Variant.PLANTED): standing}
+            if detail is not None and not is_framed(fields):
+                rows[RowId(name, Variant.DETAILED)] = detailed_fields(standing, detail, config.seed)
+    return rows, {name: model.note for name, model in models.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """All sets of one framerate; `train` is None without training motion.
+
+    `systems` are the rows that models generated at this framerate, and those of samples. Rows in `subset_sizes` are
+    scored by random subsets of that many sequences.
+    """
+
+    fps: Fraction
+    real: SampleSet
+    rows: Mapping[RowId, SampleSet]
+    train: SampleSet | None
+    systems: tuple[RowId, ...] = ()
+    subset_sizes: Mapping[RowId, int] = field(default_factory=dict)
+
+    def comparison(self, source: Any, config: EvalConfig) -> Comparison:
+        """The comparison with the real set on a `FeatureSource`; raises `NoRealMotionError` without training motion."""
+        if self.train is None:
+            raise NoRealMotionError("the training split has no motion at this framerate")
+        found: Comparison = source.comparison(self.real, self.train, config.clips)
+        return found
+
+
+def real_column(fps: Fraction, real: RealMotion, train: RealMotion) -> Column:
+    """The real set of one framerate with no row but independent draws of itself.
+
+    Raises `NoRealMotionError` where too few sequences are as fast.
+    """
+    reference = real.at(fps)
+    try:
+        training = train.at(fps)
+    except NoRealMotionError:
+        training = None
+    return Column(fps, reference, {P1: reference}, training)
+
+
+def make_column(fps: Fraction, real: RealMotion, train: RealMotion, fields: ModelFields, config: EvalConfig) -> Column:
+    """All sets of one framerate: baselines, models' and samples' motions as far as there are any.
+
+    Raises `NoRealMotionError` if too few sequences are as fast.
+    """
+    column = real_column(fps, real, train)
+    reference, rows = column.real, dict(column.rows)
+    if fps >= LOW_FPS:
+        low = real.at(LOW_FPS)
+        place = {sequence_id: index for index, sequence_id in enumerate(low.sequence_ids)}
+        low = low.select([place[sequence_id] for sequence_id in reference.sequence_ids])
+        rows[SLERP] = upsampled(low, fps, str(SLERP))
+        rows[VECTORS] = upsample_as_vectors(low, fps, str(VECTORS))
+    systems = []
+    for row, samples in generated_at(fields, reference, fps, config.missing).items():
+        rows[row] = samples
+        if row.variant is not Variant.AS_IS:
+            continue
+        systems.append(row)
+        framed = is_framed(fields[row])
+        coarse_row = RowId(row.system, Variant.AS_VECTORS if framed else Variant.UPSAMPLED)
+        coarse = sample_fields(fields[row], reference.sequence_ids, LOW_FPS, str(coarse_row))
+        if coarse is not None and fps >= LOW_FPS:
+            rows[coarse_row] = (upsample_as_vectors if framed else upsampled)(coarse, fps, str(coarse_row))
+    others = samples_at(real, fps, config)
+    rows |= others
+    sizes = {}
+    if column.train is not None and train is not real:
+        takes = [each.num_takes for row, each in rows.items() if row not in REFERENCES]
+        rows[TRAINING] = column.train
+        sizes[TRAINING] = min([*(takes or [reference.num_takes]), column.train.num_sequences])
+    return Column(fps, reference, rows, column.train, (*systems, *others), sizes)
+
+
+def generated_at(fields: ModelFields, real: SampleSet, fps: Fraction, missing: Missing) -> dict[RowId, SampleSet]:
+    """Every row of generated motion at a framerate, for the real sequences that there are at it."""
+    rows = {}
+    for row, own in fields.items():
+        samples = sample_fields(own, real.sequence_ids, fps, str(row))
+        if samples is None:
+            missing.add(f"{row}, {label(fps)}: {NOT_SO_FAST}")
+        else:
+            rows[row] = samples
+    return rows
+
+
+def samples_at(real: RealMotion, fps: Fraction, config: EvalConfig) -> dict[RowId, SampleSet]:
+    """Every folder's motions at a framerate, as they are and planted; only for takes as fast, if known.
+
+    Raises `NoRealMotionError` if too few real sequences are as fast.
+    """
+    rows: dict[RowId, SampleSet] = {}
+    for folder in config.sample_folders:
+        with task(config.on_progress, f"{folder.name}, {label(fps)}"):
+            every = folder.at(fps)
+        found = takes_of_samples(folder, real).of_column(every, real.at(fps))
+        if found is None:
+            config.missing.add(f"{folder.name}, {label(fps)}: {NOT_SO_FAST}")
+        else:
+            rows |= {RowId(folder.name): found, RowId(folder.name, Variant.PLANTED): planted_set(found)}
+    return rows
+
+
+def score_column(
+    comparison: Comparison,
+    rows: Mapping[RowId, SampleSet],
+    missing: Missing,
+    on_replication: Callable[[], None] = lambda: None,
+    subset_sizes: Mapping[RowId, int] | None = None,
+    *,
+    halves: bool = True,
+) -> tuple[dict[RowId, Cell], Pairs]:
+    """A cell for each row that fits the largest clips, and differences of rows.
+
+    With `halves` one cell more, of disjoint halves of the takes (P2).
+    """
+    name, sizes = label(comparison.real.fps), subset_sizes or {}
+    fitting = {}
+    for row, samples in rows.items():
+        with missing.skipping(f"{row}, {name}", (ClipError,)):
+            comparison.protocol.check_lengths(samples)
+            fitting[row] = samples
+    scores = comparison.scores(fitting, on_replication, sizes)
+    cells = {row: _cell(score, rows[row], sizes.get(row)) for row, score in scores.items()}
+    if halves:
+        with missing.skipping(f"{P2}, {name}", (ClipError,)):
+            half = comparison.real.num_sequences // 2
+            cells[P2] = _cell(comparison.disjoint_halves(on_replication), comparison.real, half)
+    own = [row for row in scores if row not in REFERENCES]
+    pairs = {pair: scores[pair[0]].less(scores[pair[1]]) for pair in pairs_of(own, {SLERP} & scores.keys())}
+    return cells, {pair: difference for pair, difference in pairs.items() if difference is not None}
+
+
+def _cell(score: Number, samples: SampleSet, subset: int | None) -> Cell:
+    """A score as a cell; further metrics and the size of its sets are details.
+
+    It has no interval if takes cannot be resampled (a single take). `subset` is the number of sequences scored at once,
+    if not all.
+    """
+    titles = {"fid_infinity": "FID_∞", "kid": "KID"}
+    details: dict[str, float | int] = {titles.get(name, name): value for name, value in score.details.items()}
+    details |= {DRAWING: score.drawing, MOTIONS: subset or samples.num_sequences, TAKES: subset or samples.num_takes}
+    return Cell(score.value, score.ci95 if score.resampled or subset else None, details)
+
+
+def detail_blocks(
+    real: SampleSet,
+    train: SampleSet | None,
+    rows: Mapping[RowId, SampleSet],
+    notes: Mapping[RowId, str],
+    config: EvalConfig,
+) -> list[Block]:
+    """The detail profile of rows at 40 fps or more; none below, without training motion, or of frozen real motion."""
+    blocks: list[Block] = []
+    if train is None or real.fps < LEAST_FPS:
+        return blocks
+    name = f"detail, {label(real.fps)}"
+    with task(config.on_progress, name), config.missing.skipping(name, (ClipError,)):
+        detail = RealDetail.of(real, train, config.seed)
+        figures = {row: detail.profile(each).figures for row, each in rows.items() if row not in (REAL, P1)}
+        if not figures:
+            return blocks
+        columns, found = tuple(next(iter(figures.values()))), []
+        if detail.ranges is not None:
+            for bound, values in zip((LOWEST, HIGHEST), detail.ranges.tolist(), strict=True):
+                found.append(Row(bound, "reference", dict(zip(columns, map(Cell, values), strict=True))))
+        for row, by_column in figures.items():
+            cells = {
+                column: Cell(
+                    figure.value,
+                    details=dict(zip(("2.5 % over takes", "97.5 % over takes"), figure.interval, strict=True)),
+                    mark="" if figure.is_real else OUTSIDE,
+                )
+                for column, figure in by_column.items()
+            }
+            note = "all of them" if row == TRAINING else notes.get(row, "")
+            found.append(Row(str(row), "reference" if row in REFERENCES else "ours", cells, note))
+        note = (
+            f"{DETAIL_NOTE} Real motion keeps {detail.real_slope:.2f} of the slope that the prediction was fitted with."
+        )
+        provenance = {"version": DETAIL_VERSION, "real_slope": detail.real_slope}
+        blocks.append(
+            Block(f"Detail profile, {label(real.fps)}", columns, tuple(found), note=note, provenance=provenance)
+        )
+    return blocks
+
+
+@dataclass(frozen=True, eq=False)
+class Yardstick:
+    """What generated motions are compared with: real motion by framerate, on the kinematic descriptor."""
+
+    config: EvalConfig
+    real: RealMotion
+    train: RealMotion
+    comparisons: Mapping[Fraction, Comparison]
+
+    @classmethod
+    def of(cls, store: Store, config: EvalConfig, rates: Sequence[Fraction]) -> "Yardstick":
+        """The framerates at which there is real motion; raises `NoRealMotionError` if there is none."""
+        real = real_motion(store, config.split, config.where)
+        train, comparisons = training_motion(store, real), {}
+        for fps in rates:
+            with config.missing.skipping(f"clip-FID, {label(fps)}"):
+                comparisons[fps] = real_column(fps, real, train).comparison(KINEMATIC, config)
+        if not comparisons:
+            raise NoRealMotionError("; ".join(config.missing.lines))
+        return cls(config, real, train, comparisons)
+
+    def floor_rows(self) -> list[Row]:
+        """clip-FID of real motion with itself: independent draws (P1), and disjoint halves of the takes (P2)."""
+        cells: dict[RowId, dict[str, Cell]] = {P1: {}, P2: {}}
+        for fps, comparison in self.comparisons.items():
+            for row, cell in score_column(comparison, {P1: comparison.real}, self.config.missing)[0].items():
+                cells[row][label(fps)] = cell
+        return [Row(str(row), "reference", found, ROW_NOTES[row]) for row, found in cells.items()]
+
+    def windows(self, model: GenerativeModel) -> list[Window]:
+        """Requests with the real sequences' durations and conditions."""
+        return windows_of(self.real.at(min(self.comparisons)), model.max_duration_seconds)
+
+    def sets(self, row: RowId, fields: Mapping[Window, MotionField]) -> dict[Fraction, SampleSet]:
+        """A row's motions at every framerate."""
+        found: dict[Fraction, SampleSet] = {}
+        for fps, comparison in self.comparisons.items():
+            if own := generated_at({row: fields}, comparison.real, fps, self.config.missing):
+                found[fps] = own[row]
+        return found
+
+    def clip_fid(self, row: RowId, sets: Mapping[Fraction, SampleSet]) -> dict[str, Cell]:
+        """clip-FID of a row's motions by column."""
+        scored = {
+            label(fps): score_column(self.comparisons[fps], {row: each}, self.config.missing, halves=False)[0]
+            for fps, each in sets.items()
+        }
+        return {column: cells[row] for column, cells in scored.items() if row in cells}
