@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from eval.sets.motions import each_upsampled, low_passed, upsample_as_vectors, upsampled, upsampled_positions
+from eval.sets.motions import each_upsampled, upsample_as_vectors, upsampled, upsampled_positions
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.skeleton import SMPL22
 
@@ -33,21 +33,6 @@ def test_slerp_keeps_every_known_pose_and_who_is_who() -> None:
     assert (high.fps, high.name, high.sequence_ids, high.captions) == (60, "up", low.sequence_ids, low.captions)
     for before, after in zip(low.sequences, high.sequences, strict=True):
         np.testing.assert_allclose(after[::3], before, atol=1e-5)
-
-
-def test_low_pass_removes_what_is_above_the_cutoff_and_nothing_else() -> None:
-    clean = walkers(120)
-    time = np.arange(len(clean.sequences.values))[:, None, None] / 120
-    noisy = clean.with_positions(
-        "noisy",
-        clean.fps,
-        [part + (0.01 * np.sin(2 * np.pi * 45 * time[: len(part)])).astype(np.float32) for part in clean.sequences],
-    )
-    smooth = low_passed(noisy, 15.0)
-    inside = slice(30, -30)
-    for before, after in zip(clean.sequences, smooth.sequences, strict=True):
-        np.testing.assert_allclose(after[inside], before[inside], atol=1e-3)
-    assert low_passed(noisy, 60.0) is noisy
 
 
 @pytest.mark.parametrize("factor", [2, 3, 6])
