@@ -4,8 +4,8 @@ from functools import partial
 
 import numpy as np
 
-from eval.reconstruction import MOST_WINDOWS, VERSION, comparable, mpjpe_cell, mre_cell, reconstructed_windows
 from eval.report.results import Block, Cell, Row, measure
+from eval.tables.reconstruction import MOST_WINDOWS, VERSION, comparable, mpjpe_cell, mre_cell, reconstructed_windows
 from eval.tables.systems import COLUMNS, label, reconstructor, trained_reconstructors
 from eval.tables.table import Content, EvalConfig, Table, printed_block, reported_figures
 from motionkit.core.errors import UsageError

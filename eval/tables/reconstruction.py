@@ -7,12 +7,12 @@ have none and are left out.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from eval.metrics.motion import mean_vector_distance, mpjpe_global, mpjpe_root_aligned, mre
 from eval.report.results import Cell
+from eval.tables.table import EvalConfig
 from motionkit.core.errors import UsageError
 from motionkit.core.mirror import mirror_positions
 from motionkit.core.shapes import Bool, Float32, Int64
@@ -24,10 +24,7 @@ from motionkit.features.native import vectors
 from motionkit.fields.motion_field import MotionField, to_motion
 from motionkit.fields.resample import resample_positions
 from motionkit.store.cache import PositionCache
-
-if TYPE_CHECKING:
-    from eval.tables.table import EvalConfig
-    from motionkit.store.reader import Store
+from motionkit.store.reader import Store
 
 VERSION = "reconstruction/2"
 TRAINING, HELD_OUT = "training windows", "held-out windows"
@@ -138,7 +135,7 @@ class Reconstructed:
 
 
 def reconstructed_windows(
-    encoder: ReconstructsWindows, store: "Store", config: "EvalConfig", rates: Sequence[Fraction]
+    encoder: ReconstructsWindows, store: Store, config: EvalConfig, rates: Sequence[Fraction]
 ) -> dict[str, Reconstructed]:
     """Samples of the windows that an encoder was trained on, and of another split's if there are any.
 

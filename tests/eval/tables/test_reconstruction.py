@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from eval.reconstruction import (
+from eval.tables.reconstruction import (
     COUNT,
     DISTANCE,
     GLOBAL,
