@@ -5,7 +5,6 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from motionkit.demo_corpus import FOLDER, read_demo_corpus, write_demo_corpus
 from motionkit.features.quality import measure
@@ -61,8 +60,3 @@ def test_a_cut_is_every_second_frame_of_its_file(captures: Path) -> None:
 
 def test_both_notices_are_the_same() -> None:
     assert (FOLDER / "NOTICE").read_text() == (REPOSITORY / "NOTICE").read_text()
-
-
-def test_an_unknown_name_is_refused() -> None:
-    with pytest.raises(KeyError):
-        read_demo_corpus(["02_99"])

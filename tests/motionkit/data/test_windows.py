@@ -148,13 +148,6 @@ def test_random_framerates_are_whole_fractions_of_the_native_one(source: Positio
     np.testing.assert_allclose(ticks, ticks.round(), atol=1e-6)
 
 
-def test_a_clip_longer_than_its_window_repeats_the_last_pose() -> None:
-    source = make_source([20], [Fraction(30)])
-    poses = WindowPoses(cut_windows(source, max_duration_seconds=10.0), FrameValues(source.positions, FIELD_VECTORS))
-    batch = poses.draw(np.zeros(1, np.int64), 32, lambda *shape: np.zeros(shape), contiguous=True)
-    np.testing.assert_array_equal(batch.vectors[0, 19:], np.tile(batch.vectors[0, 19], (13, 1)))
-
-
 def test_windows_are_visited_by_their_duration(source: PositionCache) -> None:
     windows = cut_windows(source, max_duration_seconds=10.0)
     visits = np.bincount(rows_by_duration(windows, 2.0), minlength=len(windows))

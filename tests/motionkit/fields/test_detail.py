@@ -6,10 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motionkit.core.errors import UsageError
 from motionkit.core.kinematics import forward_kinematics
 from motionkit.core.motion import Motion
-from motionkit.core.skeleton import KIT21, SMPL22
+from motionkit.core.skeleton import SMPL22
 from motionkit.fields.detail import (
     NUM_BANDS,
     Detail,
@@ -125,11 +124,3 @@ def test_what_a_capture_has_already_is_not_added_again(learnt: Detail, smooth: M
     assert np.square(steps[1]).mean() < 0.35 * np.square(steps[0]).mean()
     power = band_power(with_ends(real.joint_positions))
     assert power.shape == (real.num_frames, NUM_BANDS, 22)
-
-
-def test_a_motion_of_one_pose_and_other_joints(learnt: Detail, smooth: Motion) -> None:
-    still = field_of(smooth.frames(0, 1), learnt)
-    assert still.query(np.array([still.start_seconds])).joint_positions.shape == (1, 22, 3)
-    other = Motion.from_joints(np.zeros((3, 21, 3), np.float32), 60, KIT21)
-    with pytest.raises(UsageError, match="'kit21'"):
-        detailed(interpolate(other, "cubic"), learnt, seed=0)

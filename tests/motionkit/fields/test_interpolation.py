@@ -11,9 +11,8 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from motionkit.core import kinematics
 from motionkit.core.motion import Motion
-from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
-from motionkit.fields.completion import complete
 from motionkit.fields.interpolation import INTERPOLATORS, Method, Settling, interpolate
 from motionkit.fields.motion_field import (
     MotionEncoder,
@@ -255,24 +254,6 @@ def test_settling_keeps_what_lies_between_frames_and_comes_to_rest(name: str, ro
     assert (far.local_rotations is not None) == rotations
     np.testing.assert_allclose(far.joint_positions[0], far.joint_positions[1], atol=1e-3)
     np.testing.assert_allclose(far.joint_positions[2], far.joint_positions[3], atol=1e-3)
-
-
-@pytest.mark.parametrize("settling", [True, False])
-def test_hips_that_travel_in_a_reference_on_the_floor_do_not_stop_at_the_end(settling: bool) -> None:
-    names = ("reference", "hips", "head")
-    skeleton = Skeleton("placed", names, (-1, 0, 1), np.array([[0, 0, 0], [0, 0.9, 0], [0, 0.6, 0]], np.float32))
-    seconds = np.arange(30) / 30
-    positions = np.zeros((30, 3, 3), np.float32)
-    positions[:, 1:, 1] = 0.9, 1.5
-    positions[:, 1:, 2] = 1.5 * seconds[:, None]
-    still = np.tile(np.array([1.0, 0, 0, 0], np.float32), (30, 3, 1))
-    motion = Motion(positions, skeleton, TimeGrid(Fraction(30), 30), still, positions[:, 0])
-    interpolator = INTERPOLATORS["rotation-cubic"]
-    made = complete(motion, Settling(interpolator) if settling else interpolator, after_seconds=0.1)
-    step = np.diff(made.joint_positions[28:, :, 2], axis=0)
-    np.testing.assert_allclose(step[:, 0], 0.0, atol=1e-6)
-    assert (step[:, 1:] > 0.04).all() and (step[:, 1:] < 0.0501).all()
-    np.testing.assert_allclose(step[:, 1], step[:, 2], atol=1e-6)
 
 
 def test_the_page_lists_every_interpolator_and_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

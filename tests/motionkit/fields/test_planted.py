@@ -121,22 +121,6 @@ def test_feet_that_stand_are_left_alone(action: str) -> None:
     assert change.mean() < 0.001
 
 
-def test_a_foot_drawn_along_the_floor_beside_one_that_stands_is_let_be() -> None:
-    """To and fro over 20 cm, as a dancer's; generated motion has no dancers."""
-    pose = forward_kinematics(np.tile([1.0, 0, 0, 0], (1, 22, 1)), np.zeros((1, 3)), SMPL22)[0].astype(np.float32)
-    pose[..., 1] -= pose[10, 1]
-    positions = np.tile(pose, (360, 1, 1))
-    # Low hips, so that the leg reaches.
-    positions[:, [0, 1, 2, 3, 6, 9, *range(12, 22)], 1] -= 0.03
-    drawn = 0.1 * (1.0 - np.cos(np.pi * np.arange(360) / 60.0))
-    positions[:, [8, 11], 2] += drawn[:, None]
-    positions[:, 5, 2] += drawn / 2.0
-    motion = Motion.from_joints(positions, FPS)
-    near, free = to_motion(field_of(motion, "near"), FPS), to_motion(field_of(motion, "free"), FPS)
-    assert np.abs(near.joint_positions - positions).max() < 0.001
-    assert np.abs(free.joint_positions - positions)[:, 8].max() > 0.02
-
-
 def test_feet_below_the_floor_come_up() -> None:
     motion = bare(capture(FPS, "walk", seconds=12.0))
     sunk = motion.joint_positions.copy()

@@ -54,12 +54,6 @@ def test_a_pose_may_stand_anywhere_or_where_it_is() -> None:
     assert followed(WALK, Constraint.pose(pose, 2.0, placed=True, joints=["head"])).max_metres < 1e-5
 
 
-def test_a_joint_over_some_time() -> None:
-    x, y, z = walking(np.array([1.0]))[0, 3].tolist()
-    found = followed(WALK, Constraint.joint(SMPL22.joint_names[3], (x, y, z), 1.0, 2.0))
-    assert found.max_metres == pytest.approx(1.0, abs=1e-5) and found.mean_metres == pytest.approx(0.5, abs=1e-5)
-
-
 def test_what_lies_in_a_stretch_goes_by_its_clock() -> None:
     path = Constraint.path([(0, 0), (8, 0)], [0, 8])
     part = path.between(3.0, 5.0)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import SMPL22
-from motionkit.generate.long_motions import OVERLAP_SECONDS, generate_joined, is_joined, pieces_of
+from motionkit.generate.long_motions import OVERLAP_SECONDS, generate_joined, pieces_of
 from motionkit.generate.models import GenerationRequest
 from tests.helpers.analytic import analytic_motion
 
@@ -50,14 +50,6 @@ def test_pieces_make_up_the_script_to_the_second(seconds, longest):
         shorter = len(each) - 1
         span = each[0].duration_seconds * len(each) - (len(each) - 1) * overlap
         assert shorter == 0 or (span + (shorter - 1) * overlap) / shorter > longest
-
-
-def test_what_one_motion_is_enough_for_is_not_joined():
-    assert not is_joined(script(4.0), 4.0)
-    assert not is_joined((GenerationRequest(None),), 4.0)
-    assert is_joined(script(4.01), 4.0)
-    assert is_joined(script(1.0, 1.0), 4.0)
-    assert pieces_of(script(3.0), 4.0) == list(script(3.0))
 
 
 @pytest.mark.parametrize(

@@ -131,15 +131,6 @@ def test_what_is_wrong_is_reported(tmp_path: Path, changes: dict[str, object], r
     assert next(iter(changes)) in str(error) or reason == "no-framerate"
 
 
-def test_shapes_beside_the_motions_are_left_out(tmp_path: Path) -> None:
-    write_amass(tmp_path / "s1" / "a_poses.npz", smplh_fields())
-    write_amass(tmp_path / "s1" / "shape.npz", {"betas": np.zeros(16), "gender": "male"})
-    write_amass(tmp_path / "s2" / "b_stageii.npz", stageii_fields())
-    write_amass(tmp_path / "s2" / "neutral_stagei.npz", {"betas": np.zeros(16), "gender": "neutral"})
-    found = scan([tmp_path])
-    assert [item.path.name for item in found.items] == ["a_poses.npz", "b_stageii.npz"] and not found.problems
-
-
 # Body models
 
 

@@ -138,19 +138,3 @@ def test_captions_move_with_the_first_frame(tmp_path: Path, document: bool) -> N
     assert (motion.num_frames, motion.timegrid.start_seconds) == (60, 0.0)
     times = [(caption.text, caption.start_seconds, caption.end_seconds) for caption in motion.captions]
     assert times == [("all of it", 0.0, None), ("across", 0.0, 1.0), ("from then on", 1.0, None)]
-
-
-@pytest.mark.parametrize(
-    ("content", "reason", "line"),
-    [
-        ("file,caption\nwalk.bvh,à pied\n".encode("latin-1"), "encoding", 2),
-        (b"file;caption\nwalk.bvh;walks\n", "annotations", 1),
-        (b'file,captions\nwalk.bvh,"[""\\ud800""]"\n', "annotations", 2),
-    ],
-)
-def test_what_cannot_be_read_is_reported(tmp_path: Path, content: bytes, reason: str, line: int) -> None:
-    (tmp_path / "walk.bvh").write_text(bvh_text())
-    (tmp_path / "captions.csv").write_bytes(content)
-    found = scan([tmp_path])
-    assert len(found.items) == 1
-    assert [(problem.reason, problem.line) for problem in found.problems] == [(reason, line)]

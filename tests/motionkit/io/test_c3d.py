@@ -74,12 +74,6 @@ def test_the_axis_that_points_up_on_the_screen_becomes_y(tmp_path: Path, up: str
     assert np.isclose(np.linalg.det(motion.joint_positions[0]), np.linalg.det(positions[0]) / 1e9)
 
 
-def test_makers_disagree_about_the_sign_of_up(tmp_path: Path) -> None:
-    # Qualisys writes −Z for captures whose z points up.
-    motion = read_c3d(write(tmp_path / "take.c3d", points(), X_SCREEN=["-X"], Y_SCREEN=["-Z"]))
-    assert np.array_equal(motion.joint_positions, read_c3d(write(tmp_path / "b.c3d", points())).joint_positions)
-
-
 @pytest.mark.parametrize(("unit", "metres"), [("m", 1.0), ("cm", 0.01), ("MM", 0.001), ("in", 0.0254), (None, 0.001)])
 def test_units(tmp_path: Path, unit: str | None, metres: float) -> None:
     path = write(tmp_path / "take.c3d", points(), UNITS=None if unit is None else [unit], Y_SCREEN=["+Y"])

@@ -185,18 +185,3 @@ def test_babel(tmp_path):
 )
 def test_spellings_of_one_file(index, file):
     assert file_key(index.split("/")) == file_key(file.split("/"))
-
-
-@pytest.mark.parametrize(
-    ("file", "fps"),
-    [
-        ("SSM_synced/20160330_03333/walking_poses.npy", 59.9999885),
-        ("SSM_synced/20161014_50033/dance_sync_poses.npy", 120.0),
-        ("TotalCapture/s3/walking2_poses.npy", 60.0),
-        ("humanact12/humanact12/P11G01R02F1812T1847A0402.npy", 20.0),
-        ("CMU/36/36_15_poses.npy", None),
-    ],
-)
-def test_what_the_published_code_saw_where_files_may_say_otherwise(tmp_path, file, fps):
-    (entry,) = read(tmp_path, f"{HEADER}{file},0,5,a.npy\n").entries
-    assert isinstance(entry.cut, StepCut) and entry.cut.seen_fps == fps

@@ -55,11 +55,6 @@ def test_a_dropped_t_pose_does_not_move_the_cut(folder: Path) -> None:
     assert motion.num_frames == 5 and motion.joint_positions[0, 0, 2] == pytest.approx(0.02)
 
 
-def test_without_the_table_it_is_a_plain_bvh(folder: Path) -> None:
-    (folder / "Frame_Cuts.csv").unlink()
-    assert {item.format for item in scan([folder]).items} == {"bvh"}
-
-
 @pytest.mark.parametrize(
     "table",
     [

@@ -80,13 +80,9 @@ def test_clips_are_the_frames_they_claim_to_be(small_store, data):
     assert clips.shape == (len(sequence), num_frames, 22, 3)
     for clip, n, first in zip(clips, sequence, start, strict=True):
         np.testing.assert_array_equal(clip, built.sequence_positions(n)[first : first + num_frames])
-
-
-@pytest.mark.parametrize(("start", "num_frames"), [(-1, 8), (33, 8), (0, 41), (0, 0)])
-def test_a_clip_may_not_leave_its_sequence(small_store, start, num_frames):
-    built = open_cache(Store.open(small_store))
-    with pytest.raises(IndexError):
-        built.gather_clips(np.array([3, 0]), np.array([5, start]), num_frames)
+    for beyond in (-1, 41 - num_frames):
+        with pytest.raises(IndexError):
+            built.gather_clips(np.array([0]), np.array([beyond]), num_frames)
 
 
 def test_a_filter_and_sequences_that_do_not_fit(mixed_store):

@@ -1,6 +1,5 @@
 """Ingest: chunks of the sources, workers that die, and the same store, byte for byte, from all engines."""
 
-import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -8,12 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from motionkit.core.errors import FormatError, MissingExtraError, StoreError, UsageError
+from motionkit.core.errors import MissingExtraError, UsageError
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
-from motionkit.io.registry import ReadOptions, SourceItem
 from motionkit.store import Store
 from motionkit.store import ingest as module
-from motionkit.store.ingest import body_size_warning, chunks_of, ingest, read_chunk
+from motionkit.store.ingest import body_size_warning, ingest
 from motionkit.store.workers import CALLS_IN_FLIGHT_PER_WORKER, Workers, check_engine, start_workers
 from tests.helpers.small_bvh import two_joints_bvh
 
@@ -26,58 +24,6 @@ def folder_of(tmp_path: Path, lengths: list[int]) -> Path:
         rows = [f"{frame} 90 0 0 0 {frame / 7:.6f} 0 {frame} 0" for frame in range(length)]
         (folder / f"{number}.bvh").write_text(two_joints_bvh(rows))
     return folder
-
-
-@pytest.mark.parametrize(
-    ("sizes", "expected"),
-    [
-        ([40, 40, 20, 1], [3, 1]),
-        # A file that is larger is a chunk of its own.
-        ([40, 150, 40], [1, 1, 1]),
-        # One of many sequences stays together up to the greatest number of sequences.
-        ([(90, 3), (20, 2), 80], [3, 3]),
-        ([(10, 7), 95], [5, 2, 1]),
-        ([], []),
-        # A 64th of all bytes, but not without bounds.
-        ([300] * 200, [3] * 66 + [2]),
-    ],
-)
-def test_bytes_and_items_of_a_chunk(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sizes: list[int | tuple[int, int]], expected: list[int]
-) -> None:
-    for name, value in (("CHUNK_BYTES", 100), ("CHUNK_ITEMS", 5), ("MAX_CHUNK_BYTES", 1000), ("MAX_CHUNK_ITEMS", 5)):
-        monkeypatch.setattr(module, name, value)
-    pairs = [size if isinstance(size, tuple) else (size, 1) for size in sizes]
-    monkeypatch.setattr(module, "_size", lambda path: pairs[int(path.stem)][0])
-    items = [
-        SourceItem("bvh", tmp_path / f"{number}.bvh", tmp_path, f"take-{number}-{i}")
-        for number, (_, num_items) in enumerate(pairs)
-        for i in range(num_items)
-    ]
-    found = list(chunks_of(items))
-    assert [item for chunk in found for item in chunk] == items
-    assert [len(chunk) for chunk in found] == expected
-
-
-def test_a_worker_writes_what_has_an_index_and_returns_what_it_read(tmp_path: Path) -> None:
-    folder = folder_of(tmp_path, [300, 5, 7])
-    (folder / "1.bvh").write_text("HIERARCHY\n")
-    (tmp_path / "motions").mkdir()
-    items = [SourceItem("bvh", folder / f"{number}.bvh", folder, f"takes/{number}") for number in (0, 1, 2, 2, 3)]
-    numbered = list(zip(items, (4, 5, None, 6, 7), strict=True))
-    read, again = (read_chunk(numbered, tmp_path, ReadOptions()) for _ in range(2))
-    assert read.part is not None and again.part is not None and read.part.path != again.part.path
-    assert read.part.entry == again.part.entry
-    first, broken, known, last, gone = read.outcomes
-    assert isinstance(broken, FormatError) and isinstance(gone, FormatError)
-    assert gone.reason == "not-visible"
-    assert isinstance(first, tuple) and isinstance(known, tuple) and isinstance(last, tuple)
-    assert [(row["sequence_index"], row["part_row"]) for row, _ in (first, last)] == [(4, 0), (6, 1)]
-    assert "part_row" not in known[0] and known[0]["sequence_id"] == "takes/2"
-    assert first[1] is last[1] is known[1]
-    assert read_chunk([numbered[2]], tmp_path, ReadOptions()).part is None
-    with pytest.raises(StoreError, match=re.escape(str(tmp_path / "away"))):
-        read_chunk([], tmp_path / "away", ReadOptions())
 
 
 @pytest.mark.parametrize("workers", [1, 2])

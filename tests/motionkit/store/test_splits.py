@@ -15,9 +15,10 @@ from motionkit.store.life import DEFAULT_SHARES, assign_groups, split
 from motionkit.store.validate import faults
 
 
-def taken_by(make_motion, name, subject, *, source="made", subset="by-hand", num_frames=30, split="train"):
-    motion = make_motion(name, num_frames, fps=Fraction(30), split=split)
-    return replace(motion, provenance=replace(motion.provenance, source=source, subset=subset, subject=subject))
+def taken_by(make_motion, name, subject, *captions, source="made", num_frames=30):
+    motion = make_motion(name, num_frames, fps=Fraction(30))
+    provenance = replace(motion.provenance, source=source, subject=subject)
+    return replace(motion, provenance=provenance, captions=tuple(map(Caption, captions)))
 
 
 def write(path, motions):
@@ -135,15 +136,10 @@ def test_a_store_without_performers_is_reported_with_a_remedy(tmp_path, make_mot
         split(tmp_path / "nowhere")
 
 
-def said_by(make_motion, name, subject, *captions):
-    motion = taken_by(make_motion, name, subject)
-    return replace(motion, captions=tuple(Caption(text) for text in captions))
-
-
 def test_wordings_are_held_out_whatever_their_case_and_punctuation(tmp_path, make_motion):
     """Eight performers: 0 to 3 say 'walk' and each a word of their own, 4 says both of 5's, 6 and 7 say nothing."""
     said = [("Walk.", f"word {number}") for number in range(4)] + [("run", "jump"), ("Jump!",), (), ()]
-    path = write(tmp_path / "worded", [said_by(make_motion, f"{n}", f"{n}", *texts) for n, texts in enumerate(said)])
+    path = write(tmp_path / "worded", [taken_by(make_motion, f"{n}", f"{n}", *texts) for n, texts in enumerate(said)])
     halves = {"train": 1.0, "test": 1.0}
     known = split(path, halves, by="sequence_id", dry_run=True, seed=3).splits[1]
     assert 0 < known.num_seen <= known.num_captioned
@@ -160,7 +156,7 @@ def test_what_shares_a_performer_or_a_wording_stays_together(tmp_path, make_moti
     """a – b by performer, b – c by wording, d – e by wording; f by nothing."""
     said = [("1", "walk"), ("1", "run"), ("2", "Run"), ("", "jump"), ("", "jump"), ("3",)]
     store = write(
-        tmp_path / "linked", [said_by(make_motion, name, *each) for name, each in zip("abcdef", said, strict=True)]
+        tmp_path / "linked", [taken_by(make_motion, name, *each) for name, each in zip("abcdef", said, strict=True)]
     )
     report = split(store, {"train": 3.0, "val": 2.0, "test": 1.0}, by=["performer", "wording"])
     a, b, c, d, e, f = (splits_of(store, "sequence_id")[name,] for name in "abcdef")

@@ -84,15 +84,6 @@ def test_any_lengths_come_back(counts, cut, rates, make_motion, monkeypatch):
     ]
 
 
-def test_positions_can_be_read_alone(small_store):
-    store = Store.open(small_store)
-    whole, positions_only = store.read(0), store.read(0, rotations=False)
-    assert whole.local_rotations is not None
-    assert positions_only.local_rotations is None
-    assert positions_only.root_translation is None
-    np.testing.assert_array_equal(whole.joint_positions, positions_only.joint_positions)
-
-
 def test_a_skeleton_comes_back_with_all_it_says(tmp_path, make_motion):
     skeleton = Skeleton(
         name="four",

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from motionkit.core.errors import MotionkitError
 from motionkit.core.progress import Progress
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import rest_positions
@@ -70,12 +69,6 @@ def test_a_strip_has_a_row_for_each_take(tmp_path: Path) -> None:
         drawn = np.array(made, np.int64)
     panels = [drawn[:240, 240 * column : 240 * (column + 1)] for column in range(8)]
     assert all((abs(panel[..., 2] - panel[..., 0]) > 100).sum() > 50 for panel in panels)
-
-
-def test_what_would_take_for_ever_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(MotionkitError, match="--from 0 --to"):
-        film.write_film(tmp_path / "a.mp4", [take(30_000, Fraction(120))])
-    assert not list(tmp_path.iterdir())
 
 
 def test_every_native_frame_of_a_recording_is_at_its_second(tmp_path: Path) -> None:
