@@ -1,6 +1,6 @@
 """A recogniser of any store's actions: linear discriminants of fixed statistics of a motion, fitted in a second.
 
-The published recognisers know three data sets' actions. This one is fitted on a store's training split, in closed form
+The published recognisers know two data sets' actions. This one is fitted on a store's training split, in closed form
 and deterministically, so that Table 3 works for any motions with actions; the table shows its accuracy on held-out
 motions. Its numbers are not comparable between stores. Source of the method: Fisher 1936; Hastie, Tibshirani &
 Friedman 2009, §4.3.
@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import eigh
 
-from eval.actions.recogniser import Recognition, check_fps
+from eval.actions.recognisers import FeaturesAndScores, check_fps
 from eval.clip_fid.descriptor import local_poses
 from eval.sets.sets import SampleSet, middle
 from motionkit.core.errors import MotionkitError
@@ -36,10 +36,8 @@ FEET = tuple(SMPL22.index(name) for name in ("left_ankle", "left_foot", "right_a
 def motion_statistics(positions: Float32[np.ndarray, "frames 22 3"], fps: float) -> Float64[np.ndarray, "numbers"]:
     """Mean, spread, quantiles and speed of every coordinate, and mean and spread of how the root moves (325 numbers).
 
-    `positions` in metres, y up. Raises `ValueError` for fewer than 10 frames.
+    `positions` in metres, y up, 10 frames or more.
     """
-    if len(positions) < MIN_FRAMES:
-        raise ValueError(f"{len(positions)} frames; statistics of a motion need at least {MIN_FRAMES}")
     wide = positions.astype(np.float64)
     poses = local_poses(wide[None])[0]
     root = _root_motion(wide, fps)
@@ -63,13 +61,9 @@ def _root_motion(positions: Float64[np.ndarray, "frames 22 3"], fps: float) -> F
         positions[:, LEFT_HIP] - positions[:, RIGHT_HIP] + positions[:, LEFT_SHOULDER] - positions[:, RIGHT_SHOULDER]
     )
     heading = np.unwrap(np.arctan2(-across[:, 2], across[:, 0]))
-    velocity = np.diff(positions[:, 0], axis=0) * fps
-    left = np.stack((np.cos(heading[:-1]), -np.sin(heading[:-1])), axis=1)
-    forwards = np.stack((np.sin(heading[:-1]), np.cos(heading[:-1])), axis=1)
-    horizontal = velocity[:, [0, 2]]
-    return np.stack(
-        ((horizontal * left).sum(1), (horizontal * forwards).sum(1), velocity[:, 1], np.diff(heading) * fps), axis=1
-    )
+    x, y, z = (np.diff(positions[:, 0], axis=0) * fps).T
+    sine, cosine = np.sin(heading[:-1]), np.cos(heading[:-1])
+    return np.stack((x * cosine - z * sine, x * sine + z * cosine, y, np.diff(heading) * fps), axis=1)
 
 
 LEAST_TRAINING = 10
@@ -107,7 +101,7 @@ class LinearRecogniser:
             digest.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
         return digest.hexdigest()[:16]
 
-    def recognise(self, samples: SampleSet) -> Recognition:
+    def recognise(self, samples: SampleSet) -> FeaturesAndScores:
         """Features and scores of every sequence, of its middle 3 s where it is longer.
 
         Raises `MotionkitError` for another framerate, other joints than the 22, or fewer than 10 frames.
@@ -115,7 +109,7 @@ class LinearRecogniser:
         check_fps(self, samples)
         features = ((statistics_of(samples) - self.centre) / self.spread) @ self.directions
         apart = ((features[:, None] - self.means) ** 2).sum(axis=2)
-        return Recognition(features, self.log_shares - 0.5 * apart)
+        return features, self.log_shares - 0.5 * apart
 
 
 def fit_linear(train: SampleSet) -> LinearRecogniser:
@@ -136,27 +130,18 @@ def fit_linear(train: SampleSet) -> LinearRecogniser:
     centre, spread = raw.mean(axis=0), raw.std(axis=0) + LEAST_SPREAD
     standard = (raw - centre) / spread
     means = np.stack([standard[labels == label].mean(axis=0) for label in range(len(actions))])
-    directions = _directions(standard, means, labels)
-    shares = np.bincount(labels) / len(labels)
-    return LinearRecogniser(known.fps, actions, centre, spread, directions, means @ directions, np.log(shares))
-
-
-def _directions(
-    standard: Float64[np.ndarray, "motions numbers"],
-    means: Float64[np.ndarray, "actions numbers"],
-    labels: np.ndarray,
-) -> Float64[np.ndarray, "numbers features"]:
-    """Directions of linear discriminant analysis; signs are fixed by each one's largest coefficient."""
     within = standard - means[labels]
     covariance = within.T @ within / len(standard)
     size = len(covariance)
     covariance = (1 - SHRINKAGE) * covariance + SHRINKAGE * np.trace(covariance) / size * np.eye(size)
     between = means[labels].T @ means[labels] / len(standard)
-    kept = min(len(means) - 1, size)
-    _, vectors = eigh(between, covariance, subset_by_index=(size - kept, size - 1))
+    _, vectors = eigh(between, covariance, subset_by_index=(max(0, size - len(actions) + 1), size - 1))
     vectors = vectors[:, ::-1]
+    # Signs are fixed by each direction's largest coefficient.
     largest = np.take_along_axis(vectors, np.abs(vectors).argmax(axis=0)[None], axis=0)
-    return np.ascontiguousarray(vectors * np.sign(largest))
+    directions = np.ascontiguousarray(vectors * np.sign(largest))
+    shares = np.bincount(labels) / len(labels)
+    return LinearRecogniser(known.fps, actions, centre, spread, directions, means @ directions, np.log(shares))
 
 
 def statistics_of(samples: SampleSet) -> Float64[np.ndarray, "sequences numbers"]:

@@ -1,92 +1,119 @@
-"""The available action recognisers by name: fitted on the store, or published ones with the user's weights."""
+"""Recognisers of actions: their interface, and each by its name."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import partial
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
-from eval.actions.linear import fit_linear
-from eval.actions.recogniser import ActionRecogniser
+import numpy as np
+
 from eval.sets.sets import SampleSet
-from motionkit.core.errors import UsageError
+from motionkit.core.errors import MotionkitError, UsageError
+from motionkit.core.shapes import Float64
+from motionkit.io import joints_npy, uestc
 
-LINEAR_FPS = Fraction(20)
+FeaturesAndScores = tuple[Float64[np.ndarray, "sequences features"], Float64[np.ndarray, "sequences actions"]]
+
+
+@runtime_checkable
+class ActionRecogniser(Protocol):
+    """Classifies motions by action; a motion's row depends on that motion alone."""
+
+    @property
+    def name(self) -> str:
+        """Name for tables."""
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of everything that the numbers depend on: definition, weights, settings."""
+
+    @property
+    def fps(self) -> Fraction:
+        """The only framerate that it accepts."""
+
+    @property
+    def actions(self) -> tuple[str, ...]:
+        """Names of the actions, in the order of the scores."""
+
+    def recognise(self, samples: SampleSet) -> FeaturesAndScores:
+        """Features and scores of every sequence. Raises `MotionkitError` for an unsupported framerate or skeleton."""
+
+
+def check_fps(recogniser: ActionRecogniser, samples: SampleSet) -> None:
+    """Raise `MotionkitError` for motions at a framerate that the recogniser does not accept."""
+    if recogniser.fps != samples.fps:
+        raise MotionkitError(
+            f"{samples.name}: motions at {samples.fps} fps, but the recogniser {recogniser.name!r} was trained at "
+            f"{recogniser.fps} fps only; resample them first"
+        )
 
 
 @dataclass(frozen=True)
 class RecogniserSource:
-    """A kind of recogniser: a published one that `load` reads from a file, or the linear one (None).
+    """A kind of recogniser; `dataset` is the paper's name of the data set that a published one knows.
 
-    `dataset` is the paper's name of its data set, "" for the store's own; `needs_rotations`: it takes joint rotations,
-    not positions.
+    `needs_rotations`: it sees joint rotations, not positions.
     """
 
     name: str
     title: str
     fps: Fraction
-    load: Callable[[Path], ActionRecogniser] | None = None
+    note: str
     dataset: str = ""
     needs_rotations: bool = False
-    note: str = ""
 
     def make(self, train: Callable[[], SampleSet], weights: Path | None) -> ActionRecogniser:
         """The recogniser, fitted on the training motions at `fps` or read from the file of weights.
 
         Raises `UsageError` for weights where none are read, or none where they are.
         """
-        if self.load is None:
+        if not self.dataset:
+            from eval.actions.linear import fit_linear
+
             if weights is not None:
                 raise UsageError(
                     "--weights needs a published recogniser ('linear' is fitted on the store): choose one with "
-                    "--evaluator humanact12, uestc or cmu-mocap"
+                    "--evaluator humanact12 or uestc"
                 )
             return fit_linear(train())
+        from eval.actions.published import load_humanact12, load_uestc
+
         if weights is None:
             raise UsageError(f"--evaluator {self.name} needs the file of its weights: --weights FILE")
-        return self.load(weights)
+        return (load_uestc if self.needs_rotations else load_humanact12)(weights)
+
+
+SOURCES = (
+    RecogniserSource(
+        "linear",
+        "linear discriminants fitted on the training split",
+        Fraction(20),
+        "Features have a variance of 1 within actions, and there is one fewer than actions. The recogniser belongs to "
+        "this store: compare these numbers with no others. What it is worth is its accuracy on real motion.",
+    ),
+    RecogniserSource(
+        "humanact12",
+        "Action2Motion's GRU for HumanAct12",
+        joints_npy.HUMANACT12_FPS,
+        "Heading counts for this recogniser, and motions without hands get straight ones. Its hidden state begins at "
+        "zero, in the published code at random.",
+        dataset="HumanAct12",
+    ),
+    RecogniserSource(
+        "uestc",
+        "ACTOR's ST-GCN for UESTC",
+        uestc.FPS,
+        "It takes joint rotations only, and depends on the heading.",
+        dataset="UESTC",
+        needs_rotations=True,
+    ),
+)
 
 
 def find_recogniser(name: str) -> RecogniserSource:
     """A recogniser by name. Raises `UsageError` that lists the known names."""
-    from eval.actions.gru import CMU_MOCAP, HUMANACT12, load_gru
-    from eval.actions.uestc import TITLE, load_uestc
-    from motionkit.io import uestc
-
-    linear = RecogniserSource(
-        name="linear",
-        title="linear discriminants fitted on the training split",
-        fps=LINEAR_FPS,
-        note=(
-            "Features have a variance of 1 within actions, and there is one fewer than actions. The recogniser "
-            "belongs to this store: compare these numbers with no others. What it is worth is its accuracy on real "
-            "motion."
-        ),
-    )
-    published = (
-        RecogniserSource(
-            name=kind.name,
-            title=kind.title,
-            fps=kind.fps,
-            load=partial(load_gru, kind=kind),
-            dataset="HumanAct12" if kind is HUMANACT12 else "",
-            note=(
-                "Heading counts for this recogniser, and motions without hands get straight ones. Its hidden state "
-                "begins at zero, in the published code at random."
-            ),
-        )
-        for kind in (HUMANACT12, CMU_MOCAP)
-    )
-    rotations = RecogniserSource(
-        name="uestc",
-        title=TITLE,
-        fps=uestc.FPS,
-        load=load_uestc,
-        dataset="UESTC",
-        needs_rotations=True,
-        note="It takes joint rotations only, and depends on the heading.",
-    )
-    sources = {source.name: source for source in (linear, *published, rotations)}
-    if name not in sources:
-        raise UsageError(f"there is no recogniser of actions {name!r}: {', '.join(sources)}")
-    return sources[name]
+    for source in SOURCES:
+        if source.name == name:
+            return source
+    raise UsageError(f"there is no recogniser of actions {name!r}: {', '.join(source.name for source in SOURCES)}")

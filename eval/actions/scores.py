@@ -7,7 +7,6 @@ from typing import Literal
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from eval.actions.recogniser import Recognition
 from eval.metrics.actions import (
     accuracy,
     diversity,
@@ -52,52 +51,40 @@ class ActionProtocol:
 
 
 VARIANCE = 'What the source prints after "±" is 1.96 · variance over seeds, which is not an interval; it is in details.'
-
-NATIVE = ActionProtocol("native", "motionkit", "docs/metrics.md", pairs="different")
-A2M = ActionProtocol("a2m", "Action2Motion", "Guo et al. 2020, eval_scripts/final_evaluation.py", num_motions=3000)
-ACTOR = ActionProtocol(
-    "actor",
-    "ACTOR",
-    "Petrovich et al. 2021, src/evaluate",
-    spread="1.96 · variance",
-    remarks=(VARIANCE,),
+ACTION_PROTOCOLS = (
+    ActionProtocol("native", "motionkit", "docs/metrics.md", pairs="different"),
+    ActionProtocol("a2m", "Action2Motion", "Guo et al. 2020, eval_scripts/final_evaluation.py", num_motions=3000),
+    ActionProtocol(
+        "actor", "ACTOR", "Petrovich et al. 2021, src/evaluate", spread="1.96 · variance", remarks=(VARIANCE,)
+    ),
+    ActionProtocol("mdm", "MDM", "Tevet et al. 2023, eval/eval_humanact12_uestc.py", num_motions=1000),
 )
-MDM = ActionProtocol("mdm", "MDM", "Tevet et al. 2023, eval/eval_humanact12_uestc.py", num_motions=1000)
-ACTION_PROTOCOLS = (NATIVE, A2M, ACTOR, MDM)
 
 
 def find_action_protocol(name: str) -> ActionProtocol:
     """A protocol by name. Raises `UsageError` that lists the known names."""
-    for protocol in ACTION_PROTOCOLS:
-        if protocol.name == name:
-            return protocol
-    known = ", ".join(protocol.name for protocol in ACTION_PROTOCOLS)
-    raise UsageError(f"there is no action protocol {name!r}: {known}")
+    known = {protocol.name: protocol for protocol in ACTION_PROTOCOLS}
+    if name not in known:
+        raise UsageError(f"there is no action protocol {name!r}: {', '.join(known)}")
+    return known[name]
 
 
 @dataclass(frozen=True, eq=False)
-class LabelledRecognition:
-    """A recogniser's output for motions with known actions; `labels` index its actions."""
+class Recognition:
+    """A recogniser's features and scores of motions with known actions; `labels` index its actions."""
 
-    recognition: Recognition
-    labels: Int[np.ndarray, "labels"]
+    features: Float[np.ndarray, "motions features"]
+    scores: Float[np.ndarray, "motions actions"]
+    labels: Int[np.ndarray, "motions"]
 
-    def __post_init__(self) -> None:
-        if not len(self.recognition.features) == len(self.recognition.scores) == len(self.labels):
-            raise ValueError(
-                f"{len(self.recognition.features)} rows of features, {len(self.recognition.scores)} of scores and "
-                f"{len(self.labels)} labels: one each for every motion"
-            )
-
-    def select(self, rows: Int[np.ndarray, "chosen"]) -> "LabelledRecognition":
+    def select(self, rows: Int[np.ndarray, "chosen"]) -> "Recognition":
         """Some of the motions."""
-        recognition = Recognition(self.recognition.features[rows], self.recognition.scores[rows])
-        return LabelledRecognition(recognition, self.labels[rows])
+        return Recognition(self.features[rows], self.scores[rows], self.labels[rows])
 
 
 def score_actions(
     references: Mapping[str, Float[np.ndarray, "_samples features"]],
-    draws: Sequence[LabelledRecognition],
+    draws: Sequence[Recognition],
     protocol: ActionProtocol,
     seed: int,
     on_replication: Callable[[], None] = lambda: None,
@@ -112,17 +99,22 @@ def score_actions(
     """
     if not draws:
         raise ValueError("there is no set of motions to score")
-    if unknown := set(references) - {"", "train", "test"}:
-        raise ValueError(f'references are named "", "train" or "test", not {sorted(unknown)}')
     scores = Scores(remarks=list(protocol.remarks))
     # As in `fid`: one thread of the linear algebra library is the fastest for matrices of this size.
     with threadpool_limits(1, "blas"):
         gaussians = {name: fit_gaussian(features) for name, features in references.items()}
         for replication in range(protocol.replications):
             rng = np.random.default_rng((seed, replication))
-            motions = _chosen(draws[replication % len(draws)], protocol, rng, scores)
-            features, labels = motions.recognition.features, motions.labels
-            scores.add("accuracy", accuracy(motions.recognition.scores, labels))
+            motions, counted = draws[replication % len(draws)], protocol.num_motions
+            if counted is not None and counted < len(motions.labels):
+                motions = motions.select(rng.choice(len(motions.labels), size=counted, replace=False))
+            elif counted is not None and counted > len(motions.labels):
+                scores.remark(
+                    f"protocol {protocol.name!r} counts {counted:,} motions, here are {len(motions.labels):,}: "
+                    "FIDs of different N do not compare"
+                )
+            features, labels = motions.features, motions.labels
+            scores.add("accuracy", accuracy(motions.scores, labels))
             fitted = fit_gaussian(features) if gaussians else None
             for name, gaussian in gaussians.items():
                 assert fitted is not None
@@ -144,7 +136,7 @@ def score_actions(
 
 def _resampled(
     references: Mapping[str, Float[np.ndarray, "_samples features"]],
-    draws: Sequence[LabelledRecognition],
+    draws: Sequence[Recognition],
     protocol: ActionProtocol,
 ) -> dict[str, Resampled]:
     """Every metric's bootstrap values; motions are resampled jointly in all sets, and with them their draws."""
@@ -156,9 +148,9 @@ def _resampled(
 
     units = units_in(None)
     weights, unit = units.weights(Resampling()), units.unit
-    features = np.concatenate([draw.recognition.features for draw in draws]).astype(np.float64)
+    features = np.concatenate([draw.features for draw in draws]).astype(np.float64)
     labels = np.concatenate([draw.labels for draw in draws])
-    shares = np.concatenate([shares_of_hits(draw.recognition.scores, draw.labels) for draw in draws])
+    shares = np.concatenate([shares_of_hits(draw.scores, draw.labels) for draw in draws])
     suffix = "" if protocol.pairs == "different" else "_with_replacement"
     found = {
         "accuracy": weighted_means(shares, unit, weights),
@@ -169,19 +161,3 @@ def _resampled(
         names = [str(row) for row in range(len(real))]
         found[f"fid_{name}" if name else "fid"] = resampled_fid(real.astype(np.float64), names, features, units_in)
     return found
-
-
-def _chosen(
-    draw: LabelledRecognition, protocol: ActionProtocol, rng: np.random.Generator, scores: Scores
-) -> LabelledRecognition:
-    """As many motions as the protocol counts."""
-    wanted, there = protocol.num_motions, len(draw.labels)
-    if wanted is None or there == wanted:
-        return draw
-    if there < wanted:
-        scores.remark(
-            f"protocol {protocol.name!r} counts {wanted:,} motions, here are {there:,}: "
-            "FIDs of different N do not compare"
-        )
-        return draw
-    return draw.select(rng.choice(there, size=wanted, replace=False))

@@ -4,12 +4,11 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eval.actions.recogniser import ActionRecogniser
-from eval.actions.scores import LabelledRecognition
+from eval.actions.recognisers import ActionRecogniser
+from eval.actions.scores import Recognition
 from eval.sets.motions import as_known, is_unconditional, refusal
 from eval.sets.sets import Missing, RowId, SampleSet, Variant, sample_set
 from motionkit.core.errors import MotionkitError
@@ -20,9 +19,7 @@ from motionkit.fields.motion_field import MotionField, to_motion
 from motionkit.fields.resample import resample
 from motionkit.generate.models import GenerationRequest, GenerativeModel
 from motionkit.io.smpl_body import SMPL
-
-if TYPE_CHECKING:
-    from motionkit.store.reader import Store
+from motionkit.store.reader import Store
 
 LEAST_FRAMES = 10
 """Shorter motions are dropped: they show no action."""
@@ -43,9 +40,9 @@ class ActionSet:
     labels: Int64[np.ndarray, "sequences"]
     left_out: tuple[str, ...] = ()
 
-    def recognised(self, recogniser: ActionRecogniser) -> LabelledRecognition:
+    def recognised(self, recogniser: ActionRecogniser) -> Recognition:
         """The recogniser's output for these motions."""
-        return LabelledRecognition(recogniser.recognise(self.samples), self.labels)
+        return Recognition(*recogniser.recognise(self.samples), self.labels)
 
     def at_most(self, limit: int, seed: int) -> "ActionSet":
         """All motions, or a random subset of `limit` in their order, without actions with a single motion in it.
@@ -80,41 +77,30 @@ def known_actions(samples: SampleSet, actions: Sequence[str]) -> ActionSet:
     found = np.array([index.get(plain_name(action), -1) for action in samples.actions or [""] * samples.num_sequences])
     long_enough = samples.sequences.num_frames >= LEAST_FRAMES
     kept = _of_several(found, np.flatnonzero((found >= 0) & long_enough))
-    left_out = _left_out(samples, found, long_enough, actions)
-    if not len(kept):
-        raise NoActionsError(
-            f"{samples.name}: no motion has an action that the recogniser knows ({', '.join(actions)}); "
-            + ("; ".join(left_out) or "they have no actions")
-        )
-    return ActionSet(samples.select(kept), found[kept], left_out)
-
-
-def _left_out(
-    samples: SampleSet,
-    found: Int64[np.ndarray, "sequences"],
-    long_enough: np.ndarray,
-    actions: Sequence[str],
-) -> tuple[str, ...]:
-    lines = []
+    left_out = []
     unknown = (
-        Counter(samples.actions[i] or "no action" for i in np.flatnonzero(found < 0).tolist())
+        Counter((samples.actions[i] or "no action") for i in np.flatnonzero(found < 0).tolist())
         if samples.actions
         else {}
     )
     if unknown:
         listed = ", ".join(f"{action} ({count})" for action, count in sorted(unknown.items()))
-        lines.append(f"{sum(unknown.values())} motions of actions that it does not know: {listed}")
+        left_out.append(f"{sum(unknown.values())} motions of actions that it does not know: {listed}")
     counts = np.bincount(found[(found >= 0) & long_enough], minlength=len(actions))
-    single = [actions[label] for label in np.flatnonzero(counts == 1).tolist()]
-    if single:
-        lines.append(f"actions with a single motion: {', '.join(single)}")
-    short = int(((found >= 0) & ~long_enough).sum())
-    if short:
-        lines.append(f"{short} motions of fewer than {LEAST_FRAMES} frames")
-    return tuple(lines)
+    if (counts == 1).any():
+        single = (actions[label] for label in np.flatnonzero(counts == 1).tolist())
+        left_out.append(f"actions with a single motion: {', '.join(single)}")
+    if short := int(((found >= 0) & ~long_enough).sum()):
+        left_out.append(f"{short} motions of fewer than {LEAST_FRAMES} frames")
+    if not len(kept):
+        raise NoActionsError(
+            f"{samples.name}: no motion has an action that the recogniser knows ({', '.join(actions)}); "
+            + ("; ".join(left_out) or "they have no actions")
+        )
+    return ActionSet(samples.select(kept), found[kept], tuple(left_out))
 
 
-def with_rotations(store: "Store", samples: SampleSet) -> SampleSet:
+def with_rotations(store: Store, samples: SampleSet) -> SampleSet:
     """The same motions with the store's true local rotations, resampled to their framerate if needed.
 
     Raises `NoActionsError` if a motion has none.
@@ -167,17 +153,19 @@ def generated_like(real: ActionSet, model: GenerativeModel, draw: int, seed: int
         for seconds, action in zip(durations, real.samples.actions, strict=True)
     ]
     fields = model.generate(as_known(model, requests), seed=seed, first=draw * len(requests))
-    standing = [planted(field, "free") for field in fields]
-    return {
-        row: replace(real, samples=_sampled(str(row), made, real.samples), left_out=())
-        for row, made in ((RowId(model.name), fields), (RowId(model.name, Variant.PLANTED), standing))
+    rows: dict[RowId, Sequence[MotionField]] = {
+        RowId(model.name): fields,
+        RowId(model.name, Variant.PLANTED): [planted(each, "free") for each in fields],
     }
-
-
-def _sampled(name: str, fields: Sequence[MotionField], real: SampleSet) -> SampleSet:
-    motions = [to_motion(field, real.fps) for field in fields]
-    made = sample_set(
-        name, real.fps, [motion.joint_positions for motion in motions], real.sequence_ids, actions=real.actions
-    )
-    rotations = [motion.local_rotations for motion in motions if motion.local_rotations is not None]
-    return replace(made, local_rotations=np.concatenate(rotations)) if len(rotations) == len(motions) else made
+    sets = {}
+    for row, made in rows.items():
+        motions = [to_motion(field, real.samples.fps) for field in made]
+        positions = [motion.joint_positions for motion in motions]
+        samples = sample_set(
+            str(row), real.samples.fps, positions, real.samples.sequence_ids, actions=real.samples.actions
+        )
+        rotations = [motion.local_rotations for motion in motions if motion.local_rotations is not None]
+        if len(rotations) == len(motions):
+            samples = replace(samples, local_rotations=np.concatenate(rotations))
+        sets[row] = ActionSet(samples, real.labels)
+    return sets

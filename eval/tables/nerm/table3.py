@@ -6,9 +6,8 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from eval.actions.linear import MIN_FRAMES
-from eval.actions.recogniser import ActionRecogniser
-from eval.actions.recognisers import RecogniserSource, find_recogniser
-from eval.actions.scores import ActionProtocol, LabelledRecognition, find_action_protocol, score_actions
+from eval.actions.recognisers import ActionRecogniser, RecogniserSource, find_recogniser
+from eval.actions.scores import ActionProtocol, Recognition, find_action_protocol, score_actions
 from eval.actions.sets import ActionSet, NoActionsError, generated_like, known_actions, known_to_all, with_rotations
 from eval.metrics.actions import accuracy
 from eval.metrics.distributions import kid
@@ -55,7 +54,7 @@ class System:
     """One row: independent draws of its motions, and remarks."""
 
     row: RowId
-    draws: tuple[LabelledRecognition, ...]
+    draws: tuple[Recognition, ...]
     note: str
     is_reference: bool = False
 
@@ -85,11 +84,11 @@ def compute(config: EvalConfig, store: Store) -> Content:
         note = f"{compared.samples.num_sequences:,} motions"
         row = RowId(f"{REAL} ({config.split})")
         systems = [System(row, (compared.recognised(recogniser),), note, is_reference=True)]
-        references = {"test": systems[0].draws[0].recognition.features}
+        references = {"test": systems[0].draws[0].features}
         if config.split not in ("train", "all") and has_training(store):
             with config.missing.skipping("FID (train)", (NoActionsError,)):
                 train = real_actions(real_motion(store, "train"))
-                references["train"] = train.recognised(recogniser).recognition.features
+                references["train"] = train.recognised(recogniser).features
     with task(config.on_progress, "generating"):
         systems += [*_generated(compared, recogniser, config), *_samples(source, recogniser, config)]
     number, counts = compared.samples.num_sequences, np.bincount(compared.labels)
@@ -193,7 +192,7 @@ def _blocks(
             scores = score_actions(reference, system.draws, protocol, config.seed)
             metrics |= {name: columns[name] for name in scores.values}
             cells = {columns[name]: _cell(each, scores.replications[name]) for name, each in scores.values.items()}
-            first = system.draws[0].recognition.features
+            first = system.draws[0].features
             for name, features in reference.items():
                 # KID of the first draw beside every FID, since it is unbiased for few motions.
                 cell = cells[columns[f"fid_{name}"]]
@@ -238,7 +237,7 @@ def _by_action(recogniser: ActionRecogniser, systems: Sequence[System]) -> Block
     for label, action in enumerate(recogniser.actions):
         cells = {}
         for system in systems:
-            scores = np.concatenate([draw.recognition.scores[draw.labels == label] for draw in system.draws])
+            scores = np.concatenate([draw.scores[draw.labels == label] for draw in system.draws])
             if len(scores):
                 cells[str(system.row)] = Cell(accuracy(scores, np.full(len(scores), label)))
         rows += [Row(f"{action} ({int((labels == label).sum())})", "ours", cells)] if cells else []

@@ -7,7 +7,7 @@ import pytest
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 
 from eval.actions.linear import SHRINKAGE, fit_linear, motion_statistics, statistics_of
-from eval.actions.recogniser import ActionRecogniser
+from eval.actions.recognisers import ActionRecogniser
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.errors import MotionkitError
 from tests.helpers.acting import ACTIONS, acted
@@ -25,9 +25,9 @@ def test_it_tells_motions_apart_that_differ_in_path_or_pose() -> None:
     recogniser = fit_linear(motions(20, 0))
     assert isinstance(recogniser, ActionRecogniser) and recogniser.actions == ACTIONS
     held_out = motions(10, 1000)
-    found = recogniser.recognise(held_out)
-    assert found.features.shape == (30, 2)
-    named = [recogniser.actions[best] for best in found.scores.argmax(axis=1)]
+    features, scores = recogniser.recognise(held_out)
+    assert features.shape == (30, 2)
+    named = [recogniser.actions[best] for best in scores.argmax(axis=1)]
     assert np.mean([name == action for name, action in zip(named, held_out.actions, strict=True)]) > 0.95
 
 
@@ -42,7 +42,7 @@ def test_it_is_linear_discriminant_analysis() -> None:
     x = (statistics_of(held_out) - recogniser.centre) / recogniser.spread
     inverse = np.linalg.inv(shrunk)
     by_hand = x @ inverse @ means.T - 0.5 * (means @ inverse * means).sum(axis=1)
-    ours = recogniser.recognise(held_out).scores
+    _, ours = recogniser.recognise(held_out)
     np.testing.assert_allclose(ours - ours[:, :1], by_hand - by_hand[:, :1], rtol=1e-6, atol=1e-6)
     theirs = LinearDiscriminantAnalysis(solver="eigen", shrinkage=SHRINKAGE).fit(standard, labels)
     np.testing.assert_array_equal(ours.argmax(axis=1), theirs.predict(x))

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import torch
 
+from eval.actions.published import StgcnNetwork
 from eval.actions.sets import with_rotations
-from eval.actions.uestc import StgcnNetwork
 from eval.report.render import to_markdown
 from eval.report.results import Result, read_result, write_result
 from eval.sets.sets import sample_set
