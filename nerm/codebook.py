@@ -42,8 +42,6 @@ from motionkit.training.run import StageContext
 from nerm.recipes import CodebookConfig, CodebookNetworkConfig, NermConfig
 
 FPS = 20
-DOWNSAMPLINGS = 2
-RESIDUAL_LAYERS, DILATION_GROWTH = 3, 3
 EMA_DECAY, SMALLEST_COUNT = 0.99, 1.0
 POSITION_WEIGHT, COMMITMENT_WEIGHT = 0.5, 0.02
 
@@ -64,38 +62,7 @@ class ResidualConvolution(nn.Module):
 
 def residual_stack(width: int) -> nn.Sequential:
     """Residual convolutions of dilations 9, 3, 1."""
-    powers = reversed(range(RESIDUAL_LAYERS))
-    return nn.Sequential(*(ResidualConvolution(width, DILATION_GROWTH**power) for power in powers))
-
-
-def build_encoder(config: CodebookNetworkConfig, num_features: int) -> nn.Sequential:
-    """Pose vectors [batch, numbers, frames] → [batch, code, frames / 4]."""
-    width, layers = config.width, [nn.Conv1d(num_features, config.width, 3, padding=1), nn.ReLU()]
-    for _ in range(DOWNSAMPLINGS):
-        layers += [nn.Conv1d(width, width, 4, stride=2, padding=1), residual_stack(width)]
-    return nn.Sequential(*layers, nn.Conv1d(width, config.width, 3, padding=1))
-
-
-def build_decoder(config: CodebookNetworkConfig, num_features: int) -> nn.Sequential:
-    """[batch, code, frames / 4] → pose vectors [batch, numbers, frames]."""
-    width, layers = config.width, [nn.Conv1d(config.width, config.width, 3, padding=1), nn.ReLU()]
-    for _ in range(DOWNSAMPLINGS):
-        layers += [
-            residual_stack(width),
-            nn.Upsample(scale_factor=2, mode="nearest"),
-            nn.Conv1d(width, width, 3, padding=1),
-        ]
-    layers += [nn.Conv1d(width, width, 3, padding=1), nn.ReLU(), nn.Conv1d(width, num_features, 3, padding=1)]
-    return nn.Sequential(*layers)
-
-
-@dataclass(frozen=True, eq=False)
-class Quantised:
-    """Features with each vector replaced by its nearest code; `values` pass gradients straight to the features."""
-
-    values: Float[Tensor, "batch code frames"]
-    which: Int64[Tensor, "batch frames"]
-    commitment: Float[Tensor, ""]
+    return nn.Sequential(*(ResidualConvolution(width, dilation) for dilation in (9, 3, 1)))
 
 
 class Quantiser(nn.Module):
@@ -117,18 +84,17 @@ class Quantiser(nn.Module):
         self.register_buffer("counts", torch.ones(config.num_codes))
         self.register_buffer("started", torch.tensor(False))
 
-    def nearest(self, vectors: Float[Tensor, "vectors code"]) -> Int64[Tensor, "vectors"]:
-        """Index of the code closest to each vector."""
-        distances = self.codes.square().sum(1) - 2.0 * vectors @ self.codes.T
-        return distances.argmin(dim=1)
+    def forward(
+        self, features: Float[Tensor, "batch code frames"]
+    ) -> tuple[Float[Tensor, "batch code frames"], Int64[Tensor, "batch frames"], Float[Tensor, ""]]:
+        """The nearest code of each vector, its index, and the commitment loss.
 
-    def forward(self, features: Float[Tensor, "batch code frames"]) -> Quantised:
-        """Quantise features."""
-        vectors = features.transpose(1, 2).reshape(-1, features.shape[1])
-        which = self.nearest(vectors.detach())
-        codes = self.codes[which].reshape(features.shape[0], features.shape[2], -1).transpose(1, 2)
-        commitment = (features - codes).square().mean()
-        return Quantised(features + (codes - features).detach(), which.reshape(len(features), -1), commitment)
+        Gradients pass straight from the codes to the features.
+        """
+        vectors = features.detach().transpose(1, 2)
+        which = (self.codes.square().sum(1) - 2.0 * vectors @ self.codes.T).argmin(dim=2)
+        codes = self.codes[which].transpose(1, 2)
+        return features + (codes - features).detach(), which, (features - codes).square().mean()
 
     @torch.no_grad()
     def start(self, features: Float[Tensor, "batch code frames"], generator: torch.Generator) -> None:
@@ -177,9 +143,29 @@ class CodebookNetwork(nn.Module):
 
     def __init__(self, config: CodebookNetworkConfig, num_features: int) -> None:
         super().__init__()
-        self.encoder = build_encoder(config, num_features)
+        width = config.width
+
+        def down() -> list[nn.Module]:
+            return [nn.Conv1d(width, width, 4, stride=2, padding=1), residual_stack(width)]
+
+        def up() -> list[nn.Module]:
+            return [
+                residual_stack(width),
+                nn.Upsample(scale_factor=2, mode="nearest"),
+                nn.Conv1d(width, width, 3, padding=1),
+            ]
+
+        def convolution(inputs: int, outputs: int) -> nn.Conv1d:
+            return nn.Conv1d(inputs, outputs, 3, padding=1)
+
+        self.encoder = nn.Sequential(
+            convolution(num_features, width), nn.ReLU(), *down(), *down(), convolution(width, width)
+        )
         self.quantiser = Quantiser(config)
-        self.decoder = build_decoder(config, num_features)
+        self.decoder = nn.Sequential(
+            *(convolution(width, width), nn.ReLU(), *up(), *up()),
+            *(convolution(width, width), nn.ReLU(), convolution(width, num_features)),
+        )
 
     def encode(self, vectors: Float[Tensor, "batch frames numbers"]) -> Float[Tensor, "batch code short_frames"]:
         """Features before quantisation; `frames` must be a multiple of 4."""
@@ -319,20 +305,20 @@ class CodebookTraining:
             features = self.network.encode(vectors).float()
         everywhere = self.ranks.all_rows(features.detach(), schedule.batch_size)
         quantiser.start(everywhere, generator)
-        quantised = quantiser(features)
+        codes, nearest, commitment = quantiser(features)
         with autocast(config.precision, self.device):
-            decoded = self.network.decode(quantised.values).float()
+            decoded = self.network.decode(codes).float()
         reconstruction = smooth_l1_loss(decoded, vectors)
         positions = smooth_l1_loss(decoded[..., self.positions], vectors[..., self.positions])
         terms = reconstruction + POSITION_WEIGHT * positions
-        loss = share * (terms + COMMITMENT_WEIGHT * quantised.commitment)
+        loss = share * (terms + COMMITMENT_WEIGHT * commitment)
         self.learner.descend(loss, step, schedule.learning_rate * schedule.factor(step, self.steps))
-        which = self.ranks.all_rows(quantised.which, schedule.batch_size)
+        which = self.ranks.all_rows(nearest, schedule.batch_size)
         quantiser.update(everywhere, which, generator)
         return {
             "loss": loss,
             "reconstruction": share * reconstruction,
-            "commitment": share * quantised.commitment,
+            "commitment": share * commitment,
             "perplexity": share * perplexity(which, config.network.num_codes),
         }
 

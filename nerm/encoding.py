@@ -24,9 +24,8 @@ from motionkit.features import field
 from motionkit.fields.assembly import AssembledField, Piece, assemble, even_starts
 from motionkit.fields.motion_field import MotionField, Observation
 from motionkit.store.reader import Store
-from motionkit.training.pose_vectors import PoseTensors
 from motionkit.training.run import RunFolder
-from nerm.field import TrainedField, load_field
+from nerm.field import PoseTensors, TrainedField, load_field
 from nerm.network import EncodedCoordinates
 from nerm.recipes import row_name
 
@@ -47,7 +46,7 @@ def encode_by_optimisation(trained: TrainedField, batch: PoseTensors) -> Float32
     kl_weight = config.loss.kl_weight if config.latents.variational else 0.0
     target = trained.scaling.apply(batch.vectors.to(device))
     model = trained.linear_model
-    start = torch.zeros(len(batch.window), trained.latent_dimension) if model is None else model.fit(batch)
+    start = torch.zeros(len(batch.window), trained.posterior_mean.shape[1]) if model is None else model.fit(batch)
     start = start.to(device)
     fps = batch.fps.to(device)
     with torch.no_grad():

@@ -23,7 +23,7 @@ from torch import Tensor, nn
 from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import normalise_seconds
-from motionkit.data.windows import WindowPoses, Windows, chunks
+from motionkit.data.windows import PoseBatch, WindowPoses, Windows, chunks
 from motionkit.features import field
 from motionkit.features.convention import PoseVectors
 from motionkit.features.field import FIELD_VECTORS
@@ -32,15 +32,36 @@ from motionkit.fields.motion_field import Poses, check_times
 from motionkit.training.config import from_plain, to_plain
 from motionkit.training.devices import resolve_device
 from motionkit.training.loop import load_tensors, prefixed, rebuilding, save_tensors, unprefixed
-from motionkit.training.pose_vectors import ROOT_PATH, PoseTensors, VectorScaling, vector_tensors, vectors_of
+from motionkit.training.networks import VectorScaling, vector_tensors, vectors_of
 from motionkit.training.run import RunFolder, StageFolder
 from nerm.latents import KnotLayout, LocalLatents, local_latents, relative_to
 from nerm.network import EncodedCoordinates, FieldNetwork
 from nerm.recipes import FieldConfig
 
+ROOT_PATH = (0, 2)
 TIMES_PER_WINDOW = 128
 HELD_TIMES = 128
 WINDOWS_AT_ONCE = 256
+
+
+@dataclass(frozen=True, eq=False)
+class PoseTensors:
+    """`motionkit.data.windows.PoseBatch` as tensors."""
+
+    window: Int64[Tensor, "batch"]
+    coordinates: Float64[Tensor, "batch poses"]
+    fps: Float64[Tensor, "batch"]
+    vectors: Float32[Tensor, "batch poses features"]
+
+    @classmethod
+    def of(cls, batch: PoseBatch) -> "PoseTensors":
+        """The tensors of a batch, without copying."""
+        arrays = (batch.window, batch.coordinates, batch.fps, batch.vectors)
+        return cls(*(torch.from_numpy(array) for array in arrays))
+
+    def to(self, device: torch.device) -> "PoseTensors":
+        """Move to a device."""
+        return PoseTensors(*(each.to(device) for each in (self.window, self.coordinates, self.fps, self.vectors)))
 
 
 def ridge_knots(
@@ -59,14 +80,6 @@ def ridge_knots(
     gram = counted @ weights + ridge * torch.eye(layout.num_knots, dtype=torch.float64)
     knots: Tensor = torch.linalg.solve(gram, counted @ targets.double())
     return knots.float()
-
-
-def measured_heading(
-    vectors: Float32[Tensor, "windows times numbers"],
-) -> Float64[Tensor, "windows times"]:
-    """The unwrapped heading (radians) of `field` vectors in metres and in order of time."""
-    heading = field.heading(field.decode(vectors.numpy())).astype(np.float64)
-    return torch.from_numpy(np.unwrap(heading, axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +183,8 @@ def _without_path(
         return [], standardised
     layout = banks.path.knots
     x, z = (standardised[..., number].double() for number in ROOT_PATH)
-    measured = torch.stack((x, z, measured_heading(batch.vectors)), dim=-1)
+    heading = field.heading(field.decode(batch.vectors.numpy())).astype(np.float64)
+    measured = torch.stack((x, z, torch.from_numpy(np.unwrap(heading, axis=1))), dim=-1)
     units = banks.path_units().double()
     knots = ridge_knots(measured / units, batch.coordinates, counts, layout, ridge)
     weights = layout.interpolant(batch.coordinates.reshape(-1)).reshape(*batch.coordinates.shape, -1)
@@ -227,11 +241,6 @@ class TrainedField:
     def config(self) -> FieldConfig:
         """The training settings."""
         return self.network.config
-
-    @property
-    def latent_dimension(self) -> int:
-        """d."""
-        return self.posterior_mean.shape[1]
 
     @property
     def skeleton(self) -> Skeleton:
@@ -367,12 +376,6 @@ class TrainedField:
     ) -> "LatentMotionField":
         """One latent's motion on [0, duration], at the framerate s = `fps` (default: the highest in training)."""
         return LatentMotionField(self, latent, duration_seconds, fps or self.max_training_fps)
-
-    def __repr__(self) -> str:
-        return (
-            f"TrainedField({self.config.latents.layout} latents of {self.latent_dimension} numbers, {self.windows!r}, "
-            f"trained up to {self.max_training_fps} fps)"
-        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -42,9 +42,9 @@ from motionkit.training.loop import (
     seeded_initialisation,
     step_generator,
 )
-from motionkit.training.pose_vectors import PoseTensors, measure_scaling
+from motionkit.training.networks import measure_scaling
 from motionkit.training.run import RunError, RunFolder, StageContext
-from nerm.field import NUM_LOGITS, ContactHead, TrainedField, fit_windows, linear_model, save_field
+from nerm.field import NUM_LOGITS, ContactHead, PoseTensors, TrainedField, fit_windows, linear_model, save_field
 from nerm.latents import first_read, in_use, measured_space
 from nerm.network import FieldNetwork
 from nerm.recipes import FieldConfig, NermConfig

@@ -46,11 +46,6 @@ class KnotLayout:
         return 2.0 / self.num_knots
 
     @property
-    def num_basis(self) -> int:
-        """Functions per knot: 1 + 2·modes."""
-        return 1 + 2 * self.modes
-
-    @property
     def reach(self) -> float:
         """Support radius of a knot's basis functions, in knot spacings."""
         of_kernel = LANCZOS_RADIUS if self.kernel == "lanczos" else self.radius
@@ -233,7 +228,7 @@ class LocalLatents:
     def num_inputs(self) -> int:
         """Size of the network's input from z at an instant."""
         of_path = 0 if self.path is None else NUM_PATH_NUMBERS
-        return of_path + sum(bank.numbers * bank.knots.num_basis for bank in self.pose)
+        return of_path + sum(bank.numbers * (1 + 2 * bank.knots.modes) for bank in self.pose)
 
     @property
     def phase_period(self) -> float:
@@ -243,7 +238,8 @@ class LocalLatents:
     def split(self, latents: Float[Tensor, "batch latent"]) -> list[Float[Tensor, "batch _ _"]]:
         """z → [batch, knots, numbers] of each bank."""
         segments = latents.reshape(len(latents), self.num_segments, latents.shape[1] // self.num_segments)
-        of_bank = torch.split(segments, [self._per_segment(bank) for bank in self.banks], dim=-1)
+        sizes = [bank.knots.num_knots // self.num_segments * bank.numbers for bank in self.banks]
+        of_bank = torch.split(segments, sizes, dim=-1)
         return [
             knots.reshape(len(latents), bank.knots.num_knots, bank.numbers)
             for knots, bank in zip(of_bank, self.banks, strict=True)
@@ -297,9 +293,6 @@ class LocalLatents:
     def path_units(self) -> Float32[Tensor, "3"]:
         """The unit of each path number: standardised units of x and of z, radians of heading."""
         return torch.tensor([self.path_unit, self.path_unit, 1.0])
-
-    def _per_segment(self, bank: Bank) -> int:
-        return bank.knots.num_knots // self.num_segments * bank.numbers
 
 
 def local_latents(config: FieldConfig) -> LocalLatents | None:

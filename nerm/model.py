@@ -315,11 +315,6 @@ class ConstraintCost:
         return [_Target.of(each) for each in self.constraints]
 
 
-def constraint_cost(trained: TrainedField, constraints: tuple[Constraint, ...]) -> ConstraintCost:
-    """The cost of constraints on a field's motions."""
-    return ConstraintCost(JointsAt(trained, np.concatenate([each.seconds for each in constraints])), constraints)
-
-
 @dataclass(frozen=True, eq=False)
 class _Target:
     """A constraint as tensors, zeros where it is free."""
@@ -443,7 +438,8 @@ def sample_constrained(
     def latent_of(numbers: Float32[Tensor, "latent"]) -> Float32[Tensor, "latent"]:
         return trained.space.restore((numbers * used)[None])[0]
 
-    goal = constraint_cost(field, constraints)
+    joints = JointsAt(field, np.concatenate([each.seconds for each in constraints]))
+    goal = ConstraintCost(joints, constraints)
     every = max(1, trained.with_sampling(sampling).diffusion.sampling_steps // GUIDED_STEPS)
 
     def adjust(clean: Float64[Tensor, "1 latent"], index: int, alpha: float) -> Float64[Tensor, "1 latent"]:

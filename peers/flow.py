@@ -9,8 +9,7 @@ from torch.nn.functional import scaled_dot_product_attention, silu
 from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Float
 from motionkit.training.config import Schedule
-from motionkit.training.networks import Conditions, guided
-from motionkit.training.pose_vectors import VectorScaling
+from motionkit.training.networks import Conditions, VectorScaling, guided
 from peers.generating import MINILM, PeerConfig, PeerStage, cosine
 from peers.layers import (
     ConditionVector,

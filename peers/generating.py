@@ -37,8 +37,7 @@ from motionkit.training.loop import (
     step_generator,
     unprefixed,
 )
-from motionkit.training.networks import Conditions, ConditionSizes
-from motionkit.training.pose_vectors import VectorScaling, vector_tensors, vectors_of
+from motionkit.training.networks import Conditions, ConditionSizes, VectorScaling, vector_tensors, vectors_of
 from motionkit.training.run import RunError, RunFolder, Stage, StageContext
 from motionkit.training.text import TextEncoder, load_same_encoder
 from peers.layers import NetworkInputs, PeerNetwork, TransformerSizes

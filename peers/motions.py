@@ -21,8 +21,7 @@ from motionkit.features.native import NativeVectors
 from motionkit.store.cache import cache_root
 from motionkit.store.reader import Store
 from motionkit.training.config import DiffusionConfig, require_positive
-from motionkit.training.networks import Conditions, WindowConditions, window_conditions
-from motionkit.training.pose_vectors import VectorScaling, measure_scaling
+from motionkit.training.networks import Conditions, VectorScaling, WindowConditions, measure_scaling, window_conditions
 from motionkit.training.text import TextEncoder, embed_texts, load_text_encoder
 
 SHORTER_SHARE = 1 / 3

@@ -23,8 +23,7 @@ from torch.utils.flop_counter import FlopCounterMode
 from benchmarks.command import arguments_parser, best_cpu_seconds, print_json
 from motionkit.data.windows import Windows
 from motionkit.generate.models import GenerationRequest
-from motionkit.training.networks import ConditionSizes
-from motionkit.training.pose_vectors import VectorScaling
+from motionkit.training.networks import ConditionSizes, VectorScaling
 from nerm.denoiser import TrainedDenoiser
 from nerm.field import TrainedField
 from nerm.latents import LatentSpace, first_read, local_latents

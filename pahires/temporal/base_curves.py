@@ -14,7 +14,7 @@ from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.core.skeleton import Skeleton
 from motionkit.features import rotations
 from motionkit.fields.interpolation import inner_rates
-from motionkit.training.pose_vectors import VectorScaling
+from motionkit.training.networks import VectorScaling
 from pahires.temporal.network import ObservedWindow
 from pahires.temporal.settings import Base
 

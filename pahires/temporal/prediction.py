@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import torch
 
 from motionkit.core.shapes import Float32
-from motionkit.training.pose_vectors import VectorScaling
+from motionkit.training.networks import VectorScaling
 from pahires.temporal.base_curves import interpolated, located, seconds_beyond
 from pahires.temporal.network import ObservedWindow, TemporalNetwork
 from pahires.temporal.settings import AnswerSettings, Sizing

@@ -22,7 +22,7 @@ from motionkit.training.loop import (
     seeded_initialisation,
     unprefixed,
 )
-from motionkit.training.pose_vectors import VectorScaling
+from motionkit.training.networks import VectorScaling
 from motionkit.training.run import RunFolder, Stage, StageContext
 from pahires.temporal.encoder import NetworkEncoder
 from pahires.temporal.prediction import Predictor

@@ -15,7 +15,7 @@ from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Bool, Float32, Float64, Int64
 from motionkit.data.rotation_sequences import RotationSequences
 from motionkit.features import rotations
-from motionkit.training.pose_vectors import VectorScaling
+from motionkit.training.networks import VectorScaling
 from pahires.temporal.base_curves import WindowFrames, measure_scaling
 from pahires.temporal.network import ObservedWindow
 from pahires.temporal.settings import TaskSettings, TemporalSettings

@@ -69,12 +69,12 @@ def test_features_become_their_nearest_codes_and_gradients_pass() -> None:
     quantiser = Quantiser(SMALL.network)
     quantiser.start(torch.randn(8, 24, 10), torch.Generator().manual_seed(0))
     features = torch.randn(3, 24, 5, requires_grad=True)
-    quantised = quantiser(features)
+    values, which, _ = quantiser(features)
     distances = torch.cdist(features.detach().transpose(1, 2).reshape(-1, 24), quantiser.codes)
-    assert torch.equal(quantised.which.reshape(-1), distances.argmin(1))
-    expected = quantiser.codes[quantised.which].transpose(1, 2)
-    torch.testing.assert_close(quantised.values.detach(), expected)
-    quantised.values.sum().backward()
+    assert torch.equal(which.reshape(-1), distances.argmin(1))
+    expected = quantiser.codes[which].transpose(1, 2)
+    torch.testing.assert_close(values.detach(), expected)
+    values.sum().backward()
     torch.testing.assert_close(features.grad, torch.ones_like(features))
 
 
@@ -84,7 +84,7 @@ def test_codes_move_to_the_mean_of_what_chooses_them_and_unused_ones_are_reset()
     quantiser.sums.copy_(quantiser.codes)
     features = torch.tensor([[1.0, 1.0], [1.0, 1.0], [9.0, 9.0], [9.0, 9.0]]).T[None]
     for _ in range(1500):
-        quantiser.update(features, quantiser(features).which, torch.Generator().manual_seed(0))
+        quantiser.update(features, quantiser(features)[1], torch.Generator().manual_seed(0))
     codes = {tuple(code) for code in quantiser.codes.round(decimals=3).tolist()}
     assert codes == {(1.0, 1.0), (9.0, 9.0)}
 

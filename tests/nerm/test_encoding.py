@@ -14,9 +14,8 @@ from motionkit.data.windows import FrameValues, WindowPoses, cut_windows
 from motionkit.features.field import FIELD_VECTORS
 from motionkit.fields.completion import complete
 from motionkit.fields.motion_field import MotionEncoder, Observation, Poses, to_motion
-from motionkit.training.pose_vectors import PoseTensors
 from nerm.encoding import NermEncoder, encode_by_optimisation, minimise_each
-from nerm.field import TrainedField
+from nerm.field import PoseTensors, TrainedField
 from nerm.field_training import FieldTraining
 from tests.helpers.nerm_corpus import FPS, analytic_positions, analytic_source
 from tests.helpers.observed_errors import observed_errors

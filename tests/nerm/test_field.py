@@ -17,10 +17,9 @@ from motionkit.store.reader import Store
 from motionkit.store.writer import StoreWriter
 from motionkit.training.config import apply_overrides
 from motionkit.training.loop import step_generator
-from motionkit.training.pose_vectors import PoseTensors
 from motionkit.training.run import RunFolder, StageContext, StageFolder
 from nerm.encoding import encode_windows
-from nerm.field import TrainedField, load_field, save_field
+from nerm.field import PoseTensors, TrainedField, load_field, save_field
 from nerm.field_training import RowAdam, kl_divergence, train_field
 from nerm.recipes import nano
 from tests.helpers.analytic import analytic_motion
@@ -46,9 +45,8 @@ def test_what_is_loaded_decodes_as_what_was_saved(small_field: TrainedField, tmp
     )
     assert loaded.config == small_field.config
     assert loaded.max_training_fps == 120
-    dimension = loaded.latent_dimension
+    dimension = loaded.posterior_mean.shape[1]
     assert dimension in (128, 152)
-    assert repr(loaded).startswith(f"TrainedField(local latents of {dimension} numbers, Windows(4 of at most 4 s")
     assert loaded.windows.duration_seconds.tolist() == [4.0] * 4
     assert loaded.posterior_log_variance.shape == (4, dimension)
 

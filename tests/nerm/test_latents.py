@@ -14,8 +14,8 @@ from motionkit.data.windows import FrameValues, WindowPoses, cut_windows
 from motionkit.features.field import FIELD_VECTORS
 from motionkit.store.cache import PositionCache
 from motionkit.training.config import apply_overrides
-from motionkit.training.pose_vectors import PoseTensors, VectorScaling, measure_scaling
-from nerm.field import LinearModel, held, linear_model, ridge_knots
+from motionkit.training.networks import VectorScaling, measure_scaling
+from nerm.field import LinearModel, PoseTensors, held, linear_model, ridge_knots
 from nerm.latents import (
     Kernel,
     KnotLayout,

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motionkit.training.loop import seeded_initialisation
-from motionkit.training.pose_vectors import VectorScaling
+from motionkit.training.networks import VectorScaling
 from pahires.activation import SLOPE_SQUARE, FourierActivation, Initialisation, gaussian_moments, linear
 from pahires.model import PaHiRes
 from pahires.temporal.base_curves import interpolated

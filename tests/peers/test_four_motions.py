@@ -16,8 +16,7 @@ from motionkit.features.field import FIELD_VECTORS
 from motionkit.features.native import NativeVectors
 from motionkit.training.config import DiffusionConfig
 from motionkit.training.loop import dropout_from, set_rate, step_generator
-from motionkit.training.networks import Conditions, ConditionSizes
-from motionkit.training.pose_vectors import VectorScaling
+from motionkit.training.networks import Conditions, ConditionSizes, VectorScaling
 from peers.actor import ACTOR
 from peers.camdm import CAMDM
 from peers.flow import FLOW

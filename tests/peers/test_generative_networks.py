@@ -18,8 +18,7 @@ from motionkit.features.convention import PoseVectors
 from motionkit.features.field import FIELD_VECTORS
 from motionkit.features.native import NativeVectors
 from motionkit.training.config import DiffusionConfig, Prediction
-from motionkit.training.networks import Conditions, ConditionSizes
-from motionkit.training.pose_vectors import VectorScaling
+from motionkit.training.networks import Conditions, ConditionSizes, VectorScaling
 from peers.actor import Actor, ActorNetworkConfig
 from peers.camdm import Camdm, CamdmNetworkConfig
 from peers.flow import AbsoluteCoordinates, Flow, FlowLayer, FlowNetworkConfig

@@ -8,7 +8,7 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.features.rotations import poses_of, rows_of_poses
 from motionkit.fields.interpolation import curve, rotation_curve
 from motionkit.fields.motion_field import Poses
-from motionkit.training.pose_vectors import VectorScaling
+from motionkit.training.networks import VectorScaling
 from pahires.temporal.base_curves import interpolated, located, seconds_beyond
 from pahires.temporal.network import ObservedWindow
 from pahires.temporal.prediction import Predictor, gate, num_answers, size
