@@ -148,15 +148,11 @@ class CodebookNetwork(nn.Module):
         def down() -> list[nn.Module]:
             return [nn.Conv1d(width, width, 4, stride=2, padding=1), residual_stack(width)]
 
-        def up() -> list[nn.Module]:
-            return [
-                residual_stack(width),
-                nn.Upsample(scale_factor=2, mode="nearest"),
-                nn.Conv1d(width, width, 3, padding=1),
-            ]
-
         def convolution(inputs: int, outputs: int) -> nn.Conv1d:
             return nn.Conv1d(inputs, outputs, 3, padding=1)
+
+        def up() -> list[nn.Module]:
+            return [residual_stack(width), nn.Upsample(scale_factor=2, mode="nearest"), convolution(width, width)]
 
         self.encoder = nn.Sequential(
             convolution(num_features, width), nn.ReLU(), *down(), *down(), convolution(width, width)

@@ -41,6 +41,7 @@ from motionkit.training.networks import (
     guided,
     predicted_noise,
     prediction_target,
+    reparameterized,
     sample,
     sampling_steps,
     window_conditions,
@@ -77,9 +78,7 @@ class LatentCorpus:
 
     def draw(self, rows: Int64[Tensor, "batch"], generator: torch.Generator) -> Float32[Tensor, "batch latent"]:
         """z ~ N(μ_i, Σ_i) for the windows `rows`, resampled at every call (§3.2)."""
-        spread = torch.exp(0.5 * self.log_variances[rows])
-        noise: Tensor = torch.randn(spread.shape, generator=generator)
-        return self.means[rows] + spread * noise
+        return reparameterized(self.means[rows], self.log_variances[rows], generator)
 
     def draw_conditions(self, rows: Int64[Tensor, "batch"], generator: torch.Generator) -> Conditions:
         """One condition per window: none with probability 0.1, else one of its captions or its action.

