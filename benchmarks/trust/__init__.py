@@ -1,1 +1,1 @@
-"""The drill: kills, damaged files, malformed input, hostile folders and load; `python -m benchmarks.trust PART`."""
+"""The drill: kills, damaged files, malformed input and load; `python -m benchmarks.trust PART`."""
