@@ -5,6 +5,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, redirect_stdout
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -50,29 +51,20 @@ def demo(
 
     Example: motionkit demo --smallest
     """
-    from dataclasses import asdict
-
     from eval.report.results import read_result
 
-    places = {
-        "corpus": folder / "corpus",
-        "store": folder / "store",
-        "run": folder / "runs",
-        "motions": folder / "generated",
-        "table": folder / "results",
-        "picture": folder / "demo.png",
-        "strips": folder / "motions.png",
-    }
+    names = {"corpus": "corpus", "store": "store", "run": "runs", "motions": "generated", "table": "results"}
+    names |= {"picture": "demo.png", "strips": "motions.png"}
+    places = {name: folder / place for name, place in names.items()}
     # With --json, what the steps print is progress: stdout holds one document.
     with redirect_stdout(sys.stderr) if as_json else nullcontext():
         seconds = _run(places, SMALLEST if smallest else FULL, seed)
-    named = {name: str(place) for name, place in places.items()}
     if as_json:
         table = asdict(read_result(places["table"] / "nerm-table2.json"))
-        print_json({"places": named, "seconds": seconds, "table": table})
+        print_json({"places": {name: str(place) for name, place in places.items()}, "seconds": seconds, "table": table})
         return
     stderr.print(f"demo: {', '.join(f'{name} {spent:.0f} s' for name, spent in seconds.items())}")
-    for name, place in named.items():
+    for name, place in places.items():
         stdout.print(f"{name + ':':9} {place}")
 
 
@@ -96,23 +88,24 @@ def _run(places: dict[str, Path], size: dict[str, Any], seed: int) -> dict[str, 
     load_text_encoder(str(settings["denoiser.conditions.text_encoder"]))  # fail now, not after minutes of training
     _prepare(places)
     seconds: dict[str, float] = {}
-    with _step("corpus", seconds):
+
+    @contextmanager
+    def step(name: str) -> Iterator[None]:
+        stderr.print(f"demo: {name} …")
+        started = time.monotonic()
+        yield
+        seconds[name] = round(time.monotonic() - started, 1)
+
+    of_run: dict[str, Any] = {"runs": places["run"], "seed": seed}
+    with step("corpus"):
         write_demo_corpus(places["corpus"], size["every"])
-    with _step("ingest", seconds):
+    with step("ingest"):
         ingest([str(places["corpus"])], store=places["store"])
-    with _step("train", seconds):
+    with step("train"):
         for stage in ("codebook", "field", "denoiser"):
-            train(
-                stage=stage,
-                recipe=RECIPE,
-                store=places["store"],
-                runs=places["run"],
-                overrides=size["overrides"],
-                seed=seed,
-            )
-    with _step("generate", seconds):
-        chosen = _pictured(Store.open(places["store"]))[: size["pictured"]]
-        real = [Store.open(places["store"]).read(sequence_id) for sequence_id in chosen]
+            train(stage=stage, recipe=RECIPE, store=places["store"], overrides=size["overrides"], **of_run)
+    with step("generate"):
+        real = _pictured(Store.open(places["store"]), size["pictured"])
         generate(
             [motion.captions[0].text for motion in real],
             fps=PICTURED_FPS,
@@ -120,34 +113,22 @@ def _run(places: dict[str, Path], size: dict[str, Any], seed: int) -> dict[str, 
             out=places["motions"],
             file_format="bvh",
             run=RECIPE,
-            runs=places["run"],
-            seed=seed,
+            **of_run,
         )
-    with _step("eval", seconds):
-        evaluate(
-            table="2",
-            store=places["store"],
-            runs=places["run"],
-            run=RECIPE,
-            results=places["table"],
-            evaluator="kinematic",
-            seed=seed,
-            **size["table"],
-        )
-    with _step("picture", seconds):
+    with step("eval"):
+        evaluation = {"table": "2", "evaluator": "kinematic", **size["table"]}
+        evaluate(store=places["store"], run=RECIPE, results=places["table"], **evaluation, **of_run)
+    with step("picture"):
         _draw(places, real)
     return seconds
 
 
-def _pictured(store: "Store") -> list[str]:
-    """Training sequences to show beside generated motions: the longest of each pictured action."""
-    table = store.sequences
-    long_enough = table[(table["split"] == "train") & (table["duration_seconds"] >= 0.75 * PICTURED_SECONDS)]
-    chosen: list[str] = []
-    for action in PICTURED_ACTIONS:
-        of_action = long_enough[long_enough["action"] == action].sort_values("duration_seconds", ascending=False)
-        chosen += of_action["sequence_id"].tolist()[:1]
-    return chosen
+def _pictured(store: "Store", number: int) -> "list[Motion]":
+    """Training motions to show beside generated ones: the longest of each pictured action."""
+    table = store.sequences.sort_values("duration_seconds", ascending=False)
+    table = table[(table["split"] == "train") & (table["duration_seconds"] >= 0.75 * PICTURED_SECONDS)]
+    longest = table.drop_duplicates("action").set_index("action")["sequence_id"]
+    return [store.read(longest[action]) for action in PICTURED_ACTIONS if action in longest][:number]
 
 
 def _draw(places: dict[str, Path], real: "list[Motion]") -> None:
@@ -167,10 +148,10 @@ def _draw(places: dict[str, Path], real: "list[Motion]") -> None:
     options = ReadOptions(unit_metres=0.01)
     generated = [read_bvh(path, options) for path in sorted(places["motions"].glob("*.bvh"))]
     strips = []
-    for truth, made in zip(real, generated, strict=True):
-        for whose, motion in (("corpus", truth), ("NeRM", made)):
-            positions = map_joints(motion, SMPL22.name)[: int(PICTURED_SECONDS * motion.fps)]
-            strips.append(Panel(f"{whose}: {truth.captions[0].text}", positions, SMPL22, motion.fps))
+    for motion, answer in zip(real, generated, strict=True):
+        for whose, shown in (("corpus", motion), ("NeRM", answer)):
+            positions = map_joints(shown, SMPL22.name)[: int(PICTURED_SECONDS * shown.fps)]
+            strips.append(Panel(f"{whose}: {motion.captions[0].text}", positions, SMPL22, shown.fps))
     write_film(places["strips"], strips)
 
 
@@ -188,11 +169,3 @@ def _prepare(places: dict[str, Path]) -> None:
     for place in places.values():
         if place.is_dir():
             shutil.rmtree(place)
-
-
-@contextmanager
-def _step(name: str, seconds: dict[str, float]) -> Iterator[None]:
-    stderr.print(f"demo: {name} …")
-    started = time.monotonic()
-    yield
-    seconds[name] = round(time.monotonic() - started, 1)

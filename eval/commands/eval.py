@@ -21,21 +21,19 @@ if TYPE_CHECKING:
 
 ALL = "all"
 SHOWN_PROBLEMS = 10
+REAL, EVALUATED, EVALUATOR = "Real motion", "What is evaluated", "Evaluator"
+CLIPS = "clip-FID (table 2, figures, --calibrate)"
+PROTOCOL = "Protocol of whole motions (tables 1 and 3)"
 
 
 def _option(panel: str, help: str, *names: str, **more: Any) -> Any:
     return typer.Option(*names, help=help, rich_help_panel=panel, **more)
 
 
-REAL, EVALUATED, EVALUATOR = "Real motion", "What is evaluated", "Evaluator"
-CLIPS = "clip-FID (table 2, figures, --calibrate)"
-PROTOCOL = "Protocol of whole motions (tables 1 and 3)"
-
-
 def evaluate(
     table: Annotated[
-        str | None, typer.Option(help="Table to build, by its number in the paper; all: every table and figure.")
-    ] = None,
+        str | None, typer.Option(help="Number of the table in the paper; all: every one, figures too.")
+    ] = (None),
     figure: Annotated[str | None, typer.Option(help="Figure to build as a table, by its number: 5, 8.")] = None,
     calibrate: Annotated[
         bool, typer.Option("--calibrate", help="Check that clip-FID rises with damage, and only with damage.")
@@ -47,17 +45,10 @@ def evaluate(
     store: Annotated[Path | None, _option(REAL, "Store with the real motion.")] = None,
     split: Annotated[str, _option(REAL, "Real sequences to compare with: a split, or all.")] = "test",
     where: Annotated[
-        str | None,
-        _option(
-            REAL,
-            'Compare only with real sequences for which this holds too: "len(quality_flags) = 0".',
-            metavar="SQL",
-        ),
+        str | None, _option(REAL, 'Only real sequences for which this holds: "len(quality_flags) = 0".', metavar="SQL")
     ] = None,
     runs: Annotated[Path | None, _option(EVALUATED, "Folder of all runs.")] = None,
-    run: Annotated[
-        str, _option(EVALUATED, "Trained run to evaluate; its rows are left out where there is none.")
-    ] = "nano",
+    run: Annotated[str, _option(EVALUATED, "Trained run to evaluate; without one its rows are left out.")] = "nano",
     samples: Annotated[
         list[str] | None,
         _option(EVALUATED, "A folder of another system's motions, as a row (docs/samples.md).", metavar="NAME=DIR"),
@@ -67,19 +58,11 @@ def evaluate(
     ] = None,
     allow_broken: Annotated[
         bool,
-        _option(
-            EVALUATED,
-            "Exit with 0 even if samples that are unreadable, hold NaN or are no bodies were left out.",
-            "--allow-broken",
-        ),
+        typer.Option("--allow-broken", help="Exit with 0 even if samples were left out.", rich_help_panel=EVALUATED),
     ] = False,
     encoder: Annotated[
         list[str] | None,
-        _option(
-            EVALUATED,
-            "Of completed motion: another run's trained encoder, as a row: liif=wide.",
-            metavar="NAME=RUN",
-        ),
+        _option(EVALUATED, "Another run's encoder of completed motion, as a row: liif=wide.", metavar="NAME=RUN"),
     ] = None,
     motions: Annotated[int, _option(EVALUATED, "Maximum number of motions that a model generates.", min=2)] = 1024,
     draws: Annotated[
@@ -90,34 +73,22 @@ def evaluate(
     replications: Annotated[int, _option(CLIPS, "Independent repetitions behind the intervals.", min=1)] = 20,
     sizes: Annotated[str, _option(CLIPS, "Clip sizes in poses.")] = "16:64",
     evaluator: Annotated[
-        str | None,
-        _option(
-            EVALUATOR,
-            "Feature sets: kinematic,native,guo,motion-clip,tmr; all there are. Of actions: linear, humanact12, …",
-            "--evaluator",
-            "--features",
-        ),
+        str | None, _option(EVALUATOR, "kinematic,native,guo,motion-clip,tmr; all there are. Of actions: linear, …")
     ] = None,
     weights: Annotated[
-        Path | None,
-        _option(EVALUATOR, "The published evaluator's or recogniser's file: finest.tar, ….tar.", metavar="FILE"),
+        Path | None, _option(EVALUATOR, "The published evaluator's or recogniser's file: finest.tar.", metavar="FILE")
     ] = None,
     glove: Annotated[
         Path | None, _option(EVALUATOR, "Its word vectors: our_vab_data.npy, _words.pkl, _idx.pkl.", metavar="DIR")
     ] = None,
     statistics: Annotated[
-        Path | None,
-        _option(EVALUATOR, "Its mean.npy and std.npy; those beside the weights by default.", metavar="DIR"),
+        Path | None, _option(EVALUATOR, "Its mean.npy and std.npy; beside the weights by default.", metavar="DIR")
     ] = None,
     motion_clip: Annotated[
-        Path | None,
-        _option(EVALUATOR, "MARDM's MotionCLIP: finest.tar, its statistics, CLIP's words.", metavar="DIR"),
+        Path | None, _option(EVALUATOR, "MARDM's MotionCLIP: finest.tar, its statistics, CLIP's words.", metavar="DIR")
     ] = None,
     protocol: Annotated[
-        str,
-        _option(
-            PROTOCOL, "Of texts: native, nerm, t2m, mdm, mld, t2m-gpt, momask, mardm, tmr, kimodo; of actions: a2m, …"
-        ),
+        str, _option(PROTOCOL, "native, nerm, t2m, mdm, mld, t2m-gpt, momask, mardm, tmr, kimodo; of actions: a2m, …")
     ] = "native",
 ) -> None:
     """Build one of the papers' tables or figures, or calibrate the features that clip-FID is computed on.
@@ -125,7 +96,7 @@ def evaluate(
     Example: motionkit eval --table 2
     """
     from eval.clip_fid.score import Protocol
-    from eval.sample_folder import SampleOptions
+    from eval.sample_folder import SampleFolderError, SampleOptions
     from eval.tables.table import EvalConfig
     from eval.text_motion.guo.kind import GuoFiles
 
@@ -155,21 +126,27 @@ def evaluate(
         fps=framerates(fps, "--fps") if fps else None,
         seed=seed,
     )
+    failed: dict[str, MotionkitError] = {}
+    built = []
     with progress() as show:
         config = replace(config, on_progress=show)
         if any(each.takes_samples for each in tables.values()):
             _print_left_out(config)
-        if table == ALL:
-            _build_all(config, tables, as_json)
-        else:
-            (chosen,) = tables.values()
-            result = _build(config, chosen)
-            _show(result, as_json)
-            _refuse_rowless(config, result)
+        for number, each in tables.items():
+            try:
+                built.append(_build(config, each, as_json))
+                _require_rows(config, built[-1])
+            except MotionkitError as error:
+                failed[number] = error
+    if as_json and (built or table == ALL):
+        print_json([asdict(result) for result in built] if table == ALL else asdict(built[0]))
+    if failed and table == ALL:
+        reasons = "; ".join(f"{number}: {error}" for number, error in failed.items())
+        raise UsageError(f"{len(built)} of {len(tables)} were built. {reasons}")
+    for reason in failed.values():
+        raise reason
     left_out = {folder.name: len(folder.left_out) for folder in config.sample_folders if folder.left_out}
     if left_out and not allow_broken:
-        from eval.sample_folder import SampleFolderError
-
         counts = ", ".join(f"{count:,} of {name!r}" for name, count in left_out.items())
         raise SampleFolderError(f"the table was built without broken samples ({counts}); --allow-broken accepts that")
 
@@ -241,29 +218,11 @@ def named_samples(pairs: list[str], run: Path | None = None) -> dict[str, Path]:
     return named
 
 
-def _build_all(config: "EvalConfig", tables: "dict[str, Table]", as_json: bool) -> None:
-    """Build every table in turn; raises `UsageError` at the end, with reasons, if some could not be built."""
-    results, lacking = [], []
-    for number, table in tables.items():
-        try:
-            result = _build(config, table)
-            results.append(result)
-            _refuse_rowless(config, result)
-        except MotionkitError as error:
-            lacking.append(f"{number}: {error}")
-            continue
-        if not as_json:
-            _show(result)
-    if as_json:
-        print_json([asdict(result) for result in results])
-    if lacking:
-        raise UsageError(f"{len(results)} of {len(tables)} were built. " + "; ".join(lacking))
-
-
-def _build(config: "EvalConfig", table: "Table") -> "Result":
-    """Build and write a table."""
+def _build(config: "EvalConfig", table: "Table", as_json: bool) -> "Result":
+    """Build a table, write it, and print it unless `as_json`."""
     from eval.report.render import to_markdown
-    from eval.report.results import write_result
+    from eval.report.results import format_cell, write_result
+    from motionkit.cli.console import print_table
 
     if config.samples and not table.takes_samples:
         raise UsageError(f"{table.title!r} has no rows of samples: leave out --samples")
@@ -275,29 +234,36 @@ def _build(config: "EvalConfig", table: "Table") -> "Result":
         named = "" if run is None or run.name == "nano" else f" --run {shlex.quote(run.name)}"
         command = f"motionkit train --for {table.target}{paper}{named}"
         stderr.print(f"no rows of {', '.join(lacking)}: {command} trains the missing ones")
-    path = write_result(result, config.results)
-    write_whole(path.with_suffix(".md"), to_markdown(result))
+    path, text = write_result(result, config.results), to_markdown(result)
+    write_whole(path.with_suffix(".md"), text)
     stderr.print(f"written: {path}, beside it {path.with_suffix('.md').name}")
+    if as_json:
+        return result
+    if not stdout.is_terminal:
+        print_text(text)
+        return result
+    # Notes and further metrics are in the file.
+    for line in (result.title, result.caption, *result.missing):
+        stdout.print(line, soft_wrap=False)
+    for block in result.blocks:
+        stdout.print(f"\n{block.title}")
+        cells = [
+            [format_cell(row.cells.get(key), row.origin == "paper") for key in block.columns] for row in block.rows
+        ]
+        print_table(block.columns, [(row.name, texts) for row, texts in zip(block.rows, cells, strict=True)])
     return result
 
 
-def _refuse_rowless(config: "EvalConfig", result: "Result") -> None:
-    """Raise if samples have no row of scores in the table, with the reason."""
+def _require_rows(config: "EvalConfig", result: "Result") -> None:
+    """Raise if samples have no row of scores in the table, after printing what the table lacks."""
     from eval.sample_folder import SampleFolderError
 
     # Blocks without a metric, such as that of copies, are no scores.
     shown = {row.name for block in result.blocks if block.metrics for row in block.rows if row.cells}
     rowless = [name for name in config.samples if name not in shown]
-    for name in rowless:
-        # The lines of "MDM, 50 steps" are not those of "MDM".
-        others = tuple(each for each in config.samples if each.startswith(f"{name}, "))
-        reasons = [
-            line
-            for line in result.missing
-            if line.startswith((f"{name}:", f"{name}, ")) and not (others and line.startswith(others))
-        ]
-        stderr.print(f"no row for {reasons[0] if reasons else name}")
     if rowless:
+        for line in result.missing:
+            stderr.print(f"not in the table: {line}")
         raise SampleFolderError(f"the table was written without rows for {', '.join(map(repr, rowless))}")
 
 
@@ -308,28 +274,3 @@ def _print_left_out(config: "EvalConfig") -> None:
             stderr.print(f"left out of {folder.name!r}: {problem}")
         if len(folder.left_out) > SHOWN_PROBLEMS:
             stderr.print(f"… and {len(folder.left_out) - SHOWN_PROBLEMS:,} more: motionkit samples FOLDER")
-
-
-def _show(result: "Result", as_json: bool = False) -> None:
-    """Print a result: as JSON, as tables of the terminal's width, or as Markdown."""
-    from eval.report.render import to_markdown
-    from eval.report.results import format_cell
-    from motionkit.cli.console import print_table
-
-    if as_json:
-        print_json(asdict(result))
-    elif not stdout.is_terminal:
-        print_text(to_markdown(result))
-    else:
-        # Notes and further metrics are in the file.
-        stdout.print(result.title)
-        for line in (result.caption, *result.missing):
-            stdout.print(line, soft_wrap=False)
-        for block in result.blocks:
-            stdout.print("")
-            stdout.print(block.title)
-            rows = [
-                (row.name, [format_cell(row.cells.get(column), row.origin == "paper") for column in block.columns])
-                for row in block.rows
-            ]
-            print_table(block.columns, rows)

@@ -1,7 +1,9 @@
 """`motionkit samples`: inspect a folder of samples before building a table from it."""
 
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,15 +24,7 @@ def samples(
         bool, typer.Option("--init", help="Write DIR/samples.toml first, with what is given here, to be completed.")
     ] = False,
     fps: Annotated[str | None, typer.Option(metavar="FPS", help="Framerate, where the files do not say it.")] = None,
-    unit_metres: Annotated[
-        float | None, typer.Option("--unit-metres", metavar="M", help="With --init: metres per unit of the files.")
-    ] = None,
     up: Up = None,
-    statistics: Annotated[
-        str | None, typer.Option(help="With --init: pose vectors are raw, or normalised (with --mean and --std).")
-    ] = None,
-    mean: Annotated[Path | None, typer.Option(help="With --init: mean of the vectors, .npy; copied into DIR.")] = None,
-    std: Annotated[Path | None, typer.Option(help="With --init: their standard deviation; copied into DIR.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")] = False,
 ) -> None:
     """Say what a folder of samples holds: motions, framerates, captions, prompts, bodies, and what is wrong.
@@ -41,12 +35,8 @@ def samples(
     from eval.sample_folder import SampleFolderError, SampleOptions, read_sample_folder
 
     framerate = framerates(fps, "--fps")[0] if fps else None
-    of_init = {"unit_metres": unit_metres, "statistics": statistics, "mean": mean, "std": std}
-    given = [key for key, value in of_init.items() if value is not None]
     if init:
-        _write_manifest(folder, {"fps": framerate, "up": up, **of_init})
-    elif given:
-        raise UsageError(f"--{given[0].replace('_', '-')} goes with --init")
+        _write_manifest(folder, {"fps": fps, "up": up})
     with progress() as show, task(show, "reading") as work:
         read = read_sample_folder(folder.name, folder, SampleOptions(framerate, up or ""), work.set)
     found = _summary(read)
@@ -59,22 +49,18 @@ def samples(
         raise SampleFolderError(f"{len(read.left_out):,} motions of {str(folder)!r} are left out of every table")
 
 
-def _write_manifest(folder: Path, values: Mapping[str, object]) -> None:
-    """Write a new `samples.toml`, with the statistics' files beside it."""
-    from eval.sample_folder.manifest import MANIFEST, manifest_text, parse_manifest
+def _write_manifest(folder: Path, stated: Mapping[str, str | None]) -> None:
+    """Write a new `samples.toml`: a template of explained comments, in which some keys are stated."""
+    from eval.sample_folder.manifest import MANIFEST
 
-    path, stated = folder / MANIFEST, {key: value for key, value in values.items() if value is not None}
+    path, text = folder / MANIFEST, (resources.files("eval.sample_folder") / MANIFEST).read_text(encoding="utf-8")
     if not folder.is_dir():
         raise UsageError(f"--init needs a folder, and {str(folder)!r} is not one")
     if path.exists() and path.stat().st_size:
         raise UsageError(f"{path} is there already: edit it, or remove it first")
-    for key, source in stated.items():
-        if isinstance(source, Path):
-            if source.resolve() != (folder / f"{key}.npy").resolve():
-                write_whole(folder / f"{key}.npy", source.read_bytes())
-            stated[key] = f"{key}.npy"
-    text = manifest_text(stated)
-    parse_manifest(text, path)  # raises for values that do not fit together
+    for key, value in stated.items():
+        if value is not None:
+            text = re.sub(rf"(?m)^# {key} = .*?(?=  #)", f'{key} = "{value}"', text)
     write_whole(path, text)
     stderr.print(f"written: {path}")
 

@@ -1,12 +1,8 @@
 """`samples.toml`: metadata that the files of a folder of samples lack (docs/samples.md)."""
 
-import json
 import os
-import re
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from fractions import Fraction
-from importlib import resources
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -42,21 +38,19 @@ class Manifest:
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """Read `folder/samples.toml`; an absent one is like an empty one. Raises `FormatError` (`manifest`)."""
+    """Read `folder/samples.toml`, whose paths may not leave the folder; an absent one is like an empty one.
+
+    Raises `FormatError` (`manifest`).
+    """
     path = folder / MANIFEST
     if not path.is_file() or not path.stat().st_size:
         return Manifest()
-    return parse_manifest(source_file.decode(source_file.read_bytes(path), path), path)
-
-
-def parse_manifest(text: str, path: Path) -> Manifest:
-    """A manifest from the text of the file `path`, whose folder the paths in it may not leave."""
 
     def fault(message: str) -> FormatError:
         return FormatError(message[:400], path=path, reason="manifest")
 
     try:
-        stated = parse_toml(text)
+        stated = parse_toml(source_file.decode(source_file.read_bytes(path), path))
     except ValueError as error:
         raise fault(f"not TOML ({error})") from None
     known = [field.name for field in fields(Manifest)]
@@ -65,7 +59,7 @@ def parse_manifest(text: str, path: Path) -> Manifest:
         if key not in known:
             raise fault(f"unknown key {shown(key)}, expected any of {', '.join(known)}")
         try:
-            values[key] = _value(key, value, path.parent)
+            values[key] = _value(key, value, folder)
         except (ValueError, TypeError, OSError) as error:
             raise fault(f"{key} = {shown(value)}: {describe(error)}") from None
     manifest = Manifest(**values)
@@ -109,18 +103,6 @@ def _value(key: str, value: Any, folder: Path) -> Any:
     if not path.is_file():
         raise ValueError("there is no such file in this folder; copy it here")
     return path
-
-
-def manifest_text(values: Mapping[str, object]) -> str:
-    """A `samples.toml` with these values; every other key is included as an explained comment."""
-    text = resources.files("eval.sample_folder").joinpath(MANIFEST).read_text(encoding="utf-8")
-    for key, value in values.items():
-        if isinstance(value, Fraction):
-            value = value.numerator if value.denominator == 1 else str(value)
-        # JSON's strings, numbers and lists are TOML's.
-        line = f"{key} = {json.dumps(value, ensure_ascii=False)}"
-        text = re.sub(rf"(?m)^# {key} = .*?(?=  #)", line.replace("\\", r"\\"), text)
-    return text
 
 
 def read_prompts(path: Path) -> tuple[str, ...]:

@@ -53,7 +53,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-SMALL = ("--clips", "128", "--replications", "2", "--features", "kinematic")
+SMALL = ("--clips", "128", "--replications", "2", "--evaluator", "kinematic")
 
 
 def test_table_2(motionkit: Command, store: Path, tmp_path: Path) -> None:
@@ -141,7 +141,7 @@ def test_sets_that_mislead_are_named_under_the_table(motionkit: Command, store: 
         np.save(tmp_path / "copy" / f"walk-{index}.npy", walk(index, 120, 5.0))
         np.save(tmp_path / "statues" / f"{index}.npy", np.repeat(walk(index, 120, 0.02)[:1], 600, axis=0))
     samples = [part for name in ("copy", "statues") for part in ("--samples", f"{name}={tmp_path / name}")]
-    arguments = ("--clips", "64", "--replications", "2", "--features", "kinematic", "--sizes", "16:32", "--json")
+    arguments = ("--clips", "64", "--replications", "2", "--evaluator", "kinematic", "--sizes", "16:32", "--json")
     done = motionkit(
         "eval", "--table", "2", "--store", store, "--results", tmp_path, "--fps", "120", *samples, *arguments
     )

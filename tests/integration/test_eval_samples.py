@@ -13,7 +13,7 @@ from motionkit.store.writer import StoreWriter
 from tests.helpers import published_layouts as published
 from tests.helpers.analytic import ACTIONS, analytic_motion
 
-SMALL = ("--fps", "20", "--clips", "96", "--replications", "2", "--features", "kinematic", "--sizes", "16:24")
+SMALL = ("--fps", "20", "--clips", "96", "--replications", "2", "--evaluator", "kinematic", "--sizes", "16:24")
 
 
 @pytest.fixture(scope="module")

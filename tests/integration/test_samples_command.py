@@ -13,7 +13,7 @@ from motionkit.core.errors import MotionkitError
 from tests.helpers import published_layouts as published
 from tests.helpers.repository import REPOSITORY
 
-DEFAULTS = {"init": False, "fps": None, "unit_metres": None, "statistics": None, "mean": None, "std": None}
+DEFAULTS = {"init": False, "fps": None, "up": None}
 
 
 @pytest.fixture
