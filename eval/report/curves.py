@@ -50,10 +50,11 @@ class Panel:
     is_training: bool = False
 
 
-def curves_figure(panels: Sequence[Panel], width_inches: float = 12.0, height_inches: float = 5.0) -> Figure:
-    """Panels of curves only, at most three per line."""
+def curves_figure(panels: Sequence[Panel], width_inches: float = 12.0) -> Figure:
+    """Panels of curves only, at most three per line, with their legends below."""
     columns = min(3, len(panels))
     lines = -(-len(panels) // columns)
+    height_inches = 4.0 + 0.2 * max(len(panel.curves) for panel in panels)
     figure = Figure(figsize=(width_inches, height_inches * lines), layout="constrained")
     places = figure.subplots(lines, columns, squeeze=False).ravel()
     for axes, panel in zip(places, panels, strict=False):
@@ -92,11 +93,12 @@ def _draw(axes: Axes, panel: Panel) -> None:
         axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     _label(axes, panel.title, panel.x_label, panel.y_label)
     axes.grid(axis="y", color="#E4E4E4", linewidth=0.7)
-    axes.legend(fontsize=7.5, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=2)
+    columns = 2 if max(len(curve.label) for curve in panel.curves) <= 20 else 1
+    axes.legend(fontsize=7.5, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=columns)
 
 
 def _label(axes: Axes, title: str, x_label: str, y_label: str) -> None:
-    axes.set_title(title, fontsize=9.5, loc="left")
+    axes.set_title(fill(title, 56), fontsize=9.5, loc="left")
     axes.set_xlabel(x_label, fontsize=9)
     axes.set_ylabel(y_label, fontsize=9)
     axes.spines[["top", "right"]].set_visible(False)
@@ -227,7 +229,7 @@ def training_figure(stages: Sequence[StageTraining]) -> Figure | None:
                 curves.append(Curve(name, tuple(there), tuple(there.values()), (0.0,) * len(there)))
         if curves:
             panels.append(Panel(stage.name, "", tuple(curves), "steps", is_training=True))
-    return curves_figure(panels, height_inches=3.6) if panels else None
+    return curves_figure(panels) if panels else None
 
 
 def run_card(run: Path, motions: Sequence[tuple[str, str]] = ()) -> str:
