@@ -143,16 +143,6 @@ def test_a_chain_goes_on_where_the_last_motion_ends() -> None:
     assert np.allclose(speed, np.linalg.norm(joint_velocities(walk, times), axis=-1), atol=2e-2)
 
 
-def test_starts_cover_a_motion_evenly() -> None:
-    assert even_starts(8.0, 10.0, 2.0).tolist() == [0.0]
-    assert even_starts(18.0, 10.0, 2.0).tolist() == [0.0, 8.0]
-    starts = even_starts(61.3, 10.0, 1.5)
-    assert starts[-1] == pytest.approx(51.3) and np.all(np.diff(starts) <= 8.5 + 1e-9)
-    assert len(even_starts(10.001, 10.0, 9.0)) == 2
-    with pytest.raises(ValueError, match="10 s"):
-        even_starts(30.0, 10.0, 10.0)
-
-
 def two(first_at: float, second_at: float, *, scale: float = 1.0) -> list[Piece]:
     other = random_motion(1, num_frames=40, fps=Fraction(20), skeleton=SMPL22.scaled(scale))
     return [Piece(wandering(0), first_at), Piece(interpolate(other), second_at)]

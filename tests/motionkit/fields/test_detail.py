@@ -84,14 +84,6 @@ def test_nothing_lies_above_half_the_framerate(learnt: Detail, smooth: Motion, f
     assert power[(hz > 0.7 * fps / 2) & (hz < 0.8 * fps / 2)].sum() > 1e-3 * power.sum()
 
 
-def test_any_instants_in_any_order(learnt: Detail, smooth: Motion) -> None:
-    rng = np.random.default_rng(1)
-    times = np.sort(rng.uniform(0, smooth.timegrid.seconds()[-1], 300))
-    order = rng.permutation(len(times))
-    whole = field_of(smooth, learnt).query(times).joint_positions
-    np.testing.assert_array_equal(field_of(smooth, learnt).query(times[order]).joint_positions, whole[order])
-
-
 def test_noise_is_a_function_of_the_seed_and_the_instant(learnt: Detail) -> None:
     np.testing.assert_allclose(learnt.noise((3, 0), 500)[:, :200], learnt.noise((3, 0), 200), atol=1e-9)
 

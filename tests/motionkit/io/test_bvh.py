@@ -163,20 +163,6 @@ def t_pose_first(num_frames: int) -> str:
     return bvh_text(table.tolist())
 
 
-def with_places(text: str, table: np.ndarray) -> str:
-    """The same joints, each with position channels: the knees' places change, the others rest."""
-    head, body = text.split("MOTION")
-    head = head.replace("CHANNELS 3 ", "CHANNELS 6 Xposition Yposition Zposition ")
-    offsets = [list(map(float, found)) for found in re.findall(r"OFFSET (\S+) (\S+) (\S+)\n\s*CHANNELS", head)]
-    stretch = 1 + 0.1 * np.sin(np.arange(len(table)))
-    columns = [table[:, :6]]
-    for joint, offset in enumerate(offsets[1:]):
-        moves = stretch if offset == [0, -42, 0] else np.ones_like(stretch)
-        columns += [moves[:, None] * offset, table[:, 6 + 3 * joint : 9 + 3 * joint]]
-    lines = [" ".join(f"{value:g}" for value in row) for row in np.concatenate(columns, axis=1)]
-    return f"{head}MOTION" + "\n".join([*body.splitlines()[:3], *lines]) + "\n"
-
-
 def along_z(text: str) -> str:
     return re.sub(r"OFFSET (\S+) (\S+) (\S+)", r"OFFSET \1 \3 \2", text)
 
@@ -197,7 +183,6 @@ TAKES = {
     "one frame": bvh_text(rows(1).tolist()),
     "blank lines": bvh_text(rows(50).tolist()).replace("\n", "\n\n"),
     "old line ends": bvh_text(rows(50).tolist()).replace("\n", "\r"),
-    "bones that change": with_places(bvh_text(), rows(50)).replace("Frames: 4", "Frames: 50"),
     "along z": along_z(bvh_text(rows(50).tolist())),
     "a root that carries another": carried(bvh_text(rows(50).tolist())),
 }

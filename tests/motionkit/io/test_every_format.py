@@ -24,7 +24,7 @@ from tests.helpers.side_files import BESIDE
 
 OPTIONS = ReadOptions(fps=Fraction(30))
 # `MOTIONKIT_FUZZ_EXAMPLES=5000 pytest tests/motionkit/io/test_every_format.py` hunts for longer.
-EXAMPLES = int(os.environ.get("MOTIONKIT_FUZZ_EXAMPLES", "80"))
+EXAMPLES = int(os.environ.get("MOTIONKIT_FUZZ_EXAMPLES", "25"))
 
 
 def read_source(source: Path, options: ReadOptions = OPTIONS) -> tuple[list[Motion], list[FormatError]]:

@@ -33,7 +33,7 @@ def body(num_frames: int = 5, num_joints: int = 22) -> np.ndarray:
     return np.random.default_rng(0).normal(size=(num_frames, num_joints, 3)).astype(np.float32)
 
 
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     fps=st.fractions(1, 1000, max_denominator=1001),
     start=SECONDS,

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from motionkit.core.errors import BusyError, StoreError
+from motionkit.core.errors import StoreError
 from motionkit.store import Store, StoreWriter
 from motionkit.store.commit import LOCK_FILE
 from motionkit.store.life import compact, merge, remove, split
@@ -135,27 +135,6 @@ def test_two_processes_that_write_at_once_lose_nothing(small_store):
         assert [each for each in ids if each.startswith(name)] == [f"{name}-{number}" for number in range(8)]
     assert len(ids) == 6 + 16
     assert (leftovers(small_store), list(faults(small_store))) == ([], [])
-
-
-HOLDER = """
-import sys, time
-from motionkit.store import StoreWriter
-with StoreWriter.append(sys.argv[1]):
-    print("holding", flush=True)
-    time.sleep(600)
-"""
-
-
-def test_the_lock_of_a_killed_writer_is_free(small_store, make_motion):
-    """And as long as it lives, every change is refused."""
-    arguments = [sys.executable, "-c", HOLDER, str(small_store)]
-    with subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True) as holder:
-        assert holder.stdout is not None and holder.stdout.readline() == "holding\n"
-        for change in (lambda: remove(small_store, ["take-3"]), lambda: append(small_store, make_motion)):
-            with pytest.raises(BusyError):
-                change()
-        holder.kill()
-    assert remove(small_store, ["take-3"]) == ("take-3",)
 
 
 def test_create_and_append_say_what_is_wrong(small_store, tmp_path, make_motion):
