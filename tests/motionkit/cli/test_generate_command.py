@@ -101,21 +101,6 @@ def test_a_path_is_followed_and_its_error_reported(run_command, tmp_path):
         run_command("a walk", "--path", "points.csv", "--seconds", "1", "--out", "other", model=GoesOn())
 
 
-def test_a_motion_beyond_the_longest_is_joined_from_several(run_command, tmp_path):
-    result = run_command("a walk", "--seconds", "25", "--fps", "30", "--out", "slow")
-    assert "joined" in result.stderr
-    run_command("a walk", "--seconds", "25", "--fps", "60", "--out", "fast")
-    slow, fast = (read_npz(tmp_path / name / "0000-a-walk.npz") for name in ("slow", "fast"))
-    assert (slow.num_frames, fast.num_frames) == (750, 1500)
-    # Each piece begins anywhere; laid over the last one, 1 m/s goes on.
-    np.testing.assert_allclose(np.diff(slow.joint_positions[:, 0, 2]), 1 / 30, atol=1e-4)
-    np.testing.assert_allclose(fast.joint_positions[::2], slow.joint_positions, atol=1e-5)
-    some = run_command("a walk", "--seconds", "25", "--times", "24.5,3", "--out", "some")
-    assert some.exit_code == 0
-    with np.load(tmp_path / "some" / "0000-a-walk.npz", allow_pickle=False) as arrays:
-        np.testing.assert_allclose(arrays["joint_positions"], slow.joint_positions[[735, 90]], atol=1e-5)
-
-
 def test_texts_in_a_row_are_one_motion(run_command, tmp_path):
     call = ("a walk", "a jump", "--seconds", "4", "--join", "--fps", "20", "-n", "2", "--format", "bvh")
     report = json.loads(run_command(*call, "--out", "made", "--json").stdout)

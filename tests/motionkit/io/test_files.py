@@ -112,7 +112,7 @@ def test_what_fails_leaves_the_former_file(motion: mk.Motion, tmp_path: Path, mo
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(gltf.GlbBuffer, "write", full)
-    with pytest.raises(OSError, match="No space"):
+    with pytest.raises(OSError):
         mk.write(motion, path)
     assert path.read_bytes() == former and list(tmp_path.iterdir()) == [path]
 
